@@ -1,0 +1,47 @@
+"""Analytical Integral Global Trajectory Optimization (AIGTO) with contact, on Drake."""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from drake_aigto.errors import (
+        AigtoError,
+        MissingExtraError,
+        ModelError,
+        OptionsError,
+        PlanFileError,
+        ScenarioError,
+        UnsupportedTermError,
+    )
+    from drake_aigto.world import Contact, Scenario, World, scenario_names
+
+# Public name → module. Loaded on first use, so that `import drake_aigto` is quick.
+_EXPORTS = {
+    "AigtoError": "drake_aigto.errors",
+    "MissingExtraError": "drake_aigto.errors",
+    "ModelError": "drake_aigto.errors",
+    "OptionsError": "drake_aigto.errors",
+    "PlanFileError": "drake_aigto.errors",
+    "ScenarioError": "drake_aigto.errors",
+    "UnsupportedTermError": "drake_aigto.errors",
+    "Contact": "drake_aigto.world",
+    "Scenario": "drake_aigto.world",
+    "World": "drake_aigto.world",
+    "scenario_names": "drake_aigto.world",
+}
+
+__all__ = sorted(_EXPORTS)
+
+
+def __getattr__(name: str) -> Any:
+    """Imports a public name when it is first asked for."""
+    if name not in _EXPORTS:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(importlib.import_module(_EXPORTS[name]), name)
+
+
+def __dir__() -> list[str]:
+    """Lists the public names, loaded or not."""
+    return sorted({*globals(), *__all__})

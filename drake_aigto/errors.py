@@ -1,0 +1,66 @@
+"""The errors of this package: each says what was wrong, what was expected, and what to do."""
+
+from __future__ import annotations
+
+
+class AigtoError(Exception):
+    """Base of every error that this package raises on purpose.
+
+    Its text reads ``what: got …, expected …. remedy``, without the parts that were not given.
+
+    Attributes:
+        what: the thing that is wrong: a field, a file, a joint, a term.
+        got: what was found.
+        expected: what would have been right.
+        remedy: what to do about it, as a sentence.
+    """
+
+    def __init__(
+        self,
+        what: str,
+        got: object = None,
+        expected: object = None,
+        remedy: str | None = None,
+    ) -> None:
+        """Stores the four parts; all of them may be given by name."""
+        # All four go into `args`, so that the error survives pickling (worker processes).
+        super().__init__(what, got, expected, remedy)
+        self.what = what
+        self.got = got
+        self.expected = expected
+        self.remedy = remedy
+
+    def __str__(self) -> str:
+        """Returns the one to three sentences that a user reads."""
+        parts = []
+        if self.got is not None:
+            parts.append(f"got {self.got}")
+        if self.expected is not None:
+            parts.append(f"expected {self.expected}")
+        text = f"{self.what}: {', '.join(parts)}" if parts else self.what
+        text = text if text.endswith((".", "!", "?")) else f"{text}."
+        return f"{text} {self.remedy}" if self.remedy else text
+
+
+class ScenarioError(AigtoError, ValueError):
+    """A scenario that asks for something impossible, or a scenario file that can't be read."""
+
+
+class ModelError(AigtoError, ValueError):
+    """A model (SDF, URDF, MultibodyPlant) that can't be found, read, or planned for."""
+
+
+class UnsupportedTermError(AigtoError, ValueError):
+    """A cost or constraint whose mean over a box has no closed form here."""
+
+
+class PlanFileError(AigtoError, ValueError):
+    """A plan file that is cut short, damaged, or from another version."""
+
+
+class OptionsError(AigtoError, ValueError):
+    """A numerical option outside its range."""
+
+
+class MissingExtraError(AigtoError, ImportError):
+    """An optional dependency that is not installed."""

@@ -1,0 +1,7 @@
+"""The world and the question: models, plants read symbolically, contact geometry, scenarios."""
+
+from drake_aigto.world.contact import Contact
+from drake_aigto.world.scenario import Scenario, scenario_names
+from drake_aigto.world.world import World
+
+__all__ = ["Contact", "Scenario", "World", "scenario_names"]

@@ -1,0 +1,161 @@
+"""From a model to a diagram, and from a diagram to its one plant: what is supported, and what not."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydrake.geometry import SceneGraph
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
+from pydrake.multibody.tree import Joint
+from pydrake.systems.framework import Diagram, DiagramBuilder
+
+from drake_aigto.errors import ModelError
+from drake_aigto.world.files import find_model, package_map
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+
+def build_diagram(model: str) -> Diagram:
+    """Returns a diagram of the model's continuous plant and its scene graph.
+
+    Ports: ``actuation`` in; ``state`` and ``query`` (for a visualizer) out.
+
+    Args:
+        model: a ``package://`` URI, or a path to a file that Drake parses.
+
+    Raises:
+        ModelError: there is no such file, or Drake can't parse it.
+    """
+    path = find_model(model)
+    builder = DiagramBuilder()
+    # Continuous, since every discrete contact model loses energy.
+    plant, scene_graph = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
+    parser = Parser(plant)
+    parser.package_map().AddMap(package_map())
+    try:
+        parser.AddModels(str(path))
+    except RuntimeError as error:
+        raise ModelError(f"Drake can't parse the model {path}", got=error) from error
+    plant.Finalize()
+    builder.ExportInput(plant.get_actuation_input_port(), "actuation")
+    builder.ExportOutput(plant.get_state_output_port(), "state")
+    builder.ExportOutput(scene_graph.get_query_output_port(), "query")
+    return builder.Build()
+
+
+def find_plant(diagram: Diagram) -> tuple[MultibodyPlant, SceneGraph]:
+    """Returns the plant and the scene graph of a diagram, at any depth.
+
+    Raises:
+        ModelError: not exactly one of each.
+    """
+    systems = list(_walk(diagram))
+    found = []
+    for kind in (MultibodyPlant, SceneGraph):
+        matches = [system for system in systems if isinstance(system, kind)]
+        if len(matches) != 1:
+            raise ModelError(
+                "diagram",
+                got=f"{len(matches)} of type {kind.__name__}",
+                expected="one MultibodyPlant and one SceneGraph",
+                remedy="Make both with AddMultibodyPlantSceneGraph(builder, time_step=0).",
+            )
+        found.append(matches[0])
+    return found[0], found[1]
+
+
+def check_plant(plant: MultibodyPlant) -> None:
+    """Refuses a plant that can't be planned for, whatever its equations are.
+
+    Raises:
+        ModelError: discrete, no moving joint, q̇ ≠ v, no actuator, or a finite effort limit.
+    """
+    if plant.time_step() > 0:
+        raise ModelError(
+            "plant",
+            got=f"a discrete one (time_step = {plant.time_step():g} s)",
+            expected="a continuous one (time_step = 0)",
+            remedy="Discrete contact loses energy: at 1 ms an elastic bounce keeps only 0.7 of "
+            "its speed.",
+        )
+    if plant.num_positions() == 0:
+        raise ModelError(
+            "the model lacks a joint that moves",
+            remedy="Attach the moving link by a prismatic joint.",
+        )
+    _check_velocities(plant)
+    if plant.num_actuators() == 0:
+        raise ModelError(
+            "the model lacks an actuator",
+            remedy="Give the joint's <limit> no <effort> in SDF (unlimited); in URDF add a "
+            "<transmission>.",
+        )
+    _check_effort_limits(plant)
+
+
+def find_joint(plant: MultibodyPlant, position_index: int) -> Joint:
+    """Returns the joint that has this generalized position (or velocity, where q̇ = v)."""
+    for index in plant.GetJointIndices():
+        joint = plant.get_joint(index)
+        if 0 <= position_index - joint.position_start() < joint.num_positions():
+            return joint
+    raise IndexError(position_index)
+
+
+def _walk(system: Any) -> Iterator[Any]:
+    """Yields a system and all of its subsystems."""
+    yield system
+    if isinstance(system, Diagram):
+        for subsystem in system.GetSystems():
+            yield from _walk(subsystem)
+
+
+def _check_velocities(plant: MultibodyPlant) -> None:
+    """Refuses joints whose generalized velocity is not the derivative of their position."""
+    if plant.IsVelocityEqualToQDot():
+        return
+    context = plant.CreateDefaultContext()
+    # Away from zero, where roll-pitch-yaw rates happen to be the angular velocity.
+    plant.SetPositions(context, np.full(plant.num_positions(), 0.5))
+    N = _dense(plant.MakeVelocityToQDotMap(context))
+    for index in plant.GetJointIndices():
+        joint = plant.get_joint(index)
+        nq, nv = joint.num_positions(), joint.num_velocities()
+        block = N[joint.position_start() :, joint.velocity_start() :][:nq, :nv]
+        if nq == nv and np.allclose(block, np.eye(nq)):
+            continue
+        if joint.is_ephemeral():
+            what = f"no joint attaches link {joint.child_body().name()!r}, so it floats"
+        else:
+            what = f"joint {joint.name()!r} ({joint.type_name()})"
+        raise ModelError(
+            what,
+            got="velocities v that are not q̇",
+            expected="q̇ = v",
+            remedy="Attach the link by prismatic joints.",
+        )
+
+
+def _dense(matrix: Any) -> npt.NDArray[np.float64]:
+    """Returns an array; Drake gives a SciPy matrix or an array."""
+    return matrix.toarray() if hasattr(matrix, "toarray") else np.asarray(matrix)
+
+
+def _check_effort_limits(plant: MultibodyPlant) -> None:
+    """Refuses actuators that clip: a plan that ignores it would not be the one that is run."""
+    limits = np.minimum(-plant.GetEffortLowerLimits(), plant.GetEffortUpperLimits())
+    for index in plant.GetJointActuatorIndices():
+        actuator = plant.get_joint_actuator(index)
+        limit = limits[actuator.input_start()]
+        if np.isfinite(limit):
+            raise ModelError(
+                f"actuator {actuator.name()!r} of joint {actuator.joint().name()!r}",
+                got=f"an effort limit of {limit:g}",
+                expected="none",
+                remedy="Clipping is no polynomial: leave <effort> out of the model, and bound "
+                "the control in the program.",
+            )

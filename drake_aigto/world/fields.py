@@ -1,0 +1,69 @@
+"""Typed fields of frozen dataclasses, checked as they are set."""
+
+from __future__ import annotations
+
+import math
+from numbers import Real
+from typing import TYPE_CHECKING, overload
+
+import numpy as np
+
+from drake_aigto.errors import ScenarioError
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+
+def as_number(name: str, value: object) -> float:
+    """Returns a finite float.
+
+    Raises:
+        ScenarioError: not a number (a bool is none), NaN, or infinite.
+    """
+    if isinstance(value, bool) or not isinstance(value, Real):
+        raise ScenarioError(name, got=f"{value!r} ({type(value).__name__})", expected="a number")
+    number = float(value)
+    if not math.isfinite(number):
+        raise ScenarioError(name, got=number, expected="a finite number")
+    return number
+
+
+def as_vector(name: str, value: object) -> npt.NDArray[np.float64]:
+    """Returns a read-only array (n,) of finite floats, n ≥ 1, from a scalar or a sequence.
+
+    Raises:
+        ScenarioError: not numbers, NaN or infinity among them, empty, or of two dimensions.
+    """
+    items = np.array(value, dtype=object, ndmin=1)
+    if items.ndim != 1 or items.size == 0:
+        raise ScenarioError(
+            name,
+            got=f"an array of shape {items.shape}",
+            expected="a number, or a sequence of one number per coordinate",
+        )
+    vector = np.array([as_number(name, item) for item in items])
+    vector.flags.writeable = False
+    return vector
+
+
+class VectorField:
+    """A dataclass field that takes a scalar or a sequence and holds a read-only array (n,)."""
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        """Learns the field's name."""
+        self._name = name
+
+    @overload
+    def __get__(self, instance: None, owner: type) -> VectorField: ...
+    @overload
+    def __get__(self, instance: object, owner: type) -> npt.NDArray[np.float64]: ...
+    def __get__(self, instance: object, owner: type) -> object:
+        """Returns the array."""
+        if instance is None:
+            # So a dataclass sees that the field has no default.
+            raise AttributeError(self._name)
+        return instance.__dict__[self._name]
+
+    def __set__(self, instance: object, value: npt.ArrayLike) -> None:
+        """Checks and stores; a frozen dataclass calls this once, from ``__init__``."""
+        instance.__dict__[self._name] = as_vector(self._name, value)

@@ -1,0 +1,82 @@
+"""Where the shipped models lie, how a model's name becomes a file, and how files are written."""
+
+from __future__ import annotations
+
+import os
+from importlib import resources
+from pathlib import Path
+
+from pydrake.multibody.parsing import PackageMap
+
+from drake_aigto.errors import ModelError
+
+_URI_SCHEME = "package://"
+
+
+def models_directory() -> Path:
+    """Returns the folder of the shipped models and scenarios.
+
+    An installed wheel has it inside the package, a checkout next to it.
+
+    Raises:
+        ModelError: neither place has it: the installation is broken.
+    """
+    package = Path(str(resources.files("drake_aigto")))
+    for directory in (package / "models", package.parent / "models"):
+        if (directory / "package.xml").is_file():
+            return directory
+    raise ModelError(
+        "the shipped models are missing",
+        got=f"no package.xml in {package / 'models'} or {package.parent / 'models'}",
+        remedy="Install drake_aigto again.",
+    )
+
+
+def package_map() -> PackageMap:
+    """Returns Drake's packages and ours, ``package://drake_aigto_models/…``."""
+    packages = PackageMap()
+    packages.AddPackageXml(str(models_directory() / "package.xml"))
+    return packages
+
+
+def find_model(model: str) -> Path:
+    """Returns the file that a model's name stands for.
+
+    Args:
+        model: a ``package://`` URI, or a path to an SDF, URDF or other file that Drake parses.
+
+    Raises:
+        ModelError: unknown package, or no such file.
+    """
+    if model.startswith(_URI_SCHEME):
+        package, _, relative = model.removeprefix(_URI_SCHEME).partition("/")
+        packages = package_map()
+        if not packages.Contains(package):
+            raise ModelError(
+                f"model {model}",
+                got=f"the unknown package {package!r}",
+                expected=f"one of {', '.join(sorted(packages.GetPackageNames()))}",
+                remedy="Name a model of your own by its path.",
+            )
+        path = Path(packages.GetPath(package)) / relative
+    else:
+        path = Path(model).expanduser()
+    if not path.is_file():
+        raise ModelError(
+            f"model {model}",
+            got=f"no file {path}",
+            expected="an SDF or URDF file",
+            remedy=f"The shipped ones lie in {models_directory()}.",
+        )
+    return path
+
+
+def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Writes a file whole or not at all: to a neighbour first, which then takes its name."""
+    path = Path(path)
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        temporary.write_text(text, encoding="utf-8")
+        temporary.replace(path)
+    finally:
+        temporary.unlink(missing_ok=True)

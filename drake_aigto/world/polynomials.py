@@ -1,0 +1,85 @@
+"""Expressions read off a plant, as polynomials: tidied once, and compiled to arrays."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydrake.symbolic import Expression, Polynomial, Variables
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+# Coefficients below this, relative to the largest, are rounding left by rotations such as
+# cos(π/2) = 6e-17, not physics. They would make constants look like functions.
+_ROUNDING = 1e-14
+
+
+def find_nonpolynomial_variable(expression: Expression) -> Any | None:
+    """Returns a variable in which the expression is no polynomial, or None if it is one in all."""
+    if expression.is_polynomial():
+        return None
+    for variable in expression.GetVariables():
+        try:
+            Polynomial(expression, Variables([variable]))
+        except RuntimeError:
+            return variable
+    return None
+
+
+def tidy(expressions: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Returns polynomial expressions expanded and rid of rounding, as a read-only array.
+
+    Args:
+        expressions: any shape; each a polynomial in all of its variables.
+    """
+    polynomials = [Polynomial(expression) for expression in expressions.flat]
+    largest = max((abs(c) for p in polynomials for c in _coefficients(p).values()), default=0.0)
+    tolerance = max(_ROUNDING * largest, np.finfo(float).tiny)  # Drake wants more than zero.
+    result = np.empty(expressions.size, dtype=object)
+    for i, polynomial in enumerate(polynomials):
+        kept = polynomial.RemoveTermsWithSmallCoefficients(tolerance)
+        result[i] = kept.ToExpression().Expand()
+    result = result.reshape(expressions.shape)
+    result.flags.writeable = False
+    return result
+
+
+def _coefficients(polynomial: Polynomial) -> dict[Any, float]:
+    """Returns monomial → coefficient of a polynomial in all of its variables."""
+    return {
+        monomial: coefficient.Evaluate()
+        for monomial, coefficient in polynomial.monomial_to_coefficient_map().items()
+    }
+
+
+class PolynomialMap:
+    """Polynomials f: ℝⁿ → ℝᵐ compiled to arrays, f(x) = C (∏ᵢ xᵢ^Eₘᵢ)ₘ.
+
+    Drake's own Expression.Evaluate takes an environment and some ten times longer.
+
+    Attributes:
+        exponents: E, shape (monomials, n).
+        coefficients: C, shape (m, monomials).
+    """
+
+    def __init__(self, expressions: npt.NDArray[Any], variables: npt.NDArray[Any]) -> None:
+        """Compiles.
+
+        Args:
+            expressions: shape (m,), polynomials in the variables.
+            variables: shape (n,).
+        """
+        tables = [_coefficients(Polynomial(e)) for e in expressions]
+        monomials = list(dict.fromkeys(monomial for table in tables for monomial in table))
+        self.exponents = np.array(
+            [[monomial.degree(variable) for variable in variables] for monomial in monomials],
+            dtype=float,
+        ).reshape(len(monomials), len(variables))
+        self.coefficients = np.array(
+            [[table.get(monomial, 0.0) for monomial in monomials] for table in tables]
+        ).reshape(len(tables), len(monomials))
+
+    def __call__(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Returns f(x), shape (m,), for x of shape (n,)."""
+        return self.coefficients @ (x**self.exponents).prod(axis=1)

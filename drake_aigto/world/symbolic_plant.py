@@ -1,0 +1,103 @@
+"""The equations of motion of a MultibodyPlant, read as polynomials of q and v."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import MultibodyForces_, RigidBody
+from pydrake.symbolic import Expression, MakeVectorVariable, Variable
+
+from drake_aigto.errors import ModelError
+from drake_aigto.world.contact import SphereAndFace
+from drake_aigto.world.diagram import find_joint
+from drake_aigto.world.polynomials import find_nonpolynomial_variable, tidy
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+
+class SymbolicPlant:
+    """A plant's symbolic twin at a state of variables.
+
+    Each method refuses, by the joint's name, what is not polynomial.
+
+    Attributes:
+        q: variables, shape (nq,) [m].
+        v: variables, shape (nv,) [m/s], v = q̇.
+    """
+
+    def __init__(self, plant: MultibodyPlant) -> None:
+        """Makes the twin.
+
+        Raises:
+            ModelError: a part of the plant has no symbolic form.
+        """
+        self._plant = plant
+        try:
+            self._twin = plant.ToSymbolic()
+        except RuntimeError as error:
+            raise ModelError("the plant has no symbolic form", got=error) from error
+        self._context = self._twin.CreateDefaultContext()
+        self.q = MakeVectorVariable(plant.num_positions(), "q")
+        self.v = MakeVectorVariable(plant.num_velocities(), "v")
+        self._twin.SetPositions(self._context, self.q)
+        self._twin.SetVelocities(self._context, self.v)
+
+    def set_mass(self, body: RigidBody, mass: float) -> None:
+        """Replaces a body's mass [kg]; its inertia scales along."""
+        self._twin.get_body(body.index()).SetMass(self._context, Expression(mass))
+
+    def calc_signed_distance(self, pair: SphereAndFace) -> Expression:
+        """Returns φ(q) of a pair [m].
+
+        Raises:
+            ModelError: it is not polynomial.
+        """
+        distance = pair.calc_coordinates(self._twin, self._context)[2:]
+        return self._tidy(distance, f"the distance of {pair.name}")[0]
+
+    def calc_mass_matrix(self) -> npt.NDArray[Any]:
+        """Returns M, shape (nv, nv) [kg], constant.
+
+        Raises:
+            ModelError: it changes with q.
+        """
+        M = self._tidy(self._twin.CalcMassMatrix(self._context), "the mass matrix")
+        for entry in M.flat:
+            for variable in entry.GetVariables():
+                raise self._refusal(variable, "the mass matrix")
+        return M
+
+    def calc_bias(self) -> npt.NDArray[Any]:
+        """Returns h(q, v), shape (nv,) [N]: all that B u and contact must balance at v̇ = 0.
+
+        Raises:
+            ModelError: it is not polynomial.
+        """
+        # Force elements (gravity, springs) and joint damping go into `forces`; inverse dynamics
+        # adds the Coriolis and centrifugal terms.
+        forces = MultibodyForces_[Expression](self._twin)
+        self._twin.CalcForceElementsContribution(self._context, forces)
+        rest = np.array([Expression(0.0)] * len(self.v))
+        h = self._twin.CalcInverseDynamics(self._context, rest, forces)
+        return self._tidy(h, "the bias force")
+
+    def _tidy(self, expressions: npt.NDArray[Any], what: str) -> npt.NDArray[Any]:
+        for expression in expressions.flat:
+            variable = find_nonpolynomial_variable(expression)
+            if variable is not None:
+                raise self._refusal(variable, what)
+        return tidy(expressions)
+
+    def _refusal(self, variable: Variable, what: str) -> ModelError:
+        """Returns the error that names the joint of a variable."""
+        names = [str(other) for other in (*self.q, *self.v)]
+        joint = find_joint(self._plant, names.index(str(variable)) % len(self.q))
+        return ModelError(
+            f"joint {joint.name()!r} ({joint.type_name()})",
+            got=f"a coordinate that enters {what} in a way that is not polynomial",
+            expected="polynomial dynamics with a constant mass matrix",
+            remedy="Replace it by a prismatic joint, or weld it.",
+        )
