@@ -6,16 +6,17 @@ import importlib
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from drake_aigto.errors import (
-        AigtoError,
-        MissingExtraError,
-        ModelError,
-        OptionsError,
-        PlanFileError,
-        ScenarioError,
-        UnsupportedTermError,
-    )
-    from drake_aigto.world import Contact, Scenario, World, scenario_names
+    from drake_aigto.errors import AigtoError as AigtoError
+    from drake_aigto.errors import MissingExtraError as MissingExtraError
+    from drake_aigto.errors import ModelError as ModelError
+    from drake_aigto.errors import OptionsError as OptionsError
+    from drake_aigto.errors import PlanFileError as PlanFileError
+    from drake_aigto.errors import ScenarioError as ScenarioError
+    from drake_aigto.errors import UnsupportedTermError as UnsupportedTermError
+    from drake_aigto.world import Contact as Contact
+    from drake_aigto.world import Scenario as Scenario
+    from drake_aigto.world import World as World
+    from drake_aigto.world import scenario_names as scenario_names
 
 # Public name → module. Loaded on first use, so that `import drake_aigto` is quick.
 _EXPORTS = {

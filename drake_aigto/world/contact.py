@@ -21,8 +21,10 @@ from drake_aigto.errors import ModelError
 if TYPE_CHECKING:
     import numpy.typing as npt
 
+    _Array = npt.NDArray[np.float64]
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class Contact:
     """A pair of shapes that can touch, and how far they are apart.
 
@@ -56,11 +58,11 @@ class SphereAndFace:
     name: str
     sphere_body: RigidBody
     face_body: RigidBody
-    center: npt.NDArray[np.float64]
+    center: _Array
     radius: float
-    point: npt.NDArray[np.float64]
-    axes: npt.NDArray[np.float64]
-    half_extents: npt.NDArray[np.float64]
+    point: _Array
+    axes: _Array
+    half_extents: _Array
 
     def calc_coordinates(self, plant: Any, context: Any) -> npt.NDArray[Any]:
         """Returns where the sphere's surface is in the face's frame, shape (3,) [m].
@@ -140,12 +142,12 @@ def _read_pair(
     return max(candidates, key=lambda pair: pair.calc_coordinates(plant, context)[2])
 
 
-def _faces(shape: Box | HalfSpace) -> list[tuple[npt.NDArray[np.float64], ...]]:
+def _faces(shape: Box | HalfSpace) -> list[tuple[_Array, _Array, _Array]]:
     """Returns (middle, axes with the outward normal last, half extents) of each face."""
     identity = np.eye(3)
     if isinstance(shape, HalfSpace):
         return [(np.zeros(3), identity, np.full(2, np.inf))]
-    half = shape.size() / 2
+    half = np.asarray(shape.size()) / 2
     faces = []
     for axis in range(3):
         edges = [(axis + 1) % 3, (axis + 2) % 3]

@@ -1,4 +1,4 @@
-"""From a model to a diagram, and from a diagram to its one plant: what is supported, and what not."""
+"""From a model to a diagram, and from a diagram to its one plant, if it is a supported one."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def build_diagram(model: str) -> Diagram:
     parser = Parser(plant)
     parser.package_map().AddMap(package_map())
     try:
-        parser.AddModels(str(path))
+        parser.AddModels(path)
     except RuntimeError as error:
         raise ModelError(f"Drake can't parse the model {path}", got=error) from error
     plant.Finalize()
@@ -91,7 +91,7 @@ def check_plant(plant: MultibodyPlant) -> None:
     if plant.num_actuators() == 0:
         raise ModelError(
             "the model lacks an actuator",
-            remedy="Give the joint's <limit> no <effort> in SDF (unlimited); in URDF add a "
+            remedy="In SDF drop <effort>0</effort> from the joint's <limit>; in URDF add a "
             "<transmission>.",
         )
     _check_effort_limits(plant)

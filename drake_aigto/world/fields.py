@@ -14,17 +14,31 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
 
-def as_number(name: str, value: object) -> float:
-    """Returns a finite float.
+def as_number(
+    name: str,
+    value: object,
+    *,
+    above: float = -math.inf,
+    at_least: float = -math.inf,
+    at_most: float = math.inf,
+    unit: str = "",
+) -> float:
+    """Returns a finite float within bounds.
 
     Raises:
-        ScenarioError: not a number (a bool is none), NaN, or infinite.
+        ScenarioError: not a number (a bool is none), NaN, infinite, or out of bounds.
     """
     if isinstance(value, bool) or not isinstance(value, Real):
         raise ScenarioError(name, got=f"{value!r} ({type(value).__name__})", expected="a number")
     number = float(value)
     if not math.isfinite(number):
         raise ScenarioError(name, got=number, expected="a finite number")
+    if not (above < number and at_least <= number <= at_most):
+        bounds = (("more than", above), ("at least", at_least), ("at most", at_most))
+        expected = " and ".join(f"{text} {x:g}" for text, x in bounds if math.isfinite(x))
+        raise ScenarioError(
+            name, got=f"{number:g} {unit}".strip(), expected=f"{expected} {unit}".strip()
+        )
     return number
 
 

@@ -35,7 +35,7 @@ def models_directory() -> Path:
 def package_map() -> PackageMap:
     """Returns Drake's packages and ours, ``package://drake_aigto_models/…``."""
     packages = PackageMap()
-    packages.AddPackageXml(str(models_directory() / "package.xml"))
+    packages.AddPackageXml(models_directory() / "package.xml")
     return packages
 
 

@@ -20,6 +20,19 @@ from drake_aigto.world.files import models_directory, write_text
 
 DEFAULT_MODEL = "package://drake_aigto_models/point_mass_and_wall.sdf"
 
+_REQUIRED = ("initial_position", "initial_velocity", "goal_position")
+
+_BOUNDS: dict[str, dict[str, Any]] = {
+    "duration": {"above": 0.0, "unit": "s"},
+    "time_step": {"above": 0.0, "unit": "s"},
+    "control_weight": {"above": 0.0},  # At zero no optimum is unique.
+    "goal_weight": {"at_least": 0.0},
+    "epsilon": {"above": 0.0, "unit": "J"},
+    "delta": {"at_least": 0.0, "unit": "m"},
+    "restitution": {"at_least": 0.0, "at_most": 1.0},
+    "mass": {"above": 0.0, "unit": "kg"},
+}
+
 # Whole numbers of steps are recognised up to this relative error: 1.0 / 0.005 is not 200 exactly.
 _STEP_TOLERANCE = 1e-9
 
@@ -45,7 +58,7 @@ class Scenario:
         time_step: dt [s].
         control_weight: w_u > 0 [1/(N² s)].
         goal_weight: w_f ≥ 0 [1/m²].
-        epsilon: relaxation ε > 0 of the contact force λ = ε/(φ + δ) [J]. Literal transcription only.
+        epsilon: ε > 0 in the contact force λ = ε/(φ + δ) [J]. Literal transcription only.
         delta: δ ≥ 0 that keeps this force finite at the wall [m]. Literal transcription only.
         restitution: speed after / before an impact, e ∈ [0, 1].
         mass: replaces the mass of the body that touches the wall [kg]; None keeps the model's.
@@ -55,9 +68,9 @@ class Scenario:
     """
 
     model: str = DEFAULT_MODEL
-    initial_position: VectorField = VectorField()  # [m]
-    initial_velocity: VectorField = VectorField()  # [m/s]
-    goal_position: VectorField = VectorField()  # [m]
+    initial_position: VectorField = VectorField()  # [m]  # noqa: RUF009 (a descriptor)
+    initial_velocity: VectorField = VectorField()  # [m/s]  # noqa: RUF009 (a descriptor)
+    goal_position: VectorField = VectorField()  # [m]  # noqa: RUF009 (a descriptor)
     duration: float = 1.0  # [s]
     time_step: float = 0.005  # [s]
     control_weight: float = 1e-3  # [1/(N² s)]
@@ -74,14 +87,10 @@ class Scenario:
                 "model", got=repr(self.model), expected="a package:// URI or a path to a file"
             )
         object.__setattr__(self, "model", str(self.model))
-        for name in _RANGES:
+        for name, bounds in _BOUNDS.items():
             value = getattr(self, name)
-            if not (name == "mass" and value is None):
-                object.__setattr__(self, name, as_number(name, value))
-        for name, (is_fine, expected, remedy) in _RANGES.items():
-            value = getattr(self, name)
-            if value is not None and not is_fine(value):
-                raise ScenarioError(name, got=f"{value:g}", expected=expected, remedy=remedy)
+            if name != "mass" or value is not None:
+                object.__setattr__(self, name, as_number(name, value, **bounds))
         self._check_steps()
 
     def _check_steps(self) -> None:
@@ -225,22 +234,3 @@ def _parse_numbers(value: object) -> object:
         except ValueError:
             return value
     return value
-
-
-_REQUIRED = ("initial_position", "initial_velocity", "goal_position")
-
-# name → (test, what is expected, what to do)
-_RANGES = {
-    "duration": (lambda x: x > 0, "more than 0 s", None),
-    "time_step": (lambda x: x > 0, "more than 0 s", None),
-    "control_weight": (
-        lambda x: x > 0,
-        "more than 0",
-        "Free control has no unique optimum; a tiny weight makes it nearly free.",
-    ),
-    "goal_weight": (lambda x: x >= 0, "0 or more", None),
-    "epsilon": (lambda x: x > 0, "more than 0 J", "The wall needs a force to push with."),
-    "delta": (lambda x: x >= 0, "0 m or more", None),
-    "restitution": (lambda x: 0 <= x <= 1, "0 (no rebound) to 1 (elastic)", None),
-    "mass": (lambda x: x > 0, "more than 0 kg, or None for the model's", None),
-}

@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import RigidBody
 from pydrake.symbolic import MakeVectorVariable
 from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.world.contact import Contact, SphereAndFace, find_pairs
 from drake_aigto.world.diagram import build_diagram, check_plant, find_plant
+from drake_aigto.world.fields import as_number
 from drake_aigto.world.polynomials import PolynomialMap, tidy
 from drake_aigto.world.scenario import Scenario
 from drake_aigto.world.symbolic_plant import SymbolicPlant
@@ -60,7 +62,7 @@ class World:
     bias: npt.NDArray[Any]
     actuation: npt.NDArray[np.float64]
     contacts: tuple[Contact, ...]
-    _pair: SphereAndFace
+    _pair: SphereAndFace = field(repr=False)
 
     @classmethod
     def from_scenario(cls, scenario: Scenario) -> World:
@@ -91,18 +93,15 @@ class World:
         Raises:
             ModelError: the plant is discrete, lacks a joint, an actuator or a contact, has more
                 than one contact, or moves in a way that is not polynomial; says which.
+            ScenarioError: the mass is not above zero.
         """
         plant, scene_graph = find_plant(diagram)
         check_plant(plant)
         symbolic_plant = SymbolicPlant(plant)
         pair, contact = _find_contact(plant, scene_graph, symbolic_plant)
         if mass is not None:
-            if plant.IsAnchored(pair.sphere_body):
-                raise ModelError(
-                    f"mass {mass:g} kg",
-                    got=f"link {pair.sphere_body.name()!r}, which does not move",
-                    expected="the contact's sphere on a moving link",
-                )
+            mass = as_number("mass", mass, above=0.0, unit="kg")
+            _check_moves(plant, pair.sphere_body)
             symbolic_plant.set_mass(pair.sphere_body, mass)
         return cls(
             diagram=diagram,
@@ -190,10 +189,13 @@ class World:
         """Refuses a position of the sphere that is not in front of the wall's face."""
         *lateral, distance = coordinates
         if distance <= 0:
+            faced = np.round(self.plant.GetDefaultPositions(), 6).tolist()
             raise ScenarioError(
                 f"{name} is inside, behind or against the wall ({self._pair.name})",
                 got=f"a signed distance of {distance:g} m",
                 expected="more than 0 m",
+                remedy=f"The wall is the face that the sphere faces at q = {faced}; start and goal "
+                "must both be in front of it.",
             )
         if np.any(np.abs(lateral) > self._pair.half_extents):
             raise ScenarioError(
@@ -242,6 +244,17 @@ def _find_contact(
             remedy="Remove the others, or exclude them with a <drake:collision_filter_group>.",
         )
     return found[0]
+
+
+def _check_moves(plant: MultibodyPlant, body: RigidBody) -> None:
+    """Refuses to give a mass to a body that does not move."""
+    if plant.IsAnchored(body):
+        raise ModelError(
+            "mass",
+            got=f"link {body.name()!r}, which carries the contact's sphere and does not move",
+            expected="the sphere on a moving link",
+            remedy="Edit the mass in the model instead.",
+        )
 
 
 def _check_sizes(plant: MultibodyPlant, scenario: Scenario) -> None:

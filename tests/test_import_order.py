@@ -1,0 +1,112 @@
+"""The road: a package imports only from those before it, and importing ours is quick."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+import drake_aigto
+
+PACKAGE = Path(drake_aigto.__file__).parent
+ROAD = (
+    "errors",
+    "world",
+    "transcription",
+    "box",
+    "aigo",
+    "solver",
+    "planning",
+    "baselines",
+    "study",
+    "show",
+    "cli",
+)
+# These only pass on what others hold.
+DOORS = ("__init__", "__main__")
+
+
+def place(path: Path) -> str:
+    """Returns the package or module of drake_aigto that a file belongs to."""
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imported_modules(source: str, package: str) -> Iterator[str]:
+    """Yields the dotted names of all that a file of the package imports, wherever it does."""
+    for node in ast.walk(ast.parse(source)):
+        if isinstance(node, ast.Import):
+            yield from (alias.name for alias in node.names)
+        elif isinstance(node, ast.ImportFrom):
+            parents = package.split(".")[: len(package.split(".")) - node.level + 1]
+            base = ".".join([*(parents if node.level else []), *filter(None, [node.module])])
+            yield from (f"{base}.{alias.name}" for alias in node.names)
+
+
+def steps_imported(source: str, package: str = "drake_aigto") -> set[str]:
+    """Returns the steps of the road that a file imports from."""
+    names = (name.split(".") for name in imported_modules(source, package))
+    return {name[1] for name in names if name[0] == "drake_aigto" and len(name) > 1}
+
+
+FILES = [path for path in sorted(PACKAGE.glob("**/*.py")) if place(path) not in DOORS]
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda path: str(path.relative_to(PACKAGE)))
+def test_a_step_imports_only_from_itself_and_those_before_it(path: Path) -> None:
+    step = place(path)
+    assert step in ROAD, f"{step} has no place on the road: add it to ROAD where it belongs"
+    package = ".".join(["drake_aigto", *path.relative_to(PACKAGE).parts[:-1]])
+    allowed = {*ROAD[: ROAD.index(step) + 1], "__version__"}
+    assert steps_imported(path.read_text(encoding="utf-8"), package) <= allowed
+
+
+@pytest.mark.parametrize(
+    "source",
+    [
+        "import drake_aigto.planning.plan",
+        "from drake_aigto.planning import plan",
+        "from drake_aigto import planning",
+        "from ..planning import plan",
+        "from .. import planning",
+        "def later():\n    from drake_aigto.planning.plan import plan",
+    ],
+)
+def test_an_import_is_seen_in_every_spelling(source: str) -> None:
+    assert steps_imported(source, "drake_aigto.world") == {"planning"}
+
+
+def test_aigo_knows_nothing_of_drake() -> None:
+    for path in (PACKAGE / "aigo").glob("**/*.py"):
+        names = imported_modules(path.read_text(encoding="utf-8"), "drake_aigto.aigo")
+        assert not [name for name in names if name.split(".")[0] == "pydrake"], path
+
+
+@pytest.mark.parametrize(
+    ("statement", "absent"),
+    [
+        ("import drake_aigto", ("pydrake", "numpy", "scipy", "numba", "matplotlib")),
+        ("from drake_aigto import Scenario, World", ("pydrake.all", "numba", "matplotlib")),
+    ],
+)
+def test_importing_loads_only_what_is_used(statement: str, absent: tuple[str, ...]) -> None:
+    program = f"{statement}\nimport sys\nprint([m for m in {absent!r} if m in sys.modules])"
+    result = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=PACKAGE.parent,
+    )
+    assert result.stdout.strip() == "[]"
+
+
+def test_every_public_name_can_be_had() -> None:
+    for name in drake_aigto.__all__:
+        assert getattr(drake_aigto, name).__name__ == name
+        assert name in dir(drake_aigto)
+    with pytest.raises(AttributeError, match="no attribute 'Scenery'"):
+        drake_aigto.Scenery  # noqa: B018 (the access is the test)
