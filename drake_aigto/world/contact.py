@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.geometry import Box, GeometryId, HalfSpace, SceneGraph, Sphere
+from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import RigidBody
 from pydrake.symbolic import Expression
@@ -45,42 +46,42 @@ class SphereAndFace:
 
     Attributes:
         name: such as "ball against wall".
-        sphere_body: the body that carries the sphere.
-        face_body: the body that carries the face.
-        center: the sphere's centre in its body's frame, shape (3,) [m].
+        sphere_body: the body S that carries the sphere.
+        p_SC: the sphere's centre C in its body's frame, shape (3,) [m].
         radius: r [m].
-        point: the middle of the face in its body's frame, shape (3,) [m].
-        axes: columns are the face's two edge directions and its outward normal n, in its body's
-            frame, shape (3, 3).
-        half_extents: half the lengths of the two edges, shape (2,) [m]; infinite for a half space.
+        face_body: the body B that carries the face.
+        X_BF: the face's frame F in its body's: the origin in the face's middle, x and y along its
+            edges, z its outward normal n.
+        half_extents: half the lengths of its edges, shape (2,) [m]; infinite for a half space.
     """
 
     name: str
     sphere_body: RigidBody
-    face_body: RigidBody
-    center: _Array
+    p_SC: _Array
     radius: float
-    point: _Array
-    axes: _Array
+    face_body: RigidBody
+    X_BF: RigidTransform
     half_extents: _Array
 
-    def calc_coordinates(self, plant: Any, context: Any) -> npt.NDArray[Any]:
-        """Returns where the sphere's surface is in the face's frame, shape (3,) [m].
-
-        The first two are its centre along the face's edges; the third is φ.
+    def calc_center(self, plant: Any, context: Any, scalar: type = float) -> npt.NDArray[Any]:
+        """Returns the sphere's centre in the face's frame, shape (3,) [m].
 
         Args:
-            plant: the plant, double or symbolic.
-            context: its context.
+            plant: the plant that the bodies belong to, or its symbolic twin.
+            context: that plant's context.
+            scalar: float, or Expression for the symbolic twin.
         """
-        X_FS = plant.CalcRelativeTransform(
+        X_BS = plant.CalcRelativeTransform(
             context,
             plant.get_body(self.face_body.index()).body_frame(),
             plant.get_body(self.sphere_body.index()).body_frame(),
         )
-        p_FS = X_FS.translation() + X_FS.rotation().matrix() @ self.center
-        coordinates = self.axes.T @ (p_FS - self.point)
-        return coordinates - np.array([0.0, 0.0, self.radius])
+        X_FB = self.X_BF.inverse().cast[scalar]()
+        return X_FB.multiply(X_BS.multiply(self.p_SC))
+
+    def calc_signed_distance(self, plant: Any, context: Any, scalar: type = float) -> Any:
+        """Returns φ [m]; arguments as `calc_center`."""
+        return self.calc_center(plant, context, scalar)[2] - self.radius
 
 
 def find_pairs(
@@ -125,34 +126,34 @@ def _read_pair(
         inspector.GetName(geometry).split("::")[-1] if body == plant.world_body() else body.name()
         for body, geometry in ((sphere_body, sphere), (face_body, wall))
     ]
-    X_FW = inspector.GetPoseInFrame(wall)
+    shape = inspector.GetShape(wall)
+    X_BG = inspector.GetPoseInFrame(wall)
     candidates = [
         SphereAndFace(
             name=" against ".join(names),
             sphere_body=sphere_body,
-            face_body=face_body,
-            center=inspector.GetPoseInFrame(sphere).translation(),
+            p_SC=inspector.GetPoseInFrame(sphere).translation(),
             radius=inspector.GetShape(sphere).radius(),
-            point=X_FW.multiply(point),
-            axes=X_FW.rotation().matrix() @ axes,
+            face_body=face_body,
+            X_BF=X_BG @ X_GF,
             half_extents=half_extents,
         )
-        for point, axes, half_extents in _faces(inspector.GetShape(wall))
+        for X_GF, half_extents in _faces(shape)
     ]
-    return max(candidates, key=lambda pair: pair.calc_coordinates(plant, context)[2])
+    return max(candidates, key=lambda pair: pair.calc_signed_distance(plant, context))
 
 
-def _faces(shape: Box | HalfSpace) -> list[tuple[_Array, _Array, _Array]]:
-    """Returns (middle, axes with the outward normal last, half extents) of each face."""
-    identity = np.eye(3)
+def _faces(shape: Box | HalfSpace) -> list[tuple[RigidTransform, _Array]]:
+    """Returns X_GF, as `SphereAndFace` has it, and half extents of each face of a geometry G."""
     if isinstance(shape, HalfSpace):
-        return [(np.zeros(3), identity, np.full(2, np.inf))]
+        return [(RigidTransform(), np.full(2, np.inf))]
     half = np.asarray(shape.size()) / 2
     faces = []
-    for axis in range(3):
-        edges = [(axis + 1) % 3, (axis + 2) % 3]
+    for z in range(3):
         for sign in (1.0, -1.0):
-            normal = sign * identity[:, axis]
-            axes = np.column_stack([identity[:, edges[0]], identity[:, edges[1]], normal])
-            faces.append((half[axis] * normal, axes, half[edges]))
+            # The two edges in the order that makes a right-handed frame with ±z.
+            edges = [(z + 1) % 3, (z + 2) % 3][:: int(sign)]
+            normal = sign * np.eye(3)[z]
+            R_GF = RotationMatrix(np.column_stack([*np.eye(3)[edges], normal]))
+            faces.append((RigidTransform(R_GF, half[z] * normal), half[edges]))
     return faces

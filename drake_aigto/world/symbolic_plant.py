@@ -55,8 +55,8 @@ class SymbolicPlant:
         Raises:
             ModelError: it is not polynomial.
         """
-        distance = pair.calc_coordinates(self._twin, self._context)[2:]
-        return self._tidy(distance, f"the distance of {pair.name}")[0]
+        distance = pair.calc_signed_distance(self._twin, self._context, Expression)
+        return self._tidy(np.array([distance]), f"the distance of {pair.name}")[0]
 
     def calc_mass_matrix(self) -> npt.NDArray[Any]:
         """Returns M, shape (nv, nv) [kg], constant.

@@ -155,7 +155,8 @@ class World:
             v: velocities, shape (nv,) [m/s].
             u: controls, shape (nu,) [N].
         """
-        return self._acceleration_map(np.concatenate([q, v, u]))
+        h = self._bias_map(np.concatenate([q, v]))
+        return self._inverse_mass @ (self.actuation @ u - h)
 
     def create_context(self) -> Context:
         """Returns a new root context of the diagram, at defaults, with the mass replaced."""
@@ -183,11 +184,11 @@ class World:
         context = self.plant.CreateDefaultContext()
         for name in ("initial_position", "goal_position"):
             self.plant.SetPositions(context, getattr(scenario, name))
-            self._check_place(name, self._pair.calc_coordinates(self.plant, context))
+            self._check_place(name, self._pair.calc_center(self.plant, context))
 
-    def _check_place(self, name: str, coordinates: npt.NDArray[np.float64]) -> None:
-        """Refuses a position of the sphere that is not in front of the wall's face."""
-        *lateral, distance = coordinates
+    def _check_place(self, name: str, center: npt.NDArray[np.float64]) -> None:
+        """Refuses a centre of the sphere, in the face's frame, that is not in front of it."""
+        lateral, distance = center[:2], center[2] - self._pair.radius
         if distance <= 0:
             faced = np.round(self.plant.GetDefaultPositions(), 6).tolist()
             raise ScenarioError(
@@ -211,12 +212,13 @@ class World:
         return PolynomialMap(distances, self.positions)
 
     @cached_property
-    def _acceleration_map(self) -> PolynomialMap:
+    def _bias_map(self) -> PolynomialMap:
+        return PolynomialMap(self.bias, np.concatenate([self.positions, self.velocities]))
+
+    @cached_property
+    def _inverse_mass(self) -> npt.NDArray[np.float64]:
         M = np.array([entry.Evaluate() for entry in self.mass_matrix.flat])
-        force = self.actuation @ self.controls - self.bias
-        acceleration = np.linalg.inv(M.reshape(self.mass_matrix.shape)) @ force
-        variables = np.concatenate([self.positions, self.velocities, self.controls])
-        return PolynomialMap(acceleration, variables)
+        return np.linalg.inv(M.reshape(self.mass_matrix.shape))
 
 
 def _find_contact(
