@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import yaml
-from pydrake.common.yaml import yaml_dump, yaml_load_data
+from pydrake.common.yaml import yaml_load_data
 
 from drake_aigto.errors import ScenarioError
 from drake_aigto.world.fields import VectorField, as_number
@@ -190,7 +190,8 @@ class Scenario:
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes a YAML file that `load` reads back to an equal scenario."""
-        write_text(path, "".join(yaml_dump({k: v}) for k, v in self.to_dict().items()))
+        # Drake's own dump of a plain mapping would sort the fields.
+        write_text(path, yaml.safe_dump(self.to_dict(), sort_keys=False, default_flow_style=None))
 
     def _key(self) -> tuple[object, ...]:
         return tuple(tuple(v) if isinstance(v, list) else v for v in self.to_dict().values())

@@ -1,0 +1,311 @@
+"""A scenario is checked when made, never changes, and survives YAML and pickle."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import pickle
+import re
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drake_aigto import Scenario, ScenarioError, scenario_names
+from drake_aigto.errors import AigtoError, MissingExtraError
+from drake_aigto.world.files import write_text
+
+ENDS = {"initial_position": 1.0, "initial_velocity": -2.0, "goal_position": 0.73}
+
+finite = st.floats(allow_nan=False, allow_infinity=False)
+positive = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
+vectors = st.lists(finite, min_size=1, max_size=4)
+
+
+@st.composite
+def scenarios(draw: st.DrawFn) -> Scenario:
+    time_step = draw(st.floats(1e-6, 1e3))
+    return Scenario(
+        model=draw(st.text(min_size=1)),
+        initial_position=draw(finite | vectors),
+        initial_velocity=draw(finite | vectors),
+        goal_position=draw(finite | vectors),
+        duration=time_step * draw(st.integers(1, 10_000)),
+        time_step=time_step,
+        control_weight=draw(positive),
+        goal_weight=draw(st.just(0.0) | positive),
+        epsilon=draw(positive),
+        delta=draw(st.just(0.0) | positive),
+        restitution=draw(st.floats(0.0, 1.0)),
+        mass=draw(st.none() | positive),
+    )
+
+
+@given(scenarios())
+def test_yaml_gives_back_the_same_scenario(scenario: Scenario) -> None:
+    with tempfile.TemporaryDirectory() as directory:
+        path = Path(directory) / "scenario.yaml"
+        scenario.save(path)
+        assert Scenario.load(path) == scenario
+
+
+@given(scenarios())
+def test_copies_are_equal_hash_alike_and_stay_read_only(scenario: Scenario) -> None:
+    copies = (
+        dataclasses.replace(scenario),
+        copy.deepcopy(scenario),
+        pickle.loads(pickle.dumps(scenario)),
+        Scenario.from_dict(scenario.to_dict()),
+    )
+    for other in copies:
+        assert other == scenario
+        assert hash(other) == hash(scenario)
+        assert not other.goal_position.flags.writeable
+
+
+@pytest.mark.parametrize("field", [field.name for field in dataclasses.fields(Scenario)])
+def test_scenarios_that_differ_in_one_field_are_not_equal(field: str) -> None:
+    changed: dict[str, Any] = {
+        "model": "other.sdf",
+        "initial_velocity": [1.0, 2.0],
+        "duration": 2.0,
+    }
+    scenario = Scenario(**ENDS)
+    other = dataclasses.replace(scenario, **{field: changed.get(field, 0.5)})
+    if field == "time_step":
+        assert other.num_steps == 2
+    assert other != scenario
+    assert scenario != "a scenario"
+
+
+def test_the_defaults_are_those_of_the_architecture() -> None:
+    scenario = Scenario(**ENDS)
+    assert scenario.num_steps == 200
+    assert scenario.to_dict() == {
+        "model": "package://drake_aigto_models/point_mass_and_wall.sdf",
+        "initial_position": [1.0],
+        "initial_velocity": [-2.0],
+        "goal_position": [0.73],
+        "duration": 1.0,
+        "time_step": 0.005,
+        "control_weight": 1e-3,
+        "goal_weight": 1.0,
+        "epsilon": 0.1,
+        "delta": 1e-3,
+        "restitution": 1.0,
+        "mass": None,
+    }
+
+
+def test_a_scenario_owns_its_arrays() -> None:
+    start = np.array([1.0, 2.0])
+    scenario = Scenario(**{**ENDS, "initial_position": start})
+    start[0] = 5.0
+    np.testing.assert_array_equal(scenario.initial_position, [1.0, 2.0])
+    with pytest.raises(ValueError, match="read-only"):
+        scenario.initial_position[0] = 5.0
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        scenario.initial_position = np.array([5.0])  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("value", [1, 1.0, [1], (1.0,), np.float32(1), np.array(1), np.ones(1)])
+def test_a_scalar_is_taken_for_one_coordinate(value: Any) -> None:
+    assert Scenario(**{**ENDS, "goal_position": value}).goal_position.tolist() == [1.0]
+
+
+# The shipped ones.
+
+
+@pytest.mark.parametrize(
+    ("row", "values"),
+    [
+        (1, (1.0, -2.0, 0.73, 0.1)),
+        (2, (0.4, -1.2, 1.0, 0.1)),
+        (3, (0.6, -1.5, 1.0, 0.05)),
+        (4, (1.0, -2.0, 1.0, 0.02)),
+    ],
+)
+def test_table_1_is_shipped_as_the_paper_prints_it(
+    row: int, values: tuple[float, float, float, float]
+) -> None:
+    start, velocity, goal, epsilon = values
+    assert Scenario.named(f"table1/{row}") == Scenario(
+        initial_position=start, initial_velocity=velocity, goal_position=goal, epsilon=epsilon
+    )
+
+
+def test_an_unknown_name_lists_the_known_ones() -> None:
+    assert scenario_names() == ["table1/1", "table1/2", "table1/3", "table1/4"]
+    with pytest.raises(
+        ScenarioError,
+        match=r"unknown scenario 'table/2': expected one of table1/1, table1/2, table1/3, table1/4"
+        r"\. Did you mean 'table1/2'\?",
+    ):
+        Scenario.named("table/2")
+
+
+# Bad values, each with one clear error.
+
+
+@pytest.mark.parametrize("bad", [float("nan"), float("inf"), float("-inf")])
+@pytest.mark.parametrize(
+    "field", [field.name for field in dataclasses.fields(Scenario) if field.name != "model"]
+)
+def test_a_number_that_is_not_finite_is_refused(field: str, bad: float) -> None:
+    with pytest.raises(ScenarioError, match=rf"{field}: got {bad}, expected a finite number"):
+        Scenario(**{**ENDS, field: bad})
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "message"),
+    [
+        ("duration", 0.0, "duration: got 0 s, expected more than 0 s"),
+        ("duration", -1, "duration: got -1 s, expected more than 0 s"),
+        ("time_step", 0.0, "time_step: got 0 s, expected more than 0 s"),
+        ("control_weight", 0.0, "control_weight: got 0, expected more than 0"),
+        ("goal_weight", -1.0, "goal_weight: got -1, expected at least 0"),
+        ("epsilon", 0.0, "epsilon: got 0 J, expected more than 0 J"),
+        ("delta", -1e-9, "delta: got -1e-09 m, expected at least 0 m"),
+        ("restitution", 1.5, "restitution: got 1.5, expected at least 0 and at most 1"),
+        ("restitution", -0.1, "restitution: got -0.1, expected at least 0 and at most 1"),
+        ("mass", 0.0, "mass: got 0 kg, expected more than 0 kg"),
+        ("duration", "1", "duration: got '1' (str), expected a number"),
+        ("duration", None, "duration: got None (NoneType), expected a number"),
+        ("restitution", True, "restitution: got True (bool), expected a number"),
+        ("goal_position", True, "goal_position: got True (bool), expected a number"),
+        ("goal_position", [1.0, True], "goal_position: got True (bool), expected a number"),
+        ("goal_position", "far", "goal_position: got 'far' (str), expected a number"),
+        ("goal_position", [1.0, float("nan")], "goal_position: got nan, expected a finite number"),
+        ("goal_position", [], "goal_position: got an array of shape (0,), expected a number, or"),
+        ("goal_position", [[1.0]], "goal_position: got an array of shape (1, 1), expected"),
+        ("goal_position", 1j, "goal_position: got 1j (complex), expected a number"),
+        ("model", "", "model: got '', expected a package:// URI or a path to a file"),
+        ("model", 3, "model: got 3, expected a package:// URI or a path to a file"),
+    ],
+)
+def test_a_bad_value_is_refused_by_name(field: str, value: Any, message: str) -> None:
+    with pytest.raises(ScenarioError, match=re.escape(message)):
+        Scenario(**{**ENDS, field: value})
+
+
+@pytest.mark.parametrize(
+    ("duration", "time_step", "remedy"),
+    [
+        (
+            1.0,
+            0.3,
+            "The nearest that fit: duration 0.9 s or 1.2 s, or time_step "
+            "0.333333333333 s or 0.25 s.",
+        ),
+        (0.1, 0.3, "The nearest that fit: duration 0.3 s, or time_step 0.1 s."),
+        (1e-12, 1.0, "The nearest that fit: duration 1 s, or time_step 1e-12 s."),
+    ],
+)
+def test_a_duration_of_no_whole_number_of_steps_is_refused_with_those_that_fit(
+    duration: float, time_step: float, remedy: str
+) -> None:
+    with pytest.raises(ScenarioError, match=re.escape(remedy)) as caught:
+        Scenario(**ENDS, duration=duration, time_step=time_step)
+    assert "expected a whole number of time steps" in str(caught.value)
+    # What the message offers is accepted.
+    numbers = [float(number) for number in re.findall(r"([\d.e-]+) s", caught.value.remedy or "")]
+    assert Scenario(**ENDS, duration=numbers[0], time_step=time_step).num_steps >= 1
+
+
+def test_a_time_step_that_vanishes_is_refused() -> None:
+    with pytest.raises(ScenarioError, match="expected a number of steps that can be counted"):
+        Scenario(**ENDS, duration=1e300, time_step=1e-300)
+
+
+# Bad files.
+
+GOOD = "initial_position: 1.0\ninitial_velocity: [-2.0]\ngoal_position: 0.73\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        (
+            GOOD + "goal_wieght: 1\n",
+            "unknown key 'goal_wieght': expected one of model, initial_position, .*, mass. "
+            "Did you mean 'goal_weight'?",
+        ),
+        (GOOD + "zzz: 1\n", r"unknown key 'zzz': expected one of .*, mass\.$"),
+        (
+            "goal_position: 1\n",
+            r"missing initial_position, initial_velocity\. These have no default",
+        ),
+        (GOOD + "epsilon: 0\n", r"epsilon: got 0 J, expected more than 0 J"),
+        (GOOD + "epsilon: tiny\n", r"epsilon: got 'tiny' \(str\), expected a number"),
+        (GOOD + "delta: .nan\n", "delta: got nan, expected a finite number"),
+        ("[1, 2]", "got list, expected a mapping"),
+        ("", "got NoneType, expected a mapping"),
+        ("a: [1", "is not valid YAML: got while parsing a flow sequence"),
+        ("a: !foo bar", "is not valid YAML: got expected a mapping node"),
+    ],
+)
+def test_a_bad_file_is_refused_by_name(text: str, message: str, tmp_path: Path) -> None:
+    path = tmp_path / "bad.yaml"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(ScenarioError, match=rf"{re.escape(str(path))}.*{message}"):
+        Scenario.load(path)
+
+
+def test_a_file_that_cannot_be_read_is_refused_by_name(tmp_path: Path) -> None:
+    with pytest.raises(ScenarioError, match=r"nowhere\.yaml can't be read: got .*No such file"):
+        Scenario.load(tmp_path / "nowhere.yaml")
+    (tmp_path / "binary.yaml").write_bytes(b"\xff\xfe\xff")
+    with pytest.raises(ScenarioError, match=r"binary\.yaml can't be read: got .*decode"):
+        Scenario.load(tmp_path / "binary.yaml")
+
+
+def test_a_number_without_a_point_is_read_as_a_number(tmp_path: Path) -> None:
+    # YAML 1.1, which Drake reads, takes 1e-3 for text.
+    path = tmp_path / "scenario.yaml"
+    path.write_text(GOOD.replace("-2.0", "-2e0") + "epsilon: 1e-3\n", encoding="utf-8")
+    scenario = Scenario.load(path)
+    assert scenario.epsilon == 1e-3
+    assert scenario.initial_velocity.tolist() == [-2.0]
+
+
+def test_a_failed_write_leaves_the_old_file_and_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "file.txt"
+    write_text(path, "old")
+
+    def fail(self: Path, target: Path) -> None:
+        raise OSError("disk full")
+
+    monkeypatch.setattr(Path, "replace", fail)
+    with pytest.raises(OSError, match="disk full"):
+        write_text(path, "new")
+    assert [entry.read_text(encoding="utf-8") for entry in tmp_path.iterdir()] == ["old"]
+
+
+# The errors themselves.
+
+
+@pytest.mark.parametrize(
+    ("parts", "text"),
+    [
+        ({"what": "the wall is missing"}, "the wall is missing."),
+        ({"what": "mass", "got": 0, "expected": "more"}, "mass: got 0, expected more."),
+        ({"what": "mass", "expected": "more", "remedy": "Eat."}, "mass: expected more. Eat."),
+    ],
+)
+def test_an_error_reads_as_sentences(parts: dict[str, Any], text: str) -> None:
+    error = AigtoError(**parts)
+    assert str(error) == text
+    assert str(pickle.loads(pickle.dumps(error))) == text
+
+
+def test_an_error_is_caught_as_what_python_calls_it() -> None:
+    with pytest.raises(ValueError, match="mass"):
+        raise ScenarioError("mass")
+    with pytest.raises(ImportError, match=r"needs CasADi\. Install it\."):
+        raise MissingExtraError("this needs CasADi", remedy="Install it.")
