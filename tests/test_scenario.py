@@ -19,7 +19,7 @@ from drake_aigto import Scenario, ScenarioError, scenario_names
 from drake_aigto.errors import AigtoError, MissingExtraError
 from drake_aigto.world.files import write_text
 
-ENDS = {"initial_position": 1.0, "initial_velocity": -2.0, "goal_position": 0.73}
+ENDS: dict[str, Any] = {"initial_position": 1.0, "initial_velocity": -2.0, "goal_position": 0.73}
 
 finite = st.floats(allow_nan=False, allow_infinity=False)
 positive = st.floats(min_value=0.0, exclude_min=True, allow_infinity=False)
@@ -182,6 +182,7 @@ def test_a_number_that_is_not_finite_is_refused(field: str, bad: float) -> None:
         ("goal_position", [1.0, float("nan")], "goal_position: got nan, expected a finite number"),
         ("goal_position", [], "goal_position: got an array of shape (0,), expected a number, or"),
         ("goal_position", [[1.0]], "goal_position: got an array of shape (1, 1), expected"),
+        ("duration", 10**400, "duration: got inf, expected a finite number"),
         ("goal_position", 1j, "goal_position: got 1j (complex), expected a number"),
         ("model", "", "model: got '', expected a package:// URI or a path to a file"),
         ("model", 3, "model: got 3, expected a package:// URI or a path to a file"),
@@ -212,8 +213,14 @@ def test_a_duration_of_no_whole_number_of_steps_is_refused_with_those_that_fit(
         Scenario(**ENDS, duration=duration, time_step=time_step)
     assert "expected a whole number of time steps" in str(caught.value)
     # What the message offers is accepted.
-    numbers = [float(number) for number in re.findall(r"([\d.e-]+) s", caught.value.remedy or "")]
-    assert Scenario(**ENDS, duration=numbers[0], time_step=time_step).num_steps >= 1
+    durations, time_steps = (
+        [float(number) for number in re.findall(r"([\d.e-]+) s\b", part)]
+        for part in str(caught.value.remedy).split("time_step")
+    )
+    for fitting in durations:
+        Scenario(**ENDS, duration=fitting, time_step=time_step)
+    for fitting in time_steps:
+        Scenario(**ENDS, duration=duration, time_step=fitting)
 
 
 def test_a_time_step_that_vanishes_is_refused() -> None:

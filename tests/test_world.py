@@ -69,6 +69,10 @@ VARIANTS: dict[str, dict[str, str]] = {
         '<collision name="ball_collision">': '<collision name="ball_collision">'
         "<pose>0.2 0.1 0 0 0 0</pose>"
     },
+    "geared motor": {
+        "</axis>": "</axis><drake:rotor_inertia>0.3</drake:rotor_inertia>"
+        "<drake:gear_ratio>2</drake:gear_ratio>"
+    },
     "cart": {SLIDER: CART, BOX: "<size>0.1 9 9</size>"},
 }
 
@@ -149,8 +153,9 @@ def test_the_worlds_parts_are_read_only() -> None:
     world = World.from_scenario(Scenario.named("table1/1"))
     with pytest.raises(dataclasses.FrozenInstanceError):
         world.mass = 2.0  # type: ignore[misc]
-    arrays = ("positions", "velocities", "controls", "mass_matrix", "bias", "actuation")
-    for array in [*(getattr(world, name) for name in arrays), world.contacts[0].jacobian]:
+    names = ("positions", "velocities", "controls", "mass_matrix", "bias", "actuation")
+    arrays = [getattr(world, name) for name in names]
+    for array in [*arrays, world.mass_matrix_values, world.contacts[0].jacobian]:
         with pytest.raises(ValueError, match="read-only"):
             array[0] = array[0]
 
@@ -188,6 +193,7 @@ def test_expressions_say_what_the_compiled_functions_compute(
     q, v, u = generator.uniform(-1.0, 1.0, (3, n))
     state = (np.concatenate([world.positions, world.velocities]), np.concatenate([q, v]))
     M = evaluate(world.mass_matrix, *state).reshape(n, n)
+    np.testing.assert_array_equal(world.mass_matrix_values, M)
     h = evaluate(world.bias, *state)
     acceleration = world.calc_acceleration(q, v, u)
     force = world.actuation @ u - h
@@ -334,6 +340,44 @@ def test_a_discrete_plant_is_refused_with_the_reason() -> None:
         World.from_diagram(build_half_space_diagram(time_step=1e-3))
 
 
+URDF = """<robot name="own">
+  <link name="world"/>
+  <link name="ball">
+    <inertial><mass value="2"/></inertial>
+    <collision><geometry><sphere radius="0.05"/></geometry></collision>
+  </link>
+  <link name="wall"><collision><geometry><box size="0.1 1 1"/></geometry></collision></link>
+  <joint name="slider" type="prismatic">
+    <parent link="world"/><child link="ball"/><axis xyz="1 0 0"/><dynamics damping="0.4"/>
+  </joint>
+  <joint name="weld" type="fixed">
+    <parent link="world"/><child link="wall"/><origin xyz="-0.1 0 0"/>
+  </joint>
+  <transmission>
+    <type>transmission_interface/SimpleTransmission</type>
+    <joint name="slider"/><actuator name="motor"/>
+  </transmission>
+</robot>"""
+
+
+def test_a_users_own_urdf_is_read_by_a_relative_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "own.urdf").write_text(URDF, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    world = World.from_scenario(make_scenario("own.urdf"))
+    assert world.mass_matrix_values.tolist() == [[2.0]]
+    assert differs_by_zero(world.bias[0], 0.4 * world.velocities[0])
+    assert differs_by_zero(world.contacts[0].signed_distance, world.positions[0])
+
+
+def test_a_massless_link_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "massless.urdf"
+    path.write_text(URDF.replace('<mass value="2"/>', '<mass value="0"/>'), encoding="utf-8")
+    with pytest.raises(ModelError, match=r"mass matrix is singular: got \[\[0\.0\]\]\. Give every"):
+        World.from_scenario(make_scenario(str(path)))
+
+
 @pytest.mark.parametrize("number", [0, 2])
 def test_a_diagram_of_another_number_of_plants_than_one_is_refused(number: int) -> None:
     builder = DiagramBuilder()
@@ -402,7 +446,7 @@ BAD_MODELS: dict[str, tuple[dict[str, str], str]] = {
             AXIS: "<xyz>0 1 0</xyz>",
         },
         r"joint 'hinge' \(revolute\): got a coordinate that enters the distance of ball against "
-        r"wall in a way that is not polynomial, expected .*\. Replace it by a prismatic joint",
+        r"wall in a way that is not polynomial, expected .*\. Use prismatic joints; weld this one",
     ),
     "a swinging arm beside the ball": (
         {WALL_LINK: f"{ARM}{WALL_LINK}"},
@@ -530,7 +574,9 @@ def test_tidying_drops_rounding_and_keeps_physics() -> None:
 def test_the_variable_that_is_not_polynomial_is_found(function: Callable[[Any], Any]) -> None:
     x, y = Variable("x"), Variable("y")
     expression = x * x * function(y) + x
-    assert find_nonpolynomial_variable(expression).EqualTo(y)
+    found = find_nonpolynomial_variable(expression)
+    assert found is not None
+    assert found.EqualTo(y)
     assert find_nonpolynomial_variable(x * y * y + 1.0) is None
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydrake.geometry import SceneGraph
@@ -14,9 +14,6 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from drake_aigto.errors import ModelError
 from drake_aigto.world.files import find_model, package_map
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 
 def build_diagram(model: str) -> Diagram:
@@ -38,9 +35,9 @@ def build_diagram(model: str) -> Diagram:
     parser.package_map().AddMap(package_map())
     try:
         parser.AddModels(path)
+        plant.Finalize()
     except RuntimeError as error:
         raise ModelError(f"Drake can't parse the model {path}", got=error) from error
-    plant.Finalize()
     builder.ExportInput(plant.get_actuation_input_port(), "actuation")
     builder.ExportOutput(plant.get_state_output_port(), "state")
     builder.ExportOutput(scene_graph.get_query_output_port(), "query")
@@ -121,7 +118,7 @@ def _check_velocities(plant: MultibodyPlant) -> None:
     context = plant.CreateDefaultContext()
     # Away from zero, where roll-pitch-yaw rates happen to be the angular velocity.
     plant.SetPositions(context, np.full(plant.num_positions(), 0.5))
-    N = _dense(plant.MakeVelocityToQDotMap(context))
+    N = plant.MakeVelocityToQDotMap(context).toarray()
     for index in plant.GetJointIndices():
         joint = plant.get_joint(index)
         nq, nv = joint.num_positions(), joint.num_velocities()
@@ -140,11 +137,6 @@ def _check_velocities(plant: MultibodyPlant) -> None:
         )
 
 
-def _dense(matrix: Any) -> npt.NDArray[np.float64]:
-    """Returns an array; Drake gives a SciPy matrix or an array."""
-    return matrix.toarray() if hasattr(matrix, "toarray") else np.asarray(matrix)
-
-
 def _check_effort_limits(plant: MultibodyPlant) -> None:
     """Refuses actuators that clip: a plan that ignores it would not be the one that is run."""
     limits = np.minimum(-plant.GetEffortLowerLimits(), plant.GetEffortUpperLimits())
@@ -156,6 +148,6 @@ def _check_effort_limits(plant: MultibodyPlant) -> None:
                 f"actuator {actuator.name()!r} of joint {actuator.joint().name()!r}",
                 got=f"an effort limit of {limit:g}",
                 expected="none",
-                remedy="Clipping is no polynomial: leave <effort> out of the model, and bound "
-                "the control in the program.",
+                remedy="Clipping is no polynomial: leave <effort> out of the model (or call the "
+                "plant's RemoveAllJointActuatorEffortLimits), and bound the control instead.",
             )

@@ -30,7 +30,10 @@ def as_number(
     """
     if isinstance(value, bool) or not isinstance(value, Real):
         raise ScenarioError(name, got=f"{value!r} ({type(value).__name__})", expected="a number")
-    number = float(value)
+    try:
+        number = float(value)
+    except OverflowError:  # An integer of hundreds of digits.
+        number = math.inf
     if not math.isfinite(number):
         raise ScenarioError(name, got=number, expected="a finite number")
     if not (above < number and at_least <= number <= at_most):

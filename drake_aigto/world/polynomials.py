@@ -44,6 +44,13 @@ def tidy(expressions: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return result.reshape(expressions.shape)
 
 
+def evaluate_constants(expressions: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
+    """Returns expressions without variables as read-only floats, of the same shape."""
+    values = np.array([expression.Evaluate() for expression in expressions.flat])
+    values.flags.writeable = False
+    return values.reshape(expressions.shape)
+
+
 def _coefficients(polynomial: Polynomial) -> dict[Any, float]:
     """Returns monomial → coefficient of a polynomial in all of its variables."""
     return {

@@ -12,7 +12,7 @@ from pydrake.symbolic import Expression, MakeVectorVariable, Variable
 from drake_aigto.errors import ModelError
 from drake_aigto.world.contact import SphereAndFace
 from drake_aigto.world.diagram import find_joint
-from drake_aigto.world.polynomials import find_nonpolynomial_variable, tidy
+from drake_aigto.world.polynomials import evaluate_constants, find_nonpolynomial_variable, tidy
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -62,12 +62,19 @@ class SymbolicPlant:
         """Returns M, shape (nv, nv) [kg], constant.
 
         Raises:
-            ModelError: it changes with q.
+            ModelError: it changes with q, or is singular.
         """
         M = self._tidy(self._twin.CalcMassMatrix(self._context), "the mass matrix")
         for entry in M.flat:
             for variable in entry.GetVariables():
                 raise self._refusal(variable, "the mass matrix")
+        values = evaluate_constants(M)
+        if np.linalg.matrix_rank(values) < len(values):
+            raise ModelError(
+                "the mass matrix is singular",
+                got=values.tolist(),
+                remedy="Give every link that moves a mass.",
+            )
         return M
 
     def calc_bias(self) -> npt.NDArray[Any]:
@@ -99,5 +106,5 @@ class SymbolicPlant:
             f"joint {joint.name()!r} ({joint.type_name()})",
             got=f"a coordinate that enters {what} in a way that is not polynomial",
             expected="polynomial dynamics with a constant mass matrix",
-            remedy="Replace it by a prismatic joint, or weld it.",
+            remedy="Use prismatic joints; weld this one, or remove the force that acts on it.",
         )

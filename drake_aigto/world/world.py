@@ -17,7 +17,7 @@ from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.world.contact import Contact, SphereAndFace, find_pairs
 from drake_aigto.world.diagram import build_diagram, check_plant, find_plant
 from drake_aigto.world.fields import as_number
-from drake_aigto.world.polynomials import PolynomialMap, tidy
+from drake_aigto.world.polynomials import PolynomialMap, evaluate_constants, tidy
 from drake_aigto.world.scenario import Scenario
 from drake_aigto.world.symbolic_plant import SymbolicPlant
 
@@ -138,6 +138,11 @@ class World:
         """The number of contacts, m."""
         return len(self.contacts)
 
+    @cached_property
+    def mass_matrix_values(self) -> npt.NDArray[np.float64]:
+        """M as floats, shape (nv, nv) [kg]; it is constant."""
+        return evaluate_constants(self.mass_matrix)
+
     def calc_signed_distance(self, q: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns φ(q), shape (m,) [m], at q of shape (nq,) [m]."""
         return self._signed_distance_map(q)
@@ -216,9 +221,8 @@ class World:
         return PolynomialMap(self.bias, np.concatenate([self.positions, self.velocities]))
 
     @cached_property
-    def _inverse_mass(self) -> npt.NDArray[np.float64]:
-        M = np.array([entry.Evaluate() for entry in self.mass_matrix.flat])
-        return np.linalg.inv(M.reshape(self.mass_matrix.shape))
+    def _inverse_mass(self) -> npt.NDArray[np.floating]:
+        return np.linalg.inv(self.mass_matrix_values)
 
 
 def _find_contact(
