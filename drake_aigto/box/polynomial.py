@@ -2,29 +2,48 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from drake_aigto.box.functions import FunctionKind
-from drake_aigto.box.kernels import block_mean, block_newton
+from drake_aigto.box.kernels import Floats, Ints, TermTable, block_mean, block_newton
+from drake_aigto.errors import OptionsError, UnsupportedTermError
 
 _NO_GRADIENT = np.empty(0)
 
 
 @dataclass(frozen=True)
 class Factor:
-    """One-variable function g(scale·x + offset) of the local variable `variable` of a block."""
+    """One-variable function g(scale·x + offset) of the local variable `variable` of a block.
+
+    Attributes:
+        variable: Local index of x.
+        kind: Which g.
+        exponent: The power p ≥ 0 (POWER only).
+        scale: Factor inside g.
+        offset: Term inside g.
+    """
 
     variable: int
     kind: FunctionKind
     exponent: int = 1
     scale: float = 1.0
     offset: float = 0.0
+
+    def __str__(self) -> str:
+        """The formula, with x0 for local variable 0."""
+        x = f"x{self.variable}"
+        if (self.scale, self.offset) != (1.0, 0.0):
+            x = f"({self.scale:g}*{x} + {self.offset:g})"
+        return (
+            f"{x}^{self.exponent}" if self.kind == FunctionKind.POWER else f"{self.kind.name} {x}"
+        )
 
 
 @dataclass(frozen=True)
@@ -34,73 +53,135 @@ class Term:
     coefficient: float
     factors: tuple[Factor, ...]
 
+    def __str__(self) -> str:
+        """The formula."""
+        return " * ".join([f"{self.coefficient:g}", *map(str, self.factors)])
+
 
 class TermBlock:
-    """K copies of one sum of terms, each over its own L variables: what N stages share is stored once.
+    """K copies of one sum of terms, each over its own L variables: N stages share one table.
 
     Attributes:
         name: Description of the cost that it came from.
         terms: The sum's terms over local variables 0 … L−1.
         variables: (K, L) index of each copy's variables in the whole problem.
-        weight: Common factor of all copies.
+        weight: Common factor of all copies; 0 switches the block off.
+
+    Raises:
+        UnsupportedTermError: A number is not finite, an exponent is negative, or two factors of a
+            term read the same variable: the mean of x·x is not the square of the mean of x.
+        OptionsError: The weight is not finite.
     """
 
     def __init__(
         self, name: str, terms: tuple[Term, ...], variables: ArrayLike, weight: float = 1.0
     ) -> None:
-        """Flatten the terms into the arrays that the kernels walk."""
+        """Check the terms and flatten them into the arrays that the kernels walk."""
         self.name = name
-        self.terms = terms
-        self.weight = float(weight)
-        self.variables = np.ascontiguousarray(np.atleast_2d(np.asarray(variables, dtype=np.int64)))
-        self.variables.setflags(write=False)
-        factors = list(dict.fromkeys(factor for term in terms for factor in term.factors))
+        self.terms = tuple(terms)
+        self.weight = _finite_weight(name, weight)
+        self.variables = np.atleast_2d(np.array(variables, dtype=np.int64))
+        for term in self.terms:
+            _check_numbers(name, term)
+        self._check_distinct()
+        self._arrays = self._flatten()
+        for array in self._arrays:
+            array.setflags(write=False)
+
+    def _check_distinct(self) -> None:
+        """Refuse a term of which two factors read one variable, in the block or in one copy."""
+        for term in self.terms:
+            local = [factor.variable for factor in term.factors]
+            if len(set(local)) < len(local):
+                raise _repeated_variable(self.name, f"the term {term}")
+        a, b = self.couplings().T
+        copy, pair = np.nonzero((self.variables[:, a] == self.variables[:, b]) & (a != b))
+        if copy.size:
+            variable = self.variables[copy[0], a[pair[0]]]
+            raise _repeated_variable(self.name, f"copy {copy[0]} with variable {variable} twice")
+
+    def _flatten(self) -> TermTable:
+        factors = list(dict.fromkeys(factor for term in self.terms for factor in term.factors))
         index = {factor: f for f, factor in enumerate(factors)}
-        self._arrays = (
+        return (
             self.variables,
             np.array([f.variable for f in factors], dtype=np.int64),
             np.array([int(f.kind) for f in factors], dtype=np.int64),
             np.array([f.exponent for f in factors], dtype=np.int64),
             np.array([f.scale for f in factors], dtype=float),
             np.array([f.offset for f in factors], dtype=float),
-            np.array([t.coefficient for t in terms], dtype=float),
-            np.cumsum([0] + [len(t.factors) for t in terms], dtype=np.int64),
-            np.array([index[f] for t in terms for f in t.factors], dtype=np.int64),
+            np.array([t.coefficient for t in self.terms], dtype=float),
+            np.cumsum([0] + [len(t.factors) for t in self.terms], dtype=np.int64),
+            np.array([index[f] for t in self.terms for f in t.factors], dtype=np.int64),
         )
 
     def with_weight(self, weight: float) -> TermBlock:
         """The same block under another weight; the term table is shared."""
         block = object.__new__(TermBlock)
         block.__dict__.update(self.__dict__)
-        block.weight = float(weight)
+        block.weight = _finite_weight(self.name, weight)
         return block
 
     @property
-    def kernel_arguments(self) -> tuple[object, ...]:
+    def kernel_arguments(self) -> tuple[float, *TermTable]:
         """The leading arguments of the functions in `kernels`."""
         return (self.weight, *self._arrays)
 
-    def couplings(self) -> NDArray[np.int64]:
+    def couplings(self) -> Ints:
         """Pairs of local variables that appear together in a term, shape (P, 2)."""
-        pairs = {
-            (a.variable, b.variable) for t in self.terms for a in t.factors for b in t.factors
-        }
+        pairs = {(a.variable, b.variable) for t in self.terms for a in t.factors for b in t.factors}
         return np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2)
+
+
+def _finite_weight(name: str, weight: float) -> float:
+    if not math.isfinite(weight):
+        raise OptionsError(f"the weight of '{name}'", got=weight, expected="a finite number")
+    return float(weight)
+
+
+def _check_numbers(name: str, term: Term) -> None:
+    numbers = [term.coefficient]
+    for factor in term.factors:
+        numbers += [factor.scale, factor.offset]
+        if factor.exponent < 0 or factor.exponent != int(factor.exponent):
+            raise UnsupportedTermError(
+                f"the cost '{name}' can't be integrated",
+                got=f"the exponent {factor.exponent}",
+                expected="whole exponents p ≥ 0",
+            )
+    if not all(math.isfinite(number) for number in numbers):
+        raise UnsupportedTermError(
+            f"the cost '{name}' can't be integrated",
+            got=f"the term {term}",
+            expected="finite numbers",
+            remedy="Look for a parameter that was not set, or a division by zero.",
+        )
+
+
+def _repeated_variable(name: str, got: str) -> UnsupportedTermError:
+    return UnsupportedTermError(
+        f"the cost '{name}' can't be integrated",
+        got=got,
+        expected="at most one factor of each variable in a term",
+        remedy="Multiply factors of one variable into one: x·x is x².",
+    )
 
 
 @dataclass(frozen=True)
 class NewtonSystem:
     """Value, gradient and Hessian at one box, in elimination order.
 
+    With n variables and u unknowns a variable (2, or 1 for centers only):
+
     Attributes:
         value: f̄.
-        gradient: (n,) with unknowns (c_i, z_i) next to each other, or c_i alone.
-        band: (bandwidth + 1, n) Hessian in LAPACK's lower band storage.
+        gradient: (u n,) with unknowns (c_i, z_i) next to each other, or c_i alone.
+        band: (u (bandwidth + 1), u n) Hessian in LAPACK's lower band storage.
     """
 
     value: float
-    gradient: NDArray[np.float64]
-    band: NDArray[np.float64]
+    gradient: Floats
+    band: Floats
 
 
 class BoxPolynomial:
@@ -108,13 +189,21 @@ class BoxPolynomial:
 
         f̄(c, w) = Σ_m a_m ∏_i μ(g_mi; c_i, w_i),      I(c, w) = S(w) f̄(c, w),      S(w) = ∏ 2w_i
 
-    (AIGTO Sec. II-B). Derivatives are in c and z = log w, so that ∂f̄/∂z_i = w_i ∂f̄/∂w_i stays finite at w_i = 0.
+    (AIGTO Sec. II-B). Derivatives are in c and z = log w, so that ∂f̄/∂z_i = w_i ∂f̄/∂w_i is finite,
+    and zero, at w_i = 0.
 
     Args:
         num_variables: Dimension n of x.
         blocks: The terms, grouped by the polynomial that copies share.
-        order: Elimination order of the variables (a permutation of 0 … n−1) for the banded Newton system; variables that
-            appear together should be near each other. Default: reverse Cuthill-McKee on the coupling graph.
+        order: Elimination order of the variables (a permutation of 0 … n−1) for the banded Newton
+            system; variables that appear together should be near each other. Default: reverse
+            Cuthill-McKee on the coupling graph.
+
+    Attributes:
+        bandwidth: Largest distance, in that order, of two variables that appear in one term.
+
+    Raises:
+        OptionsError: The order is no permutation of the variables.
     """
 
     def __init__(
@@ -127,14 +216,22 @@ class BoxPolynomial:
         self.num_variables = num_variables
         self.blocks = tuple(blocks)
         rows, columns = self._coupled_pairs()
-        if order is None:
+        if order is None and rows.size:
             graph = coo_array((np.ones(rows.size), (rows, columns)), shape=(num_variables,) * 2)
             order = reverse_cuthill_mckee(graph.tocsr(), symmetric_mode=True)
-        self.order = np.asarray(order, dtype=np.int64)
+        self.order = np.array(range(num_variables) if order is None else order, dtype=np.int64)
+        self.order.setflags(write=False)
+        if not np.array_equal(np.sort(self.order), np.arange(num_variables)):
+            raise OptionsError(
+                "the elimination order",
+                got=f"{self.order.size} entries {np.array2string(self.order, threshold=8)}",
+                expected=f"each of 0 … {num_variables - 1} once",
+            )
         self._position = np.argsort(self.order)
-        self._reach = int(np.max(np.abs(self._position[rows] - self._position[columns]), initial=0))
+        distance = np.abs(self._position[rows] - self._position[columns])
+        self.bandwidth = int(np.max(distance, initial=0))
 
-    def _coupled_pairs(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    def _coupled_pairs(self) -> tuple[Ints, Ints]:
         pairs = [block.variables[:, block.couplings()].reshape(-1, 2) for block in self.blocks]
         stacked = np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs])
         return stacked[:, 0], stacked[:, 1]
@@ -153,11 +250,15 @@ class BoxPolynomial:
         """The same table with the named blocks' weights replaced; nothing is parsed again.
 
         Raises:
-            KeyError: A name is not that of a block.
+            OptionsError: A name is not that of a block, or a weight is not finite.
         """
-        unknown = set(weights) - {block.name for block in self.blocks}
+        unknown = sorted(set(weights) - set(self.weights))
         if unknown:
-            raise KeyError(f"no block named {sorted(unknown)}; have {sorted(self.weights)}")
+            raise OptionsError(
+                "weights",
+                got=f"no cost named {unknown}",
+                expected=f"names among {sorted(self.weights)}",
+            )
         other = object.__new__(BoxPolynomial)
         other.__dict__.update(self.__dict__)
         other.blocks = tuple(b.with_weight(weights.get(b.name, b.weight)) for b in self.blocks)
@@ -166,10 +267,11 @@ class BoxPolynomial:
     def mean(self, center: ArrayLike, half_width: ArrayLike) -> float:
         """f̄(c, w); f(c) at w = 0."""
         c, w = self._box(center, half_width)
-        return sum(
+        means = (
             block_mean(*block.kernel_arguments, c, w, _NO_GRADIENT, _NO_GRADIENT)
             for block in self.blocks
         )
+        return sum(means, start=0.0)
 
     def __call__(self, x: ArrayLike) -> float:
         """f(x)."""
@@ -185,9 +287,7 @@ class BoxPolynomial:
             shares[block.name] = shares.get(block.name, 0.0) + share
         return shares
 
-    def gradient(
-        self, center: ArrayLike, half_width: ArrayLike
-    ) -> tuple[float, NDArray[np.float64], NDArray[np.float64]]:
+    def gradient(self, center: ArrayLike, half_width: ArrayLike) -> tuple[float, Floats, Floats]:
         """f̄, ∂f̄/∂c (n,) and ∂f̄/∂z (n,), z = log w."""
         c, w = self._box(center, half_width)
         gradient_c, gradient_z = np.zeros(self.num_variables), np.zeros(self.num_variables)
@@ -199,12 +299,15 @@ class BoxPolynomial:
     def newton_system(
         self, center: ArrayLike, half_width: ArrayLike, centers_only: bool = False
     ) -> NewtonSystem:
-        """f̄ with gradient and banded Hessian in (c, z), or in c alone; `to_variables` undoes the ordering."""
+        """f̄ with gradient and banded Hessian in (c, z), or in c alone.
+
+        `to_variables` undoes the ordering.
+        """
         c, w = self._box(center, half_width)
         stride = 1 if centers_only else 2
         size = stride * self.num_variables
         gradient = np.zeros(size)
-        band = np.zeros((stride * self._reach + stride, size))
+        band = np.zeros((stride * self.bandwidth + stride, size))
         value = 0.0
         for block in self.blocks:
             value += block_newton(
@@ -212,17 +315,24 @@ class BoxPolynomial:
             )
         return NewtonSystem(value, gradient, band)
 
-    def to_variables(self, ordered: NDArray[np.float64]) -> Iterator[NDArray[np.float64]]:
-        """Split a vector in elimination order into its parts (c, then z if there), each in variable order."""
+    def to_variables(self, ordered: Floats) -> Iterator[Floats]:
+        """Split a vector in elimination order into its parts, c and then z, in variable order."""
         stride = ordered.size // self.num_variables
         return (ordered[part::stride][self._position] for part in range(stride))
 
-    def _box(
-        self, center: ArrayLike, half_width: ArrayLike
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def _box(self, center: ArrayLike, half_width: ArrayLike) -> tuple[Floats, Floats]:
+        # Copied, as Numba would compile once more for arrays that are read-only or strided.
+        c, w = (
+            np.array(center, dtype=float, order="C"),
+            np.array(half_width, dtype=float, order="C"),
+        )
         shape = (self.num_variables,)
-        c = np.ascontiguousarray(center, dtype=float)
-        w = np.ascontiguousarray(np.broadcast_to(np.asarray(half_width, dtype=float), shape))
-        if c.shape != shape:
-            raise ValueError(f"center has shape {c.shape}; this polynomial needs {shape}")
+        if c.shape != shape or w.shape not in (shape, ()):
+            raise ValueError(
+                f"center has shape {c.shape} and half_width {w.shape}; this polynomial needs {shape}"
+            )
+        if w.shape != shape:
+            w = np.full(shape, w)
+        if w.min(initial=0.0) < 0.0:
+            raise ValueError(f"half_width is {w.min():g} at its least; it can't be negative")
         return c, w

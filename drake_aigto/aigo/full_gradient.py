@@ -1,0 +1,116 @@
+"""The paper's Algorithm 1: the full gradient over centers and half widths together."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import Bounds, minimize
+
+from drake_aigto.aigo.algorithm import Box, Iterate, as_positive
+from drake_aigto.box import BoxPolynomial
+from drake_aigto.errors import OptionsError
+
+
+@dataclass(frozen=True, kw_only=True)
+class FullGradient:
+    """AIGTO Algorithm 1, line by line:
+
+        2   s ← S(w)
+        3   while s > s_thr
+        4       c, w ← minimise over (c, w)   I_p(c, w, s, ζ)
+        5       w ← w − β |Δc|
+        6       s ← min(S(w), s/γ)
+
+    In hundreds of dimensions S(w) = ∏ 2w_i underflows, so this differs from the print as follows. The size is compared
+    in logarithms, I_p = f̄ + ζ (log S(w) − log s)²: the mean instead of the integral, whose factor S would be 0. γ acts
+    per dimension, s/γⁿ, and the loop ends when the geometric-mean half width is `final_width` of the first one's. Line 5
+    leaves at least `least_shrink` of each half width. Line 4 is SciPy's L-BFGS-B over (c, log w), cut off by its count.
+
+    Attributes:
+        beta: β of line 5, in [0, 1).
+        gamma: γ > 1 of line 6, per dimension.
+        zeta: ζ > 0, in units of the cost.
+        final_width: converged at this part of the first geometric-mean half width.
+        least_shrink: the part of a half width that line 5 leaves at least, in (0, 1).
+        inner_steps: the most L-BFGS steps in line 4.
+        max_steps: the most outer steps.
+    """
+
+    beta: float = 0.5
+    gamma: float = 1.1
+    zeta: float = 1e-2
+    final_width: float = 1e-6
+    least_shrink: float = 1e-2
+    inner_steps: int = 20
+    max_steps: int = 2000
+
+    def __post_init__(self) -> None:
+        """Checks the ranges."""
+        if not 0 <= self.beta < 1:
+            raise OptionsError("beta", got=f"{self.beta:g}", expected="a number in [0, 1)")
+        if not self.gamma > 1:
+            raise OptionsError("gamma", got=f"{self.gamma:g}", expected="a number above 1")
+        as_positive("zeta", self.zeta)
+        as_positive("final_width", self.final_width, below=1.0)
+        as_positive("least_shrink", self.least_shrink, below=1.0)
+        for name in ("inner_steps", "max_steps"):
+            if getattr(self, name) < 1:
+                raise OptionsError(name, got=getattr(self, name), expected="1 or more")
+
+    def init(self, f: BoxPolynomial, box: Box) -> Iterate:
+        """Line 2; the memory is log s, and log s_thr."""
+        n = np.count_nonzero(box.free)
+        log_s = box.log_size
+        mean = f.mean(box.center, box.half_width)
+        return Iterate(box, mean, np.inf, memory=(log_s, log_s + n * np.log(self.final_width)))
+
+    def step(self, f: BoxPolynomial, iterate: Iterate) -> Iterate:
+        """Lines 4 to 6."""
+        log_s, log_s_thr = iterate.memory
+        free = np.flatnonzero(iterate.box.free)
+        center, half_width, inner_steps = self._minimize(f, iterate.box, free, log_s)
+        shift = np.abs(center[free] - iterate.box.center[free])
+        shrunk = half_width[free] - self.beta * shift
+        half_width[free] = np.maximum(shrunk, self.least_shrink * half_width[free])
+        box = Box(center, half_width)
+        mean, gradient_c, gradient_z = f.gradient(center, half_width)
+        log_s = min(box.log_size, log_s - free.size * np.log(self.gamma))
+        return Iterate(
+            box,
+            mean,
+            temperature=float(np.mean(gradient_z[free])),
+            inner_steps=inner_steps,
+            residual=float(np.linalg.norm(gradient_c[free])),
+            memory=(log_s, log_s_thr),
+        )
+
+    def terminate(self, f: BoxPolynomial, iterate: Iterate) -> bool:
+        """Line 3."""
+        log_s, log_s_thr = iterate.memory
+        return log_s <= log_s_thr
+
+    def _minimize(
+        self, f: BoxPolynomial, box: Box, free: NDArray[np.int64], log_s: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+        """Line 4: returns c, w and the number of steps."""
+        n = free.size
+        center, half_width = box.center.copy(), box.half_width.copy()
+
+        def penalized(y: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+            center[free], half_width[free] = y[:n], np.exp(y[n:])
+            mean, gradient_c, gradient_z = f.gradient(center, half_width)
+            excess = n * np.log(2) + np.sum(y[n:]) - log_s
+            gradient = [gradient_c[free], gradient_z[free] + 2 * self.zeta * excess]
+            return mean + self.zeta * excess**2, np.concatenate(gradient)
+
+        start = np.concatenate([center[free], np.log(half_width[free])])
+        floor = np.log(np.finfo(float).tiny) / 4  # w² must not underflow.
+        bounds = Bounds(np.repeat([-np.inf, floor], n), np.inf)
+        options = {"maxiter": self.inner_steps, "maxcor": 20}
+        found = minimize(
+            penalized, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options
+        )
+        center[free], half_width[free] = found.x[:n], np.exp(found.x[n:])
+        return center, half_width, int(found.nit)

@@ -1,0 +1,155 @@
+"""Newton's method on banded systems, damped until it descends."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg.lapack import dpbtrf, dpbtrs
+
+from drake_aigto.box import BoxPolynomial
+
+Floats = NDArray[np.float64]
+
+_ARMIJO = 1e-4  # share of the linear decrease that a step must reach
+_HARDER, _SOFTER = 4.0, 0.25  # factors on the damping after a failed and an immediate success
+_LEAST_DAMPING, _FIRST_DAMPING = 1e-8, 1e-3
+_MAX_TRIALS = 40  # of the damping, in one step: 4⁴⁰ is past any scale
+
+
+@dataclass(frozen=True)
+class System:
+    """Value, gradient (n,) and Hessian (bandwidth + 1, n; lower band storage) at a point."""
+
+    value: float
+    gradient: Floats
+    band: Floats
+
+
+class Objective(ABC):
+    """A function of unknowns y (n,) in elimination order, held ones included."""
+
+    @abstractmethod
+    def evaluate(self, y: Floats) -> System:
+        """Returns value, gradient and Hessian; held unknowns have gradient 0 and an identity row."""
+
+    @abstractmethod
+    def scale(self, y: Floats, system: System) -> Floats:
+        """Returns the diagonal D > 0 (n,) that the damping λD is measured in."""
+
+    @abstractmethod
+    def is_stationary(self, residual: float) -> bool:
+        """Returns whether a gradient of size √(Σ g²/D) is small enough."""
+
+    def limit(self, step: Floats) -> float:
+        """Returns the part of a step, in (0, 1], that may be taken."""
+        return 1.0
+
+
+@dataclass(frozen=True)
+class NewtonResult:
+    """Where Newton's method ended.
+
+    Attributes:
+        y: the unknowns.
+        value: the objective there.
+        steps: iterations.
+        residual: √(Σ g²/D) there.
+        damping: λ to start the next, similar problem with.
+    """
+
+    y: Floats
+    value: float
+    steps: int
+    residual: float
+    damping: float
+
+
+def newton(objective: Objective, y: Floats, max_steps: int, damping: float) -> NewtonResult:
+    """Minimises by steps (H + λD) s = −g, with λ raised until H + λD is positive definite and s descends (Armijo)."""
+    system = objective.evaluate(y)
+    steps, residual = 0, np.inf
+    for steps in range(max_steps + 1):
+        scale = objective.scale(y, system)
+        residual = float(np.sqrt(np.sum(system.gradient**2 / scale)))
+        if steps == max_steps or objective.is_stationary(residual):
+            break
+        for trial in range(_MAX_TRIALS):
+            accepted = _try_step(objective, y, system, scale, damping)
+            if accepted is not None:
+                break
+            damping = max(_HARDER * damping, _FIRST_DAMPING)
+        if accepted is None:
+            break  # Rounding hides any further descent.
+        y, system = accepted
+        if trial == 0:
+            damping = max(_SOFTER * damping, _LEAST_DAMPING)
+    return NewtonResult(y, system.value, steps, residual, damping)
+
+
+def _try_step(
+    objective: Objective, y: Floats, system: System, scale: Floats, damping: float
+) -> tuple[Floats, System] | None:
+    """Returns the point and system after a damped step, or None if it does not descend."""
+    band = system.band.copy()
+    band[0] += damping * scale
+    factor, info = dpbtrf(band, lower=1)
+    if info != 0:
+        return None
+    step = dpbtrs(factor, -system.gradient, lower=1)[0]
+    step *= objective.limit(step)
+    tried = objective.evaluate(y + step)
+    if not tried.value <= system.value + _ARMIJO * float(system.gradient @ step):
+        return None
+    return y + step, tried
+
+
+class HeldUnknowns:
+    """Takes unknowns out of a banded system by making their rows and columns the identity's."""
+
+    def __init__(self, indices: NDArray[np.int64], bandwidth: int, size: int) -> None:
+        """Finds the band entries of these rows and columns once."""
+        offsets = np.arange(1, bandwidth + 1)
+        rows, columns = np.meshgrid(offsets, indices, indexing="ij")
+        before = columns - rows
+        inside = before >= 0
+        self._indices = indices
+        self._row_entries = rows[inside], before[inside]
+        self._size = size
+
+    def remove(self, gradient: Floats, band: Floats) -> None:
+        """Changes gradient and band in place."""
+        gradient[self._indices] = 0.0
+        band[:, self._indices] = 0.0
+        band[self._row_entries] = 0.0
+        band[0, self._indices] = 1.0
+
+
+class PointObjective(Objective):
+    """f(c) itself: every box has shrunk to its center."""
+
+    def __init__(self, f: BoxPolynomial, free: NDArray[np.bool_], tolerance: float) -> None:
+        """Prepares; stationary once √(gᵀ diag(H)⁻¹ g) ≤ tolerance."""
+        self._f = f
+        held = np.flatnonzero(~free[f.order])
+        self._held = HeldUnknowns(held, f.bandwidth, f.num_variables)
+        self._tolerance = tolerance
+
+    def evaluate(self, y: Floats) -> System:
+        """Returns f and its derivatives."""
+        f = self._f
+        (center,) = f.to_variables(y)
+        system = f.newton_system(center, 0.0, centers_only=True)
+        self._held.remove(system.gradient, system.band)
+        return System(system.value, system.gradient, system.band)
+
+    def scale(self, y: Floats, system: System) -> Floats:
+        """Returns |diag H|, kept off zero."""
+        diagonal = np.abs(system.band[0])
+        return diagonal + 1e-12 * diagonal.max()
+
+    def is_stationary(self, residual: float) -> bool:
+        """Compares with the tolerance."""
+        return residual <= self._tolerance

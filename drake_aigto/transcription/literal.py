@@ -1,0 +1,116 @@
+"""The paper's transcription: explicit Euler, with the contact force written as ε/(φ + δ)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydrake.symbolic import Expression
+
+from drake_aigto.transcription.shared import as_expression, shared_constraint
+from drake_aigto.transcription.transcription import Transcription
+from drake_aigto.world import Scenario, World
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+KINEMATICS, DYNAMICS, NONPENETRATION = "kinematics", "dynamics", "nonpenetration"
+
+
+class LiteralTranscription(Transcription):
+    """AIGTO Sec. IV as printed: collocation without forces, explicit Euler, relaxed complementarity.
+
+        q_{k+1} = q_k + dt v_k                                                         "kinematics"
+        M (v_{k+1} − v_k) = dt (B u_k − h(q_k, v_k) + J_kᵀ λ_k),   λ_k = ε/(φ_k + δ)     "dynamics"
+        φ(q_k) ≥ 0, k ≥ 1, where asked for                                             "nonpenetration"
+
+    The dynamics rows that a contact acts on are multiplied out by every such (φ_k + δ), so that all rows are polynomial:
+    with one contact, (φ_k + δ)(M Δv − dt (B u − h)) − dt ε Jᵀ = 0.
+
+    The discrete contact is no rigid wall: a knot with φ_k + δ ≈ 0 makes dt λ_k an impulse of any size, also a pull where
+    φ_k < −δ. Replay every plan before believing its cost.
+
+    Args:
+        world: the plant, read.
+        scenario: the task, with its ε and δ.
+        nonpenetration: whether φ(q_k) ≥ 0 is asked for. The paper's figures need it off.
+    """
+
+    def __init__(self, world: World, scenario: Scenario, nonpenetration: bool = True) -> None:
+        """Makes the program."""
+        self.nonpenetration = nonpenetration
+        super().__init__(world, scenario)
+
+    def _add_rows(self) -> None:
+        for row in self._kinematics_rows():
+            self._bind_stages(shared_constraint(row, KINEMATICS))
+        for row in self._dynamics_rows():
+            self._bind_stages(shared_constraint(row, DYNAMICS))
+        if self.nonpenetration:
+            for contact in self.world.contacts:
+                apart = shared_constraint(
+                    contact.signed_distance, NONPENETRATION, 0.0, np.inf
+                )
+                for k in range(1, self.num_samples()):
+                    self._bind(apart, k)
+
+    def _kinematics_rows(self) -> npt.NDArray[np.object_]:
+        return self._next_q - self.world.positions - self._dt * self.world.velocities
+
+    def _dynamics_rows(self) -> list[Expression]:
+        """Momentum rows M Δv − dt (B u − h) − Σ_i dt ε J_i/(φ_i + δ), times the denominators that they touch."""
+        world, dt, epsilon = self.world, self._dt, self.scenario.epsilon
+        force = world.actuation @ world.controls - world.bias
+        momentum = world.mass_matrix @ (self._next_v - world.velocities) - dt * force
+        gaps = [contact.signed_distance + self.scenario.delta for contact in world.contacts]
+        rows = []
+        for j, row in enumerate(momentum):
+            acting = [i for i, c in enumerate(world.contacts) if not _is_zero(c.jacobian[j])]
+            row = row * _product([gaps[i] for i in acting])
+            for i in acting:
+                others = _product([gaps[other] for other in acting if other != i])
+                row -= dt * epsilon * world.contacts[i].jacobian[j] * others
+            rows.append(as_expression(row))
+        return rows
+
+    def defects(self, x: npt.NDArray[np.float64]) -> dict[str, float]:
+        """Returns {"kinematics": [m], "dynamics": [m/s], "nonpenetration": [m]}, the last if it is asked for.
+
+        The dynamics are measured with λ = ε/(φ + δ) itself, not with the row multiplied out, which is blind near the wall.
+        """
+        q, v, u = self.split(x)
+        dt, impulses = self._dt, self.impulses(x)
+        free = np.array([self.world.calc_acceleration(*s) for s in zip(q, v, u)])
+        kick = self._velocity_change(q[:-1], impulses[:-1])
+        found = {
+            KINEMATICS: np.max(np.abs(q[1:] - q[:-1] - dt * v[:-1])),
+            DYNAMICS: np.max(np.abs(v[1:] - v[:-1] - dt * free - kick)),
+        }
+        if self.nonpenetration:
+            distances = np.array([self.world.calc_signed_distance(q_k) for q_k in q[1:]])
+            found[NONPENETRATION] = max(0.0, -np.min(distances))
+        return {name: float(value) for name, value in found.items()}
+
+    def impulses(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Returns dt ε/(φ(q_k) + δ), shape (N+1, m) [N s]; no step follows the last knot, so it has none."""
+        q = self.split(x)[0]
+        gaps = np.array([self.world.calc_signed_distance(q_k) for q_k in q]) + self.scenario.delta
+        impulses = self._dt * self.scenario.epsilon / gaps
+        impulses[-1] = 0.0
+        return impulses
+
+    def _velocity_change(
+        self, q: npt.NDArray[np.float64], impulses: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.float64]:
+        """Returns M⁻¹ Jᵀ p at each knot, shape (N, nv) [m/s]."""
+        J = np.array([self.world.calc_contact_jacobian(q_k) for q_k in q])  # (N, m, nv)
+        momentum = np.einsum("kmi,km->ki", J, impulses)
+        return np.linalg.solve(self.world.mass_matrix_values, momentum.T).T
+
+
+def _product(factors: list[Expression]) -> Expression:
+    return np.prod(factors) if factors else Expression(1.0)
+
+
+def _is_zero(expression: Expression) -> bool:
+    return expression.Expand().EqualTo(Expression(0.0))

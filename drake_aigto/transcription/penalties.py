@@ -1,0 +1,141 @@
+"""Constraints as penalties: from a constrained program to one that only has costs (AIGTO Sec. III-A)."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, Literal
+
+import numpy as np
+import pydrake.symbolic as sym
+from pydrake.solvers import (
+    BoundingBoxConstraint,
+    Constraint,
+    ExpressionConstraint,
+    LinearConstraint,
+    MathematicalProgram,
+    QuadraticConstraint,
+)
+from pydrake.symbolic import Expression, MakeVectorVariable, Polynomial
+
+from drake_aigto.errors import UnsupportedTermError
+from drake_aigto.transcription.shared import SharedEvaluator, as_expression, shared_cost, substitutions
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+InequalityPenalty = Literal["squared hinge", "log barrier"]
+
+# Those whose residual Drake evaluates symbolically.
+_WITH_FORMULA = (LinearConstraint, QuadraticConstraint, ExpressionConstraint)
+
+
+def penalize(
+    prog: MathematicalProgram,
+    inequality: InequalityPenalty = "squared hinge",
+    scale: float = 1.0,
+) -> MathematicalProgram:
+    """Returns a program over the same variables whose costs include penalties for the constraints.
+
+        r(x) = 0     ↦   scale · r(x)²
+        y(x_i) ≥ 0   ↦   scale · max(0, −y)²   or   −scale · log y      (y affine in one variable)
+
+    Each penalty carries its constraint's description, so that `BoxPolynomial.with_weights` can weigh it; constraints that
+    share an evaluator share its penalty. A variable that equal bounds fix keeps them: `cut_to_bounds` holds it.
+
+    Args:
+        prog: the program; it is not changed.
+        inequality: how inequalities are penalised. A log barrier needs boxes that stay on its feasible side.
+        scale: common factor of all penalties.
+
+    Raises:
+        UnsupportedTermError: a constraint whose formula Drake does not give, or an inequality of several variables.
+    """
+    penalized = MathematicalProgram()
+    penalized.AddDecisionVariables(prog.decision_variables())
+    for cost in prog.GetAllCosts():
+        penalized.AddCost(cost.evaluator(), vars=cost.variables())
+    penalties: dict[int, tuple[npt.NDArray[Any], SharedEvaluator | None]] = {}
+    for binding in prog.GetAllConstraints():
+        evaluator, variables = binding.evaluator(), binding.variables()
+        if id(evaluator) not in penalties:
+            x = MakeVectorVariable(len(variables), "x")
+            penalties[id(evaluator)] = x, _penalty(evaluator, x, inequality, scale)
+        x, penalty = penalties[id(evaluator)]
+        if penalty is not None:
+            penalty.bind(penalized, substitutions([x], [variables]))
+    fixed, values = fixed_variables(prog)
+    if fixed.size:
+        penalized.AddBoundingBoxConstraint(values, values, prog.decision_variables()[fixed])
+    return penalized
+
+
+def fixed_variables(
+    prog: MathematicalProgram,
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+    """Returns the indices and values of the variables that equal lower and upper bounds fix."""
+    lower, upper = _bounds(prog)
+    fixed = np.flatnonzero(lower == upper)
+    return fixed, lower[fixed]
+
+
+def cut_to_bounds(
+    prog: MathematicalProgram, center: npt.ArrayLike, half_width: npt.ArrayLike
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Returns center and half width of a box's part within the program's bounds, half width 0 where they fix.
+
+    A box that lies outside of the bounds in some variable shrinks to the nearest bound there.
+    """
+    lower, upper = _bounds(prog)
+    center, half_width = np.asarray(center, dtype=float), np.asarray(half_width, dtype=float)
+    low = np.clip(center - half_width, lower, upper)
+    high = np.clip(center + half_width, lower, upper)
+    return (low + high) / 2, (high - low) / 2
+
+
+def _bounds(prog: MathematicalProgram) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Returns the tightest lower and upper bound of each decision variable."""
+    lower, upper = np.full(prog.num_vars(), -np.inf), np.full(prog.num_vars(), np.inf)
+    for binding in prog.bounding_box_constraints():
+        index = prog.FindDecisionVariableIndices(binding.variables())
+        np.maximum.at(lower, index, binding.evaluator().lower_bound())
+        np.minimum.at(upper, index, binding.evaluator().upper_bound())
+    return lower, upper
+
+
+def _penalty(
+    constraint: Constraint, x: npt.NDArray[Any], inequality: InequalityPenalty, scale: float
+) -> SharedEvaluator | None:
+    """Returns the cost over placeholders x that stands for lower ≤ g(x) ≤ upper; None if nothing is to be penalised."""
+    name = constraint.get_description() or type(constraint).__name__
+    if not isinstance(constraint, _WITH_FORMULA):
+        raise UnsupportedTermError(
+            f"the constraint '{name}' can't be penalised",
+            got=f"a {type(constraint).__name__}, whose formula Drake does not give back",
+            expected="a linear, quadratic or expression constraint, or bounds",
+            remedy="Write it as a symbolic expression: prog.AddConstraint(expression == 0).",
+        )
+    total = Expression(0.0)
+    rows = zip(constraint.Eval(x), constraint.lower_bound(), constraint.upper_bound(), strict=True)
+    for y, lower, upper in rows:
+        if lower == upper:
+            if not isinstance(constraint, BoundingBoxConstraint):
+                total += scale * sym.pow(y - lower, 2)
+            continue
+        sides = [y - lower] if np.isfinite(lower) else []
+        sides += [upper - y] if np.isfinite(upper) else []
+        for side in sides:
+            total += scale * _inequality_penalty(name, as_expression(side), inequality)
+    if total.EqualTo(Expression(0.0)):
+        return None
+    return shared_cost(total, name)
+
+
+def _inequality_penalty(name: str, y: Expression, inequality: InequalityPenalty) -> Expression:
+    """Returns max(0, −y)² or −log y."""
+    if not y.is_polynomial() or len(y.GetVariables()) != 1 or Polynomial(y).TotalDegree() != 1:
+        raise UnsupportedTermError(
+            f"the constraint '{name}' can't be penalised",
+            got=f"the inequality {y} ≥ 0",
+            expected="inequalities that are affine in one variable",
+            remedy="Give the expression a variable s of its own: expression == s, s ≥ 0.",
+        )
+    return -sym.log(y) if inequality == "log barrier" else sym.pow(sym.max(0.0, -y), 2)

@@ -1,0 +1,93 @@
+"""Evaluators that many bindings share, so that N stages are parsed, compiled and stored once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydrake.solvers import Constraint, Cost, EvaluatorBase, ExpressionCost, MathematicalProgram
+from pydrake.symbolic import Expression, Polynomial, Variable
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+
+@dataclass(frozen=True)
+class SharedEvaluator:
+    """An evaluator, and which placeholder variables it reads in which order.
+
+    Attributes:
+        evaluator: a Drake cost or constraint.
+        placeholders: the variables of the expression that it was made of, in its own order.
+    """
+
+    evaluator: EvaluatorBase
+    placeholders: tuple[Variable, ...]
+
+    def bind(self, prog: MathematicalProgram, values: dict[int, Variable]) -> None:
+        """Adds the evaluator to a program, with a decision variable for each placeholder.
+
+        Args:
+            prog: the program.
+            values: placeholder id → decision variable.
+        """
+        variables = [values[placeholder.get_id()] for placeholder in self.placeholders]
+        if isinstance(self.evaluator, Cost):
+            prog.AddCost(self.evaluator, vars=variables)
+        else:
+            prog.AddConstraint(self.evaluator, vars=variables)
+
+
+def as_expression(value: Any) -> Expression:
+    """Returns a float, Variable or Expression as an Expression."""
+    return value if isinstance(value, Expression) else Expression(value)
+
+
+def shared_cost(expression: Expression, description: str) -> SharedEvaluator:
+    """Returns a cost: linear or quadratic where it is one, else an ExpressionCost.
+
+    Drake keeps the formula of these three; the PolynomialCost that `AddCost` makes of higher degrees
+    hides it.
+    """
+    if expression.is_polynomial() and Polynomial(expression).TotalDegree() <= 2:
+        scratch = _scratch_program(expression)
+        binding = scratch.AddCost(expression)
+        evaluator, variables = binding.evaluator(), list(binding.variables())
+    else:
+        evaluator = ExpressionCost(expression)
+        variables = list(evaluator.vars())
+    evaluator.set_description(description)
+    return SharedEvaluator(evaluator, tuple(variables))
+
+
+def shared_constraint(
+    expression: Expression, description: str, lower: float = 0.0, upper: float = 0.0
+) -> SharedEvaluator:
+    """Returns lower ≤ expression ≤ upper in Drake's most special form: bounding box, linear, quadratic, or expression."""
+    scratch = _scratch_program(expression)
+    if Polynomial(expression).TotalDegree() == 2:
+        binding = scratch.AddQuadraticConstraint(expression, lower, upper)
+    else:
+        binding = scratch.AddConstraint(expression, lower, upper)
+    evaluator: Constraint = binding.evaluator()
+    evaluator.set_description(description)
+    return SharedEvaluator(evaluator, tuple(binding.variables()))
+
+
+def substitutions(
+    placeholders: Iterable[npt.NDArray[Any]], values: Iterable[npt.NDArray[Any]]
+) -> dict[int, Variable]:
+    """Returns placeholder id → decision variable for arrays of both, paired in order."""
+    return {
+        placeholder.get_id(): value
+        for group, chosen in zip(placeholders, values, strict=True)
+        for placeholder, value in zip(np.ravel(group), np.ravel(chosen), strict=True)
+    }
+
+
+def _scratch_program(expression: Expression) -> MathematicalProgram:
+    scratch = MathematicalProgram()
+    scratch.AddDecisionVariables(list(expression.GetVariables()))
+    return scratch

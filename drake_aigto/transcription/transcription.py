@@ -1,0 +1,238 @@
+"""From a contact problem to a MathematicalProgram, in the words of Drake's MultipleShooting."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydrake.solvers import MathematicalProgram, MathematicalProgramResult
+from pydrake.symbolic import Expression, Formula, MakeVectorVariable
+from pydrake.trajectories import PiecewisePolynomial
+
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription.penalties import InequalityPenalty, cut_to_bounds, penalize
+from drake_aigto.transcription.shared import (
+    SharedEvaluator,
+    as_expression,
+    shared_cost,
+    substitutions,
+)
+from drake_aigto.world import Scenario, World
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+
+class Transcription(ABC):
+    """A contact problem as a MathematicalProgram over knots k = 0 … N (AIGTO Sec. III-B, IV).
+
+        minimise over q_k, v_k, u_k    Σ_{k<N} dt g(x_k, u_k) + g_N(x_N),     x = [q, v]
+        subject to                     x_0 given, the subclass's dynamics and contact rows
+
+    where g starts as w_u ‖u‖² and g_N as w_f ‖q_N − goal‖². Every row and cost of a kind shares one evaluator, whose
+    description names it. Contact forces are never decision variables: the subclass eliminates them.
+
+    Shape letters: N time steps, nq positions, nv = nq velocities, nu controls, m contacts.
+    """
+
+    def __init__(self, world: World, scenario: Scenario) -> None:
+        """Makes the program: variables, initial state, the scenario's costs, then the subclass's rows."""
+        self.world = world
+        self.scenario = scenario
+        N, self._dt = scenario.num_steps, scenario.time_step
+        self._prog = MathematicalProgram()
+        self._q = self._prog.NewContinuousVariables(N + 1, world.num_positions, "q")
+        self._v = self._prog.NewContinuousVariables(N + 1, world.num_velocities, "v")
+        self._u = self._prog.NewContinuousVariables(N, world.num_actuators, "u")
+        # Placeholders for a stage's end; its start and control are the world's own variables.
+        self._next_q = MakeVectorVariable(world.num_positions, "q_next")
+        self._next_v = MakeVectorVariable(world.num_velocities, "v_next")
+
+        start = np.concatenate([scenario.initial_position, scenario.initial_velocity])
+        self._prog.AddBoundingBoxConstraint(start, start, self.state(0)).evaluator().set_description(
+            "initial state"
+        )
+        u = world.controls
+        error = world.positions - scenario.goal_position
+        self.AddRunningCost(scenario.control_weight * u.dot(u), "control effort")
+        self.AddFinalCost(scenario.goal_weight * error.dot(error), "goal")
+        self._add_rows()
+
+    @abstractmethod
+    def _add_rows(self) -> None:
+        """Adds the dynamics and contact rows to the program."""
+
+    @abstractmethod
+    def defects(self, x: npt.NDArray[np.float64]) -> dict[str, float]:
+        """Returns the largest violation of each kind of row at x, in that row's unit (m, m/s)."""
+
+    @abstractmethod
+    def impulses(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Returns the contact impulses that x implies, shape (N+1, m) [N s]."""
+
+    def prog(self) -> MathematicalProgram:
+        """Returns the constrained program; costs and constraints may be added until it is solved."""
+        return self._prog
+
+    def num_samples(self) -> int:
+        """Returns the number of knots, N + 1."""
+        return len(self._q)
+
+    def time_step(self, k: int = 0) -> float:
+        """Returns the length of step k [s]; all are equal."""
+        return self._dt
+
+    def state(self, k: int | None = None) -> npt.NDArray[Any]:
+        """Returns x_k = [q_k, v_k], shape (nq + nv,); without k, placeholders for the methods below."""
+        if k is None:
+            return np.concatenate([self.world.positions, self.world.velocities])
+        return np.concatenate([self._q[k], self._v[k]])
+
+    def input(self, k: int | None = None) -> npt.NDArray[Any]:
+        """Returns u_k, shape (nu,), 0 ≤ k < N; without k, placeholders for the methods below."""
+        return self.world.controls if k is None else self._u[k]
+
+    def initial_state(self) -> npt.NDArray[Any]:
+        """Returns x_0."""
+        return self.state(0)
+
+    def final_state(self) -> npt.NDArray[Any]:
+        """Returns x_N."""
+        return self.state(self.num_samples() - 1)
+
+    def AddRunningCost(self, g: Any, description: str = "running cost") -> None:
+        """Adds Σ_{k<N} dt g(x_k, u_k).
+
+        Args:
+            g: polynomial in the placeholders `state()` and `input()`.
+            description: its name in the program and in costs by name.
+        """
+        cost = shared_cost(self._dt * as_expression(g), description)
+        self._bind_stages(cost)
+
+    def AddFinalCost(self, e: Any, description: str = "final cost") -> None:
+        """Adds e(x_N), polynomial in the placeholders `state()`."""
+        self._bind(shared_cost(as_expression(e), description), self.num_samples() - 1)
+
+    def AddConstraintToAllKnotPoints(self, f: Formula | npt.NDArray[Any]) -> None:
+        """Adds a constraint on placeholders at every knot, as MultipleShooting does.
+
+        Constraints that read the control act at k < N. A bound on one variable, such as `input()[0] <= 3`, becomes a
+        bounding box.
+        """
+        for formula in np.ravel(np.asarray(f, dtype=object)):
+            reads_control = any(formula.GetFreeVariables().include(u) for u in self.world.controls)
+            for k in range(len(self._u) if reads_control else self.num_samples()):
+                names, values = self.state(), self.state(k)
+                if reads_control:
+                    names = np.concatenate([names, self.input()])
+                    values = np.concatenate([values, self.input(k)])
+                self._prog.AddConstraint(
+                    formula.Substitute(dict(zip(names, map(Expression, values), strict=True)))
+                )
+
+    def SetInitialTrajectory(
+        self, traj_init_u: PiecewisePolynomial, traj_init_x: PiecewisePolynomial
+    ) -> None:
+        """Sets the program's initial guess by sampling a control and a state trajectory at the knots."""
+        times = self.GetSampleTimes()
+        states = np.array([traj_init_x.value(t).ravel() for t in times])
+        nq = self.world.num_positions
+        self._prog.SetInitialGuess(self._q, states[:, :nq])
+        self._prog.SetInitialGuess(self._v, states[:, nq:])
+        self._prog.SetInitialGuess(
+            self._u, np.array([traj_init_u.value(t).ravel() for t in times[:-1]])
+        )
+
+    def GetSampleTimes(self) -> npt.NDArray[np.float64]:
+        """Returns the knots' times, shape (N+1,) [s]."""
+        return self._dt * np.arange(self.num_samples())
+
+    def GetInputSamples(self, result: MathematicalProgramResult) -> npt.NDArray[np.float64]:
+        """Returns the controls, shape (nu, N), a column a knot as in Drake."""
+        return result.GetSolution(self._u).reshape(self._u.shape).T
+
+    def GetStateSamples(self, result: MathematicalProgramResult) -> npt.NDArray[np.float64]:
+        """Returns the states, shape (nq + nv, N+1), a column a knot as in Drake."""
+        q, v = (result.GetSolution(part).reshape(part.shape) for part in (self._q, self._v))
+        return np.hstack([q, v]).T
+
+    def ReconstructInputTrajectory(self, result: MathematicalProgramResult) -> PiecewisePolynomial:
+        """Returns the control as a zero-order hold."""
+        return self.trajectory(result.get_x_val()).to_piecewise()[1]
+
+    def ReconstructStateTrajectory(self, result: MathematicalProgramResult) -> PiecewisePolynomial:
+        """Returns the state [q, v] over time."""
+        return self.trajectory(result.get_x_val()).to_piecewise()[0]
+
+    def trajectory(self, x: npt.NDArray[np.float64]) -> Trajectory:
+        """Returns the trajectory that a vector of all decision variables stands for."""
+        q, v, u = self.split(x)
+        return Trajectory(self.GetSampleTimes(), q, v, u, self.impulses(x))
+
+    def vector(self, trajectory: Trajectory) -> npt.NDArray[np.float64]:
+        """Returns the decision variables of a trajectory at this transcription's knots; undoes `trajectory`."""
+        parts = (trajectory.positions, trajectory.velocities, trajectory.controls)
+        return np.concatenate([part.ravel() for part in parts])
+
+    def split(self, x: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
+        """Returns q (N+1, nq), v (N+1, nv) and u (N, nu) out of a vector of all decision variables."""
+        shapes = (self._q.shape, self._v.shape, self._u.shape)
+        ends = np.cumsum([np.prod(shape) for shape in shapes])
+        return [
+            part.reshape(shape) for part, shape in zip(np.split(x, ends), shapes, strict=False)
+        ]
+
+    def scenario_cost(self, x: npt.NDArray[np.float64]) -> float:
+        """Returns J = w_u Σ dt ‖u_k‖² + w_f ‖q_N − goal‖², without penalties or added costs."""
+        q, _, u = self.split(x)
+        effort = self.scenario.control_weight * self._dt * np.sum(u**2)
+        miss = self.scenario.goal_weight * np.sum((q[-1] - self.scenario.goal_position) ** 2)
+        return float(effort + miss)
+
+    def elimination_order(self) -> npt.NDArray[np.int64]:
+        """Returns the decision variables' indices stage by stage, which makes Newton systems banded."""
+        stages = [self.state(k) for k in range(self.num_samples())]
+        with_controls = [
+            np.concatenate([x, u]) for x, u in zip(stages[:-1], self._u, strict=True)
+        ]
+        ordered = np.concatenate([*with_controls, stages[-1]])
+        return np.array(self._prog.FindDecisionVariableIndices(ordered))
+
+    def initial_box(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Returns center and half width of the box that AIGO starts from, each over all decision variables.
+
+        The center goes straight from start to goal. With L the longest of the way to the goal and the distances to the
+        wall, positions get a half width of L, velocities 2L/T and controls 4 M L/T² (what covers 2L in T by accelerating
+        and braking), cut to the program's bounds. Variables that the program fixes get half width 0.
+        """
+        world, scenario = self.world, self.scenario
+        q0, goal, T = scenario.initial_position, scenario.goal_position, scenario.duration
+        distances = [world.calc_signed_distance(q) for q in (q0, goal)]
+        length = max(np.max(np.abs(goal - q0)), np.max(distances))
+        inertia = np.max(np.abs(np.linalg.pinv(world.actuation) @ world.mass_matrix_values))
+        path = np.linspace(q0, goal, self.num_samples())
+        speed = np.broadcast_to((goal - q0) / T, self._v.shape)
+        center = np.concatenate([path.ravel(), speed.ravel(), np.zeros(self._u.size)])
+        widths = (length, 2 * length / T, 4 * inertia * length / T**2)
+        half_width = np.repeat(widths, [self._q.size, self._v.size, self._u.size])
+        return cut_to_bounds(self._prog, center, half_width)
+
+    def penalized(self, inequality: InequalityPenalty = "squared hinge") -> MathematicalProgram:
+        """Returns `prog` with its constraints as costs, each row r_k as r_k²/dt, so that weights don't depend on N."""
+        return penalize(self._prog, inequality, scale=1 / self._dt)
+
+    def _bind_stages(self, shared: SharedEvaluator) -> None:
+        """Binds an evaluator to every step k = 0 … N−1."""
+        for k in range(len(self._u)):
+            self._bind(shared, k)
+
+    def _bind(self, shared: SharedEvaluator, k: int) -> None:
+        """Binds an evaluator over the placeholders of stage k (and of the next knot, if it reads that)."""
+        placeholders = [self.state()]
+        values = [self.state(k)]
+        if k < len(self._u):
+            placeholders += [self.input(), self._next_q, self._next_v]
+            values += [self.input(k), self._q[k + 1], self._v[k + 1]]
+        shared.bind(self._prog, substitutions(placeholders, values))
