@@ -1,22 +1,25 @@
-"""Drake's MathematicalProgram → `BoxPolynomial`: the costs as a term table, or a refusal that names the term."""
+"""Drake's MathematicalProgram → `BoxPolynomial`: a term table, or a refusal that names the term."""
 
 from __future__ import annotations
 
 import functools
 import operator
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+from typing import Any, cast
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydrake.solvers import (
     Binding,
+    Cost,
     EvaluatorBase,
     ExpressionCost,
     LinearCost,
     MathematicalProgram,
     QuadraticCost,
 )
-from pydrake.symbolic import Expression, ExpressionKind, Polynomial, Variable, Variables
+from pydrake.symbolic import Expression, ExpressionKind, Monomial, Polynomial, Variable
 
 from drake_aigto.box.functions import FunctionKind
 from drake_aigto.box.polynomial import BoxPolynomial, Factor, Term, TermBlock
@@ -28,48 +31,95 @@ _LocalIndex = Callable[[Variable], int]
 def compile_program(prog: MathematicalProgram, order: ArrayLike | None = None) -> BoxPolynomial:
     """Compile the costs of a program into a term table.
 
-    An evaluator that is bound to many sets of variables is parsed once. Constraints are not read: turn them into costs
-    first (`transcription.penalize`).
+    An evaluator that is bound to many sets of variables is parsed once. Constraints are not read:
+    turn them into costs first (`transcription.penalize`).
 
     Args:
-        prog: Costs may be linear, quadratic, or `ExpressionCost`s that sum polynomial terms, `max(0, a·x + b)²` and
-            `log(a·x + b)` with constant factors.
+        prog: Costs may be linear, quadratic, or `ExpressionCost`s that sum polynomial terms,
+            a·max(0, y)² and −a·log y with a constant a and y affine in one variable (a > 0 for the
+            logarithm).
         order: Elimination order of the decision variables, see `BoxPolynomial`.
 
     Raises:
-        UnsupportedTermError: A term has no closed-form mean here; the message names the cost and the term.
+        UnsupportedTermError: A term has no closed-form mean here; the message names the cost and
+            the term.
     """
-    grouped: dict[int, list[Binding]] = {}
+    # The evaluators themselves are the keys, which keeps them alive: Drake's Python objects for
+    # evaluators that were made in C++ are temporary, and the next one may be given the same id().
+    grouped: dict[EvaluatorBase, list[Binding]] = {}
     for binding in prog.GetAllCosts():
-        grouped.setdefault(id(binding.evaluator()), []).append(binding)
+        grouped.setdefault(binding.evaluator(), []).append(binding)
     blocks = []
-    for bindings in grouped.values():
-        evaluator = bindings[0].evaluator()
+    for evaluator, bindings in grouped.items():
         name = evaluator.get_description() or type(evaluator).__name__
-        variables = [prog.FindDecisionVariableIndices(b.variables()) for b in bindings]
-        blocks.append(TermBlock(name, _parse_cost(name, evaluator), np.array(variables)))
+        terms = _parse_cost(_label(name, bindings[0]), evaluator)
+        by_pattern: dict[tuple[int, ...], list[list[int]]] = {}
+        for binding in bindings:
+            variables = prog.FindDecisionVariableIndices(binding.variables())
+            by_pattern.setdefault(_repetition(variables), []).append(variables)
+        for pattern, copies in by_pattern.items():
+            blocks.append(TermBlock(name, _identify(terms, pattern), copies))
     return BoxPolynomial(prog.num_vars(), tuple(blocks), order)
 
 
-def _parse_cost(name: str, cost: EvaluatorBase) -> tuple[Term, ...]:
+def _label(name: str, binding: Binding) -> str:
+    """How messages call a cost: its name and its first variables."""
+    variables = [str(v) for v in binding.variables()[:4]]
+    listed = ", ".join([*variables[:3], "…"] if len(variables) > 3 else variables)
+    return f"the cost '{name}' of {listed}" if listed else f"the cost '{name}'"
+
+
+def _repetition(variables: Sequence[int]) -> tuple[int, ...]:
+    """For each place of a binding, the first place that holds the same variable."""
+    first: dict[int, int] = {}
+    return tuple(first.setdefault(variable, place) for place, variable in enumerate(variables))
+
+
+def _identify(terms: tuple[Term, ...], pattern: tuple[int, ...]) -> tuple[Term, ...]:
+    """The terms once places that hold one variable are identified: x·y ↦ x² where y is x.
+
+    A cost may be bound to the same variable twice, and mean(x·x) is not mean(x)². Only powers
+    x^p stand in products here.
+    """
+    if pattern == tuple(range(len(pattern))):
+        return terms
+    identified = []
+    for term in terms:
+        powers: dict[int, int] = {}
+        others = []
+        for factor in term.factors:
+            variable = pattern[factor.variable]
+            if factor.kind == FunctionKind.POWER:
+                powers[variable] = powers.get(variable, 0) + factor.exponent
+            else:
+                others.append(replace(factor, variable=variable))
+        factors = (*others, *(_power(i, p) for i, p in powers.items()))
+        identified.append(Term(term.coefficient, factors))
+    return tuple(identified)
+
+
+def _parse_cost(label: str, cost: EvaluatorBase) -> tuple[Term, ...]:
     """The terms of one cost over its own variables 0 … L−1."""
     if isinstance(cost, LinearCost):
         return _affine_terms(cost.a(), cost.b())
     if isinstance(cost, QuadraticCost):
-        return _quadratic_terms(cost.Q(), cost.b(), cost.c())
+        return _quadratic_terms(np.asarray(cost.Q()), cost.b(), cost.c())
     if isinstance(cost, ExpressionCost):
         index = {v.get_id(): i for i, v in enumerate(cost.vars())}
-        return _parse_expression(name, cost.expression(), lambda v: index[v.get_id()])
+        return _parse_expression(label, cost.expression(), lambda v: index[v.get_id()])
+    # PolynomialCost has no Python class of its own.
+    kind = "PolynomialCost" if type(cost) is Cost else type(cost).__name__
     raise UnsupportedTermError(
-        what=f"the cost '{name}' can't be integrated",
-        got=f"an opaque {type(cost).__name__}, whose formula Drake does not give back",
+        f"{label} can't be integrated",
+        got=f"a {kind}, whose formula Drake does not give back",
         expected="a LinearCost, a QuadraticCost or an ExpressionCost",
-        remedy="add it as `c = ExpressionCost(expression); prog.AddCost(c, vars=c.vars())`",
+        remedy="Add it as `c = ExpressionCost(expression); prog.AddCost(c, vars=c.vars())`.",
     )
 
 
-def _affine_terms(a: Sequence[float], b: float) -> tuple[Term, ...]:
-    linear = (Term(float(a[i]), (_power(i, 1),)) for i in np.flatnonzero(a))
+def _affine_terms(a: ArrayLike, b: float) -> tuple[Term, ...]:
+    """The terms of aᵀx + b."""
+    linear = (Term(float(a_i), (_power(i, 1),)) for i, a_i in enumerate(np.asarray(a)) if a_i)
     return (*linear, *_constant_term(b))
 
 
@@ -77,24 +127,22 @@ def _constant_term(value: float) -> tuple[Term, ...]:
     return (Term(float(value), ()),) if value else ()
 
 
-def _quadratic_terms(q: np.ndarray, b: np.ndarray, c: float) -> tuple[Term, ...]:
-    """½ xᵀQx + bᵀx + c."""
-    symmetric = 0.5 * (q + q.T)
-    squares = (Term(0.5 * symmetric[i, i], (_power(i, 2),)) for i in np.flatnonzero(np.diag(q)))
-    products = (
-        Term(symmetric[i, j], (_power(i, 1), _power(j, 1)))
-        for i, j in np.argwhere(np.triu(symmetric, 1))
-    )
-    return (*squares, *products, *_affine_terms(b, c))
+def _quadratic_terms(q: NDArray[np.float64], b: ArrayLike, c: float) -> tuple[Term, ...]:
+    """The terms of ½ xᵀQx + bᵀx + c."""
+    terms = []
+    for i, j in np.argwhere(q).tolist():
+        if i == j:
+            terms.append(Term(0.5 * float(q[i, i]), (_power(i, 2),)))
+        elif i < j:  # Drake keeps Q symmetric
+            terms.append(Term(float(q[i, j]), (_power(i, 1), _power(j, 1))))
+    return (*terms, *_affine_terms(b, c))
 
 
 def _power(variable: int, exponent: int) -> Factor:
-    return Factor(int(variable), FunctionKind.POWER, int(exponent))
+    return Factor(variable, FunctionKind.POWER, exponent)
 
 
-def _parse_expression(
-    name: str, expression: Expression, index: _LocalIndex
-) -> tuple[Term, ...]:
+def _parse_expression(label: str, expression: Expression, index: _LocalIndex) -> tuple[Term, ...]:
     """Split a sum into its polynomial part and its one-variable functions."""
     terms: list[Term] = []
     polynomial = Expression(0.0)
@@ -102,19 +150,23 @@ def _parse_expression(
         if summand.is_polynomial():
             polynomial += summand
         else:
-            terms.append(_one_variable_term(name, summand, index))
+            terms.append(_one_variable_term(label, summand, index))
     return (*_polynomial_terms(polynomial, index), *terms)
 
 
-def _summands(expression: Expression) -> list[Expression]:
-    if expression.get_kind() != ExpressionKind.Add:
-        return [expression]
-    return _operands(expression)
+def _summands(expression: Expression) -> Iterator[Expression]:
+    """Polynomial parts as they stand, and the rest multiplied out."""
+    if expression.is_polynomial():
+        yield expression
+        return
+    expanded = expression.Expand()
+    yield from _operands(expanded) if expanded.get_kind() == ExpressionKind.Add else [expanded]
 
 
 def _operands(expression: Expression) -> list[Expression]:
     """Arguments of an operation; Drake gives constants back as floats."""
-    return [e if isinstance(e, Expression) else Expression(e) for e in expression.Unapply()[1]]
+    _, operands = cast("tuple[Any, list[Any]]", expression.Unapply())
+    return [e if isinstance(e, Expression) else Expression(e) for e in operands]
 
 
 def _polynomial_terms(expression: Expression, index: _LocalIndex) -> tuple[Term, ...]:
@@ -126,36 +178,44 @@ def _polynomial_terms(expression: Expression, index: _LocalIndex) -> tuple[Term,
     return tuple(terms)
 
 
-def _one_variable_term(name: str, summand: Expression, index: _LocalIndex) -> Term:
-    """constant · max(0, y)² or constant · log y, y affine in one variable."""
-    coefficient, function = _split_constant(summand)
+def _one_variable_term(label: str, summand: Expression, index: _LocalIndex) -> Term:
+    """The term constant · max(0, y)² or −constant · log y, y affine in one variable."""
+    constant, function = _split_constant(summand)
     matched = _match_squared_hinge(function) or _match_log(function)
-    if matched is None or (affine := _affine_in_one_variable(matched[2])) is None:
+    affine = _affine_in_one_variable(matched[1]) if matched else None
+    if matched is None or affine is None:
         raise UnsupportedTermError(
-            what=f"the cost '{name}' can't be integrated",
+            f"{label} can't be integrated",
             got=f"the term {summand}",
-            expected="polynomial terms, and max(0, y)² or log(y) with a constant factor, y affine in one variable",
-            remedy="give a function of several variables a variable of its own by an equality constraint, "
-            "or approximate the term by a polynomial",
+            expected="polynomial terms, and max(0, y)² or -log(y) times a constant, "
+            "with y affine in one variable",
+            remedy="Give a function of several variables a variable of its own by an equality "
+            "constraint, or approximate the term by a polynomial.",
         )
-    kind, sign, _ = matched
+    kind = matched[0]
+    if kind is FunctionKind.NEG_LOG:
+        constant = -constant
+        if constant < 0.0:
+            raise UnsupportedTermError(
+                f"{label} can't be minimised",
+                got=f"the term {summand}, which falls to minus infinity where its argument is 0",
+                expected="logarithms as barriers, -a*log(y) with a > 0",
+                remedy="Check the term's sign.",
+            )
     variable, scale, offset = affine
-    # The table's functions are max(0, −y)² and −log y.
-    y_sign = -1.0 if kind is FunctionKind.SQUARED_HINGE else 1.0
-    factor = Factor(index(variable), kind, 1, y_sign * scale, y_sign * offset)
-    return Term(sign * coefficient, (factor,))
+    return Term(constant, (Factor(index(variable), kind, 1, scale, offset),))
 
 
 def _split_constant(expression: Expression) -> tuple[float, Expression]:
     """Write an expression as constant · rest."""
     if expression.get_kind() != ExpressionKind.Mul:
         return 1.0, expression
-    constant, *rest = _operands(expression)
+    constant, *rest = _operands(expression)  # Drake puts the constant first, also when it is 1
     return constant.Evaluate(), functools.reduce(operator.mul, rest)
 
 
-def _match_squared_hinge(e: Expression) -> tuple[FunctionKind, float, Expression] | None:
-    """max(0, y)² ↦ y."""
+def _match_squared_hinge(e: Expression) -> tuple[FunctionKind, Expression] | None:
+    """Read max(0, y)² as the table's max(0, −(−y))²: SQUARED_HINGE of −y."""
     if e.get_kind() != ExpressionKind.Pow:
         return None
     base, exponent = _operands(e)
@@ -164,26 +224,27 @@ def _match_squared_hinge(e: Expression) -> tuple[FunctionKind, float, Expression
     first, second = _operands(base)
     zero = Expression(0.0)
     if first.EqualTo(zero):
-        return FunctionKind.SQUARED_HINGE, 1.0, second
+        return FunctionKind.SQUARED_HINGE, -second
     if second.EqualTo(zero):
-        return FunctionKind.SQUARED_HINGE, 1.0, first
+        return FunctionKind.SQUARED_HINGE, -first
     return None
 
 
-def _match_log(e: Expression) -> tuple[FunctionKind, float, Expression] | None:
-    """log y ↦ y."""
+def _match_log(e: Expression) -> tuple[FunctionKind, Expression] | None:
+    """Read log y as minus the table's −log y."""
     if e.get_kind() != ExpressionKind.Log:
         return None
-    return FunctionKind.NEG_LOG, -1.0, _operands(e)[0]
+    return FunctionKind.NEG_LOG, _operands(e)[0]
 
 
 def _affine_in_one_variable(e: Expression) -> tuple[Variable, float, float] | None:
-    """scale · x + offset ↦ (x, scale, offset)."""
-    variables = list(e.GetVariables())
-    if len(variables) != 1 or not e.is_polynomial():
+    """The parts (x, scale, offset) of scale · x + offset."""
+    if len(e.GetVariables()) != 1 or not e.is_polynomial():
         return None
-    polynomial = Polynomial(e, Variables(variables))
+    polynomial = Polynomial(e)
     if polynomial.TotalDegree() != 1:
         return None
-    offset = e.Evaluate({variables[0]: 0.0})
-    return variables[0], e.Evaluate({variables[0]: 1.0}) - offset, offset
+    (variable,) = polynomial.indeterminates()
+    parts = polynomial.monomial_to_coefficient_map()
+    offset = parts.get(Monomial(), Expression(0.0))
+    return variable, parts[Monomial(variable)].Evaluate(), offset.Evaluate()

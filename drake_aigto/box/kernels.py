@@ -1,7 +1,10 @@
 """The hot loops: box means of a term block, with gradient and banded Hessian.
 
-Shape letters: K copies of a block, L variables a copy, F factors, M monomials, n unknowns of a system.
-Every function adds into its outputs, so that blocks can be summed in place.
+Shape letters: K copies of a block, L variables a copy, F factors, M terms, n unknowns of a system.
+Every function adds into its outputs, so that blocks can be summed in place. A block of weight 0 is
+off: it adds nothing, also where its own mean is infinite.
+
+Numba's cache of this file does not see edits of `functions`: delete `__pycache__` after one.
 """
 
 from __future__ import annotations
@@ -14,6 +17,9 @@ from drake_aigto.box.functions import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE, factor_
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+# A block's weight and term table: the first arguments of `block_mean` and `block_newton`.
+WeightedTable = tuple[float, Ints, Ints, Ints, Ints, Floats, Floats, Floats, Ints, Ints]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -59,10 +65,29 @@ def block_mean(
     gradient_c: Floats,
     gradient_z: Floats,
 ) -> float:
-    """Weighted mean of a block's K copies; adds its gradient in (c, z = log w) when gradient_c is not empty.
+    """Weighted mean of a block's K copies; adds its gradient in (c, z = log w).
 
-    By the product rule on a_m ∏_f μ_f, every factor's partner being the product of the others.
+    By the product rule on a_m ∏_f μ_f, every factor's partner being the product of the others. That
+    product is formed anew, since dividing by μ_f fails where it is 0.
+
+    Args:
+        weight: Common factor.
+        variables: Variable of each copy's local variables (K, L).
+        factor_variable: Local variable of each factor (F,).
+        factor_kind: Its `FunctionKind` (F,).
+        factor_exponent: Its power (F,).
+        factor_scale: Factor inside its function (F,).
+        factor_offset: Term inside its function (F,).
+        coefficients: Coefficient of each term (M,).
+        starts: Term m's factors are members[starts[m]:starts[m + 1]] (M + 1,).
+        members: Factors of the terms, one term after the other.
+        center: Box center of every variable.
+        half_width: Box half width of every variable, ≥ 0.
+        gradient_c: Added to, over every variable; empty for the mean alone.
+        gradient_z: Added to, over every variable; empty for the mean alone.
     """
+    if weight == 0.0:
+        return 0.0
     rows = np.empty((factor_variable.size, 6))
     with_gradient = gradient_c.size > 0
     total = 0.0
@@ -126,16 +151,15 @@ def block_newton(
     gradient: Floats,
     band: Floats,
 ) -> float:
-    """Weighted mean of a block's K copies with gradient and Hessian of the Newton system.
+    """Weighted mean of a block's K copies; adds gradient and Hessian of the Newton system.
 
-    Args:
-        position: Place of each variable in the elimination order (n_variables,).
-        stride: 2 for unknowns (c_i, z_i) at 2·position, 2·position + 1; 1 for c_i alone at position.
-        gradient: (n,) added to.
-        band: (bandwidth + 1, n), lower band storage, added to.
-
-    The first four groups of arguments are those of `block_mean`.
+    The arguments up to half_width are those of `block_mean`. `position` is the place of each
+    variable in the elimination order; `stride` is 2 for unknowns (c_i, z_i) at 2·position and
+    2·position + 1, or 1 for c_i alone at position. `gradient` (n,) and `band` in lower band storage
+    (rows, n) are added to.
     """
+    if weight == 0.0:
+        return 0.0
     rows = np.empty((factor_variable.size, 6))
     total = 0.0
     for k in range(variables.shape[0]):

@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from drake_aigto.box.functions import FunctionKind
-from drake_aigto.box.kernels import Floats, Ints, TermTable, block_mean, block_newton
+from drake_aigto.box.kernels import Floats, Ints, WeightedTable, block_mean, block_newton
 from drake_aigto.errors import OptionsError, UnsupportedTermError
 
 _NO_GRADIENT = np.empty(0)
@@ -66,6 +66,7 @@ class TermBlock:
         terms: The sum's terms over local variables 0 … L−1.
         variables: (K, L) index of each copy's variables in the whole problem.
         weight: Common factor of all copies; 0 switches the block off.
+        kernel_arguments: The first arguments of the functions in `kernels`.
 
     Raises:
         UnsupportedTermError: A number is not finite, an exponent is negative, or two factors of a
@@ -84,8 +85,8 @@ class TermBlock:
         for term in self.terms:
             _check_numbers(name, term)
         self._check_distinct()
-        self._arrays = self._flatten()
-        for array in self._arrays:
+        self.kernel_arguments = self._flatten()
+        for array in self.kernel_arguments[1:]:
             array.setflags(write=False)
 
     def _check_distinct(self) -> None:
@@ -100,10 +101,11 @@ class TermBlock:
             variable = self.variables[copy[0], a[pair[0]]]
             raise _repeated_variable(self.name, f"copy {copy[0]} with variable {variable} twice")
 
-    def _flatten(self) -> TermTable:
+    def _flatten(self) -> WeightedTable:
         factors = list(dict.fromkeys(factor for term in self.terms for factor in term.factors))
         index = {factor: f for f, factor in enumerate(factors)}
         return (
+            self.weight,
             self.variables,
             np.array([f.variable for f in factors], dtype=np.int64),
             np.array([int(f.kind) for f in factors], dtype=np.int64),
@@ -120,12 +122,8 @@ class TermBlock:
         block = object.__new__(TermBlock)
         block.__dict__.update(self.__dict__)
         block.weight = _finite_weight(self.name, weight)
+        block.kernel_arguments = (block.weight, *self.kernel_arguments[1:])
         return block
-
-    @property
-    def kernel_arguments(self) -> tuple[float, *TermTable]:
-        """The leading arguments of the functions in `kernels`."""
-        return (self.weight, *self._arrays)
 
     def couplings(self) -> Ints:
         """Pairs of local variables that appear together in a term, shape (P, 2)."""
@@ -189,8 +187,8 @@ class BoxPolynomial:
 
         f̄(c, w) = Σ_m a_m ∏_i μ(g_mi; c_i, w_i),      I(c, w) = S(w) f̄(c, w),      S(w) = ∏ 2w_i
 
-    (AIGTO Sec. II-B). Derivatives are in c and z = log w, so that ∂f̄/∂z_i = w_i ∂f̄/∂w_i is finite,
-    and zero, at w_i = 0.
+    (AIGTO Sec. II-B). Derivatives are in c and z = log w, so that ∂f̄/∂z_i = w_i ∂f̄/∂w_i is
+    finite, and zero, at w_i = 0.
 
     Args:
         num_variables: Dimension n of x.
@@ -329,7 +327,7 @@ class BoxPolynomial:
         shape = (self.num_variables,)
         if c.shape != shape or w.shape not in (shape, ()):
             raise ValueError(
-                f"center has shape {c.shape} and half_width {w.shape}; this polynomial needs {shape}"
+                f"center has shape {c.shape} and half_width {w.shape}; expected {shape} for each"
             )
         if w.shape != shape:
             w = np.full(shape, w)
