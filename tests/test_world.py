@@ -34,6 +34,12 @@ SPRING = (
 DAMPER = "<dynamics><damping>0.7</damping></dynamics>"
 WALL_POSE = "<pose>-0.1 0 0 0 0 0</pose>"
 BOX = "<size>0.1 0.6 0.6</size>"
+# The shipped wall's collision shape is deep; variants turn and shift a thin one.
+THIN_WALL = {
+    "<pose>-0.05 0 0 0 0 0</pose>": WALL_POSE,
+    "<pose>-8 0 0 0 0 0</pose>": "",
+    "<size>16 16 16</size>": BOX,
+}
 # The slider no longer moves the ball but a cart along y, and the ball moves on the cart along x.
 CART = """<link name="cart">
       <inertial><mass>3</mass></inertial>
@@ -85,7 +91,7 @@ class ModelWriter:
 
     def __call__(self, replacements: dict[str, str]) -> str:
         text = SHIPPED.read_text(encoding="utf-8")
-        for old, new in replacements.items():
+        for old, new in {**THIN_WALL, **replacements}.items():
             assert old in text, f"the shipped model has no {old!r} to replace"
             text = text.replace(old, new)
         self.path.write_text(text, encoding="utf-8")
@@ -274,8 +280,9 @@ def test_a_shifted_wall_is_reached_sooner(write_model: ModelWriter) -> None:
     assert world.contacts[0].jacobian[0].EqualTo(Expression(1.0))
 
 
-def test_from_behind_the_wall_its_other_face_counts() -> None:
-    world = World.from_scenario(make_scenario(initial_position=-1.0, goal_position=-0.5))
+def test_from_behind_a_thin_wall_its_other_face_counts(write_model: ModelWriter) -> None:
+    model = write_model({})
+    world = World.from_scenario(make_scenario(model, initial_position=-1.0, goal_position=-0.5))
     # The box is 0.1 m thick and the ball 0.1 m across: contact at q = -0.2.
     np.testing.assert_allclose(world.calc_signed_distance(np.array([-1.0])), [0.8])
 
@@ -523,11 +530,7 @@ def test_a_missing_model_is_refused_by_name(model: str, message: str) -> None:
         ),
         ({"initial_position": -0.02}, r"initial_position is inside.* got .* -0\.02 m"),
         ({"goal_position": -0.02}, r"goal_position is inside.* got .* -0\.02 m"),
-        (
-            {"initial_position": -1.0},
-            r"goal_position is inside, behind .*The wall is the face that the sphere faces at "
-            r"q = \[-1\.0\]; start and goal must both be in front of it",
-        ),
+        ({"initial_position": -1.0}, r"initial_position is inside, behind .* got .* -1 m"),
         ({"initial_position": [1, 2]}, "initial_position: got 2 values, expected 1, one for each"),
         ({"initial_velocity": [1, 2]}, "initial_velocity: got 2 values, expected 1, one for each"),
         ({"goal_position": [1, 2]}, "goal_position: got 2 values, expected 1, one for each"),
@@ -536,6 +539,17 @@ def test_a_missing_model_is_refused_by_name(model: str, message: str) -> None:
 def test_a_scenario_that_does_not_fit_is_refused(fields: dict[str, Any], message: str) -> None:
     with pytest.raises(ScenarioError, match=message):
         World.from_scenario(make_scenario(**fields))
+
+
+def test_a_start_and_a_goal_on_two_sides_of_a_thin_wall_are_refused(
+    write_model: ModelWriter,
+) -> None:
+    message = (
+        r"goal_position is inside, behind .*The wall is the face that the sphere faces at "
+        r"q = \[-1\.0\]; start and goal must both be in front of it"
+    )
+    with pytest.raises(ScenarioError, match=message):
+        World.from_scenario(make_scenario(write_model({}), initial_position=-1.0))
 
 
 def test_a_position_beside_the_walls_face_is_refused(write_model: ModelWriter) -> None:
