@@ -83,15 +83,24 @@ VARIANTS: dict[str, dict[str, str]] = {
 }
 
 
+def read_thin_walled() -> str:
+    """Returns the shipped SDF with a thin wall."""
+    text = SHIPPED.read_text(encoding="utf-8")
+    for old, new in THIN_WALL.items():
+        assert old in text, f"the shipped model has no {old!r} to replace"
+        text = text.replace(old, new)
+    return text
+
+
 class ModelWriter:
-    """Writes variants of the shipped SDF by text replacement."""
+    """Writes variants of the thin-walled SDF by text replacement."""
 
     def __init__(self, directory: Path) -> None:
         self.path = directory / "variant.sdf"
 
     def __call__(self, replacements: dict[str, str]) -> str:
-        text = SHIPPED.read_text(encoding="utf-8")
-        for old, new in {**THIN_WALL, **replacements}.items():
+        text = read_thin_walled()
+        for old, new in replacements.items():
             assert old in text, f"the shipped model has no {old!r} to replace"
             text = text.replace(old, new)
         self.path.write_text(text, encoding="utf-8")
@@ -440,7 +449,7 @@ WALL_LINK = '<link name="wall">'
 
 def between(start: str, end: str) -> str:
     """Returns a piece of the shipped SDF, both marks included."""
-    text = SHIPPED.read_text(encoding="utf-8")
+    text = read_thin_walled()
     first = text.index(start)
     return text[first : text.index(end, first) + len(end)]
 
