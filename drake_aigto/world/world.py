@@ -147,6 +147,10 @@ class World:
         """Returns φ(q), shape (m,) [m], at q of shape (nq,) [m]."""
         return self._signed_distance_map(q)
 
+    def calc_contact_jacobian(self, q: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Returns J(q) = ∂φ/∂q, shape (m, nv), at q of shape (nq,) [m]."""
+        return self._jacobian_map(q).reshape(self.num_contacts, self.num_velocities)
+
     def calc_acceleration(
         self,
         q: npt.NDArray[np.float64],
