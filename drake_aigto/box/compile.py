@@ -25,7 +25,8 @@ from drake_aigto.box.functions import FunctionKind
 from drake_aigto.box.polynomial import BoxPolynomial, Factor, Term, TermBlock
 from drake_aigto.errors import UnsupportedTermError
 
-_LocalIndex = Callable[[Variable], int]
+# Place of a variable among those that an evaluator is bound to.
+LocalIndex = Callable[[Variable], int]
 
 
 def compile_program(prog: MathematicalProgram, order: ArrayLike | None = None) -> BoxPolynomial:
@@ -44,29 +45,56 @@ def compile_program(prog: MathematicalProgram, order: ArrayLike | None = None) -
         UnsupportedTermError: A term has no closed-form mean here; the message names the cost and
             the term.
     """
-    # The evaluators themselves are the keys, which keeps them alive: Drake's Python objects for
-    # evaluators that were made in C++ are temporary, and the next one may be given the same id().
-    grouped: dict[EvaluatorBase, list[Binding]] = {}
-    for binding in prog.GetAllCosts():
-        grouped.setdefault(binding.evaluator(), []).append(binding)
-    blocks = []
-    for evaluator, bindings in grouped.items():
-        name = evaluator.get_description() or type(evaluator).__name__
-        terms = _parse_cost(_label(name, bindings[0]), evaluator)
-        by_pattern: dict[tuple[int, ...], list[list[int]]] = {}
-        for binding in bindings:
-            variables = prog.FindDecisionVariableIndices(binding.variables())
-            by_pattern.setdefault(_repetition(variables), []).append(variables)
-        for pattern, copies in by_pattern.items():
-            blocks.append(TermBlock(name, _identify(terms, pattern), copies))
+    blocks = [
+        block
+        for label, evaluator, copies in shared_evaluators(prog, prog.GetAllCosts())
+        for block in term_blocks(evaluator_name(evaluator), _parse_cost(label, evaluator), copies)
+    ]
     return BoxPolynomial(prog.num_vars(), tuple(blocks), order)
 
 
-def _label(name: str, binding: Binding) -> str:
-    """How messages call a cost: its name and its first variables."""
+def shared_evaluators(
+    prog: MathematicalProgram, bindings: Sequence[Binding]
+) -> Iterator[tuple[str, EvaluatorBase, list[list[int]]]]:
+    """Group bindings by evaluator, so that each is parsed once.
+
+    Yields:
+        How messages call it, the evaluator, and the variables' indices of each of its bindings.
+    """
+    # The evaluators themselves are the keys, which keeps them alive: Drake's Python objects for
+    # evaluators that were made in C++ are temporary, and the next one may be given the same id().
+    grouped: dict[EvaluatorBase, list[Binding]] = {}
+    for binding in bindings:
+        grouped.setdefault(binding.evaluator(), []).append(binding)
+    for evaluator, group in grouped.items():
+        copies = [prog.FindDecisionVariableIndices(binding.variables()) for binding in group]
+        yield _label(group[0]), evaluator, copies
+
+
+def evaluator_name(evaluator: EvaluatorBase) -> str:
+    """The description, or else the type."""
+    return evaluator.get_description() or type(evaluator).__name__
+
+
+def term_blocks(
+    name: str, terms: tuple[Term, ...], copies: Sequence[Sequence[int]]
+) -> Iterator[TermBlock]:
+    """Blocks of one sum of terms over the variables of its copies, some of which may repeat."""
+    by_pattern: dict[tuple[int, ...], list[Sequence[int]]] = {}
+    for variables in copies:
+        by_pattern.setdefault(_repetition(variables), []).append(variables)
+    for pattern, alike in by_pattern.items():
+        yield TermBlock(name, _identify(terms, pattern), alike)
+
+
+def _label(binding: Binding) -> str:
+    """How messages call a cost or constraint: its name and its first variables."""
+    evaluator = binding.evaluator()
+    role = "cost" if isinstance(evaluator, Cost) else "constraint"
     variables = [str(v) for v in binding.variables()[:4]]
     listed = ", ".join([*variables[:3], "…"] if len(variables) > 3 else variables)
-    return f"the cost '{name}' of {listed}" if listed else f"the cost '{name}'"
+    name = f"the {role} '{evaluator_name(evaluator)}'"
+    return f"{name} of {listed}" if listed else name
 
 
 def _repetition(variables: Sequence[int]) -> tuple[int, ...]:
@@ -101,9 +129,9 @@ def _identify(terms: tuple[Term, ...], pattern: tuple[int, ...]) -> tuple[Term, 
 def _parse_cost(label: str, cost: EvaluatorBase) -> tuple[Term, ...]:
     """The terms of one cost over its own variables 0 … L−1."""
     if isinstance(cost, LinearCost):
-        return _affine_terms(cost.a(), cost.b())
+        return affine_terms(cost.a(), cost.b())
     if isinstance(cost, QuadraticCost):
-        return _quadratic_terms(np.asarray(cost.Q()), cost.b(), cost.c())
+        return quadratic_terms(np.asarray(cost.Q()), cost.b(), cost.c())
     if isinstance(cost, ExpressionCost):
         index = {v.get_id(): i for i, v in enumerate(cost.vars())}
         return _parse_expression(label, cost.expression(), lambda v: index[v.get_id()])
@@ -117,7 +145,7 @@ def _parse_cost(label: str, cost: EvaluatorBase) -> tuple[Term, ...]:
     )
 
 
-def _affine_terms(a: ArrayLike, b: float) -> tuple[Term, ...]:
+def affine_terms(a: ArrayLike, b: float) -> tuple[Term, ...]:
     """The terms of aᵀx + b."""
     linear = (Term(float(a_i), (_power(i, 1),)) for i, a_i in enumerate(np.asarray(a)) if a_i)
     return (*linear, *_constant_term(b))
@@ -127,7 +155,7 @@ def _constant_term(value: float) -> tuple[Term, ...]:
     return (Term(float(value), ()),) if value else ()
 
 
-def _quadratic_terms(q: NDArray[np.float64], b: ArrayLike, c: float) -> tuple[Term, ...]:
+def quadratic_terms(q: NDArray[np.float64], b: ArrayLike, c: float) -> tuple[Term, ...]:
     """The terms of ½ xᵀQx + bᵀx + c."""
     terms = []
     for i, j in np.argwhere(q).tolist():
@@ -135,14 +163,14 @@ def _quadratic_terms(q: NDArray[np.float64], b: ArrayLike, c: float) -> tuple[Te
             terms.append(Term(0.5 * float(q[i, i]), (_power(i, 2),)))
         elif i < j:  # Drake keeps Q symmetric
             terms.append(Term(float(q[i, j]), (_power(i, 1), _power(j, 1))))
-    return (*terms, *_affine_terms(b, c))
+    return (*terms, *affine_terms(b, c))
 
 
 def _power(variable: int, exponent: int) -> Factor:
     return Factor(variable, FunctionKind.POWER, exponent)
 
 
-def _parse_expression(label: str, expression: Expression, index: _LocalIndex) -> tuple[Term, ...]:
+def _parse_expression(label: str, expression: Expression, index: LocalIndex) -> tuple[Term, ...]:
     """Split a sum into its polynomial part and its one-variable functions."""
     terms: list[Term] = []
     polynomial = Expression(0.0)
@@ -151,7 +179,7 @@ def _parse_expression(label: str, expression: Expression, index: _LocalIndex) ->
             polynomial += summand
         else:
             terms.append(_one_variable_term(label, summand, index))
-    return (*_polynomial_terms(polynomial, index), *terms)
+    return (*polynomial_terms(polynomial, index), *terms)
 
 
 def _summands(expression: Expression) -> Iterator[Expression]:
@@ -169,7 +197,8 @@ def _operands(expression: Expression) -> list[Expression]:
     return [e if isinstance(e, Expression) else Expression(e) for e in operands]
 
 
-def _polynomial_terms(expression: Expression, index: _LocalIndex) -> tuple[Term, ...]:
+def polynomial_terms(expression: Expression, index: LocalIndex) -> tuple[Term, ...]:
+    """The terms of a polynomial expression, multiplied out."""
     terms = []
     for monomial, coefficient in Polynomial(expression).monomial_to_coefficient_map().items():
         powers = monomial.get_powers().items()
@@ -178,7 +207,7 @@ def _polynomial_terms(expression: Expression, index: _LocalIndex) -> tuple[Term,
     return tuple(terms)
 
 
-def _one_variable_term(label: str, summand: Expression, index: _LocalIndex) -> Term:
+def _one_variable_term(label: str, summand: Expression, index: LocalIndex) -> Term:
     """The term constant · max(0, y)² or −constant · log y, y affine in one variable."""
     constant, function = _split_constant(summand)
     matched = _match_squared_hinge(function) or _match_log(function)
