@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from drake_aigto.world import World as World
     from drake_aigto.world import scenario_names as scenario_names
 
+__version__ = "0.1.0"  # The only place that has it; the build reads it from here.
+
 # Public name → module. Loaded on first use, so that `import drake_aigto` is quick.
 _EXPORTS = {
     "AigtoError": "drake_aigto.errors",
