@@ -15,6 +15,7 @@ import drake_aigto
 PACKAGE = Path(drake_aigto.__file__).parent
 ROAD = (
     "errors",
+    "jit",
     "world",
     "trajectory",
     "transcription",

@@ -20,8 +20,9 @@ import math
 from enum import IntEnum
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from drake_aigto.jit import njit
 
 
 class FunctionKind(IntEnum):

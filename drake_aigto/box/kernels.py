@@ -10,10 +10,10 @@ Numba's cache of this file does not see edits of `functions`: delete `__pycache_
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from drake_aigto.box.functions import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE, factor_mean
+from drake_aigto.jit import njit
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]

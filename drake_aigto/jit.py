@@ -1,0 +1,30 @@
+"""Numba's compiler, where there may be no place for its cache."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+import numba
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+
+
+def njit(**options: Any) -> Callable[[_Function], _Function]:
+    """Returns `numba.njit` with these options, as a decorator that never fails for want of a cache.
+
+    With ``cache=True`` Numba keeps machine code beside the source, else in ``NUMBA_CACHE_DIR`` or
+    the user's cache folder, and raises when it can write to none of them: a package that root
+    installed, run by a user without a home. Then each process compiles for itself.
+    """
+
+    def compile_later(function: _Function) -> _Function:
+        try:
+            return numba.njit(**options)(function)
+        except RuntimeError as error:
+            # Numba has no class of its own for this.
+            if not str(error).startswith("cannot cache function"):
+                raise
+            return numba.njit(**{**options, "cache": False})(function)
+
+    return compile_later
