@@ -1,0 +1,210 @@
+"""Replay: a plan's control alone, run from the start against a rigid wall."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drake_aigto.planning.compliant_wall import simulate_compliant_wall
+from drake_aigto.planning.material import calc_dissipation
+from drake_aigto.planning.recording import Recording
+from drake_aigto.planning.rigid_wall import simulate_rigid_wall
+from drake_aigto.records import ArrayRecord, read_only
+from drake_aigto.trajectory import TrajectoryError, check_control
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from drake_aigto.world import Scenario, World
+
+
+@dataclass(frozen=True, eq=False)
+class Replay(ArrayRecord):
+    """What a control does to the world, whatever its plan promised.
+
+    Attributes:
+        simulator: "event-driven" (exactly rigid wall) or "drake" (the continuous plant).
+        cost: control_weight Σ dt_k ‖u_k‖² + goal_weight ‖q(T) − goal‖².
+        goal_error: ‖q(T) − goal‖ [m].
+        max_penetration: the deepest −φ, at least 0 [m].
+        bounce_times: when the wall was touched, B of them [s].
+        energies_before: kinetic energy ½ vᵀ M v at each touch, B [J].
+        energies_after: kinetic energy as each contact ends, B [J]. A contact that lasts to T is
+            compared with T.
+        matched_speed: "drake" only, restitution < 1 only: the speed of impact for which the
+            dissipation gives the scenario's restitution [m/s]. Slower impacts return more of their
+            speed, faster ones less. None: the model's own dissipation.
+        times: shape (K,): the knots, and where contacts begin and end [s]. Never decreasing; a
+            rigid impact has two rows of equal time.
+        positions: shape (K, nq) [m].
+        velocities: shape (K, nv) [m/s].
+    """
+
+    simulator: str
+    cost: float
+    goal_error: float
+    max_penetration: float
+    bounce_times: tuple[float, ...]
+    energies_before: tuple[float, ...]
+    energies_after: tuple[float, ...]
+    matched_speed: float | None
+    times: npt.NDArray[np.float64]
+    positions: npt.NDArray[np.float64]
+    velocities: npt.NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        """Converts lists to tuples, and makes the arrays read-only."""
+        for name in ("cost", "goal_error", "max_penetration"):
+            object.__setattr__(self, name, float(getattr(self, name)))
+        for name in ("bounce_times", "energies_before", "energies_after"):
+            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
+        for name in ("times", "positions", "velocities"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    @property
+    def energy_ratios(self) -> tuple[float, ...]:
+        """Kinetic energy after / before each contact."""
+        pairs = zip(self.energies_before, self.energies_after, strict=True)
+        return tuple(after / before for before, after in pairs)
+
+    @property
+    def energy_ratio(self) -> float | None:
+        """The one number for tables, Σ after / Σ before over all contacts; None without contact.
+
+        Contacts count by their energy, so that the last tremor before rest does not hide the
+        bounce. On a rigid wall it is restitution² if the ball moves straight at the wall, and never
+        more than 1: more is energy from nowhere.
+        """
+        return sum(self.energies_after) / sum(self.energies_before) if self.bounce_times else None
+
+
+def replay_event_driven(
+    world: World, scenario: Scenario, times: npt.ArrayLike, controls: npt.ArrayLike
+) -> Replay:
+    """Replays a held control on an exactly rigid wall (`RigidWall` has its equations).
+
+    The judge of plans, for any restitution in [0, 1]. Exact but for rounding under constant
+    acceleration, with two exceptions that `RigidWall` states: hops too short to follow become rest,
+    and touches shorter than a millionth of the duration may not be noticed.
+
+    Args:
+        world: its dynamics and its contact.
+        scenario: start, goal, weights and restitution; it has to fit the world (`World.check`).
+        times: of the knots, shape (N+1,), not necessarily even [s].
+        controls: held over each interval, shape (N, nu) [N].
+
+    Raises:
+        TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
+    """
+    times, controls = _check_control(world, times, controls)
+    start = scenario.initial_position, scenario.initial_velocity
+    recording = simulate_rigid_wall(world, scenario.restitution, start, times, controls)
+    return _summarize("event-driven", scenario, times, controls, recording, None)
+
+
+def replay_drake(
+    world: World, scenario: Scenario, times: npt.ArrayLike, controls: npt.ArrayLike
+) -> Replay:
+    """Replays a held control on the world's own continuous plant in Drake.
+
+    Its wall is compliant, so each bounce is late by `contact_delay` and dips in by v √(m / k). With
+    restitution 1 the model keeps its own dissipation, which the shipped models have at zero. With
+    less, Hunt-Crossley dissipation is set, in the simulation's context, for the speed of the first
+    impact that the event-driven replay sees (`Replay.matched_speed`). The restitution it makes
+    depends on the speed: for several bounces at different speeds trust the event-driven replay.
+
+    Args:
+        world: its diagram, whose actuation this replaces.
+        scenario: start, goal, weights and restitution; it has to fit the world (`World.check`).
+        times: of the knots, shape (N+1,), not necessarily even [s].
+        controls: held over each interval, shape (N, nu) [N].
+
+    Raises:
+        ModelError: a shape of the contact has no stiffness.
+        TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
+    """
+    times, controls = _check_control(world, times, controls)
+    start = scenario.initial_position, scenario.initial_velocity
+    speed = dissipation = None
+    if scenario.restitution < 1:
+        rigid = simulate_rigid_wall(world, scenario.restitution, start, times, controls)
+        if rigid.impacts:
+            speed = rigid.impacts[0].speed
+            dissipation = calc_dissipation(scenario.restitution, speed)
+    recording = simulate_compliant_wall(world, start, times, controls, dissipation)
+    return _summarize("drake", scenario, times, controls, recording, speed)
+
+
+def confirms(
+    cost: float,
+    replay: Replay,
+    goal_error: float | None = None,
+    *,
+    relative_cost: float = 0.05,
+    absolute_cost: float = 4e-6,
+    length: float = 2e-3,
+) -> bool:
+    """Returns whether a plan holds: its replay is nearly as cheap, and ends nearly as close.
+
+        replay.cost       ≤ (1 + relative_cost) · cost + absolute_cost
+        replay.goal_error ≤ goal_error + length
+
+    A replay that does better than its plan confirms it. The absolute parts are for plans that
+    promise next to nothing: who ends 2 mm off where the plan claims 0 is still there, and at a goal
+    weight of 1 that costs 4e-6. The defaults let pass what the compliant wall of the shipped models
+    takes from a good plan (0.1 ms late, so 0.3 mm at 3 m/s, some 3 % of an optimal cost), and stop
+    by far a plan whose bounce no rigid wall returns. Nothing that is not a number holds.
+
+    Args:
+        cost: that the plan promises.
+        replay: of the plan's control.
+        goal_error: that the plan promises, ‖q_N − goal‖ [m]; None leaves out the second rule.
+        relative_cost: how much more the replay may cost, as a part of the plan's cost.
+        absolute_cost: how much more it may cost besides.
+        length: how much farther from the goal the replay may end [m].
+    """
+    is_cheap = replay.cost <= (1 + relative_cost) * cost + absolute_cost
+    is_near = goal_error is None or replay.goal_error <= goal_error + length
+    return is_cheap and is_near
+
+
+def _check_control(
+    world: World, times: npt.ArrayLike, controls: npt.ArrayLike
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Returns times and controls as arrays that fit each other and the world."""
+    t, u = check_control(times, controls)
+    if u.shape[1] != world.num_actuators:
+        raise TrajectoryError(
+            "controls",
+            got=f"shape {u.shape}",
+            expected=f"{world.num_actuators} columns, one for each actuator",
+        )
+    return t, u
+
+
+def _summarize(
+    simulator: str,
+    scenario: Scenario,
+    times: npt.NDArray[np.float64],
+    controls: npt.NDArray[np.float64],
+    recording: Recording,
+    matched_speed: float | None,
+) -> Replay:
+    """Returns the replay that a recording shows."""
+    effort = float(np.diff(times) @ np.sum(controls**2, axis=1))
+    goal_error = float(np.linalg.norm(recording.positions[-1] - scenario.goal_position))
+    return Replay(
+        simulator=simulator,
+        cost=scenario.control_weight * effort + scenario.goal_weight * goal_error**2,
+        goal_error=goal_error,
+        max_penetration=recording.max_penetration,
+        bounce_times=tuple(impact.time for impact in recording.impacts),
+        energies_before=tuple(impact.energy_before for impact in recording.impacts),
+        energies_after=tuple(impact.energy_after for impact in recording.impacts),
+        matched_speed=matched_speed,
+        times=np.array(recording.times),
+        positions=np.array(recording.positions),
+        velocities=np.array(recording.velocities),
+    )

@@ -1,0 +1,135 @@
+"""A trajectory with impacts, and the checks of a control that is held between knots."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydrake.polynomial import Polynomial
+from pydrake.trajectories import PiecewisePolynomial
+
+from drake_aigto.errors import AigtoError
+from drake_aigto.records import ArrayRecord, read_only
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+
+class TrajectoryError(AigtoError, ValueError):
+    """A trajectory, or a control to replay, whose numbers do not fit together."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory(ArrayRecord):
+    """States at knots, the control held between them, and the impulses of the wall.
+
+    Letters: N intervals between N + 1 knots, which need not be evenly spaced; nq positions,
+    nv = nq velocities, nu controls, m contacts. Arrays are read-only.
+
+    Attributes:
+        times: t_k, shape (N+1,), strictly increasing [s].
+        positions: q_k, shape (N+1, nq) [m]. They never jump.
+        velocities: v_k, shape (N+1, nv) [m/s], just *before* an impulse at t_k.
+        controls: u_k, shape (N, nu) [N], held over [t_k, t_{k+1}).
+        impulses: p_k ≥ 0 of the contacts, shape (N+1, m) [N s]. The velocity just after t_k is
+            v_k + M⁻¹ Jᵀ p_k.
+
+    Raises:
+        TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
+    """
+
+    times: npt.NDArray[np.float64]
+    positions: npt.NDArray[np.float64]
+    velocities: npt.NDArray[np.float64]
+    controls: npt.NDArray[np.float64]
+    impulses: npt.NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        """Checks, and makes the arrays read-only."""
+        times, controls = check_control(self.times, self.controls)
+        object.__setattr__(self, "times", times)
+        object.__setattr__(self, "controls", controls)
+        for name in ("positions", "velocities", "impulses"):
+            rows = _check_rows(name, getattr(self, name), len(times), "one for each knot")
+            object.__setattr__(self, name, rows)
+        if self.velocities.shape != self.positions.shape:
+            raise TrajectoryError(
+                "velocities",
+                got=f"shape {self.velocities.shape}",
+                expected=f"that of positions, {self.positions.shape}",
+            )
+
+    def to_piecewise(self) -> tuple[PiecewisePolynomial, PiecewisePolynomial]:
+        """Returns the state (q, v)(t), shape (nq + nv, 1), and the control u(t), shape (nu, 1).
+
+        Between knots q(t) is the cubic through q_k, q_{k+1} with slopes v_k, v_{k+1}. Where an
+        impulse acts at t_k the slope after it is not v_k, so q(t) is the parabola that ends with
+        slope v_{k+1}: exact under a constant acceleration, which is what a held control gives a
+        point mass. v(t) is the derivative of q(t); at an impulse it jumps, and its value at t_k is
+        the velocity *after* the impulse. u(t) is right on every [t_k, t_{k+1}), and u_{N−1} at the
+        end.
+        """
+        polynomials = []
+        for c in self._cubics():
+            slopes = c[1:] * np.arange(1, 4)[:, np.newaxis]
+            entries = [Polynomial(coefficients) for coefficients in (*c.T, *slopes.T)]
+            polynomials.append(np.array(entries).reshape(-1, 1))
+        held = np.vstack([self.controls, self.controls[-1:]])
+        state = PiecewisePolynomial(polynomials, self.times)
+        return state, PiecewisePolynomial.ZeroOrderHold(self.times, held.T)
+
+    def _cubics(self) -> npt.NDArray[np.float64]:
+        """Returns the coefficients of q(t) in powers of t − t_k, shape (N, 4, nq)."""
+        h = np.diff(self.times)[:, np.newaxis]
+        mean = np.diff(self.positions, axis=0) / h
+        end = self.velocities[1:]
+        is_hit = np.any(self.impulses[:-1] != 0, axis=1, keepdims=True)
+        start = np.where(is_hit, 2 * mean - end, self.velocities[:-1])
+        quadratic = (3 * mean - 2 * start - end) / h
+        cubic = (start + end - 2 * mean) / h**2
+        return np.stack([self.positions[:-1], start, quadratic, cubic], axis=1)
+
+
+def check_control(
+    times: npt.ArrayLike, controls: npt.ArrayLike
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Returns the times (N+1,) [s] and controls (N, nu) [N] of a held control, read-only.
+
+    Raises:
+        TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
+    """
+    t = _check_finite("times", times)
+    if t.ndim != 1 or len(t) < 2:
+        raise TrajectoryError("times", got=f"shape {t.shape}", expected="(N+1,) with N ≥ 1")
+    backwards = np.flatnonzero(np.diff(t) <= 0)
+    if backwards.size:
+        k = int(backwards[0])
+        raise TrajectoryError(
+            "times",
+            got=f"{t[k]:.17g} s, then {t[k + 1]:.17g} s (knots {k} and {k + 1})",
+            expected="strictly increasing times",
+        )
+    return t, _check_rows("controls", controls, len(t) - 1, "one for each interval")
+
+
+def _check_rows(name: str, values: npt.ArrayLike, count: int, what: str) -> npt.NDArray[np.float64]:
+    """Returns a finite, read-only array of two dimensions with so many rows."""
+    rows = _check_finite(name, values)
+    if rows.ndim != 2 or len(rows) != count:
+        raise TrajectoryError(name, got=f"shape {rows.shape}", expected=f"{count} rows, {what}")
+    return rows
+
+
+def _check_finite(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    try:
+        array = read_only(values)
+    except (TypeError, ValueError) as error:
+        raise TrajectoryError(name, got=error, expected="an array of numbers") from error
+    bad = np.argwhere(~np.isfinite(array))
+    if bad.size:
+        where = tuple(int(i) for i in bad[0])
+        raise TrajectoryError(
+            name, got=f"{array[where]} at index {where}", expected="finite numbers"
+        )
+    return array
