@@ -80,8 +80,9 @@ class LiteralTranscription(Transcription):
         """
         q, v, u = self.split(x)
         dt, impulses = self._dt, self.impulses(x)
-        free = np.array([self.world.calc_acceleration(*s) for s in zip(q, v, u)])
-        kick = self._velocity_change(q[:-1], impulses[:-1])
+        stages = list(zip(q, v, u, impulses, strict=False))
+        free = np.array([self.world.calc_acceleration(*stage[:3]) for stage in stages])
+        kick = np.array([self.world.calc_velocity_change(q_k, p) for q_k, _, _, p in stages])
         found = {
             KINEMATICS: np.max(np.abs(q[1:] - q[:-1] - dt * v[:-1])),
             DYNAMICS: np.max(np.abs(v[1:] - v[:-1] - dt * free - kick)),
@@ -98,14 +99,6 @@ class LiteralTranscription(Transcription):
         impulses = self._dt * self.scenario.epsilon / gaps
         impulses[-1] = 0.0
         return impulses
-
-    def _velocity_change(
-        self, q: npt.NDArray[np.float64], impulses: npt.NDArray[np.float64]
-    ) -> npt.NDArray[np.float64]:
-        """Returns M⁻¹ Jᵀ p at each knot, shape (N, nv) [m/s]."""
-        J = np.array([self.world.calc_contact_jacobian(q_k) for q_k in q])  # (N, m, nv)
-        momentum = np.einsum("kmi,km->ki", J, impulses)
-        return np.linalg.solve(self.world.mass_matrix_values, momentum.T).T
 
 
 def _product(factors: list[Expression]) -> Expression:

@@ -53,11 +53,13 @@ class Transcription(ABC):
         self._prog.AddBoundingBoxConstraint(start, start, self.state(0)).evaluator().set_description(
             "initial state"
         )
-        u = world.controls
-        error = world.positions - scenario.goal_position
-        self.AddRunningCost(scenario.control_weight * u.dot(u), "control effort")
-        self.AddFinalCost(scenario.goal_weight * error.dot(error), "goal")
-        self._add_rows()
+        # NumPy takes Drake's boxed constants for invalid numbers, and warns.
+        with np.errstate(invalid="ignore"):
+            u = world.controls
+            error = world.positions - scenario.goal_position
+            self.AddRunningCost(scenario.control_weight * u.dot(u), "control effort")
+            self.AddFinalCost(scenario.goal_weight * error.dot(error), "goal")
+            self._add_rows()
 
     @abstractmethod
     def _add_rows(self) -> None:

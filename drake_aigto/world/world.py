@@ -151,6 +151,12 @@ class World:
         """Returns J(q) = ∂φ/∂q, shape (m, nv), at q of shape (nq,) [m]."""
         return self._jacobian_map(q).reshape(self.num_contacts, self.num_velocities)
 
+    def calc_velocity_change(
+        self, q: npt.NDArray[np.float64], impulses: npt.NDArray[np.float64]
+    ) -> npt.NDArray[np.float64]:
+        """Returns M⁻¹ J(q)ᵀ p, shape (nv,) [m/s], for contact impulses p of shape (m,) [N s]."""
+        return self._inverse_mass @ self.calc_contact_jacobian(q).T @ impulses
+
     def calc_acceleration(
         self,
         q: npt.NDArray[np.float64],
@@ -214,6 +220,11 @@ class World:
                 expected=f"within {self._pair.half_extents.tolist()} m",
                 remedy="Widen the wall, or use a half space.",
             )
+
+    @cached_property
+    def _jacobian_map(self) -> PolynomialMap:
+        jacobians = np.concatenate([contact.jacobian for contact in self.contacts])
+        return PolynomialMap(jacobians, self.positions)
 
     @cached_property
     def _signed_distance_map(self) -> PolynomialMap:

@@ -1,0 +1,324 @@
+"""The literal transcription: what its rows say, and how users add to it."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydrake.solvers import (
+    ExpressionCost,
+    LinearCost,
+    MathematicalProgram,
+    QuadraticConstraint,
+    QuadraticCost,
+    SnoptSolver,
+)
+from pydrake.symbolic import sin
+from pydrake.trajectories import PiecewisePolynomial
+
+from drake_aigto import Scenario, UnsupportedTermError, World
+from drake_aigto.box import compile_program
+from drake_aigto.transcription import LiteralTranscription, Transcription, cut_to_bounds, penalize
+from drake_aigto.world import files
+
+SHIPPED = files.models_directory() / "point_mass_and_wall.sdf"
+SCENARIO = Scenario(
+    initial_position=1.0,
+    initial_velocity=-2.0,
+    goal_position=0.73,
+    duration=0.5,
+    time_step=0.05,
+)
+AXIS = "<xyz>1 0 0</xyz>"
+SPRING = (
+    f"{AXIS}<dynamics><spring_stiffness>3</spring_stiffness>"
+    "<spring_reference>0.4</spring_reference></dynamics>"
+)
+
+
+def transcribe(scenario: Scenario = SCENARIO, **options: Any) -> LiteralTranscription:
+    return LiteralTranscription(World.from_scenario(scenario), scenario, **options)
+
+
+def euler(
+    scenario: Scenario, controls: np.ndarray, mass: float, spring: float = 0.0, rest: float = 0.0
+) -> np.ndarray:
+    """Returns the decision variables of the paper's explicit Euler, written out by hand."""
+    dt = scenario.time_step
+    q, v = [scenario.initial_position[0]], [scenario.initial_velocity[0]]
+    for u in controls:
+        force = u - spring * (q[-1] - rest) + scenario.epsilon / (q[-1] + scenario.delta)
+        q.append(q[-1] + dt * v[-1])
+        v.append(v[-1] + dt * force / mass)
+    return np.concatenate([q, v, controls])
+
+
+CONTROLS = st.lists(st.floats(-5, 5), min_size=10, max_size=10).map(np.array)
+
+
+@settings(max_examples=25, deadline=None)
+@given(controls=CONTROLS)
+def test_rows_vanish_on_the_papers_euler_and_only_there(controls: np.ndarray) -> None:
+    transcription = transcribe(nonpenetration=False)
+    x = euler(SCENARIO, controls, mass=1.0)
+    # λ is of size ε/δ at most: its rounding is what may be left, far below 1e-9.
+    assert max(transcription.defects(x).values()) < 1e-9
+    prog = transcription.prog()
+    assert prog.CheckSatisfied(prog.GetAllConstraints(), x, 1e-9)
+    wrong = x.copy()
+    wrong[15] += 1e-3
+    assert max(transcription.defects(wrong).values()) > 1e-4
+    assert not prog.CheckSatisfied(prog.GetAllConstraints(), wrong, 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("replacement", "mass", "physics"),
+    [
+        (("<mass>1.0</mass>", "<mass>2.0</mass>"), None, {"mass": 2.0}),
+        (("<mass>1.0</mass>", "<mass>2.0</mass>"), 3.0, {"mass": 3.0}),
+        ((AXIS, SPRING), None, {"mass": 1.0, "spring": 3.0, "rest": 0.4}),
+    ],
+)
+def test_rows_are_the_plants(
+    tmp_path: Path, replacement: tuple[str, str], mass: float | None, physics: dict[str, float]
+) -> None:
+    model = tmp_path / "variant.sdf"
+    text = SHIPPED.read_text(encoding="utf-8")
+    assert replacement[0] in text
+    model.write_text(text.replace(*replacement), encoding="utf-8")
+    scenario = dataclasses.replace(SCENARIO, model=str(model), mass=mass)
+    transcription = transcribe(scenario, nonpenetration=False)
+    controls = np.linspace(-2, 3, 10)
+    assert max(transcription.defects(euler(scenario, controls, **physics)).values()) < 1e-9
+    as_shipped = euler(scenario, controls, mass=1.0)
+    assert transcription.defects(as_shipped)["dynamics"] > 1e-2
+
+
+def test_a_shifted_wall_moves_the_contact_force(tmp_path: Path) -> None:
+    model = tmp_path / "shifted.sdf"
+    text = SHIPPED.read_text(encoding="utf-8")
+    old = "<pose>-0.05 0 0 0 0 0</pose>"
+    assert old in text
+    model.write_text(text.replace(old, "<pose>0.15 0 0 0 0 0</pose>"), encoding="utf-8")
+    transcription = transcribe(dataclasses.replace(SCENARIO, model=str(model)))
+    impulses = transcription.impulses(np.full(transcription.prog().num_vars(), 0.5))
+    gap = 0.5 - 0.2 + SCENARIO.delta
+    np.testing.assert_allclose(impulses[:-1, 0], SCENARIO.time_step * SCENARIO.epsilon / gap)
+
+
+def test_stages_share_evaluators_of_the_most_special_kind() -> None:
+    prog = transcribe().prog()
+    kinds = {
+        b.evaluator().get_description(): type(b.evaluator())
+        for b in (*prog.GetAllCosts(), *prog.GetAllConstraints())
+    }
+    assert kinds["control effort"] is QuadraticCost
+    assert kinds["goal"] is QuadraticCost
+    assert kinds["dynamics"] is QuadraticConstraint
+    dynamics = [b.evaluator() for b in prog.quadratic_constraints()]
+    assert len(dynamics) == SCENARIO.num_steps
+    assert len({id(evaluator) for evaluator in dynamics}) == 1
+
+
+def test_nonpenetration_is_switched_on_and_off() -> None:
+    names = {
+        on: {
+            b.evaluator().get_description()
+            for b in transcribe(nonpenetration=on).prog().GetAllConstraints()
+        }
+        for on in (True, False)
+    }
+    assert names[True] - names[False] == {"nonpenetration"}
+    x = euler(SCENARIO, np.full(10, -8.0), mass=1.0)
+    assert transcribe(nonpenetration=True).defects(x)["nonpenetration"] == pytest.approx(-min(x[:11]))
+
+
+def solve(transcription: Transcription) -> np.ndarray:
+    result = SnoptSolver().Solve(
+        transcription.prog(), np.zeros(transcription.prog().num_vars()), None
+    )
+    assert result.is_success()
+    return np.asarray(result.get_x_val())
+
+
+def test_a_running_position_cost_pulls_the_mass_back() -> None:
+    plain, pulled = transcribe(), transcribe()
+    q = pulled.state()[0]
+    pulled.AddRunningCost(10.0 * (q - 1.0) ** 2, "stay at 1 m")
+    means = [np.mean(t.split(solve(t))[0]) for t in (plain, pulled)]
+    assert means[1] > means[0] + 0.01
+
+
+def test_a_terminal_velocity_cost_slows_the_end_down() -> None:
+    plain, slowed = transcribe(), transcribe()
+    slowed.AddFinalCost(10.0 * slowed.state()[1] ** 2, "stop")
+    speeds = [abs(t.split(solve(t))[1][-1, 0]) for t in (plain, slowed)]
+    assert speeds[1] < 0.1 * speeds[0]
+
+
+def test_a_running_cost_of_degree_4_keeps_its_formula() -> None:
+    transcription = transcribe()
+    transcription.AddRunningCost(transcription.state()[0] ** 4, "quartic")
+    x = np.linspace(0.5, 1.5, transcription.prog().num_vars())
+    quartic = [
+        b for b in transcription.prog().GetAllCosts() if b.evaluator().get_description() == "quartic"
+    ]
+    assert all(isinstance(b.evaluator(), ExpressionCost) for b in quartic)
+    total = sum(transcription.prog().EvalBinding(b, x)[0] for b in quartic)
+    assert total == pytest.approx(SCENARIO.time_step * np.sum(x[:10] ** 4))
+    f = compile_program(transcription.penalized(), transcription.elimination_order())
+    assert f.mean_by_block(x, 0.0)["quartic"] == pytest.approx(total)
+
+
+def test_bounds_on_control_and_state_hold_and_cut_the_first_box() -> None:
+    transcription = transcribe()
+    (u,), (q, v) = transcription.input(), transcription.state()
+    transcription.AddConstraintToAllKnotPoints(u <= 1.5)
+    transcription.AddConstraintToAllKnotPoints(v >= -2.25)
+    transcription.AddConstraintToAllKnotPoints(q <= 2.0)
+    solution = solve(transcription)
+    _, velocities, controls = transcription.split(solution)
+    assert controls.max() <= 1.5 + 1e-6
+    assert velocities.min() >= -2.25 - 1e-6
+    center, half_width = transcription.initial_box()
+    _, low_v, _ = transcription.split(center - half_width)
+    _, _, high_u = transcription.split(center + half_width)
+    assert low_v[1:].min() >= -2.25
+    assert high_u.max() <= 1.5
+
+
+def test_the_first_box_holds_the_start_and_contains_start_and_goal() -> None:
+    transcription = transcribe()
+    center, half_width = transcription.initial_box()
+    q, v, _ = transcription.split(center)
+    wq, wv, _ = transcription.split(half_width)
+    assert (q[0], v[0], wq[0], wv[0]) == (1.0, -2.0, 0.0, 0.0)
+    assert np.all(half_width[1 : len(q)] > 0)
+    assert np.all(q[1:] - wq[1:] <= 0.73)
+    assert np.all(q[1:] + wq[1:] >= 1.0)
+
+
+@settings(max_examples=25, deadline=None)
+@given(controls=CONTROLS)
+def test_vector_and_trajectory_are_inverse(controls: np.ndarray) -> None:
+    transcription = transcribe()
+    x = euler(SCENARIO, controls, mass=1.0)
+    trajectory = transcription.trajectory(x)
+    np.testing.assert_array_equal(transcription.vector(trajectory), x)
+    kicks = np.diff(trajectory.velocities[:, 0]) - SCENARIO.time_step * controls
+    np.testing.assert_allclose(kicks, trajectory.impulses[:-1, 0], atol=1e-9)
+
+
+def test_results_are_reconstructed_as_drake_trajectories() -> None:
+    transcription = transcribe()
+    result = SnoptSolver().Solve(transcription.prog())
+    x = result.get_x_val()
+    q, v, u = transcription.split(x)
+    times = transcription.GetSampleTimes()
+    assert times[-1] == pytest.approx(SCENARIO.duration)
+    control = transcription.ReconstructInputTrajectory(result)
+    state = transcription.ReconstructStateTrajectory(result)
+    assert control.value(times[3] + 0.01)[0, 0] == pytest.approx(u[3, 0])
+    assert state.value(times[4])[0, 0] == pytest.approx(q[4, 0])
+    np.testing.assert_allclose(transcription.GetStateSamples(result), np.hstack([q, v]).T)
+    np.testing.assert_allclose(transcription.GetInputSamples(result), u.T)
+
+
+def test_a_guess_is_sampled_from_trajectories() -> None:
+    transcription = transcribe()
+    times = [0.0, SCENARIO.duration]
+    transcription.SetInitialTrajectory(
+        PiecewisePolynomial.FirstOrderHold(times, np.array([[1.0, 3.0]])),
+        PiecewisePolynomial.FirstOrderHold(times, np.array([[1.0, 0.5], [-2.0, 2.0]])),
+    )
+    q, v, u = transcription.split(transcription.prog().initial_guess())
+    np.testing.assert_allclose(q[:, 0], np.linspace(1, 0.5, 11))
+    np.testing.assert_allclose(v[:, 0], np.linspace(-2, 2, 11))
+    np.testing.assert_allclose(u[:, 0], np.linspace(1, 3, 11)[:-1])
+
+
+# Penalties
+
+
+def test_penalised_cost_is_cost_plus_weighted_squares() -> None:
+    transcription = transcribe()
+    x = euler(SCENARIO, np.full(10, -8.0), mass=1.0)
+    x[15] += 0.1
+    f = compile_program(transcription.penalized(), transcription.elimination_order())
+    shares = f.mean_by_block(x, 0.0)
+    q, v, u = (part[:, 0] for part in transcription.split(x))
+    dt, eps, delta = SCENARIO.time_step, SCENARIO.epsilon, SCENARIO.delta
+    row = (q[:-1] + delta) * (np.diff(v) - dt * u) - dt * eps
+    assert shares["dynamics"] == pytest.approx(np.sum(row**2) / dt)
+    assert shares["kinematics"] == pytest.approx(np.sum((np.diff(q) - dt * v[:-1]) ** 2) / dt)
+    assert shares["nonpenetration"] == pytest.approx(np.sum(np.minimum(q[1:], 0) ** 2) / dt)
+    assert shares["control effort"] + shares["goal"] == pytest.approx(transcription.scenario_cost(x))
+    assert f(x) == pytest.approx(sum(shares.values()))
+
+
+def test_the_log_barrier_is_minus_the_logarithm() -> None:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(2, "x")
+    prog.AddBoundingBoxConstraint(1.0, np.inf, x[0])
+    f = compile_program(penalize(prog, "log barrier", scale=3.0))
+    assert f(np.array([3.0, 0.0])) == pytest.approx(-3.0 * np.log(2.0))
+    assert f(np.array([0.5, 0.0])) == np.inf
+
+
+def test_both_sides_of_an_interval_are_penalised() -> None:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(1, "x")
+    prog.AddBoundingBoxConstraint(-1.0, 2.0, x)
+    f = compile_program(penalize(prog))
+    assert [f(np.array([at])) for at in (-3.0, 0.0, 4.0)] == pytest.approx([4.0, 0.0, 4.0])
+
+
+def test_fixed_variables_keep_their_bounds_instead_of_a_penalty() -> None:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(2, "x")
+    prog.AddBoundingBoxConstraint(3.0, 3.0, x[1])
+    penalized = penalize(prog)
+    assert not penalized.GetAllCosts()
+    center, half_width = cut_to_bounds(penalized, np.zeros(2), np.ones(2))
+    np.testing.assert_array_equal(center, [0.0, 3.0])
+    np.testing.assert_array_equal(half_width, [1.0, 0.0])
+
+
+def test_an_inequality_of_several_variables_is_refused_by_name() -> None:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(2, "x")
+    prog.AddConstraint(x[0] + x[1] <= 1.0).evaluator().set_description("budget")
+    with pytest.raises(UnsupportedTermError, match="'budget' can't be penalised.*one variable"):
+        penalize(prog)
+
+
+def test_a_constraint_without_a_formula_is_refused_by_name() -> None:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(1, "x")
+    prog.AddConstraint(lambda z: np.sin(z), lb=[0.0], ub=[0.0], vars=x, description="opaque")
+    with pytest.raises(UnsupportedTermError, match="'opaque' can't be penalised"):
+        penalize(prog)
+
+
+def test_a_constraint_that_is_no_polynomial_is_refused_when_compiled() -> None:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(2, "x")
+    prog.AddConstraint(sin(x[0]) * x[1] == 1.0).evaluator().set_description("wave")
+    with pytest.raises(UnsupportedTermError, match="'wave'"):
+        compile_program(penalize(prog))
+
+
+def test_a_linear_cost_stays_linear() -> None:
+    transcription = transcribe()
+    transcription.AddFinalCost(2.0 * transcription.state()[0], "closer")
+    (cost,) = (
+        b.evaluator()
+        for b in transcription.prog().GetAllCosts()
+        if b.evaluator().get_description() == "closer"
+    )
+    assert isinstance(cost, LinearCost)
