@@ -1,0 +1,151 @@
+"""The package works as it is installed: from a wheel, anywhere, without the right to write."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tarfile
+import xml.etree.ElementTree as ET
+import zipfile
+from pathlib import Path
+
+import pytest
+
+import drake_aigto
+
+CHECKOUT = Path(__file__).parents[1]
+
+# Imports the installed package first, whatever else there is.
+PRELUDE = "import sys; sys.path.insert(0, sys.argv[1])\n"
+
+EVERY_MODULE = """
+import importlib, pkgutil, drake_aigto
+for module in pkgutil.walk_packages(drake_aigto.__path__, "drake_aigto."):
+    importlib.import_module(module.name)
+"""
+
+
+def run_python(program: str, installed: Path, **environment: str) -> str:
+    """Returns what a program prints that finds the installed package, but no checkout."""
+    result = subprocess.run(
+        [sys.executable, "-I", "-W", "error", "-c", PRELUDE + program, str(installed)],
+        cwd=installed,
+        env={**os.environ, **environment},
+        capture_output=True,
+        text=True,
+    )
+    assert result.returncode == 0, result.stderr
+    return result.stdout.strip()
+
+
+def build(source: Path, target: Path, *options: str) -> Path:
+    """Returns the folder where a source tree's wheel (and sdist, if asked for) was put."""
+    command = [sys.executable, "-m", "hatchling", "build", *options, "--directory", str(target)]
+    subprocess.run(command, cwd=source, check=True, capture_output=True)
+    return target
+
+
+@pytest.fixture(scope="module")
+def dist(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder with the checkout's wheel and sdist."""
+    return build(CHECKOUT, tmp_path_factory.mktemp("dist"))
+
+
+@pytest.fixture
+def installed(dist: Path, tmp_path: Path) -> Path:
+    """A folder with the installed wheel, without its dependencies."""
+    (wheel,) = dist.glob("*.whl")
+    command = [sys.executable, "-m", "pip", "install", "--quiet", "--no-deps", "--no-index"]
+    subprocess.run([*command, "--target", str(tmp_path), str(wheel)], check=True)
+    return tmp_path
+
+
+def names_in_wheel(directory: Path) -> set[str]:
+    """Returns the files in a folder's one wheel."""
+    (wheel,) = directory.glob("*.whl")
+    with zipfile.ZipFile(wheel) as archive:
+        return set(archive.namelist())
+
+
+def test_wheel_has_the_models_and_nothing_beside_the_package(dist: Path) -> None:
+    names = names_in_wheel(dist)
+    models = CHECKOUT / "models"
+    shipped = {
+        f"drake_aigto/models/{path.relative_to(models).as_posix()}"
+        for path in models.rglob("*")
+        if path.is_file()
+    }
+    assert "drake_aigto/models/package.xml" in shipped <= names
+    roots = {name.split("/")[0] for name in names}
+    assert roots == {"drake_aigto", f"drake_aigto-{drake_aigto.__version__}.dist-info"}
+    assert not [name for name in names if name.endswith((".pyc", ".nbc", ".nbi"))]
+
+
+def test_sdist_makes_the_same_wheel(dist: Path, tmp_path: Path) -> None:
+    (sdist,) = dist.glob("*.tar.gz")
+    with tarfile.open(sdist) as archive:
+        archive.extractall(tmp_path, filter="data")
+    source = tmp_path / sdist.name.removesuffix(".tar.gz")
+    wheel = build(source, tmp_path / "dist", "--target", "wheel")
+    assert names_in_wheel(wheel) == names_in_wheel(dist)
+
+
+def test_models_have_the_version_of_the_package() -> None:
+    version = ET.parse(CHECKOUT / "models" / "package.xml").findtext("version")
+    assert version == drake_aigto.__version__
+
+
+def test_installed_wheel_finds_its_own_models(installed: Path) -> None:
+    program = """
+import numpy as np
+from drake_aigto import Scenario, World
+from drake_aigto.world.files import models_directory
+world = World.from_scenario(Scenario.named("table1/1"))
+print(models_directory(), *world.calc_signed_distance(np.array([1.0])), sep="|")
+"""
+    directory, distance = run_python(program, installed).split("|")
+    assert Path(directory) == installed / "drake_aigto" / "models"
+    assert float(distance) == pytest.approx(1.0)
+
+
+def test_every_module_imports_where_nothing_can_be_written(installed: Path) -> None:
+    # Files where folders should be stop root too, whom permissions do not.
+    blocker = installed / "blocker"
+    blocker.touch()
+    for directory in {path.parent for path in (installed / "drake_aigto").rglob("*.py")}:
+        for compiled in (directory / "__pycache__").glob("*"):
+            compiled.unlink()
+        (directory / "__pycache__").rmdir()
+        (directory / "__pycache__").touch()
+    nowhere = str(blocker / "none")
+    program = f"{EVERY_MODULE}\nprint(type(drake_aigto.box.functions.factor_mean).__name__)"
+    output = run_python(
+        program, installed, HOME=nowhere, XDG_CACHE_HOME=nowhere, MPLCONFIGDIR=str(installed)
+    )
+    assert output == "CPUDispatcher"
+
+
+def test_numba_keeps_its_cache_where_it_is_told(installed: Path) -> None:
+    cache = installed / "cache"
+    program = """
+import numpy as np
+from drake_aigto.box.functions import factor_mean
+factor_mean(0, 2, 1.0, 0.0, 3.0, 1.0, np.zeros(6))
+"""
+    run_python(program, installed, NUMBA_CACHE_DIR=str(cache))
+    assert list(cache.rglob("functions.factor_mean-*.nbc"))
+
+
+def test_importing_has_no_side_effects(installed: Path) -> None:
+    program = f"""
+import logging, os, threading, warnings
+def look():
+    handlers = [str(handler) for handler in logging.getLogger().handlers]
+    return dict(os.environ), os.getcwd(), sorted(os.listdir()), threading.active_count(), handlers
+before = look()
+{EVERY_MODULE}
+import matplotlib
+print(look() == before, matplotlib.rcParams == matplotlib.rcParamsDefault)
+"""
+    assert run_python(program, installed) == "True True"
