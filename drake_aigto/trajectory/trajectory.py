@@ -10,7 +10,7 @@ from pydrake.polynomial import Polynomial
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.errors import AigtoError
-from drake_aigto.records import ArrayRecord, read_only
+from drake_aigto.trajectory.records import ArrayRecord, read_only
 
 if TYPE_CHECKING:
     import numpy.typing as npt
