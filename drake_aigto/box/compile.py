@@ -186,9 +186,15 @@ def _summands(expression: Expression) -> Iterator[Expression]:
     """Polynomial parts as they stand, and the rest multiplied out."""
     if expression.is_polynomial():
         yield expression
-        return
-    expanded = expression.Expand()
-    yield from _operands(expanded) if expanded.get_kind() == ExpressionKind.Add else [expanded]
+    elif expression.get_kind() == ExpressionKind.Add:
+        for operand in _operands(expression):
+            yield from _summands(operand)
+    else:
+        try:
+            expanded = expression.Expand()
+        except RuntimeError:  # Drake expands neither if-then-else nor NaN
+            expanded = expression
+        yield from _operands(expanded) if expanded.get_kind() == ExpressionKind.Add else [expanded]
 
 
 def _operands(expression: Expression) -> list[Expression]:

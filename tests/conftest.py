@@ -1,0 +1,10 @@
+"""Settings that all tests share."""
+
+from __future__ import annotations
+
+from hypothesis import settings
+
+# No deadlines: Numba compiles in whichever example comes first, and machines stall. The same
+# examples every time: a test that fails fails again.
+settings.register_profile("drake_aigto", deadline=None, derandomize=True)
+settings.load_profile("drake_aigto")

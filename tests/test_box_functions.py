@@ -1,0 +1,244 @@
+"""One-variable means and their derivatives against exact arithmetic, wherever they are used."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from fractions import Fraction
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import quad
+
+from drake_aigto.box import Factor, FunctionKind
+from drake_aigto.box.functions import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE, factor_mean
+from drake_aigto.box.reference import exact_factor_mean, relative_error
+
+# The goal is 1e-13; a mean takes some ten roundings of 1.1e-16, in c^p most of all.
+VALUE_TOLERANCE = 1e-14
+# The log's closed form subtracts numbers that are up to 3/0.3² = 33 times their difference.
+DERIVATIVE_TOLERANCE = 1e-13
+SQUARED_HINGE = Factor(0, FunctionKind.SQUARED_HINGE)
+NEG_LOG = Factor(0, FunctionKind.NEG_LOG)
+
+# The issue's ranges: |c| up to 1e3; w is 0, or 1e-12 to 1e3, in all sizes alike.
+sizes = st.floats(-12.0, 3.0).map(lambda e: 10.0**e)
+centers = st.one_of(
+    st.just(0.0), st.floats(1e-12, 1e3), sizes, st.floats(-1e3, -1e-12), sizes.map(lambda c: -c)
+)
+half_widths = st.one_of(st.just(0.0), sizes)
+powers = st.integers(0, 8).map(lambda p: Factor(0, FunctionKind.POWER, p))
+
+
+@st.composite
+def hinge_boxes(draw: st.DrawFn) -> tuple[float, float]:
+    """Boxes on both sides of the borders |c| = w, on them, and next to them."""
+    w = draw(sizes)
+    c = w * draw(st.one_of(st.just(1.0), st.floats(0.9, 1.1), st.floats(0.0, 2.0)))
+    c = draw(st.sampled_from([c, math.nextafter(c, 0.0), math.nextafter(c, math.inf)]))
+    return draw(st.sampled_from([c, -c])), w
+
+
+@st.composite
+def log_boxes(draw: st.DrawFn) -> tuple[float, float]:
+    """Boxes in y > 0: on both sides of the series' border w/c = 0.3, and nearly touching 0."""
+    c = draw(st.one_of(sizes, st.floats(0.5, 2.0)))
+    ratios = st.one_of(
+        st.just(0.0),
+        sizes.filter(lambda r: r < 1.0),
+        st.floats(1e-12, 0.99),
+        st.sampled_from([0.3, math.nextafter(0.3, 0.0), math.nextafter(0.3, 1.0)]),
+        sizes.filter(lambda r: r < 1.0).map(lambda gap: 1.0 - gap),
+    )
+    w = c * draw(ratios)
+    return c, (w if w < c else math.nextafter(c, 0.0))
+
+
+def evaluate(factor: Factor, center: float, half_width: float) -> npt.NDArray[np.float64]:
+    """Returns the row of μ and its derivatives, in the order of the kernels."""
+    row = np.full(6, np.nan)
+    factor_mean(
+        int(factor.kind), factor.exponent, factor.scale, factor.offset, center, half_width, row
+    )
+    return row
+
+
+def exact(factor: Factor, center: float, half_width: float) -> Fraction:
+    """Returns the mean in exact arithmetic."""
+    return exact_factor_mean(factor, Fraction(center), Fraction(half_width))
+
+
+def exact_derivatives(factor: Factor, center: float, half_width: float) -> dict[int, Fraction]:
+    """Returns the derivatives by central differences of exact means, right to h² = 1e-40."""
+    h = Fraction(1, 10**20)
+    c, w = Fraction(center), Fraction(half_width)
+    dc, dw = h * (w or abs(c) or 1), h * w
+
+    def mean(i: int, j: int) -> Fraction:
+        return exact_factor_mean(factor, c + i * dc, w + j * dw)
+
+    here, left, right, narrow, wide = mean(0, 0), mean(-1, 0), mean(1, 0), mean(0, -1), mean(0, 1)
+    mixed = mean(1, 1) - mean(1, -1) - mean(-1, 1) + mean(-1, -1)
+    d_z = (wide - narrow) / (2 * h)  # w ∂/∂w, with dw = h w
+    return {
+        D_C: (right - left) / (2 * dc),
+        D_CC: (right - 2 * here + left) / dc**2,
+        D_Z: d_z,
+        D_CZ: mixed / (4 * dc * h),
+        D_ZZ: (wide - 2 * here + narrow) / h**2 + d_z,  # w² ∂²/∂w² + w ∂/∂w
+    }
+
+
+def assert_derivatives_exact(factor: Factor, center: float, half_width: float) -> None:
+    row = evaluate(factor, center, half_width)
+    for column, derivative in exact_derivatives(factor, center, half_width).items():
+        # What the differences' own error h² = 1e-40 can be mistaken for is not to be judged.
+        size = abs(derivative) + Fraction(1, 10**35) * abs(exact(factor, center, half_width))
+        error = relative_error(row[column], derivative, size)
+        assert error <= DERIVATIVE_TOLERANCE, (column, row[column], float(derivative))
+
+
+@given(powers, centers, half_widths)
+def test_mean_of_a_power_is_that_of_exact_arithmetic(
+    factor: Factor, center: float, half_width: float
+) -> None:
+    mean = exact(factor, center, half_width)
+    computed = evaluate(factor, center, half_width)[VALUE]
+    assert relative_error(computed, mean, abs(mean)) <= VALUE_TOLERANCE
+
+
+@given(hinge_boxes())
+def test_mean_of_the_squared_hinge_is_that_of_exact_arithmetic(box: tuple[float, float]) -> None:
+    mean = exact(SQUARED_HINGE, *box)
+    computed = evaluate(SQUARED_HINGE, *box)[VALUE]
+    assert relative_error(computed, mean, mean) <= VALUE_TOLERANCE
+
+
+@given(log_boxes())
+def test_mean_of_the_logarithm_is_that_of_exact_arithmetic(box: tuple[float, float]) -> None:
+    mean = exact(NEG_LOG, *box)
+    at_center = exact(NEG_LOG, box[0], 0.0)
+    size = abs(at_center) + abs(mean - at_center)  # the two may nearly cancel, as near c = 1
+    assert relative_error(evaluate(NEG_LOG, *box)[VALUE], mean, size) <= 4 * VALUE_TOLERANCE
+
+
+@settings(max_examples=60)
+@given(powers, centers, half_widths)
+def test_derivatives_of_a_power_are_those_of_exact_arithmetic(
+    factor: Factor, center: float, half_width: float
+) -> None:
+    if center or half_width:  # else there is no length to take differences over
+        assert_derivatives_exact(factor, center, half_width)
+
+
+@pytest.mark.parametrize("exponent", range(6))
+def test_derivatives_of_a_power_at_the_origin_are_those_of_its_value(exponent: int) -> None:
+    row = evaluate(Factor(0, FunctionKind.POWER, exponent), 0.0, 0.0)
+    expected = np.zeros(6)
+    if exponent <= 2:
+        expected[{0: VALUE, 1: D_C, 2: D_CC}[exponent]] = math.factorial(exponent)
+    np.testing.assert_array_equal(row, expected)
+
+
+@settings(max_examples=60)
+@given(hinge_boxes().filter(lambda box: abs(abs(box[0]) - box[1]) > 1e-9 * box[1]))
+def test_derivatives_of_the_squared_hinge_are_those_of_exact_arithmetic(
+    box: tuple[float, float],
+) -> None:
+    assert_derivatives_exact(SQUARED_HINGE, *box)
+
+
+@settings(max_examples=60)
+@given(log_boxes().filter(lambda box: box[0] - box[1] > 1e-9 * box[0]))
+def test_derivatives_of_the_logarithm_are_those_of_exact_arithmetic(
+    box: tuple[float, float],
+) -> None:
+    assert_derivatives_exact(NEG_LOG, *box)
+
+
+@given(st.sampled_from([1e-12, 1e-3, 1.0, 1e3]), st.sampled_from([-1.0, 1.0]))
+def test_the_squared_hinge_is_twice_differentiable_across_its_borders(
+    w: float, side: float
+) -> None:
+    border = evaluate(SQUARED_HINGE, side * w, w)
+    inside = evaluate(SQUARED_HINGE, side * math.nextafter(w, 0.0), w)
+    scale = np.array([w * w, w, w * w, 1.0, w, w * w])  # units of the six columns
+    np.testing.assert_allclose(inside / scale, border / scale, atol=1e-14)
+
+
+@given(
+    st.sampled_from([Factor(0, FunctionKind.POWER, 3), SQUARED_HINGE, NEG_LOG]),
+    st.floats(2.0, 10.0),
+    st.floats(0.0, 1.0),
+    st.sampled_from([-2.0, -0.5, 0.25, 4.0]),
+    st.sampled_from([-3.0, 0.0, 0.5, 8.0]),
+)
+def test_scale_and_offset_act_as_a_change_of_variable(
+    factor: Factor, y: float, reach: float, scale: float, offset: float
+) -> None:
+    y, reach = round(y * 64) / 64, round(reach * 64) / 64  # so that x is a float too
+    y = -y if factor is SQUARED_HINGE else y
+    inner = evaluate(factor, y, reach)
+    moved = Factor(0, factor.kind, factor.exponent, scale, offset)
+    outer = evaluate(moved, (y - offset) / scale, reach / abs(scale))
+    chain = np.ones(6)
+    chain[[D_C, D_CZ]], chain[D_CC] = scale, scale * scale
+    np.testing.assert_array_equal(outer, inner * chain)
+
+
+@pytest.mark.parametrize(
+    ("factor", "function", "center", "half_width"),
+    [
+        (SQUARED_HINGE, lambda y: min(y, 0.0) ** 2, 0.3, 0.7),
+        (SQUARED_HINGE, lambda y: min(y, 0.0) ** 2, -0.3, 0.7),
+        (SQUARED_HINGE, lambda y: min(y, 0.0) ** 2, -5.0, 2.0),
+        (SQUARED_HINGE, lambda y: min(y, 0.0) ** 2, 5.0, 2.0),
+        (NEG_LOG, lambda y: -math.log(y), 3.0, 2.9),
+        (NEG_LOG, lambda y: -math.log(y), 3.0, 0.9),
+        (NEG_LOG, lambda y: -math.log(y), 3.0, 0.1),
+        (Factor(0, FunctionKind.POWER, 5), lambda y: y**5, -1.5, 2.0),
+    ],
+)
+def test_means_agree_with_quadrature(
+    factor: Factor, function: Callable[[float], float], center: float, half_width: float
+) -> None:
+    low, high = center - half_width, center + half_width
+    integral, error = quad(function, low, high, points=[0.0] if low < 0.0 < high else None)
+    computed = evaluate(factor, center, half_width)[VALUE]
+    assert computed == pytest.approx(integral / (2 * half_width), abs=2 * error, rel=1e-13)
+
+
+@given(
+    st.sampled_from([Factor(0, FunctionKind.POWER, 6), SQUARED_HINGE, NEG_LOG]),
+    st.floats(1e-3, 1e3),
+)
+def test_a_box_of_no_width_has_the_value_and_no_slope_in_z(factor: Factor, size: float) -> None:
+    y = -size if factor is SQUARED_HINGE else size
+    row = evaluate(factor, y, 0.0)
+    value = -math.log(y) if factor is NEG_LOG else y**6 if factor.exponent == 6 else y * y
+    assert row[VALUE] == pytest.approx(value, rel=VALUE_TOLERANCE)
+    np.testing.assert_array_equal(row[[D_Z, D_CZ, D_ZZ]], 0.0)
+
+
+def test_the_logarithm_has_a_finite_mean_up_to_the_border_of_its_domain_and_none_beyond() -> None:
+    touching = evaluate(NEG_LOG, 0.25, 0.25)
+    assert touching[VALUE] == pytest.approx(1.0 - math.log(0.5), rel=1e-15)
+    np.testing.assert_array_equal(touching[[D_C, D_CZ]], -np.inf)
+    np.testing.assert_array_equal(touching[[D_Z, D_CC, D_ZZ]], np.inf)
+    for center, half_width in [(0.25, math.nextafter(0.25, 1.0)), (0.0, 0.0), (-1.0, 0.5)]:
+        assert evaluate(NEG_LOG, center, half_width)[VALUE] == math.inf
+
+
+@given(powers, st.floats(-3.0, 3.0), st.floats(0.01, 3.0))
+def test_mean_of_an_even_power_is_not_below_its_value_at_the_center(
+    factor: Factor, center: float, half_width: float
+) -> None:
+    even = Factor(0, FunctionKind.POWER, 2 * (factor.exponent // 2))
+    for convex in (even, SQUARED_HINGE):
+        value = evaluate(convex, center, 0.0)[VALUE]
+        assert evaluate(convex, center, half_width)[VALUE] >= value * (1.0 - VALUE_TOLERANCE)
+    if center > half_width:
+        assert evaluate(NEG_LOG, center, half_width)[VALUE] >= evaluate(NEG_LOG, center, 0)[VALUE]

@@ -1,0 +1,334 @@
+"""Drake's costs as term tables: right to the last variable, or refused by name."""
+
+from __future__ import annotations
+
+import gc
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from pydrake.solvers import ExpressionCost, MathematicalProgram
+from pydrake.symbolic import Expression, Polynomial, Variable, if_then_else, log, pow, sin, sqrt
+from pydrake.symbolic import max as smax
+from pydrake.symbolic import min as smin
+
+from drake_aigto import OptionsError, UnsupportedTermError
+from drake_aigto.box import BoxPolynomial, FunctionKind, compile_program
+from drake_aigto.box.reference import exact_mean, relative_error
+
+ExpressionOf = Callable[[np.ndarray], Expression]
+
+
+def program(num_variables: int = 3) -> tuple[MathematicalProgram, np.ndarray]:
+    """Returns an empty program and its variables."""
+    prog = MathematicalProgram()
+    return prog, prog.NewContinuousVariables(num_variables, "x")
+
+
+def add(prog: MathematicalProgram, expression: Expression, name: str = "") -> None:
+    """Adds an ExpressionCost, which keeps its formula."""
+    cost = ExpressionCost(expression)
+    cost.set_description(name)
+    prog.AddCost(cost, vars=cost.vars())
+
+
+def compiled(expression_of: ExpressionOf, num_variables: int = 3) -> BoxPolynomial:
+    """Returns the table of one ExpressionCost."""
+    prog, x = program(num_variables)
+    add(prog, expression_of(x), "the cost")
+    return compile_program(prog)
+
+
+def total_cost(prog: MathematicalProgram, x: np.ndarray) -> float:
+    """Returns what Drake says that the costs are."""
+    return sum(float(prog.EvalBinding(cost, x)[0]) for cost in prog.GetAllCosts())
+
+
+@st.composite
+def polynomials(draw: st.DrawFn) -> ExpressionOf:
+    """Random polynomials of three variables: x⁷/8 and a sum of products of affine functions."""
+    numbers = st.integers(-8, 8).map(lambda i: i / 4)
+    rows = st.lists(numbers, min_size=4, max_size=4)
+    products = draw(st.lists(st.lists(rows, min_size=1, max_size=3), min_size=1, max_size=3))
+    exponent = draw(st.integers(1, 2))
+
+    def expression_of(x: np.ndarray) -> Expression:
+        total = x[0] ** 7 / 8  # of a degree that the products don't reach: never a constant
+        for product in products:
+            term = Expression(1.0)
+            for a, b, c, d in product:
+                term *= pow(a * x[0] + b * x[1] + c * x[2] + d, exponent)
+            total += term
+        return total
+
+    return expression_of
+
+
+@settings(max_examples=40)
+@given(
+    polynomials(),
+    st.lists(st.floats(-2.0, 5.0), min_size=3, max_size=3),
+    st.lists(st.floats(0.25, 2.0), min_size=3, max_size=3),
+)
+def test_mean_is_drakes_integral_over_the_volume(
+    expression_of: ExpressionOf, center: list[float], half_width: list[float]
+) -> None:
+    prog, x = program()
+    expression = expression_of(x)
+    add(prog, expression)
+    f = compile_program(prog)
+    integral = Polynomial(expression)
+    for variable, c, w in zip(x, center, half_width, strict=True):
+        integral = integral.Integrate(variable, c - w, c + w)
+    volume = math.prod(2 * w for w in half_width)
+    mean = sum(a.Evaluate() for a in integral.monomial_to_coefficient_map().values()) / volume
+    # Drake subtracts primitives at c ± w: their size is what its rounding is measured by.
+    size = float(exact_mean(f, np.abs(center) + half_width, half_width)[1])
+    assert f.mean(center, half_width) == pytest.approx(mean, abs=1e-12 * (1 + size))
+
+
+@settings(max_examples=40)
+@given(polynomials(), st.lists(st.floats(-2.0, 5.0), min_size=3, max_size=3))
+def test_value_is_that_of_the_expression(expression_of: ExpressionOf, x: list[float]) -> None:
+    f = compiled(expression_of)
+    _, variables = program()
+    value = expression_of(variables).Evaluate(dict(zip(variables, x, strict=True)))
+    size = float(exact_mean(f, np.abs(x), np.ones(3))[1])
+    assert f(x) == pytest.approx(value, abs=1e-13 * (1 + size))
+
+
+FORMS: dict[str, ExpressionOf] = {
+    "a constant beside a cubic": lambda x: x[0] ** 3 + 7.5,
+    "a product of sums": lambda x: (x[0] + 2 * x[1]) ** 2 * (1 - x[2]) / 3,
+    "a hinge": lambda x: smax(0.0, -x[0]) ** 2,
+    "a hinge, zero second": lambda x: smax(-x[0], 0.0) ** 2,
+    "an upper bound": lambda x: smax(x[1] - 0.75, 0.0) ** 2,
+    "an upper bound, zero first": lambda x: 2.5 * smax(0.0, 3 * x[1] - 0.75) ** 2,
+    "a hinge times itself": lambda x: smax(0.0, -x[0]) * smax(0.0, -x[0]),
+    "a scaled hinge squared": lambda x: (2 * smax(0.0, x[0] - 1)) ** 2,
+    "a hinge of a polynomial that is affine": lambda x: (
+        smax(0.0, (x[0] - 1) ** 2 - x[0] ** 2 + 0.5) ** 2
+    ),
+    "a hinge with a minus": lambda x: -3 * smax(0.0, x[0]) ** 2,
+    "a barrier": lambda x: -log(x[2]),
+    "a barrier of an upper bound": lambda x: -0.1 * log(4.0 - 0.5 * x[2]),
+    "a barrier divided": lambda x: -log(x[2]) / 2,
+    "a weighed sum of all": lambda x: (
+        0.5 * (x[0] ** 2 * x[1] - log(x[2]) + smax(0.0, 1 - x[0]) ** 2 + 4)
+    ),
+    "a nested sum": lambda x: 2 * (x[0] - 3 * (log(x[2]) - x[1] ** 4)) - x[0] * (x[1] + 1),
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_every_form_keeps_its_value_and_has_the_mean_of_its_table(form: str) -> None:
+    prog, x = program()
+    add(prog, FORMS[form](x), form)
+    f = compile_program(prog)
+    assert set(f.weights) == {form}
+    rng = np.random.default_rng(7)
+    for _ in range(20):
+        point = rng.uniform(-2.0, 3.0, 3)
+        point[2] = abs(point[2]) + 0.5  # the logarithms' domain
+        assert f(point) == pytest.approx(total_cost(prog, point), rel=1e-12, abs=1e-12)
+        box = point, rng.uniform(0.0, 0.5, 3)
+        assert relative_error(f.mean(*box), *exact_mean(f, *box)) <= 1e-13
+
+
+def test_a_hinge_keeps_small_scales_beside_large_offsets() -> None:
+    f = compiled(lambda x: smax(0.0, 1e3 - 1e-3 * x[0]) ** 2 - log(1e-3 * x[1] + 1e3))
+    factors = {t.factors[0].kind: t.factors[0] for t in f.blocks[0].terms}
+    hinge, barrier = factors[FunctionKind.SQUARED_HINGE], factors[FunctionKind.NEG_LOG]
+    assert (hinge.scale, hinge.offset) == (1e-3, -1e3)
+    assert (barrier.scale, barrier.offset) == (1e-3, 1e3)
+
+
+def test_linear_quadratic_and_constant_costs_keep_their_value() -> None:
+    prog, x = program()
+    prog.AddCost(2 * x[0] - x[2] + 3)
+    prog.AddCost(Expression(-1.25))
+    prog.AddLinearCost([0.0, 4.0], 1.0, [x[1], x[0]])
+    prog.AddCost(3 * x[0] * x[1] + x[1] ** 2 - x[2] + 2)
+    prog.AddQuadraticCost([[2.0, 0.5], [1.5, -4.0]], [1.0, 0.0], 0.5, [x[2], x[0]], is_convex=False)
+    prog.AddQuadraticErrorCost(np.diag([1.0, 2.0]), [0.5, -1.0], [x[0], x[2]])
+    f = compile_program(prog)
+    for point in np.random.default_rng(3).uniform(-3, 3, (20, 3)):
+        assert f(point) == pytest.approx(total_cost(prog, point), rel=1e-13, abs=1e-12)
+    mean = f.mean([1.0, 2.0, 3.0], [0.5, 0.25, 1.0])
+    squares = 1.0 * 0.5**2 + 1.0 * 0.25**2 + (1.0 + 2.0) * 1.0**2 - 2.0 * 0.5**2
+    assert mean == pytest.approx(f([1.0, 2.0, 3.0]) + squares / 3, rel=1e-14)
+
+
+def test_costs_that_drake_made_are_kept_apart() -> None:
+    # Drake's Python objects for them are temporary, so that id() repeats.
+    prog, x = program(50)
+    for i in range(50):
+        prog.AddCost((i + 1) * x[i] ** 2 + i)
+    for candidate in (prog, prog.Clone()):
+        gc.collect()
+        f = compile_program(candidate)
+        assert len(f.blocks) == 50
+        assert f(np.ones(50)) == sum(2 * i + 1 for i in range(50))
+
+
+def test_a_shared_evaluator_is_parsed_once_and_means_the_sum_of_its_bindings() -> None:
+    a, b = Variable("a"), Variable("b")
+    shared = ExpressionCost(a**3 * b - log(b) + smax(0.0, a - 1.0) ** 2)
+    shared.set_description("stage")
+    together, x = program(21)
+    apart = MathematicalProgram()
+    apart.AddDecisionVariables(x)
+    order = [v.get_name() for v in shared.vars()]
+    for k in range(20):
+        pair = {"a": x[k], "b": x[k + 1]}
+        together.AddCost(shared, vars=[pair[name] for name in order])
+        add(apart, shared.expression().Substitute({a: pair["a"], b: pair["b"]}), f"stage {k}")
+    f, g = compile_program(together), compile_program(apart)
+    assert (len(f.blocks), len(g.blocks)) == (1, 20)
+    assert f.blocks[0].variables.shape == (20, 2)
+    assert f.num_terms == g.num_terms == 60
+    box = np.linspace(2.0, 4.0, 21), np.linspace(0.0, 1.0, 21)
+    assert f.mean(*box) == pytest.approx(g.mean(*box), rel=1e-14)
+    for ours, theirs in zip(f.gradient(*box)[1:], g.gradient(*box)[1:], strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-13, atol=1e-12)
+
+
+@pytest.mark.parametrize("places", [(0, 0, 1), (1, 0, 1), (0, 1, 1), (2, 2, 2), (0, 1, 2)])
+def test_a_variable_bound_twice_is_integrated_as_one(places: Sequence[int]) -> None:
+    a, b, c = (Variable(name) for name in "abc")
+    formula = a * b**2 * c + 2 * a * b - c + smax(0.0, a) ** 2
+    shared = ExpressionCost(formula)
+    prog, x = program()
+    bound = [x[i] for i in places]
+    names = [v.get_name() for v in shared.vars()]
+    prog.AddCost(shared, vars=[bound["abc".index(name)] for name in names])
+    prog.AddCost(shared, vars=list(x))  # a second copy, of which all variables differ
+    prog.AddQuadraticCost([[0.0, 1.0], [1.0, 0.0]], [0.0, 0.0], [x[0], x[0]], is_convex=False)
+
+    plain = MathematicalProgram()
+    plain.AddDecisionVariables(x)
+    add(plain, formula.Substitute(dict(zip((a, b, c), bound, strict=True))))
+    add(plain, formula.Substitute({v: x[i] for i, v in enumerate(shared.vars())}))
+    add(plain, x[0] ** 2)
+    f, g = compile_program(prog), compile_program(plain)
+    box = np.array([2.0, 3.0, -1.0]), np.array([1.0, 0.5, 2.0])
+    assert f.mean(*box) == pytest.approx(g.mean(*box), rel=1e-14)
+    assert f.newton_system(*box).value == pytest.approx(g.mean(*box), rel=1e-14)
+
+
+def test_the_mean_of_a_square_is_not_the_square_of_the_mean() -> None:
+    a, b = Variable("a"), Variable("b")
+    prog, x = program(1)
+    prog.AddCost(ExpressionCost(a * b), vars=[x[0], x[0]])
+    assert compile_program(prog).mean([2.0], [1.0]) == pytest.approx(4.0 + 1.0 / 3.0)
+
+
+REFUSED: dict[str, tuple[ExpressionOf, str]] = {
+    "rational": (lambda x: x[0] + 1 / x[1], r"\(1 / x\(1\)\)"),
+    "a cancelled fraction": (lambda x: x[0] ** 2 / x[0], r"pow\(x\(0\), 2\) / x\(0\)"),
+    "sine": (lambda x: x[1] ** 4 + sin(x[0]), r"sin\(x\(0\)\)"),
+    "absolute value": (lambda x: x[0] ** 3 + 2 * abs(x[0]), r"\(2 \* abs\(x\(0\)\)\)"),
+    "square root": (lambda x: sqrt(x[0]), r"sqrt\(x\(0\)\)"),
+    "broken power": (lambda x: pow(x[0], 1.5), r"pow\(x\(0\), 1.5\)"),
+    "a case": (lambda x: if_then_else(x[0] > 1, x[0], x[1]), "if"),
+    "max of two variables": (lambda x: smax(x[0], x[1]) ** 2, r"max\(x\(0\), x\(1\)\)"),
+    "a hinge, not squared": (lambda x: smax(0.0, x[0]), r"max\(0, x\(0\)\)"),
+    "a hinge, cubed": (lambda x: smax(0.0, x[0]) ** 3, r"pow\(max\(0, x\(0\)\), 3\)"),
+    "a hinge from another floor": (lambda x: smax(1.0, x[0]) ** 2, r"max\(1, x\(0\)\)"),
+    "a minimum": (lambda x: smin(0.0, x[0]) ** 2, r"min\(0, x\(0\)\)"),
+    "a hinge of two variables": (lambda x: smax(0.0, x[0] - x[1]) ** 2, r"max\(0, \(x\(0\)"),
+    "a hinge of a square": (lambda x: smax(0.0, 1 - x[0] ** 2) ** 2, r"max\(0, \(1 - pow"),
+    "a barrier of two variables": (lambda x: -log(x[0] + x[1]), r"log\(\(x\(0\) \+ x\(1\)\)\)"),
+    "a barrier of a square": (lambda x: -log(x[0] ** 2), r"log\(pow\(x\(0\), 2\)\)"),
+    "a barrier times a variable": (lambda x: -x[1] * log(x[0]), r"\* log\(x\(0\)\)"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED)
+def test_a_term_without_a_closed_form_is_refused_by_cost_and_term(case: str) -> None:
+    expression_of, term = REFUSED[case]
+    prog, x = program()
+    add(prog, x[0] ** 2 + x[1] ** 4, "fine")
+    add(prog, expression_of(x), "troublesome")
+    with pytest.raises(
+        UnsupportedTermError, match=rf"cost 'troublesome' of x\(0\).*the term .*{term}.*equality"
+    ):
+        compile_program(prog)
+
+
+def test_a_logarithm_that_falls_to_minus_infinity_is_refused() -> None:
+    with pytest.raises(
+        UnsupportedTermError, match=r"'the cost'.*term \(2 \* log\(x\(0\)\)\).*sign"
+    ):
+        compiled(lambda x: x[0] ** 4 + 2 * log(x[0]))
+
+
+def test_opaque_costs_are_refused_with_the_remedy() -> None:
+    remedy = r"Add it as `c = ExpressionCost\(expression\); prog.AddCost\(c, vars=c.vars\(\)\)`"
+    prog, x = program()
+    prog.AddCost(x[0] ** 3).evaluator().set_description("cube")
+    with pytest.raises(
+        UnsupportedTermError, match=rf"'cube' of x\(0\).*got a PolynomialCost, .*{remedy}"
+    ):
+        compile_program(prog)
+    prog, x = program(5)
+    prog.AddCost(lambda z: z[0] ** 2, vars=x)
+    with pytest.raises(
+        UnsupportedTermError, match=r"'PyFunctionCost' of x\(0\), x\(1\), x\(2\), … can't"
+    ):
+        compile_program(prog)
+
+
+@pytest.mark.parametrize("bad", [math.nan, math.inf])
+def test_numbers_that_are_not_finite_are_refused(bad: float) -> None:
+    def linear(prog: MathematicalProgram, x: np.ndarray) -> None:
+        prog.AddLinearCost([bad], 0.0, x[:1]).evaluator().set_description("unset")
+
+    def offset(prog: MathematicalProgram, x: np.ndarray) -> None:
+        prog.AddLinearCost([1.0], bad, x[:1]).evaluator().set_description("unset")
+
+    def quadratic(prog: MathematicalProgram, x: np.ndarray) -> None:
+        binding = prog.AddQuadraticCost([[bad]], [0.0], x[:1], is_convex=True)
+        binding.evaluator().set_description("unset")
+
+    for add_cost in (linear, offset, quadratic):
+        prog, x = program()
+        add_cost(prog, x)
+        with pytest.raises(
+            UnsupportedTermError, match=f"'unset'.*the term {bad}.*finite numbers.*was not set"
+        ):
+            compile_program(prog)
+
+
+def test_an_infinite_number_in_an_expression_is_refused() -> None:
+    with pytest.raises(UnsupportedTermError, match=r"'the cost'.*inf \* x0\^3"):
+        compiled(lambda x: math.inf * x[0] ** 3)
+    with pytest.raises(UnsupportedTermError, match=r"SQUARED_HINGE.*inf"):
+        compiled(lambda x: smax(0.0, math.inf - x[0]) ** 2)
+
+
+def test_constraints_are_not_read_and_the_order_is_kept() -> None:
+    prog, x = program(4)
+    add(prog, (x[0] * x[3]) ** 2 + x[1] * x[2] ** 3)
+    prog.AddConstraint(sin(x[0]) <= 0.5)
+    f = compile_program(prog, order=[0, 3, 1, 2])
+    assert (f.order.tolist(), f.bandwidth) == ([0, 3, 1, 2], 1)
+    assert compile_program(prog).bandwidth == 1, "reverse Cuthill-McKee pairs them too"
+    with pytest.raises(OptionsError, match="each of 0 … 3 once"):
+        compile_program(prog, order=[0, 1])
+
+
+def test_a_program_without_costs_has_mean_zero() -> None:
+    assert compile_program(MathematicalProgram()).mean([], []) == 0.0
+    assert compile_program(program()[0]).mean([1.0, 2.0, 3.0], 0.5) == 0.0
+
+
+def test_unnamed_costs_go_by_their_type() -> None:
+    prog, x = program()
+    prog.AddCost(x[0] + 1)
+    prog.AddCost(x[0] ** 2)
+    add(prog, x[0] ** 4)
+    assert set(compile_program(prog).weights) == {"LinearCost", "QuadraticCost", "ExpressionCost"}
