@@ -135,7 +135,9 @@ def test_nonpenetration_is_switched_on_and_off() -> None:
     }
     assert names[True] - names[False] == {"nonpenetration"}
     x = euler(SCENARIO, np.full(10, -8.0), mass=1.0)
-    assert transcribe(nonpenetration=True).defects(x)["nonpenetration"] == pytest.approx(-min(x[:11]))
+    assert transcribe(nonpenetration=True).defects(x)["nonpenetration"] == pytest.approx(
+        -min(x[:11])
+    )
 
 
 def solve(transcription: Transcription) -> np.ndarray:
@@ -166,7 +168,9 @@ def test_a_running_cost_of_degree_4_keeps_its_formula() -> None:
     transcription.AddRunningCost(transcription.state()[0] ** 4, "quartic")
     x = np.linspace(0.5, 1.5, transcription.prog().num_vars())
     quartic = [
-        b for b in transcription.prog().GetAllCosts() if b.evaluator().get_description() == "quartic"
+        b
+        for b in transcription.prog().GetAllCosts()
+        if b.evaluator().get_description() == "quartic"
     ]
     assert all(isinstance(b.evaluator(), ExpressionCost) for b in quartic)
     total = sum(transcription.prog().EvalBinding(b, x)[0] for b in quartic)
@@ -257,7 +261,9 @@ def test_penalised_cost_is_cost_plus_weighted_squares() -> None:
     assert shares["dynamics"] == pytest.approx(np.sum(row**2) / dt)
     assert shares["kinematics"] == pytest.approx(np.sum((np.diff(q) - dt * v[:-1]) ** 2) / dt)
     assert shares["nonpenetration"] == pytest.approx(np.sum(np.minimum(q[1:], 0) ** 2) / dt)
-    assert shares["control effort"] + shares["goal"] == pytest.approx(transcription.scenario_cost(x))
+    assert shares["control effort"] + shares["goal"] == pytest.approx(
+        transcription.scenario_cost(x)
+    )
     assert f(x) == pytest.approx(sum(shares.values()))
 
 
@@ -293,7 +299,7 @@ def test_an_inequality_of_several_variables_is_refused_by_name() -> None:
     prog = MathematicalProgram()
     x = prog.NewContinuousVariables(2, "x")
     prog.AddConstraint(x[0] + x[1] <= 1.0).evaluator().set_description("budget")
-    with pytest.raises(UnsupportedTermError, match="'budget' can't be penalised.*one variable"):
+    with pytest.raises(UnsupportedTermError, match=r"'budget' can't be penalised.*one variable"):
         penalize(prog)
 
 

@@ -31,7 +31,9 @@ class Box:
         center = np.array(self.center, dtype=float)
         half_width = np.array(np.broadcast_to(self.half_width, center.shape), dtype=float)
         if not (np.all(np.isfinite(center)) and np.all(np.isfinite(half_width))):
-            raise OptionsError("box", got="NaN or infinity", expected="finite center and half width")
+            raise OptionsError(
+                "box", got="NaN or infinity", expected="finite center and half width"
+            )
         if np.any(half_width < 0):
             raise OptionsError(
                 "half_width", got=f"{half_width.min():g}", expected="0 (held) or more everywhere"
@@ -48,7 +50,7 @@ class Box:
 
     @property
     def log_size(self) -> float:
-        """log S(w) = Σ log 2w_i over the free variables; S itself underflows in high dimensions."""
+        """Log S(w) = Σ log 2w_i over the free variables; S itself underflows in high dimensions."""
         return float(np.sum(np.log(2 * self.half_width[self.free])))
 
     @property

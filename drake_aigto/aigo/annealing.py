@@ -19,20 +19,20 @@ _LARGEST_LOG_STEP = 1.0  # A half width changes by no more than a factor e in on
 
 @dataclass(frozen=True, kw_only=True)
 class Annealing:
-    """Lowers a temperature μ, and at each keeps the box stationary for
+    """Lowers a temperature μ, and at each keeps the box stationary.
 
         minimise over (c, z = log w)   f̄(c, e^z) − μ Σ_i z_i
 
-    This is Algorithm 1 of AIGTO with ζ → ∞: the box of least mean among those of its size, μ being the multiplier of
-    log S(w) = log s. Lowering μ shrinks s, and unlike the penalty on S it keeps the problem's sparsity, so that
-    Newton's method costs a banded Cholesky a step.
+    This is Algorithm 1 of AIGTO with ζ → ∞: the box of least mean among those of its size, μ being
+    the multiplier of log S(w) = log s. Lowering μ shrinks s, and unlike the penalty on S it keeps
+    the problem's sparsity, so that Newton's method costs a banded Cholesky a step.
 
     Attributes:
         initial_temperature: first μ > 0, in units of the cost.
         final_temperature: the run has converged below this μ.
         cooling: factor on μ after each outer step, in (0, 1).
-        tolerance: the inner minimisation ends at √(mean of g_i²/(μ D_i)) ≤ tolerance, where μD = μ diag(3/w², 2) is the
-            Hessian of a separable cost's stationary box.
+        tolerance: the inner minimisation ends at √(mean of g_i²/(μ D_i)) ≤ tolerance, where μD = μ
+            diag(3/w², 2) is the Hessian of a separable cost's stationary box.
         max_newton_steps: the most Newton steps at one temperature.
     """
 
@@ -58,7 +58,7 @@ class Annealing:
         return max(0, int(np.ceil(ratio - 1e-9))) + 1
 
     def init(self, f: BoxPolynomial, box: Box) -> Iterate:
-        """Returns the first box, its temperature still to be reached."""
+        """Returns the first box."""
         mean = f.mean(box.center, box.half_width)
         return Iterate(box, mean, self.initial_temperature, memory=1e-2)
 

@@ -1,4 +1,4 @@
-"""Penalty continuation: once the boxes are points, the penalties are raised until the constraints hold."""
+"""Penalty continuation: boxes are points by now, and penalties rise until constraints hold."""
 
 from __future__ import annotations
 

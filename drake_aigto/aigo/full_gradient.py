@@ -15,7 +15,7 @@ from drake_aigto.errors import OptionsError
 
 @dataclass(frozen=True, kw_only=True)
 class FullGradient:
-    """AIGTO Algorithm 1, line by line:
+    """AIGTO Algorithm 1, line by line.
 
         2   s ← S(w)
         3   while s > s_thr
@@ -23,10 +23,12 @@ class FullGradient:
         5       w ← w − β |Δc|
         6       s ← min(S(w), s/γ)
 
-    In hundreds of dimensions S(w) = ∏ 2w_i underflows, so this differs from the print as follows. The size is compared
-    in logarithms, I_p = f̄ + ζ (log S(w) − log s)²: the mean instead of the integral, whose factor S would be 0. γ acts
-    per dimension, s/γⁿ, and the loop ends when the geometric-mean half width is `final_width` of the first one's. Line 5
-    leaves at least `least_shrink` of each half width. Line 4 is SciPy's L-BFGS-B over (c, log w), cut off by its count.
+    In hundreds of dimensions S(w) = ∏ 2w_i underflows, so this differs from the print as follows.
+    The size is compared in logarithms, I_p = f̄ + ζ (log S(w) − log s)²: the mean instead of the
+    integral, whose factor S would be 0. γ acts per dimension, s/γⁿ, and the loop ends when the
+    geometric-mean half width is `final_width` of the first one's. Line 5 leaves at least
+    `least_shrink` of each half width. Line 4 is SciPy's L-BFGS-B over (c, log w), cut off by its
+    count.
 
     Attributes:
         beta: β of line 5, in [0, 1).

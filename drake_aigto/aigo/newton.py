@@ -33,7 +33,7 @@ class Objective(ABC):
 
     @abstractmethod
     def evaluate(self, y: Floats) -> System:
-        """Returns value, gradient and Hessian; held unknowns have gradient 0 and an identity row."""
+        """Returns value, gradient and Hessian; held unknowns have an identity row and gradient 0."""
 
     @abstractmethod
     def scale(self, y: Floats, system: System) -> Floats:
@@ -68,7 +68,11 @@ class NewtonResult:
 
 
 def newton(objective: Objective, y: Floats, max_steps: int, damping: float) -> NewtonResult:
-    """Minimises by steps (H + λD) s = −g, with λ raised until H + λD is positive definite and s descends (Armijo)."""
+    """Minimises by steps (H + λD) s = −g.
+
+    λ is raised until H + λD is positive definite and s descends (Armijo), and lowered after a step
+    that did so at once.
+    """
     system = objective.evaluate(y)
     steps, residual = 0, np.inf
     for steps in range(max_steps + 1):

@@ -18,17 +18,18 @@ KINEMATICS, DYNAMICS, NONPENETRATION = "kinematics", "dynamics", "nonpenetration
 
 
 class LiteralTranscription(Transcription):
-    """AIGTO Sec. IV as printed: collocation without forces, explicit Euler, relaxed complementarity.
+    """AIGTO Sec. IV as printed: collocation without forces, by explicit Euler.
 
         q_{k+1} = q_k + dt v_k                                                         "kinematics"
         M (v_{k+1} − v_k) = dt (B u_k − h(q_k, v_k) + J_kᵀ λ_k),   λ_k = ε/(φ_k + δ)     "dynamics"
-        φ(q_k) ≥ 0, k ≥ 1, where asked for                                             "nonpenetration"
+        φ(q_k) ≥ 0, k ≥ 1, where asked for
+        "nonpenetration"
 
-    The dynamics rows that a contact acts on are multiplied out by every such (φ_k + δ), so that all rows are polynomial:
-    with one contact, (φ_k + δ)(M Δv − dt (B u − h)) − dt ε Jᵀ = 0.
+    The dynamics rows that a contact acts on are multiplied out by every such (φ_k + δ), so that all
+    rows are polynomial: with one contact, (φ_k + δ)(M Δv − dt (B u − h)) − dt ε Jᵀ = 0.
 
-    The discrete contact is no rigid wall: a knot with φ_k + δ ≈ 0 makes dt λ_k an impulse of any size, also a pull where
-    φ_k < −δ. Replay every plan before believing its cost.
+    The discrete contact is no rigid wall: a knot with φ_k + δ ≈ 0 makes dt λ_k an impulse of any
+    size, also a pull where φ_k < −δ. Replay every plan before believing its cost.
 
     Args:
         world: the plant, read.
@@ -48,9 +49,7 @@ class LiteralTranscription(Transcription):
             self._bind_stages(shared_constraint(row, DYNAMICS))
         if self.nonpenetration:
             for contact in self.world.contacts:
-                apart = shared_constraint(
-                    contact.signed_distance, NONPENETRATION, 0.0, np.inf
-                )
+                apart = shared_constraint(contact.signed_distance, NONPENETRATION, 0.0, np.inf)
                 for k in range(1, self.num_samples()):
                     self._bind(apart, k)
 
@@ -58,7 +57,7 @@ class LiteralTranscription(Transcription):
         return self._next_q - self.world.positions - self._dt * self.world.velocities
 
     def _dynamics_rows(self) -> list[Expression]:
-        """Momentum rows M Δv − dt (B u − h) − Σ_i dt ε J_i/(φ_i + δ), times the denominators that they touch."""
+        """Returns M Δv − dt (B u − h) − Σ_i dt ε J_i/(φ_i + δ), times the denominators it has."""
         world, dt, epsilon = self.world, self._dt, self.scenario.epsilon
         force = world.actuation @ world.controls - world.bias
         momentum = world.mass_matrix @ (self._next_v - world.velocities) - dt * force
@@ -74,9 +73,10 @@ class LiteralTranscription(Transcription):
         return rows
 
     def defects(self, x: npt.NDArray[np.float64]) -> dict[str, float]:
-        """Returns {"kinematics": [m], "dynamics": [m/s], "nonpenetration": [m]}, the last if it is asked for.
+        """Returns the largest of each kind: kinematics [m], dynamics [m/s], nonpenetration [m].
 
-        The dynamics are measured with λ = ε/(φ + δ) itself, not with the row multiplied out, which is blind near the wall.
+        The dynamics are measured with λ = ε/(φ + δ) itself, not with the row multiplied out, which
+        is blind near the wall.
         """
         q, v, u = self.split(x)
         dt, impulses = self._dt, self.impulses(x)
@@ -93,7 +93,7 @@ class LiteralTranscription(Transcription):
         return {name: float(value) for name, value in found.items()}
 
     def impulses(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Returns dt ε/(φ(q_k) + δ), shape (N+1, m) [N s]; no step follows the last knot, so it has none."""
+        """Returns dt ε/(φ(q_k) + δ), shape (N+1, m) [N s]; 0 at the last knot, as no step follows."""
         q = self.split(x)[0]
         gaps = np.array([self.world.calc_signed_distance(q_k) for q_k in q]) + self.scenario.delta
         impulses = self._dt * self.scenario.epsilon / gaps

@@ -1,4 +1,4 @@
-"""Constraints as penalties: from a constrained program to one that only has costs (AIGTO Sec. III-A)."""
+"""Constraints as penalties, so that a program only has costs (AIGTO Sec. III-A)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,12 @@ from pydrake.solvers import (
 from pydrake.symbolic import Expression, MakeVectorVariable, Polynomial
 
 from drake_aigto.errors import UnsupportedTermError
-from drake_aigto.transcription.shared import SharedEvaluator, as_expression, shared_cost, substitutions
+from drake_aigto.transcription.shared import (
+    SharedEvaluator,
+    as_expression,
+    shared_cost,
+    substitutions,
+)
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -38,16 +43,19 @@ def penalize(
         r(x) = 0     ↦   scale · r(x)²
         y(x_i) ≥ 0   ↦   scale · max(0, −y)²   or   −scale · log y      (y affine in one variable)
 
-    Each penalty carries its constraint's description, so that `BoxPolynomial.with_weights` can weigh it; constraints that
-    share an evaluator share its penalty. A variable that equal bounds fix keeps them: `cut_to_bounds` holds it.
+    Each penalty carries its constraint's description, so that `BoxPolynomial.with_weights` can
+    weigh it; constraints that share an evaluator share its penalty. A variable that equal bounds
+    fix keeps them: `cut_to_bounds` holds it.
 
     Args:
         prog: the program; it is not changed.
-        inequality: how inequalities are penalised. A log barrier needs boxes that stay on its feasible side.
+        inequality: how inequalities are penalised. A log barrier needs boxes that stay on its
+            feasible side.
         scale: common factor of all penalties.
 
     Raises:
-        UnsupportedTermError: a constraint whose formula Drake does not give, or an inequality of several variables.
+        UnsupportedTermError: a constraint whose formula Drake does not give, or an inequality of
+            several variables.
     """
     penalized = MathematicalProgram()
     penalized.AddDecisionVariables(prog.decision_variables())
@@ -80,9 +88,10 @@ def fixed_variables(
 def cut_to_bounds(
     prog: MathematicalProgram, center: npt.ArrayLike, half_width: npt.ArrayLike
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Returns center and half width of a box's part within the program's bounds, half width 0 where they fix.
+    """Returns center and half width of the part of a box that is within the program's bounds.
 
-    A box that lies outside of the bounds in some variable shrinks to the nearest bound there.
+    Where bounds fix a variable its half width is 0. A box outside of the bounds in some variable
+    shrinks to the nearest bound there.
     """
     lower, upper = _bounds(prog)
     center, half_width = np.asarray(center, dtype=float), np.asarray(half_width, dtype=float)
@@ -104,7 +113,7 @@ def _bounds(prog: MathematicalProgram) -> tuple[npt.NDArray[np.float64], npt.NDA
 def _penalty(
     constraint: Constraint, x: npt.NDArray[Any], inequality: InequalityPenalty, scale: float
 ) -> SharedEvaluator | None:
-    """Returns the cost over placeholders x that stands for lower ≤ g(x) ≤ upper; None if nothing is to be penalised."""
+    """Returns the cost over placeholders x that stands for lower ≤ g(x) ≤ upper; None if empty."""
     name = constraint.get_description() or type(constraint).__name__
     if not isinstance(constraint, _WITH_FORMULA):
         raise UnsupportedTermError(

@@ -48,8 +48,8 @@ def as_expression(value: Any) -> Expression:
 def shared_cost(expression: Expression, description: str) -> SharedEvaluator:
     """Returns a cost: linear or quadratic where it is one, else an ExpressionCost.
 
-    Drake keeps the formula of these three; the PolynomialCost that `AddCost` makes of higher degrees
-    hides it.
+    Drake keeps the formula of these three; the PolynomialCost that `AddCost` makes of higher
+    degrees hides it.
     """
     if expression.is_polynomial() and Polynomial(expression).TotalDegree() <= 2:
         scratch = _scratch_program(expression)
@@ -65,7 +65,7 @@ def shared_cost(expression: Expression, description: str) -> SharedEvaluator:
 def shared_constraint(
     expression: Expression, description: str, lower: float = 0.0, upper: float = 0.0
 ) -> SharedEvaluator:
-    """Returns lower ≤ expression ≤ upper in Drake's most special form: bounding box, linear, quadratic, or expression."""
+    """Returns lower ≤ expression ≤ upper, as special a constraint as Drake has for it."""
     scratch = _scratch_program(expression)
     if Polynomial(expression).TotalDegree() == 2:
         binding = scratch.AddQuadraticConstraint(expression, lower, upper)

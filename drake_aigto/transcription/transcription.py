@@ -30,14 +30,15 @@ class Transcription(ABC):
         minimise over q_k, v_k, u_k    Σ_{k<N} dt g(x_k, u_k) + g_N(x_N),     x = [q, v]
         subject to                     x_0 given, the subclass's dynamics and contact rows
 
-    where g starts as w_u ‖u‖² and g_N as w_f ‖q_N − goal‖². Every row and cost of a kind shares one evaluator, whose
-    description names it. Contact forces are never decision variables: the subclass eliminates them.
+    where g starts as w_u ‖u‖² and g_N as w_f ‖q_N − goal‖². Every row and cost of a kind shares one
+    evaluator, whose description names it. Contact forces are never decision variables: the subclass
+    eliminates them.
 
     Shape letters: N time steps, nq positions, nv = nq velocities, nu controls, m contacts.
     """
 
     def __init__(self, world: World, scenario: Scenario) -> None:
-        """Makes the program: variables, initial state, the scenario's costs, then the subclass's rows."""
+        """Makes variables, initial state, the scenario's costs, then the subclass's rows."""
         self.world = world
         self.scenario = scenario
         N, self._dt = scenario.num_steps, scenario.time_step
@@ -50,9 +51,9 @@ class Transcription(ABC):
         self._next_v = MakeVectorVariable(world.num_velocities, "v_next")
 
         start = np.concatenate([scenario.initial_position, scenario.initial_velocity])
-        self._prog.AddBoundingBoxConstraint(start, start, self.state(0)).evaluator().set_description(
-            "initial state"
-        )
+        self._prog.AddBoundingBoxConstraint(
+            start, start, self.state(0)
+        ).evaluator().set_description("initial state")
         # NumPy takes Drake's boxed constants for invalid numbers, and warns.
         with np.errstate(invalid="ignore"):
             u = world.controls
@@ -74,7 +75,7 @@ class Transcription(ABC):
         """Returns the contact impulses that x implies, shape (N+1, m) [N s]."""
 
     def prog(self) -> MathematicalProgram:
-        """Returns the constrained program; costs and constraints may be added until it is solved."""
+        """Returns the constrained program; add costs and constraints until it is solved."""
         return self._prog
 
     def num_samples(self) -> int:
@@ -86,13 +87,13 @@ class Transcription(ABC):
         return self._dt
 
     def state(self, k: int | None = None) -> npt.NDArray[Any]:
-        """Returns x_k = [q_k, v_k], shape (nq + nv,); without k, placeholders for the methods below."""
+        """Returns x_k = [q_k, v_k], shape (nq + nv,); without k, placeholders for it."""
         if k is None:
             return np.concatenate([self.world.positions, self.world.velocities])
         return np.concatenate([self._q[k], self._v[k]])
 
     def input(self, k: int | None = None) -> npt.NDArray[Any]:
-        """Returns u_k, shape (nu,), 0 ≤ k < N; without k, placeholders for the methods below."""
+        """Returns u_k, shape (nu,), 0 ≤ k < N; without k, placeholders for it."""
         return self.world.controls if k is None else self._u[k]
 
     def initial_state(self) -> npt.NDArray[Any]:
@@ -120,8 +121,8 @@ class Transcription(ABC):
     def AddConstraintToAllKnotPoints(self, f: Formula | npt.NDArray[Any]) -> None:
         """Adds a constraint on placeholders at every knot, as MultipleShooting does.
 
-        Constraints that read the control act at k < N. A bound on one variable, such as `input()[0] <= 3`, becomes a
-        bounding box.
+        Constraints that read the control act at k < N. A bound on one variable, such as `input()[0]
+        <= 3`, becomes a bounding box.
         """
         for formula in np.ravel(np.asarray(f, dtype=object)):
             reads_control = any(formula.GetFreeVariables().include(u) for u in self.world.controls)
@@ -137,7 +138,7 @@ class Transcription(ABC):
     def SetInitialTrajectory(
         self, traj_init_u: PiecewisePolynomial, traj_init_x: PiecewisePolynomial
     ) -> None:
-        """Sets the program's initial guess by sampling a control and a state trajectory at the knots."""
+        """Sets the program's initial guess to samples of a control and a state trajectory."""
         times = self.GetSampleTimes()
         states = np.array([traj_init_x.value(t).ravel() for t in times])
         nq = self.world.num_positions
@@ -174,17 +175,15 @@ class Transcription(ABC):
         return Trajectory(self.GetSampleTimes(), q, v, u, self.impulses(x))
 
     def vector(self, trajectory: Trajectory) -> npt.NDArray[np.float64]:
-        """Returns the decision variables of a trajectory at this transcription's knots; undoes `trajectory`."""
+        """Returns all decision variables of a trajectory at these knots; undoes `trajectory`."""
         parts = (trajectory.positions, trajectory.velocities, trajectory.controls)
         return np.concatenate([part.ravel() for part in parts])
 
     def split(self, x: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
-        """Returns q (N+1, nq), v (N+1, nv) and u (N, nu) out of a vector of all decision variables."""
+        """Returns q (N+1, nq), v (N+1, nv) and u (N, nu) out of all decision variables."""
         shapes = (self._q.shape, self._v.shape, self._u.shape)
         ends = np.cumsum([np.prod(shape) for shape in shapes])
-        return [
-            part.reshape(shape) for part, shape in zip(np.split(x, ends), shapes, strict=False)
-        ]
+        return [part.reshape(shape) for part, shape in zip(np.split(x, ends), shapes, strict=False)]
 
     def scenario_cost(self, x: npt.NDArray[np.float64]) -> float:
         """Returns J = w_u Σ dt ‖u_k‖² + w_f ‖q_N − goal‖², without penalties or added costs."""
@@ -194,20 +193,19 @@ class Transcription(ABC):
         return float(effort + miss)
 
     def elimination_order(self) -> npt.NDArray[np.int64]:
-        """Returns the decision variables' indices stage by stage, which makes Newton systems banded."""
+        """Returns all decision variables' indices by stage: Newton systems are banded then."""
         stages = [self.state(k) for k in range(self.num_samples())]
-        with_controls = [
-            np.concatenate([x, u]) for x, u in zip(stages[:-1], self._u, strict=True)
-        ]
+        with_controls = [np.concatenate([x, u]) for x, u in zip(stages[:-1], self._u, strict=True)]
         ordered = np.concatenate([*with_controls, stages[-1]])
         return np.array(self._prog.FindDecisionVariableIndices(ordered))
 
     def initial_box(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-        """Returns center and half width of the box that AIGO starts from, each over all decision variables.
+        """Returns center and half width, over all decision variables, of AIGO's first box.
 
-        The center goes straight from start to goal. With L the longest of the way to the goal and the distances to the
-        wall, positions get a half width of L, velocities 2L/T and controls 4 M L/T² (what covers 2L in T by accelerating
-        and braking), cut to the program's bounds. Variables that the program fixes get half width 0.
+        The center goes straight from start to goal. With L the longest of the way to the goal and
+        the distances to the wall, positions get a half width of L, velocities 2L/T and controls 4 M
+        L/T² (what covers 2L in T by accelerating and braking), cut to the program's bounds.
+        Variables that the program fixes get half width 0.
         """
         world, scenario = self.world, self.scenario
         q0, goal, T = scenario.initial_position, scenario.goal_position, scenario.duration
@@ -222,7 +220,10 @@ class Transcription(ABC):
         return cut_to_bounds(self._prog, center, half_width)
 
     def penalized(self, inequality: InequalityPenalty = "squared hinge") -> MathematicalProgram:
-        """Returns `prog` with its constraints as costs, each row r_k as r_k²/dt, so that weights don't depend on N."""
+        """Returns `prog` with constraints as costs, each row r_k as r_k²/dt.
+
+        So weights mean the same for every N.
+        """
         return penalize(self._prog, inequality, scale=1 / self._dt)
 
     def _bind_stages(self, shared: SharedEvaluator) -> None:
@@ -231,7 +232,7 @@ class Transcription(ABC):
             self._bind(shared, k)
 
     def _bind(self, shared: SharedEvaluator, k: int) -> None:
-        """Binds an evaluator over the placeholders of stage k (and of the next knot, if it reads that)."""
+        """Binds an evaluator over the placeholders of knot k, its control and the next knot."""
         placeholders = [self.state()]
         values = [self.state(k)]
         if k < len(self._u):

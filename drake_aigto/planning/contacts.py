@@ -1,0 +1,76 @@
+"""The contacts of a planned trajectory, read off its impulses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from drake_aigto.trajectory import Trajectory
+    from drake_aigto.world import World
+
+# An impulse is a contact if it changes the velocity by this part of the largest one on the way. A
+# literal plan has some force at every distance; this tells the blow from the breeze.
+_SHARE = 0.05
+# Knots apart by no more than this belong to one contact.
+_GAP = 2
+
+
+@dataclass(frozen=True)
+class PlannedContact:
+    """One contact of a plan.
+
+    Attributes:
+        time: of its first knot [s].
+        last_time: of its last knot [s].
+        velocity_change: ‖Σ M⁻¹ Jᵀ p‖ [m/s].
+        energy_ratio: kinetic energy after / before.
+    """
+
+    time: float
+    last_time: float
+    velocity_change: float
+    energy_ratio: float
+
+
+def find_contacts(world: World, trajectory: Trajectory) -> tuple[PlannedContact, ...]:
+    """Returns the contacts of a trajectory in the order of time: its contact sequence."""
+    knots = zip(trajectory.positions, trajectory.impulses, strict=True)
+    changes = np.array([world.calc_velocity_change(q, p) for q, p in knots])
+    sizes = np.linalg.norm(changes, axis=1)
+    largest = np.max(np.linalg.norm(trajectory.velocities, axis=1))
+    hit = np.flatnonzero(sizes > _SHARE * largest)
+    if not hit.size:
+        return ()
+    runs = np.split(hit, np.flatnonzero(np.diff(hit) > _GAP) + 1)
+    return tuple(_contact(world, trajectory, changes, run[0], run[-1]) for run in runs)
+
+
+def max_penetration(world: World, trajectory: Trajectory) -> float:
+    """Returns the deepest −φ(q_k) ≥ 0 over the knots [m]."""
+    distances = [world.calc_signed_distance(q) for q in trajectory.positions]
+    return max(0.0, -float(np.min(distances)))
+
+
+def _contact(
+    world: World,
+    trajectory: Trajectory,
+    changes: npt.NDArray[np.float64],
+    first: int,
+    last: int,
+) -> PlannedContact:
+    """Returns the contact of knots first … last."""
+    before = trajectory.velocities[first]
+    at_last = trajectory.velocities[last]
+    after = trajectory.velocities[last + 1] if last + 1 < len(trajectory.times) else at_last
+    energies = [float(v @ world.mass_matrix_values @ v) for v in (before, after)]
+    return PlannedContact(
+        time=float(trajectory.times[first]),
+        last_time=float(trajectory.times[last]),
+        velocity_change=float(np.linalg.norm(changes[first : last + 1].sum(axis=0))),
+        energy_ratio=energies[1] / energies[0] if energies[0] > 0 else np.inf,
+    )

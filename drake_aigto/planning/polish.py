@@ -1,0 +1,76 @@
+"""Drake's gradient solvers on a transcription's constraints."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydrake.solvers import IpoptSolver, MathematicalProgram, SnoptSolver, SolverOptions
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+# Rows are multiplied by distances of 1e-4 m near the wall: asked this tight, the true defects end
+# below 1e-8.
+_FEASIBILITY = 1e-11
+_OPTIMALITY = 1e-8
+
+
+@dataclass(frozen=True)
+class LocalResult:
+    """What a gradient solver ended with.
+
+    Attributes:
+        x: all decision variables.
+        is_success: the solver's own word.
+        status: the solver's status, in words.
+    """
+
+    x: npt.NDArray[np.float64]
+    is_success: bool
+    status: str
+
+
+def solve_with_drake(
+    prog: MathematicalProgram,
+    guess: npt.NDArray[np.float64],
+    solver: str,
+    max_iterations: int = 500,
+) -> LocalResult:
+    """Runs SNOPT or IPOPT through Drake from a guess.
+
+    Args:
+        prog: the constrained program.
+        guess: all decision variables.
+        solver: "snopt" or "ipopt".
+        max_iterations: the solver's major iterations.
+    """
+    chosen = SnoptSolver() if solver == "snopt" else IpoptSolver()
+    result = chosen.Solve(prog, guess, _options(solver, max_iterations))
+    x = result.get_x_val()
+    is_finite = bool(np.all(np.isfinite(x)))
+    return LocalResult(
+        x=x if is_finite else guess,
+        is_success=result.is_success() and is_finite,
+        status=result.get_solution_result().name,
+    )
+
+
+def _options(solver: str, max_iterations: int) -> SolverOptions:
+    options = SolverOptions()
+    if solver == "snopt":
+        for name, value in (
+            ("Major feasibility tolerance", _FEASIBILITY),
+            ("Major optimality tolerance", _OPTIMALITY),
+            ("Major iterations limit", max_iterations),
+        ):
+            options.SetOption(SnoptSolver.id(), name, value)
+    else:
+        for name, value in (
+            ("constr_viol_tol", _FEASIBILITY),
+            ("tol", _OPTIMALITY),
+            ("max_iter", max_iterations),
+        ):
+            options.SetOption(IpoptSolver.id(), name, value)
+    return options

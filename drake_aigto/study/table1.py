@@ -1,0 +1,206 @@
+"""The paper's Table I: gradient solvers against AIGTO, and what each plan does on a rigid wall."""
+
+from __future__ import annotations
+
+import dataclasses
+import statistics
+import time
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from dataclasses import dataclass
+from multiprocessing import get_context
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from drake_aigto.baselines import gradient_from_random, gradient_from_zero
+from drake_aigto.planning import Candidate, Planner, PlanningProblem, PlanOptions, Replays
+from drake_aigto.planning.planner import LARGEST_DEFECT, make_transcription
+from drake_aigto.world import Scenario
+
+ROWS = (1, 2, 3, 4)
+# Through Drake, the faster of its two on this problem's form.
+GRADIENT_SOLVER = "ipopt"
+
+
+class PaperCosts(NamedTuple):
+    """A row of Table I as printed."""
+
+    gradient: float
+    aigto: float
+
+
+PAPER_COSTS = {
+    1: PaperCosts(1.19e-2, 3.65e-5),
+    2: PaperCosts(1.13e-2, 8.7e-5),
+    3: PaperCosts(7.1e-2, 5.42e-5),
+    4: PaperCosts(1.13e-2, 3.67e-7),
+}
+
+
+@dataclass(frozen=True)
+class Method:
+    """What one method came to on one row of the table.
+
+    Attributes:
+        name: of the method.
+        costs: J of every run that met the transcription's rows, sorted.
+        num_runs: how many runs there were.
+        best: the run of least cost that met the rows; if none did, that of least defect.
+        replays: simulations of the best one's control.
+        seconds: all runs together, replays apart.
+    """
+
+    name: str
+    costs: tuple[float, ...]
+    num_runs: int
+    best: Candidate
+    replays: Replays
+    seconds: float
+
+    @property
+    def is_feasible(self) -> bool:
+        """Whether any run met the rows."""
+        return bool(self.costs)
+
+    @property
+    def median_cost(self) -> float:
+        """The median over the runs that met the rows; NaN if none did."""
+        return statistics.median(self.costs) if self.costs else float("nan")
+
+    def to_dict(self) -> dict[str, Any]:
+        """Returns plain JSON values."""
+        drake = self.replays.drake
+        return {
+            "name": self.name,
+            "costs": list(self.costs),
+            "num_runs": self.num_runs,
+            "best": self.best.to_dict(),
+            "drake": None if drake is None else drake.to_dict(),
+            "seconds": self.seconds,
+        }
+
+
+@dataclass(frozen=True)
+class Cell:
+    """One row of the table under one choice of bounds.
+
+    Attributes:
+        row: 1 … 4.
+        nonpenetration: whether φ(q_k) ≥ 0 was asked for, of all methods alike.
+        methods: in the order that they are shown.
+    """
+
+    row: int
+    nonpenetration: bool
+    methods: tuple[Method, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Returns plain JSON values."""
+        return {
+            "row": self.row,
+            "scenario": f"table1/{self.row}",
+            "nonpenetration": self.nonpenetration,
+            "paper": PAPER_COSTS[self.row]._asdict(),
+            "methods": [method.to_dict() for method in self.methods],
+        }
+
+
+def run_cell(
+    row: int, nonpenetration: bool, num_guesses: int = 10, seed: int = 0, confirm: bool = True
+) -> Cell:
+    """Runs every method on one row.
+
+    Args:
+        row: 1 … 4.
+        nonpenetration: whether φ(q_k) ≥ 0 is asked for.
+        num_guesses: random guesses of the gradient solvers.
+        seed: of the guesses; the same seed gives the same plans.
+        confirm: whether the plans are also replayed on Drake's plant.
+    """
+    scenario = Scenario.named(f"table1/{row}")
+    options = PlanOptions(transcription="literal", nonpenetration=nonpenetration, confirm=confirm)
+    planner = Planner(scenario, options)
+    methods = list(_gradient_methods(planner, num_guesses, np.random.default_rng([seed, row])))
+    for name, algorithm in (
+        ("AIGTO, Algorithm 1", "full gradient"),
+        ("AIGTO, annealing", "annealing"),
+    ):
+        chosen = dataclasses.replace(options, algorithm=algorithm)
+        methods.append(_aigto_method(name, Planner(scenario, chosen, planner.world)))
+    return Cell(row, nonpenetration, tuple(methods))
+
+
+def run_table1(
+    rows: Sequence[int] = ROWS,
+    num_guesses: int = 10,
+    seed: int = 0,
+    confirm: bool = True,
+    executor: Executor | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> list[Cell]:
+    """Runs the table, with φ free as the paper must have had it and with φ ≥ 0.
+
+    Args:
+        rows: which.
+        num_guesses: random guesses of the gradient solvers.
+        seed: of the guesses.
+        confirm: whether the plans are also replayed on Drake's plant.
+        executor: where cells run; a pool of processes if None.
+        progress: called with a line of text after each cell.
+
+    Returns:
+        The cells, φ free first. Ctrl-C leaves those that were done.
+    """
+    if executor is None:
+        # Forking a process whose libraries have threads is not safe.
+        with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+            return run_table1(rows, num_guesses, seed, confirm, pool, progress)
+    cells = [(row, nonpenetration) for nonpenetration in (False, True) for row in rows]
+    jobs = {executor.submit(run_cell, *cell, num_guesses, seed, confirm): cell for cell in cells}
+    done: dict[tuple[int, bool], Cell] = {}
+    try:
+        for job in as_completed(jobs):
+            done[jobs[job]] = job.result()
+            if progress:
+                progress(f"{len(done)} of {len(cells)} cells of Table I done")
+    except KeyboardInterrupt:
+        for job in jobs:
+            job.cancel()
+        if not done:
+            raise
+    return [done[cell] for cell in cells if cell in done]
+
+
+def _gradient_methods(
+    planner: Planner, num_guesses: int, generator: np.random.Generator
+) -> Iterator[Method]:
+    options = dataclasses.replace(planner.options, local_solver=GRADIENT_SOLVER)
+    problem = PlanningProblem(make_transcription(planner.world, planner.scenario, options), options)
+    name = f"gradient ({GRADIENT_SOLVER.upper()})"
+    start = time.perf_counter()
+    runs = [gradient_from_zero(problem)]
+    yield _summarize(f"{name}, zero", planner, runs, time.perf_counter() - start)
+    start = time.perf_counter()
+    runs = [gradient_from_random(problem, generator) for _ in range(num_guesses)]
+    yield _summarize(f"{name}, random", planner, runs, time.perf_counter() - start)
+
+
+def _aigto_method(name: str, planner: Planner) -> Method:
+    plan = planner.plan()
+    seconds = sum(plan.stats.seconds[part] for part in ("build", "aigo", "polish"))
+    return _summarize(name, planner, list(plan.candidates), seconds, plan.replay)
+
+
+def _summarize(
+    name: str,
+    planner: Planner,
+    runs: list[Candidate],
+    seconds: float,
+    replays: Replays | None = None,
+) -> Method:
+    """Returns a method's summary, its best run replayed unless that was done."""
+    feasible = sorted((r for r in runs if r.max_defect <= LARGEST_DEFECT), key=lambda r: r.cost)
+    best = feasible[0] if feasible else min(runs, key=lambda run: run.max_defect)
+    costs = tuple(run.cost for run in feasible)
+    return Method(name, costs, len(runs), best, replays or planner.replay(best), seconds)

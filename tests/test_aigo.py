@@ -1,0 +1,289 @@
+"""AIGO's algorithms: invariants of their steps, and functions whose global minimum is known."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drake_aigto.aigo import (
+    Algorithm,
+    Annealing,
+    Box,
+    FullGradient,
+    Iterate,
+    PenaltyContinuation,
+    Status,
+    minimize,
+)
+from drake_aigto.aigo.annealing import SmoothedObjective
+from drake_aigto.aigo.newton import HeldUnknowns, PointObjective, newton
+from drake_aigto.box import BoxPolynomial, Factor, FunctionKind, Term, TermBlock
+from drake_aigto.errors import OptionsError
+
+ALGORITHMS: dict[str, Algorithm] = {
+    "annealing": Annealing(initial_temperature=10.0, final_temperature=1e-12),
+    "full gradient": FullGradient(zeta=1.0),
+}
+
+
+def power(variable: int, exponent: int) -> Factor:
+    return Factor(variable, FunctionKind.POWER, exponent)
+
+
+def univariate(coefficients: np.ndarray) -> BoxPolynomial:
+    """Returns Σ a_p x^p."""
+    terms = tuple(Term(float(a), (power(0, p),) if p else ()) for p, a in enumerate(coefficients))
+    return BoxPolynomial(1, (TermBlock("f", terms, [[0]]),))
+
+
+def chain(n: int, weight: float = 3.0) -> BoxPolynomial:
+    """Returns Σ (x_i² − 1)² + x_i/5 + weight (x_{i+1} − x_i)²; the lower valley is near −1."""
+    well = (
+        Term(1.0, (power(0, 4),)),
+        Term(-2.0, (power(0, 2),)),
+        Term(1.0, ()),
+        Term(0.2, (power(0, 1),)),
+    )
+    link = (
+        Term(1.0, (power(0, 2),)),
+        Term(1.0, (power(1, 2),)),
+        Term(-2.0, (power(0, 1), power(1, 1))),
+    )
+    i = np.arange(n)
+    return BoxPolynomial(
+        n,
+        (
+            TermBlock("well", well, i[:, np.newaxis]),
+            TermBlock("link", link, np.column_stack([i[:-1], i[1:]]), weight),
+        ),
+    )
+
+
+@settings(max_examples=30)
+@given(degree=st.sampled_from([4, 6, 8]), seed=st.integers(0, 10**6), shift=st.floats(-20, 20))
+def test_the_papers_algorithm_solves_one_variable_globally(
+    degree: int, seed: int, shift: float
+) -> None:
+    # Random critical points in [−2, 2] + shift; f is the integral of ∏ (x − r). Annealing has no
+    # such guarantee: it follows one stationary box, also where a wide one turns into the better of
+    # two.
+    roots = np.random.default_rng(seed).uniform(-2, 2, degree - 1)
+    f = np.polynomial.Polynomial.fromroots(roots).integ()
+    values = np.sort(f(roots))
+    if np.diff(values[:2])[0] < 1e-3:
+        return  # Two minima as good as equal: no unique one to find.
+    best = roots[np.argmin(f(roots))]
+    shifted = f(np.polynomial.Polynomial([-shift, 1.0]))
+    box = Box(np.array([shift]), np.array([4.0]))
+    result = minimize(univariate(shifted.coef), box, ALGORITHMS["full gradient"])
+    assert result.is_converged
+    # The expanded coefficients carry rounding of up to 22⁸ ε ≈ 1e-5.
+    assert result.box.center[0] - shift == pytest.approx(best, abs=0.02)
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_a_chain_of_double_wells_ends_in_the_lower_valley(name: str) -> None:
+    f = chain(30)
+    result = minimize(f, Box(np.full(30, 0.5), np.full(30, 2.0)), ALGORITHMS[name])
+    assert np.all(result.box.center < -0.9)
+    assert result.cost == pytest.approx(f(np.full(30, -1.0247)), abs=1e-3)
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_held_variables_stay(name: str) -> None:
+    half_width = np.full(6, 2.0)
+    half_width[2] = 0.0
+    center = np.full(6, 0.5)
+    center[2] = 0.75
+    result = minimize(chain(6), Box(center, half_width), ALGORITHMS[name])
+    assert all(i.box.center[2] == 0.75 and i.box.half_width[2] == 0.0 for i in result.history)
+    assert not np.any(result.box.center[[0, 1, 3, 4, 5]] == 0.5)
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_sizes_shrink_at_every_outer_step(name: str) -> None:
+    result = minimize(chain(8), Box(np.full(8, 0.5), np.full(8, 2.0)), ALGORITHMS[name])
+    sizes = [iterate.box.mean_half_width for iterate in result.history]
+    settled = sizes[1:]  # The first step may widen: the start is not stationary.
+    assert all(after < before for before, after in pairwise(settled))
+    assert settled[-1] < 1e-4
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_the_same_input_gives_the_same_bits(name: str) -> None:
+    runs = [
+        minimize(chain(8), Box(np.full(8, 0.5), np.full(8, 2.0)), ALGORITHMS[name])
+        for _ in range(2)
+    ]
+    np.testing.assert_array_equal(runs[0].box.center, runs[1].box.center)
+    np.testing.assert_array_equal(runs[0].box.half_width, runs[1].box.half_width)
+
+
+def test_an_annealed_box_is_stationary() -> None:
+    # w_i ∂f̄/∂w_i = μ for every i, and ∂f̄/∂c = 0.
+    algorithm = Annealing(initial_temperature=0.3, final_temperature=0.2, tolerance=1e-8)
+    f = chain(5)
+    result = minimize(f, Box(np.full(5, 0.5), np.full(5, 2.0)), algorithm)
+    _, gradient_c, gradient_z = f.gradient(result.box.center, result.box.half_width)
+    np.testing.assert_allclose(gradient_c, 0.0, atol=1e-7)
+    np.testing.assert_allclose(gradient_z, 0.3, rtol=1e-7)
+
+
+def test_a_quadratics_boxes_follow_from_the_temperature() -> None:
+    # f = a (x − 1)²: mean a ((c − 1)² + w²/3), stationary at w = √(3μ/(2a)).
+    f = univariate(np.array([4.0, -8.0, 4.0]))
+    algorithm = Annealing(initial_temperature=1e-2, final_temperature=5e-3, tolerance=1e-10)
+    result = minimize(f, Box(np.array([7.0]), np.array([2.0])), algorithm)
+    hot, cold = result.history[1], result.history[2]
+    assert hot.box.half_width[0] == pytest.approx(np.sqrt(3 * 1e-2 / 8))
+    assert cold.box.half_width[0] == pytest.approx(np.sqrt(3 * 5e-3 / 8))
+    assert hot.box.center[0] == pytest.approx(1.0)
+
+
+def test_steps_by_hand_are_the_loops_steps() -> None:
+    algorithm, f = Annealing(initial_temperature=1.0, final_temperature=1e-3), chain(4)
+    box = Box(np.full(4, 0.5), np.full(4, 2.0))
+    seen: list[Iterate] = []
+    result = minimize(f, box, algorithm, callback=seen.append)
+    iterate = algorithm.init(f, box)
+    by_hand = [iterate]
+    while not algorithm.terminate(f, iterate):
+        iterate = algorithm.step(f, iterate)
+        by_hand.append(iterate)
+    for one, two, three in zip(by_hand, result.history, seen, strict=True):
+        np.testing.assert_array_equal(one.box.center, two.box.center)
+        assert two is three
+
+
+@pytest.mark.parametrize("name", ALGORITHMS)
+def test_ctrl_c_returns_the_best_so_far(name: str) -> None:
+    def interrupt(iterate: Iterate, steps: list[int] = []) -> None:  # noqa: B006 (a counter)
+        steps.append(1)
+        if len(steps) == 4:
+            raise KeyboardInterrupt
+
+    result = minimize(chain(4), Box(np.full(4, 0.5), np.full(4, 2.0)), ALGORITHMS[name], interrupt)
+    assert result.status is Status.INTERRUPTED
+    assert len(result.history) == 4
+    assert np.isfinite(result.cost)
+
+
+def test_a_box_beyond_a_barrier_is_reported() -> None:
+    barrier = Term(1.0, (Factor(0, FunctionKind.NEG_LOG),))
+    f = BoxPolynomial(1, (TermBlock("barrier", (barrier,), [[0]]),))
+    result = minimize(f, Box(np.array([0.5]), np.array([1.0])), Annealing())
+    assert result.status is Status.NOT_FINITE
+    assert not result.is_converged
+
+
+def test_running_out_of_steps_is_reported() -> None:
+    result = minimize(chain(4), Box(np.zeros(4), np.ones(4)), FullGradient(max_steps=3))
+    assert result.status is Status.STEP_LIMIT
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: Annealing(initial_temperature=0.0), "initial_temperature: got 0, expected"),
+        (lambda: Annealing(cooling=1.0), "cooling: got 1, expected a number above 0 and below 1"),
+        (lambda: Annealing(tolerance=float("nan")), "tolerance: got nan"),
+        (lambda: Annealing(max_newton_steps=0), "max_newton_steps: got 0, expected 1 or more"),
+        (lambda: FullGradient(gamma=1.0), "gamma: got 1, expected a number above 1"),
+        (lambda: FullGradient(beta=1.0), r"beta: got 1, expected a number in \[0, 1\)"),
+        (lambda: FullGradient(zeta=-1.0), "zeta: got -1, expected a number above 0"),
+        (lambda: FullGradient(inner_steps=0), "inner_steps: got 0, expected 1 or more"),
+        (lambda: Box(np.zeros(2), np.array([1.0, -1.0])), "half_width: got -1, expected 0"),
+        (lambda: Box(np.array([np.nan]), np.ones(1)), "box: got NaN or infinity"),
+    ],
+)
+def test_bad_options_are_refused(make: object, message: str) -> None:
+    with pytest.raises(OptionsError, match=message):
+        make()  # type: ignore[operator]
+
+
+def test_a_box_is_read_only_and_spreads_scalars() -> None:
+    box = Box(np.zeros(3), 2.0)  # type: ignore[arg-type]
+    np.testing.assert_array_equal(box.half_width, [2.0, 2.0, 2.0])
+    with pytest.raises(ValueError, match="read-only"):
+        box.center[0] = 1.0
+    assert box.log_size == pytest.approx(np.log(4.0**3))
+    assert box.mean_half_width == pytest.approx(2.0)
+
+
+# Newton's method
+
+
+def dense(band: np.ndarray) -> np.ndarray:
+    """Returns the symmetric matrix of a lower band."""
+    n = band.shape[1]
+    matrix = np.zeros((n, n))
+    for d, diagonal in enumerate(band):
+        matrix += np.diag(diagonal[: n - d], -d)
+        if d:
+            matrix += np.diag(diagonal[: n - d], d)
+    return matrix
+
+
+@settings(max_examples=30)
+@given(st.sets(st.integers(0, 11), min_size=1), st.integers(0, 5))
+def test_held_unknowns_leave_the_band_as_an_identity(held: set[int], bandwidth: int) -> None:
+    n = 12
+    band = np.random.default_rng(3).normal(size=(bandwidth + 1, n))
+    gradient = np.ones(n)
+    before = dense(band)
+    index = np.array(sorted(held))
+    HeldUnknowns(index, bandwidth, n).remove(gradient, band)
+    after = dense(band)
+    free = np.setdiff1d(np.arange(n), index)
+    np.testing.assert_array_equal(after[np.ix_(free, free)], before[np.ix_(free, free)])
+    np.testing.assert_array_equal(after[np.ix_(index, index)], np.eye(index.size))
+    np.testing.assert_array_equal(after[np.ix_(free, index)], 0.0)
+    np.testing.assert_array_equal(gradient[index], 0.0)
+
+
+def test_newton_on_a_quadratic_takes_one_step() -> None:
+    f = univariate(np.array([4.0, -8.0, 4.0]))
+    objective = PointObjective(f, np.array([True]), tolerance=1e-10)
+    result = newton(objective, np.array([30.0]), max_steps=20, damping=0.0)
+    assert result.steps == 1
+    assert result.y[0] == pytest.approx(1.0)
+
+
+def test_newton_descends_from_an_indefinite_hessian() -> None:
+    f = univariate(np.array([0.0, 0.01, -2.0, 0.0, 1.0]))  # concave at 0
+    objective = PointObjective(f, np.array([True]), tolerance=1e-10)
+    result = newton(objective, np.array([0.0]), max_steps=100, damping=0.0)
+    assert result.y[0] == pytest.approx(-1.00125, abs=1e-4)
+    assert result.value < f(np.array([0.0]))
+
+
+def test_a_step_never_changes_a_width_by_more_than_e() -> None:
+    objective = SmoothedObjective(chain(3), np.ones(3, dtype=bool), 1e-3, 1e-3)
+    step = np.array([5.0, -3.0, 1.0, 0.5, 0.0, 2.0])
+    assert np.max(np.abs(objective.limit(step) * step[1::2])) == pytest.approx(1.0)
+    assert objective.limit(step / 10) == 1.0
+
+
+def test_penalty_continuation_meets_the_constraint() -> None:
+    # minimise (x − 3)² + (y − 1)² subject to x y = 1, from near the solution of the penalised
+    # problem.
+    cost = (
+        Term(1.0, (power(0, 2),)),
+        Term(-6.0, (power(0, 1),)),
+        Term(1.0, (power(1, 2),)),
+        Term(-2.0, (power(1, 1),)),
+    )
+    row = (
+        Term(1.0, (power(0, 2), power(1, 2))),
+        Term(-2.0, (power(0, 1), power(1, 1))),
+        Term(1.0, ()),
+    )
+    f = BoxPolynomial(2, (TermBlock("cost", cost, [[0, 1]]), TermBlock("row", row, [[0, 1]])))
+    x = PenaltyContinuation().run(f, ["row"], np.array([2.5, 0.8]), np.ones(2, dtype=bool))
+    assert x[0] * x[1] == pytest.approx(1.0, abs=1e-6)
+    # Stationarity along the constraint: (x − 3)/y = (y − 1)/x.
+    assert (x[0] - 3) / x[1] == pytest.approx((x[1] - 1) / x[0], abs=1e-5)
