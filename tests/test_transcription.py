@@ -284,6 +284,17 @@ def test_both_sides_of_an_interval_are_penalised() -> None:
     assert [f(np.array([at])) for at in (-3.0, 0.0, 4.0)] == pytest.approx([4.0, 0.0, 4.0])
 
 
+def test_every_bound_of_many_is_penalised_as_its_own() -> None:
+    # Drake hands out short-lived Python objects for evaluators, whose ids repeat.
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(20, "x")
+    lower = np.linspace(1.0, 3.0, 20)
+    for variable, bound in zip(x, lower, strict=True):
+        prog.AddBoundingBoxConstraint(bound, np.inf, variable)
+    f = compile_program(penalize(prog))
+    assert f(np.zeros(20)) == pytest.approx(np.sum(lower**2))
+
+
 def test_fixed_variables_keep_their_bounds_instead_of_a_penalty() -> None:
     prog = MathematicalProgram()
     x = prog.NewContinuousVariables(2, "x")

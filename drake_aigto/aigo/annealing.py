@@ -63,7 +63,7 @@ class Annealing:
         return Iterate(box, mean, self.initial_temperature, memory=1e-2)
 
     def step(self, f: BoxPolynomial, iterate: Iterate) -> Iterate:
-        """Minimises at the iterate's temperature, then lowers it; the memory is Newton's damping."""
+        """Minimises at the temperature, then lowers it; the memory is Newton's damping."""
         mu = iterate.temperature
         objective = SmoothedObjective(f, iterate.box.free, mu, self.tolerance)
         y = objective.unknowns(iterate.box)

@@ -33,7 +33,7 @@ class Objective(ABC):
 
     @abstractmethod
     def evaluate(self, y: Floats) -> System:
-        """Returns value, gradient and Hessian; held unknowns have an identity row and gradient 0."""
+        """Returns value, gradient, Hessian; held unknowns have gradient 0 and an identity row."""
 
     @abstractmethod
     def scale(self, y: Floats, system: System) -> Floats:
@@ -80,17 +80,24 @@ def newton(objective: Objective, y: Floats, max_steps: int, damping: float) -> N
         residual = float(np.sqrt(np.sum(system.gradient**2 / scale)))
         if steps == max_steps or objective.is_stationary(residual):
             break
-        for trial in range(_MAX_TRIALS):
-            accepted = _try_step(objective, y, system, scale, damping)
-            if accepted is not None:
-                break
-            damping = max(_HARDER * damping, _FIRST_DAMPING)
+        accepted, damping = _descend(objective, y, system, scale, damping)
         if accepted is None:
             break  # Rounding hides any further descent.
         y, system = accepted
-        if trial == 0:
-            damping = max(_SOFTER * damping, _LEAST_DAMPING)
     return NewtonResult(y, system.value, steps, residual, damping)
+
+
+def _descend(
+    objective: Objective, y: Floats, system: System, scale: Floats, damping: float
+) -> tuple[tuple[Floats, System] | None, float]:
+    """Returns the next point and system, or None if no damping descends, and the next damping."""
+    for trial in range(_MAX_TRIALS):
+        accepted = _try_step(objective, y, system, scale, damping)
+        if accepted is not None:
+            softer = max(_SOFTER * damping, _LEAST_DAMPING) if trial == 0 else damping
+            return accepted, softer
+        damping = max(_HARDER * damping, _FIRST_DAMPING)
+    return None, damping
 
 
 def _try_step(

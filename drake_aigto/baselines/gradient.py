@@ -15,7 +15,7 @@ def gradient_from_zero(problem: PlanningProblem) -> Candidate:
 
 
 def gradient_from_random(problem: PlanningProblem, generator: np.random.Generator) -> Candidate:
-    """Returns what the local solver makes of a guess, uniform over the box that AIGO starts from."""
+    """Returns what the local solver makes of a guess, uniform over the first box of AIGO."""
     box = problem.box
     start = generator.uniform(box.center - box.half_width, box.center + box.half_width)
     return problem.judge("random", start, problem.solve_locally(start))

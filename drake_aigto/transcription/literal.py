@@ -93,7 +93,7 @@ class LiteralTranscription(Transcription):
         return {name: float(value) for name, value in found.items()}
 
     def impulses(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Returns dt ε/(φ(q_k) + δ), shape (N+1, m) [N s]; 0 at the last knot, as no step follows."""
+        """Returns dt ε/(φ(q_k) + δ), shape (N+1, m) [N s]; 0 at the last knot: no step follows."""
         q = self.split(x)[0]
         gaps = np.array([self.world.calc_signed_distance(q_k) for q_k in q]) + self.scenario.delta
         impulses = self._dt * self.scenario.epsilon / gaps

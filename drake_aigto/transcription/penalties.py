@@ -61,13 +61,14 @@ def penalize(
     penalized.AddDecisionVariables(prog.decision_variables())
     for cost in prog.GetAllCosts():
         penalized.AddCost(cost.evaluator(), vars=cost.variables())
-    penalties: dict[int, tuple[npt.NDArray[Any], SharedEvaluator | None]] = {}
+    # Keyed by the evaluators themselves: ids repeat once an evaluator's Python object is gone.
+    penalties: dict[Constraint, tuple[npt.NDArray[Any], SharedEvaluator | None]] = {}
     for binding in prog.GetAllConstraints():
         evaluator, variables = binding.evaluator(), binding.variables()
-        if id(evaluator) not in penalties:
+        if evaluator not in penalties:
             x = MakeVectorVariable(len(variables), "x")
-            penalties[id(evaluator)] = x, _penalty(evaluator, x, inequality, scale)
-        x, penalty = penalties[id(evaluator)]
+            penalties[evaluator] = x, _penalty(evaluator, x, inequality, scale)
+        x, penalty = penalties[evaluator]
         if penalty is not None:
             penalty.bind(penalized, substitutions([x], [variables]))
     fixed, values = fixed_variables(prog)
