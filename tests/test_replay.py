@@ -1,0 +1,166 @@
+"""Replay: on Drake's plant, and what both replays say of a plan."""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from replay_worlds import hold, make_diagram, make_scenario, shipped_world
+
+from drake_aigto.errors import ModelError, PlanFileError
+from drake_aigto.planning.material import calc_dissipation, contact_delay
+from drake_aigto.planning.replay import Replay, confirms, replay_drake, replay_event_driven
+from drake_aigto.trajectory import TrajectoryError
+from drake_aigto.world import Scenario, World
+
+# Drake's plant.
+
+
+@pytest.mark.parametrize("row", [1, 2, 3, 4])
+def test_drakes_elastic_wall_is_late_by_its_contact_and_else_agrees(row: int) -> None:
+    scenario = Scenario.named(f"table1/{row}")
+    world = World.from_scenario(scenario)
+    control = hold(0.3)
+    rigid = replay_event_driven(world, scenario, *control)
+    drake = replay_drake(world, scenario, *control)
+    (touch,) = drake.bounce_times
+    assert touch == pytest.approx(rigid.bounce_times[0], abs=1e-9)
+    speed = math.sqrt(2 * rigid.energies_before[0])
+    late = drake.velocities[-1, 0] * contact_delay(world)
+    assert rigid.positions[-1, 0] - drake.positions[-1, 0] == pytest.approx(late, rel=0.1)
+    assert drake.max_penetration == pytest.approx(speed * math.sqrt(1 / 1e9), rel=1e-3)
+    assert drake.energy_ratio == pytest.approx(1.0, abs=3e-5)
+    assert drake.matched_speed is None
+    assert np.all(np.diff(drake.times) >= 0) and len(drake.times) == len(control[0]) + 3
+    assert confirms(rigid.cost, drake, rigid.goal_error)
+
+
+@pytest.mark.parametrize("e", [0.9, 0.5, 0.2])
+def test_drakes_dissipation_is_matched_without_editing_the_plant(e: float) -> None:
+    world, scenario = shipped_world(), make_scenario(restitution=e)
+    rigid = replay_event_driven(world, scenario, *hold(-0.5))
+    drake = replay_drake(world, scenario, *hold(-0.5))
+    assert drake.matched_speed == pytest.approx(math.sqrt(2 * rigid.energies_before[0]))
+    assert drake.energy_ratio == pytest.approx(e**2, abs=1e-3)
+    assert drake.positions[-1, 0] == pytest.approx(rigid.positions[-1, 0], abs=3e-4)
+    elastic = replay_drake(world, make_scenario(), *hold(-0.5))
+    assert elastic.energy_ratio == pytest.approx(1.0, abs=3e-5)
+
+
+def test_drake_rests_under_a_push() -> None:
+    replay = replay_drake(shipped_world(), make_scenario(0.05, 0.0, restitution=0.1), *hold(-2.0))
+    # At low speeds the dissipation takes little: what is left trembles for long.
+    assert abs(replay.positions[-1, 0]) < 1e-4
+    assert abs(replay.velocities[-1, 0]) < 1e-2
+
+
+def test_the_contact_delay_is_half_a_period_of_the_mass_on_the_pairs_stiffness() -> None:
+    assert contact_delay(shipped_world()) == pytest.approx(math.pi * math.sqrt(1 / 1e9))
+    assert contact_delay(shipped_world(2.0)) == pytest.approx(math.pi * math.sqrt(2 / 1e9))
+    world = World.from_diagram(make_diagram(num_joints=2, stiffness=1e7))
+    J = world.calc_contact_jacobian(np.zeros(2))[0]
+    mass = 1 / (J @ np.linalg.solve(world.mass_matrix_values, J))
+    assert contact_delay(world) == pytest.approx(math.pi * math.sqrt(mass / 5e6))
+
+
+@given(st.floats(0.05, 0.999), st.floats(0.1, 10))
+def test_dissipation_solves_its_equation(e: float, speed: float) -> None:
+    y = calc_dissipation(e, speed) * speed
+    excess = y - math.log1p(y) + e * y + math.log1p(-e * y)
+    slope = y / (1 + y) + e - e / (1 - e * y)
+    assert abs(excess / slope) < 1e-9 * y
+
+
+def test_dissipation_at_its_ends() -> None:
+    assert calc_dissipation(1.0, 2.0) == 0.0
+    below, above = (calc_dissipation(1 - 1e-4 * part, 1.0) for part in (1.001, 0.999))
+    assert below / 1.001 == pytest.approx(above / 0.999, rel=1e-6)
+    assert calc_dissipation(0.0, 2.0) == calc_dissipation(1e-3, 2.0) == pytest.approx(500.0)
+
+
+def test_a_replay_replaces_the_diagrams_own_controller() -> None:
+    driven = World.from_diagram(make_diagram(push=7.0))
+    free = World.from_diagram(make_diagram())
+    replays = [replay_drake(world, make_scenario(), *hold(0.0)) for world in (driven, free)]
+    assert replays[0] == replays[1]
+
+
+def test_shapes_without_stiffness_are_refused_by_name() -> None:
+    world = World.from_diagram(make_diagram(stiffness=None))
+    with pytest.raises(ModelError, match=r"collision shape '.*': got no stiffness, .* 2e9 N/m"):
+        replay_drake(world, make_scenario(), *hold(0.0))
+
+
+# What a replay says.
+
+
+def test_the_cost_is_effort_and_goal_error() -> None:
+    scenario = make_scenario(1.0, 0.0, control_weight=0.5, goal_weight=3.0)
+    times, forces = [0.0, 0.1, 0.4], [[2.0], [-1.0]]
+    replay = replay_event_driven(shipped_world(), scenario, times, forces)
+    end = 1.0 + 2.0 * 0.1**2 / 2 + 0.2 * 0.3 - 0.3**2 / 2
+    assert replay.goal_error == pytest.approx(abs(end - 0.73))
+    assert replay.cost == pytest.approx(0.5 * (0.1 * 4 + 0.3 * 1) + 3.0 * (end - 0.73) ** 2)
+    assert replay.energy_ratio is None and replay.energy_ratios == ()
+
+
+@pytest.mark.parametrize("replay_in", [replay_event_driven, replay_drake])
+def test_a_replay_survives_json(replay_in: Any) -> None:
+    for q in (1.0, 3.0):  # with and without a bounce
+        replay = replay_in(shipped_world(), make_scenario(q, restitution=0.5), *hold(0.1, steps=9))
+        read = Replay.from_dict(json.loads(json.dumps(replay.to_dict())))
+        assert read == replay and hash(read) == hash(replay)
+        assert not read.positions.flags.writeable
+    with pytest.raises(PlanFileError, match="Replay: got no cost, expected the keys bounce_times,"):
+        Replay.from_dict({k: v for k, v in replay.to_dict().items() if k != "cost"})
+
+
+def test_the_energy_ratio_weighs_contacts_by_their_energy() -> None:
+    scenario = make_scenario(0.1, restitution=0.5)
+    replay = replay_event_driven(shipped_world(), scenario, *hold(-9.0))
+    assert len(replay.energy_ratios) > 5
+    assert replay.energy_ratio == pytest.approx(0.25)
+    fields = replay.to_dict() | {
+        "bounce_times": [0.1, 0.2],
+        "energies_before": [2.0, 1e-6],
+        "energies_after": [0.5, 1e-6],
+    }
+    assert Replay.from_dict(fields).energy_ratio == pytest.approx(0.25, rel=1e-5)
+
+
+@pytest.mark.parametrize("replay_in", [replay_event_driven, replay_drake])
+@pytest.mark.parametrize(
+    ("times", "forces", "message"),
+    [
+        ([0.0, 1.0], [[1.0], [2.0]], r"controls: got shape \(2, 1\), expected 1 rows"),
+        ([0.0, 1.0], [[1.0, 2.0]], r"controls: got shape \(1, 2\), expected 1 columns, one for e"),
+        ([1.0, 0.0], [[1.0]], r"times: got 1 s, then 0 s \(knots 0 and 1\), expected strictly inc"),
+        ([0.0, 1.0], [[math.nan]], r"controls: got nan at index \(0, 0\), expected finite numbers"),
+    ],
+)
+def test_a_bad_control_is_refused(
+    replay_in: Any, times: npt.ArrayLike, forces: npt.ArrayLike, message: str
+) -> None:
+    with pytest.raises(TrajectoryError, match=message):
+        replay_in(shipped_world(), make_scenario(), times, forces)
+
+
+def test_a_plan_holds_if_its_replay_costs_and_misses_little_more() -> None:
+    replay = replay_event_driven(shipped_world(), make_scenario(), *hold(0.0))
+    cost, error = replay.cost, replay.goal_error  # 0.0729, 0.27 m
+    assert confirms(cost, replay, error) and confirms(cost, replay)
+    assert confirms(2 * cost, replay, 2 * error)  # better than promised
+    assert confirms(cost / 1.04, replay, error)
+    assert not confirms(cost / 1.06, replay, error)
+    assert confirms(cost, replay, error - 0.0019)
+    assert not confirms(cost, replay, error - 0.0021)
+    assert confirms(cost - 3.9e-6, replay, relative_cost=0.0)
+    assert not confirms(cost - 4.1e-6, replay, relative_cost=0.0)
+    assert not confirms(math.nan, replay)
+    assert not confirms(cost, replay, math.nan)
