@@ -34,14 +34,15 @@ def hold(value: float, duration: float = 1.0, steps: int = 200) -> tuple[Any, An
 def make_diagram(
     num_joints: int = 1,
     spring: float = 0.0,
+    reference: float = 0.0,
     stiffness: float | None = 2e9,
     push: float | None = None,
 ) -> Diagram:
     """Returns a ball of 1.5 kg before a wall at x = 0, made in code as a user would.
 
     With two joints it hangs on a carriage of 0.5 kg that moves along (1, 1)/√2, so that the wall's
-    impulse moves both. The spring pulls the first joint to 0. A push comes from a source that
-    drives the actuator.
+    impulse moves both. The spring pulls the first joint to its reference. A push comes from a
+    source that drives the actuator.
     """
     builder = DiagramBuilder()
     plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
@@ -65,7 +66,7 @@ def make_diagram(
     for joint in joints:
         plant.AddJointActuator(joint.name(), joint)
     if spring:
-        plant.AddForceElement(PrismaticSpring(joints[0], 0.0, spring))
+        plant.AddForceElement(PrismaticSpring(joints[0], reference, spring))
     plant.RegisterCollisionGeometry(
         ball, RigidTransform([0.1, 0, 0]), Sphere(0.1), "ball", properties
     )
