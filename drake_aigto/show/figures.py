@@ -1,0 +1,160 @@
+"""Figures: functions of axes and data. They change nothing but the axes that they are given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from drake_aigto.show.motion import Motion, color_of, motions_of_plan
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+    from matplotlib.axes import Axes
+
+    from drake_aigto.aigo import Iterate
+    from drake_aigto.planning import Plan
+    from drake_aigto.transcription import Transcription
+    from drake_aigto.world import Scenario, World
+
+# Coordinates of one motion differ in style, motions in colour, and in width, so that where they
+# agree the later, thinner one is seen on the one below it.
+_STYLES = ("-", "--", ":", "-.")
+_WIDTHS = (4.0, 2.4, 1.2)
+_WALL_COLOR = "#8a8f98"
+# How far the shaded wall reaches past what is drawn, as a part of its range.
+_WALL_DEPTH = 0.08
+_BOX_COLORMAP = "viridis"
+
+
+def plot_plan(axes: Sequence[Axes], plan: Plan, world: World) -> None:
+    """Draws a plan against what simulations made of its control.
+
+    Args:
+        axes: three, as `plot_motions` takes them.
+        plan: the plan.
+        world: that of its scenario.
+    """
+    plot_motions(axes, motions_of_plan(plan, world), world, plan.scenario)
+
+
+def plot_motions(
+    axes: Sequence[Axes], motions: Sequence[Motion], world: World, scenario: Scenario
+) -> None:
+    """Draws positions, velocities and controls over time, as AIGTO Fig. 2 has them.
+
+    Args:
+        axes: three, for positions [m], velocities [m/s], and controls [N].
+        motions: of this world; those without a control are left out of the third.
+        world: has the wall.
+        scenario: has the goal.
+    """
+    top, middle, bottom = axes
+    plot_positions(top, motions, world, scenario)
+    plot_velocities(middle, motions)
+    plot_controls(bottom, motions)
+    for upper in (top, middle):
+        upper.set_xlabel("")
+
+
+def plot_positions(axes: Axes, motions: Sequence[Motion], world: World, scenario: Scenario) -> None:
+    """Draws q(t), the goal, and the wall where q is one coordinate.
+
+    Args:
+        axes: to draw in.
+        motions: of this world.
+        world: has the wall.
+        scenario: has the goal, a star at T.
+    """
+    _plot_rows(axes, motions, [motion.positions for motion in motions])
+    for goal in scenario.goal_position:
+        axes.plot(
+            scenario.duration, goal, "*", color="black", markersize=11, clip_on=False, zorder=5
+        )
+    axes.plot([], [], "*", color="black", markersize=9, label="goal")
+    _shade_wall(axes, world)
+    axes.set_ylabel("position q [m]")
+    axes.legend(loc="best", fontsize="small")
+
+
+def plot_velocities(axes: Axes, motions: Sequence[Motion]) -> None:
+    """Draws v(t); impacts are jumps."""
+    _plot_rows(axes, motions, [motion.velocities for motion in motions])
+    axes.axhline(0, color="black", linewidth=0.5)
+    axes.set_ylabel("velocity v [m/s]")
+
+
+def plot_controls(axes: Axes, motions: Sequence[Motion]) -> None:
+    """Draws u(t), held between knots, of the motions that have it."""
+    for index, motion in enumerate(motions):
+        if motion.controls is None or motion.control_times is None:
+            continue
+        held = np.vstack([motion.controls, motion.controls[-1:]])
+        for i, control in enumerate(held.T):
+            axes.step(motion.control_times, control, where="post", **_line(index, i))
+    axes.axhline(0, color="black", linewidth=0.5)
+    axes.set(xlabel="time t [s]", ylabel="control u [N]")
+
+
+def plot_boxes(axes: Axes, transcription: Transcription, iterates: Sequence[Iterate]) -> None:
+    """Draws the boxes around the positions, center ± half width at each knot, as AIGO shrinks them.
+
+    Args:
+        axes: to draw in.
+        transcription: knows which variables are positions, and the wall.
+        iterates: some of `AigoResult.history`, the first at the back.
+    """
+    from matplotlib import colormaps
+
+    times = transcription.GetSampleTimes()
+    colors = colormaps[_BOX_COLORMAP](np.linspace(0.85, 0.0, len(iterates)))
+    for iterate, color in zip(iterates, colors, strict=True):
+        center, half_width = (
+            transcription.split(vector)[0]
+            for vector in (iterate.box.center, iterate.box.half_width)
+        )
+        label = f"mean half width {iterate.box.mean_half_width:.1e}"
+        for i, (c, w) in enumerate(zip(center.T, half_width.T, strict=True)):
+            axes.fill_between(times, c - w, c + w, color=color, alpha=0.3, linewidth=0)
+            axes.plot(times, c, color=color, linestyle=_STYLES[i % len(_STYLES)], label=label)
+            label = ""
+    _shade_wall(axes, transcription.world)
+    axes.set(xlabel="time t [s]", ylabel="position q [m]")
+    axes.legend(loc="best", fontsize="small")
+
+
+def _plot_rows(
+    axes: Axes, motions: Sequence[Motion], rows: Sequence[npt.NDArray[np.float64]]
+) -> None:
+    """Draws each motion's rows (K, n) over its times, a line a coordinate, the first labelled."""
+    for index, (motion, values) in enumerate(zip(motions, rows, strict=True)):
+        for i, column in enumerate(values.T):
+            label = motion.label if i == 0 else ""
+            axes.plot(motion.times, column, label=label, **_line(index, i))
+    axes.set_xlabel("time t [s]")
+
+
+def _line(motion: int, coordinate: int) -> dict[str, Any]:
+    """Returns how a motion's coordinate is drawn, the same in every figure."""
+    return {
+        "color": color_of(motion),
+        "linewidth": _WIDTHS[min(motion, len(_WIDTHS) - 1)],
+        "linestyle": _STYLES[coordinate % len(_STYLES)],
+    }
+
+
+def _shade_wall(axes: Axes, world: World) -> None:
+    """Shades where φ(q) < 0, if q is one coordinate: otherwise the wall is no place on an axis."""
+    if world.num_positions != 1:
+        return
+    at_zero = float(world.calc_signed_distance(np.zeros(1))[0])
+    slope = float(world.calc_contact_jacobian(np.zeros(1))[0, 0])  # One joint slides: φ is affine.
+    face = -at_zero / slope
+    low, high = axes.get_ylim()
+    depth = _WALL_DEPTH * (max(high, face) - min(low, face))
+    low, high = (min(low, face - depth), high) if slope > 0 else (low, max(high, face + depth))
+    edges = (low, face) if slope > 0 else (face, high)
+    axes.axhspan(*edges, facecolor=_WALL_COLOR, alpha=0.5, hatch="//", edgecolor="white", zorder=0)
+    axes.plot([], [], color=_WALL_COLOR, linewidth=6, alpha=0.5, label="wall")
+    axes.set_ylim(low, high)

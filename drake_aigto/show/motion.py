@@ -1,0 +1,130 @@
+"""Motions: what figures and playback draw, whether planned or simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drake_aigto.trajectory import read_only
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from drake_aigto.planning import Plan, Replay
+    from drake_aigto.trajectory import Trajectory
+    from drake_aigto.world import World
+
+# Okabe and Ito's colours, which the colour-blind can tell apart; the darkest first.
+PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
+
+PLAN_LABEL = "plan (not a simulation)"
+SIMULATION_LABELS = {
+    "event-driven": "simulation: exactly rigid wall",
+    "drake": "simulation: Drake, compliant wall",
+}
+
+# Between rows farther apart than this a motion is filled in [s].
+_LONGEST_STEP = 0.01
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """One motion of a world, in rows so close that straight lines join them.
+
+    Letters: K rows; N intervals of the control. Arrays are read-only.
+
+    Attributes:
+        label: says what it is, and whether it is a plan or a simulation.
+        times: shape (K,) [s]. Never decreasing; an impact has two rows of equal time.
+        positions: shape (K, nq) [m].
+        velocities: shape (K, nv) [m/s].
+        control_times: knots of the control, shape (N+1,) [s], or None.
+        controls: held between them, shape (N, nu) [N], or None.
+    """
+
+    label: str
+    times: npt.NDArray[np.float64]
+    positions: npt.NDArray[np.float64]
+    velocities: npt.NDArray[np.float64]
+    control_times: npt.NDArray[np.float64] | None = None
+    controls: npt.NDArray[np.float64] | None = None
+
+    def __post_init__(self) -> None:
+        """Locks the arrays."""
+        for name in ("times", "positions", "velocities", "control_times", "controls"):
+            if (values := getattr(self, name)) is not None:
+                object.__setattr__(self, name, read_only(values))
+
+    @classmethod
+    def from_trajectory(
+        cls, trajectory: Trajectory, world: World, label: str = PLAN_LABEL
+    ) -> Motion:
+        """Returns a planned motion: v_k before each knot's impulse, v_k + M⁻¹ Jᵀ p_k after it.
+
+        Args:
+            trajectory: in this world.
+            world: has M and J.
+            label: what it is.
+        """
+        rows = zip(trajectory.positions, trajectory.impulses, strict=True)
+        pushes = [world.calc_contact_jacobian(q).T @ p for q, p in rows]
+        jumps = np.linalg.solve(world.mass_matrix_values, np.array(pushes).T).T
+        before_and_after = np.stack([trajectory.velocities, trajectory.velocities + jumps], axis=1)
+        return cls(
+            label,
+            *_fill_in(
+                np.repeat(trajectory.times, 2),
+                np.repeat(trajectory.positions, 2, axis=0),
+                before_and_after.reshape(-1, world.num_velocities),
+            ),
+            trajectory.times,
+            trajectory.controls,
+        )
+
+    @classmethod
+    def from_replay(cls, replay: Replay, label: str | None = None) -> Motion:
+        """Returns a simulated motion; without a label, it names the simulator."""
+        label = SIMULATION_LABELS[replay.simulator] if label is None else label
+        return cls(label, *_fill_in(replay.times, replay.positions, replay.velocities))
+
+
+def motions_of_plan(plan: Plan, world: World) -> list[Motion]:
+    """Returns a plan's trajectory and what simulations made of its control, each labelled."""
+    planned = Motion.from_trajectory(plan.trajectory, world)
+    return [planned, *(Motion.from_replay(replay) for replay in plan.replay)]
+
+
+def color_of(index: int) -> str:
+    """Returns the colour of the motion at this place in a list, the same in every picture."""
+    return PALETTE[index % len(PALETTE)]
+
+
+def time_span(motions: Sequence[Motion]) -> tuple[float, float]:
+    """Returns when the first of the motions begins and the last ends [s]."""
+    return min(m.times[0] for m in motions), max(m.times[-1] for m in motions)
+
+
+def _fill_in(
+    times: npt.NDArray[np.float64],
+    positions: npt.NDArray[np.float64],
+    velocities: npt.NDArray[np.float64],
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Returns the rows with more between those far apart, on cubics that have both ends' slopes."""
+    h = np.diff(times)
+    counts = np.maximum(np.ceil(h / _LONGEST_STEP), 1).astype(int)
+    i = np.repeat(np.arange(len(h)), counts)
+    part = np.arange(len(i)) - np.repeat(np.cumsum(counts) - counts, counts)
+    s, h = (part / counts[i])[:, np.newaxis], h[i][:, np.newaxis]
+    # Where h = 0 there is one row, s = 0.
+    rise = (positions[i + 1] - positions[i]) / np.where(h > 0, h, 1.0)
+    v0, v1 = velocities[i], velocities[i + 1]
+    q = positions[i] + h * s * ((1 - s) ** 2 * v0 + s * (3 - 2 * s) * rise - s * (1 - s) * v1)
+    v = (1 - s) * (1 - 3 * s) * v0 + 6 * s * (1 - s) * rise + s * (3 * s - 2) * v1
+    return (
+        np.append(times[i] + (s * h)[:, 0], times[-1]),
+        np.vstack([q, positions[-1:]]),
+        np.vstack([v, velocities[-1:]]),
+    )

@@ -1,0 +1,171 @@
+"""Figures draw the numbers that they are given, name and unit on every axis."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.colors import to_hex
+from matplotlib.figure import Figure
+
+from drake_aigto import Scenario, World
+from drake_aigto.aigo import Box, Iterate
+from drake_aigto.show.figures import (
+    plot_boxes,
+    plot_controls,
+    plot_motions,
+    plot_positions,
+    plot_velocities,
+)
+from drake_aigto.show.motion import PALETTE, Motion
+from drake_aigto.transcription import LiteralTranscription
+
+TIMES = np.array([0.0, 0.5, 0.5, 1.0])
+PLAN = Motion(
+    "plan (not a simulation)",
+    TIMES,
+    np.array([[1.0], [0.0], [0.0], [0.8]]),
+    np.array([[-2.0], [-2.0], [1.6], [1.6]]),
+    np.array([0.0, 0.4, 1.0]),
+    np.array([[0.3], [-0.2]]),
+)
+SIMULATION = Motion("simulation", TIMES, PLAN.positions * 0.9, PLAN.velocities * 0.9)
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    return Scenario.named("table1/1")
+
+
+@pytest.fixture(scope="module")
+def world(scenario: Scenario) -> World:
+    return World.from_scenario(scenario)
+
+
+@pytest.fixture
+def axes() -> Axes:
+    return Figure().add_subplot()
+
+
+def line(axes: Axes, label: str) -> Any:
+    """Returns the one line of this label."""
+    (found,) = (line for line in axes.lines if line.get_label() == label)
+    return found
+
+
+def labels(axes: Axes) -> list[str]:
+    """Returns the texts of the legend."""
+    legend = axes.get_legend()
+    assert legend is not None
+    return [text.get_text() for text in legend.get_texts()]
+
+
+def test_lines_are_the_motions(axes: Axes, world: World, scenario: Scenario) -> None:
+    plot_positions(axes, [PLAN, SIMULATION], world, scenario)
+    for motion, color in zip([PLAN, SIMULATION], PALETTE, strict=False):
+        drawn = line(axes, motion.label)
+        np.testing.assert_array_equal(drawn.get_xdata(), motion.times)
+        np.testing.assert_array_equal(drawn.get_ydata(), motion.positions[:, 0])
+        assert to_hex(drawn.get_color()).upper() == color
+    assert labels(axes) == ["plan (not a simulation)", "simulation", "goal", "wall"]
+
+
+def test_an_impact_is_a_vertical_line_of_the_velocity(axes: Axes) -> None:
+    plot_velocities(axes, [PLAN])
+    np.testing.assert_array_equal(line(axes, PLAN.label).get_ydata(), PLAN.velocities[:, 0])
+    assert axes.get_ylabel() == "velocity v [m/s]"
+
+
+def test_a_control_is_held_between_knots(axes: Axes) -> None:
+    plot_controls(axes, [PLAN, SIMULATION])
+    control, *_ = axes.lines
+    assert control.get_drawstyle() == "steps-post"
+    np.testing.assert_array_equal(control.get_xydata(), [[0.0, 0.3], [0.4, -0.2], [1.0, -0.2]])
+    assert sum(to_hex(drawn.get_color()).upper() in PALETTE for drawn in axes.lines) == 1
+
+
+def test_three_axes_share_their_colors_and_have_units(world: World, scenario: Scenario) -> None:
+    axes: Sequence[Axes] = Figure().subplots(3, 1)
+    plot_motions(axes, [PLAN, SIMULATION], world, scenario)
+    assert [ax.get_ylabel() for ax in axes] == [
+        "position q [m]",
+        "velocity v [m/s]",
+        "control u [N]",
+    ]
+    assert [ax.get_xlabel() for ax in axes] == ["", "", "time t [s]"]
+    assert {ax.lines[0].get_color() for ax in axes} == {PALETTE[0]}
+
+
+def wall_edges(axes: Axes) -> tuple[float, float]:
+    """Returns from where to where the wall is shaded."""
+    (patch,) = axes.patches
+    box = patch.get_extents().transformed(axes.transData.inverted())
+    return box.y0, box.y1
+
+
+def test_the_wall_is_shaded_where_the_distance_is_negative(
+    axes: Axes, world: World, scenario: Scenario
+) -> None:
+    plot_positions(axes, [PLAN], world, scenario)
+    low, high = wall_edges(axes)
+    assert high == pytest.approx(0)
+    assert low == pytest.approx(axes.get_ylim()[0]) and low < -0.05
+    assert world.calc_signed_distance(np.array([low]))[0] < 0
+
+
+def test_a_wall_above_is_shaded_above(axes: Axes, scenario: Scenario) -> None:
+    class Mirrored:
+        num_positions = 1
+
+        def calc_signed_distance(self, q: np.ndarray) -> np.ndarray:
+            return 1.5 - 2 * q
+
+        def calc_contact_jacobian(self, q: np.ndarray) -> np.ndarray:
+            return np.array([[-2.0]])
+
+    world: Any = Mirrored()
+    plot_positions(axes, [PLAN], world, scenario)
+    low, high = wall_edges(axes)
+    assert low == pytest.approx(0.75)
+    assert high == pytest.approx(axes.get_ylim()[1])
+
+
+def test_boxes_are_bands_of_center_and_half_width(axes: Axes, world: World) -> None:
+    scenario = Scenario(
+        initial_position=1.0, initial_velocity=-2.0, goal_position=0.73, time_step=0.1
+    )
+    transcription = LiteralTranscription(world, scenario)
+    n = transcription.prog().num_vars()
+    center = np.linspace(1, 2, n)
+    half_widths = [np.full(n, 0.5), np.full(n, 0.1)]
+    iterates = [Iterate(Box(center, w), mean=0.0, temperature=0.0) for w in half_widths]
+    plot_boxes(axes, transcription, iterates)
+    q = transcription.split(center)[0][:, 0]
+    for band, width in zip(axes.collections, (0.5, 0.1), strict=True):
+        (path,) = band.get_paths()
+        vertices = set(map(tuple, np.round(np.asarray(path.vertices), 9).tolist()))
+        for t, c in zip(transcription.GetSampleTimes(), q, strict=True):
+            assert {(round(t, 9), round(c + side * width, 9)) for side in (-1, 1)} <= vertices
+    assert labels(axes) == ["mean half width 5.0e-01", "mean half width 1.0e-01", "wall"]
+    assert axes.get_ylabel() == "position q [m]" and axes.get_xlabel() == "time t [s]"
+
+
+def test_two_coordinates_differ_in_style_and_have_one_label(axes: Axes) -> None:
+    positions = np.column_stack([PLAN.positions, PLAN.positions])
+    plot_velocities(axes, [Motion("plane", TIMES, positions, positions)])
+    first, second = axes.lines[:2]
+    assert first.get_linestyle() != second.get_linestyle()
+    assert [first.get_label(), second.get_label()][0] == "plane"
+
+
+def test_importing_figures_chooses_no_backend() -> None:
+    program = (
+        "import sys, drake_aigto.show.figures, drake_aigto.show.playback\n"
+        "assert 'matplotlib.pyplot' not in sys.modules"
+    )
+    subprocess.run([sys.executable, "-c", program], check=True)

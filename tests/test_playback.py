@@ -1,0 +1,260 @@
+"""Playback shows motions beside each other as they are, in what Meshcat sends to a browser."""
+
+from __future__ import annotations
+
+import base64
+import re
+from collections.abc import Iterator
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import msgpack
+import numpy as np
+import pytest
+from matplotlib.text import Text
+from pydrake.geometry import Meshcat
+
+from drake_aigto import OutputFileError, Scenario, World
+from drake_aigto.show.motion import Motion
+from drake_aigto.show.playback import FRAMES_PER_SECOND, ROOT, play, publish, save_html
+from drake_aigto.show.stage import Stage
+from drake_aigto.show.track import Track
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.world.files import models_directory
+
+RADIUS = 0.05  # of the shipped ball [m]
+BALL = "point_mass_and_wall/ball/ball_visual"
+WALL = f"{ROOT}/world/point_mass_and_wall/wall/wall_visual"
+
+AXIS, FACE = "<xyz>1 0 0</xyz>", "<pose>-0.05 0 0 0 0 0</pose>"
+# Where the joint points → how the shipped SDF changes, and T's axes then.
+DIRECTIONS: dict[str, tuple[dict[str, str], list[list[float]]]] = {
+    "as shipped": ({}, [[1, 0, 0], [0, 1, 0], [0, 0, 1]]),
+    "against x": (
+        {AXIS: "<xyz>-1 0 0</xyz>", FACE: "<pose>0.05 0 0 0 0 3.141592653589793</pose>"},
+        [[-1, 0, 0], [0, -1, 0], [0, 0, 1]],
+    ),
+    "up": (
+        {AXIS: "<xyz>0 0 1</xyz>", FACE: "<pose>0 0 -0.05 0 -1.5707963267948966 0</pose>"},
+        [[0, 0, 1], [1, 0, 0], [0, 1, 0]],
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def meshcat() -> Meshcat:
+    return Meshcat()
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    return Scenario.named("table1/1")
+
+
+@pytest.fixture(scope="module")
+def world(scenario: Scenario) -> World:
+    return World.from_scenario(scenario)
+
+
+def make_motion(label: str, end: float, duration: float = 1.0) -> Motion:
+    """Returns a motion from 1 m to the wall and on to an end, at two speeds."""
+    times = np.linspace(0, duration, 21)
+    q = np.interp(times, [0, duration / 2, duration], [1.0, 0.0, end])[:, np.newaxis]
+    return Motion(label, times, q, np.gradient(q[:, 0], times)[:, np.newaxis])
+
+
+MOTIONS = [make_motion("plan", 0.73), make_motion("rigid", 0.6), make_motion("Drake", 0.5, 0.8)]
+
+
+def messages(html: str) -> Iterator[dict[str, Any]]:
+    """Yields what a page of Meshcat's shows, message by message."""
+    for text in re.findall(r'fetch\("data:application/octet-binary;base64,([^"]+)"\)', html):
+        yield msgpack.unpackb(base64.b64decode(text), strict_map_key=False)
+
+
+def objects(meshcat: Meshcat) -> dict[str, Any]:
+    """Returns the objects that are shown, by path."""
+    sent = list(messages(meshcat.StaticHtml()))
+    return {m["path"]: m["object"] for m in sent if m["type"] == "set_object"}
+
+
+def position(meshcat: Meshcat, path: str) -> np.ndarray:
+    """Returns where an object stands when nothing is played."""
+    sent = list(messages(meshcat.StaticHtml()))
+    (matrix,) = (m["matrix"] for m in sent if m["type"] == "set_transform" and m["path"] == path)
+    return np.array(matrix).reshape(4, 4).T[:3, 3]
+
+
+def recording(meshcat: Meshcat) -> dict[str, Any]:
+    """Returns the recording's one message."""
+    (message,) = (m for m in messages(meshcat.StaticHtml()) if m["type"] == "set_animation")
+    return message
+
+
+def clips(meshcat: Meshcat) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Returns the times (F,) [s] and positions (F, 3) [m] of every path that is recorded."""
+    result = {}
+    for animation in recording(meshcat)["animations"]:
+        (track,) = (t for t in animation["clip"]["tracks"] if t["name"] == ".position")
+        frames = np.array([key["time"] for key in track["keys"]])
+        values = np.array([key["value"] for key in track["keys"]])
+        result[animation["path"]] = (frames / animation["clip"]["fps"], values)
+    return result
+
+
+def ball(lane: int) -> str:
+    """Returns the ball's path in a lane, counted from 1."""
+    return f"{ROOT}/motions/{lane}/{BALL}"
+
+
+def test_each_motion_plays_at_real_speed_in_its_own_lane(
+    meshcat: Meshcat, world: World, scenario: Scenario
+) -> None:
+    publish(MOTIONS, meshcat, world, scenario)
+    recorded = clips(meshcat)
+    assert set(recorded) == {ball(lane) for lane in (1, 2, 3)}
+    sides = []
+    for lane, motion in enumerate(MOTIONS, 1):
+        times, places = recorded[ball(lane)]
+        moving = times <= motion.times[-1]
+        np.testing.assert_allclose(times[moving], motion.times, atol=0.5 / FRAMES_PER_SECOND)
+        np.testing.assert_allclose(places[moving, 0], motion.positions[:, 0], atol=1e-12)
+        np.testing.assert_allclose(places[~moving, 0], motion.positions[-1, 0], atol=1e-12)
+        np.testing.assert_allclose(places[:, 2], 0, atol=1e-12)
+        assert np.ptp(places[:, 1]) == 0
+        sides.append(places[0, 1])
+    # The first is the farthest, none covers another, and the middle one is where the wall is.
+    assert np.all(np.diff(sides) <= -2 * RADIUS)
+    assert sides[1] == pytest.approx(0)
+
+
+def test_all_motions_repeat_together(meshcat: Meshcat, world: World, scenario: Scenario) -> None:
+    publish(MOTIONS, meshcat, world, scenario)
+    ends = {times[-1] for times, _ in clips(meshcat).values()}
+    assert ends == {1.5}
+    loop_repeat = 2201  # three.js
+    options = recording(meshcat)["options"]
+    assert options["play"] and options["loopMode"] == loop_repeat and options["repetitions"] > 1000
+
+
+def test_what_does_not_move_is_shown_once_where_it_is(
+    meshcat: Meshcat, world: World, scenario: Scenario
+) -> None:
+    publish(MOTIONS, meshcat, world, scenario)
+    assert [path for path in objects(meshcat) if "wall_visual" in path] == [WALL]
+    # The visual wall is 0.08 m thick, and its face is at −0.05 m.
+    np.testing.assert_allclose(position(meshcat, WALL), [-0.09, 0, 0])
+    np.testing.assert_allclose(position(meshcat, ball(2)), [1.0, 0, 0], atol=1e-12)
+
+
+def test_lanes_have_the_colors_of_figures(
+    meshcat: Meshcat, world: World, scenario: Scenario
+) -> None:
+    publish(MOTIONS, meshcat, world, scenario)
+    shown = objects(meshcat)
+    colors = [shown[ball(lane)]["materials"][0]["color"] for lane in (1, 2, 3)]
+    assert colors == [0x0072B2, 0xD55E00, 0x009E73]
+
+
+def test_publishing_again_replaces_what_was_shown(
+    meshcat: Meshcat, world: World, scenario: Scenario
+) -> None:
+    publish(MOTIONS, meshcat, world, scenario)
+    publish(MOTIONS[:1], meshcat, world, scenario)
+    assert set(clips(meshcat)) == {ball(1)}
+    assert ball(1) in objects(meshcat) and ball(2) not in objects(meshcat)
+
+
+def test_a_plan_is_played_beside_its_simulations(meshcat: Meshcat, world: World) -> None:
+    rows = {
+        "times": np.array([0.0, 1.0]),
+        "positions": np.array([[1.0], [0.5]]),
+        "velocities": np.array([[-0.5], [-0.5]]),
+    }
+    trajectory = Trajectory(**rows, controls=np.zeros((1, 1)), impulses=np.zeros((2, 1)))
+    replay = SimpleNamespace(simulator="drake", **rows)
+    scenario = Scenario.named("table1/1")
+    plan: Any = SimpleNamespace(trajectory=trajectory, replay=[replay], scenario=scenario)
+    play(plan, meshcat, world)
+    assert set(clips(meshcat)) == {ball(1), ball(2)}
+
+
+@pytest.mark.parametrize("name", DIRECTIONS)
+def test_the_track_follows_the_joint_and_counts_its_positions(name: str, tmp_path: Path) -> None:
+    text = (models_directory() / "point_mass_and_wall.sdf").read_text(encoding="utf-8")
+    replacements, axes = DIRECTIONS[name]
+    for old, new in replacements.items():
+        assert old in text
+        text = text.replace(old, new)
+    model = tmp_path / "turned.sdf"
+    model.write_text(text, encoding="utf-8")
+    ends: dict[str, Any] = {"initial_position": 1.0, "initial_velocity": 0.0, "goal_position": 0.7}
+    stage = Stage(World.from_scenario(Scenario(model=str(model), **ends)), np.array([[1.0], [0.7]]))
+    np.testing.assert_allclose(stage.X_WT.rotation().matrix().T, axes, atol=1e-12)
+    assert stage.along(np.array([0.3])) == pytest.approx(0.3)
+    assert (stage.lowest, stage.highest) == pytest.approx((0.7, 1.0))
+
+
+def test_shapes_for_contact_are_shown_where_none_are_for_show(tmp_path: Path) -> None:
+    text = (models_directory() / "point_mass_and_wall.sdf").read_text(encoding="utf-8")
+    bare = re.sub(r"<visual.*?</visual>", "", text, flags=re.DOTALL)
+    plane = re.sub(
+        r"<box>.*?</box>", "<plane><normal>1 0 0</normal></plane>", bare, flags=re.DOTALL
+    )
+    model = tmp_path / "bare.sdf"
+    model.write_text(plane.replace("<pose>-8 0 0 0 0 0</pose>", ""), encoding="utf-8")
+    ends: dict[str, Any] = {"initial_position": 1.0, "initial_velocity": 0.0, "goal_position": 0.7}
+    stage = Stage(World.from_scenario(Scenario(model=str(model), **ends)), np.array([[1.0]]))
+    ball, wall = sorted(stage.actors, key=lambda actor: actor.name)
+    assert (ball.moves, wall.moves) == (True, False)
+    # Of a half space, a slab whose face is the plane's.
+    face = stage.pose(wall, np.array([1.0])).multiply([0, 0, wall.shape.height() / 2])
+    np.testing.assert_allclose(face, [-0.05, 0, 0], atol=1e-12)
+
+
+def texts(track: Track) -> dict[str, Text]:
+    """Returns what is written on a track."""
+    (axes,) = track.paint().axes
+    return {text.get_text(): text for text in axes.texts}
+
+
+def test_lanes_are_labelled_in_order_and_ends_are_marked() -> None:
+    labels = ["plan (not a simulation)", "simulation: Drake, compliant wall"]
+    track = Track(labels, start=-0.05, end=1.1, lane_width=0.2, marks={"start": 1.0, "goal": 0.73})
+    written = texts(track)
+    for lane, label in enumerate(labels):
+        low = track.lane_center(lane) - 0.1
+        assert low < written[label].get_position()[1] < low + 0.2
+    assert written["start"].get_position()[0] == 1.0
+    assert written["goal"].get_position()[0] == 0.73
+    assert written["0.4 m"].get_position()[0] == pytest.approx(0.4)
+    assert "0 m" in written and "1 m" in written
+
+
+def test_names_of_marks_that_would_overlap_are_written_as_one() -> None:
+    track = Track(["plan"], start=0, end=1, lane_width=0.2, marks={"start": 0.5, "goal": 0.52})
+    assert "start, goal" in texts(track) and "goal" not in texts(track)
+
+
+def test_labels_fit_on_the_track(world: World, scenario: Scenario) -> None:
+    longest = "simulation: Drake, compliant wall"
+    track = Track([longest], start=0, end=5.5 * 0.2, lane_width=0.2, marks={})
+    figure = track.paint()
+    (text,) = (text for text in figure.axes[0].texts if text.get_text() == longest)
+    box = text.get_window_extent().transformed(figure.axes[0].transData.inverted())
+    assert box.x0 > 0 and box.x1 < 1.1 and box.height < 0.1
+
+
+def test_a_page_is_written_whole_and_holds_all(
+    meshcat: Meshcat, world: World, scenario: Scenario, tmp_path: Path
+) -> None:
+    publish(MOTIONS, meshcat, world, scenario)
+    save_html(meshcat, tmp_path / "play.html")
+    assert (tmp_path / "play.html").read_text(encoding="utf-8") == meshcat.StaticHtml()
+    assert [path.name for path in tmp_path.iterdir()] == ["play.html"]
+
+
+def test_a_page_in_a_missing_folder_is_refused(meshcat: Meshcat, tmp_path: Path) -> None:
+    with pytest.raises(OutputFileError, match=r"can't be written.*a folder that exists"):
+        save_html(meshcat, tmp_path / "missing" / "play.html")
