@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import json
 import re
 from collections.abc import Iterator
 from pathlib import Path
@@ -17,7 +18,7 @@ from pydrake.geometry import Meshcat
 
 from drake_aigto import OutputFileError, Scenario, World
 from drake_aigto.show.motion import Motion
-from drake_aigto.show.playback import FRAMES_PER_SECOND, ROOT, play, publish, save_html
+from drake_aigto.show.playback import ROOT, play, publish, save_html
 from drake_aigto.show.stage import Stage
 from drake_aigto.show.track import Track
 from drake_aigto.trajectory import Trajectory
@@ -118,7 +119,7 @@ def test_each_motion_plays_at_real_speed_in_its_own_lane(
     for lane, motion in enumerate(MOTIONS, 1):
         times, places = recorded[ball(lane)]
         moving = times <= motion.times[-1]
-        np.testing.assert_allclose(times[moving], motion.times, atol=0.5 / FRAMES_PER_SECOND)
+        np.testing.assert_allclose(times[moving], motion.times, atol=0.5e-3)
         np.testing.assert_allclose(places[moving, 0], motion.positions[:, 0], atol=1e-12)
         np.testing.assert_allclose(places[~moving, 0], motion.positions[-1, 0], atol=1e-12)
         np.testing.assert_allclose(places[:, 2], 0, atol=1e-12)
@@ -146,6 +147,8 @@ def test_what_does_not_move_is_shown_once_where_it_is(
     # The visual wall is 0.08 m thick, and its face is at −0.05 m.
     np.testing.assert_allclose(position(meshcat, WALL), [-0.09, 0, 0])
     np.testing.assert_allclose(position(meshcat, ball(2)), [1.0, 0, 0], atol=1e-12)
+    # The balls roll on the track.
+    np.testing.assert_allclose(position(meshcat, f"{ROOT}/track"), [0, 0, -RADIUS], atol=1e-12)
 
 
 def test_lanes_have_the_colors_of_figures(
@@ -235,6 +238,25 @@ def test_lanes_are_labelled_in_order_and_ends_are_marked() -> None:
 def test_names_of_marks_that_would_overlap_are_written_as_one() -> None:
     track = Track(["plan"], start=0, end=1, lane_width=0.2, marks={"start": 0.5, "goal": 0.52})
     assert "start, goal" in texts(track) and "goal" not in texts(track)
+
+
+def test_the_top_of_the_picture_is_the_far_side_of_the_track() -> None:
+    track = Track(["plan"], start=-0.1, end=1.0, lane_width=0.2, marks={})
+    gltf = json.loads(track.mesh().source().in_memory().mesh_file.contents())
+    buffer = base64.b64decode(gltf["buffers"][0]["uri"].split(",")[1])
+    positions, texture, triangles = (
+        np.frombuffer(buffer, kind, count, view["byteOffset"])
+        for kind, count, view in zip(
+            (np.float32, np.float32, np.uint16), (12, 8, 6), gltf["bufferViews"], strict=True
+        )
+    )
+    x, up, towards_viewer = positions.reshape(4, 3).T
+    across, down = texture.reshape(4, 2).T
+    side = track.half_width + track.margin
+    np.testing.assert_allclose(x, track.start + track.length * across, atol=1e-6)
+    np.testing.assert_allclose(-towards_viewer, side * (1 - 2 * down), atol=1e-6)
+    np.testing.assert_array_equal(up, 0)
+    assert sorted(set(triangles.tolist())) == [0, 1, 2, 3]
 
 
 def test_labels_fit_on_the_track(world: World, scenario: Scenario) -> None:
