@@ -18,10 +18,14 @@ if TYPE_CHECKING:
     from drake_aigto.transcription import Transcription
     from drake_aigto.world import Scenario, World
 
-# Coordinates of one motion differ in style, motions in colour, and in width, so that where they
-# agree the later, thinner one is seen on the one below it.
-_STYLES = ("-", "--", ":", "-.")
-_WIDTHS = (4.0, 2.4, 1.2)
+# Motions differ in colour, and so that where they agree all are seen, in width and dashes.
+_LINES: tuple[dict[str, Any], ...] = (
+    {"linewidth": 4.5},
+    {"linewidth": 3.0},
+    {"linewidth": 1.4, "linestyle": (0, (4, 2.5))},
+)
+# The coordinates of one motion, from the first on, fade.
+_FADING = 0.5
 _WALL_COLOR = "#8a8f98"
 # How far the shaded wall reaches past what is drawn, as a part of its range.
 _WALL_DEPTH = 0.08
@@ -100,6 +104,8 @@ def plot_controls(axes: Axes, motions: Sequence[Motion]) -> None:
 def plot_boxes(axes: Axes, transcription: Transcription, iterates: Sequence[Iterate]) -> None:
     """Draws the boxes around the positions, center ± half width at each knot, as AIGO shrinks them.
 
+    Each is labelled with its largest half width.
+
     Args:
         axes: to draw in.
         transcription: knows which variables are positions, and the wall.
@@ -114,11 +120,10 @@ def plot_boxes(axes: Axes, transcription: Transcription, iterates: Sequence[Iter
             transcription.split(vector)[0]
             for vector in (iterate.box.center, iterate.box.half_width)
         )
-        label = f"mean half width {iterate.box.mean_half_width:.1e}"
+        label = f"within ±{np.max(half_width):.2g} m"
         for i, (c, w) in enumerate(zip(center.T, half_width.T, strict=True)):
             axes.fill_between(times, c - w, c + w, color=color, alpha=0.3, linewidth=0)
-            axes.plot(times, c, color=color, linestyle=_STYLES[i % len(_STYLES)], label=label)
-            label = ""
+            axes.plot(times, c, color=color, label=label if i == 0 else "")
     _shade_wall(axes, transcription.world)
     axes.set(xlabel="time t [s]", ylabel="position q [m]")
     axes.legend(loc="best", fontsize="small")
@@ -137,11 +142,8 @@ def _plot_rows(
 
 def _line(motion: int, coordinate: int) -> dict[str, Any]:
     """Returns how a motion's coordinate is drawn, the same in every figure."""
-    return {
-        "color": color_of(motion),
-        "linewidth": _WIDTHS[min(motion, len(_WIDTHS) - 1)],
-        "linestyle": _STYLES[coordinate % len(_STYLES)],
-    }
+    look = _LINES[min(motion, len(_LINES) - 1)]
+    return {"color": color_of(motion), "alpha": _FADING**coordinate, **look}
 
 
 def _shade_wall(axes: Axes, world: World) -> None:

@@ -12,6 +12,7 @@ import numpy as np
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 from pydrake.common import MemoryFile
 from pydrake.geometry import InMemoryMesh, Mesh
@@ -136,7 +137,16 @@ class Track:
     def _write(self, axes: Axes, x: float, y: float, text: str, va: str) -> None:
         """Writes a text over x, below or above y."""
         size = self._font_size(_SCALE_HEIGHT)
-        axes.text(x, y, text, color=_INK, size=size, weight="bold", ha="center", va=va)
+        outline = withStroke(foreground="white", linewidth=size / 5)  # Before a dark wall, too.
+        axes.text(
+            *(x, y, text),
+            color=_INK,
+            size=size,
+            weight="bold",
+            ha="center",
+            va=va,
+            path_effects=[outline],
+        )
 
     def _font_size(self, height: float) -> float:
         """Returns the size in points for a height as a part of a lane's width."""
