@@ -135,7 +135,13 @@ def test_a_wall_above_is_shaded_above(axes: Axes, scenario: Scenario) -> None:
     assert high == pytest.approx(axes.get_ylim()[1]) and high > 1.55
 
 
-def test_boxes_are_bands_of_center_and_half_width(axes: Axes, world: World) -> None:
+@pytest.mark.parametrize(
+    ("quantity", "part", "unit"),
+    [("position", 0, "m"), ("velocity", 1, "m/s"), ("control", 2, "N")],
+)
+def test_boxes_are_bands_of_center_and_half_width(
+    axes: Axes, world: World, quantity: Any, part: int, unit: str
+) -> None:
     scenario = Scenario(
         initial_position=1.0, initial_velocity=-2.0, goal_position=0.73, time_step=0.1
     )
@@ -144,21 +150,24 @@ def test_boxes_are_bands_of_center_and_half_width(axes: Axes, world: World) -> N
     center = np.linspace(1, 2, n)
     half_widths = [np.full(n, 0.5), np.full(n, 0.1)]
     iterates = [Iterate(Box(center, w), mean=0.0, temperature=0.0) for w in half_widths]
-    plot_boxes(axes, transcription, iterates)
-    q = transcription.split(center)[0][:, 0]
+    plot_boxes(axes, transcription, iterates, quantity)
+    values = transcription.split(center)[part][:, 0]
     for band, width in zip(axes.collections, (0.5, 0.1), strict=True):
         (path,) = band.get_paths()
         vertices = set(map(tuple, np.round(np.asarray(path.vertices), 9).tolist()))
-        for t, c in zip(transcription.GetSampleTimes(), q, strict=True):
+        for t, c in zip(transcription.GetSampleTimes(), values, strict=False):
             assert {(round(t, 9), round(c + side * width, 9)) for side in (-1, 1)} <= vertices
-    assert labels(axes) == ["within ±0.5 m", "within ±0.1 m", "wall"]
-    assert axes.get_ylabel() == "position q [m]" and axes.get_xlabel() == "time t [s]"
+    walls = ["wall"] if quantity == "position" else []
+    assert labels(axes) == [f"within ±0.5 {unit}", f"within ±0.1 {unit}", *walls]
+    assert axes.get_ylabel() == f"{quantity} {'qvu'[part]} [{unit}]"
+    assert axes.get_xlabel() == "time t [s]"
 
 
 def test_two_coordinates_look_different_and_have_one_label(axes: Axes) -> None:
     positions = np.column_stack([PLAN.positions, PLAN.positions])
     plot_velocities(axes, [Motion("plane", TIMES, positions, positions)])
-    first, second = axes.lines[:2]
+    lines: list[Any] = axes.lines[:2]
+    first, second = lines
     assert first.get_alpha() > second.get_alpha()
     # Matplotlib leaves labels that begin with an underscore out of legends.
     assert first.get_label() == "plane" and second.get_label().startswith("_")

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
+from matplotlib import colormaps
 
 from drake_aigto.show.motion import Motion, color_of, motions_of_plan
 
@@ -30,6 +31,16 @@ _WALL_COLOR = "#8a8f98"
 # How far the shaded wall reaches past what is drawn, as a part of its range.
 _WALL_DEPTH = 0.08
 _BOX_COLORMAP = "viridis"
+
+Quantity = Literal["position", "velocity", "control"]
+
+# In the order of `Transcription.split`.
+_UNITS: dict[Quantity, str] = {"position": "m", "velocity": "m/s", "control": "N"}
+_AXIS_LABELS: dict[Quantity, str] = {
+    "position": "position q [m]",
+    "velocity": "velocity v [m/s]",
+    "control": "control u [N]",
+}
 
 
 def plot_plan(axes: Sequence[Axes], plan: Plan, world: World) -> None:
@@ -78,7 +89,7 @@ def plot_positions(axes: Axes, motions: Sequence[Motion], world: World, scenario
         )
     axes.plot([], [], "*", color="black", markersize=9, label="goal")
     _shade_wall(axes, world)
-    axes.set_ylabel("position q [m]")
+    axes.set_ylabel(_AXIS_LABELS["position"])
     axes.legend(loc="best", fontsize="small")
 
 
@@ -86,7 +97,7 @@ def plot_velocities(axes: Axes, motions: Sequence[Motion]) -> None:
     """Draws v(t); impacts are jumps."""
     _plot_rows(axes, motions, [motion.velocities for motion in motions])
     axes.axhline(0, color="black", linewidth=0.5)
-    axes.set_ylabel("velocity v [m/s]")
+    axes.set_ylabel(_AXIS_LABELS["velocity"])
 
 
 def plot_controls(axes: Axes, motions: Sequence[Motion]) -> None:
@@ -98,34 +109,39 @@ def plot_controls(axes: Axes, motions: Sequence[Motion]) -> None:
         for i, control in enumerate(held.T):
             axes.step(motion.control_times, control, where="post", **_line(index, i))
     axes.axhline(0, color="black", linewidth=0.5)
-    axes.set(xlabel="time t [s]", ylabel="control u [N]")
+    axes.set(xlabel="time t [s]", ylabel=_AXIS_LABELS["control"])
 
 
-def plot_boxes(axes: Axes, transcription: Transcription, iterates: Sequence[Iterate]) -> None:
-    """Draws the boxes around the positions, center ± half width at each knot, as AIGO shrinks them.
+def plot_boxes(
+    axes: Axes,
+    transcription: Transcription,
+    iterates: Sequence[Iterate],
+    quantity: Quantity = "position",
+) -> None:
+    """Draws the boxes around a quantity, center ± half width over time, as AIGO shrinks them.
 
     Each is labelled with its largest half width.
 
     Args:
         axes: to draw in.
-        transcription: knows which variables are positions, and the wall.
+        transcription: knows which variables are which, and the wall.
         iterates: some of `AigoResult.history`, the first at the back.
+        quantity: "position", "velocity" or "control".
     """
-    from matplotlib import colormaps
-
     times = transcription.GetSampleTimes()
+    part = list(_AXIS_LABELS).index(quantity)
     colors = colormaps[_BOX_COLORMAP](np.linspace(0.85, 0.0, len(iterates)))
     for iterate, color in zip(iterates, colors, strict=True):
-        center, half_width = (
-            transcription.split(vector)[0]
-            for vector in (iterate.box.center, iterate.box.half_width)
-        )
-        label = f"within ±{np.max(half_width):.2g} m"
+        box = iterate.box
+        center, half_width = (transcription.split(y)[part] for y in (box.center, box.half_width))
+        label = f"within ±{np.max(half_width):.2g} {_UNITS[quantity]}"
         for i, (c, w) in enumerate(zip(center.T, half_width.T, strict=True)):
-            axes.fill_between(times, c - w, c + w, color=color, alpha=0.3, linewidth=0)
-            axes.plot(times, c, color=color, label=label if i == 0 else "")
-    _shade_wall(axes, transcription.world)
-    axes.set(xlabel="time t [s]", ylabel="position q [m]")
+            t = times[: len(c)]  # A control has no value at the last knot.
+            axes.fill_between(t, c - w, c + w, color=color, alpha=0.3, linewidth=0)
+            axes.plot(t, c, color=color, label=label if i == 0 else "")
+    if quantity == "position":
+        _shade_wall(axes, transcription.world)
+    axes.set(xlabel="time t [s]", ylabel=_AXIS_LABELS[quantity])
     axes.legend(loc="best", fontsize="small")
 
 
