@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from drake_aigto.errors import MissingExtraError as MissingExtraError
     from drake_aigto.errors import ModelError as ModelError
     from drake_aigto.errors import OptionsError as OptionsError
+    from drake_aigto.errors import OutputFileError as OutputFileError
     from drake_aigto.errors import PlanFileError as PlanFileError
     from drake_aigto.errors import ScenarioError as ScenarioError
     from drake_aigto.errors import UnsupportedTermError as UnsupportedTermError
@@ -26,6 +27,7 @@ _EXPORTS = {
     "MissingExtraError": "drake_aigto.errors",
     "ModelError": "drake_aigto.errors",
     "OptionsError": "drake_aigto.errors",
+    "OutputFileError": "drake_aigto.errors",
     "PlanFileError": "drake_aigto.errors",
     "ScenarioError": "drake_aigto.errors",
     "UnsupportedTermError": "drake_aigto.errors",

@@ -58,6 +58,10 @@ class PlanFileError(AigtoError, ValueError):
     """A plan file that is cut short, damaged, or from another version."""
 
 
+class OutputFileError(AigtoError, OSError):
+    """A file that can't be written."""
+
+
 class OptionsError(AigtoError, ValueError):
     """A numerical option outside its range."""
 

@@ -283,7 +283,7 @@ def test_penalty_continuation_meets_the_constraint() -> None:
         Term(1.0, ()),
     )
     f = BoxPolynomial(2, (TermBlock("cost", cost, [[0, 1]]), TermBlock("row", row, [[0, 1]])))
-    x = PenaltyContinuation().run(f, ["row"], np.array([2.5, 0.8]), np.ones(2, dtype=bool))
+    x = PenaltyContinuation(raises=7).run(f, ["row"], np.array([2.5, 0.8]), np.ones(2, dtype=bool))
     assert x[0] * x[1] == pytest.approx(1.0, abs=1e-6)
     # Stationarity along the constraint: (x − 3)/y = (y − 1)/x.
     assert (x[0] - 3) / x[1] == pytest.approx((x[1] - 1) / x[0], abs=1e-5)

@@ -25,9 +25,9 @@ class PenaltyContinuation:
         tolerance: each minimisation ends at √(gᵀ diag(H)⁻¹ g) ≤ tolerance.
     """
 
-    raises: int = 14
-    factor: float = 10**0.5
-    max_newton_steps: int = 30
+    raises: int = 5
+    factor: float = 10.0
+    max_newton_steps: int = 10
     tolerance: float = 1e-10
 
     def run(

@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 # An impulse is a contact if it changes the velocity by this part of the largest one on the way. A
 # literal plan has some force at every distance; this tells the blow from the breeze.
 _SHARE = 0.05
-# Knots apart by no more than this belong to one contact.
-_GAP = 2
+# Impulses that follow each other sooner than this are one contact [s].
+_GAP = 0.1
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ def find_contacts(world: World, trajectory: Trajectory) -> tuple[PlannedContact,
     hit = np.flatnonzero(sizes > _SHARE * largest)
     if not hit.size:
         return ()
-    runs = np.split(hit, np.flatnonzero(np.diff(hit) > _GAP) + 1)
+    runs = np.split(hit, np.flatnonzero(np.diff(trajectory.times[hit]) >= _GAP) + 1)
     return tuple(_contact(world, trajectory, changes, run[0], run[-1]) for run in runs)
 
 

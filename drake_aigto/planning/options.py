@@ -11,13 +11,14 @@ from drake_aigto.errors import OptionsError
 from drake_aigto.transcription.literal import DYNAMICS, KINEMATICS, NONPENETRATION
 
 AlgorithmName = Literal["annealing", "full gradient"]
-LocalSolverName = Literal["newton", "snopt", "ipopt"]
+LocalSolverName = Literal["ipopt", "snopt"]
 TranscriptionName = Literal["literal"]
 
-_CHOICES: dict[str, tuple[str, ...]] = {
+# Option → what it may be.
+CHOICES: dict[str, tuple[str, ...]] = {
     "transcription": ("literal",),
     "algorithm": ("annealing", "full gradient"),
-    "local_solver": ("newton", "snopt", "ipopt"),
+    "local_solver": ("ipopt", "snopt"),
 }
 
 
@@ -39,19 +40,21 @@ class Rung:
         return f"temperature {self.temperature:g}; {weights}"
 
 
-def _rung(temperature: float, kinematics: float, dynamics: float, wall: float = 5e-4) -> Rung:
-    weights = {KINEMATICS: kinematics, DYNAMICS: dynamics, NONPENETRATION: wall}
+def _rung(temperature: float, kinematics: float, dynamics: float) -> Rung:
+    weights = {KINEMATICS: kinematics, DYNAMICS: dynamics, NONPENETRATION: 5e-4}
     return Rung(temperature, weights)
 
 
 # Light dynamics rows keep the paper's contact alive while boxes are wide: a heavy (φ + δ)² (…)² is
 # least at φ ≈ 0 with no impulse, the collapse of AIGTO Fig. 1. Light kinematics rows let the mass
-# jump to the wall at once. No single choice is best on all of Table I, hence a ladder.
-LITERAL_LADDER = tuple(
-    _rung(temperature, kinematics, dynamics)
-    for kinematics in (1e1, 1e2, 1e3)
-    for dynamics in (1e-4, 1e-3)
-    for temperature in (1e-4, 1e-5)
+# jump to the wall at once. The first rung alone finds the bounce of all of Table I by annealing; a
+# heavy and cold one ends in free flight; Algorithm 1 needs the lightest.
+LITERAL_LADDER = (
+    _rung(1e-4, 1e3, 1e-2),
+    _rung(1e-5, 1e2, 1e0),
+    _rung(1e-4, 1e3, 1e-3),
+    _rung(1e-5, 1e2, 1e-4),
+    _rung(1e-4, 1e1, 1e-4),
 )
 
 
@@ -65,8 +68,8 @@ class PlanOptions:
             need it off.
         algorithm: "annealing", or "full gradient" for the paper's Algorithm 1.
         ladder: the starts; a candidate plan comes out of each.
-        local_solver: polishes AIGO's results: "newton" (ours, exact Hessians), "snopt" or "ipopt"
-            (through Drake).
+        local_solver: polishes AIGO's results: "ipopt" or "snopt", through Drake.
+        knot_steps: by how many knots the best candidate's contacts are moved to and fro, in turn.
         confirm: whether the plan is also replayed on Drake's plant; the event-driven replay is
             always run.
     """
@@ -75,12 +78,13 @@ class PlanOptions:
     nonpenetration: bool = True
     algorithm: AlgorithmName = "annealing"
     ladder: tuple[Rung, ...] = field(default=LITERAL_LADDER, repr=False)
-    local_solver: LocalSolverName = "newton"
+    local_solver: LocalSolverName = "ipopt"
+    knot_steps: tuple[int, ...] = (8, 4, 2, 1)
     confirm: bool = True
 
     def __post_init__(self) -> None:
         """Checks the choices."""
-        for name, known in _CHOICES.items():
+        for name, known in CHOICES.items():
             if (got := getattr(self, name)) not in known:
                 raise OptionsError(name, got=repr(got), expected=f"one of {', '.join(known)}")
         if not self.ladder:

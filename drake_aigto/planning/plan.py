@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from drake_aigto.errors import AigtoError, PlanFileError
 from drake_aigto.planning.contacts import PlannedContact
-from drake_aigto.planning.replay import Replay
-from drake_aigto.planning.verdict import Verdict, judge_replay
+from drake_aigto.planning.replay import Replay, confirms
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scenario
 from drake_aigto.world.files import write_text
@@ -22,6 +21,25 @@ if TYPE_CHECKING:
 
 FORMAT = "drake_aigto plan"
 FORMAT_VERSION = 1
+
+
+@dataclass(frozen=True)
+class Replays:
+    """The plan's control, run in simulation from the start state.
+
+    Attributes:
+        event_driven: on an exactly rigid wall.
+        drake: on the continuous plant with its compliant contact; None if it was not asked for.
+    """
+
+    event_driven: Replay
+    drake: Replay | None
+
+    def __iter__(self) -> Iterator[Replay]:
+        """Yields those that were run."""
+        yield self.event_driven
+        if self.drake is not None:
+            yield self.drake
 
 
 @dataclass(frozen=True)
@@ -65,9 +83,9 @@ class Candidate:
             ratio = contact.energy_ratio * (1.0 if ratio is None else ratio)
         return ratio
 
-    def judge(self, scenario: Scenario, replay: Replay) -> Verdict:
-        """Returns whether a replay of this candidate's control confirms it."""
-        return judge_replay(scenario, self.cost, self.goal_error, replay)
+    def holds(self, replays: Replays) -> bool:
+        """Returns whether all replays of this candidate's control confirm it."""
+        return all(confirms(self.cost, replay, self.goal_error) for replay in replays)
 
     def to_dict(self) -> dict[str, Any]:
         """Returns the fields as plain JSON values."""
@@ -93,25 +111,6 @@ class Candidate:
             "replay": Replay.from_dict(data["replay"]),
         }
         return cls(**{**data, **parts})
-
-
-@dataclass(frozen=True)
-class Replays:
-    """The plan's control, run in simulation from the start state.
-
-    Attributes:
-        event_driven: on an exactly rigid wall.
-        drake: on the continuous plant with its compliant contact; None if it was not asked for.
-    """
-
-    event_driven: Replay
-    drake: Replay | None
-
-    def __iter__(self) -> Iterator[Replay]:
-        """Yields those that were run."""
-        yield self.event_driven
-        if self.drake is not None:
-            yield self.drake
 
 
 @dataclass(frozen=True)
@@ -168,10 +167,9 @@ class Plan:
         return self.best.defects
 
     @property
-    def verdict(self) -> Verdict:
-        """Holds if every replay that was run confirms the chosen trajectory."""
-        verdicts = {self.best.judge(self.scenario, replay) for replay in self.replay}
-        return Verdict.FAILS if Verdict.FAILS in verdicts else Verdict.HOLDS
+    def holds(self) -> bool:
+        """Whether every replay that was run confirms the chosen trajectory (`replay.confirms`)."""
+        return self.best.holds(self.replay)
 
     def to_dict(self) -> dict[str, Any]:
         """Returns the plan as plain JSON values."""
@@ -208,16 +206,9 @@ class Plan:
         """Writes a JSON file that `load` reads back to the same numbers, whole or not at all.
 
         Raises:
-            PlanFileError: the file can't be written.
+            OutputFileError: the file can't be written.
         """
-        try:
-            write_text(path, json.dumps(self.to_dict(), allow_nan=True) + "\n")
-        except OSError as error:
-            raise PlanFileError(
-                f"plan file {path} can't be written",
-                got=error,
-                remedy="Name a file in a folder that exists and may be written to.",
-            ) from error
+        write_text(path, json.dumps(self.to_dict()) + "\n")
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Plan:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -14,17 +15,26 @@ import numpy as np
 from drake_aigto.aigo import AigoResult, Box, PenaltyContinuation, Status, minimize
 from drake_aigto.box import BoxPolynomial, compile_program
 from drake_aigto.errors import AigtoError
-from drake_aigto.local import InteriorPoint, PolynomialNlp, compile_nlp
 from drake_aigto.planning.contacts import find_contacts, max_penetration
 from drake_aigto.planning.options import PlanOptions, Rung
 from drake_aigto.planning.plan import Candidate, Plan, PlanStats, Replays
 from drake_aigto.planning.polish import solve_with_drake
 from drake_aigto.planning.replay import replay_drake, replay_event_driven
+from drake_aigto.planning.sequence import Knots, ballistic_guess, contact_knots
+from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import LiteralTranscription, Transcription
 from drake_aigto.world import Scenario, World
 
 if TYPE_CHECKING:
     import numpy.typing as npt
+
+# In a candidate's origin, before the knots that its contacts were moved to.
+_MOVED = "; contacts moved to knots "
+
+# Contacts this many knots apart are one proposal of AIGO's; moving them tells them apart.
+_SAME = 2
+
+_Clock = Callable[[str], AbstractContextManager[None]]
 
 # A candidate whose rows are off by more than this is no solution of the transcription [m, m/s].
 LARGEST_DEFECT = 1e-6
@@ -102,58 +112,54 @@ class Planner:
         candidates, steps = self._search(problem, progress)
         feasible = [c for c in candidates if c.max_defect <= LARGEST_DEFECT]
         if not feasible:
-            rungs = len(self.options.ladder)
+            defect = min((c.max_defect for c in candidates), default=np.inf)
             raise PlanningError(
                 "no candidate meets the transcription's rows",
-                got=f"{len(candidates)} candidates of {rungs} rungs, the smallest defect "
-                f"{min((c.max_defect for c in candidates), default=np.inf):.1e}",
-                expected=f"{LARGEST_DEFECT:g}",
+                got=f"{len(candidates)} candidates from {len(self.options.ladder)} rungs, the "
+                f"smallest defect {defect:.1e}",
+                expected=f"at most {LARGEST_DEFECT:g}",
                 remedy="Try another ladder, algorithm or local solver.",
             )
         best = min(feasible, key=lambda candidate: candidate.cost)
         rest = [candidate for candidate in candidates if candidate is not best]
         with self._clock("replay"):
-            replays = self.replay(best, scenario)
+            replays = self.simulate(best.trajectory, scenario)
         stats = PlanStats(steps, len(feasible), dict(self._seconds))
         return Plan(scenario, self.options.transcription, (best, *rest), replays, stats)
 
     def _search(
         self, problem: PlanningProblem, progress: Callable[[str], None] | None
     ) -> tuple[list[Candidate], int]:
-        """Returns a candidate for every rung, and the inner iterations of AIGO in all."""
-        candidates: list[Candidate] = []
-        steps = 0
+        """Returns the candidates, and the inner iterations of AIGO in all."""
+        search = Search(problem, self._clock)
+        ladder = self.options.ladder
         try:
-            for number, rung in enumerate(self.options.ladder, 1):
+            for number, rung in enumerate(ladder, 1):
                 if progress:
-                    progress(f"candidate {number} of {len(self.options.ladder)}: {rung}")
-                with self._clock("aigo"):
-                    result = problem.run_aigo(rung)
-                steps += result.num_inner_steps
-                with self._clock("polish"):
-                    x = problem.polish(result, rung)
-                with self._clock("replay"):
-                    origin = f"{self.options.algorithm}, {rung}"
-                    candidates.append(problem.judge(origin, result.box.center, x))
-                if result.status is Status.INTERRUPTED:
-                    break
+                    progress(f"AIGO {number} of {len(ladder)}: {rung}")
+                search.add_rung(rung)
+            knots = search.best_contacts()
+            for step in self.options.knot_steps if knots else ():
+                if progress:
+                    progress(f"{len(search.candidates)} candidates; moving contacts {knots}")
+                knots = search.move_contacts(knots, step)
         except KeyboardInterrupt:
-            if not candidates:
+            if not search.candidates:
                 raise
-        return candidates, steps
+        return search.candidates, search.aigo_steps
 
-    def replay(self, candidate: Candidate, scenario: Scenario | None = None) -> Replays:
-        """Returns the candidate's replays: event-driven, and in Drake if the options confirm.
+    def simulate(self, trajectory: Trajectory, scenario: Scenario | None = None) -> Replays:
+        """Returns what a trajectory's control alone does: event-driven, and in Drake to confirm.
 
         Args:
-            candidate: of this planner's world.
+            trajectory: in this planner's world.
             scenario: that it is for; the planner's if None.
         """
-        control = candidate.trajectory.times, candidate.trajectory.controls
-        drake = None
-        if self.options.confirm:
-            drake = replay_drake(self.world, scenario or self.scenario, *control)
-        return Replays(candidate.replay, drake)
+        scenario = scenario or self.scenario
+        control = trajectory.times, trajectory.controls
+        rigid = replay_event_driven(self.world, scenario, *control)
+        confirm = self.options.confirm
+        return Replays(rigid, replay_drake(self.world, scenario, *control) if confirm else None)
 
     @contextmanager
     def _clock(self, part: str) -> Iterator[None]:
@@ -177,7 +183,6 @@ class PlanningProblem:
     Attributes:
         transcription: the constrained program.
         polynomial: its penalised cost, for AIGO.
-        nlp: the same costs and constraints, for the local solver of this package.
         box: where AIGO starts.
     """
 
@@ -188,33 +193,38 @@ class PlanningProblem:
             UnsupportedTermError: a cost or constraint that has no mean in closed form.
         """
         self.transcription = transcription
-        self._options = options or PlanOptions()
+        self.options = options or PlanOptions()
         order = transcription.elimination_order()
         self.polynomial: BoxPolynomial = compile_program(transcription.penalized(), order)
-        self.nlp: PolynomialNlp = compile_nlp(transcription.prog())
         self.box = Box(*transcription.initial_box())
 
     def run_aigo(self, rung: Rung) -> AigoResult:
-        """Returns what AIGO makes of the start box under a rung's weights."""
-        return minimize(self._weighted(rung), self.box, self._options.make_algorithm(rung))
+        """Returns what AIGO makes of the first box under a rung's weights."""
+        return minimize(self._weighted(rung), self.box, self.options.make_algorithm(rung))
 
-    def polish(self, result: AigoResult, rung: Rung) -> npt.NDArray[np.float64]:
-        """Returns the feasible local optimum next to AIGO's result.
+    def find_sequences(self, result: AigoResult, rung: Rung) -> list[Knots]:
+        """Returns the contact sequences that AIGO proposes; () is a free flight.
 
-        The box center is first pulled towards the constraints by raising the rung's penalties; the
-        local solver then meets them.
+        One is read off the box center as it is, another after pulling it towards the constraints by
+        raising the rung's penalties.
         """
-        penalties = self._weights(rung)
-        start = PenaltyContinuation().run(
-            self._weighted(rung), penalties, result.box.center, self.box.free
+        center = result.box.center
+        pulled = PenaltyContinuation().run(
+            self._weighted(rung), self._weights(rung), center, self.box.free
         )
-        return self.solve_locally(start)
+        return [contact_knots(self.transcription, x) for x in (center, pulled)]
+
+    def polish(self, center: npt.NDArray[np.float64], knots: Knots) -> npt.NDArray[np.float64]:
+        """Returns the local optimum next to a contact sequence, all decision variables (n,).
+
+        The local solver starts from the ballistic guess: of AIGO's box center only the sequence is
+        kept, as its penalised rows are off by far.
+        """
+        return self.solve_locally(ballistic_guess(self.transcription, center, knots))
 
     def solve_locally(self, guess: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Returns what the options' local solver makes of a guess, all decision variables (n,)."""
-        if self._options.local_solver == "newton":
-            return InteriorPoint().solve(self.nlp, guess).x
-        return solve_with_drake(self.transcription.prog(), guess, self._options.local_solver).x
+        """Returns what the local solver makes of a guess, all decision variables (n,)."""
+        return solve_with_drake(self.transcription.prog(), guess, self.options.local_solver).x
 
     def judge(
         self, origin: str, start: npt.NDArray[np.float64], x: npt.NDArray[np.float64]
@@ -244,3 +254,86 @@ class PlanningProblem:
 
     def _weighted(self, rung: Rung) -> BoxPolynomial:
         return self.polynomial.with_weights(self._weights(rung))
+
+
+class Search:
+    """Candidates by contact sequence: AIGO proposes, and the best one's contacts are moved.
+
+    Sequences whose knots differ by no more than `_SAME` share a candidate.
+
+    Attributes:
+        candidates: so far.
+        aigo_steps: inner iterations of AIGO so far.
+    """
+
+    def __init__(self, problem: PlanningProblem, clock: _Clock) -> None:
+        """Starts with no candidate; the clock measures parts by name."""
+        self._problem, self._clock = problem, clock
+        self._centers: dict[Knots, npt.NDArray[np.float64]] = {}
+        self._by_knots: dict[Knots, Candidate] = {}
+        self.aigo_steps = 0
+
+    @property
+    def candidates(self) -> list[Candidate]:
+        """All candidates, in the order that they were found."""
+        return list(self._by_knots.values())
+
+    def add_rung(self, rung: Rung) -> None:
+        """Adds the candidate of AIGO's sequence under this rung, unless it is there.
+
+        Raises:
+            KeyboardInterrupt: AIGO was interrupted; its best so far is a candidate by now.
+        """
+        with self._clock("aigo"):
+            result = self._problem.run_aigo(rung)
+            sequences = self._problem.find_sequences(result, rung)
+        self.aigo_steps += result.num_inner_steps
+        for knots in sequences:
+            if not any(_is_same(knots, known) for known in self._by_knots):
+                self._add(f"{self._problem.options.algorithm}, {rung}", knots, result.box.center)
+        if result.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+
+    def move_contacts(self, knots: Knots, step: int) -> Knots:
+        """Moves each contact of a candidate by so many knots, for as long as that helps.
+
+        Returns:
+            The sequence that this ends in.
+        """
+        last = self._problem.transcription.num_samples() - 1
+        while True:
+            reached = [knots]
+            for i, shift in itertools.product(range(len(knots)), (-step, step)):
+                moved = tuple(k + shift if j == i else k for j, k in enumerate(knots))
+                if all(a < b for a, b in itertools.pairwise((0, *moved, last))):
+                    if moved not in self._by_knots:
+                        origin = self._by_knots[knots].origin.split(_MOVED)[0]
+                        self._add(f"{origin}{_MOVED}{moved}", moved, self._centers[knots])
+                    reached.append(moved)
+            best = min(reached, key=self._rank)
+            if best == knots:
+                return knots
+            knots = best
+
+    def best_contacts(self) -> Knots:
+        """Returns the sequence of the best candidate that the polish left in contact, or ()."""
+        touching = [knots for knots, found in self._by_knots.items() if knots and found.contacts]
+        return min(touching, key=self._rank, default=())
+
+    def _rank(self, knots: Knots) -> tuple[bool, float]:
+        """Orders sequences: those that meet the rows first, then by cost."""
+        candidate = self._by_knots[knots]
+        return candidate.max_defect > LARGEST_DEFECT, candidate.cost
+
+    def _add(self, origin: str, knots: Knots, center: npt.NDArray[np.float64]) -> None:
+        with self._clock("polish"):
+            x = self._problem.polish(center, knots)
+        with self._clock("replay"):
+            self._by_knots[knots] = self._problem.judge(origin, center, x)
+        self._centers[knots] = center
+
+
+def _is_same(one: Knots, other: Knots) -> bool:
+    return len(one) == len(other) and all(
+        abs(a - b) <= _SAME for a, b in zip(one, other, strict=True)
+    )

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -36,7 +39,7 @@ def solve_with_drake(
     prog: MathematicalProgram,
     guess: npt.NDArray[np.float64],
     solver: str,
-    max_iterations: int = 500,
+    max_iterations: int = 200,
 ) -> LocalResult:
     """Runs SNOPT or IPOPT through Drake from a guess.
 
@@ -47,7 +50,8 @@ def solve_with_drake(
         max_iterations: the solver's major iterations.
     """
     chosen = SnoptSolver() if solver == "snopt" else IpoptSolver()
-    result = chosen.Solve(prog, guess, _options(solver, max_iterations))
+    with _quiet():
+        result = chosen.Solve(prog, guess, _options(solver, max_iterations))
     x = result.get_x_val()
     is_finite = bool(np.all(np.isfinite(x)))
     return LocalResult(
@@ -55,6 +59,18 @@ def solve_with_drake(
         is_success=result.is_success() and is_finite,
         status=result.get_solution_result().name,
     )
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keeps Drake from logging that a solver ran out of iterations: candidates may fail."""
+    logger = logging.getLogger("drake")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
 
 
 def _options(solver: str, max_iterations: int) -> SolverOptions:

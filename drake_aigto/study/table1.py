@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-import statistics
+import os
 import time
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
 from typing import Any, NamedTuple
@@ -14,13 +15,20 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drake_aigto.baselines import gradient_from_random, gradient_from_zero
-from drake_aigto.planning import Candidate, Planner, PlanningProblem, PlanOptions, Replays
+from drake_aigto.planning import (
+    Candidate,
+    Planner,
+    PlanningProblem,
+    PlanOptions,
+    Replays,
+)
 from drake_aigto.planning.planner import LARGEST_DEFECT, make_transcription
 from drake_aigto.world import Scenario
 
 ROWS = (1, 2, 3, 4)
 # Through Drake, the faster of its two on this problem's form.
 GRADIENT_SOLVER = "ipopt"
+_BLAS_THREADS = "OPENBLAS_NUM_THREADS"  # read by NumPy's and SciPy's wheels as they are loaded
 
 
 class PaperCosts(NamedTuple):
@@ -39,6 +47,38 @@ PAPER_COSTS = {
 
 
 @dataclass(frozen=True)
+class Entry:
+    """A line of the table: one run, and simulations of its control.
+
+    Attributes:
+        label: what it is.
+        candidate: the run.
+        replays: simulations of its control.
+        holds: whether they all confirm it.
+    """
+
+    label: str
+    candidate: Candidate
+    replays: Replays
+    holds: bool
+
+    @property
+    def is_feasible(self) -> bool:
+        """Whether the run met the transcription's rows."""
+        return self.candidate.max_defect <= LARGEST_DEFECT
+
+    def to_dict(self) -> dict[str, Any]:
+        """Returns plain JSON values."""
+        drake = self.replays.drake
+        return {
+            "label": self.label,
+            "candidate": self.candidate.to_dict(),
+            "drake": None if drake is None else drake.to_dict(),
+            "holds": self.holds,
+        }
+
+
+@dataclass(frozen=True)
 class Method:
     """What one method came to on one row of the table.
 
@@ -46,37 +86,28 @@ class Method:
         name: of the method.
         costs: J of every run that met the transcription's rows, sorted.
         num_runs: how many runs there were.
-        best: the run of least cost that met the rows; if none did, that of least defect.
-        replays: simulations of the best one's control.
+        entries: the runs that are shown: the best, and before it the median where there are guesses.
         seconds: all runs together, replays apart.
     """
 
     name: str
     costs: tuple[float, ...]
     num_runs: int
-    best: Candidate
-    replays: Replays
+    entries: tuple[Entry, ...]
     seconds: float
 
     @property
-    def is_feasible(self) -> bool:
-        """Whether any run met the rows."""
-        return bool(self.costs)
-
-    @property
-    def median_cost(self) -> float:
-        """The median over the runs that met the rows; NaN if none did."""
-        return statistics.median(self.costs) if self.costs else float("nan")
+    def best(self) -> Entry:
+        """The run of least cost that met the rows; if none did, that of least defect."""
+        return self.entries[-1]
 
     def to_dict(self) -> dict[str, Any]:
         """Returns plain JSON values."""
-        drake = self.replays.drake
         return {
             "name": self.name,
             "costs": list(self.costs),
             "num_runs": self.num_runs,
-            "best": self.best.to_dict(),
-            "drake": None if drake is None else drake.to_dict(),
+            "entries": [entry.to_dict() for entry in self.entries],
             "seconds": self.seconds,
         }
 
@@ -153,8 +184,7 @@ def run_table1(
         The cells, φ free first. Ctrl-C leaves those that were done.
     """
     if executor is None:
-        # Forking a process whose libraries have threads is not safe.
-        with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+        with _process_pool() as pool:
             return run_table1(rows, num_guesses, seed, confirm, pool, progress)
     cells = [(row, nonpenetration) for nonpenetration in (False, True) for row in rows]
     jobs = {executor.submit(run_cell, *cell, num_guesses, seed, confirm): cell for cell in cells}
@@ -172,35 +202,58 @@ def run_table1(
     return [done[cell] for cell in cells if cell in done]
 
 
+@contextmanager
+def _process_pool() -> Iterator[Executor]:
+    """Yields a pool of one process a core, each with one BLAS thread, lest they fight for cores."""
+    before = os.environ.get(_BLAS_THREADS)
+    os.environ[_BLAS_THREADS] = "1"
+    try:
+        # Forking a process whose libraries have threads is not safe.
+        with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
+            yield pool
+    finally:
+        if before is None:
+            del os.environ[_BLAS_THREADS]
+        else:
+            os.environ[_BLAS_THREADS] = before
+
+
 def _gradient_methods(
     planner: Planner, num_guesses: int, generator: np.random.Generator
 ) -> Iterator[Method]:
     options = dataclasses.replace(planner.options, local_solver=GRADIENT_SOLVER)
-    problem = PlanningProblem(make_transcription(planner.world, planner.scenario, options), options)
-    name = f"gradient ({GRADIENT_SOLVER.upper()})"
+    transcription = make_transcription(planner.world, planner.scenario, options)
+    problem = PlanningProblem(transcription, options)
     start = time.perf_counter()
     runs = [gradient_from_zero(problem)]
-    yield _summarize(f"{name}, zero", planner, runs, time.perf_counter() - start)
+    yield _summarize("gradient, from zero", planner, runs, time.perf_counter() - start)
     start = time.perf_counter()
     runs = [gradient_from_random(problem, generator) for _ in range(num_guesses)]
-    yield _summarize(f"{name}, random", planner, runs, time.perf_counter() - start)
+    yield _summarize("gradient", planner, runs, time.perf_counter() - start, median=True)
 
 
 def _aigto_method(name: str, planner: Planner) -> Method:
     plan = planner.plan()
     seconds = sum(plan.stats.seconds[part] for part in ("build", "aigo", "polish"))
-    return _summarize(name, planner, list(plan.candidates), seconds, plan.replay)
+    return _summarize(name, planner, list(plan.candidates), seconds)
 
 
 def _summarize(
-    name: str,
-    planner: Planner,
-    runs: list[Candidate],
-    seconds: float,
-    replays: Replays | None = None,
+    name: str, planner: Planner, runs: list[Candidate], seconds: float, median: bool = False
 ) -> Method:
-    """Returns a method's summary, its best run replayed unless that was done."""
+    """Returns a method's summary, with those runs replayed that are shown."""
     feasible = sorted((r for r in runs if r.max_defect <= LARGEST_DEFECT), key=lambda r: r.cost)
-    best = feasible[0] if feasible else min(runs, key=lambda run: run.max_defect)
-    costs = tuple(run.cost for run in feasible)
-    return Method(name, costs, len(runs), best, replays or planner.replay(best), seconds)
+    ranked = feasible or sorted(runs, key=lambda run: run.max_defect)
+    shown = [(name, ranked[0])]
+    if median:
+        shown = [
+            (f"{name}, median of {len(runs)}", ranked[len(ranked) // 2]),
+            (f"{name}, best of {len(runs)}", ranked[0]),
+        ]
+    entries = tuple(_entry(label, planner, run) for label, run in shown)
+    return Method(name, tuple(run.cost for run in feasible), len(runs), entries, seconds)
+
+
+def _entry(label: str, planner: Planner, run: Candidate) -> Entry:
+    replays = planner.simulate(run.trajectory)
+    return Entry(label, run, replays, run.holds(replays))

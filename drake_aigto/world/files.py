@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pydrake.multibody.parsing import PackageMap
 
-from drake_aigto.errors import ModelError
+from drake_aigto.errors import ModelError, OutputFileError
 
 _URI_SCHEME = "package://"
 
@@ -72,11 +72,42 @@ def find_model(model: str) -> Path:
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Writes a file whole or not at all: to a neighbour first, which then takes its name."""
+    """Writes a file whole or not at all: to a neighbour first, which then takes its name.
+
+    Raises:
+        OutputFileError: it can't be written.
+    """
     path = Path(path)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         temporary.write_text(text, encoding="utf-8")
         temporary.replace(path)
+    except OSError as error:
+        raise _refuse_output(path, error) from error
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def check_writable(path: str | os.PathLike[str] | None) -> None:
+    """Refuses a file that could not be written once long work is done; None passes.
+
+    Raises:
+        OutputFileError: its folder does not exist or may not be written to, or it is a folder.
+    """
+    if path is None:
+        return
+    path = Path(path)
+    if path.is_dir():
+        raise _refuse_output(path, "a folder")
+    if not path.parent.is_dir():
+        raise _refuse_output(path, f"no folder {path.parent}")
+    if not os.access(path.parent, os.W_OK):
+        raise _refuse_output(path, f"a folder that is read-only, {path.parent}")
+
+
+def _refuse_output(path: Path, reason: object) -> OutputFileError:
+    return OutputFileError(
+        f"{path} can't be written",
+        got=reason,
+        remedy="Name a file in a folder that exists and may be written to.",
+    )

@@ -1,0 +1,297 @@
+"""The whole road: plans that follow the physics, keep their candidates, and survive a file."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drake_aigto import OutputFileError, PlanFileError, Scenario, ScenarioError
+from drake_aigto.aigo import Annealing, FullGradient
+from drake_aigto.errors import OptionsError
+from drake_aigto.planning import (
+    Plan,
+    Planner,
+    PlanningError,
+    PlanningProblem,
+    PlanOptions,
+    plan,
+)
+from drake_aigto.planning.contacts import find_contacts
+from drake_aigto.planning.options import LITERAL_LADDER
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription import LiteralTranscription
+from drake_aigto.world import World, files
+
+SHIPPED = files.models_directory() / "point_mass_and_wall.sdf"
+# Coarse, and with two rungs, so that a plan takes a fraction of a second.
+QUICK = PlanOptions(ladder=LITERAL_LADDER[2:4], confirm=False)
+BOUNCE = Scenario(
+    initial_position=0.4, initial_velocity=-1.2, goal_position=1.0, time_step=0.02
+)
+# Far from the wall and with next to no contact force: linear dynamics, quadratic cost.
+FLIGHT = Scenario(
+    initial_position=1.0,
+    initial_velocity=-0.3,
+    goal_position=1.2,
+    time_step=0.02,
+    epsilon=1e-9,
+)
+AXIS = "<xyz>1 0 0</xyz>"
+
+
+def write_model(directory: Path, old: str, new: str) -> str:
+    text = SHIPPED.read_text(encoding="utf-8")
+    assert old in text
+    path = directory / "variant.sdf"
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    return str(path)
+
+
+def least_cost(scenario: Scenario, mass: float = 1.0, spring: float = 0.0, rest: float = 0.0) -> float:
+    """Returns the optimum of explicit Euler without contact, by linear least squares."""
+    N, dt = scenario.num_steps, scenario.time_step
+    start = np.array([scenario.initial_position[0], scenario.initial_velocity[0]])
+    A = np.array([[1.0, dt], [-dt * spring / mass, 1.0]])
+    b, drift = np.array([0.0, dt / mass]), np.array([0.0, dt * spring * rest / mass])
+    # q_N = free + Σ gain_k u_k
+    free, gains = start, []
+    for _ in range(N):
+        free = A @ free + drift
+    for k in range(N):
+        gains.append((np.linalg.matrix_power(A, N - 1 - k) @ b)[0])
+    rows = np.vstack(
+        [
+            np.sqrt(scenario.control_weight * dt) * np.eye(N),
+            np.sqrt(scenario.goal_weight) * np.array(gains),
+        ]
+    )
+    target = np.append(np.zeros(N), np.sqrt(scenario.goal_weight) * (scenario.goal_position[0] - free[0]))
+    solution, *_ = np.linalg.lstsq(rows, target, rcond=None)
+    return float(np.sum((rows @ solution - target) ** 2))
+
+
+@pytest.mark.parametrize("solver", ["snopt", "ipopt"])
+def test_a_flight_costs_the_linear_quadratic_optimum(solver: str) -> None:
+    options = dataclasses.replace(QUICK, local_solver=solver, ladder=QUICK.ladder[:1], confirm=True)
+    found = plan(FLIGHT, options)
+    assert found.cost == pytest.approx(least_cost(FLIGHT), rel=1e-6)
+    assert max(found.defects.values()) < 1e-8
+    assert not found.best.contacts
+    # Euler's error is of the order of the time step, so the exact replay differs by that.
+    assert found.replay.event_driven.cost == pytest.approx(found.cost, rel=0.1)
+    assert found.replay.drake is not None
+    assert found.replay.drake.cost == pytest.approx(found.replay.event_driven.cost, rel=1e-3)
+
+
+def test_twice_the_mass_needs_twice_the_force(tmp_path: Path) -> None:
+    model = write_model(tmp_path, "<mass>1.0</mass>", "<mass>2.0</mass>")
+    heavy = dataclasses.replace(FLIGHT, model=model)
+    costs = [plan(s, QUICK).cost for s in (heavy, dataclasses.replace(FLIGHT, mass=2.0))]
+    assert costs == pytest.approx([least_cost(FLIGHT, mass=2.0)] * 2, rel=1e-6)
+    assert costs[0] > 3.5 * least_cost(FLIGHT)
+
+
+def test_a_spring_on_the_joint_is_planned_for(tmp_path: Path) -> None:
+    spring = f"{AXIS}<dynamics><spring_stiffness>3</spring_stiffness><spring_reference>0.4</spring_reference></dynamics>"
+    sprung = dataclasses.replace(FLIGHT, model=write_model(tmp_path, AXIS, spring))
+    cost = plan(sprung, QUICK).cost
+    assert cost == pytest.approx(least_cost(FLIGHT, spring=3.0, rest=0.4), rel=1e-6)
+    assert abs(cost / least_cost(FLIGHT) - 1) > 0.1
+
+
+def test_a_plan_moves_along_with_the_wall(tmp_path: Path) -> None:
+    old, new = "<pose>-0.05 0 0 0 0 0</pose>", "<pose>0.15 0 0 0 0 0</pose>"
+    shifted = dataclasses.replace(
+        BOUNCE,
+        model=write_model(tmp_path, old, new),
+        initial_position=BOUNCE.initial_position + 0.2,
+        goal_position=BOUNCE.goal_position + 0.2,
+    )
+    here, there = plan(BOUNCE, QUICK), plan(shifted, QUICK)
+    assert there.cost == pytest.approx(here.cost, rel=1e-3)
+    np.testing.assert_allclose(
+        there.trajectory.positions, here.trajectory.positions + 0.2, atol=1e-3
+    )
+    # With the wall where it was, the same ends are another problem.
+    stayed = plan(dataclasses.replace(shifted, model=BOUNCE.model), QUICK)
+    assert abs(stayed.cost / here.cost - 1) > 0.05
+
+
+def test_every_rung_leaves_its_candidate_and_the_best_is_chosen() -> None:
+    found = plan(BOUNCE, QUICK)
+    assert {c.origin for c in found.candidates} == {f"annealing, {r}" for r in QUICK.ladder}
+    assert found.cost == min(c.cost for c in found.candidates if c.max_defect <= 1e-6)
+    assert found.best is found.candidates[0]
+    assert found.trajectory is found.best.trajectory
+
+
+def test_the_same_question_gives_the_same_bits() -> None:
+    one, two = plan(BOUNCE, QUICK), plan(BOUNCE, QUICK)
+    assert one.trajectory == two.trajectory
+    assert [c.cost for c in one.candidates] == [c.cost for c in two.candidates]
+
+
+def test_a_planner_plans_again_with_changed_ends() -> None:
+    again = Planner(BOUNCE, QUICK).plan(initial_velocity=-1.0, goal_position=0.9)
+    changed = dataclasses.replace(BOUNCE, initial_velocity=-1.0, goal_position=0.9)
+    assert again.trajectory == plan(changed, QUICK).trajectory
+    assert again.scenario == changed
+    with pytest.raises(ScenarioError, match="goal_position is inside"):
+        Planner(BOUNCE, QUICK).plan(goal_position=-1.0)
+
+
+def test_the_papers_algorithm_plans_too() -> None:
+    found = plan(BOUNCE, dataclasses.replace(QUICK, algorithm="full gradient", ladder=QUICK.ladder[:1]))
+    assert max(found.defects.values()) < 1e-8
+    assert found.best.origin.startswith("full gradient")
+    assert isinstance(PlanOptions(algorithm="full gradient").make_algorithm(QUICK.ladder[0]), FullGradient)
+    annealing = PlanOptions().make_algorithm(QUICK.ladder[0])
+    assert isinstance(annealing, Annealing)
+    assert annealing.initial_temperature == QUICK.ladder[0].temperature
+
+
+def test_costs_and_bounds_of_a_user_count() -> None:
+    world = World.from_scenario(BOUNCE)
+    transcription = LiteralTranscription(world, BOUNCE)
+    (u,), (_, v) = transcription.input(), transcription.state()
+    transcription.AddFinalCost(1.0 * v**2, "stop")
+    transcription.AddConstraintToAllKnotPoints(u <= 2.0)
+    transcription.AddConstraintToAllKnotPoints(u >= -2.0)
+    problem = PlanningProblem(transcription, QUICK)
+    result = problem.run_aigo(QUICK.ladder[0])
+    x = problem.polish(result, QUICK.ladder[0])
+    assert max(transcription.defects(x).values()) < 1e-8
+    _, velocities, controls = transcription.split(x)
+    assert np.max(np.abs(controls)) <= 2.0 + 1e-8
+    assert abs(velocities[-1, 0]) < 0.5
+
+
+def test_ctrl_c_keeps_the_candidates_so_far() -> None:
+    lines: list[str] = []
+
+    def interrupt(line: str) -> None:
+        lines.append(line)
+        if len(lines) == 2:
+            raise KeyboardInterrupt
+
+    found = Planner(BOUNCE, QUICK).plan(progress=interrupt)
+    assert len(found.candidates) == 1
+    assert lines[0].startswith("candidate 1 of 2: temperature")
+
+
+def test_nothing_feasible_is_an_error_that_says_what_was_tried(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(PlanningProblem, "polish", lambda self, result, rung: result.box.center)
+    with pytest.raises(PlanningError, match="no candidate meets .* 2 candidates of 2 rungs"):
+        plan(BOUNCE, QUICK)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"transcription": "rubber"}, "transcription: got 'rubber', expected one of literal"),
+        ({"algorithm": "luck"}, "algorithm: got 'luck', expected one of annealing, full gradient"),
+        ({"local_solver": "mosek"}, "local_solver: got 'mosek', expected one of newton, snopt"),
+        ({"ladder": ()}, "ladder: got no rung, expected at least one"),
+    ],
+)
+def test_unknown_options_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(OptionsError, match=message):
+        PlanOptions(**options)
+
+
+# Contacts
+
+
+def test_contacts_are_read_off_impulses() -> None:
+    world = World.from_scenario(BOUNCE)
+    times = np.linspace(0, 1, 11)
+    velocities = np.full((11, 1), -1.0)
+    velocities[4:] = 0.5
+    velocities[9:] = 0.7
+    impulses = np.full((11, 1), 1e-3)
+    impulses[3], impulses[8] = 1.5, 0.2
+    trajectory = Trajectory(times, np.ones((11, 1)), velocities, np.zeros((10, 1)), impulses)
+    first, second = find_contacts(world, trajectory)
+    assert (first.time, first.velocity_change) == pytest.approx((0.3, 1.5))
+    assert first.energy_ratio == pytest.approx(0.25)
+    assert second.time == pytest.approx(0.8)
+    assert second.energy_ratio == pytest.approx(0.49 / 0.25)
+
+
+def test_a_flight_has_no_contact() -> None:
+    world = World.from_scenario(BOUNCE)
+    still = np.ones((11, 1))
+    trajectory = Trajectory(
+        np.linspace(0, 1, 11), still, still, np.zeros((10, 1)), np.full((11, 1), 1e-3)
+    )
+    assert find_contacts(world, trajectory) == ()
+
+
+# Plan files
+
+
+@pytest.fixture(scope="module")
+def found() -> Plan:
+    return plan(FLIGHT, dataclasses.replace(QUICK, ladder=QUICK.ladder[:1], confirm=True))
+
+
+def test_a_plan_file_reads_back_to_the_same_plan(found: Plan, tmp_path: Path) -> None:
+    path = tmp_path / "plan.json"
+    found.save(path)
+    loaded = Plan.load(path)
+    assert loaded == found
+    assert loaded.to_dict() == found.to_dict()
+    assert [p.name for p in tmp_path.iterdir()] == ["plan.json"]
+
+
+def test_a_plan_without_confirmation_reads_back_too(found: Plan, tmp_path: Path) -> None:
+    bare = dataclasses.replace(found, replay=dataclasses.replace(found.replay, drake=None))
+    bare.save(tmp_path / "plan.json")
+    assert Plan.load(tmp_path / "plan.json").replay.drake is None
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.3, 0.999])
+def test_a_plan_file_cut_short_is_refused(found: Plan, tmp_path: Path, kept: float) -> None:
+    path = tmp_path / "plan.json"
+    found.save(path)
+    text = path.read_text(encoding="utf-8").rstrip()
+    path.write_text(text[: int(kept * len(text))], encoding="utf-8")
+    with pytest.raises(PlanFileError, match=r"plan\.json is cut short or no JSON"):
+        Plan.load(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"version": 99}, r"version 99, expected version 1\. Plan again"),
+        ({"format": "poem"}, "is not a plan file: got format 'poem'"),
+        ({"candidates": []}, "is damaged"),
+        ({"replay": {}}, "is damaged: got KeyError"),
+        ({"stats": {"pace": 3}}, "is damaged"),
+        ({"scenario": {"initial_position": 1}}, "is damaged: got ScenarioError: missing"),
+    ],
+)
+def test_a_damaged_plan_file_is_refused(
+    found: Plan, tmp_path: Path, change: dict[str, Any], message: str
+) -> None:
+    path = tmp_path / "plan.json"
+    path.write_text(json.dumps({**found.to_dict(), **change}), encoding="utf-8")
+    with pytest.raises(PlanFileError, match=message):
+        Plan.load(path)
+
+
+def test_files_that_cannot_be_read_or_written_are_named(found: Plan, tmp_path: Path) -> None:
+    with pytest.raises(PlanFileError, match=r"nowhere\.json can't be read"):
+        Plan.load(tmp_path / "nowhere.json")
+    with pytest.raises(OutputFileError, match=r"can't be written.*a folder that exists"):
+        found.save(tmp_path / "no folder" / "plan.json")
+    (tmp_path / "list.json").write_text("[1, 2]", encoding="utf-8")
+    with pytest.raises(PlanFileError, match=r"list\.json is not a plan file: got no mapping"):
+        Plan.load(tmp_path / "list.json")
