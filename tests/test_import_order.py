@@ -21,6 +21,7 @@ ROAD = (
     "transcription",
     "box",
     "aigo",
+    "local",
     "solver",
     "planning",
     "baselines",

@@ -1,0 +1,267 @@
+"""A primal-dual interior point method with a filter line search, for banded problems."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from drake_aigto.errors import OptionsError
+from drake_aigto.local.line_search import Filter, LineSearch
+from drake_aigto.local.newton import NewtonSearch, NewtonStep
+from drake_aigto.local.nlp import PolynomialNlp
+from drake_aigto.local.restoration import Restoration
+from drake_aigto.local.result import LocalIterate, LocalResult, LocalStatus
+from drake_aigto.local.scaled import Duals, Linearisation, Point, ScaledProblem, longest
+
+Floats = NDArray[np.float64]
+
+# Wächter & Biegler's names and values.
+_KAPPA_EPSILON = 10.0  # a barrier problem is solved once its error is below κ_ε μ
+_KAPPA_MU, _THETA_MU = 0.2, 1.5  # μ ← min(κ_μ μ, μ^θ_μ)
+_TAU_MIN = 0.99  # least share of a slack or bound multiplier that a step may use
+_KAPPA_SIGMA = 1e10  # how far z may leave μ/slack
+_S_MAX = 100.0  # mean multiplier beyond which optimality is measured relative to it
+_REQUIRED_REDUCTION = 0.9  # of θ, by a restoration
+
+_UNBOUNDED = 1e20
+
+
+@dataclass(frozen=True)
+class InteriorPoint:
+    """Minimises f(x) subject to c(x) = 0, lower ≤ x ≤ upper from a start, to a local optimum.
+
+    Newton's method with the exact Hessian on
+
+        ∇f + Aᵀλ − z_lower + z_upper = 0,    c = 0,    z · slack = μ,    μ → 0
+
+    after Wächter & Biegler (2006), "On the implementation of an interior-point filter line-search
+    algorithm for large-scale nonlinear programming", Math. Program. 106:25-57 (IPOPT). Without
+    bounds it is a filter SQP-Newton method. Where it differs: the KKT matrix is a band, its LDLᵀ
+    factors cost O(n b²); λ is reset to least-squares multipliers after steps that needed a large
+    shift of the Hessian; the restoration is a Levenberg-Marquardt method; bounds are not relaxed.
+
+    For a start that is almost a solution, `InteriorPoint.warm()` holds closer to it.
+
+    Attributes:
+        tolerance: Largest scaled optimality error and residual of a solution.
+        feasibility: Largest residual |s_i c_i| that is asked for in the end, as far as rounding
+            allows; s_i ≤ 1 scales rows that are steep at the start.
+        max_iterations: Newton and restoration steps.
+        initial_barrier: First μ.
+        bound_push: Least distance of the start from a bound b, relative to max(1, |b|).
+    """
+
+    tolerance: float = 1e-8
+    feasibility: float = 1e-13
+    max_iterations: int = 500
+    initial_barrier: float = 0.1
+    bound_push: float = 1e-2
+
+    def __post_init__(self) -> None:
+        """Check the ranges."""
+        for name in ("tolerance", "feasibility", "initial_barrier", "bound_push"):
+            value = getattr(self, name)
+            if not 0.0 < value < np.inf:
+                raise OptionsError(name, got=value, expected="a positive number")
+        if self.max_iterations < 0:
+            raise OptionsError("max_iterations", got=self.max_iterations, expected="0 or more")
+
+    @classmethod
+    def warm(cls, **options: Any) -> InteriorPoint:
+        """Options for a start near a solution: a small first μ, and almost no push off bounds."""
+        return cls(**{"initial_barrier": 1e-6, "bound_push": 1e-9, **options})
+
+    def solve(self, nlp: PolynomialNlp, x0: ArrayLike) -> LocalResult:
+        """Solve from x0 (n,), which is moved into the bounds first.
+
+        Raises:
+            OptionsError: x0 has another shape, or is not finite.
+        """
+        start = np.array(x0, dtype=float)
+        if start.shape != (nlp.num_variables,):
+            raise OptionsError("x0", got=f"shape {start.shape}", expected=f"({nlp.num_variables},)")
+        if not np.all(np.isfinite(start)):
+            raise OptionsError(
+                "x0",
+                got=f"{np.count_nonzero(~np.isfinite(start))} entries that are NaN or infinite",
+                expected="finite numbers",
+                remedy="Fill in the guess; Drake's initial guess is NaN where nothing was set.",
+            )
+        return _Solve(self, nlp, np.clip(start, nlp.lower, nlp.upper)).run()
+
+
+class _Solve:
+    """One run: the iterate, and what the method remembers of the way to it."""
+
+    def __init__(self, options: InteriorPoint, nlp: PolynomialNlp, start: Floats) -> None:
+        self._options = options
+        self._nlp = nlp
+        self._problem = ScaledProblem(nlp, start)
+        self._search = NewtonSearch(self._problem)
+        self._restoration = Restoration(self._problem, self._search)
+        has_bounds = self._problem.bounded.size > 0
+        self._mu = options.initial_barrier if has_bounds else 0.0
+        self._least_mu = options.tolerance / 10 if has_bounds else 0.0
+        self._point = self._problem.point(self._pushed_inside(start))
+        self._filter = Filter(self._point.violation)
+        self._duals = Duals(np.zeros(self._point.rows.size), np.zeros(self._point.slacks.size))
+        self._history: list[LocalIterate] = []
+        self._iterations = 0
+
+    def _pushed_inside(self, start: Floats) -> Floats:
+        problem = self._problem
+        lower, upper = problem.lower, problem.upper
+        push, width = self._options.bound_push, upper - lower
+        # Infinite bounds stay infinite in either minimum.
+        low = lower + np.minimum(push * np.maximum(1.0, np.abs(lower)), push * width)
+        high = upper - np.minimum(push * np.maximum(1.0, np.abs(upper)), push * width)
+        low, high = np.where(np.isnan(low), lower, low), np.where(np.isnan(high), upper, high)
+        return np.clip(start[problem.structure.free], low, high)
+
+    def run(self) -> LocalResult:
+        """Iterate until a status is found."""
+        if not np.isfinite(self._point.barrier(self._mu) + self._point.violation):
+            return self._result(LocalStatus.NOT_FINITE)
+        if self._problem.held_residual > self._options.tolerance:
+            return self._result(LocalStatus.INFEASIBLE)
+        self._duals = self._fresh_duals(self._point)
+        step: NewtonStep | None = None
+        status, length = None, 0.0
+        while True:
+            linearisation = self._problem.linearise(self._point.y, self._duals.rows)
+            optimality = self._record(linearisation, step, length)
+            status = self._status(optimality)
+            if status is None:
+                self._lower_barrier(linearisation)
+                step = self._search.step(self._point, self._duals, linearisation, self._mu)
+                self._iterations += 1
+                status, length = self._advance(step)
+            if status is not None:
+                break
+        if status is LocalStatus.CONVERGED:
+            self._sharpen()
+        return self._result(status)
+
+    def _status(self, optimality: float) -> LocalStatus | None:
+        """Whether the current point ends the run."""
+        tolerance = self._options.tolerance
+        if optimality <= tolerance and _largest(self._point.rows) <= tolerance:
+            return LocalStatus.CONVERGED
+        if _largest(self._point.y) > _UNBOUNDED:
+            return LocalStatus.UNBOUNDED
+        if self._iterations >= self._options.max_iterations:
+            return LocalStatus.ITERATION_LIMIT
+        return None
+
+    def _optimality(self, linearisation: Linearisation, mu: float) -> float:
+        """Stationarity and complementarity, eq. (5) without the rows."""
+        z, multipliers = self._duals.bounds, self._duals.rows
+        force = linearisation.gradient + linearisation.row_force - self._problem.bound_force(z)
+        of_bounds = float(np.sum(z))
+        of_all = of_bounds + float(np.sum(np.abs(multipliers)))
+        scale = max(_S_MAX, of_all / max(1, z.size + multipliers.size)) / _S_MAX
+        bound_scale = max(_S_MAX, of_bounds / max(1, z.size)) / _S_MAX
+        complementarity = _largest(z * self._point.slacks - mu)
+        return max(_largest(force) / scale, complementarity / bound_scale)
+
+    def _lower_barrier(self, linearisation: Linearisation) -> None:
+        """Lower μ for as long as its barrier problem is solved well enough, eq. (7)."""
+        while self._mu > self._least_mu:
+            error = max(self._optimality(linearisation, self._mu), _largest(self._point.rows))
+            if error > _KAPPA_EPSILON * self._mu:
+                break
+            self._mu = max(self._least_mu, min(_KAPPA_MU * self._mu, self._mu**_THETA_MU))
+            self._filter.clear()
+
+    def _advance(self, step: NewtonStep | None) -> tuple[LocalStatus | None, float]:
+        """Take a step, or restore feasibility; the status if neither works, and the step length."""
+        if step is None:
+            return LocalStatus.STALLED, 0.0
+        fraction = max(_TAU_MIN, 1.0 - self._mu)
+        search = LineSearch(self._problem, self._filter, self._point, self._mu, fraction)
+        found = search.run(step)
+        if found is None:
+            return self._restore(), 0.0
+        point, length = found
+        multipliers = self._duals.rows + length * step.duals.rows
+        bound_length = longest(self._duals.bounds, step.duals.bounds, fraction)
+        z = self._duals.bounds + bound_length * step.duals.bounds
+        near = self._mu / point.slacks
+        z = np.clip(z, near / _KAPPA_SIGMA, near * _KAPPA_SIGMA)  # eq. (16)
+        if step.is_distorted:
+            multipliers = self._search.least_squares_multipliers(point, self._mu)
+        self._point, self._duals = point, Duals(multipliers, z)
+        return None, length
+
+    def _restore(self) -> LocalStatus | None:
+        """Move to a point of less violation that the filter accepts."""
+        if _largest(self._point.rows) <= self._options.tolerance:
+            return LocalStatus.STALLED
+        violation = self._point.violation
+        self._filter.add(violation, self._point.barrier(self._mu))
+        point, taken = self._restoration.run(
+            self._point,
+            lambda p: (
+                p.violation <= _REQUIRED_REDUCTION * violation
+                and self._filter.accepts(p.violation, p.barrier(self._mu))
+            ),
+            self._options.max_iterations - self._iterations,
+        )
+        self._iterations += taken
+        if point is None:
+            ran_out = self._iterations >= self._options.max_iterations
+            return LocalStatus.ITERATION_LIMIT if ran_out else LocalStatus.INFEASIBLE
+        self._point, self._duals = point, self._fresh_duals(point)
+        return None
+
+    def _fresh_duals(self, point: Point) -> Duals:
+        multipliers = self._search.least_squares_multipliers(point, self._mu)
+        return Duals(multipliers, self._mu / point.slacks)
+
+    def _record(
+        self, linearisation: Linearisation, step: NewtonStep | None, length: float
+    ) -> float:
+        """Add the current point to the history; return its optimality error."""
+        point, optimality = self._point, self._optimality(linearisation, 0.0)
+        shift = step.shift if step else 0.0
+        cost, residual = point.cost / self._problem.cost_scale, _largest(point.rows)
+        self._history.append(LocalIterate(cost, residual, optimality, self._mu, shift, length))
+        return optimality
+
+    def _result(self, status: LocalStatus) -> LocalResult:
+        """Unscale."""
+        problem, nlp = self._problem, self._nlp
+        free, scale = problem.structure.free, problem.cost_scale
+        x = problem.full(self._point.y)
+        cost, rows = nlp.evaluate(x)
+        multipliers, z = np.zeros(nlp.num_rows), np.zeros((2, nlp.num_variables))
+        multipliers[problem.structure.rows] = self._duals.rows * problem.row_scales / scale
+        is_upper = (np.arange(problem.bounded.size) >= problem.num_lower).astype(int)
+        z[is_upper, free[problem.bounded]] = self._duals.bounds / scale
+        return LocalResult(
+            x=x,
+            cost=cost,
+            status=status,
+            iterations=self._iterations,
+            residual=_largest(rows),
+            optimality=self._history[-1].optimality if self._history else np.inf,
+            multipliers=multipliers,
+            lower_multipliers=z[0],
+            upper_multipliers=z[1],
+            history=tuple(self._history),
+        )
+
+    def _sharpen(self) -> None:
+        """Meet the rows as well as rounding allows, as long as the point stays optimal."""
+        before = self._point
+        self._point = self._restoration.sharpen(before, self._options.feasibility)
+        linearisation = self._problem.linearise(self._point.y, self._duals.rows)
+        if self._optimality(linearisation, 0.0) > self._options.tolerance:
+            self._point = before
+
+
+def _largest(values: Floats) -> float:
+    return float(np.max(np.abs(values), initial=0.0))

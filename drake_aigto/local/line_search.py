@@ -1,0 +1,130 @@
+"""The filter line search of Wächter & Biegler (2006), sec. 2.3-2.4, with their names."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_aigto.local.newton import NewtonStep
+from drake_aigto.local.scaled import Point, ScaledProblem
+
+Floats = NDArray[np.float64]
+
+_GAMMA_THETA, _GAMMA_PHI = 1e-5, 1e-8  # margins of θ and φ
+_DELTA, _S_THETA, _S_PHI = 1.0, 1.1, 2.3  # switching condition
+_ETA_PHI = 1e-8  # Armijo condition
+_GAMMA_ALPHA = 0.05  # shortest step
+_KAPPA_SOC, _CORRECTIONS = 0.99, 4
+_TINY = 10 * float(np.finfo(float).eps)  # relative rounding that is overlooked
+
+
+class Filter:
+    """Pairs (θ, φ); a point that is worse than one of them in both is not accepted."""
+
+    def __init__(self, first_violation: float) -> None:
+        """Start with θ ≥ 10⁴ max(1, θ(x₀)) shut off."""
+        self.least_violation = 1e-4 * max(1.0, first_violation)
+        self._largest_violation = 1e4 * max(1.0, first_violation)
+        self._entries: list[tuple[float, float]] = []
+
+    def clear(self) -> None:
+        """Forget all entries, as φ changes with μ."""
+        self._entries = []
+
+    def accepts(self, violation: float, barrier: float) -> bool:
+        """Whether a finite point is better than every entry in θ or in φ."""
+        return (
+            violation < self._largest_violation
+            and math.isfinite(barrier)
+            and all(violation < theta or barrier < phi for theta, phi in self._entries)
+        )
+
+    def add(self, violation: float, barrier: float) -> None:
+        """Shut off what is not better than this by the margins."""
+        entry = (1 - _GAMMA_THETA) * violation, barrier - _GAMMA_PHI * violation
+        self._entries.append(entry)
+
+
+@dataclass(frozen=True)
+class LineSearch:
+    """The choice of a step length from one point.
+
+    Attributes:
+        problem: The problem.
+        filter: Pairs that are shut off; a step for feasibility's sake adds one.
+        point: Where the step starts.
+        mu: μ of φ.
+        fraction: Share τ of any slack that a step may use.
+    """
+
+    problem: ScaledProblem
+    filter: Filter
+    point: Point
+    mu: float
+    fraction: float
+
+    def run(self, step: NewtonStep) -> tuple[Point, float] | None:
+        """The next point and the step length; None where only a restoration can help."""
+        longest = length = self.problem.longest(self.point, step.dy, self.fraction)
+        if np.max(np.abs(step.dy) / (1 + np.abs(self.point.y)), initial=0.0) < _TINY:
+            return self.problem.point(self.point.y + length * step.dy), length
+        least = self._least_length(step.slope)
+        while length >= least:
+            tried = self.problem.point(self.point.y + length * step.dy)
+            if self._take(tried, length, step.slope):
+                return tried, length
+            if length == longest and tried.violation >= self.point.violation:
+                corrected = self._correct(step, tried, length)
+                if corrected is not None:
+                    return corrected, length
+            length /= 2
+        return None
+
+    def _correct(self, step: NewtonStep, tried: Point, length: float) -> Point | None:
+        """Second-order corrections: the rows' curvature along the step is taken out."""
+        rows, violation, last = self.point.rows, self.point.violation, tried
+        for _ in range(_CORRECTIONS):
+            rows = length * rows + last.rows
+            if not np.all(np.isfinite(rows)):
+                return None
+            dy = step.corrected(rows)
+            length = self.problem.longest(self.point, dy, self.fraction)
+            last = self.problem.point(self.point.y + length * dy)
+            if self._take(last, length, step.slope):
+                return last
+            if not last.violation <= _KAPPA_SOC * violation:
+                return None
+            violation = last.violation
+        return None
+
+    def _take(self, tried: Point, length: float, slope: float) -> bool:
+        """Whether a point is accepted; the filter learns of the step's start unless φ decided."""
+        violation, barrier = self.point.violation, self.point.barrier(self.mu)
+        new_violation, new_barrier = tried.violation, tried.barrier(self.mu)
+        if not self.filter.accepts(new_violation, new_barrier):
+            return False
+        descends = slope < 0 and length * (-slope) ** _S_PHI > _DELTA * violation**_S_THETA
+        change = new_barrier - barrier - _TINY * abs(barrier)
+        armijo = change <= _ETA_PHI * length * slope
+        if descends and violation <= self.filter.least_violation:
+            return armijo
+        if not (
+            new_violation <= (1 - _GAMMA_THETA) * violation or change <= -_GAMMA_PHI * violation
+        ):
+            return False
+        if not (descends and armijo):
+            self.filter.add(violation, barrier)
+        return True
+
+    def _least_length(self, slope: float) -> float:
+        """α_min, eq. (23)."""
+        violation = self.point.violation
+        least = _GAMMA_THETA
+        if slope < 0:
+            least = min(least, _GAMMA_PHI * violation / -slope)
+            if violation <= self.filter.least_violation:
+                least = min(least, _DELTA * violation**_S_THETA / (-slope) ** _S_PHI)
+        return _GAMMA_ALPHA * least

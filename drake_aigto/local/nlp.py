@@ -1,0 +1,227 @@
+"""Drake's MathematicalProgram → `PolynomialNlp`: costs, equality rows and bounds as flat tables."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydrake.solvers import (
+    BoundingBoxConstraint,
+    EvaluatorBase,
+    ExpressionConstraint,
+    LinearConstraint,
+    MathematicalProgram,
+    QuadraticConstraint,
+)
+
+from drake_aigto.box import FunctionKind, Term, TermBlock, compile_program
+from drake_aigto.box.compile import (
+    affine_terms,
+    evaluator_name,
+    polynomial_terms,
+    quadratic_terms,
+    shared_evaluators,
+    term_blocks,
+)
+from drake_aigto.errors import OptionsError, UnsupportedTermError
+from drake_aigto.local.kernels import values_at
+from drake_aigto.local.tables import stack_tables
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class _Row:
+    """lower ≤ Σ terms ≤ upper over an evaluator's own variables."""
+
+    terms: tuple[Term, ...]
+    lower: float
+    upper: float
+
+
+def compile_nlp(prog: MathematicalProgram, order: ArrayLike | None = None) -> PolynomialNlp:
+    """Compile costs, equality constraints and bounds of a program; a shared evaluator once.
+
+    Rows that are affine in one variable become bounds, and equal bounds hold their variable.
+
+    Args:
+        prog: Costs as in `compile_program`; constraints linear, quadratic or polynomial
+            `ExpressionConstraint`s, and equalities unless they are affine in one variable.
+        order: Elimination order of the decision variables, as in `compile_program`. Default:
+            reverse Cuthill-McKee.
+
+    Raises:
+        UnsupportedTermError: A cost or constraint without such a form (it is named), or bounds that
+            contradict each other.
+    """
+    costs = compile_program(prog, range(prog.num_vars())).blocks
+    lower, upper = np.full(prog.num_vars(), -np.inf), np.full(prog.num_vars(), np.inf)
+    rows: list[TermBlock] = []
+    for label, evaluator, copies in shared_evaluators(prog, prog.GetAllConstraints()):
+        for row in _parse_rows(label, evaluator):
+            if np.isneginf(row.lower) and np.isposinf(row.upper):
+                continue
+            bound = _as_bound(row)
+            if bound is not None:
+                local, low, high = bound
+                index = np.array([variables[local] for variables in copies], dtype=np.int64)
+                np.maximum.at(lower, index, low)
+                np.minimum.at(upper, index, high)
+            else:
+                terms = _equality_terms(label, row)
+                rows.extend(term_blocks(evaluator_name(evaluator), terms, copies))
+    _check_bounds(prog, lower, upper)
+    return PolynomialNlp(prog.num_vars(), costs, tuple(rows), lower, upper, order)
+
+
+def _parse_rows(label: str, constraint: EvaluatorBase) -> Iterator[_Row]:
+    """The rows of one constraint over its own variables 0 … L−1."""
+    sums: Sequence[tuple[Term, ...]]
+    if isinstance(constraint, LinearConstraint):  # bounding boxes and equalities among them
+        if isinstance(constraint, BoundingBoxConstraint):
+            matrix = np.eye(constraint.num_vars())
+        else:
+            matrix = constraint.GetDenseA()
+        sums = [affine_terms(a, 0.0) for a in matrix]
+    elif isinstance(constraint, QuadraticConstraint):
+        sums = [quadratic_terms(np.asarray(constraint.Q()), constraint.b(), 0.0)]
+    elif isinstance(constraint, ExpressionConstraint) and all(
+        expression.is_polynomial() for expression in constraint.expressions()
+    ):
+        index = {v.get_id(): i for i, v in enumerate(constraint.vars())}
+        sums = [
+            polynomial_terms(expression, lambda v: index[v.get_id()])
+            for expression in constraint.expressions()
+        ]
+    else:
+        raise UnsupportedTermError(
+            f"{label} can't be compiled",
+            got=f"a {type(constraint).__name__} whose rows are not known to be polynomials",
+            expected="polynomial equalities, or bounds",
+            remedy="Multiply denominators out and write it symbolically: "
+            "prog.AddConstraint(expression == 0).",
+        )
+    for terms, lower, upper in zip(
+        sums, constraint.lower_bound(), constraint.upper_bound(), strict=True
+    ):
+        numbers = [lower, upper, *(term.coefficient for term in terms)]
+        if np.any(np.isnan(numbers)):
+            raise UnsupportedTermError(
+                f"{label} can't be compiled",
+                got="NaN among its numbers",
+                expected="finite coefficients",
+                remedy="Look for a parameter that was not set.",
+            )
+        yield _Row(terms, float(lower), float(upper))
+
+
+def _as_bound(row: _Row) -> tuple[int, float, float] | None:
+    """The local variable and its bounds, if the row is scale · x + offset."""
+    constant = sum(term.coefficient for term in row.terms if not term.factors)
+    linear = [term for term in row.terms if term.factors]
+    if len(linear) != 1 or len(linear[0].factors) != 1:
+        return None
+    factor, scale = linear[0].factors[0], linear[0].coefficient
+    if factor.kind != FunctionKind.POWER or factor.exponent != 1 or scale == 0.0:
+        return None
+    low, high = sorted(((row.lower - constant) / scale, (row.upper - constant) / scale))
+    return factor.variable, low, high
+
+
+def _equality_terms(label: str, row: _Row) -> tuple[Term, ...]:
+    """The terms of row − value = 0."""
+    if row.lower != row.upper:
+        raise UnsupportedTermError(
+            f"{label} can't be compiled",
+            got=f"an inequality of several variables, or not affine: {row.lower:g} ≤ "
+            f"{' + '.join(map(str, row.terms))} ≤ {row.upper:g}",
+            expected="equalities, and bounds on single variables",
+            remedy="Give the expression a variable s of its own: expression == s, s ≥ 0.",
+        )
+    return (*row.terms, *affine_terms((), -row.lower))
+
+
+def _check_bounds(prog: MathematicalProgram, lower: Floats, upper: Floats) -> None:
+    bad = np.flatnonzero((lower > upper) | np.isposinf(lower) | np.isneginf(upper))
+    if bad.size:
+        i = bad[0]
+        raise UnsupportedTermError(
+            f"the bounds of {prog.decision_variable(i)} leave it no value",
+            got=f"[{lower[i]:g}, {upper[i]:g}]",
+            expected="lower ≤ upper",
+            remedy="Relax one of the constraints on it.",
+        )
+
+
+class PolynomialNlp:
+    """A polynomial program with equality constraints and bounds.
+
+        minimise f(x)    subject to    c(x) = 0,    lower ≤ x ≤ upper
+
+    with n variables and m rows. f and every c_i are sums of terms a ∏_j g_j(x_j) as in
+    `BoxPolynomial`; copies of one sum share one table.
+
+    Args:
+        num_variables: n.
+        costs: Blocks whose copies sum up to f.
+        rows: Blocks each copy of which is one c_i.
+        lower: Lower bounds (n,), −∞ where there is none.
+        upper: Upper bounds (n,).
+        order: Elimination order of the variables for banded systems; None leaves it to the solver.
+
+    Attributes:
+        row_names: Name of the constraint that each row came from (m,).
+    """
+
+    def __init__(
+        self,
+        num_variables: int,
+        costs: tuple[TermBlock, ...],
+        rows: tuple[TermBlock, ...],
+        lower: Floats,
+        upper: Floats,
+        order: ArrayLike | None = None,
+    ) -> None:
+        """Stack the blocks' tables into one."""
+        self.num_variables = num_variables
+        self.lower, self.upper = lower, upper
+        self.order = None if order is None else np.array(order, dtype=np.int64)
+        if self.order is not None and sorted(self.order) != list(range(num_variables)):
+            raise OptionsError(
+                "the elimination order",
+                got=f"{self.order.size} entries {np.array2string(self.order, threshold=8)}",
+                expected=f"each of 0 … {num_variables - 1} once",
+            )
+        self.blocks = (*costs, *rows)
+        self.tables = stack_tables(self.blocks)
+        self.copy_weights = np.concatenate(
+            [np.empty(0), *(np.full(len(b.variables), b.weight) for b in self.blocks)]
+        )
+        self.num_costs = sum(len(block.variables) for block in costs)
+        self.row_names = tuple(block.name for block in rows for _ in block.variables)
+        for array in (self.lower, self.upper, self.order, self.copy_weights):
+            if array is not None:
+                array.setflags(write=False)
+
+    @property
+    def num_rows(self) -> int:
+        """Number of equality rows m."""
+        return len(self.row_names)
+
+    def evaluate(self, x: ArrayLike) -> tuple[float, Floats]:
+        """f(x) and c(x) (m,)."""
+        values = np.empty(self.copy_weights.size)
+        values_at(*self.tables, self._checked(x), values)
+        values *= self.copy_weights
+        return float(np.sum(values[: self.num_costs])), values[self.num_costs :]
+
+    def _checked(self, x: ArrayLike) -> Floats:
+        # Copied, as Numba would compile once more for an array that is read-only or strided.
+        x = np.array(x, dtype=float, order="C")
+        if x.shape != (self.num_variables,):
+            raise OptionsError(
+                "the point", got=f"shape {x.shape}", expected=f"({self.num_variables},)"
+            )
+        return x

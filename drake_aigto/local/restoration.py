@@ -1,0 +1,93 @@
+"""Back to the rows c = 0 within bounds, where the line search finds no step."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_aigto.local.newton import ROW_SHIFT, NewtonSearch
+from drake_aigto.local.scaled import Point, ScaledProblem
+
+Floats = NDArray[np.float64]
+
+_FRACTION = 0.99  # of any slack that a step may use
+_ARMIJO = 1e-4
+_FIRST_DAMPING, _LEAST_DAMPING, _LARGEST_DAMPING = 1e-4, 1e-12, 1e12
+_HARDER, _SOFTER = 8.0, 0.25
+_STATIONARY = 1e-9  # ‖Aᵀc‖ / ‖c‖ at which no direction helps
+_SHARPENING_STEPS = 3
+
+
+class Restoration:
+    """Minimises ½‖c‖² by Levenberg-Marquardt steps, interior to the bounds.
+
+        minimise over d   ½‖c + A d‖² + ν/2 Σ_i d_i² (1 + Σ 1/slack²)
+
+    The metric keeps steps away from bounds that are near, as in affine scaling (Dikin 1967).
+    """
+
+    def __init__(self, problem: ScaledProblem, search: NewtonSearch) -> None:
+        """Share the search's factors."""
+        self._problem = problem
+        self._structure = problem.structure
+        self._search = search
+
+    def run(
+        self, point: Point, is_done: Callable[[Point], bool], max_steps: int
+    ) -> tuple[Point | None, int]:
+        """The first point that is done, None where none is found, and the number of steps."""
+        damping = _FIRST_DAMPING
+        for taken in range(1, max_steps + 1):
+            moved = self._step(point, damping)
+            if moved is None:
+                return None, taken
+            point, damping = moved
+            if is_done(point):
+                return point, taken
+        return None, max_steps
+
+    def _step(self, point: Point, damping: float) -> tuple[Point, float] | None:
+        """The next point and damping; None where c is stationary but for rounding."""
+        linearisation = self._problem.linearise(point.y, point.rows)
+        gradient = linearisation.row_force  # Aᵀc
+        metric = self._metric(point)
+        steepness = np.linalg.norm(gradient / np.sqrt(metric))
+        if not steepness > _STATIONARY * np.linalg.norm(point.rows):
+            return None
+        band = self._structure.without_couplings(linearisation.band)
+        while damping <= _LARGEST_DAMPING:
+            self._search.factorise(band, damping * metric, 1.0)
+            step = self._search.solve(0.0, -point.rows)[0]
+            length = self._problem.longest(point, step, _FRACTION)
+            tried = self._problem.point(point.y + length * step)
+            bound = _half_square(point) + _ARMIJO * length * float(gradient @ step)
+            if _half_square(tried) <= bound:
+                return tried, max(_SOFTER * damping, _LEAST_DAMPING)
+            damping *= _HARDER
+        return None
+
+    def sharpen(self, point: Point, goal: float) -> Point:
+        """The point after shortest steps onto c = 0, as long as they halve its largest residual."""
+        for _ in range(_SHARPENING_STEPS):
+            largest = np.max(np.abs(point.rows), initial=0.0)
+            if largest <= goal:
+                break
+            band = self._problem.linearise(point.y, np.zeros(point.rows.size)).band
+            band = self._structure.without_couplings(band)
+            self._search.factorise(band, self._metric(point), ROW_SHIFT)
+            step = self._search.solve(0.0, -point.rows)[0]
+            length = self._problem.longest(point, step, _FRACTION)
+            tried = self._problem.point(point.y + length * step)
+            if not np.max(np.abs(tried.rows)) <= largest / 2:
+                break
+            point = tried
+        return point
+
+    def _metric(self, point: Point) -> Floats:
+        return 1.0 + self._problem.bound_curvature(1.0 / point.slacks**2)
+
+
+def _half_square(point: Point) -> float:
+    return 0.5 * float(point.rows @ point.rows)

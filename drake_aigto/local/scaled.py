@@ -1,0 +1,153 @@
+"""A `PolynomialNlp` over its free variables, scaled at the start: what the interior point sees."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_aigto.local.kkt import KktStructure
+from drake_aigto.local.nlp import PolynomialNlp
+from drake_aigto.local.symmetric import multiply
+
+Floats = NDArray[np.float64]
+
+_STEEPEST = 100.0  # of a cost or row at the start, once scaled (Wächter & Biegler sec. 3.8)
+
+
+@dataclass(frozen=True)
+class Point:
+    """Free variables y (nf,), with what is known there without derivatives.
+
+    Attributes:
+        y: The free variables.
+        cost: s f.
+        rows: s c (ma,).
+        slacks: Distances to lower bounds, then to upper bounds (nb,), positive.
+    """
+
+    y: Floats
+    cost: float
+    rows: Floats
+    slacks: Floats
+
+    @cached_property
+    def violation(self) -> float:
+        """θ = ‖s c‖₁."""
+        return float(np.sum(np.abs(self.rows)))
+
+    @cached_property
+    def _log_slacks(self) -> float:
+        return float(np.sum(np.log(self.slacks)))
+
+    def barrier(self, mu: float) -> float:
+        """φ_μ = s f − μ Σ log slack."""
+        return self.cost - mu * self._log_slacks if self.slacks.size else self.cost
+
+
+@dataclass(frozen=True)
+class Duals:
+    """Multipliers of the rows, λ (ma,), and of the bounds, z ≥ 0 (nb,)."""
+
+    rows: Floats
+    bounds: Floats
+
+
+@dataclass(frozen=True)
+class Linearisation:
+    """Derivatives at a point: s ∇f (nf,), Aᵀλ (nf,) and the KKT matrix [W Aᵀ; A 0] as a band."""
+
+    gradient: Floats
+    row_force: Floats
+    band: Floats
+
+
+class ScaledProblem:
+    """Minimise s f(y) subject to s c(y) = 0 and bounds, over the variables that are not held.
+
+    Bounds are numbered: nb of them, the lower ones first. Factors s ≤ 1 keep the cost's and every
+    row's largest slope at the start from exceeding a hundred.
+
+    Attributes:
+        structure: Where the unknowns stand in KKT matrices.
+        lower: Lower bounds (nf,).
+        upper: Upper bounds (nf,).
+        bounded: Free variable that each bound is on (nb,).
+        num_lower: Number of lower bounds among them.
+        held_residual: Largest residual of a row that reads no free variable.
+        cost_scale: s of the cost.
+        row_scales: s of the rows (ma,).
+    """
+
+    def __init__(self, nlp: PolynomialNlp, x: Floats) -> None:
+        """Hold the variables with equal bounds, and scale at x (n,), which is within bounds."""
+        self._nlp = nlp
+        self.structure = KktStructure(nlp, nlp.lower == nlp.upper)
+        free = self.structure.free
+        self._x = x
+        self.lower, self.upper = nlp.lower[free], nlp.upper[free]
+        low, high = np.flatnonzero(np.isfinite(self.lower)), np.flatnonzero(np.isfinite(self.upper))
+        self.bounded = np.concatenate([low, high])
+        self.num_lower = low.size
+        self._signs = np.repeat([1.0, -1.0], [low.size, high.size])
+        self._limits = np.concatenate([self.lower[low], -self.upper[high]])
+        held_rows = np.delete(nlp.evaluate(x)[1], self.structure.rows)
+        self.held_residual = float(np.max(np.abs(held_rows), initial=0.0))
+        self._scales = np.ones(nlp.num_costs + nlp.num_rows)
+        self.cost_scale, self.row_scales = self._find_scales(x)
+        self._scales[: nlp.num_costs] = self.cost_scale
+        self._scales[nlp.num_costs + self.structure.rows] = self.row_scales
+
+    def _find_scales(self, x: Floats) -> tuple[float, Floats]:
+        no_multipliers = np.zeros(self.structure.rows.size)
+        gradient, band = self.structure.assemble(x, self._scales, no_multipliers)
+        steepest = np.max(np.abs(gradient), initial=0.0)
+        slopes = self.structure.steepest_slopes(band)
+        return (
+            float(_STEEPEST / max(_STEEPEST, steepest)),
+            _STEEPEST / np.maximum(_STEEPEST, slopes),
+        )
+
+    def full(self, y: Floats) -> Floats:
+        """All variables x (n,), held ones included."""
+        x = self._x.copy()
+        x[self.structure.free] = y
+        return x
+
+    def point(self, y: Floats) -> Point:
+        """Evaluate."""
+        cost, rows = self._nlp.evaluate(self.full(y))
+        slacks = self._signs * y[self.bounded] - self._limits
+        return Point(y, self.cost_scale * cost, self.row_scales * rows[self.structure.rows], slacks)
+
+    def linearise(self, y: Floats, multipliers: Floats) -> Linearisation:
+        """Differentiate, with W for these multipliers of the rows."""
+        gradient, band = self.structure.assemble(self.full(y), self._scales, multipliers)
+        force = multiply(band, self.structure.join(0.0, multipliers))
+        return Linearisation(gradient, self.structure.split(force)[0], band)
+
+    def bound_force(self, pushes: Floats) -> Floats:
+        """Σ over bounds of a push away from each (nb,), over the free variables (nf,)."""
+        return self.bound_curvature(self._signs * pushes)
+
+    def bound_curvature(self, curvatures: Floats) -> Floats:
+        """Σ over bounds of a curvature of each (nb,), over the free variables (nf,)."""
+        total = np.zeros(self.lower.size)
+        np.add.at(total, self.bounded, curvatures)
+        return total
+
+    def slack_step(self, step: Floats) -> Floats:
+        """Change of the slacks (nb,) with a step of the free variables."""
+        return self._signs * step[self.bounded]
+
+    def longest(self, point: Point, step: Floats, fraction: float) -> float:
+        """The part of a step, up to 1, that uses at most a fraction of any slack."""
+        return longest(point.slacks, self.slack_step(step), fraction)
+
+
+def longest(values: Floats, steps: Floats, fraction: float) -> float:
+    """The part of a step, up to 1, that uses at most a fraction of any of these positive values."""
+    falling = np.max(-steps / values, initial=0.0)
+    return 1.0 if falling <= fraction else float(fraction / falling)
