@@ -2,8 +2,8 @@
 
     python benchmarks/row4_settings.py
 
-Scans duration T, control weight w_u and δ, with the literal transcription and φ free, and prints the
-best plan of the ladder for each.
+Scans duration T, control weight w_u and δ, with the literal transcription and φ free, and prints
+the best plan of the ladder for each.
 """
 
 from __future__ import annotations

@@ -39,7 +39,9 @@ def report(cell: Cell) -> bool:
     met = best.max_defect <= LARGEST_DEFECT
     if not cell.nonpenetration:
         met = met and best.cost <= TARGETS[cell.row] and best.cost < rival
-        print(f"row {cell.row}  φ free  asked ≤ {TARGETS[cell.row]:.3e}: {'met' if met else 'MISSED'}")
+        print(
+            f"row {cell.row}  φ free  asked ≤ {TARGETS[cell.row]:.3e}: {'met' if met else 'MISSED'}"
+        )
     return met
 
 

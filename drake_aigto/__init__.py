@@ -14,6 +14,16 @@ if TYPE_CHECKING:
     from drake_aigto.errors import PlanFileError as PlanFileError
     from drake_aigto.errors import ScenarioError as ScenarioError
     from drake_aigto.errors import UnsupportedTermError as UnsupportedTermError
+    from drake_aigto.planning import Candidate as Candidate
+    from drake_aigto.planning import Plan as Plan
+    from drake_aigto.planning import Planner as Planner
+    from drake_aigto.planning import PlanningError as PlanningError
+    from drake_aigto.planning import PlanOptions as PlanOptions
+    from drake_aigto.planning import Replay as Replay
+    from drake_aigto.planning import plan as plan
+    from drake_aigto.planning import replay_drake as replay_drake
+    from drake_aigto.planning import replay_event_driven as replay_event_driven
+    from drake_aigto.trajectory import Trajectory as Trajectory
     from drake_aigto.world import Contact as Contact
     from drake_aigto.world import Scenario as Scenario
     from drake_aigto.world import World as World
@@ -31,6 +41,16 @@ _EXPORTS = {
     "PlanFileError": "drake_aigto.errors",
     "ScenarioError": "drake_aigto.errors",
     "UnsupportedTermError": "drake_aigto.errors",
+    "Candidate": "drake_aigto.planning",
+    "Plan": "drake_aigto.planning",
+    "PlanOptions": "drake_aigto.planning",
+    "Planner": "drake_aigto.planning",
+    "PlanningError": "drake_aigto.planning",
+    "Replay": "drake_aigto.planning",
+    "Trajectory": "drake_aigto.trajectory",
+    "plan": "drake_aigto.planning",
+    "replay_drake": "drake_aigto.planning",
+    "replay_event_driven": "drake_aigto.planning",
     "Contact": "drake_aigto.world",
     "Scenario": "drake_aigto.world",
     "World": "drake_aigto.world",

@@ -162,9 +162,7 @@ def _add_table1(commands: Any) -> None:
         default=10,
         help="random guesses of the gradient solver (default: %(default)s)",
     )
-    table1.add_argument(
-        "--seed", type=int, default=0, help="of the guesses (default: %(default)s)"
-    )
+    table1.add_argument("--seed", type=int, default=0, help="of the guesses (default: %(default)s)")
     _add_confirm(table1)
     _add_json(table1, "write all plans and figures")
 
@@ -229,4 +227,3 @@ def _positive(text: str) -> int:
     if value < 1:
         raise argparse.ArgumentTypeError(f"got {value}, expected 1 or more")
     return value
-

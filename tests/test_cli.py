@@ -42,7 +42,7 @@ def test_a_plan_that_fails_on_a_rigid_wall_exits_with_1(
     arguments = ["plan", "table1/2", "--no-nonpenetration", "--no-confirm", "--time-step", "0.02"]
     assert main(arguments) == NOTHING_HOLDS
     printed = capsys.readouterr().out
-    assert "verdict     fails: in simulation the control alone does not do" in printed
+    assert "verdict     fails: in simulation the control alone misses" in printed
     assert "Drake" not in printed
 
 
@@ -88,7 +88,10 @@ def test_table1_prints_every_method_with_its_replays(
         (["plan", "table1/9"], "unknown scenario 'table1/9': expected one of table1/1, table1/2"),
         (["plan", "nowhere.yaml"], "scenario file nowhere.yaml can't be read"),
         (["plan", "table1/1", "--initial-position", "-1"], "initial_position is inside, behind"),
-        (["plan", "table1/1", "--goal-position", "0"], "goal_position is inside, behind or against"),
+        (
+            ["plan", "table1/1", "--goal-position", "0"],
+            "goal_position is inside, behind or against",
+        ),
         (["plan", "table1/1", "--initial-position", "nan"], "initial_position: got nan, expected"),
         (["plan", "table1/1", "--initial-position", "1", "2"], "initial_position: got 2 values"),
         (["plan", "table1/1", "--duration", "0"], "duration: got 0"),

@@ -22,7 +22,7 @@ from drake_aigto.planning import (
     plan,
 )
 from drake_aigto.planning.contacts import find_contacts
-from drake_aigto.planning.options import LITERAL_LADDER
+from drake_aigto.planning.options import LITERAL_LADDER, LocalSolverName
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import LiteralTranscription
 from drake_aigto.world import World, files
@@ -30,9 +30,7 @@ from drake_aigto.world import World, files
 SHIPPED = files.models_directory() / "point_mass_and_wall.sdf"
 # Coarse, and with two rungs, so that a plan takes a fraction of a second.
 QUICK = PlanOptions(ladder=LITERAL_LADDER[2:4], confirm=False)
-BOUNCE = Scenario(
-    initial_position=0.4, initial_velocity=-1.2, goal_position=1.0, time_step=0.02
-)
+BOUNCE = Scenario(initial_position=0.4, initial_velocity=-1.2, goal_position=1.0, time_step=0.02)
 # Far from the wall and with next to no contact force: linear dynamics, quadratic cost.
 FLIGHT = Scenario(
     initial_position=1.0,
@@ -52,7 +50,9 @@ def write_model(directory: Path, old: str, new: str) -> str:
     return str(path)
 
 
-def least_cost(scenario: Scenario, mass: float = 1.0, spring: float = 0.0, rest: float = 0.0) -> float:
+def least_cost(
+    scenario: Scenario, mass: float = 1.0, spring: float = 0.0, rest: float = 0.0
+) -> float:
     """Returns the optimum of explicit Euler without contact, by linear least squares."""
     N, dt = scenario.num_steps, scenario.time_step
     start = np.array([scenario.initial_position[0], scenario.initial_velocity[0]])
@@ -70,13 +70,15 @@ def least_cost(scenario: Scenario, mass: float = 1.0, spring: float = 0.0, rest:
             np.sqrt(scenario.goal_weight) * np.array(gains),
         ]
     )
-    target = np.append(np.zeros(N), np.sqrt(scenario.goal_weight) * (scenario.goal_position[0] - free[0]))
+    target = np.append(
+        np.zeros(N), np.sqrt(scenario.goal_weight) * (scenario.goal_position[0] - free[0])
+    )
     solution, *_ = np.linalg.lstsq(rows, target, rcond=None)
     return float(np.sum((rows @ solution - target) ** 2))
 
 
 @pytest.mark.parametrize("solver", ["snopt", "ipopt"])
-def test_a_flight_costs_the_linear_quadratic_optimum(solver: str) -> None:
+def test_a_flight_costs_the_linear_quadratic_optimum(solver: LocalSolverName) -> None:
     options = dataclasses.replace(QUICK, local_solver=solver, ladder=QUICK.ladder[:1], confirm=True)
     found = plan(FLIGHT, options)
     assert found.cost == pytest.approx(least_cost(FLIGHT), rel=1e-6)
@@ -97,7 +99,10 @@ def test_twice_the_mass_needs_twice_the_force(tmp_path: Path) -> None:
 
 
 def test_a_spring_on_the_joint_is_planned_for(tmp_path: Path) -> None:
-    spring = f"{AXIS}<dynamics><spring_stiffness>3</spring_stiffness><spring_reference>0.4</spring_reference></dynamics>"
+    spring = (
+        f"{AXIS}<dynamics><spring_stiffness>3</spring_stiffness>"
+        "<spring_reference>0.4</spring_reference></dynamics>"
+    )
     sprung = dataclasses.replace(FLIGHT, model=write_model(tmp_path, AXIS, spring))
     cost = plan(sprung, QUICK).cost
     assert cost == pytest.approx(least_cost(FLIGHT, spring=3.0, rest=0.4), rel=1e-6)
@@ -122,9 +127,10 @@ def test_a_plan_moves_along_with_the_wall(tmp_path: Path) -> None:
     assert abs(stayed.cost / here.cost - 1) > 0.05
 
 
-def test_every_rung_leaves_its_candidate_and_the_best_is_chosen() -> None:
+def test_every_candidate_comes_from_a_rung_and_the_best_is_chosen() -> None:
     found = plan(BOUNCE, QUICK)
-    assert {c.origin for c in found.candidates} == {f"annealing, {r}" for r in QUICK.ladder}
+    origins = {c.origin.split("; contacts moved")[0] for c in found.candidates}
+    assert origins <= {f"annealing, {rung}" for rung in QUICK.ladder}
     assert found.cost == min(c.cost for c in found.candidates if c.max_defect <= 1e-6)
     assert found.best is found.candidates[0]
     assert found.trajectory is found.best.trajectory
@@ -146,10 +152,14 @@ def test_a_planner_plans_again_with_changed_ends() -> None:
 
 
 def test_the_papers_algorithm_plans_too() -> None:
-    found = plan(BOUNCE, dataclasses.replace(QUICK, algorithm="full gradient", ladder=QUICK.ladder[:1]))
+    found = plan(
+        BOUNCE, dataclasses.replace(QUICK, algorithm="full gradient", ladder=QUICK.ladder[:1])
+    )
     assert max(found.defects.values()) < 1e-8
     assert found.best.origin.startswith("full gradient")
-    assert isinstance(PlanOptions(algorithm="full gradient").make_algorithm(QUICK.ladder[0]), FullGradient)
+    assert isinstance(
+        PlanOptions(algorithm="full gradient").make_algorithm(QUICK.ladder[0]), FullGradient
+    )
     annealing = PlanOptions().make_algorithm(QUICK.ladder[0])
     assert isinstance(annealing, Annealing)
     assert annealing.initial_temperature == QUICK.ladder[0].temperature
@@ -164,7 +174,8 @@ def test_costs_and_bounds_of_a_user_count() -> None:
     transcription.AddConstraintToAllKnotPoints(u >= -2.0)
     problem = PlanningProblem(transcription, QUICK)
     result = problem.run_aigo(QUICK.ladder[0])
-    x = problem.polish(result, QUICK.ladder[0])
+    knots = problem.find_sequences(result, QUICK.ladder[0])[0]
+    x = problem.polish(result.box.center, knots)
     assert max(transcription.defects(x).values()) < 1e-8
     _, velocities, controls = transcription.split(x)
     assert np.max(np.abs(controls)) <= 2.0 + 1e-8
@@ -180,15 +191,16 @@ def test_ctrl_c_keeps_the_candidates_so_far() -> None:
             raise KeyboardInterrupt
 
     found = Planner(BOUNCE, QUICK).plan(progress=interrupt)
-    assert len(found.candidates) == 1
-    assert lines[0].startswith("candidate 1 of 2: temperature")
+    assert 1 <= len(found.candidates) <= 2  # one rung proposes two sequences at most
+    assert lines[0].startswith("AIGO 1 of 2: temperature")
 
 
 def test_nothing_feasible_is_an_error_that_says_what_was_tried(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(PlanningProblem, "polish", lambda self, result, rung: result.box.center)
-    with pytest.raises(PlanningError, match="no candidate meets .* 2 candidates of 2 rungs"):
+    monkeypatch.setattr(PlanningProblem, "polish", lambda self, center, knots: center)
+    message = r"no candidate meets .* got \d+ candidates from 2 rungs, the smallest defect"
+    with pytest.raises(PlanningError, match=message):
         plan(BOUNCE, QUICK)
 
 
@@ -197,7 +209,7 @@ def test_nothing_feasible_is_an_error_that_says_what_was_tried(
     [
         ({"transcription": "rubber"}, "transcription: got 'rubber', expected one of literal"),
         ({"algorithm": "luck"}, "algorithm: got 'luck', expected one of annealing, full gradient"),
-        ({"local_solver": "mosek"}, "local_solver: got 'mosek', expected one of newton, snopt"),
+        ({"local_solver": "mosek"}, "local_solver: got 'mosek', expected one of ipopt, snopt"),
         ({"ladder": ()}, "ladder: got no rung, expected at least one"),
     ],
 )

@@ -191,6 +191,8 @@ class Plan:
     def from_dict(cls, data: Mapping[str, Any]) -> Plan:
         """Returns the plan that `to_dict` gave."""
         drake = data["replay"]["drake"]
+        if not data["candidates"]:
+            raise PlanFileError("candidates", got="none", expected="at least one")
         return cls(
             scenario=Scenario.from_dict(data["scenario"]),
             transcription=data["transcription"],

@@ -8,7 +8,7 @@ import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -72,10 +72,9 @@ class Planner:
         """Builds the world and checks the scenario against it."""
         self.scenario = scenario
         self.options = options or PlanOptions()
-        self._seconds: defaultdict[str, float] = defaultdict(float)
-        with self._clock("build"):
-            self.world = world or World.from_scenario(scenario)
+        self.world = world or World.from_scenario(scenario)
         self.world.check(scenario)
+        self._seconds: defaultdict[str, float] = defaultdict(float)
 
     def plan(
         self,
@@ -103,9 +102,10 @@ class Planner:
             "initial_velocity": initial_velocity,
             "goal_position": goal_position,
         }
-        changed = {name: value for name, value in ends.items() if value is not None}
+        changed: dict[str, Any] = {name: value for name, value in ends.items() if value is not None}
         scenario = dataclasses.replace(self.scenario, **changed) if changed else self.scenario
         self.world.check(scenario)
+        self._seconds.clear()
         with self._clock("build"):
             transcription = make_transcription(self.world, scenario, self.options)
             problem = PlanningProblem(transcription, self.options)

@@ -63,9 +63,7 @@ def ballistic_guess(
     return np.concatenate([path.ravel(), velocities.ravel(), np.zeros(controls.size)])
 
 
-def _onto_wall(
-    transcription: Transcription, q: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float64]:
+def _onto_wall(transcription: Transcription, q: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
     """Returns the nearest q with φ(q) = 0, exact for an affine φ."""
     J = transcription.world.calc_contact_jacobian(q)
     moved: npt.NDArray[np.float64] = q - np.linalg.pinv(J) @ (

@@ -24,7 +24,7 @@ _COLUMNS = (
 )
 _LEGEND = """\
 before   cost of what the local solver started from (for AIGTO: AIGO's own result)
-cost     J of the plan;  defect: its largest dynamics defect, in m or m/s (* above 1e-6: no solution)
+cost     J of the plan;  defect: its largest dynamics defect, m or m/s (* above 1e-6: no solution)
 in wall  the plan's deepest penetration;  energy: kinetic energy after / before its contact
 rigid    J of its control alone on an exactly rigid wall (event-driven);  miss: goal error there
 Drake    J of its control alone on Drake's plant (compliant wall, Radau3)
@@ -66,8 +66,8 @@ def _replay_lines(plan: Plan) -> Iterator[str]:
     for replay in plan.replay:
         name = "event-driven rigid wall" if replay.simulator == "event-driven" else "Drake's plant"
         yield (
-            f"simulated   {name}: cost {replay.cost:.3e}, ends {_length(replay.goal_error)} off the "
-            "goal,"
+            f"simulated   {name}: cost {replay.cost:.3e}, ends {_length(replay.goal_error)} off "
+            "the goal,"
         )
         yield (
             f"            deepest penetration {_length(replay.max_penetration)}, energy ratio "
@@ -76,7 +76,7 @@ def _replay_lines(plan: Plan) -> Iterator[str]:
     if plan.holds:
         yield "verdict     holds: the control alone does in simulation what the plan promises"
     else:
-        yield "verdict     fails: in simulation the control alone does not do what the plan promises"
+        yield "verdict     fails: in simulation the control alone misses what the plan promises"
 
 
 def _blocks(cells: Sequence[Cell]) -> Iterator[str]:
@@ -119,7 +119,7 @@ def _entry_line(entry: Entry, seconds: float | None) -> str:
 
 
 def _join(texts: Iterable[str]) -> str:
-    (first, width), *rest = _COLUMNS
+    (_, width), *rest = _COLUMNS
     name, *others = texts
     cells = [text.rjust(size) for text, (_, size) in zip(others, rest, strict=True)]
     return (name.ljust(width) + "".join(cells)).rstrip()
@@ -131,8 +131,8 @@ def _summary(cells: Sequence[Cell]) -> str:
     bounced = sum(1 for entry in holding if entry.candidate.contacts)
     return (
         f"{len(holding)} of {len(entries)} plans hold on a rigid wall, {bounced} of them with a "
-        "contact.\nThe literal transcription's contacts are free impulses, and its wall pushes from "
-        "afar: a low cost\nis real only where the verdict says so."
+        "contact.\nThe literal transcription's contacts are free impulses, and its wall pushes "
+        "from afar: a low\ncost is real only where the verdict says so."
     )
 
 

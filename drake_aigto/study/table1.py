@@ -22,12 +22,17 @@ from drake_aigto.planning import (
     PlanOptions,
     Replays,
 )
+from drake_aigto.planning.options import AlgorithmName, LocalSolverName
 from drake_aigto.planning.planner import LARGEST_DEFECT, make_transcription
 from drake_aigto.world import Scenario
 
 ROWS = (1, 2, 3, 4)
 # Through Drake, the faster of its two on this problem's form.
-GRADIENT_SOLVER = "ipopt"
+GRADIENT_SOLVER: LocalSolverName = "ipopt"
+ALGORITHMS: dict[str, AlgorithmName] = {
+    "AIGTO, Algorithm 1": "full gradient",
+    "AIGTO, annealing": "annealing",
+}
 _BLAS_THREADS = "OPENBLAS_NUM_THREADS"  # read by NumPy's and SciPy's wheels as they are loaded
 
 
@@ -86,7 +91,7 @@ class Method:
         name: of the method.
         costs: J of every run that met the transcription's rows, sorted.
         num_runs: how many runs there were.
-        entries: the runs that are shown: the best, and before it the median where there are guesses.
+        entries: the runs that are shown: the best, after the median where there are guesses.
         seconds: all runs together, replays apart.
     """
 
@@ -153,10 +158,7 @@ def run_cell(
     options = PlanOptions(transcription="literal", nonpenetration=nonpenetration, confirm=confirm)
     planner = Planner(scenario, options)
     methods = list(_gradient_methods(planner, num_guesses, np.random.default_rng([seed, row])))
-    for name, algorithm in (
-        ("AIGTO, Algorithm 1", "full gradient"),
-        ("AIGTO, annealing", "annealing"),
-    ):
+    for name, algorithm in ALGORITHMS.items():
         chosen = dataclasses.replace(options, algorithm=algorithm)
         methods.append(_aigto_method(name, Planner(scenario, chosen, planner.world)))
     return Cell(row, nonpenetration, tuple(methods))

@@ -150,7 +150,7 @@ class Transcription(ABC):
 
     def GetSampleTimes(self) -> npt.NDArray[np.float64]:
         """Returns the knots' times, shape (N+1,) [s]."""
-        return self._dt * np.arange(self.num_samples())
+        return np.arange(self.num_samples()) * np.float64(self._dt)
 
     def GetInputSamples(self, result: MathematicalProgramResult) -> npt.NDArray[np.float64]:
         """Returns the controls, shape (nu, N), a column a knot as in Drake."""
