@@ -15,6 +15,7 @@ from drake_aigto.local.nlp import PolynomialNlp
 from drake_aigto.local.restoration import Restoration
 from drake_aigto.local.result import LocalIterate, LocalResult, LocalStatus
 from drake_aigto.local.scaled import Duals, Linearisation, Point, ScaledProblem, longest
+from drake_aigto.local.symmetric import max_norm
 
 Floats = NDArray[np.float64]
 
@@ -51,7 +52,8 @@ class InteriorPoint:
             allows; s_i ≤ 1 scales rows that are steep at the start.
         max_iterations: Newton and restoration steps.
         initial_barrier: First μ.
-        bound_push: Least distance of the start from a bound b, relative to max(1, |b|).
+        bound_push: Least distance of the start from a bound b, relative to max(1, |b|) and to the
+            distance between a variable's bounds.
     """
 
     tolerance: float = 1e-8
@@ -66,6 +68,8 @@ class InteriorPoint:
             value = getattr(self, name)
             if not 0.0 < value < np.inf:
                 raise OptionsError(name, got=value, expected="a positive number")
+        if self.bound_push >= 0.5:
+            raise OptionsError("bound_push", got=self.bound_push, expected="less than 0.5")
         if self.max_iterations < 0:
             raise OptionsError("max_iterations", got=self.max_iterations, expected="0 or more")
 
@@ -93,6 +97,19 @@ class InteriorPoint:
         return _Solve(self, nlp, np.clip(start, nlp.lower, nlp.upper)).run()
 
 
+@dataclass(frozen=True)
+class _Optimality:
+    """Stationarity and complementarity: eq. (5) without the rows."""
+
+    stationarity: float
+    products: Floats  # z · slack of every bound
+    bound_scale: float
+
+    def error(self, mu: float) -> float:
+        """How far the barrier problem's optimality conditions are from holding."""
+        return max(self.stationarity, max_norm(self.products - mu) / self.bound_scale)
+
+
 class _Solve:
     """One run: the iterate, and what the method remembers of the way to it."""
 
@@ -105,21 +122,11 @@ class _Solve:
         has_bounds = self._problem.bounded.size > 0
         self._mu = options.initial_barrier if has_bounds else 0.0
         self._least_mu = options.tolerance / 10 if has_bounds else 0.0
-        self._point = self._problem.point(self._pushed_inside(start))
+        self._point = self._problem.start(start, options.bound_push)
         self._filter = Filter(self._point.violation)
         self._duals = Duals(np.zeros(self._point.rows.size), np.zeros(self._point.slacks.size))
         self._history: list[LocalIterate] = []
         self._iterations = 0
-
-    def _pushed_inside(self, start: Floats) -> Floats:
-        problem = self._problem
-        lower, upper = problem.lower, problem.upper
-        push, width = self._options.bound_push, upper - lower
-        # Infinite bounds stay infinite in either minimum.
-        low = lower + np.minimum(push * np.maximum(1.0, np.abs(lower)), push * width)
-        high = upper - np.minimum(push * np.maximum(1.0, np.abs(upper)), push * width)
-        low, high = np.where(np.isnan(low), lower, low), np.where(np.isnan(high), upper, high)
-        return np.clip(start[problem.structure.free], low, high)
 
     def run(self) -> LocalResult:
         """Iterate until a status is found."""
@@ -132,10 +139,11 @@ class _Solve:
         status, length = None, 0.0
         while True:
             linearisation = self._problem.linearise(self._point.y, self._duals.rows)
-            optimality = self._record(linearisation, step, length)
+            optimality = self._optimality(linearisation)
+            self._record(optimality, step, length)
             status = self._status(optimality)
             if status is None:
-                self._lower_barrier(linearisation)
+                self._lower_barrier(optimality)
                 step = self._search.step(self._point, self._duals, linearisation, self._mu)
                 self._iterations += 1
                 status, length = self._advance(step)
@@ -145,32 +153,30 @@ class _Solve:
             self._sharpen()
         return self._result(status)
 
-    def _status(self, optimality: float) -> LocalStatus | None:
+    def _status(self, optimality: _Optimality) -> LocalStatus | None:
         """Whether the current point ends the run."""
         tolerance = self._options.tolerance
-        if optimality <= tolerance and _largest(self._point.rows) <= tolerance:
+        if optimality.error(0.0) <= tolerance and max_norm(self._point.rows) <= tolerance:
             return LocalStatus.CONVERGED
-        if _largest(self._point.y) > _UNBOUNDED:
+        if max_norm(self._point.y) > _UNBOUNDED:
             return LocalStatus.UNBOUNDED
         if self._iterations >= self._options.max_iterations:
             return LocalStatus.ITERATION_LIMIT
         return None
 
-    def _optimality(self, linearisation: Linearisation, mu: float) -> float:
-        """Stationarity and complementarity, eq. (5) without the rows."""
+    def _optimality(self, linearisation: Linearisation) -> _Optimality:
         z, multipliers = self._duals.bounds, self._duals.rows
         force = linearisation.gradient + linearisation.row_force - self._problem.bound_force(z)
         of_bounds = float(np.sum(z))
         of_all = of_bounds + float(np.sum(np.abs(multipliers)))
         scale = max(_S_MAX, of_all / max(1, z.size + multipliers.size)) / _S_MAX
         bound_scale = max(_S_MAX, of_bounds / max(1, z.size)) / _S_MAX
-        complementarity = _largest(z * self._point.slacks - mu)
-        return max(_largest(force) / scale, complementarity / bound_scale)
+        return _Optimality(max_norm(force) / scale, z * self._point.slacks, bound_scale)
 
-    def _lower_barrier(self, linearisation: Linearisation) -> None:
+    def _lower_barrier(self, optimality: _Optimality) -> None:
         """Lower μ for as long as its barrier problem is solved well enough, eq. (7)."""
         while self._mu > self._least_mu:
-            error = max(self._optimality(linearisation, self._mu), _largest(self._point.rows))
+            error = max(optimality.error(self._mu), max_norm(self._point.rows))
             if error > _KAPPA_EPSILON * self._mu:
                 break
             self._mu = max(self._least_mu, min(_KAPPA_MU * self._mu, self._mu**_THETA_MU))
@@ -198,7 +204,7 @@ class _Solve:
 
     def _restore(self) -> LocalStatus | None:
         """Move to a point of less violation that the filter accepts."""
-        if _largest(self._point.rows) <= self._options.tolerance:
+        if max_norm(self._point.rows) <= self._options.tolerance:
             return LocalStatus.STALLED
         violation = self._point.violation
         self._filter.add(violation, self._point.barrier(self._mu))
@@ -221,15 +227,11 @@ class _Solve:
         multipliers = self._search.least_squares_multipliers(point, self._mu)
         return Duals(multipliers, self._mu / point.slacks)
 
-    def _record(
-        self, linearisation: Linearisation, step: NewtonStep | None, length: float
-    ) -> float:
-        """Add the current point to the history; return its optimality error."""
-        point, optimality = self._point, self._optimality(linearisation, 0.0)
-        shift = step.shift if step else 0.0
-        cost, residual = point.cost / self._problem.cost_scale, _largest(point.rows)
-        self._history.append(LocalIterate(cost, residual, optimality, self._mu, shift, length))
-        return optimality
+    def _record(self, optimality: _Optimality, step: NewtonStep | None, length: float) -> None:
+        """Add the current point to the history."""
+        cost, residual = self._point.cost / self._problem.cost_scale, max_norm(self._point.rows)
+        shift, error = step.shift if step else 0.0, optimality.error(0.0)
+        self._history.append(LocalIterate(cost, residual, error, self._mu, shift, length))
 
     def _result(self, status: LocalStatus) -> LocalResult:
         """Unscale."""
@@ -246,7 +248,7 @@ class _Solve:
             cost=cost,
             status=status,
             iterations=self._iterations,
-            residual=_largest(rows),
+            residual=max_norm(rows),
             optimality=self._history[-1].optimality if self._history else np.inf,
             multipliers=multipliers,
             lower_multipliers=z[0],
@@ -259,9 +261,5 @@ class _Solve:
         before = self._point
         self._point = self._restoration.sharpen(before, self._options.feasibility)
         linearisation = self._problem.linearise(self._point.y, self._duals.rows)
-        if self._optimality(linearisation, 0.0) > self._options.tolerance:
+        if self._optimality(linearisation).error(0.0) > self._options.tolerance:
             self._point = before
-
-
-def _largest(values: Floats) -> float:
-    return float(np.max(np.abs(values), initial=0.0))

@@ -26,16 +26,16 @@ _POWER = int(FunctionKind.POWER)
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _fill_factor(
-    kind: int, exponent: int, scale: float, offset: float, x: float, row: Floats
+    kind: int, exponent: int, scale: float, offset: float, x: float, rows: Floats, f: int
 ) -> None:
-    """Value, slope and curvature of one factor at x; low powers, the most common, by hand."""
-    y = scale * x + offset
+    """Value, slope and curvature of one factor at x, into row f; the most common ones by hand."""
     if kind == _POWER and exponent == 1:
-        row[VALUE], row[D_C], row[D_CC] = y, scale, 0.0
+        rows[f, VALUE], rows[f, D_C], rows[f, D_CC] = scale * x + offset, scale, 0.0
     elif kind == _POWER and exponent == 2:
-        row[VALUE], row[D_C], row[D_CC] = y * y, 2.0 * y * scale, 2.0 * scale * scale
+        y = scale * x + offset
+        rows[f, VALUE], rows[f, D_C], rows[f, D_CC] = y * y, 2.0 * y * scale, 2.0 * scale * scale
     else:
-        factor_mean(kind, exponent, scale, offset, x, 0.0, row)
+        factor_mean(kind, exponent, scale, offset, x, 0.0, rows[f])
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -60,7 +60,8 @@ def _fill_factors(
             factor_scale[f],
             factor_offset[f],
             x[variables[factor_variable[f]]],
-            rows[f - first],
+            rows,
+            f - first,
         )
 
 
@@ -192,21 +193,20 @@ def derivatives_at(
             first, last = term_starts[m], term_starts[m + 1]
             coefficient = scales[copy] * coefficients[m]
             for a in range(first, last):
-                row_a = rows[members[a]]
                 variable = variables[factor_variable[base + members[a]]]
                 i = variable_places[variable]
                 others = coefficient
                 for b in range(first, last):
                     if b != a:
                         others *= rows[members[b], VALUE]
-                slope = others * row_a[D_C]
+                slope = others * rows[members[a], D_C]
                 if place < 0:
                     gradient[variable] += slope
                 else:
                     _add(band, place, i, slope)
-                _add(band, i, i, multiplier * others * row_a[D_CC])
+                _add(band, i, i, multiplier * others * rows[members[a], D_CC])
                 for b in range(a + 1, last):
-                    pair = multiplier * coefficient * row_a[D_C] * rows[members[b], D_C]
+                    pair = multiplier * coefficient * rows[members[a], D_C] * rows[members[b], D_C]
                     for d in range(first, last):
                         if d != a and d != b:
                             pair *= rows[members[d], VALUE]

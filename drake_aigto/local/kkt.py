@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from drake_aigto.local.kernels import derivatives_at, erase_couplings
-from drake_aigto.local.nlp import PolynomialNlp
+
+if TYPE_CHECKING:
+    from drake_aigto.local.nlp import PolynomialNlp
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -33,10 +37,10 @@ class KktStructure:
         bandwidth: Half bandwidth b.
     """
 
-    def __init__(self, nlp: PolynomialNlp, held: NDArray[np.bool_]) -> None:
-        """Order the unknowns."""
+    def __init__(self, nlp: PolynomialNlp) -> None:
+        """Order the unknowns; variables with equal bounds are held."""
         self._nlp = nlp
-        self.free = np.flatnonzero(~held)
+        self.free = np.flatnonzero(nlp.lower != nlp.upper)
         position = np.full(nlp.num_variables, -1)
         position[self.free] = range(self.free.size)
         rows_read, variables_read = self._incidence(position)

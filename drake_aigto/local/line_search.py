@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from drake_aigto.local.newton import NewtonStep
 from drake_aigto.local.scaled import Point, ScaledProblem
+from drake_aigto.local.symmetric import max_norm
 
 Floats = NDArray[np.float64]
 
@@ -69,7 +70,7 @@ class LineSearch:
     def run(self, step: NewtonStep) -> tuple[Point, float] | None:
         """The next point and the step length; None where only a restoration can help."""
         longest = length = self.problem.longest(self.point, step.dy, self.fraction)
-        if np.max(np.abs(step.dy) / (1 + np.abs(self.point.y)), initial=0.0) < _TINY:
+        if max_norm(step.dy / (1 + np.abs(self.point.y))) < _TINY:
             return self.problem.point(self.point.y + length * step.dy), length
         least = self._least_length(step.slope)
         while length >= least:

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_aigto.local.scaled import Duals, Linearisation, Point, ScaledProblem
-from drake_aigto.local.symmetric import BandFactors
+from drake_aigto.local.symmetric import BandFactors, max_norm
 
 Floats = NDArray[np.float64]
 
@@ -125,6 +125,6 @@ class NewtonSearch:
         descent = linearisation.gradient - problem.bound_force(mu / point.slacks)
         self.factorise(structure.without_couplings(linearisation.band), 1.0, ROW_SHIFT)
         estimate = self.solve(-descent, 0.0)[1]
-        if not np.max(np.abs(estimate), initial=0.0) <= _LARGEST_ESTIMATE:
+        if not max_norm(estimate) <= _LARGEST_ESTIMATE:
             return np.zeros(structure.rows.size)
         return estimate

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -27,6 +28,7 @@ from drake_aigto.box.compile import (
 )
 from drake_aigto.errors import OptionsError, UnsupportedTermError
 from drake_aigto.local.kernels import values_at
+from drake_aigto.local.kkt import KktStructure
 from drake_aigto.local.tables import stack_tables
 
 Floats = NDArray[np.float64]
@@ -204,6 +206,11 @@ class PolynomialNlp:
         for array in (self.lower, self.upper, self.order, self.copy_weights):
             if array is not None:
                 array.setflags(write=False)
+
+    @cached_property
+    def kkt_structure(self) -> KktStructure:
+        """Where its unknowns stand in KKT matrices, found once."""
+        return KktStructure(self)
 
     @property
     def num_rows(self) -> int:

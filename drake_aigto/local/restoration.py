@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from drake_aigto.local.newton import ROW_SHIFT, NewtonSearch
 from drake_aigto.local.scaled import Point, ScaledProblem
+from drake_aigto.local.symmetric import max_norm
 
 Floats = NDArray[np.float64]
 
@@ -71,7 +72,7 @@ class Restoration:
     def sharpen(self, point: Point, goal: float) -> Point:
         """The point after shortest steps onto c = 0, as long as they halve its largest residual."""
         for _ in range(_SHARPENING_STEPS):
-            largest = np.max(np.abs(point.rows), initial=0.0)
+            largest = max_norm(point.rows)
             if largest <= goal:
                 break
             band = self._problem.linearise(point.y, np.zeros(point.rows.size)).band
@@ -80,7 +81,7 @@ class Restoration:
             step = self._search.solve(0.0, -point.rows)[0]
             length = self._problem.longest(point, step, _FRACTION)
             tried = self._problem.point(point.y + length * step)
-            if not np.max(np.abs(tried.rows)) <= largest / 2:
+            if not max_norm(tried.rows) <= largest / 2:
                 break
             point = tried
         return point

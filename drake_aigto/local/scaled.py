@@ -8,7 +8,6 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_aigto.local.kkt import KktStructure
 from drake_aigto.local.nlp import PolynomialNlp
 from drake_aigto.local.symmetric import multiply
 
@@ -84,7 +83,7 @@ class ScaledProblem:
     def __init__(self, nlp: PolynomialNlp, x: Floats) -> None:
         """Hold the variables with equal bounds, and scale at x (n,), which is within bounds."""
         self._nlp = nlp
-        self.structure = KktStructure(nlp, nlp.lower == nlp.upper)
+        self.structure = nlp.kkt_structure
         free = self.structure.free
         self._x = x
         self.lower, self.upper = nlp.lower[free], nlp.upper[free]
@@ -115,6 +114,17 @@ class ScaledProblem:
         x = self._x.copy()
         x[self.structure.free] = y
         return x
+
+    def start(self, x: Floats, push: float) -> Point:
+        """The point of x (n,), moved inside bounds by `push` of their size and distance (κ₁, κ₂)."""
+        y, low, high = x[self.structure.free], *np.split(self.bounded, [self.num_lower])
+        room = np.minimum(
+            np.maximum(1.0, np.abs(self._limits)), (self.upper - self.lower)[self.bounded]
+        )
+        least = push * room
+        y[low] = np.maximum(y[low], self.lower[low] + least[: self.num_lower])
+        y[high] = np.minimum(y[high], self.upper[high] - least[self.num_lower :])
+        return self.point(y)
 
     def point(self, y: Floats) -> Point:
         """Evaluate."""

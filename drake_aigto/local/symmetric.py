@@ -15,9 +15,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 from scipy.linalg.blas import dsbmv
+
+from drake_aigto.jit import njit
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -269,12 +270,12 @@ class BandFactors:
         """The solution for a right-hand side (size,), refined."""
         s = self._storage
         solution, rest = np.zeros(right.size), right.copy()
-        goal = _RESIDUAL * np.max(np.abs(right), initial=0.0)
+        goal = _RESIDUAL * max_norm(right)
         for _ in range(_REFINEMENTS):
             _solve(s.pivots, s.inverses, s.starts, s.indices, s.entries, rest)
             solution += rest
             rest = right - multiply(self._band, solution)
-            if not np.max(np.abs(rest), initial=0.0) > goal:
+            if not max_norm(rest) > goal:
                 break
         return solution
 
@@ -284,3 +285,8 @@ def multiply(band: Floats, x: Floats) -> Floats:
     if x.size == 0:
         return x
     return dsbmv(band.shape[0] - 1, 1.0, band, x, lower=1)
+
+
+def max_norm(values: Floats) -> float:
+    """Largest absolute value, 0 of nothing."""
+    return float(np.abs(values).max()) if values.size else 0.0
