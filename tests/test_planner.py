@@ -77,7 +77,7 @@ def least_cost(
     return float(np.sum((rows @ solution - target) ** 2))
 
 
-@pytest.mark.parametrize("solver", ["snopt", "ipopt"])
+@pytest.mark.parametrize("solver", ["newton", "snopt", "ipopt"])
 def test_a_flight_costs_the_linear_quadratic_optimum(solver: LocalSolverName) -> None:
     options = dataclasses.replace(QUICK, local_solver=solver, ladder=QUICK.ladder[:1], confirm=True)
     found = plan(FLIGHT, options)
@@ -209,7 +209,7 @@ def test_nothing_feasible_is_an_error_that_says_what_was_tried(
     [
         ({"transcription": "rubber"}, "transcription: got 'rubber', expected one of literal"),
         ({"algorithm": "luck"}, "algorithm: got 'luck', expected one of annealing, full gradient"),
-        ({"local_solver": "mosek"}, "local_solver: got 'mosek', expected one of ipopt, snopt"),
+        ({"local_solver": "mosek"}, "local_solver: got 'mosek', expected one of newton, ipopt"),
         ({"ladder": ()}, "ladder: got no rung, expected at least one"),
     ],
 )

@@ -76,6 +76,21 @@ def test_rows_vanish_on_the_papers_euler_and_only_there(controls: np.ndarray) ->
     assert not prog.CheckSatisfied(prog.GetAllConstraints(), wrong, 1e-9)
 
 
+@settings(max_examples=25)
+@given(controls=CONTROLS, seed=st.integers(0, 1000))
+def test_closing_the_rows_takes_a_solvers_rounding_out_of_the_dynamics(
+    controls: np.ndarray, seed: int
+) -> None:
+    transcription = transcribe(nonpenetration=False)
+    x = euler(SCENARIO, controls, mass=1.0)
+    noise = np.zeros_like(x)
+    noise[12:22] = 1e-7 * np.random.default_rng(seed).normal(size=10)  # velocities after the first
+    closed = transcription.close_rows(x + noise)
+    assert transcription.defects(closed)["dynamics"] < 1e-12
+    np.testing.assert_array_equal(closed[:22], (x + noise)[:22])  # positions and velocities stay
+    np.testing.assert_allclose(closed[22:], controls, atol=1e-4)
+
+
 @pytest.mark.parametrize(
     ("replacement", "mass", "physics"),
     [

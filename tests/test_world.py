@@ -621,14 +621,14 @@ def test_the_models_are_found_in_a_wheel_and_in_a_checkout(
     (tmp_path / place / "package.xml").write_text(
         (SHIPPED.parent / "package.xml").read_text(encoding="utf-8"), encoding="utf-8"
     )
-    monkeypatch.setattr(files.resources, "files", lambda name: tmp_path / name)
+    monkeypatch.setattr("drake_aigto.world.files.resources.files", lambda name: tmp_path / name)
     assert files.models_directory() == tmp_path / place
 
 
 def test_an_installation_without_models_is_reported(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(files.resources, "files", lambda name: tmp_path / name)
+    monkeypatch.setattr("drake_aigto.world.files.resources.files", lambda name: tmp_path / name)
     with pytest.raises(ModelError, match=r"shipped models are missing.*Install drake_aigto again"):
         files.models_directory()
 

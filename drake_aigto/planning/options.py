@@ -11,14 +11,14 @@ from drake_aigto.errors import OptionsError
 from drake_aigto.transcription.literal import DYNAMICS, KINEMATICS, NONPENETRATION
 
 AlgorithmName = Literal["annealing", "full gradient"]
-LocalSolverName = Literal["ipopt", "snopt"]
+LocalSolverName = Literal["newton", "ipopt", "snopt"]
 TranscriptionName = Literal["literal"]
 
 # Option → what it may be.
 CHOICES: dict[str, tuple[str, ...]] = {
     "transcription": ("literal",),
     "algorithm": ("annealing", "full gradient"),
-    "local_solver": ("ipopt", "snopt"),
+    "local_solver": ("newton", "ipopt", "snopt"),
 }
 
 
@@ -68,7 +68,8 @@ class PlanOptions:
             need it off.
         algorithm: "annealing", or "full gradient" for the paper's Algorithm 1.
         ladder: the starts; a candidate plan comes out of each.
-        local_solver: polishes AIGO's results: "ipopt" or "snopt", through Drake.
+        local_solver: polishes AIGO's results: "newton" (`local.InteriorPoint`), or "ipopt" or
+            "snopt" through Drake.
         knot_steps: by how many knots the best candidate's contacts are moved to and fro, in turn.
         confirm: whether the plan is also replayed on Drake's plant; the event-driven replay is
             always run.
@@ -78,8 +79,8 @@ class PlanOptions:
     nonpenetration: bool = True
     algorithm: AlgorithmName = "annealing"
     ladder: tuple[Rung, ...] = field(default=LITERAL_LADDER, repr=False)
-    local_solver: LocalSolverName = "ipopt"
-    knot_steps: tuple[int, ...] = (8, 4, 2, 1)
+    local_solver: LocalSolverName = "newton"
+    knot_steps: tuple[int, ...] = (16, 8, 4, 2, 1)
     confirm: bool = True
 
     def __post_init__(self) -> None:

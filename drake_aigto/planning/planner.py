@@ -6,8 +6,9 @@ import dataclasses
 import itertools
 import time
 from collections import defaultdict
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +16,7 @@ import numpy as np
 from drake_aigto.aigo import AigoResult, Box, PenaltyContinuation, Status, minimize
 from drake_aigto.box import BoxPolynomial, compile_program
 from drake_aigto.errors import AigtoError
+from drake_aigto.local import InteriorPoint, PolynomialNlp, compile_nlp
 from drake_aigto.planning.contacts import find_contacts, max_penetration
 from drake_aigto.planning.options import PlanOptions, Rung
 from drake_aigto.planning.plan import Candidate, Plan, PlanStats, Replays
@@ -31,6 +33,8 @@ if TYPE_CHECKING:
 # In a candidate's origin, before the knots that its contacts were moved to.
 _MOVED = "; contacts moved to knots "
 
+# So many of the best candidates have their contacts moved.
+_MOVED_CANDIDATES = 2
 # Contacts this many knots apart are one proposal of AIGO's; moving them tells them apart.
 _SAME = 2
 
@@ -138,11 +142,10 @@ class Planner:
                 if progress:
                     progress(f"AIGO {number} of {len(ladder)}: {rung}")
                 search.add_rung(rung)
-            knots = search.best_contacts()
-            for step in self.options.knot_steps if knots else ():
+            for knots in search.best_contacts(_MOVED_CANDIDATES):
                 if progress:
                     progress(f"{len(search.candidates)} candidates; moving contacts {knots}")
-                knots = search.move_contacts(knots, step)
+                search.move_contacts(knots, self.options.knot_steps)
         except KeyboardInterrupt:
             if not search.candidates:
                 raise
@@ -198,6 +201,10 @@ class PlanningProblem:
         self.polynomial: BoxPolynomial = compile_program(transcription.penalized(), order)
         self.box = Box(*transcription.initial_box())
 
+    @cached_property
+    def _nlp(self) -> PolynomialNlp:
+        return compile_nlp(self.transcription.prog())
+
     def run_aigo(self, rung: Rung) -> AigoResult:
         """Returns what AIGO makes of the first box under a rung's weights."""
         return minimize(self._weighted(rung), self.box, self.options.make_algorithm(rung))
@@ -224,7 +231,11 @@ class PlanningProblem:
 
     def solve_locally(self, guess: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns what the local solver makes of a guess, all decision variables (n,)."""
-        return solve_with_drake(self.transcription.prog(), guess, self.options.local_solver).x
+        if self.options.local_solver == "newton":
+            x = InteriorPoint().solve(self._nlp, guess).x
+        else:
+            x = solve_with_drake(self.transcription.prog(), guess, self.options.local_solver).x
+        return self.transcription.close_rows(x)
 
     def judge(
         self, origin: str, start: npt.NDArray[np.float64], x: npt.NDArray[np.float64]
@@ -294,31 +305,36 @@ class Search:
         if result.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
 
-    def move_contacts(self, knots: Knots, step: int) -> Knots:
-        """Moves each contact of a candidate by so many knots, for as long as that helps.
+    def move_contacts(self, knots: Knots, steps: Sequence[int]) -> None:
+        """Moves each contact of a candidate to and fro by so many knots, while that helps.
 
-        Returns:
-            The sequence that this ends in.
+        Args:
+            knots: the candidate's sequence.
+            steps: in turn; each is repeated until it does not help any more.
         """
-        last = self._problem.transcription.num_samples() - 1
-        while True:
-            reached = [knots]
-            for i, shift in itertools.product(range(len(knots)), (-step, step)):
-                moved = tuple(k + shift if j == i else k for j, k in enumerate(knots))
-                if all(a < b for a, b in itertools.pairwise((0, *moved, last))):
-                    if moved not in self._by_knots:
-                        origin = self._by_knots[knots].origin.split(_MOVED)[0]
-                        self._add(f"{origin}{_MOVED}{moved}", moved, self._centers[knots])
-                    reached.append(moved)
-            best = min(reached, key=self._rank)
-            if best == knots:
-                return knots
-            knots = best
+        for step in steps:
+            while (best := min([knots, *self._neighbours(knots, step)], key=self._rank)) != knots:
+                knots = best
 
-    def best_contacts(self) -> Knots:
-        """Returns the sequence of the best candidate that the polish left in contact, or ()."""
-        touching = [knots for knots, found in self._by_knots.items() if knots and found.contacts]
-        return min(touching, key=self._rank, default=())
+    def best_contacts(self, count: int) -> list[Knots]:
+        """Returns so many sequences with contacts: first those that the polish left in contact."""
+        ranked = sorted(
+            filter(None, self._by_knots),
+            key=lambda knots: (not self._by_knots[knots].contacts, self._rank(knots)),
+        )
+        return ranked[:count]
+
+    def _neighbours(self, knots: Knots, step: int) -> Iterator[Knots]:
+        """Yields the sequences with one contact moved, which are candidates by then."""
+        last = self._problem.transcription.num_samples() - 1
+        for i, shift in itertools.product(range(len(knots)), (-step, step)):
+            moved = tuple(k + shift if j == i else k for j, k in enumerate(knots))
+            if not all(a < b for a, b in itertools.pairwise((0, *moved, last))):
+                continue
+            if moved not in self._by_knots:
+                origin = self._by_knots[knots].origin.split(_MOVED)[0]
+                self._add(f"{origin}{_MOVED}{moved}", moved, self._centers[knots])
+            yield moved
 
     def _rank(self, knots: Knots) -> tuple[bool, float]:
         """Orders sequences: those that meet the rows first, then by cost."""

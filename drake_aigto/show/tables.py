@@ -182,4 +182,6 @@ def _length(metres: float) -> str:
 
 
 def _ratio(ratio: float | None) -> str:
-    return "-" if ratio is None else f"{ratio:.2g}"
+    if ratio is None:
+        return "-"
+    return ">1e6" if ratio > 1e6 else f"{ratio:.2g}"

@@ -74,6 +74,10 @@ class Transcription(ABC):
     def impulses(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns the contact impulses that x implies, shape (N+1, m) [N s]."""
 
+    @abstractmethod
+    def close_rows(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Returns x with the rounding that a solver left in the rows taken out, where it can be."""
+
     def prog(self) -> MathematicalProgram:
         """Returns the constrained program; add costs and constraints until it is solved."""
         return self._prog
