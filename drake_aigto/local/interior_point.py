@@ -27,7 +27,9 @@ _KAPPA_SIGMA = 1e10  # how far z may leave μ/slack
 _S_MAX = 100.0  # mean multiplier beyond which optimality is measured relative to it
 _REQUIRED_REDUCTION = 0.9  # of θ, by a restoration
 
+# Ours.
 _UNBOUNDED = 1e20
+_EXTRA_STEPS = 3  # from a solution within the tolerances on, for residuals down to rounding
 
 
 @dataclass(frozen=True)
@@ -48,8 +50,8 @@ class InteriorPoint:
 
     Attributes:
         tolerance: Largest scaled optimality error and residual of a solution.
-        feasibility: Largest residual |s_i c_i| that is asked for in the end, as far as rounding
-            allows; s_i ≤ 1 scales rows that are steep at the start.
+        feasibility: Largest residual |s_i c_i| that a solution is given a few more steps for;
+            s_i ≤ 1 scales rows that are steep at the start.
         max_iterations: Newton and restoration steps.
         initial_barrier: First μ.
         bound_push: Least distance of the start from a bound b, relative to max(1, |b|) and to the
@@ -57,7 +59,7 @@ class InteriorPoint:
     """
 
     tolerance: float = 1e-8
-    feasibility: float = 1e-13
+    feasibility: float = 1e-12
     max_iterations: int = 500
     initial_barrier: float = 0.1
     bound_push: float = 1e-2
@@ -126,7 +128,8 @@ class _Solve:
         self._filter = Filter(self._point.violation)
         self._duals = Duals(np.zeros(self._point.rows.size), np.zeros(self._point.slacks.size))
         self._history: list[LocalIterate] = []
-        self._iterations = 0
+        self._iterations = self._extra_steps = 0
+        self._is_solution = False
 
     def run(self) -> LocalResult:
         """Iterate until a status is found."""
@@ -149,15 +152,16 @@ class _Solve:
                 status, length = self._advance(step)
             if status is not None:
                 break
-        if status is LocalStatus.CONVERGED:
-            self._sharpen()
         return self._result(status)
 
     def _status(self, optimality: _Optimality) -> LocalStatus | None:
         """Whether the current point ends the run."""
-        tolerance = self._options.tolerance
-        if optimality.error(0.0) <= tolerance and max_norm(self._point.rows) <= tolerance:
-            return LocalStatus.CONVERGED
+        tolerance, residual = self._options.tolerance, max_norm(self._point.rows)
+        self._is_solution = optimality.error(0.0) <= tolerance and residual <= tolerance
+        if self._is_solution:
+            if residual <= self._options.feasibility or self._extra_steps == _EXTRA_STEPS:
+                return LocalStatus.CONVERGED
+            self._extra_steps += 1
         if max_norm(self._point.y) > _UNBOUNDED:
             return LocalStatus.UNBOUNDED
         if self._iterations >= self._options.max_iterations:
@@ -185,7 +189,7 @@ class _Solve:
     def _advance(self, step: NewtonStep | None) -> tuple[LocalStatus | None, float]:
         """Take a step, or restore feasibility; the status if neither works, and the step length."""
         if step is None:
-            return LocalStatus.STALLED, 0.0
+            return self._stuck(), 0.0
         fraction = max(_TAU_MIN, 1.0 - self._mu)
         search = LineSearch(self._problem, self._filter, self._point, self._mu, fraction)
         found = search.run(step)
@@ -205,7 +209,7 @@ class _Solve:
     def _restore(self) -> LocalStatus | None:
         """Move to a point of less violation that the filter accepts."""
         if max_norm(self._point.rows) <= self._options.tolerance:
-            return LocalStatus.STALLED
+            return self._stuck()
         violation = self._point.violation
         self._filter.add(violation, self._point.barrier(self._mu))
         point, taken = self._restoration.run(
@@ -222,6 +226,9 @@ class _Solve:
             return LocalStatus.ITERATION_LIMIT if ran_out else LocalStatus.INFEASIBLE
         self._point, self._duals = point, self._fresh_duals(point)
         return None
+
+    def _stuck(self) -> LocalStatus:
+        return LocalStatus.CONVERGED if self._is_solution else LocalStatus.STALLED
 
     def _fresh_duals(self, point: Point) -> Duals:
         multipliers = self._search.least_squares_multipliers(point, self._mu)
@@ -255,11 +262,3 @@ class _Solve:
             upper_multipliers=z[1],
             history=tuple(self._history),
         )
-
-    def _sharpen(self) -> None:
-        """Meet the rows as well as rounding allows, as long as the point stays optimal."""
-        before = self._point
-        self._point = self._restoration.sharpen(before, self._options.feasibility)
-        linearisation = self._problem.linearise(self._point.y, self._duals.rows)
-        if self._optimality(linearisation).error(0.0) > self._options.tolerance:
-            self._point = before

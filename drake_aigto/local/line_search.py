@@ -18,6 +18,7 @@ _GAMMA_THETA, _GAMMA_PHI = 1e-5, 1e-8  # margins of θ and φ
 _DELTA, _S_THETA, _S_PHI = 1.0, 1.1, 2.3  # switching condition
 _ETA_PHI = 1e-8  # Armijo condition
 _GAMMA_ALPHA = 0.05  # shortest step
+_LEAST_FAR_LENGTH = 1e-4  # ours
 _KAPPA_SOC, _CORRECTIONS = 0.99, 4
 _TINY = 10 * float(np.finfo(float).eps)  # relative rounding that is overlooked
 
@@ -121,11 +122,12 @@ class LineSearch:
         return True
 
     def _least_length(self, slope: float) -> float:
-        """α_min, eq. (23)."""
+        """α_min: eq. (23) near c = 0; far from it, where a restoration is quick, much more."""
         violation = self.point.violation
+        if violation > self.filter.least_violation:
+            return _LEAST_FAR_LENGTH
         least = _GAMMA_THETA
         if slope < 0:
             least = min(least, _GAMMA_PHI * violation / -slope)
-            if violation <= self.filter.least_violation:
-                least = min(least, _DELTA * violation**_S_THETA / (-slope) ** _S_PHI)
+            least = min(least, _DELTA * violation**_S_THETA / (-slope) ** _S_PHI)
         return _GAMMA_ALPHA * least

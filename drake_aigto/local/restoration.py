@@ -7,9 +7,8 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_aigto.local.newton import ROW_SHIFT, NewtonSearch
+from drake_aigto.local.newton import NewtonSearch
 from drake_aigto.local.scaled import Point, ScaledProblem
-from drake_aigto.local.symmetric import max_norm
 
 Floats = NDArray[np.float64]
 
@@ -18,7 +17,7 @@ _ARMIJO = 1e-4
 _FIRST_DAMPING, _LEAST_DAMPING, _LARGEST_DAMPING = 1e-4, 1e-12, 1e12
 _HARDER, _SOFTER = 8.0, 0.25
 _STATIONARY = 1e-9  # ‖Aᵀc‖ / ‖c‖ at which no direction helps
-_SHARPENING_STEPS = 3
+_NOISE = 1e-15  # relative rounding of ‖c‖²
 
 
 class Restoration:
@@ -62,29 +61,14 @@ class Restoration:
             self._search.factorise(band, damping * metric, 1.0)
             step = self._search.solve(0.0, -point.rows)[0]
             length = self._problem.longest(point, step, _FRACTION)
+            change = length * float(gradient @ step)
+            if not change < -_NOISE * _half_square(point):
+                break
             tried = self._problem.point(point.y + length * step)
-            bound = _half_square(point) + _ARMIJO * length * float(gradient @ step)
-            if _half_square(tried) <= bound:
+            if _half_square(tried) <= _half_square(point) + _ARMIJO * change:
                 return tried, max(_SOFTER * damping, _LEAST_DAMPING)
             damping *= _HARDER
         return None
-
-    def sharpen(self, point: Point, goal: float) -> Point:
-        """The point after shortest steps onto c = 0, as long as they halve its largest residual."""
-        for _ in range(_SHARPENING_STEPS):
-            largest = max_norm(point.rows)
-            if largest <= goal:
-                break
-            band = self._problem.linearise(point.y, np.zeros(point.rows.size)).band
-            band = self._structure.without_couplings(band)
-            self._search.factorise(band, self._metric(point), ROW_SHIFT)
-            step = self._search.solve(0.0, -point.rows)[0]
-            length = self._problem.longest(point, step, _FRACTION)
-            tried = self._problem.point(point.y + length * step)
-            if not max_norm(tried.rows) <= largest / 2:
-                break
-            point = tried
-        return point
 
     def _metric(self, point: Point) -> Floats:
         return 1.0 + self._problem.bound_curvature(1.0 / point.slacks**2)

@@ -116,7 +116,7 @@ class ScaledProblem:
         return x
 
     def start(self, x: Floats, push: float) -> Point:
-        """The point of x (n,), moved inside bounds by `push` of their size and distance (κ₁, κ₂)."""
+        """The point of x (n,), moved inside bounds by `push` of their size and distance."""
         y, low, high = x[self.structure.free], *np.split(self.bounded, [self.num_lower])
         room = np.minimum(
             np.maximum(1.0, np.abs(self._limits)), (self.upper - self.lower)[self.bounded]

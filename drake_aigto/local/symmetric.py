@@ -87,13 +87,11 @@ def _choose_pivot(front: Floats, active: Ints, count: int, summed: int) -> tuple
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _force_pivot(front: Floats, active: Ints, count: int, summed: int) -> int:
-    """The largest diagonal entry among unknowns below `summed`, made at least tiny."""
-    chosen, largest = -1, -1.0
+    """The largest diagonal entry among unknowns below `summed`, −1 if all are 0."""
+    chosen, largest = -1, 0.0
     for i in range(count):
         if active[i] < summed and abs(front[i, i]) > largest:
             chosen, largest = i, abs(front[i, i])
-    if chosen >= 0 and front[chosen, chosen] == 0.0:
-        front[chosen, chosen] = 1e-30
     return chosen
 
 
@@ -108,7 +106,7 @@ def _factorise(
     indices: Ints,
     entries: Floats,
 ) -> int:
-    """Factorise; return the number of negative eigenvalues, or −1 for a matrix that is not finite.
+    """Factorise; return the number of negative eigenvalues, −1 if singular or not finite.
 
     Args:
         band: Lower band storage (b + 1, size).
@@ -258,7 +256,7 @@ class BandFactors:
                 not change as long as `solve` is called.
 
         Returns:
-            The number of negative eigenvalues, −1 if an entry is not finite.
+            The number of negative eigenvalues, −1 if the matrix is singular or not finite.
         """
         self._band = band
         s = self._storage
