@@ -90,7 +90,8 @@ def plot_positions(axes: Axes, motions: Sequence[Motion], world: World, scenario
     axes.plot([], [], "*", color="black", markersize=9, label="goal")
     _shade_wall(axes, world)
     axes.set_ylabel(_AXIS_LABELS["position"])
-    axes.legend(loc="best", fontsize="small")
+    # Above the axes, where it hides nothing.
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, fontsize="small")
 
 
 def plot_velocities(axes: Axes, motions: Sequence[Motion]) -> None:
