@@ -83,6 +83,8 @@ class KktStructure:
         return np.concatenate(rows), np.concatenate(variables)
 
     def _cuthill_mckee(self, edges: Ints) -> Ints:
+        if self.size == 0:
+            return np.arange(0)
         graph = coo_array((np.ones(edges.shape[1]), tuple(edges)), shape=(self.size, self.size))
         order = reverse_cuthill_mckee((graph + graph.T).tocsr(), symmetric_mode=True)
         return np.argsort(order)

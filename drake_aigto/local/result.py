@@ -54,7 +54,8 @@ class LocalResult:
         optimality: max-norm of the scaled optimality conditions that ended the solve: stationarity
             and complementarity (Wächter & Biegler 2006, eq. (5), without the rows).
         multipliers: λ of the rows (m,), with ∇f + Aᵀλ − z_lower + z_upper = 0; read-only.
-        lower_multipliers: z_lower ≥ 0 of the lower bounds (n,), 0 where there is none; read-only.
+        lower_multipliers: z_lower ≥ 0 of the lower bounds (n,), 0 where there is none, and where
+            equal bounds hold a variable; read-only.
         upper_multipliers: z_upper ≥ 0 of the upper bounds (n,); read-only.
         history: Every iterate, the start first.
     """

@@ -1,0 +1,547 @@
+"""The local solver: known optima, exact derivatives, the same optima as Drake's solvers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydrake.solvers import (
+    BoundingBoxConstraint,
+    ExpressionCost,
+    IpoptSolver,
+    MathematicalProgram,
+    SnoptSolver,
+    SolverOptions,
+)
+from pydrake.symbolic import Expression, log, sin
+
+from drake_aigto import OptionsError, Scenario, UnsupportedTermError, World
+from drake_aigto.local import InteriorPoint, LocalResult, LocalStatus, PolynomialNlp, compile_nlp
+from drake_aigto.local.symmetric import BandFactors
+from drake_aigto.transcription import LiteralTranscription
+
+INF = math.inf
+Formula = Callable[[Any], Any]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A small program: cost, rows that are to be 0, start, bounds, and the optimal cost."""
+
+    cost: Formula
+    rows: Callable[[Any], Sequence[Any]]
+    start: Sequence[float]
+    optimum: float = math.nan
+    lower: Sequence[float] | None = None
+    upper: Sequence[float] | None = None
+
+    def program(self) -> MathematicalProgram:
+        prog = MathematicalProgram()
+        x = prog.NewContinuousVariables(len(self.start), "x")
+        add_cost(prog, self.cost(x))
+        for row in self.rows(x):
+            prog.AddConstraint(row == 0)
+        if self.lower is not None and self.upper is not None:
+            prog.AddBoundingBoxConstraint(self.lower, self.upper, x)
+        return prog
+
+    def solve(self, **options: Any) -> LocalResult:
+        return InteriorPoint(**options).solve(compile_nlp(self.program()), self.start)
+
+
+def add_cost(prog: MathematicalProgram, formula: Any) -> None:
+    cost = ExpressionCost(Expression(0.0) + formula)
+    prog.AddCost(cost, vars=cost.vars())
+
+
+# "HS n": W. Hock and K. Schittkowski (1981), "Test Examples for Nonlinear Programming Codes".
+PROBLEMS = {
+    "HS6": Problem(
+        lambda x: (1 - x[0]) ** 2, lambda x: [10 * (x[1] - x[0] ** 2)], [-1.2, 1.0], 0.0
+    ),
+    "HS27": Problem(
+        lambda x: 0.01 * (x[0] - 1) ** 2 + (x[1] - x[0] ** 2) ** 2,
+        lambda x: [x[0] + x[2] ** 2 + 1],
+        [2.0, 2.0, 2.0],
+        0.04,
+    ),
+    "HS39": Problem(
+        lambda x: -x[0],
+        lambda x: [x[1] - x[0] ** 3 - x[2] ** 2, x[0] ** 2 - x[1] - x[3] ** 2],
+        [2.0] * 4,
+        -1.0,
+    ),
+    "HS40": Problem(
+        lambda x: -x[0] * x[1] * x[2] * x[3],
+        lambda x: [x[0] ** 3 + x[1] ** 2 - 1, x[0] ** 2 * x[3] - x[2], x[3] ** 2 - x[1]],
+        [0.8] * 4,
+        -0.25,
+    ),
+    "HS42": Problem(
+        lambda x: sum((x[i] - i - 1) ** 2 for i in range(4)),
+        lambda x: [x[0] - 2, x[2] ** 2 + x[3] ** 2 - 2],
+        [1.0] * 4,
+        28 - 10 * math.sqrt(2),
+    ),
+    "HS52": Problem(
+        lambda x: (
+            (4 * x[0] - x[1]) ** 2 + (x[1] + x[2] - 2) ** 2 + (x[3] - 1) ** 2 + (x[4] - 1) ** 2
+        ),
+        lambda x: [x[0] + 3 * x[1], x[2] + x[3] - 2 * x[4], x[1] - x[4]],
+        [2.0] * 5,
+        1859 / 349,
+    ),
+    "HS53, no bound active": Problem(
+        lambda x: (x[0] - x[1]) ** 2 + (x[1] + x[2] - 2) ** 2 + (x[3] - 1) ** 2 + (x[4] - 1) ** 2,
+        lambda x: [x[0] + 3 * x[1], x[2] + x[3] - 2 * x[4], x[1] - x[4]],
+        [2.0] * 5,
+        176 / 43,
+        [-10.0] * 5,
+        [10.0] * 5,
+    ),
+    "HS63": Problem(
+        lambda x: 1000 - x[0] ** 2 - 2 * x[1] ** 2 - x[2] ** 2 - x[0] * x[1] - x[0] * x[2],
+        lambda x: [
+            8 * x[0] + 14 * x[1] + 7 * x[2] - 56,
+            x[0] ** 2 + x[1] ** 2 + x[2] ** 2 - 25,
+        ],
+        [2.0] * 3,
+        961.7151721,
+        [0.0] * 3,
+        [INF] * 3,
+    ),
+    "HS71, two bounds active": Problem(
+        lambda x: x[0] * x[3] * (x[0] + x[1] + x[2]) + x[2],
+        lambda x: [x[0] * x[1] * x[2] * x[3] - 25 - x[4], sum(x[i] ** 2 for i in range(4)) - 40],
+        [1.0, 5.0, 5.0, 1.0, 0.0],
+        17.0140173,
+        [1.0, 1.0, 1.0, 1.0, 0.0],
+        [5.0, 5.0, 5.0, 5.0, INF],
+    ),
+    "HS78": Problem(
+        lambda x: x[0] * x[1] * x[2] * x[3] * x[4],
+        lambda x: [
+            sum(v**2 for v in x) - 10,
+            x[1] * x[2] - 5 * x[3] * x[4],
+            x[0] ** 3 + x[1] ** 3 + 1,
+        ],
+        [-2.0, 1.5, 2.0, -1.0, -1.0],
+        -2.91970041,
+    ),
+    # Interior point methods that only ever take a share of the Newton step never get there.
+    "Wächter and Biegler's": Problem(
+        lambda x: x[0],
+        lambda x: [x[0] ** 2 - x[1] - 1, x[0] - x[2] - 0.5],
+        [-2.0, 1.0, 1.0],
+        1.0,
+        [-INF, 0.0, 0.0],
+        [INF] * 3,
+    ),
+    "a linear program": Problem(
+        lambda x: x[0] + 2 * x[1],
+        lambda x: [x[0] + x[1] - 1],
+        [5.0, 1.0],
+        1.0,
+        [0.0] * 2,
+        [INF] * 2,
+    ),
+    "rows that depend on each other": Problem(
+        lambda x: x[0] ** 2 + x[1] ** 2,
+        lambda x: [x[0] + x[1] - 1, 2 * x[0] + 2 * x[1] - 2, x[0] + x[1] - 1],
+        [3.0, -1.0],
+        0.5,
+    ),
+    "no rows": Problem(lambda x: (x[0] - 1) ** 2 + (x[1] - 3) ** 4, lambda x: [], [5.0, 1.0], 0.0),
+    "a log barrier": Problem(
+        lambda x: 2 * x[0] - log(x[0] - 3), lambda x: [], [9.0], 7.0 + math.log(2.0)
+    ),
+}
+
+
+def test_a_polynomial_program_away_from_the_origin_is_solved_exactly() -> None:
+    # min Σ (x_i − a_i)² on the plane Σ x_i = s: x = a + (s − Σ a)/n, λ = −2 (s − Σ a)/n.
+    a = np.array([107.0, -41.0, 63.0])
+    problem = Problem(
+        lambda x: sum((x[i] - a[i]) ** 2 for i in range(3)),
+        lambda x: [sum(x) - 300],
+        [0.0, 500.0, -200.0],
+    )
+    result = problem.solve()
+    assert result.status is LocalStatus.CONVERGED
+    np.testing.assert_allclose(result.x, a + 57.0, rtol=1e-14)
+    np.testing.assert_allclose(result.multipliers, [-114.0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_known_optima_are_found(name: str) -> None:
+    problem = PROBLEMS[name]
+    result = problem.solve()
+    assert result.is_success, result.status
+    # Complementarity of 1e-9 a bound, and costs printed to ten digits.
+    assert result.cost == pytest.approx(problem.optimum, rel=1e-8, abs=1e-8)
+    assert result.residual <= 1e-12
+    assert len(result.history) <= 60
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_results_meet_the_optimality_conditions(name: str) -> None:
+    problem = PROBLEMS[name]
+    prog = problem.program()
+    result = problem.solve()
+    x, nlp = result.x, compile_nlp(prog)
+    gradient, jacobian = numeric_derivatives(nlp, x)
+    force = (
+        gradient
+        + jacobian.T @ result.multipliers
+        - result.lower_multipliers
+        + result.upper_multipliers
+    )
+    largest = max(1.0, np.max(np.abs(gradient)))
+    held = nlp.lower == nlp.upper
+    np.testing.assert_allclose(force[~held], 0.0, atol=1e-6 * largest)
+    for gap, z in (
+        (x - nlp.lower, result.lower_multipliers),
+        (nlp.upper - x, result.upper_multipliers),
+    ):
+        assert np.all(gap >= 0.0)
+        assert np.all(z >= 0.0)
+        assert np.all(z[np.isinf(gap)] == 0.0)
+        bounded = np.isfinite(gap)
+        np.testing.assert_allclose(z[bounded] * gap[bounded], 0.0, atol=1e-7)
+
+
+def numeric_derivatives(nlp: PolynomialNlp, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Returns ∇f and ∂c by central differences."""
+    columns = []
+    for i in range(x.size):
+        h = np.zeros(x.size)
+        h[i] = 1e-6 * max(1.0, abs(x[i]))
+        (f1, c1), (f0, c0) = nlp.evaluate(x + h), nlp.evaluate(x - h)
+        columns.append(np.append(c1 - c0, f1 - f0) / (2 * h[i]))
+    table = np.array(columns).T
+    return table[-1], table[:-1]
+
+
+def dense(band: np.ndarray) -> np.ndarray:
+    """Returns the symmetric matrix in lower band storage."""
+    size = band.shape[1]
+    matrix = np.zeros((size, size))
+    for d in range(min(len(band), size)):
+        i = np.arange(size - d)
+        matrix[i + d, i] = matrix[i, i + d] = band[d, : size - d]
+    return matrix
+
+
+def literal(nonpenetration: bool, row: int = 1, time_step: float = 0.02) -> LiteralTranscription:
+    scenario = replace(Scenario.named(f"table1/{row}"), time_step=time_step)
+    return LiteralTranscription(World.from_scenario(scenario), scenario, nonpenetration)
+
+
+def compiled(transcription: LiteralTranscription) -> PolynomialNlp:
+    return compile_nlp(transcription.prog(), transcription.elimination_order())
+
+
+@pytest.mark.parametrize("name", ["HS40", "HS71, two bounds active", "HS78", "the contact problem"])
+def test_derivatives_are_those_of_finite_differences(name: str) -> None:
+    nlp = compiled(literal(True)) if name not in PROBLEMS else compile_nlp(PROBLEMS[name].program())
+    rng = np.random.default_rng(0)
+    x, multipliers = rng.uniform(0.5, 2.0, nlp.num_variables), rng.normal(size=nlp.num_rows)
+    x = np.where(nlp.lower == nlp.upper, nlp.lower, x)
+    structure = nlp.kkt_structure
+    assert structure.rows.size == nlp.num_rows
+    scales = np.ones(nlp.num_costs + nlp.num_rows)
+
+    def lagrangian_gradient(y: np.ndarray) -> np.ndarray:
+        gradient, band = structure.assemble(y, scales, multipliers)
+        force = dense(band) @ structure.join(0.0, multipliers)
+        return gradient + structure.split(force)[0]
+
+    gradient, band = structure.assemble(x, scales, multipliers)
+    matrix = dense(band)
+    numeric_gradient, numeric_jacobian = numeric_derivatives(nlp, x)
+    free, places = structure.free, structure.variable_places
+    jacobian = matrix[np.ix_(structure.row_places, places)]
+    np.testing.assert_allclose(gradient, numeric_gradient[free], rtol=1e-6, atol=1e-7)
+    np.testing.assert_allclose(jacobian, numeric_jacobian[:, free], rtol=1e-6, atol=1e-7)
+    assert np.all(matrix[np.ix_(structure.row_places, structure.row_places)] == 0.0)
+    direction = np.zeros(x.size)
+    direction[free] = rng.normal(size=free.size)
+    h = 1e-6
+    change = lagrangian_gradient(x + h * direction) - lagrangian_gradient(x - h * direction)
+    hessian = matrix[np.ix_(places, places)]
+    np.testing.assert_allclose(hessian @ direction[free], change / (2 * h), rtol=1e-6, atol=1e-6)
+
+
+def test_rows_and_costs_are_those_of_the_program() -> None:
+    transcription = literal(False)
+    prog, nlp = transcription.prog(), compiled(transcription)
+    x = np.random.default_rng(1).normal(size=prog.num_vars())
+    cost, rows = nlp.evaluate(x)
+    assert cost == pytest.approx(
+        sum(prog.EvalBinding(binding, x)[0] for binding in prog.GetAllCosts()), rel=1e-13
+    )
+    bindings = [
+        binding
+        for binding in prog.GetAllConstraints()
+        if not isinstance(binding.evaluator(), BoundingBoxConstraint)
+    ]
+    expected = [prog.EvalBinding(b, x)[0] - b.evaluator().upper_bound()[0] for b in bindings]
+    np.testing.assert_allclose(np.sort(rows), np.sort(expected), atol=1e-14)
+    names = [b.evaluator().get_description() for b in bindings]
+    assert sorted(nlp.row_names) == sorted(names)
+
+
+def test_stages_make_a_narrow_band_whatever_the_horizon() -> None:
+    widths = {compiled(literal(True, time_step=dt)).kkt_structure.bandwidth for dt in (0.1, 0.01)}
+    assert widths == {5}
+    without_order = compile_nlp(literal(True).prog()).kkt_structure
+    assert without_order.bandwidth <= 8
+
+
+@given(
+    st.integers(1, 30), st.integers(0, 6), st.floats(0.0, 0.6), st.integers(0, 2**32 - 1), st.data()
+)
+def test_band_factors_solve_and_count_negative_eigenvalues(
+    size: int, bandwidth: int, share_of_rows: float, seed: int, data: st.DataObject
+) -> None:
+    rng = np.random.default_rng(seed)
+    bandwidth = min(bandwidth, size - 1)
+    band = rng.normal(size=(bandwidth + 1, size))
+    is_row = rng.random(size) < share_of_rows
+    for d in range(bandwidth + 1):
+        band[d, : size - d][is_row[: size - d] & is_row[d:]] = 0.0
+    # As in KKT matrices: tiny entries where rows meet themselves, scales far apart elsewhere.
+    scale = 10.0 ** data.draw(st.integers(-6, 6))
+    band[0] *= scale
+    band[0, is_row] = -1e-10
+    matrix = dense(band)
+    eigenvalues = np.linalg.eigvalsh(matrix)
+    if np.min(np.abs(eigenvalues)) < 1e-12 * np.max(np.abs(eigenvalues)):
+        return  # too near singular for either to count
+    factors = BandFactors(size, bandwidth)
+    assert factors.factorise(np.asfortranarray(band)) == np.count_nonzero(eigenvalues < 0.0)
+    x = rng.normal(size=size)
+    right = matrix @ x
+    rest = matrix @ factors.solve(right) - right
+    norm = np.max(np.abs(eigenvalues)) * np.max(np.abs(factors.solve(right)))
+    # Pivots of 1e-8 let rounding grow by 1e8; each refinement takes as much off again.
+    assert np.max(np.abs(rest)) <= 1e-10 * max(norm, np.max(np.abs(right)))
+
+
+def test_a_singular_matrix_has_no_inertia() -> None:
+    assert BandFactors(3, 1).factorise(np.zeros((2, 3), order="F")) == -1
+    assert BandFactors(2, 0).factorise(np.array([[1.0, np.nan]], order="F")) == -1
+
+
+@pytest.mark.parametrize("nonpenetration", [False, True])
+@pytest.mark.parametrize("row", [1, 2, 3, 4])
+def test_drakes_solvers_find_nothing_better_nearby(row: int, nonpenetration: bool) -> None:
+    transcription = literal(nonpenetration, row, time_step=0.05)
+    center = transcription.initial_box()[0]
+    result = InteriorPoint().solve(compiled(transcription), center)
+    assert result.is_success
+    assert result.residual <= 1e-12
+    options = SolverOptions()
+    options.SetOption(IpoptSolver.id(), "tol", 1e-9)
+    options.SetOption(IpoptSolver.id(), "mu_init", 1e-9)
+    options.SetOption(IpoptSolver.id(), "bound_push", 1e-9)
+    options.SetOption(IpoptSolver.id(), "bound_frac", 1e-9)
+    for solver in (SnoptSolver(), IpoptSolver()):
+        peer = solver.Solve(transcription.prog(), result.x, options)
+        assert peer.get_optimal_cost() == pytest.approx(result.cost, rel=1e-4, abs=1e-7)
+        np.testing.assert_allclose(
+            transcription.split(peer.get_x_val())[0], transcription.split(result.x)[0], atol=1e-3
+        )
+
+
+def test_random_starts_converge_within_bounds() -> None:
+    transcription = literal(True, row=2)
+    nlp = compiled(transcription)
+    rng = np.random.default_rng(3)
+    starts = rng.normal(scale=2.0, size=(10, nlp.num_variables))
+    results = [InteriorPoint().solve(nlp, start) for start in starts]
+    assert all(result.is_success for result in results)
+    for result in results:
+        assert max(transcription.defects(result.x).values()) <= 1e-8
+        assert np.all(result.x >= nlp.lower)
+
+
+def test_a_warm_start_takes_few_steps_and_stays() -> None:
+    nlp = compiled(literal(True))
+    cold = InteriorPoint().solve(nlp, np.zeros(nlp.num_variables))
+    warm = InteriorPoint.warm(initial_barrier=1e-9).solve(nlp, cold.x)
+    assert warm.iterations <= cold.iterations / 3
+    np.testing.assert_allclose(warm.x, cold.x, atol=1e-5)
+
+
+def test_the_same_start_gives_the_same_bits() -> None:
+    nlp = compiled(literal(True))
+    start = np.random.default_rng(4).normal(size=nlp.num_variables)
+    one, other = (InteriorPoint().solve(nlp, start) for _ in range(2))
+    assert one.x.tobytes() == other.x.tobytes()
+    assert one.history == other.history
+
+
+def test_the_order_of_elimination_does_not_change_the_optimum() -> None:
+    transcription = literal(False)
+    start = transcription.initial_box()[0]
+    costs = [
+        InteriorPoint().solve(compile_nlp(transcription.prog(), order), start).cost
+        for order in (None, transcription.elimination_order(), range(len(start))[::-1])
+    ]
+    assert costs == pytest.approx([costs[0]] * 3, rel=1e-7)
+
+
+def test_equal_bounds_hold_a_variable() -> None:
+    problem = Problem(
+        lambda x: sum((v - 1) ** 2 for v in x),
+        lambda x: [x[0] * x[1] - 6],
+        [7.0, 7.0, 7.0],
+        lower=[2.0, -INF, 4.0],
+        upper=[2.0, INF, 4.0],
+    )
+    result = problem.solve()
+    assert result.is_success
+    np.testing.assert_allclose(result.x, [2.0, 3.0, 4.0], rtol=1e-14)
+
+
+def test_a_program_with_nothing_left_to_choose_is_checked() -> None:
+    def problem(product: float) -> Problem:
+        bounds = [2.0, 3.0]
+        return Problem(
+            lambda x: x[0], lambda x: [x[0] * x[1] - product], bounds, 2.0, bounds, bounds
+        )
+
+    assert problem(6.0).solve().status is LocalStatus.CONVERGED
+    assert problem(7.0).solve().status is LocalStatus.INFEASIBLE
+
+
+def test_an_affine_row_of_one_variable_is_a_bound() -> None:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(2, "x")
+    prog.AddLinearConstraint(np.array([[-2.0, 0.0], [0.0, 0.0]]), [-6.0, -INF], [4.0, INF], x)
+    prog.AddLinearConstraint(3 * x[1] + 1 == 7)
+    nlp = compile_nlp(prog)
+    np.testing.assert_array_equal(nlp.lower, [-2.0, 2.0])
+    np.testing.assert_array_equal(nlp.upper, [3.0, 2.0])
+    assert nlp.num_rows == 0
+
+
+def test_a_start_outside_of_bounds_is_moved_inside() -> None:
+    problem = PROBLEMS["HS71, two bounds active"]
+    nlp = compile_nlp(problem.program())
+    result = InteriorPoint().solve(nlp, [-100.0, 100.0, 7.0, 7.0, -3.0])
+    assert result.cost == pytest.approx(problem.optimum, abs=1e-6)
+    first = InteriorPoint(max_iterations=0).solve(nlp, [-100.0, 100.0, 7.0, 7.0, -3.0])
+    assert first.status is LocalStatus.ITERATION_LIMIT
+    assert np.all((nlp.lower < first.x) & (first.x < nlp.upper))
+
+
+@pytest.mark.parametrize(
+    ("problem", "status"),
+    [
+        (
+            Problem(lambda x: x[0] ** 2, lambda x: [x[0] + x[1] - 1, x[0] + x[1] - 2], [3.0, -1.0]),
+            LocalStatus.INFEASIBLE,
+        ),
+        (
+            Problem(lambda x: x[0] + x[1], lambda x: [x[0] ** 2 + x[1] ** 2 + 1], [3.0, -1.0]),
+            LocalStatus.INFEASIBLE,
+        ),
+        (
+            Problem(
+                lambda x: x[1], lambda x: [x[0] * x[1] + 1], [3.0, 2.0], lower=[1, 0], upper=[9, 9]
+            ),
+            LocalStatus.INFEASIBLE,
+        ),
+        (
+            Problem(lambda x: x[0] - x[1], lambda x: [x[0] + x[1]], [3.0, 2.0]),
+            LocalStatus.UNBOUNDED,
+        ),
+        (Problem(lambda x: -log(x[0]), lambda x: [], [-1.0]), LocalStatus.NOT_FINITE),
+    ],
+)
+def test_what_can_not_be_solved_is_told(problem: Problem, status: LocalStatus) -> None:
+    result = problem.solve()
+    assert result.status is status
+    assert not result.is_success
+    assert np.all(np.isfinite(result.x))
+
+
+def test_the_history_ends_in_the_result() -> None:
+    result = PROBLEMS["HS71, two bounds active"].solve()
+    last = result.history[-1]
+    assert last.optimality == result.optimality
+    assert last.cost == pytest.approx(result.cost)
+    assert len(result.history) == result.iterations + 1
+    assert [h.barrier for h in result.history] == sorted(
+        (h.barrier for h in result.history), reverse=True
+    )
+
+
+def test_results_are_read_only() -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        PROBLEMS["HS6"].solve().x[0] = 1.0
+
+
+def constrained(add: Callable[[MathematicalProgram, Any], object]) -> MathematicalProgram:
+    prog = MathematicalProgram()
+    add(prog, prog.NewContinuousVariables(2, "x"))
+    return prog
+
+
+@pytest.mark.parametrize(
+    ("add", "message"),
+    [
+        (lambda p, x: p.AddConstraint(sin(x[0]) == 0), r"'ExpressionConstraint'.*not known to be"),
+        (lambda p, x: p.AddConstraint(1 / x[0] == x[1]), "Multiply denominators out"),
+        (lambda p, x: p.AddConstraint(x[0] * x[1] >= 1), r"inequality.*variable s of its own"),
+        (lambda p, x: p.AddConstraint(x[0] + x[1] <= 1), "an inequality of several variables"),
+        (lambda p, x: p.AddConstraint(lambda z: z, [0.0], [0.0], x[:1]), "PyFunctionConstraint"),
+        (lambda p, x: p.AddLorentzConeConstraint(x), "LorentzConeConstraint"),
+        (
+            lambda p, x: p.AddQuadraticConstraint(np.full((2, 2), np.nan), np.zeros(2), 0, 0, x),
+            "got NaN among its numbers",
+        ),
+        (
+            lambda p, x: (p.AddConstraint(x[0] >= 3), p.AddConstraint(x[0] <= 2)),
+            r"bounds of x\(0\) leave it no value: got \[3, 2\]",
+        ),
+        (lambda p, x: p.AddCost(sin(x[0])), "the cost"),
+    ],
+)
+def test_unsupported_programs_are_refused_by_name(
+    add: Callable[[MathematicalProgram, Any], object], message: str
+) -> None:
+    with pytest.raises(UnsupportedTermError, match=message):
+        compile_nlp(constrained(add))
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda nlp: InteriorPoint().solve(nlp, [1.0]), r"x0: got shape \(1,\), expected \(2,\)"),
+        (
+            lambda nlp: InteriorPoint().solve(nlp, [1.0, np.nan]),
+            r"x0: got 1 entries that are NaN or infinite.*initial guess is NaN",
+        ),
+        (lambda nlp: InteriorPoint(tolerance=0.0), "tolerance: got 0.0, expected a positive"),
+        (lambda nlp: InteriorPoint(bound_push=0.5), "bound_push: got 0.5, expected less than"),
+        (lambda nlp: InteriorPoint(max_iterations=-1), "max_iterations: got -1"),
+        (lambda nlp: nlp.evaluate([1.0]), "the point: got shape"),
+        (
+            lambda nlp: compile_nlp(PROBLEMS["HS6"].program(), [0, 0]),
+            "the elimination order: got 2 entries",
+        ),
+    ],
+)
+def test_bad_numbers_are_refused(call: Callable[[PolynomialNlp], object], message: str) -> None:
+    nlp = compile_nlp(PROBLEMS["HS6"].program())
+    with pytest.raises(OptionsError, match=message):
+        call(nlp)
