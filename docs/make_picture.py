@@ -1,6 +1,6 @@
 """Draws the picture of README: row 1 of the paper's Table I, and what a rigid wall makes of it.
 
-    python docs/make_picture.py [docs/images/table1_row1.png]
+python docs/make_picture.py [docs/images/table1_row1.png]
 """
 
 from __future__ import annotations
@@ -13,14 +13,13 @@ import matplotlib as mpl
 
 from drake_aigto import Planner, PlanOptions, Scenario
 from drake_aigto.baselines import gradient_from_zero
-from drake_aigto.planning import PlanningProblem
-from drake_aigto.planning.planner import make_transcription
+from drake_aigto.planning import PlanningProblem, make_transcription
 from drake_aigto.show.figures import plot_motions
 from drake_aigto.show.motion import Motion, motions_of_plan
 
 mpl.use("Agg")
 
-import matplotlib.pyplot as plt  # noqa: E402 (the backend comes first)
+import matplotlib.pyplot as plt
 
 
 def main(path: Path) -> None:

@@ -130,7 +130,7 @@ def test_a_plan_moves_along_with_the_wall(tmp_path: Path) -> None:
 def test_every_candidate_comes_from_a_rung_and_the_best_is_chosen() -> None:
     found = plan(BOUNCE, QUICK)
     origins = {c.origin.split("; contacts moved")[0] for c in found.candidates}
-    assert origins <= {f"annealing, {rung}" for rung in QUICK.ladder}
+    assert origins <= {QUICK.describe(rung) for rung in QUICK.ladder}
     assert found.cost == min(c.cost for c in found.candidates if c.max_defect <= 1e-6)
     assert found.best is found.candidates[0]
     assert found.trajectory is found.best.trajectory
@@ -192,7 +192,7 @@ def test_ctrl_c_keeps_the_candidates_so_far() -> None:
 
     found = Planner(BOUNCE, QUICK).plan(progress=interrupt)
     assert 1 <= len(found.candidates) <= 2  # one rung proposes two sequences at most
-    assert lines[0].startswith("AIGO 1 of 2: temperature")
+    assert lines[0].startswith("AIGO 1 of 2: annealing from temperature")
 
 
 def test_nothing_feasible_is_an_error_that_says_what_was_tried(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.planning.plan import Candidate
-from drake_aigto.planning.planner import PlanningProblem
+from drake_aigto.planning.problem import PlanningProblem
 
 
 def gradient_from_zero(problem: PlanningProblem) -> Candidate:

@@ -2,7 +2,8 @@
 
 from drake_aigto.planning.options import PlanOptions, Rung
 from drake_aigto.planning.plan import Candidate, Plan, PlanStats, Replays
-from drake_aigto.planning.planner import Planner, PlanningError, PlanningProblem, plan
+from drake_aigto.planning.planner import Planner, PlanningError, plan
+from drake_aigto.planning.problem import PlanningProblem, make_transcription
 from drake_aigto.planning.replay import (
     Replay,
     confirms,
@@ -22,6 +23,7 @@ __all__ = [
     "Replays",
     "Rung",
     "confirms",
+    "make_transcription",
     "plan",
     "replay_drake",
     "replay_event_driven",

@@ -35,9 +35,8 @@ class Rung:
     weights: Mapping[str, float]
 
     def __str__(self) -> str:
-        """Returns how tables and plan files name this rung."""
-        weights = ", ".join(f"{name} {weight:g}" for name, weight in self.weights.items())
-        return f"temperature {self.temperature:g}; {weights}"
+        """Returns the weights, as tables and plan files show them."""
+        return ", ".join(f"{name} {weight:g}" for name, weight in self.weights.items())
 
 
 def _rung(temperature: float, kinematics: float, dynamics: float) -> Rung:
@@ -90,6 +89,12 @@ class PlanOptions:
                 raise OptionsError(name, got=repr(got), expected=f"one of {', '.join(known)}")
         if not self.ladder:
             raise OptionsError("ladder", got="no rung", expected="at least one")
+
+    def describe(self, rung: Rung) -> str:
+        """Returns how tables and plan files name a start of AIGO."""
+        if self.algorithm == "annealing":
+            return f"annealing from temperature {rung.temperature:g}; weights {rung}"
+        return f"full gradient; weights {rung}"
 
     def make_algorithm(self, rung: Rung) -> Algorithm:
         """Returns AIGO's algorithm for a rung."""

@@ -21,9 +21,10 @@ from drake_aigto.planning import (
     PlanningProblem,
     PlanOptions,
     Replays,
+    make_transcription,
 )
 from drake_aigto.planning.options import AlgorithmName, LocalSolverName
-from drake_aigto.planning.planner import LARGEST_DEFECT, make_transcription
+from drake_aigto.planning.search import LARGEST_DEFECT
 from drake_aigto.world import Scenario
 
 ROWS = (1, 2, 3, 4)
