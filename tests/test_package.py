@@ -108,6 +108,19 @@ print(models_directory(), *world.calc_signed_distance(np.array([1.0])), sep="|")
     assert float(distance) == pytest.approx(1.0)
 
 
+def test_installed_wheel_has_the_command(installed: Path) -> None:
+    result = subprocess.run(
+        [sys.executable, str(installed / "bin" / "drake-aigto"), "plan", "--help"],
+        cwd=installed,
+        env={**os.environ, "PYTHONPATH": str(installed)},
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    # The scenarios that it names are those in the wheel.
+    assert "table1/1" in result.stdout
+
+
 def test_every_module_imports_where_nothing_can_be_written(installed: Path) -> None:
     # Files where folders should be stop root too, whom permissions do not.
     blocker = installed / "blocker"
