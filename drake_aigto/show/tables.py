@@ -10,8 +10,8 @@ from drake_aigto.world import Scenario
 
 _WIDTH = 100
 _COLUMNS = (
-    ("method", 24),
-    ("before", 8),
+    ("method", 22),
+    ("before", 12),
     ("cost", 8),
     ("defect", 7),
     ("in wall", 8),
@@ -19,16 +19,16 @@ _COLUMNS = (
     ("rigid", 8),
     ("miss", 8),
     ("Drake", 8),
-    ("verdict", 8),
+    ("wall", 6),
     ("s", 5),
 )
 _LEGEND = """\
-before   cost of what the local solver started from (for AIGTO: AIGO's own result)
+before   cost / largest defect of what the local solver began with (for AIGTO: AIGO's last box)
 cost     J of the plan;  defect: its largest dynamics defect, m or m/s (* above 1e-6: no solution)
 in wall  the plan's deepest penetration;  energy: kinetic energy after / before its contact
 rigid    J of its control alone on an exactly rigid wall (event-driven);  miss: goal error there
 Drake    J of its control alone on Drake's plant (compliant wall, Radau3)
-verdict  holds if both simulations come within 5 % + 4e-6 of the plan's cost and 2 mm of its goal"""
+wall     holds if both simulations come within 5 % + 4e-6 of the plan's cost and 2 mm of its goal"""
 
 
 def format_table1(cells: Sequence[Cell]) -> str:
@@ -42,7 +42,8 @@ def format_plan(plan: Plan) -> str:
     best = plan.best
     lines = [
         f"scenario    {_describe(plan.scenario)}",
-        f"plan        {plan.transcription}; {best.origin}",
+        f"plan        {plan.transcription}",
+        *(f"            {part}" for part in best.origin.split("; ")),
         f"            cost {plan.cost:.3e}, ends {_length(best.goal_error)} off the goal",
         f"            defects: {_defects(best)}",
         f"            deepest penetration {_length(best.max_penetration)}, kinetic energy after / "
@@ -104,7 +105,7 @@ def _entry_line(entry: Entry, seconds: float | None) -> str:
     return _join(
         (
             f"  {entry.label}",
-            f"{run.start_cost:.1e}",
+            f"{run.start_cost:.0e}/{max(run.start_defects.values()):.0e}",
             f"{run.cost:.1e}",
             f"{run.max_defect:.0e}{'' if entry.is_feasible else '*'}",
             _length(run.max_penetration),
@@ -127,13 +128,21 @@ def _join(texts: Iterable[str]) -> str:
 
 def _summary(cells: Sequence[Cell]) -> str:
     entries = [entry for cell in cells for method in cell.methods for entry in method.entries]
-    holding = [entry for entry in entries if entry.holds]
-    bounced = sum(1 for entry in holding if entry.candidate.contacts)
-    return (
-        f"{len(holding)} of {len(entries)} plans hold on a rigid wall, {bounced} of them with a "
-        "contact.\nThe literal transcription's contacts are free impulses, and its wall pushes "
-        "from afar: a low\ncost is real only where the verdict says so."
-    )
+    lines = [
+        f"{sum(entry.holds for entry in entries)} of {len(entries)} plans hold on a rigid wall:",
+        *_holding(cells),
+        "The literal transcription's contacts are free impulses, and its wall pushes from afar: a",
+        "low cost is real only where it holds.",
+    ]
+    return "\n".join(lines)
+
+
+def _holding(cells: Iterable[Cell]) -> Iterator[str]:
+    for cell in cells:
+        labels = [e.label for method in cell.methods for e in method.entries if e.holds]
+        if labels:
+            bound = "φ ≥ 0" if cell.nonpenetration else "φ free"
+            yield f"  row {cell.row}, {bound}: {'; '.join(labels)}"
 
 
 def _describe(scenario: Scenario, brief: bool = False) -> str:
