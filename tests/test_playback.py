@@ -259,13 +259,17 @@ def test_the_top_of_the_picture_is_the_far_side_of_the_track() -> None:
     assert sorted(set(triangles.tolist())) == [0, 1, 2, 3]
 
 
-def test_labels_fit_on_the_track(world: World, scenario: Scenario) -> None:
-    longest = "simulation: Drake, compliant wall"
-    track = Track([longest], start=0, end=5.5 * 0.2, lane_width=0.2, marks={})
+@pytest.mark.parametrize("end", [1.0, 0.0])
+def test_all_that_is_written_fits_on_the_track(end: float) -> None:
+    labels = ["plan (not a simulation)", "simulation: Drake, compliant wall"]
+    marks = {"start": end, "goal": end}
+    track = Track(labels, start=-0.05, end=1.05, lane_width=0.2, marks=marks)
     figure = track.paint()
-    (text,) = (text for text in figure.axes[0].texts if text.get_text() == longest)
-    box = text.get_window_extent().transformed(figure.axes[0].transData.inverted())
-    assert box.x0 > 0 and box.x1 < 1.1 and box.height < 0.1
+    (axes,) = figure.axes
+    for text in axes.texts:
+        box = text.get_window_extent().transformed(axes.transData.inverted())
+        assert box.x0 >= -0.05 and box.x1 <= 1.05, text
+        assert abs(box.y0) <= track.half_width + track.margin >= abs(box.y1)
 
 
 def test_a_page_is_written_whole_and_holds_all(

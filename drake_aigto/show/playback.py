@@ -34,7 +34,8 @@ _LEAST_LENGTH = 5.5  # of the track, in widths of a lane, so that labels fit
 
 _FIELD_OF_VIEW = 30.0  # vertical [deg]
 _CAMERA_TILT = np.deg2rad(48.0)  # above the track
-_CAMERA_DISTANCE = 1.9  # as a part of the track's length
+# As parts of the track's length, level and upright: a window is wider than it is high.
+_CAMERA_DISTANCES = (1.9, 2.5)
 
 
 def play(plan: Plan, meshcat: Meshcat, world: World) -> None:
@@ -128,7 +129,8 @@ def _aim_camera(stage: Stage, track: Track, meshcat: Meshcat) -> None:
     """Looks at the middle of the track from its near side, and from above."""
     # A little before the middle, as the wall stands there.
     middle = np.array([0.54 * track.start + 0.46 * track.end, 0.0, 0.0])
-    distance = _CAMERA_DISTANCE * track.length
+    steepness = abs(stage.X_WT.rotation().matrix()[2, 0])
+    distance = np.interp(steepness, [0, 1], _CAMERA_DISTANCES) * track.length
     back = np.array([0.0, -np.cos(_CAMERA_TILT), np.sin(_CAMERA_TILT)])
     meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=_FIELD_OF_VIEW))
     meshcat.SetCameraPose(

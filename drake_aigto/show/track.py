@@ -34,6 +34,7 @@ _TINT = 0.2  # of a lane's color on white
 _LABEL_HEIGHT, _LABEL_INSET, _LABEL_RISE = 0.25, 0.5, 0.1
 # … the size of the scale's numbers, and the strip for them along either side.
 _SCALE_HEIGHT, _MARGIN = 0.22, 0.7
+_BOLD_WIDTH = 0.67  # of a letter on average, as a part of the font's size
 
 
 @dataclass(frozen=True)
@@ -116,9 +117,7 @@ class Track:
         edge = -self.half_width
         for x in MaxNLocator(nbins=7, steps=[1, 2, 5, 10]).tick_values(self.start, self.end):
             text = f"{x:.12g} m"
-            half_width = len(text) * _SCALE_HEIGHT * self.lane_width / 3
-            # Numbers are whole, or not there.
-            if self.start + half_width <= x <= self.end - half_width:
+            if x == self._move_inside(x, text):  # Numbers are whole, and in place, or not there.
                 axes.plot([x, x], [edge, edge - 0.12 * self.margin], color=_INK, linewidth=3)
                 self._write(axes, x, edge - 0.2 * self.margin, text, va="top")
 
@@ -132,7 +131,13 @@ class Track:
             place = next((other for other in names if abs(other - x) < self.lane_width), x)
             names[place] = f"{names[place]}, {name}" if place in names else name
         for x, name in names.items():
+            x = self._move_inside(x, name)
             self._write(axes, x, edge + 0.1 * self.margin, name, va="bottom")
+
+    def _move_inside(self, x: float, text: str) -> float:
+        """Returns the nearest place to x where a text over it is whole."""
+        half_width = len(text) * _BOLD_WIDTH * _SCALE_HEIGHT * self.lane_width / 2
+        return min(max(x, self.start + half_width), self.end - half_width)
 
     def _write(self, axes: Axes, x: float, y: float, text: str, va: str) -> None:
         """Writes a text over x, below or above y."""
