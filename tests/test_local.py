@@ -157,6 +157,14 @@ PROBLEMS = {
         [3.0, -1.0],
         0.5,
     ),
+    "bounds that steps below rounding lead to": Problem(
+        lambda x: 1e6 * x[0] - x[1],
+        lambda x: [x[2] - x[0] - 5],
+        [2e8, 0.0, 0.0],
+        1e14 - 3.0,
+        [1e8, -INF, -INF],
+        [INF, 3.0, INF],
+    ),
     "no rows": Problem(lambda x: (x[0] - 1) ** 2 + (x[1] - 3) ** 4, lambda x: [], [5.0, 1.0], 0.0),
     "a log barrier": Problem(
         lambda x: 2 * x[0] - log(x[0] - 3), lambda x: [], [9.0], 7.0 + math.log(2.0)

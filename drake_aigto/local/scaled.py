@@ -24,7 +24,7 @@ class Point:
         y: The free variables.
         cost: s f.
         rows: s c (ma,).
-        slacks: Distances to lower bounds, then to upper bounds (nb,), positive.
+        slacks: Distances to lower bounds, then to upper bounds (nb,), kept positive.
     """
 
     y: Floats
@@ -92,6 +92,9 @@ class ScaledProblem:
         self.num_lower = low.size
         self._signs = np.repeat([1.0, -1.0], [low.size, high.size])
         self._limits = np.concatenate([self.lower[low], -self.upper[high]])
+        # Nearer than rounding is on the bound, where barriers are infinite.
+        least = np.finfo(float).eps * np.abs(self._limits)
+        self._least_slacks = np.maximum(least, np.finfo(float).tiny)
         held_rows = np.delete(nlp.evaluate(x)[1], self.structure.rows)
         self.held_residual = float(np.max(np.abs(held_rows), initial=0.0))
         self._scales = np.ones(nlp.num_costs + nlp.num_rows)
@@ -129,7 +132,7 @@ class ScaledProblem:
     def point(self, y: Floats) -> Point:
         """Evaluate."""
         cost, rows = self._nlp.evaluate(self.full(y))
-        slacks = self._signs * y[self.bounded] - self._limits
+        slacks = np.maximum(self._signs * y[self.bounded] - self._limits, self._least_slacks)
         return Point(y, self.cost_scale * cost, self.row_scales * rows[self.structure.rows], slacks)
 
     def linearise(self, y: Floats, multipliers: Floats) -> Linearisation:

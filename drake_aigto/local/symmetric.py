@@ -96,6 +96,55 @@ def _force_pivot(front: Floats, active: Ints, count: int, summed: int) -> int:
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
+def _enter(band: Floats, front: Floats, active: Ints, count: int, unknown: int) -> None:
+    """Put an unknown's row into the front, as its last."""
+    bandwidth = band.shape[0] - 1
+    for k in range(count):
+        distance = unknown - active[k]
+        entry = band[distance, active[k]] if distance <= bandwidth else 0.0
+        front[count, k] = front[k, count] = entry
+    front[count, count] = band[0, unknown]
+    active[count] = unknown
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _eliminate_one(
+    front: Floats, active: Ints, count: int, indices: Ints, entries: Floats, fill: int
+) -> int:
+    """Take unknown `count` out of those before it; append its column of L, return the new fill."""
+    pivot = front[count, count]
+    for k in range(count):
+        factor = front[count, k] / pivot
+        if factor == 0.0:
+            continue
+        indices[fill], entries[fill] = active[k], factor
+        fill += 1
+        for j in range(count):
+            front[k, j] -= factor * front[count, j]
+    return fill
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _eliminate_pair(
+    front: Floats, active: Ints, count: int, indices: Ints, entries: Floats, fill: int
+) -> int:
+    """Take unknowns `count` and `count` + 1 out together, as `_eliminate_one` does with one."""
+    a, b, c = front[count, count], front[count, count + 1], front[count + 1, count + 1]
+    determinant = a * c - b * b
+    for k in range(count):
+        first, second = front[count, k], front[count + 1, k]
+        if first == 0.0 and second == 0.0:
+            continue
+        factor_1 = (c * first - b * second) / determinant
+        factor_2 = (a * second - b * first) / determinant
+        indices[fill], entries[fill], entries[fill + 1] = active[k], factor_1, factor_2
+        fill += 2
+        for j in range(count):
+            front[k, j] -= factor_1 * front[count, j] + factor_2 * front[count + 1, j]
+    return fill
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def _factorise(
     band: Floats,
     front: Floats,
@@ -120,20 +169,13 @@ def _factorise(
         entries: Filled with its entries, pairs of them for the first of a 2×2 pivot.
     """
     bandwidth, size = band.shape[0] - 1, band.shape[1]
-    capacity = active.size
     count = entered = done = fill = negative = 0
     while done < size:
         summed = size if entered == size else entered - bandwidth
         p, q = _choose_pivot(front, active, count, summed)
-        if p < 0 and entered < size and count < capacity:
-            for k in range(count):
-                distance = entered - active[k]
-                entry = band[distance, active[k]] if distance <= bandwidth else 0.0
-                front[count, k] = front[k, count] = entry
-            front[count, count] = band[0, entered]
-            active[count] = entered
-            count += 1
-            entered += 1
+        if p < 0 and entered < size and count < active.size:
+            _enter(band, front, active, count, entered)
+            count, entered = count + 1, entered + 1
             continue
         if p < 0:
             p = _force_pivot(front, active, count, summed)
@@ -143,17 +185,9 @@ def _factorise(
         if q < 0:
             count -= 1
             _swap(front, active, p, count, count + 1)
-            pivot = front[count, count]
-            negative += pivot < 0.0
-            pivots[done] = active[count]
-            inverses[done, 0] = 1.0 / pivot
-            for k in range(count):
-                factor = front[count, k] / pivot
-                if factor != 0.0:
-                    indices[fill], entries[fill] = active[k], factor
-                    fill += 1
-                    for j in range(count):
-                        front[k, j] -= factor * front[count, j]
+            pivots[done], inverses[done, 0] = active[count], 1.0 / front[count, count]
+            negative += front[count, count] < 0.0
+            fill = _eliminate_one(front, active, count, indices, entries, fill)
             done += 1
             continue
         count -= 2
@@ -161,21 +195,11 @@ def _factorise(
         _swap(front, active, min(p, q), count, count + 2)
         a, b, c = front[count, count], front[count, count + 1], front[count + 1, count + 1]
         determinant = a * c - b * b
-        negative += 1 if determinant < 0.0 else (2 if a < 0.0 else 0)
         pivots[done], pivots[done + 1] = -1 - active[count], active[count + 1]
         inverses[done, 0], inverses[done, 1] = c / determinant, -b / determinant
         inverses[done + 1, 0], inverses[done + 1, 1] = -b / determinant, a / determinant
-        for k in range(count):
-            first, second = front[count, k], front[count + 1, k]
-            if first == 0.0 and second == 0.0:
-                continue
-            factor_1 = (c * first - b * second) / determinant
-            factor_2 = (a * second - b * first) / determinant
-            indices[fill] = active[k]
-            entries[fill], entries[fill + 1] = factor_1, factor_2
-            fill += 2
-            for j in range(count):
-                front[k, j] -= factor_1 * front[count, j] + factor_2 * front[count + 1, j]
+        negative += 1 if determinant < 0.0 else (2 if a < 0.0 else 0)
+        fill = _eliminate_pair(front, active, count, indices, entries, fill)
         starts[done + 1] = fill
         done += 2
     starts[size] = fill

@@ -11,9 +11,9 @@ from drake_aigto.aigo import AigoResult, Box, PenaltyContinuation, minimize
 from drake_aigto.box import BoxPolynomial, compile_program
 from drake_aigto.local import InteriorPoint, PolynomialNlp, compile_nlp
 from drake_aigto.planning.contacts import find_contacts, max_penetration
+from drake_aigto.planning.drake_solvers import solve_with_drake
 from drake_aigto.planning.options import PlanOptions, Rung
 from drake_aigto.planning.plan import Candidate
-from drake_aigto.planning.drake_solvers import solve_with_drake
 from drake_aigto.planning.replay import replay_event_driven
 from drake_aigto.planning.sequence import Knots, ballistic_guess, contact_knots
 from drake_aigto.transcription import LiteralTranscription, Transcription
