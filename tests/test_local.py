@@ -158,10 +158,10 @@ PROBLEMS = {
         0.5,
     ),
     "bounds that steps below rounding lead to": Problem(
-        lambda x: 1e6 * x[0] - x[1],
+        lambda x: x[0] - 1e8 - x[1],
         lambda x: [x[2] - x[0] - 5],
         [2e8, 0.0, 0.0],
-        1e14 - 3.0,
+        -3.0,
         [1e8, -INF, -INF],
         [INF, 3.0, INF],
     ),

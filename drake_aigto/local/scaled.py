@@ -92,8 +92,8 @@ class ScaledProblem:
         self.num_lower = low.size
         self._signs = np.repeat([1.0, -1.0], [low.size, high.size])
         self._limits = np.concatenate([self.lower[low], -self.upper[high]])
-        # Nearer than rounding is on the bound, where barriers are infinite.
-        least = np.finfo(float).eps * np.abs(self._limits)
+        # On a bound, which rounding leads to, barriers are infinite: a slack too small to move y.
+        least = np.finfo(float).eps ** 1.5 * np.abs(self._limits)
         self._least_slacks = np.maximum(least, np.finfo(float).tiny)
         held_rows = np.delete(nlp.evaluate(x)[1], self.structure.rows)
         self.held_residual = float(np.max(np.abs(held_rows), initial=0.0))
