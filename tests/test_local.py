@@ -157,14 +157,6 @@ PROBLEMS = {
         [3.0, -1.0],
         0.5,
     ),
-    "bounds that steps below rounding lead to": Problem(
-        lambda x: x[0] - 1e8 - x[1],
-        lambda x: [x[2] - x[0] - 5],
-        [2e8, 0.0, 0.0],
-        -3.0,
-        [1e8, -INF, -INF],
-        [INF, 3.0, INF],
-    ),
     "no rows": Problem(lambda x: (x[0] - 1) ** 2 + (x[1] - 3) ** 4, lambda x: [], [5.0, 1.0], 0.0),
     "a log barrier": Problem(
         lambda x: 2 * x[0] - log(x[0] - 3), lambda x: [], [9.0], 7.0 + math.log(2.0)
@@ -404,6 +396,21 @@ def test_the_order_of_elimination_does_not_change_the_optimum() -> None:
         for order in (None, transcription.elimination_order(), range(len(start))[::-1])
     ]
     assert costs == pytest.approx([costs[0]] * 3, rel=1e-7)
+
+
+def test_a_bound_so_large_that_rounding_leads_onto_it() -> None:
+    result = Problem(
+        lambda x: x[0] - 1e8 - x[1],
+        lambda x: [x[2] - x[0] - 5],
+        [2e8, 0.0, 0.0],
+        lower=[1e8, -INF, -INF],
+        upper=[INF, 3.0, INF],
+    ).solve()
+    assert result.is_success
+    assert result.x[0] == pytest.approx(1e8, rel=1e-15)
+    np.testing.assert_allclose(result.lower_multipliers, [1.0, 0.0, 0.0], rtol=1e-6)
+    np.testing.assert_allclose(result.upper_multipliers, [0.0, 1.0, 0.0], rtol=1e-6)
+    assert result.x[0] >= 1e8
 
 
 def test_equal_bounds_hold_a_variable() -> None:
