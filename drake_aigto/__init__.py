@@ -7,12 +7,12 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from drake_aigto.errors import AigtoError as AigtoError
-    from drake_aigto.errors import MissingExtraError as MissingExtraError
     from drake_aigto.errors import ModelError as ModelError
     from drake_aigto.errors import OptionsError as OptionsError
     from drake_aigto.errors import OutputFileError as OutputFileError
     from drake_aigto.errors import PlanFileError as PlanFileError
     from drake_aigto.errors import ScenarioError as ScenarioError
+    from drake_aigto.errors import TrajectoryError as TrajectoryError
     from drake_aigto.errors import UnsupportedTermError as UnsupportedTermError
     from drake_aigto.planning import Candidate as Candidate
     from drake_aigto.planning import Plan as Plan
@@ -34,12 +34,12 @@ __version__ = "0.1.0"  # The only place that has it; the build reads it from her
 # Public name → module. Loaded on first use, so that `import drake_aigto` is quick.
 _EXPORTS = {
     "AigtoError": "drake_aigto.errors",
-    "MissingExtraError": "drake_aigto.errors",
     "ModelError": "drake_aigto.errors",
     "OptionsError": "drake_aigto.errors",
     "OutputFileError": "drake_aigto.errors",
     "PlanFileError": "drake_aigto.errors",
     "ScenarioError": "drake_aigto.errors",
+    "TrajectoryError": "drake_aigto.errors",
     "UnsupportedTermError": "drake_aigto.errors",
     "Candidate": "drake_aigto.planning",
     "Plan": "drake_aigto.planning",

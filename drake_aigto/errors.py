@@ -58,13 +58,13 @@ class PlanFileError(AigtoError, ValueError):
     """A plan file that is cut short, damaged, or from another version."""
 
 
+class TrajectoryError(AigtoError, ValueError):
+    """A trajectory, or a control to replay, whose numbers do not fit together."""
+
+
 class OutputFileError(AigtoError, OSError):
     """A file that can't be written."""
 
 
 class OptionsError(AigtoError, ValueError):
     """A numerical option outside its range."""
-
-
-class MissingExtraError(AigtoError, ImportError):
-    """An optional dependency that is not installed."""

@@ -16,7 +16,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drake_aigto import Scenario, ScenarioError, scenario_names
-from drake_aigto.errors import AigtoError, MissingExtraError
+from drake_aigto.errors import AigtoError, OutputFileError
 from drake_aigto.world.files import write_text
 
 ENDS: dict[str, Any] = {"initial_position": 1.0, "initial_velocity": -2.0, "goal_position": 0.73}
@@ -314,5 +314,5 @@ def test_an_error_reads_as_sentences(parts: dict[str, Any], text: str) -> None:
 def test_an_error_is_caught_as_what_python_calls_it() -> None:
     with pytest.raises(ValueError, match="mass"):
         raise ScenarioError("mass")
-    with pytest.raises(ImportError, match=r"needs CasADi\. Install it\."):
-        raise MissingExtraError("this needs CasADi", remedy="Install it.")
+    with pytest.raises(OSError, match=r"can't be written\. Name another\."):
+        raise OutputFileError("it can't be written", remedy="Name another.")

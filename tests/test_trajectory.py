@@ -13,8 +13,9 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
+from drake_aigto import TrajectoryError
 from drake_aigto.errors import PlanFileError
-from drake_aigto.trajectory import Trajectory, TrajectoryError
+from drake_aigto.trajectory import Trajectory
 
 
 def make_fields(**changes: Any) -> dict[str, Any]:

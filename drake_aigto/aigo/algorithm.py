@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
@@ -185,8 +185,3 @@ def as_positive(name: str, value: float, below: float = np.inf) -> None:
     if not 0 < value < below:
         limit = "" if np.isinf(below) else f" and below {below:g}"
         raise OptionsError(name, got=f"{value:g}", expected=f"a number above 0{limit}")
-
-
-def spread(values: ArrayLike, n: int) -> NDArray[np.float64]:
-    """Returns a contiguous float array (n,) of a scalar or an array."""
-    return np.array(np.broadcast_to(np.asarray(values, dtype=float), (n,)))

@@ -93,9 +93,8 @@ class SmoothedObjective(Objective):
         self._f, self._mu = f, temperature
         self._free = free[f.order]
         held = 2 * np.flatnonzero(~self._free)
-        self._held = HeldUnknowns(
-            np.sort(np.concatenate([held, held + 1])), 2 * f.bandwidth + 1, 2 * f.num_variables
-        )
+        both = np.sort(np.concatenate([held, held + 1]))
+        self._held = HeldUnknowns(both, 2 * f.bandwidth + 1)
         self._largest_residual = tolerance * np.sqrt(2 * np.count_nonzero(free) * temperature)
 
     def unknowns(self, box: Box) -> Floats:

@@ -120,7 +120,7 @@ def _try_step(
 class HeldUnknowns:
     """Takes unknowns out of a banded system by making their rows and columns the identity's."""
 
-    def __init__(self, indices: NDArray[np.int64], bandwidth: int, size: int) -> None:
+    def __init__(self, indices: NDArray[np.int64], bandwidth: int) -> None:
         """Finds the band entries of these rows and columns once."""
         offsets = np.arange(1, bandwidth + 1)
         rows, columns = np.meshgrid(offsets, indices, indexing="ij")
@@ -128,7 +128,6 @@ class HeldUnknowns:
         inside = before >= 0
         self._indices = indices
         self._row_entries = rows[inside], before[inside]
-        self._size = size
 
     def remove(self, gradient: Floats, band: Floats) -> None:
         """Changes gradient and band in place."""
@@ -145,7 +144,7 @@ class PointObjective(Objective):
         """Prepares; stationary once √(gᵀ diag(H)⁻¹ g) ≤ tolerance."""
         self._f = f
         held = np.flatnonzero(~free[f.order])
-        self._held = HeldUnknowns(held, f.bandwidth, f.num_variables)
+        self._held = HeldUnknowns(held, f.bandwidth)
         self._tolerance = tolerance
 
     def evaluate(self, y: Floats) -> System:

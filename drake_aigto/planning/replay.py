@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drake_aigto.errors import TrajectoryError
 from drake_aigto.planning.compliant_wall import simulate_compliant_wall
 from drake_aigto.planning.material import calc_dissipation
 from drake_aigto.planning.recording import Recording
 from drake_aigto.planning.rigid_wall import simulate_rigid_wall
-from drake_aigto.trajectory import ArrayRecord, TrajectoryError, check_control, read_only
+from drake_aigto.trajectory import ArrayRecord, check_control, read_only
 
 if TYPE_CHECKING:
     import numpy.typing as npt

@@ -9,15 +9,11 @@ import numpy as np
 from pydrake.polynomial import Polynomial
 from pydrake.trajectories import PiecewisePolynomial
 
-from drake_aigto.errors import AigtoError
+from drake_aigto.errors import TrajectoryError
 from drake_aigto.trajectory.records import ArrayRecord, read_only
 
 if TYPE_CHECKING:
     import numpy.typing as npt
-
-
-class TrajectoryError(AigtoError, ValueError):
-    """A trajectory, or a control to replay, whose numbers do not fit together."""
 
 
 @dataclass(frozen=True, eq=False)
