@@ -71,7 +71,7 @@ def test_table1_prints_every_method_with_its_replays(
     printed = capsys.readouterr().out
     assert max(map(len, printed.splitlines())) <= 100
     assert "AIGTO 3.67e-07" in printed
-    for label in ("SNOPT, from zero", "IPOPT: median of 1", "AIGTO, Algorithm 1"):
+    for label in ("SNOPT, from zero", "IPOPT, from zero", ": median of 1", "AIGTO, annealing"):
         assert printed.count(label) == 2  # φ free, and φ ≥ 0
     cells = json.loads(out.read_text(encoding="utf-8"))["cells"]
     assert [cell["nonpenetration"] for cell in cells] == [False, True]
