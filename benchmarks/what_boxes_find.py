@@ -16,7 +16,7 @@ from drake_aigto.planning import (
     PlanOptions,
     make_transcription,
 )
-from drake_aigto.planning.search import LARGEST_DEFECT
+from drake_aigto.planning.plan import LARGEST_DEFECT
 from drake_aigto.world import Scenario
 
 STRIDE = 10

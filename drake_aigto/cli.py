@@ -6,7 +6,8 @@ import argparse
 import dataclasses
 import json
 import sys
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from drake_aigto.errors import AigtoError
 from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions
 from drake_aigto.planning.options import CHOICES
 from drake_aigto.show.tables import format_plan, format_replays, format_table1
-from drake_aigto.study import run_table1
+from drake_aigto.study import ROWS, run_table1
 from drake_aigto.world import Scenario, World, scenario_names
 from drake_aigto.world.files import check_writable, write_text
 
@@ -45,14 +46,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _table1(options: argparse.Namespace) -> int:
     check_writable(options.json)
-    cells = run_table1(
-        rows=options.rows,
-        num_guesses=options.guesses,
-        seed=options.seed,
-        confirm=options.confirm,
-        progress=_progress(options),
-    )
-    _write_json(options, lambda: {"cells": [cell.to_dict() for cell in cells]})
+    with _progress(options) as progress:
+        cells = run_table1(
+            rows=options.rows,
+            num_guesses=options.guesses,
+            seed=options.seed,
+            confirm=options.confirm,
+            progress=progress,
+        )
+    if options.json:
+        write_text(options.json, json.dumps({"cells": [cell.to_dict() for cell in cells]}) + "\n")
     print(format_table1(cells))
     return FINE
 
@@ -62,11 +65,9 @@ def _plan(options: argparse.Namespace) -> int:
     scenario = _load_scenario(options)
     chosen = {name: getattr(options, name) for name in (*CHOICES, "nonpenetration", "confirm")}
     planner = Planner(scenario, PlanOptions(**chosen))
-    plan = planner.plan(progress=_progress(options))
-    if options.json:
-        plan.save(options.json)
-    print(format_plan(plan))
-    return FINE if plan.holds else NOTHING_HOLDS
+    with _progress(options) as progress:
+        plan = planner.plan(progress=progress)
+    return _answer(options, plan, format_plan(plan))
 
 
 def _replay(options: argparse.Namespace) -> int:
@@ -74,10 +75,7 @@ def _replay(options: argparse.Namespace) -> int:
     plan = Plan.load(options.plan)
     planner = Planner(plan.scenario, PlanOptions(confirm=options.confirm))
     replayed = dataclasses.replace(plan, replay=planner.simulate(plan.trajectory))
-    if options.json:
-        replayed.save(options.json)
-    print(format_replays(replayed))
-    return FINE if replayed.holds else NOTHING_HOLDS
+    return _answer(options, replayed, format_replays(replayed))
 
 
 def _play(options: argparse.Namespace) -> int:
@@ -109,20 +107,28 @@ def _load_scenario(options: argparse.Namespace) -> Scenario:
     return dataclasses.replace(scenario, **changes) if changes else scenario
 
 
-def _write_json(options: argparse.Namespace, make: Callable[[], dict[str, Any]]) -> None:
+def _answer(options: argparse.Namespace, plan: Plan, text: str) -> int:
+    """Writes and prints a plan, and returns the exit status that its verdict asks for."""
     if options.json:
-        write_text(options.json, json.dumps(make()) + "\n")
+        plan.save(options.json)
+    print(text)
+    return FINE if plan.holds else NOTHING_HOLDS
 
 
-def _progress(options: argparse.Namespace) -> Callable[[str], None] | None:
-    """Returns what shows a line of progress on a terminal, each over the one before."""
+@contextmanager
+def _progress(options: argparse.Namespace) -> Iterator[Callable[[str], None] | None]:
+    """Yields what shows a line of progress on a terminal, each over the one before."""
     if options.quiet or not sys.stderr.isatty():
-        return None
+        yield None
+        return
 
     def show(line: str) -> None:
         print(f"\r\033[K{line}", end="", file=sys.stderr, flush=True)
 
-    return show
+    try:
+        yield show
+    finally:
+        show("")  # What is printed next begins on an empty line.
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -152,8 +158,8 @@ def _add_table1(commands: Any) -> None:
         "--rows",
         type=int,
         nargs="+",
-        choices=(1, 2, 3, 4),
-        default=(1, 2, 3, 4),
+        choices=ROWS,
+        default=ROWS,
         help="which rows (default: all)",
     )
     table1.add_argument(

@@ -50,7 +50,7 @@ class Box:
 
     @property
     def log_size(self) -> float:
-        """Log S(w) = Σ log 2w_i over the free variables; S itself underflows in high dimensions."""
+        """Σ log 2w_i = log S(w) over the free variables; S itself underflows for many of them."""
         return float(np.sum(np.log(2 * self.half_width[self.free])))
 
     @property

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_aigto.aigo.algorithm import Box, Iterate, as_positive
-from drake_aigto.aigo.newton import HeldUnknowns, Objective, System, newton
-from drake_aigto.box import BoxPolynomial
+from drake_aigto.aigo.newton import HeldUnknowns, Objective, newton
+from drake_aigto.box import BoxPolynomial, NewtonSystem
 from drake_aigto.errors import OptionsError
 
 Floats = NDArray[np.float64]
@@ -95,7 +95,7 @@ class SmoothedObjective(Objective):
         held = 2 * np.flatnonzero(~self._free)
         both = np.sort(np.concatenate([held, held + 1]))
         self._held = HeldUnknowns(both, 2 * f.bandwidth + 1)
-        self._largest_residual = tolerance * np.sqrt(2 * np.count_nonzero(free) * temperature)
+        self.largest_residual = tolerance * np.sqrt(2 * np.count_nonzero(free) * temperature)
 
     def unknowns(self, box: Box) -> Floats:
         """Returns y of a box; z = −∞ where a variable is held."""
@@ -110,26 +110,22 @@ class SmoothedObjective(Objective):
         center, log_half_width = self._f.to_variables(y)
         return Box(center, np.exp(log_half_width))
 
-    def evaluate(self, y: Floats) -> System:
+    def evaluate(self, y: Floats) -> NewtonSystem:
         """Returns the objective and its derivatives."""
         center, log_half_width = self._f.to_variables(y)
         system = self._f.newton_system(center, np.exp(log_half_width))
         system.gradient[1::2] -= self._mu
         self._held.remove(system.gradient, system.band)
         entropy = float(np.sum(y[1::2][self._free]))
-        return System(system.value - self._mu * entropy, system.gradient, system.band)
+        return NewtonSystem(system.value - self._mu * entropy, system.gradient, system.band)
 
-    def scale(self, y: Floats, system: System) -> Floats:
+    def scale(self, y: Floats, system: NewtonSystem) -> Floats:
         """Returns μ (3/w², 2), a separable cost's Hessian where w ∂f̄/∂w = μ; 1 where held."""
         scale = np.ones_like(y)
         z = y[1::2][self._free]
         scale[0::2][self._free] = 3 * self._mu * np.exp(-2 * z)
         scale[1::2][self._free] = 2 * self._mu
         return scale
-
-    def is_stationary(self, residual: float) -> bool:
-        """Compares with the tolerance."""
-        return residual <= self._largest_residual
 
     def limit(self, step: Floats) -> float:
         """Returns the part of the step that changes no half width by more than a factor e."""

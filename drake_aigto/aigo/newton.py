@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpbtrf, dpbtrs
 
-from drake_aigto.box import BoxPolynomial
+from drake_aigto.box import BoxPolynomial, NewtonSystem
 
 Floats = NDArray[np.float64]
 
@@ -19,29 +19,22 @@ _LEAST_DAMPING, _FIRST_DAMPING = 1e-8, 1e-3
 _MAX_TRIALS = 40  # of the damping, in one step: 4⁴⁰ is past any scale
 
 
-@dataclass(frozen=True)
-class System:
-    """Value, gradient (n,) and Hessian (bandwidth + 1, n; lower band storage) at a point."""
-
-    value: float
-    gradient: Floats
-    band: Floats
-
-
 class Objective(ABC):
-    """A function of unknowns y (n,) in elimination order, held ones included."""
+    """A function of unknowns y (n,) in elimination order, held ones included.
+
+    Attributes:
+        largest_residual: y is stationary where √(Σ g²/D) is no more than this.
+    """
+
+    largest_residual: float
 
     @abstractmethod
-    def evaluate(self, y: Floats) -> System:
+    def evaluate(self, y: Floats) -> NewtonSystem:
         """Returns value, gradient, Hessian; held unknowns have gradient 0 and an identity row."""
 
     @abstractmethod
-    def scale(self, y: Floats, system: System) -> Floats:
+    def scale(self, y: Floats, system: NewtonSystem) -> Floats:
         """Returns the diagonal D > 0 (n,) that the damping λD is measured in."""
-
-    @abstractmethod
-    def is_stationary(self, residual: float) -> bool:
-        """Returns whether a gradient of size √(Σ g²/D) is small enough."""
 
     def limit(self, step: Floats) -> float:
         """Returns the part of a step, in (0, 1], that may be taken."""
@@ -78,7 +71,7 @@ def newton(objective: Objective, y: Floats, max_steps: int, damping: float) -> N
     for steps in range(max_steps + 1):
         scale = objective.scale(y, system)
         residual = float(np.sqrt(np.sum(system.gradient**2 / scale)))
-        if steps == max_steps or objective.is_stationary(residual):
+        if steps == max_steps or residual <= objective.largest_residual:
             break
         accepted, damping = _descend(objective, y, system, scale, damping)
         if accepted is None:
@@ -88,8 +81,8 @@ def newton(objective: Objective, y: Floats, max_steps: int, damping: float) -> N
 
 
 def _descend(
-    objective: Objective, y: Floats, system: System, scale: Floats, damping: float
-) -> tuple[tuple[Floats, System] | None, float]:
+    objective: Objective, y: Floats, system: NewtonSystem, scale: Floats, damping: float
+) -> tuple[tuple[Floats, NewtonSystem] | None, float]:
     """Returns the next point and system, or None if no damping descends, and the next damping."""
     for trial in range(_MAX_TRIALS):
         accepted = _try_step(objective, y, system, scale, damping)
@@ -101,8 +94,8 @@ def _descend(
 
 
 def _try_step(
-    objective: Objective, y: Floats, system: System, scale: Floats, damping: float
-) -> tuple[Floats, System] | None:
+    objective: Objective, y: Floats, system: NewtonSystem, scale: Floats, damping: float
+) -> tuple[Floats, NewtonSystem] | None:
     """Returns the point and system after a damped step, or None if it does not descend."""
     band = system.band.copy()
     band[0] += damping * scale
@@ -145,21 +138,17 @@ class PointObjective(Objective):
         self._f = f
         held = np.flatnonzero(~free[f.order])
         self._held = HeldUnknowns(held, f.bandwidth)
-        self._tolerance = tolerance
+        self.largest_residual = tolerance
 
-    def evaluate(self, y: Floats) -> System:
+    def evaluate(self, y: Floats) -> NewtonSystem:
         """Returns f and its derivatives."""
         f = self._f
         (center,) = f.to_variables(y)
         system = f.newton_system(center, 0.0, centers_only=True)
         self._held.remove(system.gradient, system.band)
-        return System(system.value, system.gradient, system.band)
+        return system
 
-    def scale(self, y: Floats, system: System) -> Floats:
+    def scale(self, y: Floats, system: NewtonSystem) -> Floats:
         """Returns |diag H|, kept off zero."""
         diagonal = np.abs(system.band[0])
         return diagonal + 1e-12 * diagonal.max()
-
-    def is_stationary(self, residual: float) -> bool:
-        """Compares with the tolerance."""
-        return residual <= self._tolerance

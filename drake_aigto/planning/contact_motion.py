@@ -45,13 +45,13 @@ class ContactMotion:
         M⁻¹ Jᵀ (J M⁻¹ Jᵀ)⁻¹
         """
         (J,) = self._world.calc_contact_jacobian(q)
-        direction: npt.NDArray[np.float64] = np.linalg.solve(self._world.mass_matrix_values, J)
+        direction = self._world.calc_velocity_change(q, np.ones(1))
         return direction / (J @ direction)
 
     def calc_mass(self, q: npt.NDArray[np.float64]) -> float:
         """Returns the mass that the wall feels, (J M⁻¹ Jᵀ)⁻¹ [kg]."""
         (J,) = self._world.calc_contact_jacobian(q)
-        return float(1 / (J @ np.linalg.solve(self._world.mass_matrix_values, J)))
+        return float(1 / (J @ self._world.calc_velocity_change(q, np.ones(1))))
 
     def calc_kinetic_energy(self, v: npt.NDArray[np.float64]) -> float:
         """Returns ½ vᵀ M v [J]."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
 
 FORMAT = "drake_aigto plan"
 FORMAT_VERSION = 1
+
+# A candidate whose rows are off by more than this is no solution of the transcription [m, m/s].
+LARGEST_DEFECT = 1e-6
 
 
 @dataclass(frozen=True)
@@ -76,12 +80,15 @@ class Candidate:
         return max(self.defects.values())
 
     @property
+    def is_feasible(self) -> bool:
+        """Whether it meets the transcription's rows."""
+        return self.max_defect <= LARGEST_DEFECT
+
+    @property
     def energy_ratio(self) -> float | None:
         """Kinetic energy after / before contact, multiplied over all; None without contact."""
-        ratio = None
-        for contact in self.contacts:
-            ratio = contact.energy_ratio * (1.0 if ratio is None else ratio)
-        return ratio
+        ratios = [contact.energy_ratio for contact in self.contacts]
+        return math.prod(ratios) if ratios else None
 
     def holds(self, replays: Replays) -> bool:
         """Returns whether all replays of this candidate's control confirm it."""

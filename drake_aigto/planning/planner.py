@@ -13,10 +13,10 @@ import numpy as np
 
 from drake_aigto.errors import AigtoError
 from drake_aigto.planning.options import PlanOptions
-from drake_aigto.planning.plan import Candidate, Plan, PlanStats, Replays
+from drake_aigto.planning.plan import LARGEST_DEFECT, Candidate, Plan, PlanStats, Replays
 from drake_aigto.planning.problem import PlanningProblem, make_transcription
 from drake_aigto.planning.replay import replay_drake, replay_event_driven
-from drake_aigto.planning.search import LARGEST_DEFECT, Search
+from drake_aigto.planning.search import Search
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scenario, World
 
@@ -97,7 +97,7 @@ class Planner:
             transcription = make_transcription(self.world, scenario, self.options)
             problem = PlanningProblem(transcription, self.options)
         candidates, steps = self._search(problem, progress)
-        feasible = [c for c in candidates if c.max_defect <= LARGEST_DEFECT]
+        feasible = [candidate for candidate in candidates if candidate.is_feasible]
         if not feasible:
             defect = min((c.max_defect for c in candidates), default=np.inf)
             raise PlanningError(

@@ -17,9 +17,6 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-# A candidate whose rows are off by more than this is no solution of the transcription [m, m/s].
-LARGEST_DEFECT = 1e-6
-
 # In a candidate's origin, before the knots that its contacts were moved to.
 _MOVED = "; contacts moved to knots "
 # Contacts this many knots apart are one proposal of AIGO's; moving them tells them apart.
@@ -100,7 +97,7 @@ class Search:
     def _rank(self, knots: Knots) -> tuple[bool, float]:
         """Orders sequences: those that meet the rows first, then by cost."""
         candidate = self._by_knots[knots]
-        return candidate.max_defect > LARGEST_DEFECT, candidate.cost
+        return not candidate.is_feasible, candidate.cost
 
     def _add(self, origin: str, knots: Knots, center: npt.NDArray[np.float64]) -> None:
         with self._clock("polish"):

@@ -25,9 +25,8 @@ def contact_knots(transcription: Transcription, x: npt.NDArray[np.float64]) -> K
     the literal transcription needs, as one knot at the wall gives an impulse of any size; further
     visits to the wall are slack of the penalties.
     """
-    positions = transcription.split(x)[0]
     scenario, world = transcription.scenario, transcription.world
-    distances = np.array([np.min(world.calc_signed_distance(q)) for q in positions])
+    distances = np.min(transcription.signed_distances(x), axis=1)
     ends = (scenario.initial_position, scenario.goal_position)
     near = _NEARER * min(float(np.min(world.calc_signed_distance(q))) for q in ends)
     deepest = int(np.argmin(distances[1:-1])) + 1

@@ -107,7 +107,7 @@ def _entry_line(entry: Entry, seconds: float | None) -> str:
             f"  {entry.label}",
             f"{run.start_cost:.0e}/{max(run.start_defects.values()):.0e}",
             f"{run.cost:.1e}",
-            f"{run.max_defect:.0e}{'' if entry.is_feasible else '*'}",
+            f"{run.max_defect:.0e}{'' if run.is_feasible else '*'}",
             _length(run.max_penetration),
             _ratio(run.energy_ratio),
             f"{rigid.cost:.1e}",

@@ -1,5 +1,5 @@
 """Studies: the paper's Table I, with the truth beside it."""
 
-from drake_aigto.study.table1 import PAPER_COSTS, Cell, Entry, Method, run_cell, run_table1
+from drake_aigto.study.table1 import PAPER_COSTS, ROWS, Cell, Entry, Method, run_cell, run_table1
 
-__all__ = ["PAPER_COSTS", "Cell", "Entry", "Method", "run_cell", "run_table1"]
+__all__ = ["PAPER_COSTS", "ROWS", "Cell", "Entry", "Method", "run_cell", "run_table1"]

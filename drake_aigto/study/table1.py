@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 from multiprocessing import get_context
 from typing import Any, NamedTuple
 
@@ -24,7 +25,6 @@ from drake_aigto.planning import (
     make_transcription,
 )
 from drake_aigto.planning.options import AlgorithmName, LocalSolverName
-from drake_aigto.planning.search import LARGEST_DEFECT
 from drake_aigto.world import Scenario
 
 ROWS = (1, 2, 3, 4)
@@ -70,11 +70,6 @@ class Entry:
     candidate: Candidate
     replays: Replays
     holds: bool
-
-    @property
-    def is_feasible(self) -> bool:
-        """Whether the run met the transcription's rows."""
-        return self.candidate.max_defect <= LARGEST_DEFECT
 
     def to_dict(self) -> dict[str, Any]:
         """Returns plain JSON values."""
@@ -228,22 +223,27 @@ def _gradient_methods(
     planner: Planner, num_guesses: int, generator: np.random.Generator
 ) -> Iterator[Method]:
     for solver in GRADIENT_SOLVERS:
-        problem = _problem(planner, solver)
-        start = time.perf_counter()
-        runs = [gradient_from_zero(problem)]
-        seconds = time.perf_counter() - start
+        runs, seconds = _run_gradient(planner, solver, gradient_from_zero, 1)
         yield _summarize(f"{solver.upper()}, from zero", planner, runs, seconds)
     solver = GUESS_SOLVERS[planner.options.nonpenetration]
-    problem = _problem(planner, solver)
-    start = time.perf_counter()
-    runs = [gradient_from_random(problem, generator) for _ in range(num_guesses)]
-    seconds = time.perf_counter() - start
-    yield _summarize(f"{solver.upper()}", planner, runs, seconds, median=True)
+    guess = partial(gradient_from_random, generator=generator)
+    runs, seconds = _run_gradient(planner, solver, guess, num_guesses)
+    yield _summarize(solver.upper(), planner, runs, seconds, median=True)
 
 
-def _problem(planner: Planner, solver: LocalSolverName) -> PlanningProblem:
+def _run_gradient(
+    planner: Planner,
+    solver: LocalSolverName,
+    run: Callable[[PlanningProblem], Candidate],
+    count: int,
+) -> tuple[list[Candidate], float]:
+    """Returns so many runs of a gradient solver, and their seconds."""
     options = dataclasses.replace(planner.options, local_solver=solver)
-    return PlanningProblem(make_transcription(planner.world, planner.scenario, options), options)
+    transcription = make_transcription(planner.world, planner.scenario, options)
+    problem = PlanningProblem(transcription, options)
+    start = time.perf_counter()
+    runs = [run(problem) for _ in range(count)]
+    return runs, time.perf_counter() - start
 
 
 def _aigto_method(name: str, planner: Planner) -> Method:
@@ -256,7 +256,7 @@ def _summarize(
     name: str, planner: Planner, runs: list[Candidate], seconds: float, median: bool = False
 ) -> Method:
     """Returns a method's summary, with those runs replayed that are shown."""
-    feasible = sorted((r for r in runs if r.max_defect <= LARGEST_DEFECT), key=lambda r: r.cost)
+    feasible = sorted((run for run in runs if run.is_feasible), key=lambda run: run.cost)
     ranked = feasible or sorted(runs, key=lambda run: run.max_defect)
     shown = [(name, ranked[0])]
     if median:

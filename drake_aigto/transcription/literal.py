@@ -22,8 +22,7 @@ class LiteralTranscription(Transcription):
 
         q_{k+1} = q_k + dt v_k                                                         "kinematics"
         M (v_{k+1} − v_k) = dt (B u_k − h(q_k, v_k) + J_kᵀ λ_k),   λ_k = ε/(φ_k + δ)     "dynamics"
-        φ(q_k) ≥ 0, k ≥ 1, where asked for
-        "nonpenetration"
+        φ(q_k) ≥ 0, k ≥ 1, where asked for                                       "nonpenetration"
 
     The dynamics rows that a contact acts on are multiplied out by every such (φ_k + δ), so that all
     rows are polynomial: with one contact, (φ_k + δ)(M Δv − dt (B u − h)) − dt ε Jᵀ = 0.
@@ -84,8 +83,7 @@ class LiteralTranscription(Transcription):
             DYNAMICS: np.max(np.abs(self._dynamics_defects(x))),
         }
         if self.nonpenetration:
-            distances = np.array([self.world.calc_signed_distance(q_k) for q_k in q[1:]])
-            found[NONPENETRATION] = max(0.0, -np.min(distances))
+            found[NONPENETRATION] = max(0.0, -np.min(self.signed_distances(x)[1:]))
         return {name: float(value) for name, value in found.items()}
 
     def close_rows(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -111,8 +109,7 @@ class LiteralTranscription(Transcription):
 
     def impulses(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns dt ε/(φ(q_k) + δ), shape (N+1, m) [N s]; 0 at the last knot: no step follows."""
-        q = self.split(x)[0]
-        gaps = np.array([self.world.calc_signed_distance(q_k) for q_k in q]) + self.scenario.delta
+        gaps = self.signed_distances(x) + self.scenario.delta
         impulses = self._dt * self.scenario.epsilon / gaps
         impulses[-1] = 0.0
         return impulses

@@ -189,6 +189,10 @@ class Transcription(ABC):
         ends = np.cumsum([np.prod(shape) for shape in shapes])
         return [part.reshape(shape) for part, shape in zip(np.split(x, ends), shapes, strict=False)]
 
+    def signed_distances(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Returns φ at the knots, shape (N+1, m) [m]."""
+        return np.array([self.world.calc_signed_distance(q) for q in self.split(x)[0]])
+
     def scenario_cost(self, x: npt.NDArray[np.float64]) -> float:
         """Returns J = w_u Σ dt ‖u_k‖² + w_f ‖q_N − goal‖², without penalties or added costs."""
         q, _, u = self.split(x)
