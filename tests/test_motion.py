@@ -24,6 +24,7 @@ BOUNCE = Trajectory(
     velocities=np.array([[-2.0], [-2.0], [2.0]]),
     controls=np.zeros((2, 1)),
     impulses=np.array([[0.0], [4.0], [0.0]]),
+    forces=np.zeros((2, 1)),
 )
 
 

@@ -14,10 +14,10 @@ from drake_aigto import OutputFileError, PlanFileError, Scenario, ScenarioError
 from drake_aigto.aigo import Annealing, FullGradient
 from drake_aigto.errors import OptionsError
 from drake_aigto.planning import (
+    LiteralProblem,
     Plan,
     Planner,
     PlanningError,
-    PlanningProblem,
     PlanOptions,
     plan,
 )
@@ -29,7 +29,7 @@ from drake_aigto.world import World, files
 
 SHIPPED = files.models_directory() / "point_mass_and_wall.sdf"
 # Coarse, and with two rungs, so that a plan takes a fraction of a second.
-QUICK = PlanOptions(ladder=LITERAL_LADDER[2:4], confirm=False)
+QUICK = PlanOptions(transcription="literal", ladder=LITERAL_LADDER[2:4], confirm=False)
 BOUNCE = Scenario(initial_position=0.4, initial_velocity=-1.2, goal_position=1.0, time_step=0.02)
 # Far from the wall and with next to no contact force: linear dynamics, quadratic cost.
 FLIGHT = Scenario(
@@ -79,7 +79,7 @@ def least_cost(
 
 @pytest.mark.parametrize("solver", ["newton", "snopt", "ipopt"])
 def test_a_flight_costs_the_linear_quadratic_optimum(solver: LocalSolverName) -> None:
-    options = dataclasses.replace(QUICK, local_solver=solver, ladder=QUICK.ladder[:1], confirm=True)
+    options = dataclasses.replace(QUICK, local_solver=solver, ladder=QUICK.rungs[:1], confirm=True)
     found = plan(FLIGHT, options)
     assert found.cost == pytest.approx(least_cost(FLIGHT), rel=1e-6)
     assert max(found.defects.values()) < 1e-8
@@ -130,7 +130,7 @@ def test_a_plan_moves_along_with_the_wall(tmp_path: Path) -> None:
 def test_every_candidate_comes_from_a_rung_and_the_best_is_chosen() -> None:
     found = plan(BOUNCE, QUICK)
     origins = {c.origin.split("; contacts moved")[0] for c in found.candidates}
-    assert origins <= {QUICK.describe(rung) for rung in QUICK.ladder}
+    assert origins <= {QUICK.describe(rung) for rung in QUICK.rungs}
     assert found.cost == min(c.cost for c in found.candidates if c.max_defect <= 1e-6)
     assert found.best is found.candidates[0]
     assert found.trajectory is found.best.trajectory
@@ -153,16 +153,16 @@ def test_a_planner_plans_again_with_changed_ends() -> None:
 
 def test_the_papers_algorithm_plans_too() -> None:
     found = plan(
-        BOUNCE, dataclasses.replace(QUICK, algorithm="full gradient", ladder=QUICK.ladder[:1])
+        BOUNCE, dataclasses.replace(QUICK, algorithm="full gradient", ladder=QUICK.rungs[:1])
     )
     assert max(found.defects.values()) < 1e-8
     assert found.best.origin.startswith("full gradient")
     assert isinstance(
-        PlanOptions(algorithm="full gradient").make_algorithm(QUICK.ladder[0]), FullGradient
+        PlanOptions(algorithm="full gradient").make_algorithm(QUICK.rungs[0]), FullGradient
     )
-    annealing = PlanOptions().make_algorithm(QUICK.ladder[0])
+    annealing = PlanOptions().make_algorithm(QUICK.rungs[0])
     assert isinstance(annealing, Annealing)
-    assert annealing.initial_temperature == QUICK.ladder[0].temperature
+    assert annealing.initial_temperature == QUICK.rungs[0].temperature
 
 
 def test_costs_and_bounds_of_a_user_count() -> None:
@@ -172,10 +172,10 @@ def test_costs_and_bounds_of_a_user_count() -> None:
     transcription.AddFinalCost(1.0 * v**2, "stop")
     transcription.AddConstraintToAllKnotPoints(u <= 2.0)
     transcription.AddConstraintToAllKnotPoints(u >= -2.0)
-    problem = PlanningProblem(transcription, QUICK)
-    result = problem.run_aigo(QUICK.ladder[0])
-    knots = problem.find_sequences(result, QUICK.ladder[0])[0]
-    x = problem.polish(result.box.center, knots)
+    problem = LiteralProblem(transcription, QUICK)
+    result = problem.run_aigo(QUICK.rungs[0])
+    knots = problem.find_sequences(result, QUICK.rungs[0])[0]
+    _, x = problem.polish(result.box.center, knots)
     assert max(transcription.defects(x).values()) < 1e-8
     _, velocities, controls = transcription.split(x)
     assert np.max(np.abs(controls)) <= 2.0 + 1e-8
@@ -198,7 +198,10 @@ def test_ctrl_c_keeps_the_candidates_so_far() -> None:
 def test_nothing_feasible_is_an_error_that_says_what_was_tried(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(PlanningProblem, "polish", lambda self, center, knots: center)
+    def unpolished(problem: LiteralProblem, center: Any, knots: Any) -> Any:
+        return problem.transcription, center
+
+    monkeypatch.setattr(LiteralProblem, "polish", unpolished)
     message = r"no candidate meets .* got \d+ candidates from 2 rungs, the smallest defect"
     with pytest.raises(PlanningError, match=message):
         plan(BOUNCE, QUICK)
@@ -207,7 +210,7 @@ def test_nothing_feasible_is_an_error_that_says_what_was_tried(
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"transcription": "rubber"}, "transcription: got 'rubber', expected one of literal"),
+        ({"transcription": "rubber"}, "transcription: got 'rubber', expected one of rigid, lit"),
         ({"algorithm": "luck"}, "algorithm: got 'luck', expected one of annealing, full gradient"),
         ({"local_solver": "mosek"}, "local_solver: got 'mosek', expected one of newton, ipopt"),
         ({"ladder": ()}, "ladder: got no rung, expected at least one"),
@@ -229,7 +232,8 @@ def test_contacts_are_read_off_impulses() -> None:
     velocities[9:] = 0.7
     impulses = np.full((11, 1), 1e-3)
     impulses[3], impulses[8] = 1.5, 0.2
-    trajectory = Trajectory(times, np.ones((11, 1)), velocities, np.zeros((10, 1)), impulses)
+    zeros = np.zeros((10, 1))
+    trajectory = Trajectory(times, np.ones((11, 1)), velocities, zeros, impulses, zeros)
     first, second = find_contacts(world, trajectory)
     assert (first.time, first.velocity_change) == pytest.approx((0.3, 1.5))
     assert first.energy_ratio == pytest.approx(0.25)
@@ -239,9 +243,9 @@ def test_contacts_are_read_off_impulses() -> None:
 
 def test_a_flight_has_no_contact() -> None:
     world = World.from_scenario(BOUNCE)
-    still = np.ones((11, 1))
+    still, zeros = np.ones((11, 1)), np.zeros((10, 1))
     trajectory = Trajectory(
-        np.linspace(0, 1, 11), still, still, np.zeros((10, 1)), np.full((11, 1), 1e-3)
+        np.linspace(0, 1, 11), still, still, zeros, np.full((11, 1), 1e-3), zeros
     )
     assert find_contacts(world, trajectory) == ()
 
@@ -251,7 +255,7 @@ def test_a_flight_has_no_contact() -> None:
 
 @pytest.fixture(scope="module")
 def found() -> Plan:
-    return plan(FLIGHT, dataclasses.replace(QUICK, ladder=QUICK.ladder[:1], confirm=True))
+    return plan(FLIGHT, dataclasses.replace(QUICK, ladder=QUICK.rungs[:1], confirm=True))
 
 
 def test_a_plan_file_reads_back_to_the_same_plan(found: Plan, tmp_path: Path) -> None:
@@ -282,7 +286,7 @@ def test_a_plan_file_cut_short_is_refused(found: Plan, tmp_path: Path, kept: flo
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"version": 99}, r"version 99, expected version 1\. Plan again"),
+        ({"version": 99}, r"version 99, expected version 2\. Plan again"),
         ({"format": "poem"}, "is not a plan file: got format 'poem'"),
         ({"candidates": []}, "is damaged"),
         ({"replay": {}}, "is damaged: got KeyError"),

@@ -175,7 +175,8 @@ def test_a_plan_is_played_beside_its_simulations(meshcat: Meshcat, world: World)
         "positions": np.array([[1.0], [0.5]]),
         "velocities": np.array([[-0.5], [-0.5]]),
     }
-    trajectory = Trajectory(**rows, controls=np.zeros((1, 1)), impulses=np.zeros((2, 1)))
+    held = np.zeros((1, 1))
+    trajectory = Trajectory(**rows, controls=held, impulses=np.zeros((2, 1)), forces=held)
     replay = SimpleNamespace(simulator="drake", **rows)
     scenario = Scenario.named("table1/1")
     plan: Any = SimpleNamespace(trajectory=trajectory, replay=[replay], scenario=scenario)

@@ -26,6 +26,7 @@ def make_fields(**changes: Any) -> dict[str, Any]:
         "velocities": [[-2.0], [-2.0], [-2.0], [2.3]],
         "controls": [[0.0], [0.0], [1.0]],
         "impulses": [[0.0], [0.0], [4.0], [0.0]],
+        "forces": [[0.0], [0.0], [0.0]],
     }
     return {**fields, **changes}
 
@@ -39,6 +40,7 @@ def trajectories(draw: st.DrawFn, largest: float = 1.7e308) -> Trajectory:
         "velocities": (n + 1, nq),
         "controls": (n, nu),
         "impulses": (n + 1, m),
+        "forces": (n, m),
     }
     times = sorted(draw(st.sets(finite, min_size=n + 1, max_size=n + 1)))
     arrays = {name: draw(hnp.arrays(float, shape, elements=finite)) for name, shape in rows.items()}
@@ -99,7 +101,7 @@ def test_numbers_that_do_not_fit_are_refused(changes: dict[str, Any], message: s
     ("data", "message"),
     [
         ([], "Trajectory: got list, expected a mapping"),
-        ({"times": [0.0, 1.0]}, "got no controls, no impulses, no positions, no velocities, exp"),
+        ({"times": [0.0, 1.0]}, "got no controls, no forces, no impulses, no positions, no v"),
         (make_fields(speed=1.0), "got 'speed', expected the keys controls, .* another version"),
         (make_fields(times=[0.0, 1.0]), r"Trajectory can't be read: got controls: got shape \(3, "),
         (make_fields(times=[None] * 4), "Trajectory can't be read: got times: got nan at"),
@@ -123,7 +125,8 @@ def test_the_state_curve_is_the_flight_and_jumps_at_the_impulse() -> None:
 def test_without_impulses_the_state_curve_is_smooth() -> None:
     times = np.array([0.0, 0.1, 0.25, 0.3])
     wave = np.column_stack([np.sin(times)]), np.column_stack([np.cos(times)])
-    zeros = {"controls": np.zeros((3, 1)), "impulses": np.zeros((4, 1))}
+    zeros = {name: np.zeros((3, 1)) for name in ("controls", "forces")}
+    zeros["impulses"] = np.zeros((4, 1))
     state, _ = Trajectory(times, *wave, **zeros).to_piecewise()
     for k, t in enumerate(times[1:-1], 1):
         before, after = state.value(np.nextafter(t, 0)), state.value(t)

@@ -2,20 +2,29 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import numpy as np
 
+from drake_aigto.planning.literal import LiteralProblem
 from drake_aigto.planning.plan import Candidate
-from drake_aigto.planning.problem import PlanningProblem
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
 
 
-def gradient_from_zero(problem: PlanningProblem) -> Candidate:
+def gradient_from_zero(problem: LiteralProblem) -> Candidate:
     """Returns what the problem's local solver makes of a guess of zeros."""
     start = np.zeros(problem.transcription.prog().num_vars())
-    return problem.judge("zero", start, problem.solve_locally(start))
+    return _run(problem, "zero", start)
 
 
-def gradient_from_random(problem: PlanningProblem, generator: np.random.Generator) -> Candidate:
+def gradient_from_random(problem: LiteralProblem, generator: np.random.Generator) -> Candidate:
     """Returns what the local solver makes of a guess, uniform over the first box of AIGO."""
     box = problem.box
     start = generator.uniform(box.center - box.half_width, box.center + box.half_width)
-    return problem.judge("random", start, problem.solve_locally(start))
+    return _run(problem, "random", start)
+
+
+def _run(problem: LiteralProblem, origin: str, start: npt.NDArray[np.float64]) -> Candidate:
+    return problem.judge(origin, start, problem.transcription, problem.solve_locally(start))

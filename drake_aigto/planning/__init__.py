@@ -1,18 +1,21 @@
 """From a scenario to a plan: search, polish, and replay on rigid walls."""
 
+from drake_aigto.planning.literal import LiteralProblem
 from drake_aigto.planning.options import PlanOptions, Rung
 from drake_aigto.planning.plan import Candidate, Plan, PlanStats, Replays
-from drake_aigto.planning.planner import Planner, PlanningError, plan
-from drake_aigto.planning.problem import PlanningProblem, make_transcription
+from drake_aigto.planning.planner import Planner, PlanningError, make_problem, plan
+from drake_aigto.planning.problem import PlanningProblem
 from drake_aigto.planning.replay import (
     Replay,
     confirms,
     replay_drake,
     replay_event_driven,
 )
+from drake_aigto.planning.rigid import RigidProblem
 
 __all__ = [
     "Candidate",
+    "LiteralProblem",
     "Plan",
     "PlanOptions",
     "PlanStats",
@@ -21,9 +24,10 @@ __all__ = [
     "PlanningProblem",
     "Replay",
     "Replays",
+    "RigidProblem",
     "Rung",
     "confirms",
-    "make_transcription",
+    "make_problem",
     "plan",
     "replay_drake",
     "replay_event_driven",

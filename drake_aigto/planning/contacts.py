@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 _SHARE = 0.05
 # Impulses that follow each other sooner than this are one contact [s].
 _GAP = 0.1
+# An impulse below this part of the largest velocity is a solver's rounding.
+_ROUNDING = 1e-9
 
 
 @dataclass(frozen=True)
@@ -27,7 +29,7 @@ class PlannedContact:
     Attributes:
         time: of its first knot [s].
         last_time: of its last knot [s].
-        velocity_change: ‖Σ M⁻¹ Jᵀ p‖ [m/s].
+        velocity_change: ‖Σ M⁻¹ Jᵀ (p_k + λ_k τ_k)‖ [m/s].
         energy_ratio: kinetic energy after / before.
     """
 
@@ -38,15 +40,25 @@ class PlannedContact:
 
 
 def find_contacts(world: World, trajectory: Trajectory) -> tuple[PlannedContact, ...]:
-    """Returns the contacts of a trajectory in the order of time: its contact sequence."""
-    knots = zip(trajectory.positions, trajectory.impulses, strict=True)
-    changes = np.array([world.calc_velocity_change(q, p) for q, p in knots])
+    """Returns the contacts of a trajectory in the order of time: its contact sequence.
+
+    Where the wall pushes at every knot, large impulses are contacts, and those that follow each
+    other soon are one. Where it does not, every impulse and every held force is one.
+    """
+    changes = _velocity_changes(world, trajectory)
     sizes = np.linalg.norm(changes, axis=1)
     largest = np.max(np.linalg.norm(trajectory.velocities, axis=1))
-    hit = np.flatnonzero(sizes > _SHARE * largest)
+    if np.all(trajectory.impulses[:-1]):
+        hit = np.flatnonzero(sizes > _SHARE * largest)
+        apart = np.diff(trajectory.times[hit]) >= _GAP
+    else:
+        held = np.any(trajectory.forces, axis=1)
+        touching = np.append(held, False) | np.append(False, held)
+        hit = np.flatnonzero((sizes > _ROUNDING * largest) | touching)
+        apart = np.diff(hit) > 1
     if not hit.size:
         return ()
-    runs = np.split(hit, np.flatnonzero(np.diff(trajectory.times[hit]) >= _GAP) + 1)
+    runs = np.split(hit, np.flatnonzero(apart) + 1)
     return tuple(_contact(world, trajectory, changes, run[0], run[-1]) for run in runs)
 
 
@@ -65,8 +77,8 @@ def _contact(
 ) -> PlannedContact:
     """Returns the contact of knots first … last."""
     before = trajectory.velocities[first]
-    at_last = trajectory.velocities[last]
-    after = trajectory.velocities[last + 1] if last + 1 < len(trajectory.times) else at_last
+    kick = world.calc_velocity_change(trajectory.positions[last], trajectory.impulses[last])
+    after = trajectory.velocities[last] + kick
     energies = [float(v @ world.mass_matrix_values @ v) for v in (before, after)]
     return PlannedContact(
         time=float(trajectory.times[first]),
@@ -74,3 +86,11 @@ def _contact(
         velocity_change=float(np.linalg.norm(changes[first : last + 1].sum(axis=0))),
         energy_ratio=energies[1] / energies[0] if energies[0] > 0 else np.inf,
     )
+
+
+def _velocity_changes(world: World, trajectory: Trajectory) -> npt.NDArray[np.float64]:
+    """Returns what the wall adds at each knot and until the next, shape (N+1, nv) [m/s]."""
+    held = trajectory.forces * np.diff(trajectory.times)[:, np.newaxis]
+    pushes = trajectory.impulses + np.vstack([held, np.zeros((1, held.shape[1]))])
+    knots = zip(trajectory.positions, pushes, strict=True)
+    return np.array([world.calc_velocity_change(q, p) for q, p in knots])

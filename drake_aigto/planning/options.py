@@ -8,15 +8,17 @@ from typing import Literal
 
 from drake_aigto.aigo import Algorithm, Annealing, FullGradient
 from drake_aigto.errors import OptionsError
-from drake_aigto.transcription.literal import DYNAMICS, KINEMATICS, NONPENETRATION
+from drake_aigto.transcription import NONPENETRATION
+from drake_aigto.transcription.literal import DYNAMICS, KINEMATICS
+from drake_aigto.transcription.rigid_contact import CONTACT, FLIGHT, RESTITUTION
 
 AlgorithmName = Literal["annealing", "full gradient"]
 LocalSolverName = Literal["newton", "ipopt", "snopt"]
-TranscriptionName = Literal["literal"]
+TranscriptionName = Literal["rigid", "literal"]
 
 # Option → what it may be.
 CHOICES: dict[str, tuple[str, ...]] = {
-    "transcription": ("literal",),
+    "transcription": ("rigid", "literal"),
     "algorithm": ("annealing", "full gradient"),
     "local_solver": ("newton", "ipopt", "snopt"),
 }
@@ -26,9 +28,11 @@ CHOICES: dict[str, tuple[str, ...]] = {
 class Rung:
     """One start of AIGO: how hot, and how much each kind of row weighs while boxes shrink.
 
+    Weights and temperature are in units of the transcription's `cost_scale`.
+
     Attributes:
         temperature: first temperature μ of the annealing (not used by the full gradient).
-        weights: constraint name → weight of its penalty r²/dt.
+        weights: constraint name → weight of its penalty r²/dt; a name left out weighs 1.
     """
 
     temperature: float
@@ -39,7 +43,7 @@ class Rung:
         return ", ".join(f"{name} {weight:g}" for name, weight in self.weights.items())
 
 
-def _rung(temperature: float, kinematics: float, dynamics: float) -> Rung:
+def _literal_rung(temperature: float, kinematics: float, dynamics: float) -> Rung:
     weights = {KINEMATICS: kinematics, DYNAMICS: dynamics, NONPENETRATION: 5e-4}
     return Rung(temperature, weights)
 
@@ -49,12 +53,27 @@ def _rung(temperature: float, kinematics: float, dynamics: float) -> Rung:
 # jump to the wall at once. The first rung alone finds the bounce of all of Table I by annealing; a
 # heavy and cold one ends in free flight; Algorithm 1 needs the lightest.
 LITERAL_LADDER = (
-    _rung(1e-4, 1e3, 1e-2),
-    _rung(1e-5, 1e2, 1e0),
-    _rung(1e-4, 1e3, 1e-3),
-    _rung(1e-5, 1e2, 1e-4),
-    _rung(1e-4, 1e1, 1e-4),
+    _literal_rung(1e-4, 1e3, 1e-2),
+    _literal_rung(1e-5, 1e2, 1e0),
+    _literal_rung(1e-4, 1e3, 1e-3),
+    _literal_rung(1e-5, 1e2, 1e-4),
+    _literal_rung(1e-4, 1e1, 1e-4),
 )
+
+
+def _rigid_rung(temperature: float, restitution: float) -> Rung:
+    weights = {FLIGHT: 3e2, DYNAMICS: 3e2, CONTACT: 3e2, RESTITUTION: restitution}
+    return Rung(temperature, {**weights, NONPENETRATION: 3e3})
+
+
+# Hot boxes under a light restitution row find the wall; cold ones under a heavy row, which no
+# impulse can please yet, find the free flight. What is best is only known after the polish.
+RIGID_LADDER = (_rigid_rung(3.0, 1.0), _rigid_rung(0.3, 1e1), _rigid_rung(3e-2, 1e2))
+
+# A rigid anneal ends at this part of its first temperature: no sequence changed below.
+_COOLED = 1e-7
+
+_LADDERS = {"rigid": RIGID_LADDER, "literal": LITERAL_LADDER}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,23 +81,33 @@ class PlanOptions:
     """Numerics of a plan.
 
     Attributes:
-        transcription: "literal", the paper's explicit Euler with λ = ε/(φ + δ).
+        transcription: "rigid", impulses at knots and Newton restitution: what is planned holds on a
+            rigid wall; or "literal", the paper's explicit Euler with λ = ε/(φ + δ).
+        relaxation: ε of the rigid transcription's complementarity φ p = dt ε, which the wall pushes
+            from afar with while boxes shrink (`RigidTranscription`).
+        aigo_steps: the most time steps that boxes of the rigid transcription have: coarse ones show
+            the contact sequence, and the polish has the scenario's.
         nonpenetration: whether the literal transcription asks for φ(q_k) ≥ 0. The paper's figures
             need it off.
         algorithm: "annealing", or "full gradient" for the paper's Algorithm 1.
-        ladder: the starts; a candidate plan comes out of each.
+        ladder: the starts; candidates come out of each. None: the transcription's own.
         local_solver: polishes AIGO's results: "newton" (`local.InteriorPoint`), or "ipopt" or
             "snopt" through Drake.
-        knot_steps: by how many knots the best candidate's contacts are moved to and fro, in turn.
+        finalists: how many of the best candidates are improved: by a polish with the scenario's
+            time step (rigid), or by moving their contacts (literal).
+        knot_steps: by how many knots a literal candidate's contacts are moved to and fro, in turn.
         confirm: whether the plan is also replayed on Drake's plant; the event-driven replay is
             always run.
     """
 
-    transcription: TranscriptionName = "literal"
+    transcription: TranscriptionName = "rigid"
+    relaxation: float = 1e-4
+    aigo_steps: int = 50
     nonpenetration: bool = True
     algorithm: AlgorithmName = "annealing"
-    ladder: tuple[Rung, ...] = field(default=LITERAL_LADDER, repr=False)
+    ladder: tuple[Rung, ...] | None = field(default=None, repr=False)
     local_solver: LocalSolverName = "newton"
+    finalists: int = 2
     knot_steps: tuple[int, ...] = (16, 8, 4, 2, 1)
     confirm: bool = True
 
@@ -87,8 +116,27 @@ class PlanOptions:
         for name, known in CHOICES.items():
             if (got := getattr(self, name)) not in known:
                 raise OptionsError(name, got=repr(got), expected=f"one of {', '.join(known)}")
-        if not self.ladder:
+        for name in ("aigo_steps", "finalists"):
+            if (count := getattr(self, name)) < 1:
+                raise OptionsError(name, got=count, expected="1 or more")
+        if not 0 <= self.relaxation < float("inf"):
+            raise OptionsError("relaxation", got=self.relaxation, expected="a number, 0 or more")
+        if not self.rungs:
             raise OptionsError("ladder", got="no rung", expected="at least one")
+        names = _LADDERS[self.transcription][0].weights
+        for rung in self.rungs:
+            for name in rung.weights:
+                if name not in names:
+                    raise OptionsError(
+                        "ladder",
+                        got=f"a weight for {name!r}",
+                        expected=f"names of {self.transcription} rows: {', '.join(names)}",
+                    )
+
+    @property
+    def rungs(self) -> tuple[Rung, ...]:
+        """The ladder, or the transcription's own."""
+        return _LADDERS[self.transcription] if self.ladder is None else self.ladder
 
     def describe(self, rung: Rung) -> str:
         """Returns how tables and plan files name a start of AIGO."""
@@ -96,8 +144,11 @@ class PlanOptions:
             return f"annealing from temperature {rung.temperature:g}; weights {rung}"
         return f"full gradient; weights {rung}"
 
-    def make_algorithm(self, rung: Rung) -> Algorithm:
-        """Returns AIGO's algorithm for a rung."""
+    def make_algorithm(self, rung: Rung, unit: float = 1.0) -> Algorithm:
+        """Returns AIGO's algorithm for a rung, whose temperature is in this unit."""
         if self.algorithm == "annealing":
-            return Annealing(initial_temperature=rung.temperature)
+            start = rung.temperature * unit
+            if self.transcription == "literal":
+                return Annealing(initial_temperature=start)
+            return Annealing(initial_temperature=start, final_temperature=_COOLED * start)
         return FullGradient()

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 FORMAT = "drake_aigto plan"
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2
 
 # A candidate whose rows are off by more than this is no solution of the transcription [m, m/s].
 LARGEST_DEFECT = 1e-6
@@ -83,6 +83,11 @@ class Candidate:
     def is_feasible(self) -> bool:
         """Whether it meets the transcription's rows."""
         return self.max_defect <= LARGEST_DEFECT
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether the event-driven replay confirms it."""
+        return confirms(self.cost, self.replay, self.goal_error)
 
     @property
     def energy_ratio(self) -> float | None:

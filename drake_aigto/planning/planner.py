@@ -12,23 +12,43 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from drake_aigto.errors import AigtoError
+from drake_aigto.planning.literal import LiteralProblem, LiteralSearch
 from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.plan import LARGEST_DEFECT, Candidate, Plan, PlanStats, Replays
-from drake_aigto.planning.problem import PlanningProblem, make_transcription
 from drake_aigto.planning.replay import replay_drake, replay_event_driven
+from drake_aigto.planning.rigid import RigidProblem, RigidSearch
 from drake_aigto.planning.search import Search
 from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription import LiteralTranscription, RigidTranscription
 from drake_aigto.world import Scenario, World
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-# So many of the best candidates have their contacts moved.
-_MOVED_CANDIDATES = 2
-
 
 class PlanningError(AigtoError, RuntimeError):
-    """Nothing was found; the message says what was tried."""
+    """Nothing was found; the message says what was tried.
+
+    Attributes:
+        plan: the best that does not hold, if there is one.
+    """
+
+    plan: Plan | None = None
+
+
+def make_problem(
+    world: World, scenario: Scenario, options: PlanOptions
+) -> LiteralProblem | RigidProblem:
+    """Returns the scenario, transcribed and compiled as the options say.
+
+    The rigid transcription has time steps of its own (`PlanOptions.aigo_steps`).
+    """
+    if options.transcription == "literal":
+        literal = LiteralTranscription(world, scenario, options.nonpenetration)
+        return LiteralProblem(literal, options)
+    steps = min(options.aigo_steps, scenario.num_steps)
+    coarse = dataclasses.replace(scenario, time_step=scenario.duration / steps)
+    return RigidProblem(RigidTranscription(world, coarse, options.relaxation), options)
 
 
 def plan(
@@ -82,7 +102,8 @@ class Planner:
 
         Raises:
             ScenarioError: a changed end does not fit.
-            PlanningError: no candidate meets the transcription's rows.
+            PlanningError: no candidate meets the transcription's rows, or no rigid one holds in
+                simulation.
         """
         ends = {
             "initial_position": initial_position,
@@ -93,46 +114,69 @@ class Planner:
         scenario = dataclasses.replace(self.scenario, **changed) if changed else self.scenario
         self.world.check(scenario)
         self._seconds.clear()
-        with self._clock("build"):
-            transcription = make_transcription(self.world, scenario, self.options)
-            problem = PlanningProblem(transcription, self.options)
-        candidates, steps = self._search(problem, progress)
-        feasible = [candidate for candidate in candidates if candidate.is_feasible]
+        search = self._search(scenario, progress)
+        feasible = [candidate for candidate in search.ranked() if candidate.is_feasible]
         if not feasible:
-            defect = min((c.max_defect for c in candidates), default=np.inf)
+            defects = [candidate.max_defect for candidate in search.ranked()]
             raise PlanningError(
                 "no candidate meets the transcription's rows",
-                got=f"{len(candidates)} candidates from {len(self.options.ladder)} rungs, the "
-                f"smallest defect {defect:.1e}",
+                got=f"{len(defects)} candidates from {len(self.options.rungs)} rungs, the "
+                f"smallest defect {min(defects, default=np.inf):.1e}",
                 expected=f"at most {LARGEST_DEFECT:g}",
                 remedy="Try another ladder, algorithm or local solver.",
             )
-        best = min(feasible, key=lambda candidate: candidate.cost)
-        rest = [candidate for candidate in candidates if candidate is not best]
-        with self._clock("replay"):
-            replays = self.simulate(best.trajectory, scenario)
-        stats = PlanStats(steps, len(feasible), dict(self._seconds))
-        return Plan(scenario, self.options.transcription, (best, *rest), replays, stats)
+        best, replays = self._choose(feasible, scenario)
+        rest = [candidate for candidate in search.ranked() if candidate is not best]
+        stats = PlanStats(search.aigo_steps, len(feasible), dict(self._seconds))
+        found = Plan(scenario, self.options.transcription, (best, *rest), replays, stats)
+        if self.options.transcription == "rigid" and not found.holds:
+            raise _nothing_holds(found, len(self.options.rungs))
+        return found
 
-    def _search(
-        self, problem: PlanningProblem, progress: Callable[[str], None] | None
-    ) -> tuple[list[Candidate], int]:
-        """Returns the candidates, and the inner iterations of AIGO in all."""
-        search = Search(problem, self._clock)
-        ladder = self.options.ladder
+    def _search(self, scenario: Scenario, progress: Callable[[str], None] | None) -> Search[Any]:
+        """Returns a finished search."""
+        options, ladder = self.options, self.options.rungs
+        with self._clock("build"):
+            search = self._start_search(scenario)
         try:
             for number, rung in enumerate(ladder, 1):
                 if progress:
-                    progress(f"AIGO {number} of {len(ladder)}: {self.options.describe(rung)}")
+                    progress(f"AIGO {number} of {len(ladder)}: {options.describe(rung)}")
                 search.add_rung(rung)
-            for knots in search.best_contacts(_MOVED_CANDIDATES):
+            for number, sequence in enumerate(search.finalists()[: options.finalists], 1):
                 if progress:
-                    progress(f"{len(search.candidates)} candidates; moving contacts {knots}")
-                search.move_contacts(knots, self.options.knot_steps)
+                    progress(f"{len(search.by_sequence)} candidates; improving number {number}")
+                search.improve(sequence)
         except KeyboardInterrupt:
-            if not search.candidates:
+            if not search.by_sequence:
                 raise
-        return search.candidates, search.aigo_steps
+        return search
+
+    def _start_search(self, scenario: Scenario) -> Search[Any]:
+        problem = make_problem(self.world, scenario, self.options)
+        if isinstance(problem, LiteralProblem):
+            return LiteralSearch(problem, self._clock)
+        return RigidSearch(problem, self._clock, scenario.time_step)
+
+    def _choose(self, feasible: list[Candidate], scenario: Scenario) -> tuple[Candidate, Replays]:
+        """Returns the first candidate that all replays confirm, or else the first, with replays.
+
+        Literal plans are taken at their word, as the paper does: always the first.
+        """
+        first, *others = feasible
+        replays = self._confirm(first, scenario)
+        if self.options.transcription == "rigid" and not first.holds(replays):
+            for other in (other for other in others if other.is_confirmed):
+                again = self._confirm(other, scenario)
+                if other.holds(again):
+                    return other, again
+        return first, replays
+
+    def _confirm(self, candidate: Candidate, scenario: Scenario) -> Replays:
+        control = candidate.trajectory.times, candidate.trajectory.controls
+        with self._clock("replay"):
+            drake = replay_drake(self.world, scenario, *control) if self.options.confirm else None
+        return Replays(candidate.replay, drake)
 
     def simulate(self, trajectory: Trajectory, scenario: Scenario | None = None) -> Replays:
         """Returns what a trajectory's control alone does: event-driven, and in Drake to confirm.
@@ -154,3 +198,28 @@ class Planner:
             yield
         finally:
             self._seconds[part] += time.perf_counter() - start
+
+
+def _nothing_holds(found: Plan, num_rungs: int) -> PlanningError:
+    """Returns the error of a search whose every candidate a replay contradicts."""
+    tried = [
+        f"{_describe(candidate)} for {candidate.cost:.2e}, replayed {candidate.replay.cost:.2e}"
+        for candidate in found.candidates
+    ]
+    drake = found.replay.drake
+    if drake is not None and found.best.is_confirmed:
+        tried[0] += f", in Drake {drake.cost:.2e} and {drake.goal_error:.1e} m off the goal"
+    error = PlanningError(
+        "nothing holds on a rigid wall",
+        got=f"{len(tried)} candidates from {num_rungs} rungs of AIGO ({'; '.join(tried)})",
+        expected="simulations that come near a plan's cost and goal",
+        remedy="Allow more time, move the goal closer, or try another ladder.",
+    )
+    error.plan = found
+    return error
+
+
+def _describe(candidate: Candidate) -> str:
+    """Returns a candidate's contact sequence in words."""
+    times = ", ".join(f"{contact.time:.3f} s" for contact in candidate.contacts)
+    return f"contact at {times}" if times else "free flight"

@@ -1,11 +1,13 @@
-"""A transcription, compiled for AIGO and for the local solvers."""
+"""A transcription, compiled for AIGO and for the local solvers: the road's steps one by one."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 import numpy as np
+from pydrake.solvers import MathematicalProgram
 
 from drake_aigto.aigo import AigoResult, Box, PenaltyContinuation, minimize
 from drake_aigto.box import BoxPolynomial, compile_program
@@ -15,23 +17,23 @@ from drake_aigto.planning.drake_solvers import solve_with_drake
 from drake_aigto.planning.options import PlanOptions, Rung
 from drake_aigto.planning.plan import Candidate
 from drake_aigto.planning.replay import replay_event_driven
-from drake_aigto.planning.sequence import Knots, ballistic_guess, contact_knots
-from drake_aigto.transcription import LiteralTranscription, Transcription
-from drake_aigto.world import Scenario, World
+from drake_aigto.transcription import Transcription
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
+Sequence = TypeVar("Sequence")
+TranscriptionT = TypeVar("TranscriptionT", bound=Transcription)
 
-def make_transcription(world: World, scenario: Scenario, options: PlanOptions) -> Transcription:
-    """Returns the transcription that the options name."""
-    return LiteralTranscription(world, scenario, options.nonpenetration)
+# Of the local solver; a candidate that needs more is one whose phases vanish.
+_MAX_ITERATIONS = 200
 
 
-class PlanningProblem:
-    """A transcription compiled for AIGO and for the local solvers: the road's steps one by one.
+class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
+    """A transcription compiled for AIGO and for the local solvers.
 
-    Costs and bounds that were added to the transcription before count.
+    Costs and bounds that were added to the transcription before count. What a contact sequence is,
+    and how one is polished, is the subclass's.
 
     Attributes:
         transcription: the constrained program.
@@ -39,7 +41,7 @@ class PlanningProblem:
         box: where AIGO starts.
     """
 
-    def __init__(self, transcription: Transcription, options: PlanOptions | None = None) -> None:
+    def __init__(self, transcription: TranscriptionT, options: PlanOptions | None = None) -> None:
         """Compiles.
 
         Raises:
@@ -57,61 +59,80 @@ class PlanningProblem:
 
     def run_aigo(self, rung: Rung) -> AigoResult:
         """Returns what AIGO makes of the first box under a rung's weights."""
-        return minimize(self._weighted(rung), self.box, self.options.make_algorithm(rung))
+        algorithm = self.options.make_algorithm(rung, self.transcription.cost_scale())
+        return minimize(self._weighted(rung), self.box, algorithm)
 
-    def find_sequences(self, result: AigoResult, rung: Rung) -> list[Knots]:
-        """Returns the contact sequences that AIGO proposes; () is a free flight.
-
-        One is read off the box center as it is, another after pulling it towards the constraints by
-        raising the rung's penalties.
-        """
-        center = result.box.center
-        pulled = PenaltyContinuation().run(
+    def pull(self, center: npt.NDArray[np.float64], rung: Rung) -> npt.NDArray[np.float64]:
+        """Returns a box center pulled towards the constraints by raising the rung's penalties."""
+        return PenaltyContinuation().run(
             self._weighted(rung), self._weights(rung), center, self.box.free
         )
-        return [contact_knots(self.transcription, x) for x in (center, pulled)]
 
-    def polish(self, center: npt.NDArray[np.float64], knots: Knots) -> npt.NDArray[np.float64]:
-        """Returns the local optimum next to a contact sequence, all decision variables (n,).
+    @abstractmethod
+    def find_sequences(self, result: AigoResult, rung: Rung) -> list[Sequence]:
+        """Returns the contact sequences that AIGO proposes; () is a free flight."""
 
-        The local solver starts from the ballistic guess: of AIGO's box center only the sequence is
-        kept, as its penalised rows are off by far.
+    @abstractmethod
+    def polish(
+        self, center: npt.NDArray[np.float64], sequence: Sequence
+    ) -> tuple[Transcription, npt.NDArray[np.float64]]:
+        """Returns the local optimum next to a contact sequence that was read off a box center.
+
+        Returns:
+            The transcription that was solved, and all of its decision variables.
         """
-        return self.solve_locally(ballistic_guess(self.transcription, center, knots))
 
     def solve_locally(self, guess: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns what the local solver makes of a guess, all decision variables (n,)."""
-        if self.options.local_solver == "newton":
-            x = InteriorPoint().solve(self._nlp, guess).x
-        else:
-            x = solve_with_drake(self.transcription.prog(), guess, self.options.local_solver).x
+        x = self.solve_program(self.transcription.prog(), guess, self._nlp)
         return self.transcription.close_rows(x)
 
+    def solve_program(
+        self,
+        prog: MathematicalProgram,
+        guess: npt.NDArray[np.float64],
+        nlp: PolynomialNlp | None = None,
+    ) -> npt.NDArray[np.float64]:
+        """Returns what the local solver makes of a guess for any program; compiled if `nlp`."""
+        if self.options.local_solver == "newton":
+            solver = InteriorPoint(max_iterations=_MAX_ITERATIONS)
+            return solver.solve(nlp or compile_nlp(prog), guess).x
+        return solve_with_drake(prog, guess, self.options.local_solver).x
+
     def judge(
-        self, origin: str, start: npt.NDArray[np.float64], x: npt.NDArray[np.float64]
+        self,
+        origin: str,
+        start: npt.NDArray[np.float64],
+        solved: Transcription,
+        x: npt.NDArray[np.float64],
     ) -> Candidate:
-        """Returns the candidate that a local solver made of a start, replayed on the rigid wall."""
-        transcription, world = self.transcription, self.transcription.world
-        scenario = transcription.scenario
-        trajectory = transcription.trajectory(x)
-        control = trajectory.times, trajectory.controls
+        """Returns the candidate that a local solver made of a start, replayed on the rigid wall.
+
+        Args:
+            origin: how it came about.
+            start: decision variables of this problem's transcription.
+            solved: the transcription that the local solver solved.
+            x: its decision variables.
+        """
+        world, scenario = solved.world, solved.scenario
+        trajectory = solved.trajectory(x)
         return Candidate(
             origin=origin,
-            start_cost=transcription.scenario_cost(start),
-            start_defects=transcription.defects(start),
+            start_cost=self.transcription.scenario_cost(start),
+            start_defects=self.transcription.defects(start),
             trajectory=trajectory,
-            cost=transcription.scenario_cost(x),
+            cost=solved.scenario_cost(x),
             goal_error=float(np.linalg.norm(trajectory.positions[-1] - scenario.goal_position)),
-            defects=transcription.defects(x),
+            defects=solved.defects(x),
             max_penetration=max_penetration(world, trajectory),
             contacts=find_contacts(world, trajectory),
-            replay=replay_event_driven(world, scenario, *control),
+            replay=replay_event_driven(world, scenario, trajectory.times, trajectory.controls),
         )
 
     def _weights(self, rung: Rung) -> dict[str, float]:
         """Returns the rung's weights of the rows that this problem has."""
-        present = self.polynomial.weights
-        return {name: weight for name, weight in rung.weights.items() if name in present}
+        present, unit = self.polynomial.weights, self.transcription.cost_scale()
+        return {name: unit * weight for name, weight in rung.weights.items() if name in present}
 
     def _weighted(self, rung: Rung) -> BoxPolynomial:
         return self.polynomial.with_weights(self._weights(rung))

@@ -1,113 +1,90 @@
-"""Candidates by contact sequence."""
+"""Candidates by contact sequence: AIGO proposes, and the best are improved."""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Callable, Iterator, Sequence
+from abc import ABC, abstractmethod
+from collections.abc import Callable
 from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Generic
 
 from drake_aigto.aigo import Status
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.plan import Candidate
-from drake_aigto.planning.problem import PlanningProblem
-from drake_aigto.planning.sequence import Knots
+from drake_aigto.planning.problem import PlanningProblem, Sequence
 
 if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-# In a candidate's origin, before the knots that its contacts were moved to.
-_MOVED = "; contacts moved to knots "
-# Contacts this many knots apart are one proposal of AIGO's; moving them tells them apart.
-_SAME = 2
-
 Clock = Callable[[str], AbstractContextManager[None]]
+Polish = Callable[..., tuple[Any, Any]]
 
 
-class Search:
-    """Candidates by contact sequence: AIGO proposes, and the best one's contacts are moved.
-
-    Sequences whose knots differ by no more than `_SAME` share a candidate.
+class Search(ABC, Generic[Sequence]):
+    """Candidates by contact sequence; the work is cut off by counts, never by clocks.
 
     Attributes:
-        candidates: so far.
+        problem: that is searched.
+        by_sequence: the candidates so far, in the order that they were found.
+        centers: of the boxes that each sequence was read off.
+        solved: the transcription that each polish solved, and its decision variables.
         aigo_steps: inner iterations of AIGO so far.
     """
 
-    def __init__(self, problem: PlanningProblem, clock: Clock) -> None:
+    def __init__(self, problem: PlanningProblem[Any, Sequence], clock: Clock) -> None:
         """Starts with no candidate; the clock measures parts by name."""
-        self._problem, self._clock = problem, clock
-        self._centers: dict[Knots, npt.NDArray[np.float64]] = {}
-        self._by_knots: dict[Knots, Candidate] = {}
+        self.problem, self._clock = problem, clock
+        self.by_sequence: dict[Sequence, Candidate] = {}
+        self.centers: dict[Sequence, npt.NDArray[np.float64]] = {}
+        self.solved: dict[Sequence, tuple[Any, npt.NDArray[np.float64]]] = {}
         self.aigo_steps = 0
 
-    @property
-    def candidates(self) -> list[Candidate]:
-        """All candidates, in the order that they were found."""
-        return list(self._by_knots.values())
-
     def add_rung(self, rung: Rung) -> None:
-        """Adds the candidate of AIGO's sequence under this rung, unless it is there.
+        """Adds the candidates of AIGO's sequences under this rung, unless they are there.
 
         Raises:
             KeyboardInterrupt: AIGO was interrupted; its best so far is a candidate by now.
         """
         with self._clock("aigo"):
-            result = self._problem.run_aigo(rung)
-            sequences = self._problem.find_sequences(result, rung)
+            result = self.problem.run_aigo(rung)
+            sequences = self.problem.find_sequences(result, rung)
         self.aigo_steps += result.num_inner_steps
-        for knots in sequences:
-            if not any(_is_same(knots, known) for known in self._by_knots):
-                self._add(self._problem.options.describe(rung), knots, result.box.center)
+        for sequence in sequences:
+            if not self.is_known(sequence):
+                self.add(self.problem.options.describe(rung), result.box.center, sequence)
         if result.status is Status.INTERRUPTED:
             raise KeyboardInterrupt
 
-    def move_contacts(self, knots: Knots, steps: Sequence[int]) -> None:
-        """Moves each contact of a candidate to and fro by so many knots, while that helps.
+    def add(self, origin: str, center: npt.NDArray[np.float64], sequence: Sequence) -> None:
+        """Adds the candidate of a sequence that was read off a box center."""
+        self.solve(origin, center, sequence, self.problem.polish)
 
-        Args:
-            knots: the candidate's sequence.
-            steps: in turn; each is repeated until it does not help any more.
-        """
-        for step in steps:
-            while (best := min([knots, *self._neighbours(knots, step)], key=self._rank)) != knots:
-                knots = best
-
-    def best_contacts(self, count: int) -> list[Knots]:
-        """Returns so many sequences with contacts: first those that the polish left in contact."""
-        ranked = sorted(
-            filter(None, self._by_knots),
-            key=lambda knots: (not self._by_knots[knots].contacts, self._rank(knots)),
-        )
-        return ranked[:count]
-
-    def _neighbours(self, knots: Knots, step: int) -> Iterator[Knots]:
-        """Yields the sequences with one contact moved, which are candidates by then."""
-        last = self._problem.transcription.num_samples() - 1
-        for i, shift in itertools.product(range(len(knots)), (-step, step)):
-            moved = tuple(k + shift if j == i else k for j, k in enumerate(knots))
-            if not all(a < b for a, b in itertools.pairwise((0, *moved, last))):
-                continue
-            if moved not in self._by_knots:
-                origin = self._by_knots[knots].origin.split(_MOVED)[0]
-                self._add(f"{origin}{_MOVED}{moved}", moved, self._centers[knots])
-            yield moved
-
-    def _rank(self, knots: Knots) -> tuple[bool, float]:
-        """Orders sequences: those that meet the rows first, then by cost."""
-        candidate = self._by_knots[knots]
-        return not candidate.is_feasible, candidate.cost
-
-    def _add(self, origin: str, knots: Knots, center: npt.NDArray[np.float64]) -> None:
+    def solve(
+        self, origin: str, center: npt.NDArray[np.float64], sequence: Sequence, polish: Polish
+    ) -> None:
+        """Makes a candidate of a sequence by a polish; it replaces one of equal sequence."""
         with self._clock("polish"):
-            x = self._problem.polish(center, knots)
+            self.solved[sequence] = solved, x = polish(center, sequence)
         with self._clock("replay"):
-            self._by_knots[knots] = self._problem.judge(origin, center, x)
-        self._centers[knots] = center
+            self.by_sequence[sequence] = self.problem.judge(origin, center, solved, x)
+        self.centers[sequence] = center
 
+    def ranked(self) -> list[Candidate]:
+        """Returns all candidates, the best first."""
+        return sorted(self.by_sequence.values(), key=self.rank)
 
-def _is_same(one: Knots, other: Knots) -> bool:
-    return len(one) == len(other) and all(
-        abs(a - b) <= _SAME for a, b in zip(one, other, strict=True)
-    )
+    @abstractmethod
+    def is_known(self, sequence: Sequence) -> bool:
+        """Returns whether there is a candidate of nearly this sequence."""
+
+    @abstractmethod
+    def finalists(self) -> list[Sequence]:
+        """Returns the sequences that are worth improving, the best first."""
+
+    @abstractmethod
+    def improve(self, sequence: Sequence) -> None:
+        """Adds candidates near a sequence, or a better one in its place."""
+
+    @abstractmethod
+    def rank(self, candidate: Candidate) -> tuple[float, ...]:
+        """Returns what candidates are ordered by, the best least."""

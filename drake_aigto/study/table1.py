@@ -18,13 +18,13 @@ import numpy as np
 from drake_aigto.baselines import gradient_from_random, gradient_from_zero
 from drake_aigto.planning import (
     Candidate,
+    LiteralProblem,
     Planner,
-    PlanningProblem,
     PlanOptions,
     Replays,
-    make_transcription,
 )
 from drake_aigto.planning.options import AlgorithmName, LocalSolverName
+from drake_aigto.transcription import LiteralTranscription
 from drake_aigto.world import Scenario
 
 ROWS = (1, 2, 3, 4)
@@ -234,13 +234,13 @@ def _gradient_methods(
 def _run_gradient(
     planner: Planner,
     solver: LocalSolverName,
-    run: Callable[[PlanningProblem], Candidate],
+    run: Callable[[LiteralProblem], Candidate],
     count: int,
 ) -> tuple[list[Candidate], float]:
     """Returns so many runs of a gradient solver, and their seconds."""
     options = dataclasses.replace(planner.options, local_solver=solver)
-    transcription = make_transcription(planner.world, planner.scenario, options)
-    problem = PlanningProblem(transcription, options)
+    transcription = LiteralTranscription(planner.world, planner.scenario, options.nonpenetration)
+    problem = LiteralProblem(transcription, options)
     start = time.perf_counter()
     runs = [run(problem) for _ in range(count)]
     return runs, time.perf_counter() - start

@@ -30,6 +30,7 @@ class Trajectory(ArrayRecord):
         controls: u_k, shape (N, nu) [N], held over [t_k, t_{k+1}).
         impulses: p_k ≥ 0 of the contacts, shape (N+1, m) [N s]. The velocity just after t_k is
             v_k + M⁻¹ Jᵀ p_k.
+        forces: λ_k ≥ 0 of contacts that last, held over [t_k, t_{k+1}), shape (N, m) [N].
 
     Raises:
         TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
@@ -40,6 +41,7 @@ class Trajectory(ArrayRecord):
     velocities: npt.NDArray[np.float64]
     controls: npt.NDArray[np.float64]
     impulses: npt.NDArray[np.float64]
+    forces: npt.NDArray[np.float64]
 
     def __post_init__(self) -> None:
         """Checks, and makes the arrays read-only."""
@@ -49,6 +51,8 @@ class Trajectory(ArrayRecord):
         for name in ("positions", "velocities", "impulses"):
             rows = _check_rows(name, getattr(self, name), len(times), "one for each knot")
             object.__setattr__(self, name, rows)
+        forces = _check_rows("forces", self.forces, len(controls), "one for each interval")
+        object.__setattr__(self, "forces", forces)
         if self.velocities.shape != self.positions.shape:
             raise TrajectoryError(
                 "velocities",

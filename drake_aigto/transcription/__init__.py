@@ -2,6 +2,19 @@
 
 from drake_aigto.transcription.literal import LiteralTranscription
 from drake_aigto.transcription.penalties import cut_to_bounds, penalize
-from drake_aigto.transcription.transcription import Transcription
+from drake_aigto.transcription.phases import PhaseTranscription
+from drake_aigto.transcription.rigid import RigidTranscription
+from drake_aigto.transcription.touch import Touch, TouchSequence
+from drake_aigto.transcription.transcription import NONPENETRATION, Transcription
 
-__all__ = ["LiteralTranscription", "Transcription", "cut_to_bounds", "penalize"]
+__all__ = [
+    "NONPENETRATION",
+    "LiteralTranscription",
+    "PhaseTranscription",
+    "RigidTranscription",
+    "Touch",
+    "TouchSequence",
+    "Transcription",
+    "cut_to_bounds",
+    "penalize",
+]

@@ -8,13 +8,13 @@ import numpy as np
 from pydrake.symbolic import Expression
 
 from drake_aigto.transcription.shared import as_expression, shared_constraint
-from drake_aigto.transcription.transcription import Transcription
+from drake_aigto.transcription.transcription import NONPENETRATION, Transcription
 from drake_aigto.world import Scenario, World
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-KINEMATICS, DYNAMICS, NONPENETRATION = "kinematics", "dynamics", "nonpenetration"
+KINEMATICS, DYNAMICS = "kinematics", "dynamics"
 
 
 class LiteralTranscription(Transcription):
@@ -47,10 +47,7 @@ class LiteralTranscription(Transcription):
         for row in self._dynamics_rows():
             self._bind_stages(shared_constraint(row, DYNAMICS))
         if self.nonpenetration:
-            for contact in self.world.contacts:
-                apart = shared_constraint(contact.signed_distance, NONPENETRATION, 0.0, np.inf)
-                for k in range(1, self.num_samples()):
-                    self._bind(apart, k)
+            self._add_nonpenetration(range(1, self.num_samples()))
 
     def _kinematics_rows(self) -> npt.NDArray[np.object_]:
         return self._next_q - self.world.positions - self._dt * self.world.velocities
@@ -94,9 +91,7 @@ class LiteralTranscription(Transcription):
         """
         q, v, u = self.split(x)
         gain = np.linalg.pinv(self.world.actuation) @ self.world.mass_matrix_values / self._dt
-        return np.concatenate(
-            [q.ravel(), v.ravel(), (u + self._dynamics_defects(x) @ gain.T).ravel()]
-        )
+        return self.vector_of(q, v, u + self._dynamics_defects(x) @ gain.T)
 
     def _dynamics_defects(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns v_{k+1} − v_k − dt M⁻¹ (B u_k − h + J_kᵀ λ_k), shape (N, nv) [m/s]."""

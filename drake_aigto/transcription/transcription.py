@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -15,6 +16,7 @@ from drake_aigto.transcription.penalties import InequalityPenalty, cut_to_bounds
 from drake_aigto.transcription.shared import (
     SharedEvaluator,
     as_expression,
+    shared_constraint,
     shared_cost,
     substitutions,
 )
@@ -22,6 +24,9 @@ from drake_aigto.world import Scenario, World
 
 if TYPE_CHECKING:
     import numpy.typing as npt
+
+NONPENETRATION = "nonpenetration"
+CLEARANCE = "clearance"
 
 
 class Transcription(ABC):
@@ -34,6 +39,9 @@ class Transcription(ABC):
     evaluator, whose description names it. Contact forces are never decision variables: the subclass
     eliminates them.
 
+    The decision variables are q, v and u, then, for contacts whose φ reads several coordinates,
+    clearances s_k = φ(q_k): bounds and penalties need an inequality in one variable.
+
     Shape letters: N time steps, nq positions, nv = nq velocities, nu controls, m contacts.
     """
 
@@ -41,14 +49,11 @@ class Transcription(ABC):
         """Makes variables, initial state, the scenario's costs, then the subclass's rows."""
         self.world = world
         self.scenario = scenario
-        N, self._dt = scenario.num_steps, scenario.time_step
+        self._dt = scenario.time_step
         self._prog = MathematicalProgram()
-        self._q = self._prog.NewContinuousVariables(N + 1, world.num_positions, "q")
-        self._v = self._prog.NewContinuousVariables(N + 1, world.num_velocities, "v")
-        self._u = self._prog.NewContinuousVariables(N, world.num_actuators, "u")
-        # Placeholders for a stage's end; its start and control are the world's own variables.
-        self._next_q = MakeVectorVariable(world.num_positions, "q_next")
-        self._next_v = MakeVectorVariable(world.num_velocities, "v_next")
+        # What users add: applied again to the phases of a contact sequence.
+        self._additions: list[Callable[[Transcription], None]] = []
+        self._make_variables()
 
         start = np.concatenate([scenario.initial_position, scenario.initial_velocity])
         self._prog.AddBoundingBoxConstraint(
@@ -58,13 +63,52 @@ class Transcription(ABC):
         with np.errstate(invalid="ignore"):
             u = world.controls
             error = world.positions - scenario.goal_position
-            self.AddRunningCost(scenario.control_weight * u.dot(u), "control effort")
-            self.AddFinalCost(scenario.goal_weight * error.dot(error), "goal")
+            self._add_running_cost(scenario.control_weight * u.dot(u), "control effort")
+            self._add_final_cost(scenario.goal_weight * error.dot(error), "goal")
             self._add_rows()
+
+    def _make_variables(self) -> None:
+        """Makes the decision variables, and placeholders for those of a stage."""
+        N, world = self.scenario.num_steps, self.world
+        self._q = self._prog.NewContinuousVariables(N + 1, world.num_positions, "q")
+        self._v = self._prog.NewContinuousVariables(N + 1, world.num_velocities, "v")
+        self._u = self._prog.NewContinuousVariables(N, world.num_actuators, "u")
+        # A stage's start and control are the world's own variables; this is its end.
+        self._next_q = MakeVectorVariable(world.num_positions, "q_next")
+        self._next_v = MakeVectorVariable(world.num_velocities, "v_next")
+        self._duration = Expression(self._dt)
+        # Column by column, of those contacts whose φ reads several coordinates.
+        self._clearances = np.empty((N + 1, 0), dtype=object)
+        self._clearance = np.empty(0, dtype=object)
+        self._clearance_contacts: list[int] = []
 
     @abstractmethod
     def _add_rows(self) -> None:
         """Adds the dynamics and contact rows to the program."""
+
+    def _add_nonpenetration(self, knots: Sequence[int], unit: float = 1.0) -> None:
+        """Adds φ(q_k)/unit ≥ 0 for all contacts at these knots; the unit only scales penalties."""
+        for i, contact in enumerate(self.world.contacts):
+            distance = contact.signed_distance
+            if len(distance.GetVariables()) > 1:
+                distance = self._add_clearance(i)
+            apart = shared_constraint(distance / unit, NONPENETRATION, 0.0, np.inf)
+            for k in knots:
+                self._bind(apart, k)
+
+    def _add_clearance(self, contact: int) -> Expression:
+        """Adds variables s_k with rows s_k = φ(q_k); returns their placeholder."""
+        name = f"s{contact}"
+        variables = self._prog.NewContinuousVariables(len(self._q), 1, name)
+        self._clearances = np.hstack([self._clearances, variables])
+        self._clearance_contacts.append(contact)
+        self._clearance = np.append(self._clearance, MakeVectorVariable(1, name))
+        placeholder = Expression(self._clearance[-1])
+        distance = self.world.contacts[contact].signed_distance
+        row = shared_constraint(placeholder - distance, CLEARANCE)
+        for k in range(len(self._q)):
+            self._bind(row, k)
+        return placeholder
 
     @abstractmethod
     def defects(self, x: npt.NDArray[np.float64]) -> dict[str, float]:
@@ -73,6 +117,10 @@ class Transcription(ABC):
     @abstractmethod
     def impulses(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns the contact impulses that x implies, shape (N+1, m) [N s]."""
+
+    def forces(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Returns the contact forces that are held over each step, shape (N, m) [N]."""
+        return np.zeros((len(self._u), self.world.num_contacts))
 
     @abstractmethod
     def close_rows(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -115,11 +163,18 @@ class Transcription(ABC):
             g: polynomial in the placeholders `state()` and `input()`.
             description: its name in the program and in costs by name.
         """
-        cost = shared_cost(self._dt * as_expression(g), description)
-        self._bind_stages(cost)
+        self._additions.append(lambda other: other.AddRunningCost(g, description))
+        self._add_running_cost(g, description)
+
+    def _add_running_cost(self, g: Any, description: str) -> None:
+        self._bind_stages(shared_cost(self._duration * as_expression(g), description))
 
     def AddFinalCost(self, e: Any, description: str = "final cost") -> None:
         """Adds e(x_N), polynomial in the placeholders `state()`."""
+        self._additions.append(lambda other: other.AddFinalCost(e, description))
+        self._add_final_cost(e, description)
+
+    def _add_final_cost(self, e: Any, description: str) -> None:
         self._bind(shared_cost(as_expression(e), description), self.num_samples() - 1)
 
     def AddConstraintToAllKnotPoints(self, f: Formula | npt.NDArray[Any]) -> None:
@@ -128,6 +183,7 @@ class Transcription(ABC):
         Constraints that read the control act at k < N. A bound on one variable, such as `input()[0]
         <= 3`, becomes a bounding box.
         """
+        self._additions.append(lambda other: other.AddConstraintToAllKnotPoints(f))
         for formula in np.ravel(np.asarray(f, dtype=object)):
             reads_control = any(formula.GetFreeVariables().include(u) for u in self.world.controls)
             for k in range(len(self._u) if reads_control else self.num_samples()):
@@ -138,6 +194,15 @@ class Transcription(ABC):
                 self._prog.AddConstraint(
                     formula.Substitute(dict(zip(names, map(Expression, values), strict=True)))
                 )
+
+    def add_what_was_added_to(self, other: Transcription) -> None:
+        """Adds what users added to another transcription: its costs and constraints.
+
+        Args:
+            other: of the same world; it may have other knots.
+        """
+        for addition in other._additions:
+            addition(self)
 
     def SetInitialTrajectory(
         self, traj_init_u: PiecewisePolynomial, traj_init_x: PiecewisePolynomial
@@ -155,6 +220,10 @@ class Transcription(ABC):
     def GetSampleTimes(self) -> npt.NDArray[np.float64]:
         """Returns the knots' times, shape (N+1,) [s]."""
         return np.arange(self.num_samples()) * np.float64(self._dt)
+
+    def sample_times(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Returns the knots' times at x, shape (N+1,) [s]."""
+        return self.GetSampleTimes()
 
     def GetInputSamples(self, result: MathematicalProgramResult) -> npt.NDArray[np.float64]:
         """Returns the controls, shape (nu, N), a column a knot as in Drake."""
@@ -176,56 +245,104 @@ class Transcription(ABC):
     def trajectory(self, x: npt.NDArray[np.float64]) -> Trajectory:
         """Returns the trajectory that a vector of all decision variables stands for."""
         q, v, u = self.split(x)
-        return Trajectory(self.GetSampleTimes(), q, v, u, self.impulses(x))
+        return Trajectory(self.sample_times(x), q, v, u, self.impulses(x), self.forces(x))
 
     def vector(self, trajectory: Trajectory) -> npt.NDArray[np.float64]:
         """Returns all decision variables of a trajectory at these knots; undoes `trajectory`."""
-        parts = (trajectory.positions, trajectory.velocities, trajectory.controls)
-        return np.concatenate([part.ravel() for part in parts])
+        return self.vector_of(trajectory.positions, trajectory.velocities, trajectory.controls)
+
+    def vector_of(
+        self,
+        positions: npt.NDArray[np.float64],
+        velocities: npt.NDArray[np.float64],
+        controls: npt.NDArray[np.float64],
+    ) -> npt.NDArray[np.float64]:
+        """Returns all decision variables, for arrays as `split` returns them."""
+        clearances = self._distances(positions)[:, self._clearance_contacts]
+        return self._join(positions, velocities, controls, clearances)
+
+    def _join(self, *parts: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Returns q, v, u and clearances in the program's order; other variables are 0."""
+        x = np.zeros(self._prog.num_vars())
+        for variables, values in zip(
+            (self._q, self._v, self._u, self._clearances), parts, strict=True
+        ):
+            x[self._prog.FindDecisionVariableIndices(variables.ravel())] = values.ravel()
+        return x
 
     def split(self, x: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
         """Returns q (N+1, nq), v (N+1, nv) and u (N, nu) out of all decision variables."""
-        shapes = (self._q.shape, self._v.shape, self._u.shape)
-        ends = np.cumsum([np.prod(shape) for shape in shapes])
-        return [part.reshape(shape) for part, shape in zip(np.split(x, ends), shapes, strict=False)]
+        return [self._values(x, variables) for variables in (self._q, self._v, self._u)]
+
+    def _values(
+        self, x: npt.NDArray[np.float64], variables: npt.NDArray[Any]
+    ) -> npt.NDArray[np.float64]:
+        """Returns what x gives an array of decision variables, of the same shape."""
+        # Drake counts the variables of a matrix column by column.
+        indices = self._prog.FindDecisionVariableIndices(variables.ravel())
+        return x[indices].reshape(variables.shape)
 
     def signed_distances(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns φ at the knots, shape (N+1, m) [m]."""
-        return np.array([self.world.calc_signed_distance(q) for q in self.split(x)[0]])
+        return self._distances(self.split(x)[0])
+
+    def _distances(self, positions: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        return np.array([self.world.calc_signed_distance(q) for q in positions])
 
     def scenario_cost(self, x: npt.NDArray[np.float64]) -> float:
         """Returns J = w_u Σ dt ‖u_k‖² + w_f ‖q_N − goal‖², without penalties or added costs."""
         q, _, u = self.split(x)
-        effort = self.scenario.control_weight * self._dt * np.sum(u**2)
+        durations = np.diff(self.sample_times(x))
+        effort = self.scenario.control_weight * durations @ np.sum(u**2, axis=1)
         miss = self.scenario.goal_weight * np.sum((q[-1] - self.scenario.goal_position) ** 2)
         return float(effort + miss)
 
     def elimination_order(self) -> npt.NDArray[np.int64]:
         """Returns all decision variables' indices by stage: Newton systems are banded then."""
-        stages = [self.state(k) for k in range(self.num_samples())]
-        with_controls = [np.concatenate([x, u]) for x, u in zip(stages[:-1], self._u, strict=True)]
-        ordered = np.concatenate([*with_controls, stages[-1]])
-        return np.array(self._prog.FindDecisionVariableIndices(ordered))
+        stages = [
+            np.concatenate([self.state(k), self._clearances[k], *self._u[k : k + 1]])
+            for k in range(self.num_samples())
+        ]
+        return np.array(self._prog.FindDecisionVariableIndices(np.concatenate(stages)))
 
     def initial_box(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Returns center and half width, over all decision variables, of AIGO's first box.
 
-        The center goes straight from start to goal. With L the longest of the way to the goal and
-        the distances to the wall, positions get a half width of L, velocities 2L/T and controls 4 M
-        L/T² (what covers 2L in T by accelerating and braking), cut to the program's bounds.
+        The center goes straight from start to goal. With L the `length_scale`, positions get a half
+        width of L, velocities 2L/T and controls 4 M L/T² (what covers 2L in T by accelerating and
+        braking), cut to the program's bounds.
         Variables that the program fixes get half width 0.
         """
         world, scenario = self.world, self.scenario
         q0, goal, T = scenario.initial_position, scenario.goal_position, scenario.duration
-        distances = [world.calc_signed_distance(q) for q in (q0, goal)]
-        length = max(np.max(np.abs(goal - q0)), np.max(distances))
-        inertia = np.max(np.abs(np.linalg.pinv(world.actuation) @ world.mass_matrix_values))
+        length, inertia = self.length_scale(), self.inertia()
         path = np.linspace(q0, goal, self.num_samples())
         speed = np.broadcast_to((goal - q0) / T, self._v.shape)
-        center = np.concatenate([path.ravel(), speed.ravel(), np.zeros(self._u.size)])
-        widths = (length, 2 * length / T, 4 * inertia * length / T**2)
-        half_width = np.repeat(widths, [self._q.size, self._v.size, self._u.size])
+        center = self.vector_of(path, speed, np.zeros(self._u.shape))
+        reach = length * np.sum(np.abs(world.calc_contact_jacobian(q0)), axis=1)
+        half_width = self._join(
+            np.full(self._q.shape, length),
+            np.full(self._v.shape, 2 * length / T),
+            np.full(self._u.shape, 4 * inertia * length / T**2),
+            np.broadcast_to(reach[self._clearance_contacts], self._clearances.shape),
+        )
         return cut_to_bounds(self._prog, center, half_width)
+
+    def length_scale(self) -> float:
+        """Returns the longest of the way to the goal and the distances to the wall [m]."""
+        q0, goal = self.scenario.initial_position, self.scenario.goal_position
+        distances = self._distances(np.array([q0, goal]))
+        return float(max(np.max(np.abs(goal - q0)), np.max(distances)))
+
+    def inertia(self) -> float:
+        """Returns the largest entry of B⁺ M: control per acceleration [kg]."""
+        return float(
+            np.max(np.abs(np.linalg.pinv(self.world.actuation) @ self.world.mass_matrix_values))
+        )
+
+    def cost_scale(self) -> float:
+        """Returns the unit of penalty weights and temperatures."""
+        return 1.0
 
     def penalized(self, inequality: InequalityPenalty = "squared hinge") -> MathematicalProgram:
         """Returns `prog` with constraints as costs, each row r_k as r_k²/dt.
@@ -241,9 +358,15 @@ class Transcription(ABC):
 
     def _bind(self, shared: SharedEvaluator, k: int) -> None:
         """Binds an evaluator over the placeholders of knot k, its control and the next knot."""
-        placeholders = [self.state()]
-        values = [self.state(k)]
+        shared.bind(self._prog, substitutions(*zip(*self._stage(k), strict=True)))
+
+    def _stage(self, k: int) -> list[tuple[npt.NDArray[Any], npt.NDArray[Any]]]:
+        """Returns pairs of placeholders and what they stand for at knot k."""
+        pairs = [(self.state(), self.state(k)), (self._clearance, self._clearances[k])]
         if k < len(self._u):
-            placeholders += [self.input(), self._next_q, self._next_v]
-            values += [self.input(k), self._q[k + 1], self._v[k + 1]]
-        shared.bind(self._prog, substitutions(placeholders, values))
+            pairs += [
+                (self.input(), self.input(k)),
+                (self._next_q, self._q[k + 1]),
+                (self._next_v, self._v[k + 1]),
+            ]
+        return pairs

@@ -1,0 +1,133 @@
+"""Rigid plans: contact sequences read off AIGO's boxes, polished as multi-phase problems."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from functools import partial
+from itertools import chain
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drake_aigto.aigo import AigoResult
+from drake_aigto.planning.options import Rung
+from drake_aigto.planning.plan import Candidate
+from drake_aigto.planning.problem import PlanningProblem
+from drake_aigto.planning.search import Clock, Search
+from drake_aigto.planning.touches import is_same, read_sequences
+from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch, TouchSequence
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+# Parts of the duration by which the times of two sequences of the same contacts differ at most, if
+# their polish is expected to end in one optimum, and if it has.
+_SAME_START, _SAME_END = 0.05, 1e-3
+# A replay that is not as planned proposes its own bounces if there are no more than this.
+_MOST_BOUNCES = 3
+
+
+class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
+    """The rigid transcription: a contact sequence is the times of touches."""
+
+    def find_sequences(self, result: AigoResult, rung: Rung) -> list[TouchSequence]:
+        """Returns the contact sequences that AIGO proposes (`read_sequences`)."""
+        return read_sequences(self.transcription, result.box.center)
+
+    def polish(
+        self,
+        center: npt.NDArray[np.float64],
+        sequence: TouchSequence,
+        time_step: float | None = None,
+    ) -> tuple[PhaseTranscription, npt.NDArray[np.float64]]:
+        """Returns the multi-phase problem of a contact sequence, and its local optimum.
+
+        Of AIGO's box center only the sequence, and where along the wall it is touched, are kept.
+
+        Args:
+            center: AIGO's box center.
+            sequence: the contacts.
+            time_step: says how many knots there are [s]; this problem's if None.
+        """
+        coarse = self.transcription
+        scenario = coarse.scenario
+        if time_step is not None:
+            scenario = dataclasses.replace(scenario, time_step=time_step)
+        phases = PhaseTranscription(coarse.world, scenario, sequence)
+        phases.add_what_was_added_to(coarse)
+        times = [t for touch in sequence for t in touch.joints]
+        path = coarse.split(center)[0]
+        columns = [np.interp(times, coarse.GetSampleTimes(), column) for column in path.T]
+        guess = phases.guess(np.column_stack(columns))
+        return phases, self.solve_program(phases.prog(), phases.vector(guess))
+
+
+class RigidSearch(Search[TouchSequence]):
+    """AIGO proposes touches, polished with its coarse knots; the best are polished again.
+
+    A replay that bounces elsewhere than its plan proposes its own bounces: knots may step over a
+    short contact, and AIGO's do over one right after the start.
+    """
+
+    def __init__(
+        self,
+        problem: RigidProblem,
+        clock: Clock,
+        time_step: float,
+    ) -> None:
+        """Starts with no candidate; finalists are polished with this time step [s]."""
+        super().__init__(problem, clock)
+        self._polish_fine = partial(problem.polish, time_step=time_step)
+        self._time_step = time_step
+        self._duration = problem.transcription.scenario.duration
+
+    def add(self, origin: str, center: npt.NDArray[np.float64], sequence: TouchSequence) -> None:
+        """Adds the candidate of a sequence, and if its replay bounces elsewhere, that one's."""
+        super().add(origin, center, sequence)
+        found = self.by_sequence[sequence]
+        bounces = tuple(Touch.bounce(t) for t in found.replay.bounce_times)
+        if (
+            not found.is_confirmed
+            and 0 < len(bounces) <= _MOST_BOUNCES
+            and not self.is_known(bounces)
+        ):
+            super().add(f"{origin}; bounces as replayed", center, bounces)
+
+    def improve(self, sequence: TouchSequence) -> None:
+        """Polishes a candidate with the scenario's time step, if that is finer, in its place."""
+        if self._time_step >= self.problem.transcription.time_step():
+            return
+        coarse, optimum = self.by_sequence.pop(sequence), self._optimum(sequence)
+        self.solve(coarse.origin, self.centers[sequence], optimum, self._polish_fine)
+        fine = self.by_sequence[optimum]
+        if (fine.is_feasible, fine.is_confirmed) < (coarse.is_feasible, coarse.is_confirmed):
+            self.by_sequence[sequence] = coarse
+
+    def finalists(self) -> list[TouchSequence]:
+        """Returns the sequences by rank, one of each optimum."""
+        kept: list[TouchSequence] = []
+        for sequence in sorted(self.by_sequence, key=lambda s: self.rank(self.by_sequence[s])):
+            optima = map(self._optimum, kept)
+            if not self._is_among(self._optimum(sequence), optima, _SAME_END):
+                kept.append(sequence)
+        return kept
+
+    def is_known(self, sequence: TouchSequence) -> bool:
+        """Returns whether nearly this sequence has been polished, or was what came out."""
+        optima = map(self._optimum, self.by_sequence)
+        return self._is_among(sequence, chain(self.by_sequence, optima), _SAME_START)
+
+    def rank(self, candidate: Candidate) -> tuple[float, ...]:
+        """Orders by feasibility, by whether the event-driven replay confirms, and by its cost."""
+        return not candidate.is_feasible, not candidate.is_confirmed, candidate.replay.cost
+
+    def _optimum(self, sequence: TouchSequence) -> TouchSequence:
+        """Returns what the polish made of a sequence's times."""
+        phases, x = self.solved[sequence]
+        return phases.contact_sequence(x)
+
+    def _is_among(
+        self, sequence: TouchSequence, others: Iterable[TouchSequence], share: float
+    ) -> bool:
+        return any(is_same(sequence, other, share * self._duration) for other in others)
