@@ -26,8 +26,8 @@ from numpy.typing import NDArray
 from pydrake.solvers import IpoptSolver, SnoptSolver, SolverOptions
 
 from drake_aigto.local import InteriorPoint, PolynomialNlp, compile_nlp
-from drake_aigto.planning import PlanningProblem, PlanOptions
-from drake_aigto.planning.sequence import ballistic_guess
+from drake_aigto.planning import LiteralProblem, PlanOptions
+from drake_aigto.planning.literal import ballistic_guess
 from drake_aigto.transcription import LiteralTranscription
 from drake_aigto.world import Scenario, World
 
@@ -107,10 +107,10 @@ def make_starts(
         )
         for values in ([0.0, -2.0, -10.0], [1.5, 2.0, 10.0])
     )
-    options = PlanOptions(nonpenetration=transcription.nonpenetration)
-    problem = PlanningProblem(transcription, options)
+    options = PlanOptions(transcription="literal", nonpenetration=transcription.nonpenetration)
+    problem = LiteralProblem(transcription, options)
     centers, flights = [], {}
-    for rung in options.ladder:
+    for rung in options.rungs:
         result = problem.run_aigo(rung)
         centers.append(result.box.center)
         for knots in problem.find_sequences(result, rung):

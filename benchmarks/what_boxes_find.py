@@ -2,32 +2,29 @@
 
     python benchmarks/what_boxes_find.py
 
-Prints the least cost, φ free, of: AIGO's own contact sequences, polished; the same after moving
-contacts to and fro, as `plan` does; and every tenth knot polished, without any boxes.
+Prints the least cost of the literal transcription, φ free, of: AIGO's own contact sequences,
+polished; the same after moving contacts to and fro, as `plan` does; and every tenth knot polished,
+without any boxes.
 """
 
 from __future__ import annotations
 
 import dataclasses
 
-from drake_aigto.planning import (
-    Planner,
-    PlanningProblem,
-    PlanOptions,
-    make_transcription,
-)
+from drake_aigto.planning import LiteralProblem, Planner, PlanOptions
 from drake_aigto.planning.plan import LARGEST_DEFECT
+from drake_aigto.transcription import LiteralTranscription
 from drake_aigto.world import Scenario
 
 STRIDE = 10
 
 
-def grid_cost(problem: PlanningProblem) -> float:
+def grid_cost(problem: LiteralProblem) -> float:
     """Returns the least cost over contacts at every tenth knot."""
     transcription = problem.transcription
     center = problem.box.center
     knots = range(STRIDE // 2, transcription.num_samples() - 1, STRIDE)
-    polished = [problem.polish(center, (k,)) for k in knots]
+    polished = [problem.polish(center, (k,))[1] for k in knots]
     solutions = [x for x in polished if max(transcription.defects(x).values()) <= LARGEST_DEFECT]
     return min(transcription.scenario_cost(x) for x in solutions)
 
@@ -38,8 +35,8 @@ def main() -> None:
         scenario = Scenario.named(f"table1/{row}")
         options = PlanOptions(transcription="literal", nonpenetration=False, confirm=False)
         planner = Planner(scenario, options)
-        transcription = make_transcription(planner.world, scenario, options)
-        grid = grid_cost(PlanningProblem(transcription, options))
+        transcription = LiteralTranscription(planner.world, scenario, nonpenetration=False)
+        grid = grid_cost(LiteralProblem(transcription, options))
         for algorithm in ("annealing", "full gradient"):
             moving = dataclasses.replace(options, algorithm=algorithm)
             still = dataclasses.replace(moving, knot_steps=())
