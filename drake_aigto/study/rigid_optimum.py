@@ -1,0 +1,212 @@
+"""The exact optimum of a point mass before a rigid wall, by algebra: the judge of plans.
+
+It shares no line and no idea with the planner: no knots, no boxes, no solver, no guesses.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.polynomial import Polynomial
+
+from drake_aigto.errors import ModelError
+from drake_aigto.world import Scenario, World
+
+
+@dataclass(frozen=True)
+class RigidOptimum:
+    """The least cost of a scenario on a rigid wall, and the motion that has it.
+
+    Attributes:
+        cost: control_weight ∫₀ᵀ ‖u(t)‖² dt + goal_weight (q(T) − goal)².
+        bounce_times: when the wall is touched, at most once [s].
+        impact_velocities: φ̇⁻ < 0 of each touch [m/s].
+        flight_cost: of the best motion that touches nothing; infinite if that which would be best
+            without the wall meets it.
+    """
+
+    cost: float
+    bounce_times: tuple[float, ...]
+    impact_velocities: tuple[float, ...]
+    flight_cost: float
+
+
+def rigid_optimum(world: World, scenario: Scenario) -> RigidOptimum:
+    """Returns the optimum over all controls u(t), whatever the number of impacts.
+
+        minimise   control_weight ∫₀ᵀ ‖u‖² dt + goal_weight (q(T) − goal)²
+        subject to m q̈ = B u  while φ(q) > 0,   φ ≥ 0,
+                   φ̇⁺ = −e φ̇⁻  when φ = 0, φ̇⁻ ≤ 0;   q(0), v(0) given, v(T) free
+
+    Let x = φ, let time run from 0 to 1, and price the effort ∫ ẍ² at 1 and the goal at w. From
+    (x₀, v₀) to (x₁, v₁) in time h the least effort is that of a cubic, with D = x₁ − x₀ − v₀h:
+
+        4 (v₁ − v₀ − 3D/(2h))² / h + 3D²/h³,    and 3D²/h³ if v₁ is free.
+
+    *One touch is enough.* From (0, V), V ≥ 0, with τ left, the cheapest flight to x(1) = X ≥ 0
+    takes 3(X − Vτ)²/τ³, and it never meets the wall: ẍ keeps its sign, and upwards the curve is
+    above its tangent, downwards above its chord. Touching once more, h later at speed y ≥ 0 with
+    s = τ − h left, takes C = 4(V² − Vy + y²)/h + (0 or more), and is no cheaper:
+
+    - If y s ≥ X, then C ≥ 3 max(V, y)²/h ≥ 3 max(V, X/τ)²/τ ≥ 3(X − Vτ)²/τ³.
+    - If y s < X, then C = 4(V² − Vy + y²)/h + 3(X − e y s)²/s³ is least for e = 1. That is a path
+      without a wall from (0, V) to −X, so C ≥ 3(X + Vτ)²/τ³.
+
+    So a last touch can be dropped, then the one before it, until one is left; infinitely many are a
+    limit of that. Rest at the wall saves nothing either: leaving later is dearer, 3X²/s³.
+
+    *Before it.* The cheapest path to (0, v) at time s is a cubic, or it meets the wall sooner and
+    is a case above with an earlier touch. With p = x(0) > 0, the cubic stays off the wall if
+    3p + v₀s ≥ 0, for x ≥ (1 − t/s)² (p + (2p + v₀s) t/s).
+
+    *The touch.* The cost is a parabola in v. Where 3p + v₀s > 0 its bottom lies between two
+    negative numbers, the v that is free of charge before the touch and that after it, so a graze,
+    v = 0, is never best. Where 3p + v₀s ≤ 0 nothing is best: a bottom out of reach makes v that of
+    a path which meets the wall on its way; and at a bottom v < 0, where ẍ⁻ = −e ẍ⁺, both ẍ⁻ and its
+    slope j⁻ are negative, hence ẍ⁺ > 0, and the cost grows with s, by
+    (1 − e²)(ẍ⁺)² + 2 j⁻v + 2e ẍ⁺|v|/(1 − s) > 0.
+
+    At the bottom the cost is a rational function of s, and its slope has the sign of a polynomial
+    of degree 8. Its roots are all the candidates, next to the flight: a touch at the very end is
+    the limit of flights or, where the flight would meet the wall, dearer than one just before.
+
+    Args:
+        world: one coordinate, no bias, φ affine in q.
+        scenario: start, goal, duration, weights and restitution; it has to fit the world.
+
+    Raises:
+        ModelError: another kind of world.
+        ScenarioError: the scenario does not fit the world (`World.check`).
+    """
+    world.check(scenario)
+    _check_world(world)
+    task, price = _make_task(world, scenario)
+    flight_cost = price * task.calc_flight_cost() if task.flight_is_clear() else math.inf
+    best = min(task.find_bounces(), default=None)
+    if best is None or flight_cost <= price * best.cost:
+        return RigidOptimum(flight_cost, (), (), flight_cost)
+    T = scenario.duration
+    return RigidOptimum(price * best.cost, (best.time * T,), (best.velocity / T,), flight_cost)
+
+
+class _Bounce(NamedTuple):
+    """A motion that touches once; all in units of `_Task`."""
+
+    cost: float
+    time: float
+    velocity: float  # before the touch, at most 0
+
+
+@dataclass(frozen=True)
+class _Task:
+    """The problem in unit time: minimise ∫₀¹ ẍ² ds + weight (x(1) − goal)², x ≥ 0.
+
+    Attributes:
+        position: p = x(0) > 0 [m].
+        velocity: v₀ = ẋ(0) [m].
+        goal: g > 0 [m].
+        weight: w ≥ 0.
+        restitution: e.
+    """
+
+    position: float
+    velocity: float
+    goal: float
+    weight: float
+    restitution: float
+
+    def calc_flight_cost(self) -> float:
+        """Returns the least cost if there were no wall."""
+        return _calc_goal_price(self.weight, 1.0) * self._calc_miss() ** 2
+
+    def flight_is_clear(self) -> bool:
+        """Returns whether the motion of that cost stays off the wall."""
+        p, v = self.position, self.velocity
+        lift = self.weight / (3 + self.weight) * self._calc_miss()
+        path = Polynomial([p, v, 1.5 * lift, -0.5 * lift])
+        # The path ends above 0 or below it; on the way it has one minimum at most.
+        if v >= 0 or lift <= 0 or 3 * lift + 2 * v <= 0:
+            return bool(path(1.0) > 0)
+        return bool(path(1 - math.sqrt(1 + 2 * v / (3 * lift))) > 0)
+
+    def _calc_miss(self) -> float:
+        """Returns how far from the goal it ends if nothing is done."""
+        return self.goal - self.position - self.velocity
+
+    def find_bounces(self) -> Iterator[_Bounce]:
+        """Yields the stationary motions that touch once; the best of all touching ones is there."""
+        # In 1/s: early touches, of which a bit too late is dear, come out most exactly.
+        roots = np.roots(self._make_slope().coef)
+        # A double root may come out as a complex pair. Whatever the real part is, the motion that
+        # it stands for is admissible, so that none can be yielded that is too cheap. The end, 1, is
+        # there for a ball that comes to the wall at T by itself.
+        for r in [1.0, *roots.real.tolist()]:
+            if r >= max(1.0, -self.velocity / (3 * self.position)):
+                yield self._make_bounce(1 / r)
+
+    def _make_bounce(self, s: float) -> _Bounce:
+        """Returns the cheapest motion that touches at time s, at the bottom of the parabola."""
+        p, v, g, e = self.position, self.velocity, self.goal, self.restitution
+        left = 1 - s
+        free = -(3 * p + v * s) / (2 * s)  # velocity at the wall if it costs nothing
+        price = _calc_goal_price(self.weight, left)
+        impact = (4 * free - price * s * e * left * g) / (4 + price * s * (e * left) ** 2)
+        effort = 3 * (p + v * s) ** 2 / s**3 + 4 * (impact - free) ** 2 / s
+        return _Bounce(effort + price * (g + e * left * impact) ** 2, s, impact)
+
+    def _make_slope(self) -> Polynomial:
+        """Returns the slope of the least cost over s, times something positive.
+
+        The cost of `_make_bounce` is 3(p + v₀s)²/s³ + 12 w N²/(s² Q). To keep the numbers small
+        however large the weight is, w and Q are here both divided by 1 + weight.
+        """
+        p, v, g, e = self.position, self.velocity, self.goal, self.restitution
+        s = Polynomial([0.0, 1.0])
+        left = 1 - s
+        w = self.weight / (1 + self.weight)
+        N = g * s - 0.5 * e * left * (3 * p + v * s)
+        Q = 12 / (1 + self.weight) + w * left**2 * (4 * left + 3 * e**2 * s)
+        after = 4 * w * s * N * (2 * N.deriv() * s * Q - N * (2 * Q + s * Q.deriv()))
+        return after - (p + v * s) * (3 * p + v * s) * Q**2
+
+
+def _calc_goal_price(weight: float, left: float) -> float:
+    """Returns k in k D²: the least of effort and goal, a ballistic path missing the goal by D."""
+    return 3 * weight / (3 + weight * left**3)
+
+
+def _make_task(world: World, scenario: Scenario) -> tuple[_Task, float]:
+    """Returns the problem in unit time, and what its unit of cost is worth.
+
+    The least ‖u‖² for an acceleration φ̈ is (m φ̈ / J)² / ‖B‖².
+    """
+    start = scenario.initial_position
+    (J,) = world.calc_contact_jacobian(start)[0]
+    effort = world.mass_matrix_values[0, 0] ** 2 / np.sum(world.actuation**2)
+    price = scenario.control_weight * effort / scenario.duration**3
+    task = _Task(
+        position=float(world.calc_signed_distance(start)[0]),
+        velocity=float(J * scenario.initial_velocity[0] * scenario.duration),
+        goal=float(world.calc_signed_distance(scenario.goal_position)[0]),
+        weight=float(scenario.goal_weight / price),
+        restitution=scenario.restitution,
+    )
+    return task, float(price / J**2)
+
+
+def _check_world(world: World) -> None:
+    """Refuses what is more than a point mass on a line."""
+    remedy = "For other worlds no exact optimum is known here; judge a plan by its replays."
+    if world.num_positions != 1:
+        raise ModelError(
+            "the exact optimum", f"{world.num_positions} coordinates", "one coordinate", remedy
+        )
+    bias, slope = world.bias[0], world.contacts[0].jacobian[0]
+    if not bias.EqualTo(0.0):
+        raise ModelError("the exact optimum", f"a bias h(q, v) = {bias}", "none", remedy)
+    if not slope.GetVariables().empty():
+        raise ModelError("the exact optimum", f"∂φ/∂q = {slope}", "a constant", remedy)
