@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -23,7 +24,7 @@ from drake_aigto.show.figures import (
     plot_velocities,
 )
 from drake_aigto.show.motion import PALETTE, Motion
-from drake_aigto.transcription import LiteralTranscription
+from drake_aigto.transcription import LiteralTranscription, RigidTranscription
 
 TIMES = np.array([0.0, 0.5, 0.5, 1.0])
 PLAN = Motion(
@@ -33,6 +34,13 @@ PLAN = Motion(
     np.array([[-2.0], [-2.0], [1.6], [1.6]]),
     np.array([0.0, 0.4, 1.0]),
     np.array([[0.3], [-0.2]]),
+)
+TOUCHES = dataclasses.replace(
+    PLAN,
+    control_times=np.array([0.0, 0.5, 0.6, 0.8, 1.0]),
+    controls=np.array([[0.0], [-3.0], [-5.0], [0.3]]),
+    forces=np.array([[0.0], [3.0], [5.0], [0.0]]),
+    contacts=((0.25, 0.25), (0.5, 0.8)),
 )
 SIMULATION = Motion("simulation", TIMES, PLAN.positions * 0.9, PLAN.velocities * 0.9)
 
@@ -101,6 +109,36 @@ def test_three_axes_share_their_colors_and_have_units(world: World, scenario: Sc
     assert {ax.lines[0].get_color() for ax in axes} == {PALETTE[0]}
 
 
+def test_planned_contacts_are_marked_in_all_axes_and_named_once(
+    world: World, scenario: Scenario
+) -> None:
+    axes: Sequence[Axes] = Figure().subplots(3, 1)
+    plot_motions(axes, [PLAN, TOUCHES, TOUCHES], world, scenario)
+    for ax in axes:
+        lines: list[Any] = list(ax.lines)
+        dotted = [to_hex(drawn.get_color()) for drawn in lines if set(drawn.get_xdata()) == {0.25}]
+        boxes = [patch.get_extents().transformed(ax.transData.inverted()) for patch in ax.patches]
+        bands = [(box.x0, box.x1) for box in boxes if box.x0 == pytest.approx(0.5)]
+        assert [color.upper() for color in dotted] == list(PALETTE[1:3])
+        np.testing.assert_allclose(bands, [(0.5, 0.8)] * 2)
+    assert labels(axes[0]).count("planned contact") == 1
+
+
+def test_the_force_of_a_contact_that_lasts_is_shaded_where_it_acts(axes: Axes) -> None:
+    plot_controls(axes, [TOUCHES])
+    (shade,) = axes.collections
+    assert shade.get_label() == "force of the wall λ [N]" in labels(axes)
+    (path,) = shade.get_paths()
+    for time, force in {0.25: 0.0, 0.55: 3.0, 0.7: 5.0, 0.9: 0.0}.items():
+        inside = path.contains_points([(time, force - 0.1), (time, force + 0.1)])
+        assert inside.tolist() == [force > 0, False]
+
+
+def test_no_force_no_legend(axes: Axes) -> None:
+    plot_controls(axes, [dataclasses.replace(PLAN, forces=np.zeros((2, 1)))])
+    assert not axes.collections and axes.get_legend() is None
+
+
 def wall_edges(axes: Axes) -> tuple[float, float]:
     """Returns from where to where the wall is shaded."""
     (patch,) = axes.patches
@@ -135,17 +173,18 @@ def test_a_wall_above_is_shaded_above(axes: Axes, scenario: Scenario) -> None:
     assert high == pytest.approx(axes.get_ylim()[1]) and high > 1.55
 
 
+@pytest.mark.parametrize("kind", [LiteralTranscription, RigidTranscription])
 @pytest.mark.parametrize(
     ("quantity", "part", "unit"),
     [("position", 0, "m"), ("velocity", 1, "m/s"), ("control", 2, "N")],
 )
 def test_boxes_are_bands_of_center_and_half_width(
-    axes: Axes, world: World, quantity: Any, part: int, unit: str
+    axes: Axes, world: World, quantity: Any, part: int, unit: str, kind: type
 ) -> None:
     scenario = Scenario(
         initial_position=1.0, initial_velocity=-2.0, goal_position=0.73, time_step=0.1
     )
-    transcription = LiteralTranscription(world, scenario)
+    transcription = kind(world, scenario)
     n = transcription.prog().num_vars()
     center = np.linspace(1, 2, n)
     half_widths = [np.full(n, 0.5), np.full(n, 0.1)]

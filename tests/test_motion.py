@@ -14,6 +14,7 @@ from drake_aigto import Scenario, World
 from drake_aigto.planning.replay import Replay, replay_drake, replay_event_driven
 from drake_aigto.show.motion import PALETTE, PLAN_LABEL, Motion, color_of, motions_of_plan
 from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription import PhaseTranscription, Touch
 
 SIMULATE = (replay_event_driven, replay_drake)
 
@@ -74,6 +75,54 @@ def test_a_planned_impact_is_a_jump_of_velocity_at_one_time(world: World) -> Non
     assert sorted(set(motion.velocities[at_wall, 0])) == [-2.0, 2.0]
     np.testing.assert_allclose(motion.velocities[motion.times > 0.5], 2.0)
     assert motion.label == PLAN_LABEL == "plan (not a simulation)"
+
+
+def test_phases_are_drawn_as_a_rigid_wall_plays_them(world: World) -> None:
+    # At −2 m/s from 0.6 m it is at the wall at 0.3 s, and at 1 m/s 0.7 s later at the goal.
+    scenario = Scenario(
+        initial_position=0.6,
+        initial_velocity=-2.0,
+        goal_position=0.7,
+        time_step=0.1,
+        restitution=0.5,
+    )
+    phases = PhaseTranscription(world, scenario, [Touch.bounce(0.3)])
+    plan = phases.trajectory(phases.vector(phases.guess([[0.0]])))
+    assert np.ptp(np.diff(plan.times)) > 0.03  # Knots are not even.
+    drawn = Motion.from_trajectory(plan, world)
+    played = Motion.from_replay(replay_event_driven(world, scenario, plan.times, plan.controls))
+    for motion in (drawn, played):
+        t, v = motion.times, motion.velocities[:, 0]
+        path = np.maximum(0.6 - 2 * t, t - 0.3)
+        np.testing.assert_allclose(motion.positions[:, 0], path, atol=1e-12)
+        (jump,) = np.flatnonzero(np.abs(np.diff(v)) > 1e-9)
+        assert t[jump] == pytest.approx(0.3) and t[jump + 1] - t[jump] < 1e-12
+        np.testing.assert_allclose(v, np.where(np.arange(len(v)) <= jump, -2.0, 1.0))
+    ((start, end),) = drawn.contacts
+    assert start == end == pytest.approx(0.3)
+    assert not np.any(drawn.forces) and played.contacts == () and played.forces is None
+
+
+def test_a_contact_that_lasts_stays_at_the_wall_and_has_a_force(world: World) -> None:
+    # It stops at the wall at 0.5 s, is pressed on until 0.9 s, and leaves it.
+    rest = Trajectory(
+        times=np.array([0.0, 0.5, 0.7, 0.9, 1.3]),
+        positions=np.array([[1.0], [0.0], [0.0], [0.0], [0.8]]),
+        velocities=np.array([[-2.0], [-2.0], [0.0], [0.0], [4.0]]),
+        controls=np.array([[0.0], [-3.0], [-5.0], [10.0]]),
+        impulses=np.array([[0.0], [2.0], [0.0], [0.0], [0.0]]),
+        forces=np.array([[0.0], [3.0], [5.0], [0.0]]),
+    )
+    motion = Motion.from_trajectory(rest, world)
+    resting = (motion.times > 0.5) & (motion.times < 0.9)
+    assert np.count_nonzero(resting) > 35
+    assert not np.any(motion.positions[resting]) and not np.any(motion.velocities[resting])
+    leaving = motion.times >= 0.9
+    np.testing.assert_allclose(
+        motion.positions[leaving, 0], 5 * (motion.times[leaving] - 0.9) ** 2, atol=1e-12
+    )
+    assert motion.contacts == ((0.5, 0.9),)
+    np.testing.assert_array_equal(motion.forces, rest.forces)
 
 
 def test_a_heavier_mass_jumps_less(scenario: Scenario) -> None:

@@ -13,11 +13,12 @@ from typing import Any
 import msgpack
 import numpy as np
 import pytest
+from matplotlib.colors import to_rgb
 from matplotlib.text import Text
 from pydrake.geometry import Meshcat
 
 from drake_aigto import OutputFileError, Scenario, World
-from drake_aigto.show.motion import Motion
+from drake_aigto.show.motion import PALETTE, Motion
 from drake_aigto.show.playback import ROOT, play, publish, save_html
 from drake_aigto.show.stage import Stage
 from drake_aigto.show.track import Track
@@ -139,6 +140,25 @@ def test_all_motions_repeat_together(meshcat: Meshcat, world: World, scenario: S
     assert options["play"] and options["loopMode"] == loop_repeat and options["repetitions"] > 1000
 
 
+def test_a_ball_turns_round_at_the_wall_in_the_frame_of_its_impact(
+    meshcat: Meshcat, world: World, scenario: Scenario
+) -> None:
+    # Between frames of 1 ms, and with two rows of one time, as impacts have.
+    impact = 0.54985
+    motion = Motion(
+        "bounce",
+        np.array([0.0, impact, impact, 1.0]),
+        np.array([[1.0], [0.0], [0.0], [0.7]]),
+        np.array([[-1.8], [-1.8], [1.6], [1.6]]),
+    )
+    publish([motion], meshcat, world, scenario)
+    times, places = clips(meshcat)[ball(1)]
+    turn = int(np.argmin(places[:, 0]))
+    assert times[turn] == pytest.approx(impact, abs=0.5e-3)
+    assert places[turn, 0] == pytest.approx(0, abs=1e-12)
+    assert np.all(np.diff(times) > 0)
+
+
 def test_what_does_not_move_is_shown_once_where_it_is(
     meshcat: Meshcat, world: World, scenario: Scenario
 ) -> None:
@@ -234,6 +254,23 @@ def test_lanes_are_labelled_in_order_and_ends_are_marked() -> None:
     assert written["goal"].get_position()[0] == 0.73
     assert written["0.4 m"].get_position()[0] == pytest.approx(0.4)
     assert "0 m" in written and "1 m" in written
+
+
+def luminance(color: Any) -> float:
+    """Returns WCAG's relative luminance."""
+    rgb = np.array(to_rgb(color))
+    linear = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4)
+    return float(linear @ [0.2126, 0.7152, 0.0722])
+
+
+def test_labels_can_be_read_on_every_lane() -> None:
+    lanes = [f"lane {i}" for i in range(len(PALETTE))]
+    track = Track(lanes, start=0, end=1, lane_width=0.2, marks={})
+    written = texts(track)
+    (axes,) = track.paint().axes
+    for label, strip in zip(lanes, axes.patches, strict=True):
+        dark, light = luminance(written[label].get_color()), luminance(strip.get_facecolor())
+        assert (light + 0.05) / (dark + 0.05) > 4.5, label  # WCAG's least contrast of text
 
 
 def test_names_of_marks_that_would_overlap_are_written_as_one() -> None:

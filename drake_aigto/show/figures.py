@@ -21,10 +21,18 @@ if TYPE_CHECKING:
 
 # Motions differ in colour, and so that where they agree all are seen, in width and dashes.
 _LINES: tuple[dict[str, Any], ...] = (
-    {"linewidth": 4.5},
-    {"linewidth": 3.0},
-    {"linewidth": 1.4, "linestyle": (0, (4, 2.5))},
+    {"linewidth": 5.5},
+    {"linewidth": 2.6},
+    {"linewidth": 1.4, "linestyle": (0, (4, 4))},
 )
+# Corners of thick lines stay within what they turn round.
+_CORNERS: dict[str, Any] = {"solid_joinstyle": "miter", "solid_capstyle": "butt"}
+# A held control is all corners: drawn as thin as this part of its motion's lines.
+_THINNER = 0.5
+# Planned contacts, behind everything: a bounce, one that lasts, and the wall's force meanwhile.
+_BOUNCE: dict[str, Any] = {"linestyle": (0, (1, 2)), "linewidth": 1.4, "zorder": 0.5}
+_CONTACT: dict[str, Any] = {"alpha": 0.15, "linewidth": 0, "zorder": 0.5}
+_FORCE: dict[str, Any] = {"facecolor": "none", "hatch": "///", "linewidth": 0}
 # The coordinates of one motion, from the first on, fade.
 _FADING = 0.5
 _WALL_COLOR = "#8a8f98"
@@ -59,6 +67,8 @@ def plot_motions(
 ) -> None:
     """Draws positions, velocities and controls over time, as AIGTO Fig. 2 has them.
 
+    Planned contacts are dotted lines across all three, or bands where they last.
+
     Args:
         axes: three, for positions [m], velocities [m/s], and controls [N].
         motions: of this world; those without a control are left out of the third.
@@ -83,6 +93,7 @@ def plot_positions(axes: Axes, motions: Sequence[Motion], world: World, scenario
         scenario: has the goal, a star at T.
     """
     _plot_rows(axes, motions, [motion.positions for motion in motions])
+    _mark_contacts(axes, motions)
     for goal in scenario.goal_position:
         axes.plot(
             scenario.duration, goal, "*", color="black", markersize=11, clip_on=False, zorder=5
@@ -97,18 +108,27 @@ def plot_positions(axes: Axes, motions: Sequence[Motion], world: World, scenario
 def plot_velocities(axes: Axes, motions: Sequence[Motion]) -> None:
     """Draws v(t); impacts are jumps."""
     _plot_rows(axes, motions, [motion.velocities for motion in motions])
+    _mark_contacts(axes, motions)
     axes.axhline(0, color="black", linewidth=0.5)
     axes.set_ylabel(_AXIS_LABELS["velocity"])
 
 
 def plot_controls(axes: Axes, motions: Sequence[Motion]) -> None:
-    """Draws u(t), held between knots, of the motions that have it."""
+    """Draws u(t), held between knots, of the motions that have it.
+
+    Where a planned contact lasts, the wall's force λ(t) is shaded, in the same unit.
+    """
     for index, motion in enumerate(motions):
         if motion.controls is None or motion.control_times is None:
             continue
         held = np.vstack([motion.controls, motion.controls[-1:]])
         for i, control in enumerate(held.T):
-            axes.step(motion.control_times, control, where="post", **_line(index, i))
+            look = _line(index, i)
+            look["linewidth"] *= _THINNER
+            axes.step(motion.control_times, control, where="post", **look)
+        if motion.forces is not None and np.any(motion.forces):
+            _shade_forces(axes, motion.control_times, motion.forces, color_of(index))
+    _mark_contacts(axes, motions)
     axes.axhline(0, color="black", linewidth=0.5)
     axes.set(xlabel="time t [s]", ylabel=_AXIS_LABELS["control"])
 
@@ -157,10 +177,32 @@ def _plot_rows(
     axes.set_xlabel("time t [s]")
 
 
+def _mark_contacts(axes: Axes, motions: Sequence[Motion]) -> None:
+    """Marks when the motions plan to be at the wall; the first is labelled."""
+    label = "planned contact"
+    for index, motion in enumerate(motions):
+        for start, end in motion.contacts:
+            if end > start:
+                axes.axvspan(start, end, color=color_of(index), label=label, **_CONTACT)
+            else:
+                axes.axvline(start, color=color_of(index), label=label, **_BOUNCE)
+            label = ""
+
+
+def _shade_forces(
+    axes: Axes, times: npt.NDArray[np.float64], forces: npt.NDArray[np.float64], color: str
+) -> None:
+    """Shades from 0 to the wall's forces (N, m), held between knots, and says what that is."""
+    for i, force in enumerate(np.vstack([forces, forces[-1:]]).T):
+        label = "force of the wall λ [N]" if i == 0 else ""
+        axes.fill_between(times, force, step="post", edgecolor=color, label=label, **_FORCE)
+    axes.legend(loc="best", fontsize="small")
+
+
 def _line(motion: int, coordinate: int) -> dict[str, Any]:
     """Returns how a motion's coordinate is drawn, the same in every figure."""
     look = _LINES[min(motion, len(_LINES) - 1)]
-    return {"color": color_of(motion), "alpha": _FADING**coordinate, **look}
+    return {"color": color_of(motion), "alpha": _FADING**coordinate, **_CORNERS, **look}
 
 
 def _shade_wall(axes: Axes, world: World) -> None:

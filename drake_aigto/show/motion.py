@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drake_aigto.planning.contacts import find_contacts
 from drake_aigto.trajectory import read_only
 
 if TYPE_CHECKING:
@@ -34,7 +35,7 @@ _LONGEST_STEP = 0.01
 class Motion:
     """One motion of a world, in rows so close that straight lines join them.
 
-    Letters: K rows; N intervals of the control. Arrays are read-only.
+    Letters: K rows; N intervals of the control; m contacts. Arrays are read-only.
 
     Attributes:
         label: says what it is, and whether it is a plan or a simulation.
@@ -43,6 +44,8 @@ class Motion:
         velocities: shape (K, nv) [m/s].
         control_times: knots of the control, shape (N+1,) [s], or None.
         controls: held between them, shape (N, nu) [N], or None.
+        forces: of the wall where a planned contact lasts, held likewise, shape (N, m) [N], or None.
+        contacts: when each planned contact begins and ends, which for a bounce is the same [s].
     """
 
     label: str
@@ -51,10 +54,12 @@ class Motion:
     velocities: npt.NDArray[np.float64]
     control_times: npt.NDArray[np.float64] | None = None
     controls: npt.NDArray[np.float64] | None = None
+    forces: npt.NDArray[np.float64] | None = None
+    contacts: tuple[tuple[float, float], ...] = ()
 
     def __post_init__(self) -> None:
         """Locks the arrays."""
-        for name in ("times", "positions", "velocities", "control_times", "controls"):
+        for name in ("times", "positions", "velocities", "control_times", "controls", "forces"):
             if (values := getattr(self, name)) is not None:
                 object.__setattr__(self, name, read_only(values))
 
@@ -82,6 +87,8 @@ class Motion:
             ),
             trajectory.times,
             trajectory.controls,
+            trajectory.forces,
+            tuple((c.time, c.last_time) for c in find_contacts(world, trajectory)),
         )
 
     @classmethod

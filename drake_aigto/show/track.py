@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 _PIXELS = 2048  # along the track
 _INCHES = 10.0  # of figure for each metre of track, so that lines have usual widths
 _INK = "#222222"
-_TINT = 0.2  # of a lane's color on white
+# Of a lane's color: as a tint on white for the lane, and darkened for its label.
+_TINT, _SHADE = 0.2, 0.6
 
 # As parts of a lane's width: the size of labels, and where they stand in their lane …
 _LABEL_HEIGHT, _LABEL_INSET, _LABEL_RISE = 0.25, 0.5, 0.1
@@ -101,13 +102,14 @@ class Track:
     def _paint_lane(self, axes: Axes, lane: int, label: str) -> None:
         low = self.lane_center(lane) - self.lane_width / 2
         strip = (self.start, low), self.length, self.lane_width
-        tint = 1 - _TINT * (1 - np.array(to_rgb(color_of(lane))))
+        color = np.array(to_rgb(color_of(lane)))
+        tint = 1 - _TINT * (1 - color)
         axes.add_patch(Rectangle(*strip, facecolor=tint, edgecolor="white", linewidth=6))
         axes.text(
             self.start + _LABEL_INSET * self.lane_width,
             low + _LABEL_RISE * self.lane_width,
             label,
-            color=color_of(lane),
+            color=_SHADE * color,
             size=self._font_size(_LABEL_HEIGHT),
             weight="bold",
         )
