@@ -152,7 +152,7 @@ def test_the_wall_is_shaded_where_the_distance_is_negative(
     plot_positions(axes, [PLAN], world, scenario)
     low, high = wall_edges(axes)
     assert high == pytest.approx(0)
-    assert low == pytest.approx(axes.get_ylim()[0]) and low < -0.05
+    assert low < axes.get_ylim()[0] < -0.05
     assert world.calc_signed_distance(np.array([low]))[0] < 0
 
 
@@ -170,7 +170,19 @@ def test_a_wall_above_is_shaded_above(axes: Axes, scenario: Scenario) -> None:
     plot_positions(axes, [PLAN], world, scenario)
     low, high = wall_edges(axes)
     assert low == pytest.approx(1.5)
-    assert high == pytest.approx(axes.get_ylim()[1]) and high > 1.55
+    assert high > axes.get_ylim()[1] > 1.55
+
+
+def test_axes_that_share_a_scale_show_all_of_it_and_the_wall(
+    world: World, scenario: Scenario
+) -> None:
+    axes: Sequence[Axes] = Figure().subplots(1, 2, sharey=True)
+    far = dataclasses.replace(PLAN, positions=3 * PLAN.positions)
+    for ax, motion in zip(axes, [PLAN, far], strict=True):
+        plot_positions(ax, [motion], world, scenario)
+    low, high = axes[0].get_ylim()
+    assert low < 0 and high > 3
+    assert all(wall_edges(ax)[0] < low for ax in axes)
 
 
 @pytest.mark.parametrize("kind", [LiteralTranscription, RigidTranscription])

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.patches import Rectangle
 
 from drake_aigto.show.motion import Motion, color_of, motions_of_plan
 
@@ -36,8 +37,8 @@ _FORCE: dict[str, Any] = {"facecolor": "none", "hatch": "///", "linewidth": 0}
 # The coordinates of one motion, from the first on, fade.
 _FADING = 0.5
 _WALL_COLOR = "#8a8f98"
-# How far the shaded wall reaches past what is drawn, as a part of its range.
-_WALL_DEPTH = 0.08
+# In ranges of what is drawn: how much of the wall is seen at least, and how far it reaches.
+_WALL_SEEN, _WALL_DEPTH = 0.05, 100
 _BOX_COLORMAP = "viridis"
 
 Quantity = Literal["position", "velocity", "control"]
@@ -211,11 +212,14 @@ def _shade_wall(axes: Axes, world: World) -> None:
         return
     at_zero = float(world.calc_signed_distance(np.zeros(1))[0])
     slope = float(world.calc_contact_jacobian(np.zeros(1))[0, 0])  # One joint slides: φ is affine.
-    face = -at_zero / slope
+    face, outwards = -at_zero / slope, np.sign(slope)
     low, high = axes.get_ylim()
-    depth = _WALL_DEPTH * (max(high, face) - min(low, face))
-    low, high = (min(low, face - depth), high) if slope > 0 else (low, max(high, face + depth))
-    edges = (low, face) if slope > 0 else (face, high)
-    axes.axhspan(*edges, facecolor=_WALL_COLOR, alpha=0.5, hatch="//", edgecolor="white", zorder=0)
+    size = max(high, face) - min(low, face)
+    deep = face - outwards * _WALL_DEPTH * size
+    # Added as an artist, it is no data: limits stay as they are, free to follow what comes later.
+    wall = Rectangle((0, deep), 1, face - deep, transform=axes.get_yaxis_transform(), zorder=0)
+    wall.set(facecolor=_WALL_COLOR, alpha=0.5, hatch="//", edgecolor="white")
+    axes.add_artist(wall)
+    axes.update_datalim([(0, face - outwards * _WALL_SEEN * size)], updatex=False)
+    axes.autoscale_view()
     axes.plot([], [], color=_WALL_COLOR, linewidth=6, alpha=0.5, label="wall")
-    axes.set_ylim(low, high)
