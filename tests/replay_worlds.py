@@ -37,16 +37,20 @@ def make_diagram(
     reference: float = 0.0,
     stiffness: float | None = 2e9,
     push: float | None = None,
+    gravity: float = 0.0,
+    rail: tuple[float, float] = (1.0, 1.0),
+    num_actuators: int = 2,
 ) -> Diagram:
     """Returns a ball of 1.5 kg before a wall at x = 0, made in code as a user would.
 
-    With two joints it hangs on a carriage of 0.5 kg that moves along (1, 1)/√2, so that the wall's
-    impulse moves both. The spring pulls the first joint to its reference. A push comes from a
-    source that drives the actuator.
+    With two joints it hangs on a carriage of 0.5 kg that moves along the rail, and slides on it
+    along (4, 3)/5, askew to the wall, so that an impulse moves both. The spring pulls the first
+    joint to its reference. A push comes from a source that drives the actuator. Gravity [m/s²]
+    pulls to the wall.
     """
     builder = DiagramBuilder()
     plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
-    plant.mutable_gravity_field().set_gravity_vector(np.zeros(3))
+    plant.mutable_gravity_field().set_gravity_vector([-gravity, 0.0, 0.0])
     friction = CoulombFriction(0.0, 0.0)
     properties = ProximityProperties()
     properties.AddProperty("material", "coulomb_friction", friction)
@@ -55,15 +59,15 @@ def make_diagram(
         properties.AddProperty("material", "point_contact_stiffness", stiffness)
     inertia = UnitInertia.SolidSphere(0.1)
     ball = plant.AddRigidBody("ball", SpatialInertia(1.5, np.zeros(3), inertia))
-    parent = plant.world_frame()
+    parent, slide = plant.world_frame(), [1.0, 0.0, 0.0]
     if num_joints == 2:
         carriage = plant.AddRigidBody("carriage", SpatialInertia(0.5, np.zeros(3), inertia))
-        axis = np.array([1.0, 1.0, 0.0]) / math.sqrt(2)
+        axis = np.array([*rail, 0.0]) / math.hypot(*rail)
         plant.AddJoint(PrismaticJoint("rail", parent, carriage.body_frame(), axis))
-        parent = carriage.body_frame()
-    plant.AddJoint(PrismaticJoint("slider", parent, ball.body_frame(), [1.0, 0.0, 0.0]))
+        parent, slide = carriage.body_frame(), [0.8, 0.6, 0.0]
+    plant.AddJoint(PrismaticJoint("slider", parent, ball.body_frame(), slide))
     joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
-    for joint in joints:
+    for joint in joints[:num_actuators]:
         plant.AddJointActuator(joint.name(), joint)
     if spring:
         plant.AddForceElement(PrismaticSpring(joints[0], reference, spring))
