@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
@@ -37,6 +38,7 @@ def penalize(
     prog: MathematicalProgram,
     inequality: InequalityPenalty = "squared hinge",
     scale: float = 1.0,
+    units: Mapping[str, float] | None = None,
 ) -> MathematicalProgram:
     """Returns a program over the same variables whose costs include penalties for the constraints.
 
@@ -52,6 +54,7 @@ def penalize(
         inequality: how inequalities are penalised. A log barrier needs boxes that stay on its
             feasible side.
         scale: common factor of all penalties.
+        units: description → what the residuals of such constraints are divided by; 1 if left out.
 
     Raises:
         UnsupportedTermError: a constraint whose formula Drake does not give, or an inequality of
@@ -67,7 +70,8 @@ def penalize(
         evaluator, variables = binding.evaluator(), binding.variables()
         if evaluator not in penalties:
             x = MakeVectorVariable(len(variables), "x")
-            penalties[evaluator] = x, _penalty(evaluator, x, inequality, scale)
+            unit = (units or {}).get(evaluator.get_description(), 1.0)
+            penalties[evaluator] = x, _penalty(evaluator, x, inequality, scale, unit)
         x, penalty = penalties[evaluator]
         if penalty is not None:
             penalty.bind(penalized, substitutions([x], [variables]))
@@ -112,7 +116,11 @@ def _bounds(prog: MathematicalProgram) -> tuple[npt.NDArray[np.float64], npt.NDA
 
 
 def _penalty(
-    constraint: Constraint, x: npt.NDArray[Any], inequality: InequalityPenalty, scale: float
+    constraint: Constraint,
+    x: npt.NDArray[Any],
+    inequality: InequalityPenalty,
+    scale: float,
+    unit: float,
 ) -> SharedEvaluator | None:
     """Returns the cost over placeholders x that stands for lower ≤ g(x) ≤ upper; None if empty."""
     name = constraint.get_description() or type(constraint).__name__
@@ -128,12 +136,12 @@ def _penalty(
     for y, lower, upper in rows:
         if lower == upper:
             if not isinstance(constraint, BoundingBoxConstraint):
-                total += scale * sym.pow(y - lower, 2)
+                total += scale * sym.pow((y - lower) / unit, 2)
             continue
         sides = [y - lower] if np.isfinite(lower) else []
         sides += [upper - y] if np.isfinite(upper) else []
         for side in sides:
-            total += scale * _inequality_penalty(name, as_expression(side), inequality)
+            total += scale * _inequality_penalty(name, as_expression(side / unit), inequality)
     if total.EqualTo(Expression(0.0)):
         return None
     return shared_cost(total, name)

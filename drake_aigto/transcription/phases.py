@@ -182,6 +182,12 @@ class PhaseTranscription(Transcription):
             pairs.append((self._force, self._forces[[self._resting.index(k)]]))
         return pairs
 
+    def _stage_variables(self, k: int) -> npt.NDArray[Any]:
+        of_touch = self._closing[[k == touch for touch in self._touches]]
+        of_rest = self._forces[[k == rest for rest in self._resting]]
+        clock = [self._times[k : k + 1], self._steps[k : k + 1]]
+        return np.concatenate([super()._stage_variables(k), of_touch, *clock, of_rest])
+
     def sample_times(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns the knots' times at x, shape (N+1,) [s]."""
         return self._values(x, self._times) if self.sequence else self.GetSampleTimes()

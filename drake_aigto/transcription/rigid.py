@@ -5,8 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from pydrake.solvers import MathematicalProgram
 
 from drake_aigto.errors import OptionsError
+from drake_aigto.transcription.penalties import InequalityPenalty, penalize
 from drake_aigto.transcription.rigid_contact import (
     CONTACT,
     DYNAMICS,
@@ -17,7 +19,7 @@ from drake_aigto.transcription.rigid_contact import (
     rigid_defects,
 )
 from drake_aigto.transcription.shared import as_expression, shared_constraint
-from drake_aigto.transcription.transcription import NONPENETRATION, Transcription
+from drake_aigto.transcription.transcription import CLEARANCE, NONPENETRATION, Transcription
 from drake_aigto.world import Scenario, World
 
 if TYPE_CHECKING:
@@ -45,8 +47,8 @@ class RigidTranscription(Transcription):
     wall pushes a little from afar, λ_k = dt ε/φ_k as in AIGTO Sec. IV, which contradicts its
     restitution: such a program is for penalties, not for a solver that wants its rows met.
 
-    Rows are divided by their units, those of mass m, the `length_scale` L and T, so that penalty
-    weights mean the same for every scale.
+    Rows, or their penalties, are divided by their units, those of mass m, the `length_scale` L and
+    T, so that penalty weights mean the same for every scale.
 
     Args:
         world: the plant, read; its signed distance has to be affine.
@@ -85,7 +87,7 @@ class RigidTranscription(Transcription):
         restitution = shared_constraint(as_expression(returned), RESTITUTION)
         for k in range(1, len(self._u)):
             self._bind(restitution, k)
-        self._add_nonpenetration(range(1, self.num_samples()), L)
+        self._add_nonpenetration(range(1, self.num_samples()))
 
     def cost_scale(self) -> float:
         """Returns what L costs to overcome in T from rest, without a wall.
@@ -98,6 +100,15 @@ class RigidTranscription(Transcription):
         miss = scenario.goal_weight
         price = effort * miss / (effort + miss) if miss else effort
         return price * self.length_scale() ** 2
+
+    def penalized(self, inequality: InequalityPenalty = "squared hinge") -> MathematicalProgram:
+        """Returns `prog` with constraints as costs, each row r_k as N r_k²: r_k²/dt in units of T.
+
+        So weights mean the same for every N and T. Distances are in units of L here too: Drake
+        makes φ/L ≥ 0 a bound on q, which has no unit left.
+        """
+        units = dict.fromkeys((NONPENETRATION, CLEARANCE), self.length_scale())
+        return penalize(self._prog, inequality, scale=self.scenario.num_steps, units=units)
 
     def defects(self, x: npt.NDArray[np.float64]) -> dict[str, float]:
         """Returns the largest of each kind, as `rigid_defects`, and nonpenetration [m]."""

@@ -83,7 +83,7 @@ def rigid_defects(world: World, restitution: float, trajectory: Trajectory) -> d
 
         flight          ‖q_{k+1} − q_k − τ_k v̄_k‖∞                                           [m]
         dynamics        ‖v_{k+1} − v⁺_k − τ_k M⁻¹ (B u_k − h(q̄_k, v̄_k) + Jᵀ λ_k)‖∞           [m/s]
-        contact         min(φ_k, τ_k Δφ̇_k): the wall pushes from afar; or φ_k while λ_k ≠ 0   [m]
+        contact         min(φ_k, τ_k Δφ̇_k): the wall pushes from afar; φ_k, φ_{k+1} if λ_k ≠ 0   [m]
         restitution     min(Δφ̇_k, |φ̇⁺_k + e φ̇_k|): the impact returns another speed         [m/s]
 
     and likewise a pull, Δφ̇_k < 0 or λ_k < 0, counts as restitution.
@@ -101,11 +101,12 @@ def rigid_defects(world: World, restitution: float, trajectory: Trajectory) -> d
     rate = v @ contact.jacobian
     reach = np.append(tau, tau[-1]) * jumps
     missed = np.abs((1 + restitution) * rate + jumps)
-    held = np.where(trajectory.forces[:, 0] != 0, np.abs(distances[:-1]), 0.0)
+    gaps = np.abs(distances)
+    held = np.where(trajectory.forces[:, 0] != 0, np.maximum(gaps[:-1], gaps[1:]), 0.0)
     pull = np.maximum(np.max(-jumps), np.max(-tau * trajectory.forces / contact.mass))
     return {
         FLIGHT: float(np.max(np.abs(q[1:] - q[:-1] - tau * v_mean))),
         DYNAMICS: float(np.max(np.abs(v[1:] - after[:-1] - tau * (free + push)))),
-        CONTACT: float(max(np.max(np.minimum(np.abs(distances), np.abs(reach))), np.max(held))),
+        CONTACT: float(max(np.max(np.minimum(gaps, np.abs(reach))), np.max(held))),
         RESTITUTION: float(max(np.max(np.minimum(np.abs(jumps), missed)), pull, 0.0)),
     }

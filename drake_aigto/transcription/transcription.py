@@ -86,13 +86,13 @@ class Transcription(ABC):
     def _add_rows(self) -> None:
         """Adds the dynamics and contact rows to the program."""
 
-    def _add_nonpenetration(self, knots: Sequence[int], unit: float = 1.0) -> None:
-        """Adds φ(q_k)/unit ≥ 0 for all contacts at these knots; the unit only scales penalties."""
+    def _add_nonpenetration(self, knots: Sequence[int]) -> None:
+        """Adds φ(q_k) ≥ 0 for all contacts at these knots."""
         for i, contact in enumerate(self.world.contacts):
             distance = contact.signed_distance
             if len(distance.GetVariables()) > 1:
                 distance = self._add_clearance(i)
-            apart = shared_constraint(distance / unit, NONPENETRATION, 0.0, np.inf)
+            apart = shared_constraint(distance, NONPENETRATION, 0.0, np.inf)
             for k in knots:
                 self._bind(apart, k)
 
@@ -299,11 +299,12 @@ class Transcription(ABC):
 
     def elimination_order(self) -> npt.NDArray[np.int64]:
         """Returns all decision variables' indices by stage: Newton systems are banded then."""
-        stages = [
-            np.concatenate([self.state(k), self._clearances[k], *self._u[k : k + 1]])
-            for k in range(self.num_samples())
-        ]
+        stages = [self._stage_variables(k) for k in range(self.num_samples())]
         return np.array(self._prog.FindDecisionVariableIndices(np.concatenate(stages)))
+
+    def _stage_variables(self, k: int) -> npt.NDArray[Any]:
+        """Returns the decision variables of knot k and of the step after it."""
+        return np.concatenate([self.state(k), self._clearances[k], *self._u[k : k + 1]])
 
     def initial_box(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Returns center and half width, over all decision variables, of AIGO's first box.
@@ -329,10 +330,12 @@ class Transcription(ABC):
         return cut_to_bounds(self._prog, center, half_width)
 
     def length_scale(self) -> float:
-        """Returns the longest of the way to the goal and the distances to the wall [m]."""
+        """Returns the longest of the ways to the goal and, from both ends, to the wall [m]."""
         q0, goal = self.scenario.initial_position, self.scenario.goal_position
-        distances = self._distances(np.array([q0, goal]))
-        return float(max(np.max(np.abs(goal - q0)), np.max(distances)))
+        # A joint askew to the wall has to go farther than φ.
+        steepness = np.linalg.norm(self.world.calc_contact_jacobian(q0), axis=1)
+        ways = self._distances(np.array([q0, goal])) / steepness
+        return float(max(np.max(np.abs(goal - q0)), np.max(ways)))
 
     def inertia(self) -> float:
         """Returns the largest entry of B⁺ M: control per acceleration [kg]."""
