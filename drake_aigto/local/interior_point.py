@@ -54,6 +54,7 @@ class InteriorPoint:
             s_i ≤ 1 scales rows that are steep at the start.
         max_iterations: Newton and restoration steps.
         initial_barrier: First μ.
+        cost_unit: Size of a cost that matters; the tolerance is in this unit.
         bound_push: Least distance of the start from a bound b, relative to max(1, |b|) and to the
             distance between a variable's bounds.
     """
@@ -62,11 +63,12 @@ class InteriorPoint:
     feasibility: float = 1e-12
     max_iterations: int = 500
     initial_barrier: float = 0.1
+    cost_unit: float = 1.0
     bound_push: float = 1e-2
 
     def __post_init__(self) -> None:
         """Check the ranges."""
-        for name in ("tolerance", "feasibility", "initial_barrier", "bound_push"):
+        for name in ("tolerance", "feasibility", "initial_barrier", "cost_unit", "bound_push"):
             value = getattr(self, name)
             if not 0.0 < value < np.inf:
                 raise OptionsError(name, got=value, expected="a positive number")
@@ -118,7 +120,7 @@ class _Solve:
     def __init__(self, options: InteriorPoint, nlp: PolynomialNlp, start: Floats) -> None:
         self._options = options
         self._nlp = nlp
-        self._problem = ScaledProblem(nlp, start)
+        self._problem = ScaledProblem(nlp, start, options.cost_unit)
         self._search = NewtonSearch(self._problem)
         self._restoration = Restoration(self._problem, self._search)
         has_bounds = self._problem.bounded.size > 0

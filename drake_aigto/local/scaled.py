@@ -66,8 +66,8 @@ class Linearisation:
 class ScaledProblem:
     """Minimise s f(y) subject to s c(y) = 0 and bounds, over the variables that are not held.
 
-    Bounds are numbered: nb of them, the lower ones first. Factors s ≤ 1 keep the cost's and every
-    row's largest slope at the start from exceeding a hundred.
+    Bounds are numbered: nb of them, the lower ones first. The cost is divided by its unit; then,
+    factors ≤ 1 keep its and every row's largest slope at the start from exceeding a hundred.
 
     Attributes:
         structure: Where the unknowns stand in KKT matrices.
@@ -80,7 +80,7 @@ class ScaledProblem:
         row_scales: s of the rows (ma,).
     """
 
-    def __init__(self, nlp: PolynomialNlp, x: Floats) -> None:
+    def __init__(self, nlp: PolynomialNlp, x: Floats, cost_unit: float = 1.0) -> None:
         """Hold the variables with equal bounds, and scale at x (n,), which is within bounds."""
         self._nlp = nlp
         self.structure = nlp.kkt_structure
@@ -98,17 +98,17 @@ class ScaledProblem:
         held_rows = np.delete(nlp.evaluate(x)[1], self.structure.rows)
         self.held_residual = float(np.max(np.abs(held_rows), initial=0.0))
         self._scales = np.ones(nlp.num_costs + nlp.num_rows)
-        self.cost_scale, self.row_scales = self._find_scales(x)
+        self.cost_scale, self.row_scales = self._find_scales(x, cost_unit)
         self._scales[: nlp.num_costs] = self.cost_scale
         self._scales[nlp.num_costs + self.structure.rows] = self.row_scales
 
-    def _find_scales(self, x: Floats) -> tuple[float, Floats]:
+    def _find_scales(self, x: Floats, cost_unit: float) -> tuple[float, Floats]:
         no_multipliers = np.zeros(self.structure.rows.size)
         gradient, band = self.structure.assemble(x, self._scales, no_multipliers)
         steepest = np.max(np.abs(gradient), initial=0.0)
         slopes = self.structure.steepest_slopes(band)
         return (
-            float(_STEEPEST / max(_STEEPEST, steepest)),
+            float(_STEEPEST / max(_STEEPEST, steepest / cost_unit) / cost_unit),
             _STEEPEST / np.maximum(_STEEPEST, slopes),
         )
 

@@ -66,9 +66,10 @@ def _rigid_rung(temperature: float, restitution: float) -> Rung:
     return Rung(temperature, {**weights, NONPENETRATION: 3e3})
 
 
-# Hot boxes under a light restitution row find the wall; cold ones under a heavy row, which no
-# impulse can please yet, find the free flight. What is best is only known after the polish.
-RIGID_LADDER = (_rigid_rung(3.0, 1.0), _rigid_rung(0.3, 1e1), _rigid_rung(3e-2, 1e2))
+# Hot boxes under a light restitution row find the wall, whether a bounce pays or not; cold ones
+# under a heavy row, which no impulse pleases while boxes are wide, the free flight; the rung in
+# between often tells which is better. What is best is only known after the polish.
+RIGID_LADDER = (_rigid_rung(3.0, 2.0), _rigid_rung(0.5, 5.0), _rigid_rung(0.03, 1000.0))
 
 # A rigid anneal ends at this part of its first temperature: no sequence changed below.
 _COOLED = 1e-7

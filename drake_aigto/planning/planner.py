@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import math
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator
@@ -25,6 +26,9 @@ from drake_aigto.world import Scenario, World
 if TYPE_CHECKING:
     import numpy.typing as npt
 
+# AIGO's boxes tell a bounce from the start's own push if so many steps lead to the wall.
+_STEPS_TO_WALL = 3
+
 
 class PlanningError(AigtoError, RuntimeError):
     """Nothing was found; the message says what was tried.
@@ -41,14 +45,23 @@ def make_problem(
 ) -> LiteralProblem | RigidProblem:
     """Returns the scenario, transcribed and compiled as the options say.
 
-    The rigid transcription has time steps of its own (`PlanOptions.aigo_steps`).
+    The rigid transcription has time steps of its own (`PlanOptions.aigo_steps`), but more, up to
+    the scenario's, if the ball would be at the wall in less than three of them.
     """
     if options.transcription == "literal":
         literal = LiteralTranscription(world, scenario, options.nonpenetration)
         return LiteralProblem(literal, options)
-    steps = min(options.aigo_steps, scenario.num_steps)
+    steps = min(max(options.aigo_steps, _count_steps(world, scenario)), scenario.num_steps)
     coarse = dataclasses.replace(scenario, time_step=scenario.duration / steps)
     return RigidProblem(RigidTranscription(world, coarse, options.relaxation), options)
+
+
+def _count_steps(world: World, scenario: Scenario) -> int:
+    """Returns into how many steps T has to be cut for the ball to fly three before the wall."""
+    distance = float(np.min(world.calc_signed_distance(scenario.initial_position)))
+    jacobian = world.calc_contact_jacobian(scenario.initial_position)
+    speed = -float(np.min(jacobian @ scenario.initial_velocity))
+    return math.ceil(_STEPS_TO_WALL * scenario.duration * max(speed, 0.0) / distance)
 
 
 def plan(

@@ -95,7 +95,8 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
     ) -> npt.NDArray[np.float64]:
         """Returns what the local solver makes of a guess for any program; compiled if `nlp`."""
         if self.options.local_solver == "newton":
-            solver = InteriorPoint(max_iterations=_MAX_ITERATIONS)
+            unit = self.transcription.cost_scale()
+            solver = InteriorPoint(max_iterations=_MAX_ITERATIONS, cost_unit=unit)
             return solver.solve(nlp or compile_nlp(prog), guess).x
         return solve_with_drake(prog, guess, self.options.local_solver).x
 

@@ -15,7 +15,7 @@ from drake_aigto.planning.options import Rung
 from drake_aigto.planning.plan import Candidate
 from drake_aigto.planning.problem import PlanningProblem
 from drake_aigto.planning.search import Clock, Search
-from drake_aigto.planning.touches import is_same, read_sequences
+from drake_aigto.planning.touches import are_near, is_same, read_sequences
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch, TouchSequence
 
 if TYPE_CHECKING:
@@ -24,8 +24,10 @@ if TYPE_CHECKING:
 # Parts of the duration by which the times of two sequences of the same contacts differ at most, if
 # their polish is expected to end in one optimum, and if it has.
 _SAME_START, _SAME_END = 0.05, 1e-3
-# A replay that is not as planned proposes its own bounces if there are no more than this.
-_MOST_BOUNCES = 3
+# Of a sequence that grows by bounces which its replay has and it lacks.
+_MOST_TOUCHES = 3
+# In a candidate's origin, if its sequence grew.
+_SEEN = "; with bounces seen in its replay"
 
 
 class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
@@ -66,8 +68,8 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
 class RigidSearch(Search[TouchSequence]):
     """AIGO proposes touches, polished with its coarse knots; the best are polished again.
 
-    A replay that bounces elsewhere than its plan proposes its own bounces: knots may step over a
-    short contact, and AIGO's do over one right after the start.
+    If a candidate's replay bounces where its plan does not, the plan with that bounce is another
+    candidate: knots may step over a short contact, and AIGO's do over one right after the start.
     """
 
     def __init__(
@@ -83,16 +85,23 @@ class RigidSearch(Search[TouchSequence]):
         self._duration = problem.transcription.scenario.duration
 
     def add(self, origin: str, center: npt.NDArray[np.float64], sequence: TouchSequence) -> None:
-        """Adds the candidate of a sequence, and if its replay bounces elsewhere, that one's."""
+        """Adds the candidate of a sequence, and if its replay bounces more often, that one's."""
         super().add(origin, center, sequence)
-        found = self.by_sequence[sequence]
-        bounces = tuple(Touch.bounce(t) for t in found.replay.bounce_times)
-        if (
-            not found.is_confirmed
-            and 0 < len(bounces) <= _MOST_BOUNCES
-            and not self.is_known(bounces)
-        ):
-            super().add(f"{origin}; bounces as replayed", center, bounces)
+        if not self.by_sequence[sequence].is_confirmed:
+            for seen in self._with_unplanned_bounce(sequence):
+                if len(seen) <= _MOST_TOUCHES and not self.is_known(seen):
+                    self.add(f"{origin.removesuffix(_SEEN)}{_SEEN}", center, seen)
+
+    def _with_unplanned_bounce(self, sequence: TouchSequence) -> list[TouchSequence]:
+        """Returns a sequence up to the first bounce of its replay that it lacks, and all of it."""
+        optimum, near = self._optimum(sequence), _SAME_START * self._duration
+        for time in self.by_sequence[sequence].replay.bounce_times:
+            nearest = (min(max(time, touch.start), touch.end) for touch in optimum)
+            if not any(are_near(time, planned, near) for planned in nearest):
+                before = tuple(touch for touch in optimum if touch.end < time)
+                seen = (*before, Touch.bounce(time))
+                return [seen, (*seen, *optimum[len(before) :])]
+        return []
 
     def improve(self, sequence: TouchSequence) -> None:
         """Polishes a candidate with the scenario's time step, if that is finer, in its place."""

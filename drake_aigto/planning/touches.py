@@ -51,11 +51,16 @@ def read_sequences(
 
 
 def is_same(one: TouchSequence, other: TouchSequence, near: float) -> bool:
-    """Returns whether both have the same contacts, at times no more than `near` apart [s]."""
+    """Returns whether both have the same contacts, at times that `are_near` [s]."""
     return [touch.lasts for touch in one] == [touch.lasts for touch in other] and all(
-        abs(mine.start - yours.start) <= near and abs(mine.end - yours.end) <= near
+        are_near(mine.start, yours.start, near) and are_near(mine.end, yours.end, near)
         for mine, yours in zip(one, other, strict=True)
     )
+
+
+def are_near(one: float, other: float, near: float) -> bool:
+    """Returns whether times differ by at most `near`, and soon after the start by a quarter [s]."""
+    return abs(one - other) <= min(near, max(one, other) / 4)
 
 
 def _read_impulses(

@@ -121,10 +121,8 @@ class PhaseTranscription(Transcription):
             least = T * (_SHORTEST_CONTACT if phase.rests else _SHORTEST_FLIGHT)
             steps = self._steps[phase.first : phase.last]
             self._prog.AddBoundingBoxConstraint(least / len(steps), T, steps)
-            for k in range(phase.first, phase.last - 1):
-                self._bind(same, k)
-        for k in range(len(self._u)):
-            self._bind(add, k)
+            self._bind_each(same, range(phase.first, phase.last - 1))
+        self._bind_stages(add)
         ends = self._times[[0, -1]]
         self._prog.AddBoundingBoxConstraint([0, T], [0, T], ends).evaluator().set_description(
             "duration"
@@ -137,9 +135,7 @@ class PhaseTranscription(Transcription):
             if self._clearance.size
             else self.world.contacts[0].signed_distance
         )
-        touching = shared_constraint(distance, CONTACT)
-        for k in sorted(held):
-            self._bind(touching, k)
+        self._bind_each(shared_constraint(distance, CONTACT), sorted(held))
         e, rests = self.scenario.restitution, {phase.first for phase in self._phases if phase.rests}
         for closing, k in zip(self._closing, self._touches, strict=True):
             self._prog.AddLinearConstraint(
@@ -189,8 +185,11 @@ class PhaseTranscription(Transcription):
         return np.concatenate([super()._stage_variables(k), of_touch, *clock, of_rest])
 
     def sample_times(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Returns the knots' times at x, shape (N+1,) [s]."""
-        return self._values(x, self._times) if self.sequence else self.GetSampleTimes()
+        """Returns the knots' times at x, shape (N+1,) [s]; they increase at any x within bounds."""
+        if not self.sequence:
+            return self.GetSampleTimes()
+        elapsed = np.cumsum(self._values(x, self._steps))
+        return np.append(0.0, self.scenario.duration * elapsed / elapsed[-1])
 
     def contact_sequence(self, x: npt.NDArray[np.float64]) -> TouchSequence:
         """Returns the sequence with its times at x."""

@@ -38,7 +38,7 @@ class RigidTranscription(Transcription):
 
         q_{k+1} = q_k + dt v_{k+1} − (dt²/2) M⁻¹ (B u_k − h̄_k)                             "flight"
         tᵀ p_k = 0 for all t along the wall, J t = 0                                     "dynamics"
-        φ(q_k) λ_k = dt ε                                                                 "contact"
+        φ(q_k) λ_k = dt ε, k ≥ 1;  λ_0 = 0, for the start is off the wall                 "contact"
         λ_k (J v⁺_k + e J v_k) = 0, k ≥ 1                                             "restitution"
         φ(q_k) ≥ 0, k ≥ 1                                                          "nonpenetration"
 
@@ -82,11 +82,11 @@ class RigidTranscription(Transcription):
         for row in contact.tangents.T @ world.mass_matrix_values @ change:
             self._bind_stages(shared_constraint(as_expression(row * T / L), DYNAMICS))
         pushed = distance * jump * T / L**2 - self.relaxation * dt / T
-        self._bind_stages(shared_constraint(as_expression(pushed), CONTACT))
+        self._bind(shared_constraint(as_expression(jump * T / L), CONTACT), 0)
+        self._bind_each(shared_constraint(as_expression(pushed), CONTACT), range(1, len(self._u)))
         returned = jump * (rebound + self.scenario.restitution * approach) * (T / L) ** 2
         restitution = shared_constraint(as_expression(returned), RESTITUTION)
-        for k in range(1, len(self._u)):
-            self._bind(restitution, k)
+        self._bind_each(restitution, range(1, len(self._u)))
         self._add_nonpenetration(range(1, self.num_samples()))
 
     def cost_scale(self) -> float:

@@ -7,7 +7,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydrake.solvers import Constraint, Cost, EvaluatorBase, ExpressionCost, MathematicalProgram
+from pydrake.solvers import (
+    Constraint,
+    Cost,
+    EvaluatorBase,
+    ExpressionCost,
+    MathematicalProgram,
+    QuadraticConstraint,
+)
 from pydrake.symbolic import Expression, Polynomial, Variable
 
 if TYPE_CHECKING:
@@ -68,7 +75,9 @@ def shared_constraint(
     """Returns lower ≤ expression ≤ upper, as special a constraint as Drake has for it."""
     scratch = _scratch_program(expression)
     if Polynomial(expression).TotalDegree() == 2:
-        binding = scratch.AddQuadraticConstraint(expression, lower, upper)
+        # Drake warns where its own test of convexity does not come to an end.
+        kind = QuadraticConstraint.HessianType.kIndefinite
+        binding = scratch.AddQuadraticConstraint(expression, lower, upper, hessian_type=kind)
     else:
         binding = scratch.AddConstraint(expression, lower, upper)
     evaluator: Constraint = binding.evaluator()

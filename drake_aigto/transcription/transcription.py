@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -93,8 +93,7 @@ class Transcription(ABC):
             if len(distance.GetVariables()) > 1:
                 distance = self._add_clearance(i)
             apart = shared_constraint(distance, NONPENETRATION, 0.0, np.inf)
-            for k in knots:
-                self._bind(apart, k)
+            self._bind_each(apart, knots)
 
     def _add_clearance(self, contact: int) -> Expression:
         """Adds variables s_k with rows s_k = φ(q_k); returns their placeholder."""
@@ -106,8 +105,7 @@ class Transcription(ABC):
         placeholder = Expression(self._clearance[-1])
         distance = self.world.contacts[contact].signed_distance
         row = shared_constraint(placeholder - distance, CLEARANCE)
-        for k in range(len(self._q)):
-            self._bind(row, k)
+        self._bind_each(row, range(len(self._q)))
         return placeholder
 
     @abstractmethod
@@ -356,7 +354,10 @@ class Transcription(ABC):
 
     def _bind_stages(self, shared: SharedEvaluator) -> None:
         """Binds an evaluator to every step k = 0 … N−1."""
-        for k in range(len(self._u)):
+        self._bind_each(shared, range(len(self._u)))
+
+    def _bind_each(self, shared: SharedEvaluator, knots: Iterable[int]) -> None:
+        for k in knots:
             self._bind(shared, k)
 
     def _bind(self, shared: SharedEvaluator, k: int) -> None:
