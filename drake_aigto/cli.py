@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -13,8 +14,10 @@ from typing import Any
 
 from drake_aigto.errors import AigtoError
 from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions
+from drake_aigto.planning.material import contact_delay
 from drake_aigto.planning.options import CHOICES
-from drake_aigto.show.tables import format_plan, format_replays, format_table1
+from drake_aigto.show.plans import format_plan, format_replays
+from drake_aigto.show.tables import format_table1
 from drake_aigto.study import ROWS, run_table1
 from drake_aigto.world import Scenario, World, scenario_names
 from drake_aigto.world.files import check_writable, write_text
@@ -22,6 +25,12 @@ from drake_aigto.world.files import check_writable, write_text
 FINE, NOTHING_HOLDS, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
 
 _VECTORS = ("initial_position", "initial_velocity", "goal_position")
+# Numeric plan option → its type, and what it is.
+_NUMBERS: dict[str, tuple[Callable[[str], float], str]] = {
+    "relaxation": (float, "rigid: how much the wall pushes from afar while boxes shrink"),
+    "aigo_steps": (int, "rigid: the most time steps that boxes have"),
+    "finalists": (int, "how many of the best candidates are improved"),
+}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -47,7 +56,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _table1(options: argparse.Namespace) -> int:
     check_writable(options.json)
     with _progress(options) as progress:
-        cells = run_table1(
+        table = run_table1(
             rows=options.rows,
             num_guesses=options.guesses,
             seed=options.seed,
@@ -55,19 +64,28 @@ def _table1(options: argparse.Namespace) -> int:
             progress=progress,
         )
     if options.json:
-        write_text(options.json, json.dumps({"cells": [cell.to_dict() for cell in cells]}) + "\n")
-    print(format_table1(cells))
+        write_text(options.json, json.dumps(table.to_dict()) + "\n")
+    print(format_table1(table))
     return FINE
 
 
 def _plan(options: argparse.Namespace) -> int:
     check_writable(options.json)
     scenario = _load_scenario(options)
-    chosen = {name: getattr(options, name) for name in (*CHOICES, "nonpenetration", "confirm")}
-    planner = Planner(scenario, PlanOptions(**chosen))
-    with _progress(options) as progress:
-        plan = planner.plan(progress=progress)
-    return _answer(options, plan, format_plan(plan))
+    names = (*CHOICES, *_NUMBERS, "nonpenetration", "confirm")
+    planner = Planner(scenario, PlanOptions(**{name: getattr(options, name) for name in names}))
+    try:
+        with _progress(options) as progress:
+            plan = planner.plan(progress=progress)
+    except PlanningError as error:
+        if error.plan is not None:
+            _answer_plan(options, error.plan, planner)
+        raise
+    return _answer_plan(options, plan, planner)
+
+
+def _answer_plan(options: argparse.Namespace, plan: Plan, planner: Planner) -> int:
+    return _answer(options, plan, format_plan(plan, planner.options, _delay(plan, planner)))
 
 
 def _replay(options: argparse.Namespace) -> int:
@@ -75,7 +93,7 @@ def _replay(options: argparse.Namespace) -> int:
     plan = Plan.load(options.plan)
     planner = Planner(plan.scenario, PlanOptions(confirm=options.confirm))
     replayed = dataclasses.replace(plan, replay=planner.simulate(plan.trajectory))
-    return _answer(options, replayed, format_replays(replayed))
+    return _answer(options, replayed, format_replays(replayed, _delay(replayed, planner)))
 
 
 def _play(options: argparse.Namespace) -> int:
@@ -115,6 +133,11 @@ def _answer(options: argparse.Namespace, plan: Plan, text: str) -> int:
     return FINE if plan.holds else NOTHING_HOLDS
 
 
+def _delay(plan: Plan, planner: Planner) -> float | None:
+    """Returns by how much the wall in Drake is late [s], if the plan was replayed there."""
+    return None if plan.replay.drake is None else contact_delay(planner.world)
+
+
 @contextmanager
 def _progress(options: argparse.Namespace) -> Iterator[Callable[[str], None] | None]:
     """Yields what shows a line of progress on a terminal, each over the one before."""
@@ -123,7 +146,9 @@ def _progress(options: argparse.Namespace) -> Iterator[Callable[[str], None] | N
         return
 
     def show(line: str) -> None:
-        print(f"\r\033[K{line}", end="", file=sys.stderr, flush=True)
+        # A line that wraps could not be written over.
+        shown = line[: shutil.get_terminal_size().columns - 1]
+        print(f"\r\033[K{shown}", end="", file=sys.stderr, flush=True)
 
     try:
         yield show
@@ -198,11 +223,19 @@ def _add_plan(commands: Any) -> None:
             default=getattr(defaults, name),
             help="(default: %(default)s)",
         )
+    for name, (kind, text) in _NUMBERS.items():
+        numerics.add_argument(
+            f"--{name.replace('_', '-')}",
+            type=kind,
+            default=getattr(defaults, name),
+            metavar="N" if kind is int else "X",
+            help=f"{text} (default: %(default)s)",
+        )
     numerics.add_argument(
         "--nonpenetration",
         action=argparse.BooleanOptionalAction,
         default=defaults.nonpenetration,
-        help="ask for φ(q) ≥ 0 at the knots (default: %(default)s)",
+        help="literal: ask for φ(q) ≥ 0 at the knots (default: %(default)s)",
     )
     _add_confirm(plan)
     _add_json(plan, "write the plan, for `replay` and `play`")

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
+import re
+import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
 from drake_aigto.cli import BAD_INPUT, FINE, INTERRUPTED, NOTHING_HOLDS, main
-from drake_aigto.planning import Plan, Planner
+from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions, Replays
+from drake_aigto.world import Scenario
+from drake_aigto.world.files import find_model
 
 # A short flight away from the wall: quick to plan, and true on a rigid wall.
 FLIGHT = [
@@ -36,14 +41,127 @@ def test_plan_writes_what_it_prints(plan_file: Path, capsys: pytest.CaptureFixtu
     assert "verdict     holds" in printed
 
 
-def test_a_plan_that_fails_on_a_rigid_wall_exits_with_1(
+def test_a_bounce_is_told_with_all_that_it_rests_on(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["plan", "table1/1", "--time-step", "0.02", "--relaxation", "2e-4", "--quiet"]
+    assert main([*arguments, "--aigo-steps", "40", "--finalists", "1"]) == FINE
+    printed = capsys.readouterr().out
+    assert printed.startswith("verdict     holds: ")
+    assert max(map(len, printed.splitlines())) <= 100
+    for told in (
+        r"cost 2\.18.e-04, on a rigid wall 2\.18.e-04, on Drake's plant 2\.1..e-04\n",
+        r"plan        rigid transcription, cost 2\.18.e-04, ends 0\.8 mm off the goal, ",
+        r"defects     flight .* m/s, contact 0 m, restitution 0 m/s, nonpenetration 0 m\n",
+        r"contacts    0\.55. s \(Δv 3\.36 m/s\), kinetic energy after / before 1\n",
+        r"bounces at 0\.5\d+ s, each 0\.10 ms late \(π √\(m / k\)\)\n",
+        r"found by    boxes of 40 steps, relaxation 0\.0002\n",
+        r"contacts\n +2\.18e-04 .* 2\.18e-04    0\.8 mm  0\.55. s\n",
+    ):
+        assert re.search(told, printed), f"{told} in\n{printed}"
+    assert not re.search("[εδ]", printed), "these are the literal transcription's"
+
+
+def test_a_literal_plan_that_fails_on_a_rigid_wall_exits_with_1(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     arguments = ["plan", "table1/2", "--no-nonpenetration", "--no-confirm", "--time-step", "0.02"]
     assert main([*arguments, "--transcription", "literal"]) == NOTHING_HOLDS
     printed = capsys.readouterr().out
-    assert "verdict     fails: in simulation the control alone misses" in printed
+    assert printed.startswith("verdict     fails: on a rigid wall the control alone misses")
+    assert max(map(len, printed.splitlines())) <= 100
+    assert "literal transcription, ε = 0.1 J, δ = 0.001 m, " in printed
+    assert "relaxation" not in printed
     assert "Drake" not in printed
+
+
+def failing(plan: Plan) -> Plan:
+    """Returns a plan whose simulation in Drake says otherwise."""
+    assert plan.replay.drake is not None
+    missed = dataclasses.replace(plan.replay.drake, cost=1.0)
+    return dataclasses.replace(plan, replay=Replays(plan.replay.event_driven, missed))
+
+
+def test_what_holds_nowhere_is_shown_and_written_and_exits_with_1(
+    plan_file: Path,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    error = PlanningError("nothing holds", got="3 candidates from 3 rungs")
+    error.plan = failing(Plan.load(plan_file))
+
+    def fail(*arguments: Any, **keywords: Any) -> None:
+        raise error
+
+    monkeypatch.setattr(Planner, "plan", fail)
+    out = tmp_path / "failed.json"
+    assert main(["plan", *FLIGHT, "--json", str(out)]) == NOTHING_HOLDS
+    printed = capsys.readouterr()
+    assert printed.out.startswith("verdict     fails: on Drake's plant the control alone misses")
+    assert printed.err == "drake-aigto: nothing holds: got 3 candidates from 3 rungs.\n"
+    assert not Plan.load(out).holds
+
+    error.plan = None
+    assert main(["plan", *FLIGHT]) == NOTHING_HOLDS
+    printed = capsys.readouterr()
+    assert not printed.out
+    assert printed.err == "drake-aigto: nothing holds: got 3 candidates from 3 rungs.\n"
+
+
+def test_plan_options_are_flags(
+    plan_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seen: list[PlanOptions] = []
+
+    def remember(planner: Planner, **keywords: Any) -> Plan:
+        seen.append(planner.options)
+        return Plan.load(plan_file)
+
+    monkeypatch.setattr(Planner, "plan", remember)
+    main(["plan", *FLIGHT])
+    assert seen.pop() == PlanOptions()
+    numbers = ["--relaxation", "0.5", "--aigo-steps", "7", "--finalists", "3"]
+    words = ["--local-solver", "snopt", "--algorithm", "full gradient"]
+    switches = ["--no-nonpenetration", "--no-confirm"]
+    main(["plan", *FLIGHT, "--transcription", "literal", *numbers, *words, *switches])
+    assert seen.pop() == PlanOptions(
+        transcription="literal",
+        relaxation=0.5,
+        aigo_steps=7,
+        finalists=3,
+        local_solver="snopt",
+        algorithm="full gradient",
+        nonpenetration=False,
+        confirm=False,
+    )
+
+
+def test_progress_stays_on_one_line(
+    plan_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def tell(planner: Planner, progress: Any) -> Plan:
+        progress("x" * 300)
+        return Plan.load(plan_file)
+
+    monkeypatch.setattr(Planner, "plan", tell)
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "90")
+    assert main(["plan", "table1/1"]) == FINE
+    assert capsys.readouterr().err == f"\r\033[K{'x' * 89}\r\033[K"
+
+
+def test_a_wall_without_stiffness_needs_no_drake(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    shipped = find_model(Scenario.named("table1/1").model)
+    text = re.sub(
+        r"<drake:point_contact_stiffness>.*?</drake:point_contact_stiffness>",
+        "",
+        shipped.read_text(encoding="utf-8"),
+    )
+    model = tmp_path / "soft.sdf"
+    model.write_text(text, encoding="utf-8")
+    assert main(["plan", *FLIGHT, "--model", str(model), "--no-confirm"]) == FINE
+    assert "verdict     holds" in capsys.readouterr().out
 
 
 def test_replay_writes_its_own_verdict(plan_file: Path, tmp_path: Path) -> None:
@@ -73,13 +191,24 @@ def test_table1_prints_every_method_with_its_replays(
     assert "AIGTO 3.67e-07" in printed
     for label in ("SNOPT, from zero", "IPOPT, from zero", ": median of 1", "AIGTO, annealing"):
         assert printed.count(label) == 2  # φ free, and φ ≥ 0
-    cells = json.loads(out.read_text(encoding="utf-8"))["cells"]
+    written = json.loads(out.read_text(encoding="utf-8"))
+    cells = written["cells"]
     assert [cell["nonpenetration"] for cell in cells] == [False, True]
     for cell in cells:
         best = {m["name"]: m["entries"][-1]["candidate"]["cost"] for m in cell["methods"]}
         gradient = min(cost for name, cost in best.items() if not name.startswith("AIGTO"))
         aigto = min(best["AIGTO, Algorithm 1"], best["AIGTO, annealing"])
         assert aigto <= gradient * (1 + 1e-6)
+    assert "rigid wall, e = 1; exact optimum 0, bounce at 0.500 s; Drake's wall 0.10 ms" in printed
+    assert re.search(r"\n  AIGTO, rigid .* holds .*\n  above the optimum .*e-\d\d\n", printed)
+    assert "Rigid transcription: 1 of 1 plans hold there." in printed
+    (rigid,) = written["rigid"]
+    assert rigid["optimum"]["cost"] == pytest.approx(0, abs=1e-12)
+    assert rigid["optimum"]["bounce_times"] == pytest.approx([0.5])
+    (entry,) = rigid["methods"][0]["entries"]
+    assert entry["holds"]
+    assert entry["candidate"]["replay"]["cost"] < 1e-6
+    assert entry["drake"]["cost"] < 1e-5
 
 
 @pytest.mark.parametrize(
@@ -100,6 +229,10 @@ def test_table1_prints_every_method_with_its_replays(
         (["plan", "table1/1", "--epsilon", "0"], "epsilon: got 0"),
         (["plan", "table1/1", "--delta", "-1"], "delta: got -1"),
         (["plan", "table1/1", "--restitution", "1.5"], "restitution: got 1.5"),
+        (["plan", "table1/1", "--relaxation", "-1"], "relaxation: got -1.0, expected a number, 0"),
+        (["plan", "table1/1", "--relaxation", "nan"], "relaxation: got nan, expected a number, 0"),
+        (["plan", "table1/1", "--aigo-steps", "0"], "aigo_steps: got 0, expected 1 or more"),
+        (["plan", "table1/1", "--finalists", "-2"], "finalists: got -2, expected 1 or more"),
         (["plan", "table1/1", "--model", "nowhere.sdf"], "model nowhere.sdf: got no file"),
         (["plan", "table1/1", "--json", "no/folder/x.json"], "no/folder/x.json can't be written"),
         (["table1", "--json", "no/folder/x.json"], "no/folder/x.json can't be written"),
@@ -124,15 +257,27 @@ def test_bad_input_is_one_line_and_status_2(
 
 
 @pytest.mark.parametrize(
-    "arguments", [[], ["sing"], ["plan"], ["plan", "table1/1", "--transcription", "x"]]
+    ("arguments", "message"),
+    [
+        ([], "the following arguments are required: COMMAND"),
+        (["sing"], "invalid choice: 'sing'"),
+        (["plan"], "the following arguments are required: SCENARIO"),
+        (["plan", "table1/1", "--transcription", "rubber"], "invalid choice: 'rubber'"),
+        (["plan", "table1/1", "--aigo-steps", "1.5"], "--aigo-steps: invalid int value: '1.5'"),
+        (["plan", "table1/1", "--relaxation", "some"], "--relaxation: invalid float value: 'some'"),
+        (["table1", "--guesses", "0"], "--guesses: got 0, expected 1 or more"),
+        (["table1", "--rows", "5"], "--rows: invalid choice: 5"),
+    ],
 )
 def test_bad_words_are_a_usage_error(
-    arguments: list[str], capsys: pytest.CaptureFixture[str]
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     with pytest.raises(SystemExit) as error:
         main(arguments)
     assert error.value.code == BAD_INPUT
-    assert "usage: drake-aigto" in capsys.readouterr().err
+    told = capsys.readouterr().err
+    assert told.startswith("usage: drake-aigto")
+    assert message in told.splitlines()[-1]
 
 
 @pytest.mark.parametrize("command", ["table1", "plan", "replay", "play"])

@@ -1,4 +1,4 @@
-"""The paper's Table I: gradient solvers against AIGTO, and what each plan does on a rigid wall."""
+"""The paper's Table I, what its plans do on a rigid wall, and plans that hold there."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import dataclasses
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -19,11 +19,15 @@ from drake_aigto.baselines import gradient_from_random, gradient_from_zero
 from drake_aigto.planning import (
     Candidate,
     LiteralProblem,
+    Plan,
     Planner,
+    PlanningError,
     PlanOptions,
     Replays,
 )
+from drake_aigto.planning.material import contact_delay
 from drake_aigto.planning.options import AlgorithmName, LocalSolverName
+from drake_aigto.study.rigid_optimum import RigidOptimum, rigid_optimum
 from drake_aigto.transcription import LiteralTranscription
 from drake_aigto.world import Scenario
 
@@ -37,6 +41,7 @@ ALGORITHMS: dict[str, AlgorithmName] = {
     "AIGTO, Algorithm 1": "full gradient",
     "AIGTO, annealing": "annealing",
 }
+RIGID_METHOD = "AIGTO, rigid"
 _BLAS_THREADS = "OPENBLAS_NUM_THREADS"  # read by NumPy's and SciPy's wheels as they are loaded
 
 
@@ -118,7 +123,7 @@ class Method:
 
 @dataclass(frozen=True)
 class Cell:
-    """One row of the table under one choice of bounds.
+    """One row of the table, literally transcribed, under one choice of bounds.
 
     Attributes:
         row: 1 … 4.
@@ -141,10 +146,64 @@ class Cell:
         }
 
 
+@dataclass(frozen=True)
+class RigidCell:
+    """One row of the table with the rigid transcription: what is planned holds on a rigid wall.
+
+    Attributes:
+        row: 1 … 4.
+        restitution: of the wall.
+        optimum: the exact one, which the planner does not know.
+        contact_delay: by how much Drake's compliant wall is late, π √(m / k) [s].
+        methods: in the order that they are shown.
+    """
+
+    row: int
+    restitution: float
+    optimum: RigidOptimum
+    contact_delay: float
+    methods: tuple[Method, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Returns plain JSON values."""
+        return {
+            "row": self.row,
+            "scenario": f"table1/{self.row}",
+            "restitution": self.restitution,
+            "optimum": {
+                "cost": self.optimum.cost,
+                "bounce_times": list(self.optimum.bounce_times),
+                "impact_velocities": list(self.optimum.impact_velocities),
+            },
+            "contact_delay": self.contact_delay,
+            "methods": [method.to_dict() for method in self.methods],
+        }
+
+
+@dataclass(frozen=True)
+class Table1:
+    """The table, as far as it was run.
+
+    Attributes:
+        literal: with the paper's transcription, φ free first.
+        rigid: with the rigid one.
+    """
+
+    literal: tuple[Cell, ...]
+    rigid: tuple[RigidCell, ...]
+
+    def to_dict(self) -> dict[str, Any]:
+        """Returns plain JSON values."""
+        return {
+            "cells": [cell.to_dict() for cell in self.literal],
+            "rigid": [cell.to_dict() for cell in self.rigid],
+        }
+
+
 def run_cell(
     row: int, nonpenetration: bool, num_guesses: int = 10, seed: int = 0, confirm: bool = True
 ) -> Cell:
-    """Runs every method on one row.
+    """Runs every method on one row, literally transcribed.
 
     Args:
         row: 1 … 4.
@@ -163,6 +222,33 @@ def run_cell(
     return Cell(row, nonpenetration, tuple(methods))
 
 
+def run_rigid_cell(row: int, confirm: bool = True) -> RigidCell:
+    """Plans for one row with the rigid transcription.
+
+    Args:
+        row: 1 … 4.
+        confirm: whether the plan is also replayed on Drake's plant.
+    """
+    scenario = Scenario.named(f"table1/{row}")
+    planner = Planner(scenario, PlanOptions(transcription="rigid", confirm=confirm))
+    plan = _plan(planner)
+    entry = Entry(RIGID_METHOD, plan.best, plan.replay, plan.holds)
+    method = Method(
+        RIGID_METHOD,
+        tuple(sorted(run.cost for run in plan.candidates if run.is_feasible)),
+        len(plan.candidates),
+        (entry,),
+        _seconds(plan),
+    )
+    return RigidCell(
+        row,
+        scenario.restitution,
+        rigid_optimum(planner.world, scenario),
+        contact_delay(planner.world),
+        (method,),
+    )
+
+
 def run_table1(
     rows: Sequence[int] = ROWS,
     num_guesses: int = 10,
@@ -170,8 +256,8 @@ def run_table1(
     confirm: bool = True,
     executor: Executor | None = None,
     progress: Callable[[str], None] | None = None,
-) -> list[Cell]:
-    """Runs the table, with φ free as the paper must have had it and with φ ≥ 0.
+) -> Table1:
+    """Runs the table: with φ free as the paper must have had it, with φ ≥ 0, and on a rigid wall.
 
     Args:
         rows: which.
@@ -182,25 +268,34 @@ def run_table1(
         progress: called with a line of text after each cell.
 
     Returns:
-        The cells, φ free first. Ctrl-C leaves those that were done.
+        The table. Ctrl-C leaves those cells that were done.
     """
     if executor is None:
         with _process_pool() as pool:
             return run_table1(rows, num_guesses, seed, confirm, pool, progress)
-    cells = [(row, nonpenetration) for nonpenetration in (False, True) for row in rows]
-    jobs = {executor.submit(run_cell, *cell, num_guesses, seed, confirm): cell for cell in cells}
-    done: dict[tuple[int, bool], Cell] = {}
+    literal = [
+        executor.submit(run_cell, row, nonpenetration, num_guesses, seed, confirm)
+        for nonpenetration in (False, True)
+        for row in rows
+    ]
+    rigid = [executor.submit(run_rigid_cell, row, confirm) for row in rows]
+    jobs: list[Future[Any]] = [*literal, *rigid]
+    done = set()
     try:
         for job in as_completed(jobs):
-            done[jobs[job]] = job.result()
+            job.result()
+            done.add(job)
             if progress:
-                progress(f"{len(done)} of {len(cells)} cells of Table I done")
+                progress(f"{len(done)} of {len(jobs)} cells of Table I done")
     except KeyboardInterrupt:
         for job in jobs:
             job.cancel()
         if not done:
             raise
-    return [done[cell] for cell in cells if cell in done]
+    return Table1(
+        tuple(job.result() for job in literal if job in done),
+        tuple(job.result() for job in rigid if job in done),
+    )
 
 
 @contextmanager
@@ -248,8 +343,22 @@ def _run_gradient(
 
 def _aigto_method(name: str, planner: Planner) -> Method:
     plan = planner.plan()
-    seconds = sum(plan.stats.seconds[part] for part in ("build", "aigo", "polish"))
-    return _summarize(name, planner, list(plan.candidates), seconds)
+    return _summarize(name, planner, list(plan.candidates), _seconds(plan))
+
+
+def _plan(planner: Planner) -> Plan:
+    """Returns the plan, also one that does not hold: the table shows that it fails."""
+    try:
+        return planner.plan()
+    except PlanningError as error:
+        if error.plan is None:
+            raise
+        return error.plan
+
+
+def _seconds(plan: Plan) -> float:
+    """Returns what the plan took, replays apart."""
+    return sum(plan.stats.seconds[part] for part in ("build", "aigo", "polish"))
 
 
 def _summarize(

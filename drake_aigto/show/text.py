@@ -1,0 +1,44 @@
+"""Words for quantities, shared by the tables and by plans as text."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from drake_aigto.world import Scenario
+
+WIDTH = 100
+
+
+def task_items(scenario: Scenario) -> list[str]:
+    """Returns where a scenario starts and ends."""
+    return [
+        f"q(0) = {_numbers(scenario.initial_position)} m",
+        f"v(0) = {_numbers(scenario.initial_velocity)} m/s",
+        f"goal {_numbers(scenario.goal_position)} m",
+    ]
+
+
+def length_text(metres: float) -> str:
+    """Returns a length in the unit that it is best read in."""
+    if metres >= 0.1:
+        return f"{metres:.2f} m"
+    if metres >= 1e-4:
+        return f"{1e3 * metres:.1f} mm"
+    return f"{1e6 * metres:.1f} µm" if metres >= 1e-8 else "0 m"
+
+
+def time_text(seconds: float) -> str:
+    """Returns a short time."""
+    return f"{1e3 * seconds:.2f} ms"
+
+
+def energy_text(ratio: float | None) -> str:
+    """Returns a ratio of kinetic energies; None without contact."""
+    if ratio is None:
+        return "-"
+    return ">1e6" if ratio > 1e6 else f"{ratio:.2g}"
+
+
+def _numbers(values: Iterable[float]) -> str:
+    texts = [f"{value:g}" for value in values]
+    return texts[0] if len(texts) == 1 else f"({', '.join(texts)})"

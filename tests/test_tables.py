@@ -1,0 +1,167 @@
+"""Tables and plans as text: what has to be beside a cost is there, and all of it fits the page."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from typing import Any
+
+import numpy as np
+import pytest
+
+from drake_aigto.planning import Candidate, Plan, Planner, PlanOptions, Replay, Replays
+from drake_aigto.planning.contacts import PlannedContact
+from drake_aigto.show.plans import format_plan, format_replays
+from drake_aigto.show.tables import format_table1
+from drake_aigto.study import Cell, Entry, Method, RigidCell, RigidOptimum, Table1
+from drake_aigto.world import Scenario
+
+OPTIONS = PlanOptions()
+WIDTH = 100
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    scenario = dataclasses.replace(Scenario.named("table1/1"), time_step=0.02)
+    return Planner(scenario, OPTIONS).plan()
+
+
+def with_best(plan: Plan, best: Candidate) -> Plan:
+    return dataclasses.replace(plan, candidates=(best, *plan.candidates[1:]))
+
+
+def with_replays(plan: Plan, **changes: Any) -> Plan:
+    """Returns the plan with the same fields of both replays changed."""
+    rigid, drake = (dataclasses.replace(replay, **changes) for replay in plan.replay)
+    return dataclasses.replace(plan, replay=Replays(rigid, drake))
+
+
+def rigid_cell(plan: Plan, optimum: float, drake: bool = True) -> RigidCell:
+    """Returns the cell of a plan whose replays cost 1 % more than 1e-4, and 1 % less."""
+    rigid, compliant = plan.replay
+    replays = Replays(
+        dataclasses.replace(rigid, cost=1.01e-4),
+        dataclasses.replace(compliant, cost=0.99e-4) if drake else None,
+    )
+    candidate = dataclasses.replace(plan.best, cost=1.00001e-4)
+    entry = Entry("AIGTO, rigid", candidate, replays, True)
+    method = Method("AIGTO, rigid", (candidate.cost,), 1, (entry,), 0.5)
+    return RigidCell(1, 0.8, RigidOptimum(optimum, (0.5123,), (-2.0,), 1.0), 1.2e-4, (method,))
+
+
+def test_a_rigid_block_has_the_exact_optimum_and_how_far_above_it_all_is(plan: Plan) -> None:
+    cell = rigid_cell(plan, optimum=1e-4)
+    text = format_table1(Table1((), (cell,)))
+    title, costs, above = text.splitlines()[4:7]
+    assert title.startswith(
+        "  rigid wall, e = 0.8; exact optimum 1.0000e-04, bounce at 0.512 s; "
+        "Drake's wall 0.12 ms late ---"
+    )
+    assert re.fullmatch(
+        r"  AIGTO, rigid .* 1\.0e-04 .* 0 m +1 1\.0e-04  0\.. mm 9\.9e-05 holds  0\.5", costs
+    )
+    assert re.fullmatch(r"  above the optimum +\+0\.001 % +\+1\.000 % +-1\.000 %", above)
+    assert costs.index("1.0e-04") + len("1.0e-04") == above.index("%") + 1, "in one column"
+    assert "Rigid transcription: 1 of 1 plans hold there." in text
+
+
+def test_above_an_optimum_of_nothing_costs_stand_for_themselves(plan: Plan) -> None:
+    text = format_table1(Table1((), (rigid_cell(plan, optimum=1e-30),)))
+    assert "exact optimum 0, bounce" in text
+    assert re.search(r"\n  above the optimum +\+1\.0e-04 +\+1\.0e-04 +\+9\.9e-05\n", text)
+
+
+def test_what_drake_did_not_simulate_is_not_compared(plan: Plan) -> None:
+    text = format_table1(Table1((), (rigid_cell(plan, optimum=1e-4, drake=False),)))
+    block = text[: text.index("\n\n", 1)]
+    assert "Drake's wall" not in block
+    assert re.search(r"\n  above the optimum +\+0\.001 % +\+1\.000 %$", block)
+
+
+def test_rows_show_the_literal_cells_before_the_rigid_one(plan: Plan) -> None:
+    rigid = rigid_cell(plan, optimum=1e-4)
+    entry = dataclasses.replace(rigid.methods[0].best, label="AIGTO, annealing", holds=False)
+    method = dataclasses.replace(rigid.methods[0], entries=(entry,))
+    literal = tuple(Cell(1, bound, (method,)) for bound in (False, True))
+    text = format_table1(Table1(literal, (rigid,)))
+    places = [
+        text.index(f"\n  {title}") for title in ("φ free", "φ ≥ 0 at every knot", "rigid wall")
+    ]
+    assert places == sorted(places)
+    assert "Literal transcription: 0 of 2 plans hold on a rigid wall." in text
+
+
+@pytest.mark.parametrize("optimum", [1e-4, 3e-9, 1e-30, 5.0])
+def test_no_line_of_the_table_is_too_long(plan: Plan, optimum: float) -> None:
+    text = format_table1(Table1((), (rigid_cell(plan, optimum),)))
+    assert max(map(len, text.splitlines())) <= WIDTH
+
+
+def test_a_plan_begins_with_its_verdict_and_the_costs_that_it_rests_on(plan: Plan) -> None:
+    verdict, costs = format_plan(plan, OPTIONS, 1e-4).splitlines()[:2]
+    assert (
+        verdict == "verdict     holds: in simulation the control alone does what the plan promises"
+    )
+    rigid, drake = plan.replay
+    assert costs == (
+        f"            cost {plan.cost:.3e}, on a rigid wall {rigid.cost:.3e}, "
+        f"on Drake's plant {drake.cost:.3e}"
+    )
+
+
+@pytest.mark.parametrize(
+    ("wrong", "where"),
+    [
+        ((True, True), "on a rigid wall and on Drake's plant"),
+        ((True, False), "on a rigid wall"),
+        ((False, True), "on Drake's plant"),
+    ],
+)
+def test_a_failing_verdict_names_the_simulation(
+    plan: Plan, wrong: tuple[bool, bool], where: str
+) -> None:
+    def spoil(replay: Replay, is_wrong: bool) -> Replay:
+        return dataclasses.replace(replay, cost=1.0) if is_wrong else replay
+
+    replays = Replays(*(spoil(*pair) for pair in zip(plan.replay, wrong, strict=True)))
+    text = format_plan(dataclasses.replace(plan, replay=replays), OPTIONS)
+    assert text.startswith(f"verdict     fails: {where} the control alone misses what the plan")
+
+
+def test_what_is_not_known_is_left_out(plan: Plan) -> None:
+    assert "ms late" in format_replays(plan, 1e-4)
+    assert "ms late" not in format_replays(plan)
+    alone = dataclasses.replace(plan, replay=Replays(plan.replay.event_driven, None))
+    assert "Drake" not in format_plan(alone, OPTIONS, 1e-4)
+    still = with_replays(plan, bounce_times=(), energies_before=(), energies_after=())
+    assert format_replays(still, 1e-4).count("no bounce") == 2
+    assert "ms late" not in format_replays(still, 1e-4)
+
+
+def test_a_matched_dissipation_says_for_which_impact(plan: Plan) -> None:
+    matched = with_replays(plan, matched_speed=1.234)
+    assert "restitution matched for impacts at 1.23 m/s" in format_plan(matched, OPTIONS)
+
+
+def test_contacts_that_last_show_when_they_end(plan: Plan) -> None:
+    contacts = (PlannedContact(0.25, 0.5, 3.0, 0.0), PlannedContact(0.75, 0.75, 1.5, 0.64))
+    text = format_plan(with_best(plan, dataclasses.replace(plan.best, contacts=contacts)), OPTIONS)
+    assert "\ncontacts    0.250–0.500 s (Δv 3.00 m/s), 0.750 s (Δv 1.50 m/s), " in text
+    assert re.search(r" mm  0\.250–0\.500, 0\.750 s\n", text)
+
+
+@pytest.mark.parametrize("transcription", ["rigid", "literal"])
+def test_no_line_of_a_plan_is_too_long(plan: Plan, transcription: str) -> None:
+    contacts = tuple(PlannedContact(t, t + 0.01, 1e3, 1e9) for t in np.linspace(0, 99, 40))
+    crowded = dataclasses.replace(
+        plan.best,
+        origin=f"{plan.best.origin}; {'one weight, ' * 30}; {'x' * 200}",
+        contacts=contacts,
+        cost=1.234e-100,
+        defects={"a kind of row with a long name": 1e-300, **plan.best.defects},
+    )
+    busy = dataclasses.replace(plan, transcription=transcription, candidates=(crowded,) * 12)
+    text = format_plan(with_replays(busy, bounce_times=tuple(range(1000, 1400))), OPTIONS, 1e-4)
+    assert max(map(len, text.splitlines())) <= WIDTH
+    assert "and 4 more" in text
+    assert "and 396 times more" in text
