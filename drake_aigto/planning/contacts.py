@@ -20,6 +20,8 @@ _SHARE = 0.05
 _GAP = 0.1
 # An impulse below this part of the largest velocity is a solver's rounding.
 _ROUNDING = 1e-9
+# A velocity below this part of the largest one is none: a contact that lasts may begin and end so.
+_STILL = 1e-5
 
 
 @dataclass(frozen=True)
@@ -30,7 +32,7 @@ class PlannedContact:
         time: of its first knot [s].
         last_time: of its last knot [s].
         velocity_change: ‖Σ M⁻¹ Jᵀ (p_k + λ_k τ_k)‖ [m/s].
-        energy_ratio: kinetic energy after / before.
+        energy_ratio: kinetic energy after / before; 1 where it is still before and after.
     """
 
     time: float
@@ -55,7 +57,7 @@ def find_contacts(world: World, trajectory: Trajectory) -> tuple[PlannedContact,
         held = np.any(trajectory.forces, axis=1)
         touching = np.append(held, False) | np.append(False, held)
         hit = np.flatnonzero((sizes > _ROUNDING * largest) | touching)
-        apart = np.diff(hit) > 1
+        apart = ~held[hit[:-1]]
     if not hit.size:
         return ()
     runs = np.split(hit, np.flatnonzero(apart) + 1)
@@ -79,13 +81,28 @@ def _contact(
     before = trajectory.velocities[first]
     kick = world.calc_velocity_change(trajectory.positions[last], trajectory.impulses[last])
     after = trajectory.velocities[last] + kick
-    energies = [float(v @ world.mass_matrix_values @ v) for v in (before, after)]
     return PlannedContact(
         time=float(trajectory.times[first]),
         last_time=float(trajectory.times[last]),
         velocity_change=float(np.linalg.norm(changes[first : last + 1].sum(axis=0))),
-        energy_ratio=energies[1] / energies[0] if energies[0] > 0 else np.inf,
+        energy_ratio=_energy_ratio(world, trajectory, before, after),
     )
+
+
+def _energy_ratio(
+    world: World,
+    trajectory: Trajectory,
+    before: npt.NDArray[np.float64],
+    after: npt.NDArray[np.float64],
+) -> float:
+    """Returns kinetic energy after / before; rounding has none."""
+    M = world.mass_matrix_values
+    least = _STILL**2 * max(float(v @ M @ v) for v in trajectory.velocities)
+    energies = (float(v @ M @ v) for v in (before, after))
+    given, returned = (energy if energy > least else 0.0 for energy in energies)
+    if given == 0:
+        return 1.0 if returned == 0 else np.inf
+    return returned / given
 
 
 def _velocity_changes(world: World, trajectory: Trajectory) -> npt.NDArray[np.float64]:

@@ -1,0 +1,221 @@
+"""Contact sequences: read off the impulses of boxes, compared, and read off trajectories."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Mapping
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from replay_worlds import make_diagram, make_scenario, shipped_world
+from rigid_worlds import Array, make_motion, physics_of
+
+from drake_aigto import World
+from drake_aigto.planning.contacts import find_contacts
+from drake_aigto.planning.touches import is_same, read_sequences
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription import RigidTranscription, Touch, TouchSequence
+
+STEPS = 50  # of 0.02 s, as the planner's boxes have them
+CRUISE = 2.0  # the largest speed [m/s]
+
+
+def kick(
+    impulses: Mapping[int, float], mass: float = 1.0, duration: float = 1.0, speed: float = CRUISE
+) -> tuple[RigidTranscription, Array]:
+    """Returns decision variables to whose velocity the wall adds so much at these knots [m/s].
+
+    The control takes it away at once, so that the speed stays what it is.
+    """
+    scenario = make_scenario(1.0, -speed, duration=duration, time_step=duration / STEPS, mass=mass)
+    transcription = RigidTranscription(shipped_world(mass), scenario)
+    dt = duration / STEPS
+    v, u = np.full((STEPS + 1, 1), -speed), np.zeros((STEPS, 1))
+    for k in range(STEPS):
+        u[k] = -mass * impulses.get(k, 0.0) / dt
+    return transcription, transcription.vector_of(np.ones((STEPS + 1, 1)), v, u)
+
+
+def times(sequence: TouchSequence) -> list[float]:
+    return [touch.start for touch in sequence]
+
+
+# Sequences that boxes propose.
+
+
+def test_boxes_that_touch_nothing_propose_a_flight() -> None:
+    assert read_sequences(*kick({})) == [()]
+    # The wall pushes a little from afar.
+    assert read_sequences(*kick(dict.fromkeys(range(STEPS), 0.04 * CRUISE))) == [()]
+
+
+@pytest.mark.parametrize("mass", [1.0, 4.0])
+def test_an_impulse_counts_by_its_share_of_the_largest_velocity(mass: float) -> None:
+    assert read_sequences(*kick({20: 0.049 * CRUISE}, mass)) == [()]
+    bounce, merged = read_sequences(*kick({20: 0.051 * CRUISE}, mass))
+    assert times(bounce) == times(merged) == pytest.approx([0.4])
+
+
+def test_the_start_and_pulls_are_no_contact() -> None:
+    assert read_sequences(*kick({0: 3.0})) == [()]
+    assert read_sequences(*kick({7: -3.0})) == [()]
+    assert times(read_sequences(*kick({0: 3.0, 10: 3.0}))[0]) == pytest.approx([0.2])
+
+
+def test_a_smeared_bounce_is_one_at_its_mean_time() -> None:
+    bounces, merged = read_sequences(*kick({20: 1.0, 21: 2.0, 23: 1.0}))
+    mean = 0.02 * (20 + 42 + 23) / 4
+    assert times(bounces) == times(merged) == pytest.approx([mean])
+    assert not bounces[0].lasts
+
+
+def test_impulses_far_apart_are_bounces_in_order_and_merged_into_one() -> None:
+    bounces, merged = read_sequences(*kick({10: 1.0, 12: 3.0, 18: 2.0, 40: 2.0}))
+    # 0.24 s and 0.36 s are farther apart than a tenth of the duration.
+    assert times(bounces) == pytest.approx([0.02 * (10 + 36) / 4, 0.36, 0.8])
+    assert times(merged) == pytest.approx([0.02 * (10 + 36 + 36 + 80) / 8])
+    assert not any(touch.lasts for touch in (*bounces, *merged))
+
+
+@pytest.mark.parametrize(("length", "proposals"), [(3, 2), (4, 3), (12, 3)])
+def test_pushes_at_knot_after_knot_may_be_contact_that_lasts(length: int, proposals: int) -> None:
+    run = dict.fromkeys(range(15, 15 + length), 0.5)
+    sequences = read_sequences(*kick({5: 1.0, 6: 1.0, **run, 40: 1.0}))
+    assert len(sequences) == proposals
+    if proposals == 3:
+        (contact,) = sequences[2]
+        assert contact.joints == pytest.approx((0.3, 0.02 * (14 + length)))
+
+
+@given(
+    st.dictionaries(st.integers(1, STEPS - 1), st.floats(0.2, 3.0), min_size=1, max_size=12),
+    st.sampled_from([1e-3, 1.0, 50.0]),
+)
+def test_what_is_proposed_is_in_order_and_inside_of_the_duration(
+    impulses: dict[int, float], duration: float
+) -> None:
+    sequences = read_sequences(*kick(impulses, duration=duration))
+    for sequence in sequences:
+        joints = [t for touch in sequence for t in touch.joints]
+        assert np.all(np.diff([0.0, *joints, duration]) > 0)
+    knots = sorted(impulses)
+    # A gap of 5 knots is a tenth of the duration, give or take a rounding.
+    fewest, most = (1 + sum(b - a > gap for a, b in pairwise(knots)) for gap in (5, 4))
+    assert fewest <= len(sequences[0]) <= most
+    assert len(sequences[1]) == 1
+    total = sum(impulses.values())
+    mean = sum(k * p for k, p in impulses.items()) / total * duration / STEPS
+    assert sequences[1][0].start == pytest.approx(mean)
+
+
+def test_exact_motions_propose_their_own_touches(tmp_path_factory: pytest.TempPathFactory) -> None:
+    for name in ("point mass", "mirrored", "two joints"):
+        physics = physics_of(name, tmp_path_factory.getbasetemp())
+        scenario, motion = make_motion(physics, 0.8, seed=7)
+        transcription = RigidTranscription(physics.world, scenario)
+        hits = motion.times[motion.impulses[:, 0] > 0]
+        assert hits[1] - hits[0] > 0.1
+        proposed = read_sequences(transcription, transcription.vector(motion))
+        assert times(proposed[0]) == pytest.approx(hits.tolist())
+
+
+# Sequences compared.
+
+
+def test_sequences_are_the_same_if_they_are_of_a_kind_and_near() -> None:
+    bounce, longer = Touch.bounce(0.5), Touch(0.5, 0.7)
+    assert is_same((), (), 0.0)
+    assert is_same((bounce,), (Touch.bounce(0.52),), 0.03)
+    assert not is_same((bounce,), (Touch.bounce(0.54),), 0.03)
+    assert is_same((longer,), (Touch(0.52, 0.68),), 0.03)
+    assert not is_same((longer,), (Touch(0.5, 0.74),), 0.03)
+    assert not is_same((bounce,), (longer,), 1.0)
+    assert not is_same((bounce,), (), 1.0)
+    assert not is_same((bounce,), (bounce, Touch.bounce(0.51)), 1.0)
+    assert not is_same((bounce, longer), (longer, bounce), 1.0)
+
+
+# Contacts of planned trajectories.
+
+
+def fly(
+    impulses: Mapping[int, float],
+    forces: Mapping[int, float],
+    knots: Array,
+    speed: float = -2.0,
+    gravity: float = 0.0,
+) -> Trajectory:
+    """Returns velocities of 1.5 kg that the wall's impulses [N s] and forces [N] change."""
+    N = len(knots) - 1
+    p, f, v = np.zeros((N + 1, 1)), np.zeros((N, 1)), np.full((N + 1, 1), speed)
+    for k, size in impulses.items():
+        p[k] = size
+    for k, size in forces.items():
+        f[k] = size
+    for k, tau in enumerate(np.diff(knots)):
+        v[k + 1] = v[k] + p[k] / 1.5 + tau * (f[k] / 1.5 - gravity)
+    return Trajectory(knots, np.zeros((N + 1, 1)), v, np.zeros((N, 1)), p, f)
+
+
+@pytest.fixture(scope="module")
+def floor() -> World:
+    return World.from_diagram(make_diagram(gravity=10.0))
+
+
+KNOTS = np.array([0.0, 0.1, 0.15, 0.3, 0.5, 0.6, 0.62, 0.8, 1.0])
+
+
+def test_a_flight_has_no_contact(floor: World) -> None:
+    assert find_contacts(floor, fly({}, {}, KNOTS)) == ()
+    # Rounding of a solver is none.
+    assert find_contacts(floor, fly({3: 1e-12}, {}, KNOTS)) == ()
+
+
+def test_every_impulse_is_a_contact_of_its_own(floor: World) -> None:
+    first, second = find_contacts(floor, fly({2: 4.5, 5: 0.75}, {}, KNOTS))
+    assert (first.time, first.last_time) == (0.15, 0.15)
+    assert (first.velocity_change, first.energy_ratio) == pytest.approx((3.0, 0.25))
+    assert (second.time, second.velocity_change) == pytest.approx((0.6, 0.5))
+    assert second.energy_ratio == pytest.approx(2.25)
+
+
+def test_impulses_at_knots_next_to_each_other_are_two_contacts(floor: World) -> None:
+    contacts = find_contacts(floor, fly({2: 4.5, 3: 1.5}, {}, KNOTS))
+    assert [c.time for c in contacts] == [0.15, 0.3]
+    assert [c.velocity_change for c in contacts] == pytest.approx([3.0, 1.0])
+
+
+def test_a_contact_that_lasts_is_one_from_first_to_last_knot(floor: World) -> None:
+    motion = fly({2: 3.0}, {2: 15.0, 3: 15.0}, KNOTS, speed=-0.5, gravity=10.0)
+    (contact,) = find_contacts(floor, motion)
+    assert (contact.time, contact.last_time) == (0.15, 0.5)
+    assert contact.velocity_change == pytest.approx((3.0 + 15.0 * 0.35) / 1.5)
+    assert contact.energy_ratio == pytest.approx(0.0, abs=1e-15)  # it landed at 2 m/s, and stays
+
+
+def test_contacts_that_last_end_where_others_begin(floor: World) -> None:
+    # It bounces, lasts from 0.3 s, ends at 0.6 s, and bounces there and at the next knot.
+    motion = fly({1: 1.0, 3: 2.0, 5: 1.0, 6: 1.0}, {3: 15.0, 4: 15.0}, KNOTS, gravity=10.0)
+    spans = [(c.time, c.last_time) for c in find_contacts(floor, motion)]
+    assert spans == [(0.1, 0.1), (0.3, 0.6), (0.62, 0.62)]
+    # Two that last with a flight between.
+    motion = fly({}, {1: 15.0, 2: 15.0, 5: 15.0}, KNOTS, gravity=10.0)
+    assert [(c.time, c.last_time) for c in find_contacts(floor, motion)] == [
+        (0.1, 0.3),
+        (0.6, 0.62),
+    ]
+
+
+def test_what_lands_and_leaves_at_no_speed_keeps_its_energy(floor: World) -> None:
+    # 1 m/s fast on the way; at the wall only what a solver leaves.
+    at_rest = fly({}, {2: 15.0, 3: 15.0}, KNOTS, speed=1.0)
+    velocities = np.array([-1.0, -0.5, 1e-9, 0.0, 3e-8, 0.5, 1.0, 1.0, 1.0])[:, np.newaxis]
+    (contact,) = find_contacts(floor, dataclasses.replace(at_rest, velocities=velocities))
+    assert contact.energy_ratio == 1.0
+    velocities[4] = 0.1
+    (contact,) = find_contacts(floor, dataclasses.replace(at_rest, velocities=velocities))
+    assert contact.energy_ratio == math.inf  # from nowhere
