@@ -99,8 +99,9 @@ def test_no_line_of_the_table_is_too_long(plan: Plan, optimum: float) -> None:
 
 def test_a_plan_begins_with_its_verdict_and_the_costs_that_it_rests_on(plan: Plan) -> None:
     verdict, costs = format_plan(plan, OPTIONS, 1e-4).splitlines()[:2]
-    assert (
-        verdict == "verdict     holds: in simulation the control alone does what the plan promises"
+    assert verdict == (
+        "verdict     holds: the control alone keeps the plan's promise on a rigid wall and on "
+        "Drake's plant"
     )
     rigid, drake = plan.replay
     assert costs == (
@@ -125,7 +126,8 @@ def test_a_failing_verdict_names_the_simulation(
 
     replays = Replays(*(spoil(*pair) for pair in zip(plan.replay, wrong, strict=True)))
     text = format_plan(dataclasses.replace(plan, replay=replays), OPTIONS)
-    assert text.startswith(f"verdict     fails: {where} the control alone misses what the plan")
+    assert text.startswith("verdict     fails: ")
+    assert f" the control alone misses the plan's promise {where}\n" in text
 
 
 def test_what_is_not_known_is_left_out(plan: Plan) -> None:

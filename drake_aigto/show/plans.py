@@ -65,13 +65,12 @@ def _answer(plan: Plan, contact_delay: float | None) -> Iterator[str]:
 
 def _verdict(plan: Plan) -> str:
     against = [
-        _simulator(replay)
-        for replay in plan.replay
-        if not confirms(plan.cost, replay, plan.best.goal_error)
+        replay for replay in plan.replay if not confirms(plan.cost, replay, plan.best.goal_error)
     ]
+    where = " and ".join(map(_simulator, against or plan.replay))
     if against:
-        return f"fails: {' and '.join(against)} the control alone misses what the plan promises"
-    return "holds: in simulation the control alone does what the plan promises"
+        return f"fails: the control alone misses the plan's promise {where}"
+    return f"holds: the control alone keeps the plan's promise {where}"
 
 
 def _simulation(replay: Replay, contact_delay: float | None) -> Iterator[str]:
