@@ -43,6 +43,7 @@ def replay_of(times: Any, positions: Any, velocities: Any) -> Replay:
     """Returns a replay with these rows, and nothing else of interest."""
     nothing: dict[str, Any] = {
         **dict.fromkeys(("cost", "goal_error", "max_penetration"), 0.0),
+        **dict.fromkeys(("compliance_error", "compliance_cost"), 0.0),
         **dict.fromkeys(("bounce_times", "energies_before", "energies_after"), ()),
         "matched_speed": None,
     }

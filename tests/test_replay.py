@@ -54,6 +54,32 @@ def test_drakes_dissipation_is_matched_without_editing_the_plant(e: float) -> No
     assert elastic.energy_ratio == pytest.approx(1.0, abs=3e-5)
 
 
+@pytest.mark.parametrize(
+    ("e", "speed"), [(1.0, 2.0), (1.0, 20.0), (0.9, 20.0), (0.5, 2.0), (0, 20)]
+)
+def test_what_a_compliant_wall_does_to_the_end_is_known_beforehand(e: float, speed: float) -> None:
+    world, scenario = shipped_world(), make_scenario(1.0, -speed, restitution=e, goal_weight=3.0)
+    rigid = replay_event_driven(world, scenario, *hold(0.0))
+    drake = replay_drake(world, scenario, *hold(0.0))
+    missed = abs(rigid.positions[-1, 0] - drake.positions[-1, 0])
+    assert missed == pytest.approx(drake.compliance_error, rel=0.2)
+    assert rigid.compliance_error == rigid.compliance_cost == 0
+    nearer = drake.goal_error - drake.compliance_error
+    explained = 3.0 * (drake.goal_error**2 - max(nearer, 0.0) ** 2)
+    assert drake.compliance_cost == pytest.approx(explained)
+
+
+def test_only_what_compliance_explains_is_forgiven() -> None:
+    world, scenario = shipped_world(), make_scenario(1.0, -40.0)
+    rigid = replay_event_driven(world, scenario, *hold(0.0))
+    drake = replay_drake(world, scenario, *hold(0.0))
+    ends = drake.goal_error  # 4 mm short of where the rigid wall leads
+    promised = ends - drake.compliance_error
+    assert confirms(promised**2, drake, promised - 0.0019)
+    assert not confirms(promised**2, drake, promised - 0.0021)
+    assert not confirms(promised**2, rigid, promised - 0.0021)
+
+
 def test_drake_rests_under_a_push() -> None:
     replay = replay_drake(shipped_world(), make_scenario(0.05, 0.0, restitution=0.1), *hold(-2.0))
     # At low speeds the dissipation takes little: what is left trembles for long.

@@ -22,7 +22,7 @@ _STIFFNESS = ("material", "point_contact_stiffness")
 _DISSIPATION = ("material", "hunt_crossley_dissipation")
 
 # No finite dissipation takes all of the speed; below this restitution it is this.
-_LEAST_RESTITUTION = 1e-3
+LEAST_RESTITUTION = 1e-3
 # This close to 1 the equation for the dissipation cancels, and its series is exact to 1e-8.
 _NEARLY_ELASTIC = 1e-4
 
@@ -59,7 +59,7 @@ def calc_dissipation(restitution: float, speed: float) -> float:
         restitution: e in [0, 1]; below 1e-3 it is taken for 1e-3.
         speed: v > 0 [m/s].
     """
-    e = max(restitution, _LEAST_RESTITUTION)
+    e = max(restitution, LEAST_RESTITUTION)
     if 1 - e < _NEARLY_ELASTIC:
         return 1.5 * (1 - e**2) / (1 + e**3) / speed
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.planning.compliant_wall import simulate_compliant_wall
-from drake_aigto.planning.material import calc_dissipation
+from drake_aigto.planning.material import LEAST_RESTITUTION, calc_dissipation, contact_delay
 from drake_aigto.planning.recording import Recording
 from drake_aigto.planning.rigid_wall import simulate_rigid_wall
 from drake_aigto.trajectory import ArrayRecord, check_control, read_only
@@ -33,6 +33,11 @@ class Replay(ArrayRecord):
         energies_before: kinetic energy ½ vᵀ M v at each touch, B [J].
         energies_after: kinetic energy as each contact ends, B [J]. A contact that lasts to T is
             compared with T.
+        compliance_error: "drake" only: how far the end should be from where a rigid wall leads [m].
+            A contact lasts π √(m/k), which delays what follows, and no dissipation brings
+            restitution below 1e-3: Σ v (e π √(m/k) + (1e-3 − e)₊ (T − t)) over impacts at speed v
+            and time t.
+        compliance_cost: what of the cost this explains at most.
         matched_speed: "drake" only, restitution < 1 only: the speed of impact for which the
             dissipation gives the scenario's restitution [m/s]. Slower impacts return more of their
             speed, faster ones less. None: the model's own dissipation.
@@ -49,6 +54,8 @@ class Replay(ArrayRecord):
     bounce_times: tuple[float, ...]
     energies_before: tuple[float, ...]
     energies_after: tuple[float, ...]
+    compliance_error: float
+    compliance_cost: float
     matched_speed: float | None
     times: npt.NDArray[np.float64]
     positions: npt.NDArray[np.float64]
@@ -56,7 +63,10 @@ class Replay(ArrayRecord):
 
     def __post_init__(self) -> None:
         """Converts lists to tuples, and makes the arrays read-only."""
-        for name in ("cost", "goal_error", "max_penetration"):
+        for name in (
+            *("cost", "goal_error", "max_penetration"),
+            *("compliance_error", "compliance_cost"),
+        ):
             object.__setattr__(self, name, float(getattr(self, name)))
         for name in ("bounce_times", "energies_before", "energies_after"):
             object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
@@ -101,7 +111,7 @@ def replay_event_driven(
     times, controls = _check_control(world, times, controls)
     start = scenario.initial_position, scenario.initial_velocity
     recording = simulate_rigid_wall(world, scenario.restitution, start, times, controls)
-    return _summarize("event-driven", scenario, times, controls, recording, None)
+    return _summarize("event-driven", scenario, times, controls, recording)
 
 
 def replay_drake(
@@ -134,7 +144,8 @@ def replay_drake(
             speed = rigid.impacts[0].speed
             dissipation = calc_dissipation(scenario.restitution, speed)
     recording = simulate_compliant_wall(world, start, times, controls, dissipation)
-    return _summarize("drake", scenario, times, controls, recording, speed)
+    error = _calc_compliance_error(world, scenario, recording)
+    return _summarize("drake", scenario, times, controls, recording, error, speed)
 
 
 def confirms(
@@ -148,8 +159,8 @@ def confirms(
 ) -> bool:
     """Returns whether a plan holds: its replay is nearly as cheap, and ends nearly as close.
 
-        replay.cost       ≤ (1 + relative_cost) · cost + absolute_cost
-        replay.goal_error ≤ goal_error + length
+        replay.cost − compliance_cost        ≤ (1 + relative_cost) · cost + absolute_cost
+        replay.goal_error − compliance_error ≤ goal_error + length
 
     A replay that does better than its plan confirms it. The absolute parts are for plans that
     promise next to nothing: who ends 2 mm off where the plan claims 0 is still there, and at a goal
@@ -165,8 +176,10 @@ def confirms(
         absolute_cost: how much more it may cost besides.
         length: how much farther from the goal the replay may end [m].
     """
-    is_cheap = replay.cost <= (1 + relative_cost) * cost + absolute_cost
-    is_near = goal_error is None or replay.goal_error <= goal_error + length
+    replayed_cost = replay.cost - replay.compliance_cost
+    replayed_error = replay.goal_error - replay.compliance_error
+    is_cheap = replayed_cost <= (1 + relative_cost) * cost + absolute_cost
+    is_near = goal_error is None or replayed_error <= goal_error + length
     return is_cheap and is_near
 
 
@@ -184,17 +197,29 @@ def _check_control(
     return t, u
 
 
+def _calc_compliance_error(world: World, scenario: Scenario, recording: Recording) -> float:
+    """Returns `Replay.compliance_error`."""
+    delay = contact_delay(world, scenario.initial_position)
+    e, end = scenario.restitution, recording.times[-1]
+    excess = max(0.0, LEAST_RESTITUTION - e)
+    return sum(
+        impact.speed * (e * delay + excess * (end - impact.time)) for impact in recording.impacts
+    )
+
+
 def _summarize(
     simulator: str,
     scenario: Scenario,
     times: npt.NDArray[np.float64],
     controls: npt.NDArray[np.float64],
     recording: Recording,
-    matched_speed: float | None,
+    compliance_error: float = 0.0,
+    matched_speed: float | None = None,
 ) -> Replay:
     """Returns the replay that a recording shows."""
     effort = float(np.diff(times) @ np.sum(controls**2, axis=1))
     goal_error = float(np.linalg.norm(recording.positions[-1] - scenario.goal_position))
+    unexplained = max(0.0, goal_error - compliance_error)
     return Replay(
         simulator=simulator,
         cost=scenario.control_weight * effort + scenario.goal_weight * goal_error**2,
@@ -203,6 +228,8 @@ def _summarize(
         bounce_times=tuple(impact.time for impact in recording.impacts),
         energies_before=tuple(impact.energy_before for impact in recording.impacts),
         energies_after=tuple(impact.energy_after for impact in recording.impacts),
+        compliance_error=compliance_error,
+        compliance_cost=scenario.goal_weight * (goal_error**2 - unexplained**2),
         matched_speed=matched_speed,
         times=np.array(recording.times),
         positions=np.array(recording.positions),
