@@ -220,6 +220,26 @@ def test_the_track_follows_the_joint_and_counts_its_positions(name: str, tmp_pat
     assert (stage.lowest, stage.highest) == pytest.approx((0.7, 1.0))
 
 
+@pytest.mark.parametrize("lanes", [1, 3, 6, 12])
+def test_the_camera_sees_all_lanes(
+    meshcat: Meshcat, world: World, scenario: Scenario, lanes: int
+) -> None:
+    publish([MOTIONS[0]] * lanes, meshcat, world, scenario)
+    sent = list(messages(meshcat.StaticHtml()))
+    (eye,) = (np.array(m["value"]) for m in sent if m.get("property") == "position")
+    (target,) = (np.array(m["value"]) for m in sent if m["type"] == "set_target")
+    camera = objects(meshcat)["/Cameras/default/rotated"]["object"]
+    # In three.js y is up, and z towards the viewer.
+    ahead = (target - eye) / np.linalg.norm(target - eye)
+    up = np.array([0, 1, 0]) - ahead[1] * ahead
+    outer = (lanes / 2 + 0.7) * 4 * RADIUS  # The strip with the scale is 0.7 lanes wide.
+    for side in (-outer, outer):
+        ray = target + np.array([0, 0, side]) - eye
+        rise = np.arctan(ray @ up / np.linalg.norm(up) / (ray @ ahead))
+        assert abs(np.rad2deg(rise)) < camera["fov"] / 2
+        assert ray @ ahead < camera["far"]
+
+
 def test_shapes_for_contact_are_shown_where_none_are_for_show(tmp_path: Path) -> None:
     text = (models_directory() / "point_mass_and_wall.sdf").read_text(encoding="utf-8")
     bare = re.sub(r"<visual.*?</visual>", "", text, flags=re.DOTALL)

@@ -26,9 +26,8 @@ _LINES: tuple[dict[str, Any], ...] = (
     {"linewidth": 2.6},
     {"linewidth": 1.4, "linestyle": (0, (4, 4))},
 )
-# Corners of thick lines stay within what they turn round.
-_CORNERS: dict[str, Any] = {"solid_joinstyle": "miter", "solid_capstyle": "butt"}
-# A held control is all corners: drawn as thin as this part of its motion's lines.
+# A held control is all corners: sharp ones, of lines as thin as this part of its motion's.
+_SHARP: dict[str, Any] = {"solid_joinstyle": "miter", "solid_capstyle": "butt"}
 _THINNER = 0.5
 # Planned contacts, behind everything: a bounce, one that lasts, and the wall's force meanwhile.
 _BOUNCE: dict[str, Any] = {"linestyle": (0, (1, 2)), "linewidth": 1.4, "zorder": 0.5}
@@ -124,7 +123,7 @@ def plot_controls(axes: Axes, motions: Sequence[Motion]) -> None:
             continue
         held = np.vstack([motion.controls, motion.controls[-1:]])
         for i, control in enumerate(held.T):
-            look = _line(index, i)
+            look = {**_line(index, i), **_SHARP}
             look["linewidth"] *= _THINNER
             axes.step(motion.control_times, control, where="post", **look)
         if motion.forces is not None and np.any(motion.forces):
@@ -203,7 +202,7 @@ def _shade_forces(
 def _line(motion: int, coordinate: int) -> dict[str, Any]:
     """Returns how a motion's coordinate is drawn, the same in every figure."""
     look = _LINES[min(motion, len(_LINES) - 1)]
-    return {"color": color_of(motion), "alpha": _FADING**coordinate, **_CORNERS, **look}
+    return {"color": color_of(motion), "alpha": _FADING**coordinate, **look}
 
 
 def _shade_wall(axes: Axes, world: World) -> None:

@@ -36,6 +36,7 @@ _FIELD_OF_VIEW = 30.0  # vertical [deg]
 _CAMERA_TILT = np.deg2rad(48.0)  # above the track
 # As parts of the track's length, level and upright: a window is wider than it is high.
 _CAMERA_DISTANCES = (1.9, 2.5)
+_CAMERA_SLACK = 1.05  # How much farther back than all lanes need.
 
 
 def play(plan: Plan, meshcat: Meshcat, world: World) -> None:
@@ -130,7 +131,12 @@ def _aim_camera(stage: Stage, track: Track, meshcat: Meshcat) -> None:
     # A little before the middle, as the wall stands there.
     middle = np.array([0.54 * track.start + 0.46 * track.end, 0.0, 0.0])
     steepness = abs(stage.X_WT.rotation().matrix()[2, 0])
-    distance = np.interp(steepness, [0, 1], _CAMERA_DISTANCES) * track.length
+    # From here the track's near side is at the window's lower edge.
+    side = track.half_width + track.margin
+    clear = np.sin(_CAMERA_TILT) / np.tan(np.deg2rad(_FIELD_OF_VIEW) / 2) + np.cos(_CAMERA_TILT)
+    distance = max(
+        np.interp(steepness, [0, 1], _CAMERA_DISTANCES) * track.length, _CAMERA_SLACK * clear * side
+    )
     back = np.array([0.0, -np.cos(_CAMERA_TILT), np.sin(_CAMERA_TILT)])
     meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=_FIELD_OF_VIEW))
     meshcat.SetCameraPose(
