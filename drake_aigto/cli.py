@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+import os
 import shutil
 import sys
 from collections.abc import Callable, Iterator, Sequence
@@ -22,7 +23,7 @@ from drake_aigto.study import ROWS, run_table1
 from drake_aigto.world import Scenario, World, scenario_names
 from drake_aigto.world.files import check_writable, write_text
 
-FINE, NOTHING_HOLDS, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
+FINE, NOTHING_HOLDS, BAD_INPUT, INTERRUPTED, UNREAD = 0, 1, 2, 130, 141
 
 _VECTORS = ("initial_position", "initial_velocity", "goal_position")
 # Numeric plan option → its type, and what it is.
@@ -37,6 +38,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command and returns its exit status.
 
     0: fine. 1: no plan was found that holds on a rigid wall. 2: bad input. 130: interrupted.
+    141: nobody read on.
     """
     options = _parser().parse_args(arguments)
     try:
@@ -48,6 +50,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except AigtoError as error:
         print(f"drake-aigto: {error}", file=sys.stderr)
         return BAD_INPUT
+    except BrokenPipeError:
+        # Who reads has seen enough, `head` for one. Python would flush once more as it exits.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return UNREAD
     except KeyboardInterrupt:
         print("drake-aigto: interrupted", file=sys.stderr)
         return INTERRUPTED
@@ -65,7 +71,7 @@ def _table1(options: argparse.Namespace) -> int:
         )
     if options.json:
         write_text(options.json, json.dumps(table.to_dict()) + "\n")
-    print(format_table1(table))
+    print(format_table1(table), flush=True)
     return FINE
 
 
@@ -129,7 +135,7 @@ def _answer(options: argparse.Namespace, plan: Plan, text: str) -> int:
     """Writes and prints a plan, and returns the exit status that its verdict asks for."""
     if options.json:
         plan.save(options.json)
-    print(text)
+    print(text, flush=True)
     return FINE if plan.holds else NOTHING_HOLDS
 
 

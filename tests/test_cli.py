@@ -5,13 +5,14 @@ from __future__ import annotations
 import dataclasses
 import json
 import re
+import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from drake_aigto.cli import BAD_INPUT, FINE, INTERRUPTED, NOTHING_HOLDS, main
+from drake_aigto.cli import BAD_INPUT, FINE, INTERRUPTED, NOTHING_HOLDS, UNREAD, main
 from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions, Replays
 from drake_aigto.world import Scenario
 from drake_aigto.world.files import find_model
@@ -288,6 +289,16 @@ def test_every_command_has_help(command: str, capsys: pytest.CaptureFixture[str]
         main([command, "--help"])
     assert error.value.code == FINE
     assert f"usage: drake-aigto {command}" in capsys.readouterr().out
+
+
+def test_who_reads_only_the_head_sees_no_traceback(plan_file: Path) -> None:
+    code = "import sys; from drake_aigto.cli import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", code, "replay", str(plan_file)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None and process.stderr is not None
+        process.stdout.close()
+        assert process.stderr.read() == b""
+    assert process.returncode == UNREAD
 
 
 def test_ctrl_c_ends_quietly(

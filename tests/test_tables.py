@@ -145,6 +145,12 @@ def test_a_matched_dissipation_says_for_which_impact(plan: Plan) -> None:
     assert "restitution matched for impacts at 1.23 m/s" in format_plan(matched, OPTIONS)
 
 
+def test_what_compliance_explains_is_told(plan: Plan) -> None:
+    told = format_replays(with_replays(plan, compliance_error=0.0034))
+    assert told.count(" off the goal (its compliance explains 3.4 mm)") == 2
+    assert "compliance" not in format_replays(with_replays(plan, compliance_error=0.0))
+
+
 def test_contacts_that_last_show_when_they_end(plan: Plan) -> None:
     contacts = (PlannedContact(0.25, 0.5, 3.0, 0.0), PlannedContact(0.75, 0.75, 1.5, 0.64))
     text = format_plan(with_best(plan, dataclasses.replace(plan.best, contacts=contacts)), OPTIONS)

@@ -75,7 +75,9 @@ def _verdict(plan: Plan) -> str:
 
 def _simulation(replay: Replay, contact_delay: float | None) -> Iterator[str]:
     yield f"{_simulator(replay)}: cost {replay.cost:.3e}"
-    yield f"ends {length_text(replay.goal_error)} off the goal"
+    explained = f" (its compliance explains {length_text(replay.compliance_error)})"
+    known = explained if replay.compliance_error else ""
+    yield f"ends {length_text(replay.goal_error)} off the goal{known}"
     yield f"deepest penetration {length_text(replay.max_penetration)}"
     if not replay.bounce_times:
         yield "no bounce"

@@ -28,7 +28,8 @@ in wall  the plan's deepest penetration;  energy: kinetic energy after / before 
 rigid    J of its control alone on an exactly rigid wall (event-driven);  miss: goal error there
 Drake    J of its control alone on Drake's plant (compliant wall, Radau3), which is late: contact
          lasts π √(m / k) there
-wall     holds if both simulations come within 5 % + 4e-6 of the plan's cost and 2 mm of its goal
+wall     holds if both simulations come within 5 % + 4e-6 of the plan's cost and 2 mm of its goal,
+         beside what the compliance of Drake's wall explains
 optimum  of a point mass on a rigid wall, over all controls; the planner does not know it. Plan and
          simulations are so much above it: in percent, or in J where it is 0"""
 # An optimum below this is 0 but for rounding, and no number is so many percent above it.
