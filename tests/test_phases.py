@@ -1,0 +1,512 @@
+"""The multi-phase problem of a contact sequence: closed forms, replays, and what degenerates."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from replay_worlds import make_diagram, make_scenario, shipped_world
+from rigid_worlds import Array
+from scipy.optimize import minimize_scalar
+
+from drake_aigto import OptionsError, Scenario, World
+from drake_aigto.local import InteriorPoint, LocalStatus, compile_nlp
+from drake_aigto.planning.replay import Replay, replay_event_driven
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch, TouchSequence
+
+# What the local solver leaves in the rows, which are of the order of 1 m and 1 m/s.
+MET = 1e-9
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Solved:
+    """A multi-phase problem and its local optimum."""
+
+    phases: PhaseTranscription
+    x: Array
+    status: LocalStatus
+
+    @property
+    def cost(self) -> float:
+        return self.phases.scenario_cost(self.x)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        return self.phases.trajectory(self.x)
+
+    @property
+    def touches(self) -> TouchSequence:
+        return self.phases.contact_sequence(self.x)
+
+    def replay(self) -> Replay:
+        motion = self.trajectory
+        return replay_event_driven(
+            self.phases.world, self.phases.scenario, motion.times, motion.controls
+        )
+
+
+def solve(phases: PhaseTranscription) -> Solved:
+    """Solves from where the planner starts: straight to the wall and on to the goal."""
+    joints = sum(len(touch.joints) for touch in phases.sequence)
+    guess = phases.guess(np.zeros((joints, phases.world.num_positions)))
+    result = InteriorPoint().solve(compile_nlp(phases.prog()), phases.vector(guess))
+    return Solved(phases, result.x, result.status)
+
+
+def optimise(world: World, scenario: Scenario, *touches: Touch) -> Solved:
+    """Solves, and checks what holds of every solution."""
+    solved = solve(PhaseTranscription(world, scenario, touches))
+    assert solved.status is LocalStatus.CONVERGED
+    assert max(solved.phases.defects(solved.x).values()) < MET
+    prog = solved.phases.prog()
+    assert prog.CheckSatisfied(prog.GetAllConstraints(), solved.x, MET)
+    check_clock(solved)
+    return solved
+
+
+def check_clock(solved: Solved) -> None:
+    """Steps within a phase are equal, and take T together; what the wall does has its sign."""
+    motion, touches, T = solved.trajectory, solved.touches, solved.phases.scenario.duration
+    joints = [0.0, *(t for touch in touches for t in touch.joints), T]
+    knots = np.searchsorted(motion.times, np.array(joints) - 1e-12 * T)
+    np.testing.assert_allclose(motion.times[knots], joints, atol=1e-12 * T)
+    assert motion.times[0] == 0.0
+    assert motion.times[-1] == T
+    for first, last in pairwise(knots):
+        steps = np.diff(motion.times[first : last + 1])
+        assert np.all(steps > 0)
+        np.testing.assert_allclose(steps, steps[0], atol=1e-9 * T)
+    world = solved.phases.world
+    assert np.all(motion.impulses >= -MET)
+    assert np.all(motion.forces >= 0)
+    J = world.calc_contact_jacobian(motion.positions[0])[0]
+    for touch in touches:
+        k = int(np.argmin(np.abs(motion.times - touch.start)))
+        assert J @ motion.velocities[k] <= MET
+
+
+# Free flight.
+
+
+def free_flight_cost(scenario: Scenario, mass: float = 1.0, weight: float = 0.0) -> float:
+    """Returns the least cost under held controls, by linear least squares; the weight pulls."""
+    N, dt = scenario.num_steps, scenario.time_step
+    T, w_u, w_f = scenario.duration, scenario.control_weight, scenario.goal_weight
+    reach = (T - dt * (np.arange(N) + 0.5)) * dt / mass
+    drift = scenario.initial_position + T * scenario.initial_velocity - weight / mass * T**2 / 2
+    rows = np.vstack([math.sqrt(w_u * dt) * np.eye(N), math.sqrt(w_f) * reach])
+    target = np.append(np.zeros(N), math.sqrt(w_f) * (scenario.goal_position - drift))
+    best, *_ = np.linalg.lstsq(rows, target, rcond=None)
+    return float(np.sum((rows @ best - target) ** 2))
+
+
+@pytest.mark.parametrize("N", [1, 7, 50])
+@pytest.mark.parametrize(
+    ("mass", "gravity"), [(1.0, 0.0), (3.0, 0.0), (1.5, 2.0)], ids=["unit", "heavy", "falling"]
+)
+def test_a_free_flight_is_the_linear_quadratic_optimum(mass: float, gravity: float, N: int) -> None:
+    scenario = make_scenario(1.2, 0.4, duration=1.5, time_step=1.5 / N, goal_weight=0.2)
+    world = World.from_diagram(make_diagram(gravity=gravity)) if gravity else shipped_world(mass)
+    flight = optimise(world, scenario)
+    assert flight.cost == pytest.approx(free_flight_cost(scenario, mass, mass * gravity), rel=1e-9)
+    assert flight.replay().cost == pytest.approx(flight.cost, rel=1e-9)
+
+
+# Closed forms, in continuous time and for a unit mass.
+
+
+def effort(distance: float, arrival: float, time: float) -> float:
+    """Returns the least ∫ v̇² of a flight in so much time.
+
+    Args:
+        distance: to go beyond what the speed at the start takes it [m].
+        arrival: the speed at the end beyond that at the start [m/s]; NaN: any.
+        time: how long it takes [s].
+    """
+    any_arrival = 3 * distance**2 / time**3
+    missed = 0.0 if math.isnan(arrival) else arrival - 1.5 * distance / time
+    return any_arrival + 4 * missed**2 / time
+
+
+def goal_cost(scenario: Scenario, miss: float, time: float) -> float:
+    """Returns the least of effort and goal, if a ballistic path misses the goal by so much."""
+    w_u, w_f = scenario.control_weight, scenario.goal_weight
+    return 3 * w_u * w_f / (3 * w_u + w_f * time**3) * miss**2
+
+
+@cache
+def one_bounce(q: float, v: float, goal: float, e: float) -> tuple[float, float, float]:
+    """Returns the least cost of a motion of 1 s that bounces once, when, and how fast it hits."""
+    scenario = make_scenario(q, v)
+
+    def cost(time: float, speed: float) -> float:
+        before = effort(-q - v * time, -speed - v, time)
+        miss = goal - e * speed * (1 - time)
+        return scenario.control_weight * before + goal_cost(scenario, miss, 1 - time)
+
+    def best_speed(time: float) -> float:
+        low, middle, high = (cost(time, speed) for speed in (0.0, 1.0, 2.0))
+        curvature = high - 2 * middle + low
+        return max(0.0, 1.0 - (high - low) / 2 / curvature)  # The cost is a parabola in it.
+
+    def least(time: float) -> float:
+        return cost(time, best_speed(time))
+
+    grid = np.concatenate([np.geomspace(1e-5, 0.1, 100), np.linspace(0.1, 0.999, 200)[1:]])
+    k = int(np.clip(np.argmin([least(time) for time in grid]), 1, len(grid) - 2))
+    time, value = find_least(least, grid[k - 1], grid[k + 1])
+    return value, time, best_speed(time)
+
+
+def find_least(cost: Callable[[float], float], low: float, high: float) -> tuple[float, float]:
+    """Returns where the one minimum between two numbers is, and how low."""
+    options = {"xatol": 1e-12 * high}
+    found = minimize_scalar(cost, bounds=(low, high), method="bounded", options=options)
+    return float(found.x), float(found.fun)
+
+
+def bouncing(e: float, N: int, q: float = 1.0, v: float = -2.0, goal: float = 0.73) -> Scenario:
+    scenario = make_scenario(q, v, time_step=1 / N, restitution=e)
+    return dataclasses.replace(scenario, goal_position=goal)
+
+
+@pytest.mark.parametrize("e", [1.0, 0.8, 0.5, 0.0])
+def test_a_bounce_is_the_continuous_optimum_up_to_the_held_controls(e: float) -> None:
+    exact, time, speed = one_bounce(1.0, -2.0, 0.73, e)
+    errors = []
+    for N in (10, 20, 40):
+        bounce = optimise(shipped_world(), bouncing(e, N), Touch.bounce(0.4))
+        errors.append(bounce.cost / exact - 1)
+        (touch,) = bounce.touches
+        assert touch.start == pytest.approx(time, abs=0.2 / N**2)
+        assert bounce.replay().bounce_times == pytest.approx([touch.start], abs=1e-9)
+        assert np.max(bounce.trajectory.impulses) == pytest.approx((1 + e) * speed, rel=1 / N**2)
+    assert 0 < errors[-1] < 1e-3
+    np.testing.assert_allclose(np.divide(errors[:-1], errors[1:]), 4.0, rtol=0.15)
+
+
+@settings(max_examples=40)
+@given(q=st.floats(0.2, 1.5), v=st.floats(-3, -0.5), goal=st.floats(0.2, 1.5), e=st.floats(0.3, 1))
+def test_bounces_hold_and_cost_what_they_should(q: float, v: float, goal: float, e: float) -> None:
+    exact, time, speed = one_bounce(q, v, goal, e)
+    # Else the best bounce is one that touches lightly, or at once, or at the end.
+    assume(0.05 < time < 0.95 and speed > 0.1)
+    scenario = bouncing(e, 40, q, v, goal)
+    bounce = optimise(shipped_world(), scenario, Touch.bounce(min(0.9, -q / v)))
+    assert bounce.cost == pytest.approx(exact, rel=5e-3, abs=1e-12)
+    replay = bounce.replay()
+    assert replay.cost == pytest.approx(bounce.cost, rel=1e-9, abs=1e-14)
+    assert replay.max_penetration < 1e-12
+    assert len(replay.bounce_times) == 1
+
+
+# Forces and replays.
+
+
+@pytest.fixture(scope="module")
+def floor() -> World:
+    """1.5 kg over a floor, under 3 m/s²."""
+    return World.from_diagram(make_diagram(gravity=3.0))
+
+
+def resting(e: float, N: int) -> Scenario:
+    """To stay up costs too much for 2 s: better to wait on the floor, and jump in time."""
+    return Scenario(
+        initial_position=0.3,
+        initial_velocity=0.0,
+        goal_position=0.3,
+        duration=2.0,
+        time_step=2.0 / N,
+        goal_weight=100.0,
+        restitution=e,
+    )
+
+
+def least_rest(scenario: Scenario, m: float = 1.5, g: float = 3.0) -> tuple[float, float, float]:
+    """Returns the least cost of landing, resting and jumping; when it lands, when it jumps."""
+    q, w_u = scenario.initial_position[0], scenario.control_weight
+    # The weight is as much control as it takes: ∫(v̇ + g)² = ∫v̇² + 2 g Δv + g² t, from rest to rest.
+    heavy = dataclasses.replace(scenario, control_weight=m**2 * w_u)
+
+    def jump(time: float) -> float:
+        return goal_cost(heavy, scenario.goal_position[0] + g * time**2 / 2, time)
+
+    def land(time: float) -> float:
+        return float(m**2 * w_u * (effort(-q, 0.0, time) + g**2 * time))
+
+    jump_time, jump_cost = find_least(jump, 1e-3, 1.5)
+    land_time, land_cost = math.sqrt(2 * q / g), 0.0
+    if scenario.restitution > 0:  # It lands without speed.
+        land_time, land_cost = find_least(land, 1e-3, 1.5)
+    return land_cost + jump_cost, land_time, scenario.duration - jump_time
+
+
+@pytest.mark.parametrize("e", [0.0, 0.5, 1.0])
+def test_a_contact_that_lasts_carries_the_weight_and_is_optimal(floor: World, e: float) -> None:
+    errors = []
+    for N in (20, 40):
+        scenario = resting(e, N)
+        cost, land, leave = least_rest(scenario)
+        rest = optimise(floor, scenario, Touch(0.6, 1.4))
+        errors.append(rest.cost / cost - 1)
+        (touch,) = rest.touches
+        assert touch.joints == pytest.approx((land, leave), abs=1 / N)
+        motion, forces = rest.trajectory, rest.trajectory.forces[:, 0]
+        lasts = (motion.times[:-1] >= touch.start - 1e-9) & (motion.times[:-1] < touch.end - 1e-9)
+        np.testing.assert_allclose(forces[lasts], 1.5 * 3.0, rtol=1e-5)
+        np.testing.assert_array_equal(forces[~lasts], 0.0)
+        np.testing.assert_allclose(motion.positions[:-1][lasts], 0.0, atol=MET)
+        np.testing.assert_allclose(motion.controls[lasts], 0.0, atol=1e-4)
+        speed = math.sqrt(2 * 3.0 * 0.3) if e == 0 else 0.0
+        assert np.max(motion.impulses) == pytest.approx((1 + e) * 1.5 * speed, abs=1e-6)
+        replay = rest.replay()
+        assert replay.cost == pytest.approx(rest.cost, rel=1e-8)
+        assert replay.max_penetration < 1e-9
+    assert 0 < errors[1] < errors[0] < 0.02
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.3)
+
+
+def test_a_spring_presses_to_the_wall_by_its_force_there() -> None:
+    pressed = World.from_diagram(make_diagram(spring=30.0, reference=-0.5))
+    errors = []
+    for N in (20, 40, 80):
+        rest = optimise(pressed, resting(0.0, N), Touch(0.4, 1.5))
+        motion = rest.trajectory
+        loads = motion.forces[motion.forces > 0]
+        np.testing.assert_allclose(loads, 30.0 * 0.5, rtol=1e-5)
+        assert len(loads) > N / 4
+        errors.append(abs(rest.replay().cost / rest.cost - 1))
+    # The midpoint rule is of second order.
+    assert errors[0] / errors[2] == pytest.approx(16.0, rel=0.6)
+
+
+def test_a_flight_on_a_spring_replays_to_second_order() -> None:
+    sprung = World.from_diagram(make_diagram(spring=30.0, reference=0.5))
+    errors = []
+    for N in (40, 80, 160):
+        scenario = make_scenario(1.0, -6.0, time_step=1 / N, restitution=0.8)
+        bounce = optimise(sprung, scenario, Touch.bounce(0.3))
+        replay = bounce.replay()
+        assert len(replay.bounce_times) == 1
+        errors.append([replay.cost - bounce.cost, replay.bounce_times[0] - bounce.touches[0].start])
+    rates = np.divide(errors[:-1], errors[1:])
+    np.testing.assert_allclose(rates, 4.0, rtol=0.2)
+
+
+TWO_JOINTS: list[tuple[float, TouchSequence]] = [
+    *(
+        (e, touches)
+        for e in (1.0, 0.5, 0.0)
+        for touches in (
+            (),
+            (Touch.bounce(0.5),),
+            (Touch.bounce(0.4), Touch.bounce(1.2)),
+            (Touch(0.5, 1.4),),
+        )
+    ),
+    (0.5, (Touch.bounce(0.4), Touch(0.9, 1.4))),
+]
+
+
+@pytest.mark.parametrize(("e", "touches"), TWO_JOINTS)
+def test_two_joints_replay_as_planned(e: float, touches: TouchSequence) -> None:
+    world = World.from_diagram(make_diagram(num_joints=2, gravity=3.0))
+    scenario = Scenario(
+        initial_position=[0.0, 0.5],
+        initial_velocity=[0.3, -0.5],
+        goal_position=[0.4, 0.3],
+        duration=2.0,
+        time_step=0.05,
+        goal_weight=100.0,
+        restitution=e,
+    )
+    found = optimise(world, scenario, *touches)
+    replay = found.replay()
+    assert replay.cost == pytest.approx(found.cost, rel=1e-7)
+    motion = found.trajectory
+    ends = np.searchsorted(replay.times, motion.times, side="right") - 1
+    np.testing.assert_allclose(replay.positions[ends], motion.positions, atol=1e-6)
+    lasting = [touch for touch in found.touches if touch.lasts]
+    assert np.any(motion.forces > 1.0) == bool(lasting)
+    # It slides while it rests.
+    for touch in lasting:
+        held = motion.forces[:, 0] > 0
+        assert np.ptp(motion.positions[:-1][held], axis=0).min() > 0.01
+        np.testing.assert_allclose(found.phases.signed_distances(found.x)[:-1][held], 0, atol=MET)
+        assert touch.start < motion.times[:-1][held][1] < touch.end
+
+
+# Degenerate sequences.
+
+
+@pytest.mark.parametrize("e", [1.0, 0.5, 0.0])
+@pytest.mark.parametrize("guess", [1e-4, 5e-4, 0.01])
+def test_a_bounce_right_after_the_start(e: float, guess: float) -> None:
+    exact, time, _ = one_bounce(1e-3, -2.0, 0.73, e)
+    assert time < 1e-3
+    bounce = optimise(shipped_world(), bouncing(e, 50, q=1e-3), Touch.bounce(guess))
+    assert bounce.cost == pytest.approx(exact, rel=1e-3)
+    (touch,) = bounce.touches
+    assert touch.start == pytest.approx(time, rel=1e-3)
+    assert bounce.replay().cost == pytest.approx(bounce.cost, rel=1e-9)
+
+
+@pytest.mark.parametrize("e", [1.0, 0.5, 0.0])
+@pytest.mark.parametrize("guess", [0.9, 0.999])
+def test_a_bounce_right_before_the_end(e: float, guess: float) -> None:
+    # Control is so dear that it comes to the wall nearly by itself, too late to turn back.
+    scenario = dataclasses.replace(bouncing(e, 50, v=-1.001), control_weight=1e3)
+    bounce = optimise(shipped_world(), scenario, Touch.bounce(guess))
+    (touch,) = bounce.touches
+    assert 0.998 < touch.start < 1.0
+    assert bounce.cost == pytest.approx(0.73**2, rel=5e-3)
+    assert bounce.replay().cost == pytest.approx(bounce.cost, rel=1e-7)
+
+
+@pytest.mark.parametrize("e", [1.0, 0.8, 0.0])
+@pytest.mark.parametrize(
+    "touches",
+    [
+        (Touch.bounce(0.5), Touch.bounce(0.52)),
+        (Touch.bounce(0.3), Touch.bounce(0.8)),
+        (Touch(0.4, 0.6),),
+        (Touch(0.4, 0.6), Touch.bounce(0.8)),
+        (Touch.bounce(0.4), Touch(0.6, 0.8)),
+        (Touch.bounce(0.2), Touch.bounce(0.4), Touch.bounce(0.6)),
+    ],
+    ids=["two close", "two", "lasts", "lasts, bounce", "bounce, lasts", "three"],
+)
+def test_touches_that_had_better_merge_stay_apart_and_feasible(
+    touches: TouchSequence, e: float
+) -> None:
+    scenario = bouncing(e, 50)
+    found = solve(PhaseTranscription(shipped_world(), scenario, touches))
+    check_clock(found)
+    assert max(found.phases.defects(found.x).values()) < 1e-8
+    assert len(found.touches) == len(touches)
+    # One bounce is better, and a plan that is feasible is not better than it promises.
+    assert found.cost > one_bounce(1.0, -2.0, 0.73, e)[0]
+    assert found.replay().cost == pytest.approx(found.cost, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("length", "duration"), [(1e-3, 1e-3), (1e-3, 1), (1, 1e-3), (1, 1e3), (1e3, 1), (1e3, 1e3)]
+)
+def test_scales_do_not_matter(length: float, duration: float) -> None:
+    scenario = Scenario(
+        initial_position=length,
+        initial_velocity=-2.0 * length / duration,
+        goal_position=0.73 * length,
+        duration=duration,
+        time_step=duration / 40,
+        goal_weight=1 / length**2,
+        control_weight=1e-3 * duration**3 / length**2,
+        restitution=0.8,
+    )
+    bounce = optimise(shipped_world(), scenario, Touch.bounce(0.5 * duration))
+    exact, time, _ = one_bounce(1.0, -2.0, 0.73, 0.8)
+    assert bounce.cost == pytest.approx(exact, rel=1e-3)
+    assert bounce.touches[0].start == pytest.approx(time * duration, rel=1e-3)
+    assert bounce.replay().cost == pytest.approx(bounce.cost, rel=1e-4)
+
+
+def test_each_phase_gets_a_step_though_it_is_short() -> None:
+    scenario = make_scenario(time_step=0.2)
+    touches = Touch.bounce(1e-9), Touch(0.5, 0.5 + 1e-9), Touch.bounce(1 - 1e-9)
+    with pytest.raises(OptionsError) as error:
+        PhaseTranscription(shipped_world(), scenario, (*touches[:2], Touch.bounce(0.7), touches[2]))
+    assert str(error.value) == (
+        "sequence: got 6 phases, expected at most the 5 steps of the scenario."
+    )
+    phases = PhaseTranscription(shipped_world(), scenario, touches)
+    guess = phases.guess(np.zeros((4, 1)))
+    np.testing.assert_allclose(guess.times, [0, 1e-9, 0.5, 0.5 + 1e-9, 1 - 1e-9, 1])
+
+
+@pytest.mark.parametrize(
+    ("touches", "times"),
+    [
+        ((Touch.bounce(0.0),), "[0.0]"),
+        ((Touch.bounce(1.0),), "[1.0]"),
+        ((Touch.bounce(1.5),), "[1.5]"),
+        ((Touch.bounce(-0.5),), "[-0.5]"),
+        ((Touch(0.5, 1.0),), "[0.5, 1.0]"),
+        ((Touch.bounce(0.6), Touch.bounce(0.4)), "[0.6, 0.4]"),
+        ((Touch.bounce(0.6), Touch.bounce(0.6)), "[0.6, 0.6]"),
+        ((Touch(0.2, 0.6), Touch.bounce(0.5)), "[0.2, 0.6, 0.5]"),
+    ],
+)
+def test_times_out_of_order_or_outside_are_refused(touches: TouchSequence, times: str) -> None:
+    with pytest.raises(OptionsError) as error:
+        PhaseTranscription(shipped_world(), make_scenario(), touches)
+    assert str(error.value) == (
+        f"sequence: got contacts at {times} s, expected increasing times between 0 and 1 s."
+    )
+
+
+def test_a_guess_goes_straight_from_stop_to_stop() -> None:
+    world = World.from_diagram(make_diagram(num_joints=2))
+    scenario = make_scenario([0.3, 0.6], [-0.4, -1.0], time_step=0.05)
+    phases = PhaseTranscription(world, scenario, (Touch.bounce(0.2), Touch(0.5, 0.9)))
+    stops = np.array([[0.3, 0.6], [0.1, -0.1], [-0.5, 0.4], [0.2, -0.2], [0.73, 0.73]])
+    guess = phases.guess(stops[1:-1])
+    for time, stop in zip([0.0, 0.2, 0.5, 0.9, 1.0], stops, strict=True):
+        (k,) = np.flatnonzero(np.isclose(guess.times, time))
+        np.testing.assert_allclose(guess.positions[k], stop, atol=1e-15)
+    np.testing.assert_array_equal(guess.velocities[0], [-0.4, -1.0])
+    tau = np.diff(guess.times)[:, np.newaxis]
+    np.testing.assert_allclose(np.diff(guess.positions, axis=0), tau * guess.velocities[1:])
+    np.testing.assert_array_equal(guess.controls, np.zeros((20, 2)))
+    np.testing.assert_array_equal(
+        phases.trajectory(phases.vector(guess)).positions, guess.positions
+    )
+
+
+# What users add.
+
+
+@pytest.mark.parametrize("sequence", [(), (Touch.bounce(0.5),)], ids=["flight", "bounce"])
+def test_what_was_added_to_boxes_holds_in_phases(sequence: TouchSequence) -> None:
+    world, scenario = shipped_world(), bouncing(0.8, 40)
+    boxes = RigidTranscription(world, scenario)
+    (u,), (q, v) = boxes.input(), boxes.state()
+    boxes.AddRunningCost(0.3 * (q - 0.9) ** 2, "stay")
+    boxes.AddFinalCost(2.0 * v**2, "stop")
+    boxes.AddConstraintToAllKnotPoints(u <= 4.0)
+    boxes.AddConstraintToAllKnotPoints(np.array([u >= -3.0, v <= 1.25]))
+    phases = PhaseTranscription(world, scenario, sequence)
+    phases.add_what_was_added_to(boxes)
+    found = solve(phases)
+    assert found.status is LocalStatus.CONVERGED
+    motion = found.trajectory
+    positions, velocities, controls = motion.positions, motion.velocities, motion.controls
+    assert np.max(controls) <= 4.0 + MET
+    assert np.min(controls) >= -3.0 - MET
+    assert np.max(velocities) <= 1.25 + MET
+    free = optimise(world, scenario, *sequence).trajectory
+    assert abs(velocities[-1, 0]) < 0.2 * abs(free.velocities[-1, 0])
+    costs = {
+        name: sum(
+            float(phases.prog().EvalBinding(binding, found.x)[0])
+            for binding in phases.prog().GetAllCosts()
+            if binding.evaluator().get_description() == name
+        )
+        for name in ("stay", "stop", "control effort", "goal")
+    }
+    tau = np.diff(motion.times)
+    assert costs["stay"] == pytest.approx(0.3 * tau @ (positions[:-1, 0] - 0.9) ** 2)
+    assert costs["stop"] == pytest.approx(2.0 * velocities[-1, 0] ** 2)
+    assert costs["control effort"] + costs["goal"] == pytest.approx(found.cost)
+    # And once more, from phases to phases.
+    again = PhaseTranscription(world, scenario, sequence)
+    again.add_what_was_added_to(phases)
+    assert len(again.prog().GetAllCosts()) == len(phases.prog().GetAllCosts())
+    assert len(again.prog().GetAllConstraints()) == len(phases.prog().GetAllConstraints())
