@@ -40,13 +40,14 @@ def make_diagram(
     gravity: float = 0.0,
     rail: tuple[float, float] = (1.0, 1.0),
     num_actuators: int = 2,
+    density: float = 1.0,
 ) -> Diagram:
     """Returns a ball of 1.5 kg before a wall at x = 0, made in code as a user would.
 
     With two joints it hangs on a carriage of 0.5 kg that moves along the rail, and slides on it
     along (4, 3)/5, askew to the wall, so that an impulse moves both. The spring pulls the first
     joint to its reference. A push comes from a source that drives the actuator. Gravity [m/s²]
-    pulls to the wall.
+    pulls to the wall. All masses are multiplied by the density.
     """
     builder = DiagramBuilder()
     plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
@@ -58,10 +59,12 @@ def make_diagram(
     if stiffness is not None:
         properties.AddProperty("material", "point_contact_stiffness", stiffness)
     inertia = UnitInertia.SolidSphere(0.1)
-    ball = plant.AddRigidBody("ball", SpatialInertia(1.5, np.zeros(3), inertia))
+    ball = plant.AddRigidBody("ball", SpatialInertia(1.5 * density, np.zeros(3), inertia))
     parent, slide = plant.world_frame(), [1.0, 0.0, 0.0]
     if num_joints == 2:
-        carriage = plant.AddRigidBody("carriage", SpatialInertia(0.5, np.zeros(3), inertia))
+        carriage = plant.AddRigidBody(
+            "carriage", SpatialInertia(0.5 * density, np.zeros(3), inertia)
+        )
         axis = np.array([*rail, 0.0]) / math.hypot(*rail)
         plant.AddJoint(PrismaticJoint("rail", parent, carriage.body_frame(), axis))
         parent, slide = carriage.body_frame(), [0.8, 0.6, 0.0]

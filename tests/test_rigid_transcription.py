@@ -161,7 +161,6 @@ def rescale(scenario: Scenario, length: float, time: float, mass: float, price: 
         time_step=time * scenario.time_step,
         goal_weight=price / length**2 * scenario.goal_weight,
         control_weight=price * time**3 / (mass * length) ** 2 * scenario.control_weight,
-        mass=None if mass == 1 else mass,
     )
 
 
@@ -173,13 +172,12 @@ def rescale(scenario: Scenario, length: float, time: float, mass: float, price: 
 def test_what_aigo_minimises_is_the_same_in_any_units(
     num_joints: int, length: float, time: float, mass: float, price: float
 ) -> None:
-    if num_joints == 1:
-        scenario = make_scenario(0.9, -1.4, time_step=0.1, restitution=0.8)
-        worlds = shipped_world(), shipped_world(None if mass == 1 else mass)
-    else:
-        mass = 1  # Of two masses a scenario changes but one.
-        scenario = make_scenario([0.3, 0.6], [-0.4, -1.0], time_step=0.1, restitution=0.8)
-        worlds = (World.from_diagram(make_diagram(num_joints=2)),) * 2
+    start = ([0.3, 0.6], [-0.4, -1.0]) if num_joints == 2 else (0.9, -1.4)
+    scenario = make_scenario(*start, time_step=0.1, restitution=0.8)
+    worlds = [
+        World.from_diagram(make_diagram(num_joints=num_joints, density=density))
+        for density in (1, mass)
+    ]
     scaled = rescale(scenario, length, time, mass, price)
     one, other = RigidTranscription(worlds[0], scenario), RigidTranscription(worlds[1], scaled)
     assert other.cost_scale() == pytest.approx(price * one.cost_scale(), rel=1e-12)

@@ -80,7 +80,8 @@ class RigidTranscription(Transcription):
         for row in self._next_q - world.positions - dt * (self._next_v - kick / 2):
             self._bind_stages(shared_constraint(as_expression(row / L), FLIGHT))
         for row in contact.tangents.T @ world.mass_matrix_values @ change:
-            self._bind_stages(shared_constraint(as_expression(row * T / L), DYNAMICS))
+            row = row / contact.mass * T / L
+            self._bind_stages(shared_constraint(as_expression(row), DYNAMICS))
         pushed = distance * jump * T / L**2 - self.relaxation * dt / T
         self._bind(shared_constraint(as_expression(jump * T / L), CONTACT), 0)
         self._bind_each(shared_constraint(as_expression(pushed), CONTACT), range(1, len(self._u)))
