@@ -49,7 +49,8 @@ def check(row: int, restitution: float) -> bool:
         f"({_excess(rigid.cost, exact.cost)})  Drake {drake.cost:.6e} "
         f"({_excess(drake.cost, exact.cost)})  contact at {times} s, exact "
         f"{', '.join(f'{t:.4f}' for t in exact.bounce_times)} s; in Drake "
-        f"{1e3 * contact_delay(planner.world):.3f} ms late  defect {plan.best.max_defect:.0e}  energy ratio {rigid.energy_ratio:.3f}  "
+        f"{1e3 * contact_delay(planner.world):.3f} ms late  "
+        f"defect {plan.best.max_defect:.0e}  energy ratio {rigid.energy_ratio:.3f}  "
         f"{'met' if met and plan.holds else 'MISSED'}"
     )
     return met and plan.holds

@@ -1,0 +1,300 @@
+"""Rigid plans: optimal, true in simulation, of whatever plant; and loud when nothing holds."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from replay_worlds import make_diagram, shipped_world
+
+from drake_aigto import Scenario, World
+from drake_aigto.local import InteriorPoint
+from drake_aigto.planning import (
+    Plan,
+    Planner,
+    PlanningError,
+    PlanOptions,
+    Replay,
+    RigidProblem,
+    make_problem,
+    plan,
+    planner,
+)
+from drake_aigto.planning.options import LITERAL_LADDER, RIGID_LADDER
+from drake_aigto.study import rigid_optimum
+from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch
+
+COARSE = {"time_step": 0.02}
+UNCONFIRMED = PlanOptions(confirm=False)
+
+
+def table1(row: int, **fields: Any) -> Scenario:
+    return dataclasses.replace(Scenario.named(f"table1/{row}"), **fields)
+
+
+@cache
+def bounce_plan() -> Plan:
+    return plan(table1(1, **COARSE))
+
+
+# Optimal, and true.
+
+
+@pytest.mark.parametrize("row", [1, 2, 3, 4])
+@pytest.mark.parametrize("e", [1.0, 0.8, 0.5])
+def test_a_plan_is_the_optimum_and_holds(row: int, e: float) -> None:
+    scenario = table1(row, restitution=e, time_step=0.01)
+    found = Planner(scenario, world=shipped_world()).plan()
+    exact = rigid_optimum(shipped_world(), scenario)
+    rigid, drake = found.replay.event_driven, found.replay.drake
+    assert found.holds and drake is not None
+    # Held controls cost 1/(4 K²) more than free ones, with K ≥ 38 steps a phase here.
+    assert found.cost == pytest.approx(exact.cost, rel=2e-4, abs=1e-9)
+    assert rigid.cost == pytest.approx(found.cost, rel=1e-6, abs=1e-12)
+    assert drake.cost == pytest.approx(exact.cost, rel=0.02, abs=1e-5)
+    (contact,) = found.best.contacts
+    assert contact.time == pytest.approx(exact.bounce_times[0], abs=2e-3)
+    assert contact.energy_ratio == pytest.approx(e**2)
+    assert rigid.bounce_times == pytest.approx([contact.time], abs=1e-9)
+    assert max(found.defects.values()) < 1e-9
+    assert found.best.max_penetration < 1e-12
+    assert len(found.trajectory.times) == scenario.num_steps + 1
+
+
+def test_a_literal_plan_of_the_same_problem_fails_where_the_rigid_one_passes() -> None:
+    free = PlanOptions(transcription="literal", nonpenetration=False, ladder=LITERAL_LADDER[:1])
+    literal, rigid = plan(table1(1), free), plan(table1(1))
+    assert literal.cost < rigid.cost  # That is what its contact is for.
+    assert not literal.holds and rigid.holds
+    assert literal.replay.event_driven.cost > 10 * rigid.replay.event_driven.cost
+
+
+def test_random_plans_are_optimal() -> None:
+    generator, world = np.random.default_rng(12), shipped_world()
+    for e in (1.0, 0.8, 0.5, 0.9, 0.3, 0.0):
+        p0, goal = generator.uniform(0.2, 1.5, 2)
+        scenario = Scenario(
+            initial_position=p0,
+            goal_position=goal,
+            initial_velocity=generator.uniform(-3, 0.5),
+            restitution=e,
+            **COARSE,
+        )
+        cost = plan(scenario, UNCONFIRMED, world).replay.event_driven.cost
+        exact = rigid_optimum(world, scenario).cost
+        assert exact * (1 - 1e-9) <= cost <= 1.01 * exact + 1e-7, scenario
+
+
+@pytest.mark.parametrize(
+    ("length", "duration", "mass"), [(10.0, 1.0, 1.0), (0.1, 3.0, 1.0), (1.0, 1.0, 20.0)]
+)
+def test_plans_do_not_depend_on_units(length: float, duration: float, mass: float) -> None:
+    here, speed = bounce_plan(), length / duration
+    scenario = here.scenario
+    scaled = dataclasses.replace(
+        scenario,
+        initial_position=length * scenario.initial_position,
+        goal_position=length * scenario.goal_position,
+        initial_velocity=speed * scenario.initial_velocity,
+        duration=duration,
+        time_step=duration * scenario.time_step,
+        control_weight=scenario.control_weight * duration**3 / mass**2,
+        mass=mass,
+    )
+    there = plan(scaled, UNCONFIRMED)
+    assert there.cost == pytest.approx(length**2 * here.cost, rel=1e-5)
+    np.testing.assert_allclose(
+        there.trajectory.positions, length * here.trajectory.positions, atol=1e-4 * length
+    )
+    assert there.stats.aigo_steps == pytest.approx(here.stats.aigo_steps, rel=0.1)
+
+
+def test_a_bounce_that_knots_step_over_is_found_in_the_replay() -> None:
+    # At the wall after 2 ms; AIGO's steps are 20 ms, the scenario's too.
+    scenario = Scenario(
+        initial_position=0.006, initial_velocity=-3.0, goal_position=1.0, restitution=0.5, **COARSE
+    )
+    found = plan(scenario, UNCONFIRMED, shipped_world())
+    exact = rigid_optimum(shipped_world(), scenario)
+    assert exact.bounce_times[0] < 0.005
+    assert found.cost == pytest.approx(exact.cost, rel=1e-2)
+
+
+def test_boxes_get_steps_enough_to_tell_a_bounce_from_the_start() -> None:
+    world = shipped_world()
+    fast = table1(1, initial_position=0.06, initial_velocity=-3.0)
+    for scenario, steps in ((table1(1), 50), (fast, 150), (table1(1, time_step=0.05), 20)):
+        problem = make_problem(world, scenario, PlanOptions())
+        assert problem.transcription.num_samples() == steps + 1
+    assert make_problem(world, table1(1), PlanOptions(aigo_steps=7)).box.center.size == 3 * 8 - 1
+
+
+# Any plant.
+
+
+@pytest.mark.parametrize("e", [1.0, 0.5])
+@pytest.mark.parametrize(
+    ("plant", "joints"),
+    [
+        ({"gravity": 9.81}, 1),
+        ({"spring": 5.0, "reference": -0.5}, 1),
+        ({"num_joints": 2}, 2),
+        ({"num_joints": 2, "spring": 5.0, "reference": 0.3}, 2),
+    ],
+    ids=["gravity", "spring", "two joints", "two joints and a spring"],
+)
+def test_a_bounce_is_planned_on_any_plant_and_holds(plant: Any, joints: int, e: float) -> None:
+    world = World.from_diagram(make_diagram(**plant))
+    start, speed, goal = (([0.6], [-1.5], [0.5]), ([0.3, 0.5], [0, -1.5], [0.6, 0.3]))[joints - 1]
+    scenario = Scenario(
+        initial_position=start,
+        initial_velocity=speed,
+        goal_position=goal,
+        restitution=e,
+        time_step=0.01,
+    )
+    found = plan(scenario, world=world)
+    assert found.holds and max(found.defects.values()) < 1e-9
+    assert len(found.best.contacts) == len(found.replay.event_driven.bounce_times) == 1
+    flight = next(c for c in found.candidates if not c.contacts)
+    assert found.cost < 0.7 * flight.cost
+    # Exact for a constant bias; the midpoint rule's error for a spring.
+    tolerance = 2e-3 if "spring" in plant else 1e-8
+    assert found.replay.event_driven.cost == pytest.approx(found.cost, rel=tolerance)
+
+
+def test_what_users_add_shapes_boxes_and_phases() -> None:
+    scenario, limit = table1(1, **COARSE), 2.0
+    transcription = RigidTranscription(shipped_world(), scenario)
+    (u,), (_, v) = transcription.input(), transcription.state()
+    transcription.AddConstraintToAllKnotPoints(u <= limit)
+    transcription.AddConstraintToAllKnotPoints(u >= -limit)
+    transcription.AddFinalCost(1.0 * v**2, "arrive slowly")
+    problem = RigidProblem(transcription)
+    center = problem.run_aigo(RIGID_LADDER[0]).box.center
+    (sequence, *_) = problem.find_sequences(problem.run_aigo(RIGID_LADDER[0]), RIGID_LADDER[0])
+    assert len(sequence) == 1
+    phases, x = problem.polish(center, sequence)
+    bounded = phases.trajectory(x)
+    assert np.max(np.abs(bounded.controls)) == pytest.approx(limit, abs=1e-6)
+    assert abs(bounded.velocities[-1, 0]) < abs(bounce_plan().trajectory.velocities[-1, 0]) - 0.1
+    assert max(phases.defects(x).values()) < 1e-9
+
+
+def test_the_polish_is_a_program_for_any_solver() -> None:
+    scenario = table1(1, **COARSE)
+    costs = [
+        plan(scenario, PlanOptions(local_solver=solver, confirm=False), shipped_world()).cost
+        for solver in ("ipopt", "snopt")
+    ]
+    assert costs == pytest.approx([bounce_plan().cost] * 2, rel=1e-5)
+
+
+# Candidates.
+
+
+def test_every_candidate_was_read_off_a_box() -> None:
+    problem = make_problem(shipped_world(), table1(1, **COARSE), UNCONFIRMED)
+    assert isinstance(problem, RigidProblem)
+    read = {
+        tuple(touch.lasts for touch in sequence)
+        for rung in RIGID_LADDER
+        for sequence in problem.find_sequences(problem.run_aigo(rung), rung)
+    }
+    origins = {UNCONFIRMED.describe(rung) for rung in RIGID_LADDER}
+    for candidate in bounce_plan().candidates:
+        assert candidate.origin in origins
+        assert tuple(False for _ in candidate.contacts) in read
+    assert {len(c.contacts) for c in bounce_plan().candidates} >= {0, 1}
+
+
+def test_candidates_are_ranked_by_their_replay() -> None:
+    costs = [c.replay.cost for c in bounce_plan().candidates if c.is_feasible and c.is_confirmed]
+    assert costs == sorted(costs) and len(costs) >= 2
+    assert bounce_plan().best is bounce_plan().candidates[0]
+
+
+def test_the_same_question_gives_the_same_bits() -> None:
+    again = plan(table1(1, **COARSE))
+    assert again.trajectory == bounce_plan().trajectory
+    assert [c.cost for c in again.candidates] == [c.cost for c in bounce_plan().candidates]
+
+
+def test_a_planner_plans_again_with_changed_ends() -> None:
+    changed = table1(2, **COARSE)
+    ends = ("initial_position", "initial_velocity", "goal_position")
+    again = Planner(table1(1, **COARSE)).plan(**{name: getattr(changed, name) for name in ends})
+    assert again.trajectory == plan(changed).trajectory
+
+
+def test_a_plan_with_a_contact_that_lasts_reads_back(tmp_path: Path) -> None:
+    scenario = table1(1, restitution=0.0, **COARSE)
+    phases = PhaseTranscription(shipped_world(), scenario, [Touch(0.4, 0.6)])
+    guess = phases.vector(phases.guess([[0.0], [0.0]]))
+    problem = make_problem(shipped_world(), scenario, UNCONFIRMED)
+    x = problem.solve_program(phases.prog(), guess)
+    candidate = problem.judge("by hand", problem.box.center, phases, x)
+    found = dataclasses.replace(bounce_plan(), candidates=(candidate,))
+    found.save(tmp_path / "plan.json")
+    assert Plan.load(tmp_path / "plan.json") == found
+
+
+def test_ctrl_c_keeps_the_candidates_so_far() -> None:
+    def interrupt(line: str) -> None:
+        if line.startswith("AIGO 2"):
+            raise KeyboardInterrupt
+
+    found = Planner(table1(1, **COARSE), UNCONFIRMED).plan(progress=interrupt)
+    assert {c.origin for c in found.candidates} == {UNCONFIRMED.describe(RIGID_LADDER[0])}
+
+
+# Nothing holds.
+
+
+def contradict(number: int) -> Any:
+    """Returns Drake's replay of a plan, but for the first so many, which miss by a metre."""
+    calls = []
+
+    def replay(world: World, scenario: Scenario, *control: Any) -> Replay:
+        calls.append(control)
+        found = planner.replay_event_driven(world, scenario, *control)
+        miss = 1.0 if len(calls) <= number else 0.0
+        return dataclasses.replace(
+            found, simulator="drake", cost=found.cost + miss, goal_error=found.goal_error + miss
+        )
+
+    return replay
+
+
+def test_the_next_candidate_is_taken_if_drake_contradicts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(planner, "replay_drake", contradict(1))
+    found = plan(table1(1, **COARSE))
+    assert found.holds and found.cost > bounce_plan().cost
+    assert found.candidates[1].cost == bounce_plan().cost
+
+
+def test_nothing_that_holds_is_an_error_that_says_what_was_tried(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(planner, "replay_drake", contradict(99))
+    message = (
+        r"nothing holds on a rigid wall: got \d candidates from 3 rungs of AIGO \(contact at 0\.550"
+        r" s for 2\.18e-04, replayed 2\.18e-04, in Drake 1\.00e\+00 and 1\.0e\+00 m off the goal; "
+        r".*free flight for 8\.95e-03, .*, expected simulations .* Allow more time"
+    )
+    with pytest.raises(PlanningError, match=message) as caught:
+        plan(table1(1, **COARSE))
+    assert caught.value.plan is not None and not caught.value.plan.holds
+    assert caught.value.plan.cost == bounce_plan().cost
+
+
+def test_a_polish_that_fails_is_an_error_too(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(
+        InteriorPoint, "solve", lambda self, nlp, guess: type("Unsolved", (), {"x": guess})
+    )
+    with pytest.raises(PlanningError, match=r"no candidate meets the .* from 3 rungs, the small"):
+        plan(table1(1, **COARSE))
