@@ -23,12 +23,13 @@ from drake_aigto.planning import (
     make_problem,
     plan,
     planner,
+    replay_event_driven,
 )
 from drake_aigto.planning.options import LITERAL_LADDER, RIGID_LADDER
 from drake_aigto.study import rigid_optimum
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch
 
-COARSE = {"time_step": 0.02}
+COARSE: dict[str, Any] = {"time_step": 0.02}
 UNCONFIRMED = PlanOptions(confirm=False)
 
 
@@ -261,7 +262,7 @@ def contradict(number: int) -> Any:
 
     def replay(world: World, scenario: Scenario, *control: Any) -> Replay:
         calls.append(control)
-        found = planner.replay_event_driven(world, scenario, *control)
+        found = replay_event_driven(world, scenario, *control)
         miss = 1.0 if len(calls) <= number else 0.0
         return dataclasses.replace(
             found, simulator="drake", cost=found.cost + miss, goal_error=found.goal_error + miss
@@ -282,8 +283,8 @@ def test_nothing_that_holds_is_an_error_that_says_what_was_tried(
 ) -> None:
     monkeypatch.setattr(planner, "replay_drake", contradict(99))
     message = (
-        r"nothing holds on a rigid wall: got \d candidates from 3 rungs of AIGO \(contact at 0\.550"
-        r" s for 2\.18e-04, replayed 2\.18e-04, in Drake 1\.00e\+00 and 1\.0e\+00 m off the goal; "
+        r"nothing that was planned holds in simulation: got \d candidates from 3 rungs of AIGO "
+        r"\(contact at 0\.550 s for 2\.18e-04, replayed 2\.18e-04, in Drake 1\.00e\+00 and 1\.0e\+00 m off the goal; "
         r".*free flight for 8\.95e-03, .*, expected simulations .* Allow more time"
     )
     with pytest.raises(PlanningError, match=message) as caught:

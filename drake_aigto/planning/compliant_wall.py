@@ -206,7 +206,7 @@ class _Trace:
         energies = (
             self._contact.calc_kinetic_energy(np.split(x, 2)[1]) for _, x in (touch, release)
         )
-        return Impact(touch[0], speed, *energies)
+        return Impact(touch[0], speed, push, *energies)
 
     def _calc_depth(self) -> float:
         """Returns the deepest penetration, of the parabola wherever φ̇ turns positive."""

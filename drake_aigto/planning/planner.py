@@ -14,6 +14,7 @@ import numpy as np
 
 from drake_aigto.errors import AigtoError
 from drake_aigto.planning.literal import LiteralProblem, LiteralSearch
+from drake_aigto.planning.material import contact_delay
 from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.plan import LARGEST_DEFECT, Candidate, Plan, PlanStats, Replays
 from drake_aigto.planning.replay import replay_drake, replay_event_driven
@@ -94,6 +95,8 @@ class Planner:
         self.options = options or PlanOptions()
         self.world = world or World.from_scenario(scenario)
         self.world.check(scenario)
+        if self.options.confirm:
+            contact_delay(self.world)  # A wall without stiffness is refused before long work.
         self._seconds: defaultdict[str, float] = defaultdict(float)
 
     def plan(
@@ -223,7 +226,7 @@ def _nothing_holds(found: Plan, num_rungs: int) -> PlanningError:
     if drake is not None and found.best.is_confirmed:
         tried[0] += f", in Drake {drake.cost:.2e} and {drake.goal_error:.1e} m off the goal"
     error = PlanningError(
-        "nothing holds on a rigid wall",
+        "nothing that was planned holds in simulation",
         got=f"{len(tried)} candidates from {num_rungs} rungs of AIGO ({'; '.join(tried)})",
         expected="simulations that come near a plan's cost and goal",
         remedy="Allow more time, move the goal closer, or try another ladder.",

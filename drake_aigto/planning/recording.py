@@ -15,6 +15,7 @@ class Impact(NamedTuple):
 
     time: float  # when the wall was touched [s]
     speed: float  # of approach, −φ̇ > 0 [m/s]
+    push: float  # φ̈ without contact; negative is into the wall [m/s²]
     energy_before: float  # kinetic, ½ vᵀ M v, when the wall was touched [J]
     energy_after: float  # kinetic, when it was left [J]
 

@@ -34,9 +34,9 @@ class Replay(ArrayRecord):
         energies_after: kinetic energy as each contact ends, B [J]. A contact that lasts to T is
             compared with T.
         compliance_error: "drake" only: how far the end should be from where a rigid wall leads [m].
-            A contact lasts π √(m/k), which delays what follows, and no dissipation brings
-            restitution below 1e-3: Σ v (e π √(m/k) + (1e-3 − e)₊ (T − t)) over impacts at speed v
-            and time t.
+            A contact lasts τ = π √(m/k), which delays what follows and loses what the control adds
+            meanwhile, and no dissipation brings restitution below 1e-3: Σ e v τ + |φ̈| τ (T − t) +
+            (1e-3 − e)₊ v (T − t) over impacts at speed v, time t and push φ̈.
         compliance_cost: what of the cost this explains at most.
         matched_speed: "drake" only, restitution < 1 only: the speed of impact for which the
             dissipation gives the scenario's restitution [m/s]. Slower impacts return more of their
@@ -203,7 +203,9 @@ def _calc_compliance_error(world: World, scenario: Scenario, recording: Recordin
     e, end = scenario.restitution, recording.times[-1]
     excess = max(0.0, LEAST_RESTITUTION - e)
     return sum(
-        impact.speed * (e * delay + excess * (end - impact.time)) for impact in recording.impacts
+        e * impact.speed * delay
+        + (abs(impact.push) * delay + excess * impact.speed) * (end - impact.time)
+        for impact in recording.impacts
     )
 
 

@@ -248,7 +248,7 @@ class RigidWall(LeafSystem):
         for velocity in (before, after):
             self._recording.add(time - touch.age, q, velocity)
         energies = (self._contact.calc_kinetic_energy(velocity) for velocity in (before, after))
-        self._recording.impacts.append(Impact(time - touch.age, touch.speed, *energies))
+        self._recording.impacts.append(Impact(time - touch.age, touch.speed, touch.push, *energies))
 
 
 def simulate_rigid_wall(
