@@ -284,8 +284,8 @@ def test_nothing_that_holds_is_an_error_that_says_what_was_tried(
     monkeypatch.setattr(planner, "replay_drake", contradict(99))
     message = (
         r"nothing that was planned holds in simulation: got \d candidates from 3 rungs of AIGO "
-        r"\(contact at 0\.550 s for 2\.18e-04, replayed 2\.18e-04, in Drake 1\.00e\+00 and 1\.0e\+00 m off the goal; "
-        r".*free flight for 8\.95e-03, .*, expected simulations .* Allow more time"
+        r"\(contact at 0\.550 s for 2\.18e-04, replayed 2\.18e-04, in Drake 1\.00e\+00 and "
+        r"1\.0e\+00 m off the goal; .*free flight for 8\.95e-03, .*, expected simulations .* Allow more time"
     )
     with pytest.raises(PlanningError, match=message) as caught:
         plan(table1(1, **COARSE))
