@@ -86,8 +86,8 @@ class PlanOptions:
             rigid wall; or "literal", the paper's explicit Euler with λ = ε/(φ + δ).
         relaxation: ε of the rigid transcription's complementarity φ p = dt ε, which the wall pushes
             from afar with while boxes shrink (`RigidTranscription`).
-        aigo_steps: the most time steps that boxes of the rigid transcription have: coarse ones show
-            the contact sequence, and the polish has the scenario's.
+        aigo_steps: how many time steps the boxes of the rigid transcription have: coarse ones show
+            the contact sequence, and the last polish has the scenario's.
         nonpenetration: whether the literal transcription asks for φ(q_k) ≥ 0. The paper's figures
             need it off.
         algorithm: "annealing", or "full gradient" for the paper's Algorithm 1.

@@ -52,7 +52,7 @@ def make_problem(
     if options.transcription == "literal":
         literal = LiteralTranscription(world, scenario, options.nonpenetration)
         return LiteralProblem(literal, options)
-    steps = min(max(options.aigo_steps, _count_steps(world, scenario)), scenario.num_steps)
+    steps = max(options.aigo_steps, min(_count_steps(world, scenario), scenario.num_steps))
     coarse = dataclasses.replace(scenario, time_step=scenario.duration / steps)
     return RigidProblem(RigidTranscription(world, coarse, options.relaxation), options)
 
@@ -172,7 +172,7 @@ class Planner:
         problem = make_problem(self.world, scenario, self.options)
         if isinstance(problem, LiteralProblem):
             return LiteralSearch(problem, self._clock)
-        return RigidSearch(problem, self._clock, scenario.time_step)
+        return RigidSearch(problem, self._clock, scenario.num_steps)
 
     def _choose(self, feasible: list[Candidate], scenario: Scenario) -> tuple[Candidate, Replays]:
         """Returns the first candidate that all replays confirm, or else the first, with replays.

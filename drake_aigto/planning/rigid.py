@@ -24,6 +24,8 @@ if TYPE_CHECKING:
 # Parts of the duration by which the times of two sequences of the same contacts differ at most, if
 # their polish is expected to end in one optimum, and if it has.
 _SAME_START, _SAME_END = 0.05, 1e-3
+# A touch this near to the start or the end, as a part of the duration, is none.
+_MARGIN = 1e-6
 # Of a sequence that grows by bounces which its replay has and it lacks.
 _MOST_TOUCHES = 3
 # In a candidate's origin, if its sequence grew.
@@ -34,14 +36,20 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
     """The rigid transcription: a contact sequence is the times of touches."""
 
     def find_sequences(self, result: AigoResult, rung: Rung) -> list[TouchSequence]:
-        """Returns the contact sequences that AIGO proposes (`read_sequences`)."""
-        return read_sequences(self.transcription, result.box.center)
+        """Returns the contact sequences that AIGO proposes (`read_sequences`) and that fit."""
+        return list(filter(self.fits, read_sequences(self.transcription, result.box.center)))
+
+    def fits(self, sequence: TouchSequence) -> bool:
+        """Returns whether all touches are within the duration."""
+        T = self.transcription.scenario.duration
+        joints = (t for touch in sequence for t in touch.joints)
+        return all(_MARGIN * T < t < (1 - _MARGIN) * T for t in joints)
 
     def polish(
         self,
         center: npt.NDArray[np.float64],
         sequence: TouchSequence,
-        time_step: float | None = None,
+        num_steps: int | None = None,
     ) -> tuple[PhaseTranscription, npt.NDArray[np.float64]]:
         """Returns the multi-phase problem of a contact sequence, and its local optimum.
 
@@ -50,12 +58,12 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
         Args:
             center: AIGO's box center.
             sequence: the contacts.
-            time_step: says how many knots there are [s]; this problem's if None.
+            num_steps: of all phases together; this problem's if None.
         """
         coarse = self.transcription
         scenario = coarse.scenario
-        if time_step is not None:
-            scenario = dataclasses.replace(scenario, time_step=time_step)
+        if num_steps is not None:
+            scenario = dataclasses.replace(scenario, time_step=scenario.duration / num_steps)
         phases = PhaseTranscription(coarse.world, scenario, sequence)
         phases.add_what_was_added_to(coarse)
         times = [t for touch in sequence for t in touch.joints]
@@ -76,12 +84,13 @@ class RigidSearch(Search[TouchSequence]):
         self,
         problem: RigidProblem,
         clock: Clock,
-        time_step: float,
+        num_steps: int,
     ) -> None:
-        """Starts with no candidate; finalists are polished with this time step [s]."""
+        """Starts with no candidate; finalists are polished with so many time steps."""
         super().__init__(problem, clock)
-        self._polish_fine = partial(problem.polish, time_step=time_step)
-        self._time_step = time_step
+        self._fits = problem.fits
+        self._polish_again = partial(problem.polish, num_steps=num_steps)
+        self._num_steps = num_steps
         self._duration = problem.transcription.scenario.duration
 
     def add(self, origin: str, center: npt.NDArray[np.float64], sequence: TouchSequence) -> None:
@@ -100,18 +109,22 @@ class RigidSearch(Search[TouchSequence]):
             if not any(are_near(time, planned, near) for planned in nearest):
                 before = tuple(touch for touch in optimum if touch.end < time)
                 seen = (*before, Touch.bounce(time))
-                return [seen, (*seen, *optimum[len(before) :])]
+                longer = (*seen, *optimum[len(before) :])
+                return [sequence for sequence in (seen, longer) if self._fits(sequence)]
         return []
 
     def improve(self, sequence: TouchSequence) -> None:
-        """Polishes a candidate with the scenario's time step, if that is finer, in its place."""
-        if self._time_step >= self.problem.transcription.time_step():
+        """Polishes a candidate with the scenario's time step, in its place."""
+        coarse, optimum = self.by_sequence[sequence], self._optimum(sequence)
+        num_phases = 1 + sum(len(touch.joints) for touch in optimum)
+        if self._num_steps == len(coarse.trajectory.controls) or self._num_steps < num_phases:
             return
-        coarse, optimum = self.by_sequence.pop(sequence), self._optimum(sequence)
-        self.solve(coarse.origin, self.centers[sequence], optimum, self._polish_fine)
+        self.solve(coarse.origin, self.centers[sequence], optimum, self._polish_again)
         fine = self.by_sequence[optimum]
         if (fine.is_feasible, fine.is_confirmed) < (coarse.is_feasible, coarse.is_confirmed):
             self.by_sequence[sequence] = coarse
+        elif optimum != sequence:
+            del self.by_sequence[sequence]
 
     def finalists(self) -> list[TouchSequence]:
         """Returns the sequences by rank, one of each optimum."""
@@ -128,8 +141,10 @@ class RigidSearch(Search[TouchSequence]):
         return self._is_among(sequence, chain(self.by_sequence, optima), _SAME_START)
 
     def rank(self, candidate: Candidate) -> tuple[float, ...]:
-        """Orders by feasibility, by whether the event-driven replay confirms, and by its cost."""
-        return not candidate.is_feasible, not candidate.is_confirmed, candidate.replay.cost
+        """Orders by feasibility, what the event-driven replay confirms, time step, and its cost."""
+        has_other_steps = len(candidate.trajectory.controls) != self._num_steps
+        is_bad = not candidate.is_feasible, not candidate.is_confirmed
+        return *is_bad, has_other_steps, candidate.replay.cost
 
     def _optimum(self, sequence: TouchSequence) -> TouchSequence:
         """Returns what the polish made of a sequence's times."""
