@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from itertools import pairwise
 from typing import Any
@@ -80,6 +81,17 @@ def test_vector_undoes_trajectory(transcription: Transcription) -> None:
     for k in (0, 3, 10):
         places = transcription.prog().FindDecisionVariableIndices(transcription.state(k))
         np.testing.assert_array_equal(x[places], np.concatenate([q[k], v[k]]))
+
+
+def test_forces_belong_to_contacts_that_last(plant: tuple[World, Scenario]) -> None:
+    phases = make_phases(*plant)
+    planned = make_trajectory(phases)
+    pushed = dataclasses.replace(planned, forces=1.0 + np.arange(10.0)[:, np.newaxis])
+    found = phases.trajectory(phases.vector(pushed)).forces
+    resting = np.flatnonzero(found)
+    assert 1 <= len(resting) <= 8
+    np.testing.assert_array_equal(found[resting], pushed.forces[resting])
+    assert np.ptp(resting) == len(resting) - 1
 
 
 def test_vector_of_undoes_split(transcription: Transcription) -> None:

@@ -1,97 +1,29 @@
-"""The multi-phase problem of a contact sequence: closed forms, replays, and what degenerates."""
+"""The multi-phase problem of a contact sequence: closed forms, replays, and what users add."""
 
 from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
-from functools import cache
-from itertools import pairwise
 
 import numpy as np
 import pytest
 from hypothesis import assume, given, settings
 from hypothesis import strategies as st
+from phase_solutions import (
+    MET,
+    bouncing,
+    effort,
+    find_least,
+    goal_cost,
+    one_bounce,
+    optimise,
+    solve,
+)
 from replay_worlds import make_diagram, make_scenario, shipped_world
-from rigid_worlds import Array
-from scipy.optimize import minimize_scalar
 
-from drake_aigto import OptionsError, Scenario, World
-from drake_aigto.local import InteriorPoint, LocalStatus, compile_nlp
-from drake_aigto.planning.replay import Replay, replay_event_driven
-from drake_aigto.trajectory import Trajectory
+from drake_aigto import Scenario, World
+from drake_aigto.local import LocalStatus
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch, TouchSequence
-
-# What the local solver leaves in the rows, which are of the order of 1 m and 1 m/s.
-MET = 1e-9
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class Solved:
-    """A multi-phase problem and its local optimum."""
-
-    phases: PhaseTranscription
-    x: Array
-    status: LocalStatus
-
-    @property
-    def cost(self) -> float:
-        return self.phases.scenario_cost(self.x)
-
-    @property
-    def trajectory(self) -> Trajectory:
-        return self.phases.trajectory(self.x)
-
-    @property
-    def touches(self) -> TouchSequence:
-        return self.phases.contact_sequence(self.x)
-
-    def replay(self) -> Replay:
-        motion = self.trajectory
-        return replay_event_driven(
-            self.phases.world, self.phases.scenario, motion.times, motion.controls
-        )
-
-
-def solve(phases: PhaseTranscription) -> Solved:
-    """Solves from where the planner starts: straight to the wall and on to the goal."""
-    joints = sum(len(touch.joints) for touch in phases.sequence)
-    guess = phases.guess(np.zeros((joints, phases.world.num_positions)))
-    result = InteriorPoint().solve(compile_nlp(phases.prog()), phases.vector(guess))
-    return Solved(phases, result.x, result.status)
-
-
-def optimise(world: World, scenario: Scenario, *touches: Touch) -> Solved:
-    """Solves, and checks what holds of every solution."""
-    solved = solve(PhaseTranscription(world, scenario, touches))
-    assert solved.status is LocalStatus.CONVERGED
-    assert max(solved.phases.defects(solved.x).values()) < MET
-    prog = solved.phases.prog()
-    assert prog.CheckSatisfied(prog.GetAllConstraints(), solved.x, MET)
-    check_clock(solved)
-    return solved
-
-
-def check_clock(solved: Solved) -> None:
-    """Steps within a phase are equal, and take T together; what the wall does has its sign."""
-    motion, touches, T = solved.trajectory, solved.touches, solved.phases.scenario.duration
-    joints = [0.0, *(t for touch in touches for t in touch.joints), T]
-    knots = np.searchsorted(motion.times, np.array(joints) - 1e-12 * T)
-    np.testing.assert_allclose(motion.times[knots], joints, atol=1e-12 * T)
-    assert motion.times[0] == 0.0
-    assert motion.times[-1] == T
-    for first, last in pairwise(knots):
-        steps = np.diff(motion.times[first : last + 1])
-        assert np.all(steps > 0)
-        np.testing.assert_allclose(steps, steps[0], atol=1e-9 * T)
-    world = solved.phases.world
-    assert np.all(motion.impulses >= -MET)
-    assert np.all(motion.forces >= 0)
-    J = world.calc_contact_jacobian(motion.positions[0])[0]
-    for touch in touches:
-        k = int(np.argmin(np.abs(motion.times - touch.start)))
-        assert J @ motion.velocities[k] <= MET
-
 
 # Free flight.
 
@@ -118,64 +50,6 @@ def test_a_free_flight_is_the_linear_quadratic_optimum(mass: float, gravity: flo
     flight = optimise(world, scenario)
     assert flight.cost == pytest.approx(free_flight_cost(scenario, mass, mass * gravity), rel=1e-9)
     assert flight.replay().cost == pytest.approx(flight.cost, rel=1e-9)
-
-
-# Closed forms, in continuous time and for a unit mass.
-
-
-def effort(distance: float, arrival: float, time: float) -> float:
-    """Returns the least ∫ v̇² of a flight in so much time.
-
-    Args:
-        distance: to go beyond what the speed at the start takes it [m].
-        arrival: the speed at the end beyond that at the start [m/s]; NaN: any.
-        time: how long it takes [s].
-    """
-    any_arrival = 3 * distance**2 / time**3
-    missed = 0.0 if math.isnan(arrival) else arrival - 1.5 * distance / time
-    return any_arrival + 4 * missed**2 / time
-
-
-def goal_cost(scenario: Scenario, miss: float, time: float) -> float:
-    """Returns the least of effort and goal, if a ballistic path misses the goal by so much."""
-    w_u, w_f = scenario.control_weight, scenario.goal_weight
-    return 3 * w_u * w_f / (3 * w_u + w_f * time**3) * miss**2
-
-
-@cache
-def one_bounce(q: float, v: float, goal: float, e: float) -> tuple[float, float, float]:
-    """Returns the least cost of a motion of 1 s that bounces once, when, and how fast it hits."""
-    scenario = make_scenario(q, v)
-
-    def cost(time: float, speed: float) -> float:
-        before = effort(-q - v * time, -speed - v, time)
-        miss = goal - e * speed * (1 - time)
-        return scenario.control_weight * before + goal_cost(scenario, miss, 1 - time)
-
-    def best_speed(time: float) -> float:
-        low, middle, high = (cost(time, speed) for speed in (0.0, 1.0, 2.0))
-        curvature = high - 2 * middle + low
-        return max(0.0, 1.0 - (high - low) / 2 / curvature)  # The cost is a parabola in it.
-
-    def least(time: float) -> float:
-        return cost(time, best_speed(time))
-
-    grid = np.concatenate([np.geomspace(1e-5, 0.1, 100), np.linspace(0.1, 0.999, 200)[1:]])
-    k = int(np.clip(np.argmin([least(time) for time in grid]), 1, len(grid) - 2))
-    time, value = find_least(least, grid[k - 1], grid[k + 1])
-    return value, time, best_speed(time)
-
-
-def find_least(cost: Callable[[float], float], low: float, high: float) -> tuple[float, float]:
-    """Returns where the one minimum between two numbers is, and how low."""
-    options = {"xatol": 1e-12 * high}
-    found = minimize_scalar(cost, bounds=(low, high), method="bounded", options=options)
-    return float(found.x), float(found.fun)
-
-
-def bouncing(e: float, N: int, q: float = 1.0, v: float = -2.0, goal: float = 0.73) -> Scenario:
-    scenario = make_scenario(q, v, time_step=1 / N, restitution=e)
-    return dataclasses.replace(scenario, goal_position=goal)
 
 
 @pytest.mark.parametrize("e", [1.0, 0.8, 0.5, 0.0])
@@ -344,114 +218,6 @@ def test_two_joints_replay_as_planned(e: float, touches: TouchSequence) -> None:
         assert touch.start < motion.times[:-1][held][1] < touch.end
 
 
-# Degenerate sequences.
-
-
-@pytest.mark.parametrize("e", [1.0, 0.5, 0.0])
-@pytest.mark.parametrize("guess", [1e-4, 5e-4, 0.01])
-def test_a_bounce_right_after_the_start(e: float, guess: float) -> None:
-    exact, time, _ = one_bounce(1e-3, -2.0, 0.73, e)
-    assert time < 1e-3
-    bounce = optimise(shipped_world(), bouncing(e, 50, q=1e-3), Touch.bounce(guess))
-    assert bounce.cost == pytest.approx(exact, rel=1e-3)
-    (touch,) = bounce.touches
-    assert touch.start == pytest.approx(time, rel=1e-3)
-    assert bounce.replay().cost == pytest.approx(bounce.cost, rel=1e-9)
-
-
-@pytest.mark.parametrize("e", [1.0, 0.5, 0.0])
-@pytest.mark.parametrize("guess", [0.9, 0.999])
-def test_a_bounce_right_before_the_end(e: float, guess: float) -> None:
-    # Control is so dear that it comes to the wall nearly by itself, too late to turn back.
-    scenario = dataclasses.replace(bouncing(e, 50, v=-1.001), control_weight=1e3)
-    bounce = optimise(shipped_world(), scenario, Touch.bounce(guess))
-    (touch,) = bounce.touches
-    assert 0.998 < touch.start < 1.0
-    assert bounce.cost == pytest.approx(0.73**2, rel=5e-3)
-    assert bounce.replay().cost == pytest.approx(bounce.cost, rel=1e-7)
-
-
-@pytest.mark.parametrize("e", [1.0, 0.8, 0.0])
-@pytest.mark.parametrize(
-    "touches",
-    [
-        (Touch.bounce(0.5), Touch.bounce(0.52)),
-        (Touch.bounce(0.3), Touch.bounce(0.8)),
-        (Touch(0.4, 0.6),),
-        (Touch(0.4, 0.6), Touch.bounce(0.8)),
-        (Touch.bounce(0.4), Touch(0.6, 0.8)),
-        (Touch.bounce(0.2), Touch.bounce(0.4), Touch.bounce(0.6)),
-    ],
-    ids=["two close", "two", "lasts", "lasts, bounce", "bounce, lasts", "three"],
-)
-def test_touches_that_had_better_merge_stay_apart_and_feasible(
-    touches: TouchSequence, e: float
-) -> None:
-    scenario = bouncing(e, 50)
-    found = solve(PhaseTranscription(shipped_world(), scenario, touches))
-    check_clock(found)
-    assert max(found.phases.defects(found.x).values()) < 1e-8
-    assert len(found.touches) == len(touches)
-    # One bounce is better, and a plan that is feasible is not better than it promises.
-    assert found.cost > one_bounce(1.0, -2.0, 0.73, e)[0]
-    assert found.replay().cost == pytest.approx(found.cost, rel=1e-4)
-
-
-@pytest.mark.parametrize(
-    ("length", "duration"), [(1e-3, 1e-3), (1e-3, 1), (1, 1e-3), (1, 1e3), (1e3, 1), (1e3, 1e3)]
-)
-def test_scales_do_not_matter(length: float, duration: float) -> None:
-    scenario = Scenario(
-        initial_position=length,
-        initial_velocity=-2.0 * length / duration,
-        goal_position=0.73 * length,
-        duration=duration,
-        time_step=duration / 40,
-        goal_weight=1 / length**2,
-        control_weight=1e-3 * duration**3 / length**2,
-        restitution=0.8,
-    )
-    bounce = optimise(shipped_world(), scenario, Touch.bounce(0.5 * duration))
-    exact, time, _ = one_bounce(1.0, -2.0, 0.73, 0.8)
-    assert bounce.cost == pytest.approx(exact, rel=1e-3)
-    assert bounce.touches[0].start == pytest.approx(time * duration, rel=1e-3)
-    assert bounce.replay().cost == pytest.approx(bounce.cost, rel=1e-4)
-
-
-def test_each_phase_gets_a_step_though_it_is_short() -> None:
-    scenario = make_scenario(time_step=0.2)
-    touches = Touch.bounce(1e-9), Touch(0.5, 0.5 + 1e-9), Touch.bounce(1 - 1e-9)
-    with pytest.raises(OptionsError) as error:
-        PhaseTranscription(shipped_world(), scenario, (*touches[:2], Touch.bounce(0.7), touches[2]))
-    assert str(error.value) == (
-        "sequence: got 6 phases, expected at most the 5 steps of the scenario."
-    )
-    phases = PhaseTranscription(shipped_world(), scenario, touches)
-    guess = phases.guess(np.zeros((4, 1)))
-    np.testing.assert_allclose(guess.times, [0, 1e-9, 0.5, 0.5 + 1e-9, 1 - 1e-9, 1])
-
-
-@pytest.mark.parametrize(
-    ("touches", "times"),
-    [
-        ((Touch.bounce(0.0),), "[0.0]"),
-        ((Touch.bounce(1.0),), "[1.0]"),
-        ((Touch.bounce(1.5),), "[1.5]"),
-        ((Touch.bounce(-0.5),), "[-0.5]"),
-        ((Touch(0.5, 1.0),), "[0.5, 1.0]"),
-        ((Touch.bounce(0.6), Touch.bounce(0.4)), "[0.6, 0.4]"),
-        ((Touch.bounce(0.6), Touch.bounce(0.6)), "[0.6, 0.6]"),
-        ((Touch(0.2, 0.6), Touch.bounce(0.5)), "[0.2, 0.6, 0.5]"),
-    ],
-)
-def test_times_out_of_order_or_outside_are_refused(touches: TouchSequence, times: str) -> None:
-    with pytest.raises(OptionsError) as error:
-        PhaseTranscription(shipped_world(), make_scenario(), touches)
-    assert str(error.value) == (
-        f"sequence: got contacts at {times} s, expected increasing times between 0 and 1 s."
-    )
-
-
 def test_a_guess_goes_straight_from_stop_to_stop() -> None:
     world = World.from_diagram(make_diagram(num_joints=2))
     scenario = make_scenario([0.3, 0.6], [-0.4, -1.0], time_step=0.05)
@@ -471,6 +237,16 @@ def test_a_guess_goes_straight_from_stop_to_stop() -> None:
 
 
 # What users add.
+
+
+@pytest.mark.parametrize("sequence", [(), (Touch.bounce(0.4),)], ids=["flight", "bounce"])
+def test_nothing_pulls_the_end_through_the_wall(sequence: TouchSequence) -> None:
+    phases = PhaseTranscription(shipped_world(), bouncing(0.8, 20), sequence)
+    phases.AddFinalCost(100.0 * (phases.state()[0] + 1.0) ** 2, "behind the wall")
+    found = solve(phases)
+    assert found.status is LocalStatus.CONVERGED
+    assert found.trajectory.positions[-1, 0] == pytest.approx(0.0, abs=1e-6)
+    assert np.min(found.trajectory.positions) >= 0.0
 
 
 @pytest.mark.parametrize("sequence", [(), (Touch.bounce(0.5),)], ids=["flight", "bounce"])

@@ -295,6 +295,7 @@ def push(
         (push(-2.0, impulses={0: 3.2}), {"restitution": 0.2}),
         (push(-2.0, impulses={0: 0.4}), {"restitution": 0.4}),  # rather no impact than this
         (push(2.0, impulses={0: -0.4}), {"restitution": 0.4}),  # a pull
+        (push(2.0, impulses={0: -3.0}), {"restitution": 3.0}),  # an impact turned round
         (push(-2.0, impulses={0: 3.0}, start=0.02), {"contact": 0.02}),
         (push(-2.0, impulses={0: 3.0}, start=9.0), {"contact": 0.3}),  # what it moves in a step
         (push(0.0, forces={1: 5.0}), {"contact": 0.025}),  # it lifts while pushed

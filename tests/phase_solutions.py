@@ -1,0 +1,148 @@
+"""Multi-phase problems, solved and checked, and what their optima cost by closed forms."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+from replay_worlds import make_scenario
+from rigid_worlds import Array
+from scipy.optimize import minimize_scalar
+
+from drake_aigto import Scenario, World
+from drake_aigto.local import InteriorPoint, LocalStatus, compile_nlp
+from drake_aigto.planning.replay import Replay, replay_event_driven
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription import PhaseTranscription, Touch, TouchSequence
+
+# What the local solver leaves in the rows, which are of the order of 1 m and 1 m/s.
+MET = 1e-9
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Solved:
+    """A multi-phase problem and its local optimum."""
+
+    phases: PhaseTranscription
+    x: Array
+    status: LocalStatus
+
+    @property
+    def cost(self) -> float:
+        return self.phases.scenario_cost(self.x)
+
+    @property
+    def trajectory(self) -> Trajectory:
+        return self.phases.trajectory(self.x)
+
+    @property
+    def touches(self) -> TouchSequence:
+        return self.phases.contact_sequence(self.x)
+
+    def replay(self) -> Replay:
+        motion = self.trajectory
+        return replay_event_driven(
+            self.phases.world, self.phases.scenario, motion.times, motion.controls
+        )
+
+
+def solve(phases: PhaseTranscription) -> Solved:
+    """Solves from where the planner starts: straight to the wall and on to the goal."""
+    joints = sum(len(touch.joints) for touch in phases.sequence)
+    guess = phases.guess(np.zeros((joints, phases.world.num_positions)))
+    result = InteriorPoint().solve(compile_nlp(phases.prog()), phases.vector(guess))
+    return Solved(phases, result.x, result.status)
+
+
+def optimise(world: World, scenario: Scenario, *touches: Touch) -> Solved:
+    """Solves, and checks what holds of every solution."""
+    solved = solve(PhaseTranscription(world, scenario, touches))
+    assert solved.status is LocalStatus.CONVERGED
+    assert max(solved.phases.defects(solved.x).values()) < MET
+    prog = solved.phases.prog()
+    assert prog.CheckSatisfied(prog.GetAllConstraints(), solved.x, MET)
+    check_clock(solved)
+    return solved
+
+
+def check_clock(solved: Solved) -> None:
+    """Steps within a phase are equal, and take T together; what the wall does has its sign."""
+    motion, touches, T = solved.trajectory, solved.touches, solved.phases.scenario.duration
+    joints = [0.0, *(t for touch in touches for t in touch.joints), T]
+    knots = np.searchsorted(motion.times, np.array(joints) - 1e-12 * T)
+    np.testing.assert_allclose(motion.times[knots], joints, atol=1e-12 * T)
+    assert motion.times[0] == 0.0
+    assert motion.times[-1] == T
+    for first, last in pairwise(knots):
+        steps = np.diff(motion.times[first : last + 1])
+        assert np.all(steps > 0)
+        np.testing.assert_allclose(steps, steps[0], atol=1e-9 * T)
+    world = solved.phases.world
+    assert np.all(motion.impulses >= -MET)
+    assert np.all(motion.forces >= 0)
+    J = world.calc_contact_jacobian(motion.positions[0])[0]
+    for touch in touches:
+        k = int(np.argmin(np.abs(motion.times - touch.start)))
+        assert J @ motion.velocities[k] <= MET
+
+
+# Closed forms, in continuous time and for a unit mass.
+
+
+def effort(distance: float, arrival: float, time: float) -> float:
+    """Returns the least ∫ v̇² of a flight in so much time.
+
+    Args:
+        distance: to go beyond what the speed at the start takes it [m].
+        arrival: the speed at the end beyond that at the start [m/s]; NaN: any.
+        time: how long it takes [s].
+    """
+    any_arrival = 3 * distance**2 / time**3
+    missed = 0.0 if math.isnan(arrival) else arrival - 1.5 * distance / time
+    return any_arrival + 4 * missed**2 / time
+
+
+def goal_cost(scenario: Scenario, miss: float, time: float) -> float:
+    """Returns the least of effort and goal, if a ballistic path misses the goal by so much."""
+    w_u, w_f = scenario.control_weight, scenario.goal_weight
+    return 3 * w_u * w_f / (3 * w_u + w_f * time**3) * miss**2
+
+
+@cache
+def one_bounce(q: float, v: float, goal: float, e: float) -> tuple[float, float, float]:
+    """Returns the least cost of a motion of 1 s that bounces once, when, and how fast it hits."""
+    scenario = make_scenario(q, v)
+
+    def cost(time: float, speed: float) -> float:
+        before = effort(-q - v * time, -speed - v, time)
+        miss = goal - e * speed * (1 - time)
+        return scenario.control_weight * before + goal_cost(scenario, miss, 1 - time)
+
+    def best_speed(time: float) -> float:
+        low, middle, high = (cost(time, speed) for speed in (0.0, 1.0, 2.0))
+        curvature = high - 2 * middle + low
+        return max(0.0, 1.0 - (high - low) / 2 / curvature)  # The cost is a parabola in it.
+
+    def least(time: float) -> float:
+        return cost(time, best_speed(time))
+
+    grid = np.concatenate([np.geomspace(1e-5, 0.1, 100), np.linspace(0.1, 0.999, 200)[1:]])
+    k = int(np.clip(np.argmin([least(time) for time in grid]), 1, len(grid) - 2))
+    time, value = find_least(least, grid[k - 1], grid[k + 1])
+    return value, time, best_speed(time)
+
+
+def find_least(cost: Callable[[float], float], low: float, high: float) -> tuple[float, float]:
+    """Returns where the one minimum between two numbers is, and how low."""
+    options = {"xatol": 1e-12 * high}
+    found = minimize_scalar(cost, bounds=(low, high), method="bounded", options=options)
+    return float(found.x), float(found.fun)
+
+
+def bouncing(e: float, N: int, q: float = 1.0, v: float = -2.0, goal: float = 0.73) -> Scenario:
+    scenario = make_scenario(q, v, time_step=1 / N, restitution=e)
+    return dataclasses.replace(scenario, goal_position=goal)
