@@ -236,6 +236,15 @@ def test_a_guess_goes_straight_from_stop_to_stop() -> None:
     )
 
 
+def test_a_guess_has_the_contacts_that_were_asked_for() -> None:
+    sequence = (Touch(0.1, 0.3), Touch.bounce(0.5), Touch(0.6, 0.8), Touch.bounce(0.9))
+    phases = PhaseTranscription(shipped_world(), make_scenario(time_step=0.05), sequence)
+    found = phases.contact_sequence(phases.vector(phases.guess(np.zeros((6, 1)))))
+    assert [touch.lasts for touch in found] == [True, False, True, False]
+    joints = [[t for touch in touches for t in touch.joints] for touches in (found, sequence)]
+    assert joints[0] == pytest.approx(joints[1], abs=1e-12)
+
+
 # What users add.
 
 
@@ -255,7 +264,7 @@ def test_what_was_added_to_boxes_holds_in_phases(sequence: TouchSequence) -> Non
     boxes = RigidTranscription(world, scenario)
     (u,), (q, v) = boxes.input(), boxes.state()
     boxes.AddRunningCost(0.3 * (q - 0.9) ** 2, "stay")
-    boxes.AddFinalCost(2.0 * v**2, "stop")
+    boxes.AddFinalCost(2.0 * (v - 2.0) ** 2, "rush")
     boxes.AddConstraintToAllKnotPoints(u <= 4.0)
     boxes.AddConstraintToAllKnotPoints(np.array([u >= -3.0, v <= 1.25]))
     phases = PhaseTranscription(world, scenario, sequence)
@@ -267,19 +276,18 @@ def test_what_was_added_to_boxes_holds_in_phases(sequence: TouchSequence) -> Non
     assert np.max(controls) <= 4.0 + MET
     assert np.min(controls) >= -3.0 - MET
     assert np.max(velocities) <= 1.25 + MET
-    free = optimise(world, scenario, *sequence).trajectory
-    assert abs(velocities[-1, 0]) < 0.2 * abs(free.velocities[-1, 0])
+    assert velocities[-1, 0] == pytest.approx(1.25)  # in vain: it would rather end at 2 m/s
     costs = {
         name: sum(
             float(phases.prog().EvalBinding(binding, found.x)[0])
             for binding in phases.prog().GetAllCosts()
             if binding.evaluator().get_description() == name
         )
-        for name in ("stay", "stop", "control effort", "goal")
+        for name in ("stay", "rush", "control effort", "goal")
     }
     tau = np.diff(motion.times)
     assert costs["stay"] == pytest.approx(0.3 * tau @ (positions[:-1, 0] - 0.9) ** 2)
-    assert costs["stop"] == pytest.approx(2.0 * velocities[-1, 0] ** 2)
+    assert costs["rush"] == pytest.approx(2.0 * 0.75**2)
     assert costs["control effort"] + costs["goal"] == pytest.approx(found.cost)
     # And once more, from phases to phases.
     again = PhaseTranscription(world, scenario, sequence)

@@ -133,10 +133,13 @@ def test_sequences_are_the_same_if_they_are_of_a_kind_and_near() -> None:
     assert not is_same((bounce,), (Touch.bounce(0.54),), 0.03)
     assert is_same((longer,), (Touch(0.52, 0.68),), 0.03)
     assert not is_same((longer,), (Touch(0.5, 0.74),), 0.03)
-    assert not is_same((bounce,), (longer,), 1.0)
+    assert not is_same((bounce,), (Touch(0.5, 0.52),), 1.0)
     assert not is_same((bounce,), (), 1.0)
     assert not is_same((bounce,), (bounce, Touch.bounce(0.51)), 1.0)
     assert not is_same((bounce, longer), (longer, bounce), 1.0)
+    # Soon after the start, a bounce 20 ms later is another.
+    assert not is_same((Touch.bounce(0.001),), (Touch.bounce(0.02),), 0.03)
+    assert is_same((Touch.bounce(0.001),), (Touch.bounce(0.0012),), 0.03)
 
 
 # Contacts of planned trajectories.
