@@ -12,7 +12,6 @@ import pytest
 from replay_worlds import make_diagram, shipped_world
 
 from drake_aigto import Scenario, World
-from drake_aigto.local import InteriorPoint
 from drake_aigto.planning import (
     Plan,
     Planner,
@@ -185,6 +184,27 @@ def test_a_bounce_is_planned_on_any_plant_and_holds(plant: Any, joints: int, e: 
     assert found.replay.event_driven.cost == pytest.approx(found.cost, rel=tolerance)
 
 
+def test_a_plan_rests_until_it_is_time_to_jump() -> None:
+    # Without rebound, on a floor: staying there costs nothing, and hovering does.
+    world = World.from_diagram(make_diagram(gravity=9.81))
+    scenario = Scenario(
+        initial_position=0.3,
+        initial_velocity=0.0,
+        goal_position=0.5,
+        duration=2.0,
+        time_step=0.02,
+        restitution=0.0,
+    )
+    found = plan(scenario, world=world)
+    (contact,) = found.best.contacts
+    assert found.holds
+    assert contact.time < 0.3 and contact.last_time > 1.0
+    held = found.trajectory.forces[found.trajectory.forces > 0]
+    np.testing.assert_allclose(held[:5], 9.81 * 1.5, rtol=1e-4)
+    flights = [c.cost for c in found.candidates if all(k.time == k.last_time for k in c.contacts)]
+    assert found.cost < 0.7 * min(flights)
+
+
 def test_what_users_add_shapes_boxes_and_phases() -> None:
     scenario, limit = table1(1, **COARSE), 2.0
     transcription = RigidTranscription(shipped_world(), scenario)
@@ -311,8 +331,6 @@ def test_nothing_that_holds_is_an_error_that_says_what_was_tried(
 
 
 def test_a_polish_that_fails_is_an_error_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(
-        InteriorPoint, "solve", lambda self, nlp, guess: type("Unsolved", (), {"x": guess})
-    )
+    monkeypatch.setattr(RigidProblem, "solve_program", lambda self, prog, guess, nlp: guess)
     with pytest.raises(PlanningError, match=r"no candidate meets the .* from 3 rungs, the small"):
         plan(table1(1, **COARSE))

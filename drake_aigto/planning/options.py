@@ -32,11 +32,13 @@ class Rung:
 
     Attributes:
         temperature: first temperature μ of the annealing (not used by the full gradient).
-        weights: constraint name → weight of its penalty r²/dt; a name left out weighs 1.
+        weights: constraint name → weight of its penalty r²/dt.
+        others: weight of rows that have no name there, such as those that users add.
     """
 
     temperature: float
     weights: Mapping[str, float]
+    others: float = 1.0
 
     def __str__(self) -> str:
         """Returns the weights, as tables and plan files show them."""
@@ -63,7 +65,7 @@ LITERAL_LADDER = (
 
 def _rigid_rung(temperature: float, restitution: float) -> Rung:
     weights = {FLIGHT: 3e2, DYNAMICS: 3e2, CONTACT: 3e2, RESTITUTION: restitution}
-    return Rung(temperature, {**weights, NONPENETRATION: 3e3})
+    return Rung(temperature, {**weights, NONPENETRATION: 3e3}, others=3e2)
 
 
 # Hot boxes under a light restitution row find the wall, whether a bounce pays or not; cold ones

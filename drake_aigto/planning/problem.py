@@ -12,8 +12,8 @@ from pydrake.solvers import MathematicalProgram
 from drake_aigto.aigo import AigoResult, Box, PenaltyContinuation, minimize
 from drake_aigto.box import BoxPolynomial, compile_program
 from drake_aigto.local import InteriorPoint, PolynomialNlp, compile_nlp
+from drake_aigto.local.drake_solvers import solve_with_drake
 from drake_aigto.planning.contacts import find_contacts, max_penetration
-from drake_aigto.planning.drake_solvers import solve_with_drake
 from drake_aigto.planning.options import PlanOptions, Rung
 from drake_aigto.planning.plan import Candidate
 from drake_aigto.planning.replay import replay_event_driven
@@ -40,6 +40,9 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
         polynomial: its penalised cost, for AIGO.
         box: where AIGO starts.
     """
+
+    # Of the local solver's cost, in `cost_scale`, in turn until it converges.
+    _cost_units: tuple[float, ...] = (1.0,)
 
     def __init__(self, transcription: TranscriptionT, options: PlanOptions | None = None) -> None:
         """Compiles.
@@ -94,11 +97,16 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
         nlp: PolynomialNlp | None = None,
     ) -> npt.NDArray[np.float64]:
         """Returns what the local solver makes of a guess for any program; compiled if `nlp`."""
-        if self.options.local_solver == "newton":
-            unit = self.transcription.cost_scale()
+        if self.options.local_solver != "newton":
+            return solve_with_drake(prog, guess, self.options.local_solver).x
+        nlp = nlp or compile_nlp(prog)
+        for factor in self._cost_units:
+            unit = factor * self.transcription.cost_scale()
             solver = InteriorPoint(max_iterations=_MAX_ITERATIONS, cost_unit=unit)
-            return solver.solve(nlp or compile_nlp(prog), guess).x
-        return solve_with_drake(prog, guess, self.options.local_solver).x
+            result = solver.solve(nlp, guess)
+            if result.is_success:
+                break
+        return result.x
 
     def judge(
         self,
@@ -132,8 +140,10 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
 
     def _weights(self, rung: Rung) -> dict[str, float]:
         """Returns the rung's weights of the rows that this problem has."""
-        present, unit = self.polynomial.weights, self.transcription.cost_scale()
-        return {name: unit * weight for name, weight in rung.weights.items() if name in present}
+        unit = self.transcription.cost_scale()
+        rows = self.transcription.prog().GetAllConstraints()
+        names = {row.evaluator().get_description() for row in rows} & set(self.polynomial.weights)
+        return {name: unit * rung.weights.get(name, rung.others) for name in sorted(names)}
 
     def _weighted(self, rung: Rung) -> BoxPolynomial:
         return self.polynomial.with_weights(self._weights(rung))

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drake_aigto.aigo import AigoResult
+from drake_aigto.local import compile_nlp
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.plan import Candidate
 from drake_aigto.planning.problem import PlanningProblem
@@ -34,6 +35,9 @@ _SEEN = "; with bounces seen in its replay"
 
 class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
     """The rigid transcription: a contact sequence is the times of touches."""
+
+    # Gravity and springs may cost far more than the way does.
+    _cost_units = (1.0, 1e2, 1e4)
 
     def find_sequences(self, result: AigoResult, rung: Rung) -> list[TouchSequence]:
         """Returns the contact sequences that AIGO proposes (`read_sequences`) and that fit."""
@@ -70,7 +74,8 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
         path = coarse.split(center)[0]
         columns = [np.interp(times, coarse.GetSampleTimes(), column) for column in path.T]
         guess = phases.guess(np.column_stack(columns))
-        return phases, self.solve_program(phases.prog(), phases.vector(guess))
+        nlp = compile_nlp(phases.prog(), phases.elimination_order())
+        return phases, self.solve_program(phases.prog(), phases.vector(guess), nlp)
 
 
 class RigidSearch(Search[TouchSequence]):
