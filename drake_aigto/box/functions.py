@@ -6,12 +6,15 @@ integrates are functions of one variable. A function g takes part once it has a 
     μ(g; c, w) = 1/(2w) ∫_{c−w}^{c+w} g(x) dx,        μ(g; c, 0) = g(c),
 
 and the derivatives of μ in (c, z) with z = log w. `factor_mean` is the one place that knows them;
-every kind here is a function of y = scale·x + offset:
+with y = scale·x + offset the kinds are:
 
     POWER           y^p           Σ_{j ≤ p/2} C(p, 2j) c^{p−2j} w^{2j} / (2j + 1): every summand has
                                   one sign, so nothing cancels, and w = 0 is exact
     SQUARED_HINGE   max(0, −y)²   the ReLU² penalty of y ≥ 0 (AIGTO Sec. III-A)
     NEG_LOG         −log y        the log barrier of y ≥ 0, +∞ once the interval leaves y ≥ 0
+    COSINE          x^p cos y     a binomial sum of moments, see `_wave_mean`: w = 0 is exact, and
+    SINE            x^p sin y     at any width and distance from the origin the error is some
+    EXPONENTIAL     x^p exp y     roundings of (|c| + w)^p times the mean's envelope, ≤ max |g(y)|
 """
 
 from __future__ import annotations
@@ -31,14 +34,26 @@ class FunctionKind(IntEnum):
     POWER = 0
     SQUARED_HINGE = 1
     NEG_LOG = 2
+    COSINE = 3
+    EXPONENTIAL = 4
+    SINE = 5
 
+
+# The functions G with G″ = ±scale² G, which take a power x^p as a factor.
+WAVES = (FunctionKind.COSINE, FunctionKind.SINE, FunctionKind.EXPONENTIAL)
 
 # Plain integers, as Numba turns module-level ones into constants.
 _POWER = int(FunctionKind.POWER)
 _SQUARED_HINGE = int(FunctionKind.SQUARED_HINGE)
+_NEG_LOG = int(FunctionKind.NEG_LOG)
+_EXPONENTIAL = int(FunctionKind.EXPONENTIAL)
+_SINE = int(FunctionKind.SINE)
 
 # Columns of the row that `factor_mean` fills.
 VALUE, D_C, D_Z, D_CC, D_CZ, D_ZZ = range(6)
+
+# 2²⁷ + 1 splits a double into halves of 26 bits (Dekker, 1971).
+_SPLITTER = 134217729.0
 
 # Below this w/c the log mean takes its series, as the closed form's numbers are (c/w)² its size.
 _LOG_SERIES_RATIO = 0.3
@@ -142,6 +157,177 @@ def _neg_log_mean(c: float, w: float, row: NDArray[np.float64]) -> None:
 
 
 @njit(cache=True, error_model="numpy")
+def _exact_product(a: float, b: float) -> tuple[float, float]:
+    """Product a·b as rounded, and what its rounding left out (Dekker, 1971)."""
+    product = a * b
+    a_high = _SPLITTER * a - (_SPLITTER * a - a)
+    b_high = _SPLITTER * b - (_SPLITTER * b - b)
+    a_low, b_low = a - a_high, b - b_high
+    rest = ((a_high * b_high - product) + a_high * b_low + a_low * b_high) + a_low * b_low
+    return product, (rest if math.isfinite(rest) else 0.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _exact_sum(a: float, b: float) -> tuple[float, float]:
+    """Sum a + b as rounded, and what its rounding left out (Knuth)."""
+    total = a + b
+    shift = total - a
+    rest = (a - (total - shift)) + (b - shift)
+    return total, (rest if math.isfinite(rest) else 0.0)
+
+
+@njit(cache=True, error_model="numpy")
+def _fill_moments(
+    s: float, sine: float, cosine: float, sign: float, moments: NDArray[np.float64]
+) -> None:
+    """Moments m_j = ½ ∫ t^j g_j(st) dt over [−1, 1], g_j = cosh st for even j, else sinh st.
+
+    By parts, j m_{j−1} = sinh s − s m_j for even j, and cosh s − s m_j for odd j. Upwards this is
+    stable up to j ≤ s; beyond, downwards, from any start that is far enough above.
+
+    Args:
+        s: s ≥ 0.
+        sine: sinh s; or sin s for the trigonometric moments.
+        cosine: cosh s, or cos s. With `sine` it may have a common factor, as the result then has.
+        sign: 1, or −1 for the trigonometric moments, whose s is imaginary.
+        moments: Filled; at least two.
+    """
+    last = moments.size - 1
+    filled = 0
+    if s >= 1.0:
+        moments[0] = sine / s
+        filled = 1
+        while filled <= last and filled <= s:
+            below = filled * moments[filled - 1]
+            moments[filled] = sign * (cosine - below) / s if filled % 2 else (sine - below) / s
+            filled += 1
+    if filled > last:
+        return
+    top, forgotten = last + 1, 1.0
+    while forgotten > 1e-17:  # the share of the start that is left in the last moment
+        top += 1
+        forgotten *= s / top
+    moment = 0.0
+    for j in range(top, filled, -1):
+        inverse = 1.0 / j  # off the chain of dependent operations
+        if j % 2:
+            moment = cosine * inverse - sign * s * inverse * moment
+        else:
+            moment = sine * inverse - s * inverse * moment
+        if j <= last + 1:
+            moments[j - 1] = moment
+
+
+@njit(cache=True, error_model="numpy")
+def _wave_mean(
+    exponent: int,
+    rate: float,
+    moments: NDArray[np.float64],
+    sign: float,
+    even: float,
+    odd: float,
+    c: float,
+    w: float,
+    row: NDArray[np.float64],
+) -> None:
+    """Mean of x^p G(x) for a G with G″ = sign·rate² G, from the moments for s = rate·w ≥ 0.
+
+    With x = c + wt, and G(c + wt) = even·cosh st + odd·sinh st (cos and sin for sign −1),
+
+        μ = Σ_j a_j T_j m_j,    a_j = C(p, j) c^{p−j} w^j,    T_j = even, odd, even, odd, …
+
+    where s ∂/∂s m_j is s m_{j+1}, times the sign for even j: nothing cancels at small s.
+
+    Args:
+        exponent: The power p.
+        rate: |∂y/∂x| of G's argument y.
+        moments: m_0 … m_{p+2}, see `_fill_moments`.
+        sign: 1 for exp, −1 for cos and sin.
+        even: G(c).
+        odd: G′(c)/rate.
+        c: Center.
+        w: Half width.
+        row: Filled as by `factor_mean`.
+    """
+    row[:] = 0.0
+    s, weight = rate * w, 1.0
+    for j in range(exponent + 1):
+        m = exponent - j
+        a = weight * c**m
+        a_c = weight * m * c ** (m - 1) if m >= 1 else 0.0
+        a_cc = weight * m * (m - 1) * c ** (m - 2) if m >= 2 else 0.0
+        if j % 2:
+            t, t_c, step = odd, sign * rate * even, s * moments[j + 1]
+        else:
+            t, t_c, step = even, rate * odd, sign * s * moments[j + 1]
+        mean_z = j * moments[j] + step
+        slope = a_c * t + a * t_c
+        row[VALUE] += a * t * moments[j]
+        row[D_C] += slope * moments[j]
+        row[D_Z] += a * t * mean_z
+        row[D_CC] += (a_cc * t + 2.0 * a_c * t_c + sign * rate * rate * a * t) * moments[j]
+        row[D_CZ] += slope * mean_z
+        row[D_ZZ] += a * t * (j * mean_z + (j + 1) * step + sign * s * s * moments[j + 2])
+        weight *= w * m / (j + 1)
+
+
+@njit(cache=True, error_model="numpy")
+def _trigonometric_mean(
+    exponent: int,
+    scale: float,
+    offset: float,
+    is_sine: bool,
+    c: float,
+    w: float,
+    row: NDArray[np.float64],
+) -> None:
+    """Mean of x^p cos(scale·x + offset), or of x^p sin(…).
+
+    The angles at c and over w are taken with what their rounding leaves out, so that thousands of
+    periods cost no digits.
+    """
+    angle, rest = _exact_product(scale, c)
+    angle, rest_of_sum = _exact_sum(angle, offset)
+    rest += rest_of_sum
+    cosine, sine = math.cos(angle), math.sin(angle)
+    cosine, sine = cosine - rest * sine, sine + rest * cosine
+    even, odd = (sine, cosine) if is_sine else (cosine, -sine)
+    s, rest = _exact_product(abs(scale), w)
+    cosine, sine = math.cos(s), math.sin(s)
+    moments = np.empty(exponent + 3)
+    _fill_moments(s, sine + rest * cosine, cosine - rest * sine, -1.0, moments)
+    odd = math.copysign(1.0, scale) * odd
+    _wave_mean(exponent, abs(scale), moments, -1.0, even, odd, c, w, row)
+
+
+@njit(cache=True, error_model="numpy")
+def _exponential_mean(
+    exponent: int, scale: float, offset: float, c: float, w: float, row: NDArray[np.float64]
+) -> None:
+    """Mean of x^p exp(scale·x + offset); ±∞ without derivatives where any of them overflows.
+
+    The greatest value of the exponential is taken out of the moments: only the result overflows.
+    """
+    at_center, rest = _exact_product(scale, c)
+    at_center, rest_of_sum = _exact_sum(at_center, offset)
+    s, rest_of_s = _exact_product(abs(scale), w)
+    greatest, rest_of_greatest = _exact_sum(at_center, s)
+    rest += rest_of_sum + rest_of_s + rest_of_greatest
+    even = math.exp(greatest) * (1.0 + rest)
+    odd = math.copysign(even, scale)
+    moments = np.empty(exponent + 3)
+    loss = -0.5 * math.expm1(-2.0 * s)
+    _fill_moments(s, loss, 1.0 - loss, 1.0, moments)
+    _wave_mean(exponent, abs(scale), moments, 1.0, even, odd, c, w, row)
+    for entry in row:
+        if not math.isfinite(entry):
+            row[:] = 0.0
+            falls = exponent % 2 == 1 and c + math.copysign(w, scale) < 0.0
+            row[VALUE] = -math.inf if falls else math.inf
+            return
+
+
+@njit(cache=True, error_model="numpy")
 def factor_mean(
     kind: int,
     exponent: int,
@@ -151,17 +337,24 @@ def factor_mean(
     half_width: float,
     row: NDArray[np.float64],
 ) -> None:
-    """Mean over |x − center| ≤ half_width of g(scale·x + offset), with derivatives in (c, log w).
+    """Mean of a function g over |x − center| ≤ half_width, with derivatives in (c, log w).
 
     Args:
         kind: A `FunctionKind`.
-        exponent: The power p (POWER only).
+        exponent: The power p (POWER, COSINE, SINE, EXPONENTIAL).
         scale: Factor inside the function.
         offset: Term inside the function.
         center: Box center c.
         half_width: Box half width w ≥ 0; at w = 0 the mean is the value, every z-derivative 0.
         row: Filled with (μ, ∂c, ∂z, ∂cc, ∂cz, ∂zz), shape (6,).
     """
+    if kind > _NEG_LOG:
+        if kind == _EXPONENTIAL:
+            _exponential_mean(exponent, scale, offset, center, half_width, row)
+        else:
+            is_sine = kind == _SINE
+            _trigonometric_mean(exponent, scale, offset, is_sine, center, half_width, row)
+        return
     c, w = scale * center + offset, abs(scale) * half_width
     if kind == _POWER:
         _power_mean(exponent, c, w, row)

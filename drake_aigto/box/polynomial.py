@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from drake_aigto.box.functions import FunctionKind
+from drake_aigto.box.functions import WAVES, FunctionKind
 from drake_aigto.box.kernels import Floats, Ints, WeightedTable, block_mean, block_newton
 from drake_aigto.errors import OptionsError, UnsupportedTermError
 
@@ -20,12 +20,12 @@ _NO_GRADIENT = np.empty(0)
 
 @dataclass(frozen=True)
 class Factor:
-    """One-variable function g(scale·x + offset) of the local variable `variable` of a block.
+    """A one-variable function of the local variable `variable` of a block, see `functions`.
 
     Attributes:
         variable: Local index of x.
         kind: Which g.
-        exponent: The power p ≥ 0 (POWER only).
+        exponent: The power p ≥ 0, of kinds that have one.
         scale: Factor inside g.
         offset: Term inside g.
     """
@@ -38,12 +38,14 @@ class Factor:
 
     def __str__(self) -> str:
         """The formula, with x0 for local variable 0."""
-        x = f"x{self.variable}"
+        x = y = f"x{self.variable}"
         if (self.scale, self.offset) != (1.0, 0.0):
-            x = f"({self.scale:g}*{x} + {self.offset:g})"
-        return (
-            f"{x}^{self.exponent}" if self.kind == FunctionKind.POWER else f"{self.kind.name} {x}"
-        )
+            y = f"({self.scale:g}*{x} + {self.offset:g})"
+        if self.kind == FunctionKind.POWER:
+            return f"{y}^{self.exponent}"
+        function = f"{self.kind.name} {y}"
+        has_power = self.kind in WAVES and self.exponent > 0
+        return f"{x}^{self.exponent} * {function}" if has_power else function
 
 
 @dataclass(frozen=True)
