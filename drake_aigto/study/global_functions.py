@@ -25,36 +25,49 @@ def global_problems() -> tuple[GlobalProblem, ...]:
 
 def planar_problems() -> tuple[GlobalProblem, ...]:
     """Return the functions of two variables."""
-    return tuple(
+    tabled = (
         GlobalProblem(
             name,
             box,
             minimum,
             minimizers,
-            tuple(Part(function, [0, 1]) for function in functions),
+            [Part(function, [0, 1]) for function in summands],
             source,
         )
-        for name, box, minimum, minimizers, functions, source in _PLANAR
+        for name, box, minimum, minimizers, summands, source in _PLANAR
+    )
+    return (*tabled, judge())
+
+
+def judge() -> GlobalProblem:
+    """A nonlinear regression, Σ (x_1 + a_i x_2 + b_i x_2² − c_i)², with two local minima."""
+    return GlobalProblem(
+        "Judge",
+        (-10.0, 10.0),
+        16.081730132960388,
+        [0.8647872863320523, 1.2357484987520928],
+        [Part(lambda x, y, a, b, c: (x + a * y + b * y**2 - c) ** 2, [0, 1], _JUDGE.T)],
+        "Judge et al. (1985), The Theory and Practice of Econometrics, 2nd ed., Wiley",
     )
 
 
-# Judge et al.'s regression: x_1 + a_i x_2 + b_i x_2² ≈ c_i.
-_JUDGE_A = (
-    *(0.286, 0.973, 0.384, 0.276, 0.973, 0.543, 0.957, 0.948, 0.543, 0.797),
-    *(0.936, 0.889, 0.006, 0.828, 0.399, 0.617, 0.939, 0.784, 0.072, 0.889),
+# Rows a, b, c.
+_JUDGE = np.array(
+    [
+        (
+            *(0.286, 0.973, 0.384, 0.276, 0.973, 0.543, 0.957, 0.948, 0.543, 0.797),
+            *(0.936, 0.889, 0.006, 0.828, 0.399, 0.617, 0.939, 0.784, 0.072, 0.889),
+        ),
+        (
+            *(0.645, 0.585, 0.310, 0.058, 0.455, 0.779, 0.259, 0.202, 0.028, 0.099),
+            *(0.142, 0.296, 0.175, 0.180, 0.842, 0.039, 0.103, 0.620, 0.158, 0.704),
+        ),
+        (
+            *(4.284, 4.149, 3.877, 0.533, 2.211, 2.389, 2.145, 3.231, 1.998, 1.379),
+            *(2.106, 1.428, 1.011, 2.179, 2.858, 1.388, 1.651, 1.593, 1.046, 2.152),
+        ),
+    ]
 )
-_JUDGE_B = (
-    *(0.645, 0.585, 0.310, 0.058, 0.455, 0.779, 0.259, 0.202, 0.028, 0.099),
-    *(0.142, 0.296, 0.175, 0.180, 0.842, 0.039, 0.103, 0.620, 0.158, 0.704),
-)
-_JUDGE_C = (
-    *(4.284, 4.149, 3.877, 0.533, 2.211, 2.389, 2.145, 3.231, 1.998, 1.379),
-    *(2.106, 1.428, 1.011, 2.179, 2.858, 1.388, 1.651, 1.593, 1.046, 2.152),
-)
-
-
-def _judge(a: float, b: float, c: float, x: Any, y: Any) -> Any:
-    return (x + a * y + b * y**2 - c) ** 2
 
 
 def _goldstein_price(x: Any, y: Any) -> Any:
@@ -172,16 +185,6 @@ _PLANAR: tuple[tuple[Any, ...], ...] = (
         [5.0, 4.0],
         (_freudenstein_roth,),
         JAMIL,
-    ),
-    (
-        "Judge",
-        (-10.0, 10.0),
-        16.081730132960388,
-        [0.8647872863320523, 1.2357484987520928],
-        tuple(
-            partial(_judge, a, b, c) for a, b, c in zip(_JUDGE_A, _JUDGE_B, _JUDGE_C, strict=True)
-        ),
-        "Judge et al. (1985), The Theory and Practice of Econometrics, 2nd ed., Wiley",
     ),
     (
         "Zettl",

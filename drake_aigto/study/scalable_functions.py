@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import spsolve
 
-from drake_aigto.study.global_problem import Floats, GlobalProblem, Part
+from drake_aigto.study.global_problem import Floats, GlobalProblem, Part, cos
 
 JAMIL = "Jamil & Yang (2013), Int. J. Math. Modelling and Numerical Optimisation 4:150-194"
 MGH = "Moré, Garbow & Hillstrom (1981), ACM Trans. Math. Software 7:17-41"
@@ -82,14 +82,14 @@ def dixon_price(n: int) -> GlobalProblem:
         [minimizer, other],
         (
             Part(lambda x: (x - 1.0) ** 2, [0]),
-            *(Part(partial(_dixon_price, i + 1.0), [i - 1, i]) for i in range(1, n)),
+            Part(
+                lambda before, x, i: i * (2.0 * x**2 - before) ** 2,
+                _windows(n, 2),
+                np.arange(2.0, n + 1),
+            ),
         ),
         JAMIL,
     )
-
-
-def _dixon_price(weight: float, before: Any, x: Any) -> Any:
-    return weight * (2.0 * x**2 - before) ** 2
 
 
 def qing(n: int) -> GlobalProblem:
@@ -99,13 +99,9 @@ def qing(n: int) -> GlobalProblem:
         (-500.0, 500.0),
         0.0,
         np.sqrt(np.arange(1.0, n + 1)),
-        tuple(Part(partial(_qing, i + 1.0), [i]) for i in range(n)),
+        (Part(lambda x, i: (x**2 - i) ** 2, _each(n), np.arange(1.0, n + 1)),),
         JAMIL,
     )
-
-
-def _qing(square: float, x: Any) -> Any:
-    return (x**2 - square) ** 2
 
 
 def rosenbrock(n: int) -> GlobalProblem:
@@ -159,7 +155,7 @@ def rastrigin(n: int) -> GlobalProblem:
         (-5.12, 5.12),
         0.0,
         np.zeros(n),
-        (Part(lambda x: x**2 - 10.0 * np.cos(2.0 * math.pi * x) + 10.0, _each(n)),),
+        (Part(lambda x: x**2 - 10.0 * cos(2.0 * math.pi * x) + 10.0, _each(n)),),
         JAMIL,
     )
 
@@ -184,15 +180,15 @@ def levy(n: int) -> GlobalProblem:
 
 
 def _levy_first(x: Any) -> Any:
-    return 0.5 - 0.5 * np.cos(math.pi / 2.0 * (x + 3.0))
+    return 0.5 - 0.5 * cos(math.pi / 2.0 * (x + 3.0))
 
 
 def _levy_middle(x: Any) -> Any:
-    return ((x - 1.0) / 4.0) ** 2 * (6.0 - 5.0 * np.cos(math.pi / 2.0 * (x + 3.0) + 2.0))
+    return ((x - 1.0) / 4.0) ** 2 * (6.0 - 5.0 * cos(math.pi / 2.0 * (x + 3.0) + 2.0))
 
 
 def _levy_last(x: Any) -> Any:
-    return ((x - 1.0) / 4.0) ** 2 * (1.5 - 0.5 * np.cos(math.pi * (x + 3.0)))
+    return ((x - 1.0) / 4.0) ** 2 * (1.5 - 0.5 * cos(math.pi * (x + 3.0)))
 
 
 def _powell(x1: Any, x2: Any, x3: Any, x4: Any) -> Any:
@@ -226,14 +222,15 @@ def watson(n: int) -> GlobalProblem:
         minimum,
         minimizer,
         (
-            *(Part(partial(_watson, i / 29.0), np.arange(n)) for i in range(1, 30)),
+            Part(_watson, np.arange(n), np.arange(1, 30) / 29.0),
             Part(lambda x, y: x**2 + (y - x**2 - 1.0) ** 2, [0, 1]),
         ),
         f"{MGH}, (20); box: {JAMIL}",
     )
 
 
-def _watson(t: float, *x: Any) -> Any:
+def _watson(*x_and_t: Any) -> Any:
+    *x, t = x_and_t
     slope = sum(j * x_j * t ** (j - 1) for j, x_j in enumerate(x) if j)
     value = sum(x_j * t**j for j, x_j in enumerate(x))
     return (slope - value**2 - 1.0) ** 2
@@ -312,18 +309,14 @@ def _square(row: Callable[..., Any], *x: Any) -> Any:
 
 
 def _solve_rows(rows: tuple[Part, ...], x: Floats) -> Floats:
-    """Newton's method on as many rows as variables, the derivatives by complex steps."""
+    """Newton's method on as many rows as variables."""
     for _ in range(20):
         values, entries = [], []
         first = 0
         for part in rows:
-            columns = list(x[part.variables].T.astype(complex))
             numbers = first + np.arange(len(part.variables))
-            values.append(part.function(*columns).real)
-            for j, column in enumerate(columns):
-                stepped = [*columns[:j], column + 1e-30j, *columns[j + 1 :]]
-                slope = part.function(*stepped).imag / 1e-30
-                entries.append((slope, numbers, part.variables[:, j]))
+            values.append(part.function(*x[part.variables].T))
+            entries += [(slopes, numbers, variables) for variables, slopes in part.slopes(x)]
             first += len(part.variables)
         slopes, row_of, column_of = (np.concatenate(each) for each in zip(*entries, strict=True))
         jacobian = coo_array((slopes, (row_of, column_of)), shape=(x.size, x.size)).tocsr()

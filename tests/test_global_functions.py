@@ -1,0 +1,172 @@
+"""Test functions with known optima: they are right, and so is what is said of them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from pydrake.symbolic import Variable
+from scipy.optimize import minimize
+
+from drake_aigto.errors import OptionsError
+from drake_aigto.study.chain import REACH, ChainProblem, chain_problem, exact_chain_minimum
+from drake_aigto.study.global_functions import global_problems, random_univariate
+from drake_aigto.study.global_problem import GlobalProblem
+
+PROBLEMS = {problem.name: problem for problem in global_problems()}
+SMALL = [problem for problem in PROBLEMS.values() if problem.num_variables <= 12]
+
+every_problem = pytest.mark.parametrize("problem", PROBLEMS.values(), ids=lambda p: p.name)
+small_problem = pytest.mark.parametrize("problem", SMALL, ids=lambda p: p.name)
+
+
+def random_points(problem: GlobalProblem, count: int) -> NDArray[np.float64]:
+    shape = (count, problem.num_variables)
+    return np.random.default_rng(0).uniform(problem.lower, problem.upper, shape)
+
+
+def test_names_are_distinct_and_functions_of_every_kind_are_there() -> None:
+    assert len(PROBLEMS) == len(global_problems()) >= 60
+    kinds = {name.split(" n=")[0] for name in PROBLEMS}
+    assert len(kinds) == 32
+    assert {problem.num_variables for problem in PROBLEMS.values()} >= {2, 3, 4, 10, 100, 1000}
+
+
+@every_problem
+def test_minimizers_lie_in_the_box_have_the_minimum_and_no_slope(problem: GlobalProblem) -> None:
+    # Rounding in f and ∇f grows with the numbers that they sum up.
+    size = np.ptp(problem.evaluate(random_points(problem, 100)))
+    for x in problem.minimizers:
+        assert np.all((problem.lower <= x) & (x <= problem.upper))
+        assert problem.evaluate(x) == pytest.approx(problem.minimum, rel=1e-13, abs=1e-15)
+        assert np.max(np.abs(problem.gradient(x))) <= 1e-11 + 1e-16 * size
+
+
+@small_problem
+def test_local_searches_find_nothing_below_the_minimum(problem: GlobalProblem) -> None:
+    points = random_points(problem, 2000)
+    starts = points[np.argsort(problem.evaluate(points))[:3]]
+    found = [
+        minimize(
+            problem.evaluate,
+            start,
+            jac=problem.gradient,
+            bounds=list(zip(problem.lower, problem.upper, strict=True)),
+            method="L-BFGS-B",
+            options={"maxfun": 60},
+        ).fun
+        for start in starts
+    ]
+    assert min(found) >= problem.minimum - 1e-9 * max(1.0, abs(problem.minimum))
+
+
+@every_problem
+def test_numbers_batches_and_programs_agree(problem: GlobalProblem) -> None:
+    points = random_points(problem, 2)
+    values = problem.evaluate(points)
+    assert values.shape == (2,)
+    prog = problem.prog()
+    for x, value in zip(points, values, strict=True):
+        assert problem.evaluate(x) == pytest.approx(value, rel=1e-12)
+        costs = [prog.EvalBinding(binding, x).item() for binding in prog.GetAllCosts()]
+        assert sum(costs) == pytest.approx(value, rel=1e-12)
+    (bounds,) = prog.bounding_box_constraints()
+    np.testing.assert_array_equal(bounds.evaluator().lower_bound(), problem.lower)
+    np.testing.assert_array_equal(bounds.evaluator().upper_bound(), problem.upper)
+
+
+@small_problem
+def test_expressions_are_what_numbers_are(problem: GlobalProblem) -> None:
+    (x,) = random_points(problem, 1)
+    variables = [Variable(f"x{i}") for i in range(problem.num_variables)]
+    expression = problem.evaluate(variables)
+    value = expression.Evaluate(dict(zip(variables, x, strict=True)))
+    assert value == pytest.approx(problem.evaluate(x), rel=1e-12)
+
+
+@small_problem
+def test_the_gradient_is_the_slope(problem: GlobalProblem) -> None:
+    (x,) = random_points(problem, 1)
+    step = 1e-5 * (problem.upper - problem.lower) * np.eye(problem.num_variables)
+    slope = (problem.evaluate(x + step) - problem.evaluate(x - step)) / (2.0 * np.diag(step))
+    gradient = problem.gradient(x)
+    # Central differences: off by step² f‴/6, of which the degree, up to 24, makes 1e-6 of ∇f.
+    np.testing.assert_allclose(slope, gradient, rtol=1e-4, atol=1e-5 * np.max(np.abs(gradient)))
+
+
+@pytest.mark.parametrize("degree", [4, 6, 8, 10, 12])
+def test_a_random_polynomial_is_nowhere_below_its_minimum(degree: int) -> None:
+    grid = np.linspace(-2.5, 2.5, 10_001)[:, None]
+    for seed in range(40):
+        problem = random_univariate(degree, seed)
+        (minimizer,) = problem.minimizers
+        assert problem.evaluate(minimizer) == problem.minimum
+        assert abs(problem.gradient(minimizer).item()) <= 1e-9
+        assert np.min(problem.evaluate(grid)) >= problem.minimum - 1e-12
+
+
+def test_random_functions_come_from_their_seeds() -> None:
+    np.testing.assert_array_equal(chain_problem(5, 1).roots, chain_problem(5, 1).roots)
+    assert not np.array_equal(chain_problem(5, 1).roots, chain_problem(5, 2).roots)
+    assert random_univariate(6, 1).minimum == random_univariate(6, 1).minimum
+    assert random_univariate(6, 1).minimum != random_univariate(6, 2).minimum
+
+
+@pytest.mark.parametrize(("n", "grid_points"), [(2, 801), (3, 89)])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_chains_minimum_is_that_of_brute_force(n: int, grid_points: int, seed: int) -> None:
+    problem = chain_problem(n, seed)
+    axis = np.linspace(-REACH, REACH, grid_points)
+    grid = np.stack(np.meshgrid(*[axis] * n, indexing="ij"), axis=-1).reshape(-1, n)
+    values = problem.evaluate(grid)
+    best = grid[np.argmin(values)]
+    x = exact_chain_minimum(problem)
+    assert problem.evaluate(x) <= np.min(values)
+    np.testing.assert_allclose(x, best, atol=2.0 * (axis[1] - axis[0]))
+
+
+@pytest.mark.parametrize("n", [10, 170])
+def test_no_local_search_gets_below_a_chains_minimum(n: int) -> None:
+    problem = chain_problem(n, 0)
+    x = exact_chain_minimum(problem)
+    minimum = problem.evaluate(x)
+    assert np.max(np.abs(problem.gradient(x))) <= 1e-11
+    rng = np.random.default_rng(0)
+    starts = [*rng.uniform(-REACH, REACH, (30, n)), *(x + rng.normal(0.0, 0.5, (30, n)))]
+    for start in starts:
+        found = minimize(
+            problem.evaluate,
+            np.clip(start, -REACH, REACH),
+            jac=problem.gradient,
+            method="L-BFGS-B",
+            bounds=[(-REACH, REACH)] * n,
+        )
+        assert found.fun >= minimum - 1e-9 * abs(minimum)
+
+
+def test_a_single_variable_is_no_chain() -> None:
+    with pytest.raises(OptionsError, match="2 variables or more"):
+        chain_problem(1, 0)
+
+
+def test_a_chains_minimum_may_lie_on_the_box() -> None:
+    # Both wells fall towards the box's ends, where coupling pulls x_1 and x_2 apart.
+    problem = ChainProblem(np.full((2, 6), 9.0), np.array([1e9]))
+    np.testing.assert_array_equal(np.abs(exact_chain_minimum(problem)), [REACH, REACH])
+
+
+def test_a_finer_grid_finds_the_same_chain_minimum() -> None:
+    for seed in range(3):
+        problem = chain_problem(170, seed)
+        coarse, fine = (exact_chain_minimum(problem, points) for points in (1601, 6401))
+        assert problem.evaluate(coarse) == pytest.approx(problem.evaluate(fine), rel=1e-12)
+
+
+def test_a_chain_as_a_test_function_is_the_same_function() -> None:
+    chain = chain_problem(10, 3)
+    problem = chain.problem()
+    assert problem.minimum == chain.evaluate(problem.minimizers[0])
+    for x in random_points(problem, 5):
+        assert problem.evaluate(x) == pytest.approx(chain.evaluate(x), rel=1e-12)
+        np.testing.assert_allclose(problem.gradient(x), chain.gradient(x), rtol=1e-10, atol=1e-10)
+    assert len(chain.prog().GetAllCosts()) == 10
