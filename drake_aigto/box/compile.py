@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import functools
-import operator
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import replace
-from typing import Any, cast
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,14 +15,12 @@ from pydrake.solvers import (
     MathematicalProgram,
     QuadraticCost,
 )
-from pydrake.symbolic import Expression, ExpressionKind, Monomial, Polynomial, Variable
 
+from drake_aigto.box.expressions import expression_terms
 from drake_aigto.box.functions import FunctionKind
 from drake_aigto.box.polynomial import BoxPolynomial, Factor, Term, TermBlock
+from drake_aigto.box.products import NoClosedFormError, from_terms, to_terms
 from drake_aigto.errors import UnsupportedTermError
-
-# Place of a variable among those that an evaluator is bound to.
-LocalIndex = Callable[[Variable], int]
 
 
 def compile_program(prog: MathematicalProgram, order: ArrayLike | None = None) -> BoxPolynomial:
@@ -36,14 +30,15 @@ def compile_program(prog: MathematicalProgram, order: ArrayLike | None = None) -
     turn them into costs first (`transcription.penalize`).
 
     Args:
-        prog: Costs may be linear, quadratic, or `ExpressionCost`s that sum polynomial terms,
-            a·max(0, y)² and −a·log y with a constant a and y affine in one variable (a > 0 for the
-            logarithm).
+        prog: Costs may be linear, quadratic, or `ExpressionCost`s: sums of products of powers, sin,
+            cos and exp of affine functions, but not of exp and sin or cos of the same variable;
+            a·max(0, y)²; and −a·log y with a > 0 (y affine in one variable, a constant). Products
+            and powers are multiplied out.
         order: Elimination order of the decision variables, see `BoxPolynomial`.
 
     Raises:
-        UnsupportedTermError: A term has no closed-form mean here; the message names the cost and
-            the term.
+        UnsupportedTermError: A term has no closed-form mean here, or a cost has too many; the
+            message names the cost and the term.
     """
     blocks = [
         block
@@ -84,7 +79,7 @@ def term_blocks(
     for variables in copies:
         by_pattern.setdefault(_repetition(variables), []).append(variables)
     for pattern, alike in by_pattern.items():
-        yield TermBlock(name, _identify(terms, pattern), alike)
+        yield TermBlock(name, _identify(name, terms, pattern), alike)
 
 
 def _label(binding: Binding) -> str:
@@ -103,27 +98,22 @@ def _repetition(variables: Sequence[int]) -> tuple[int, ...]:
     return tuple(first.setdefault(variable, place) for place, variable in enumerate(variables))
 
 
-def _identify(terms: tuple[Term, ...], pattern: tuple[int, ...]) -> tuple[Term, ...]:
+def _identify(name: str, terms: tuple[Term, ...], pattern: tuple[int, ...]) -> tuple[Term, ...]:
     """The terms once places that hold one variable are identified: x·y ↦ x² where y is x.
 
-    A cost may be bound to the same variable twice, and mean(x·x) is not mean(x)². Only powers
-    x^p stand in products here.
+    A cost may be bound to the same variable twice, and mean(x·x) is not mean(x)².
     """
     if pattern == tuple(range(len(pattern))):
         return terms
-    identified = []
-    for term in terms:
-        powers: dict[int, int] = {}
-        others = []
-        for factor in term.factors:
-            variable = pattern[factor.variable]
-            if factor.kind == FunctionKind.POWER:
-                powers[variable] = powers.get(variable, 0) + factor.exponent
-            else:
-                others.append(replace(factor, variable=variable))
-        factors = (*others, *(_power(i, p) for i, p in powers.items()))
-        identified.append(Term(term.coefficient, factors))
-    return tuple(identified)
+    try:
+        return to_terms(from_terms(terms, pattern))
+    except NoClosedFormError as error:
+        raise UnsupportedTermError(
+            f"the cost '{name}' can't be integrated where it is bound to a variable twice",
+            got=f"a term where {error}",
+            expected="factors whose product has a closed-form mean",
+            remedy="Write the cost out for that variable, to see what it is.",
+        ) from None
 
 
 def _parse_cost(label: str, cost: EvaluatorBase) -> tuple[Term, ...]:
@@ -134,7 +124,7 @@ def _parse_cost(label: str, cost: EvaluatorBase) -> tuple[Term, ...]:
         return quadratic_terms(np.asarray(cost.Q()), cost.b(), cost.c())
     if isinstance(cost, ExpressionCost):
         index = {v.get_id(): i for i, v in enumerate(cost.vars())}
-        return _parse_expression(label, cost.expression(), lambda v: index[v.get_id()])
+        return expression_terms(label, cost.expression(), lambda v: index[v.get_id()])
     # PolynomialCost has no Python class of its own.
     kind = "PolynomialCost" if type(cost) is Cost else type(cost).__name__
     raise UnsupportedTermError(
@@ -168,118 +158,3 @@ def quadratic_terms(q: NDArray[np.float64], b: ArrayLike, c: float) -> tuple[Ter
 
 def _power(variable: int, exponent: int) -> Factor:
     return Factor(variable, FunctionKind.POWER, exponent)
-
-
-def _parse_expression(label: str, expression: Expression, index: LocalIndex) -> tuple[Term, ...]:
-    """Split a sum into its polynomial part and its one-variable functions."""
-    terms: list[Term] = []
-    polynomial = Expression(0.0)
-    for summand in _summands(expression):
-        if summand.is_polynomial():
-            polynomial += summand
-        else:
-            terms.append(_one_variable_term(label, summand, index))
-    return (*polynomial_terms(polynomial, index), *terms)
-
-
-def _summands(expression: Expression) -> Iterator[Expression]:
-    """Polynomial parts as they stand, and the rest multiplied out."""
-    if expression.is_polynomial():
-        yield expression
-    elif expression.get_kind() == ExpressionKind.Add:
-        for operand in _operands(expression):
-            yield from _summands(operand)
-    else:
-        try:
-            expanded = expression.Expand()
-        except RuntimeError:  # Drake expands neither if-then-else nor NaN
-            expanded = expression
-        yield from _operands(expanded) if expanded.get_kind() == ExpressionKind.Add else [expanded]
-
-
-def _operands(expression: Expression) -> list[Expression]:
-    """Arguments of an operation; Drake gives constants back as floats."""
-    _, operands = cast("tuple[Any, list[Any]]", expression.Unapply())
-    return [e if isinstance(e, Expression) else Expression(e) for e in operands]
-
-
-def polynomial_terms(expression: Expression, index: LocalIndex) -> tuple[Term, ...]:
-    """The terms of a polynomial expression, multiplied out."""
-    terms = []
-    for monomial, coefficient in Polynomial(expression).monomial_to_coefficient_map().items():
-        powers = monomial.get_powers().items()
-        factors = sorted((_power(index(v), p) for v, p in powers), key=lambda f: f.variable)
-        terms.append(Term(coefficient.Evaluate(), tuple(factors)))
-    return tuple(terms)
-
-
-def _one_variable_term(label: str, summand: Expression, index: LocalIndex) -> Term:
-    """The term constant · max(0, y)² or −constant · log y, y affine in one variable."""
-    constant, function = _split_constant(summand)
-    matched = _match_squared_hinge(function) or _match_log(function)
-    affine = _affine_in_one_variable(matched[1]) if matched else None
-    if matched is None or affine is None:
-        raise UnsupportedTermError(
-            f"{label} can't be integrated",
-            got=f"the term {summand}",
-            expected="polynomial terms, and max(0, y)² or -log(y) times a constant, "
-            "with y affine in one variable",
-            remedy="Give a function of several variables a variable of its own by an equality "
-            "constraint, or approximate the term by a polynomial.",
-        )
-    kind = matched[0]
-    if kind is FunctionKind.NEG_LOG:
-        constant = -constant
-        if constant < 0.0:
-            raise UnsupportedTermError(
-                f"{label} can't be minimised",
-                got=f"the term {summand}, which falls to minus infinity where its argument is 0",
-                expected="logarithms as barriers, -a*log(y) with a > 0",
-                remedy="Check the term's sign.",
-            )
-    variable, scale, offset = affine
-    return Term(constant, (Factor(index(variable), kind, 1, scale, offset),))
-
-
-def _split_constant(expression: Expression) -> tuple[float, Expression]:
-    """Write an expression as constant · rest."""
-    if expression.get_kind() != ExpressionKind.Mul:
-        return 1.0, expression
-    constant, *rest = _operands(expression)  # Drake puts the constant first, also when it is 1
-    return constant.Evaluate(), functools.reduce(operator.mul, rest)
-
-
-def _match_squared_hinge(e: Expression) -> tuple[FunctionKind, Expression] | None:
-    """Read max(0, y)² as the table's max(0, −(−y))²: SQUARED_HINGE of −y."""
-    if e.get_kind() != ExpressionKind.Pow:
-        return None
-    base, exponent = _operands(e)
-    if base.get_kind() != ExpressionKind.Max or not exponent.EqualTo(Expression(2.0)):
-        return None
-    first, second = _operands(base)
-    zero = Expression(0.0)
-    if first.EqualTo(zero):
-        return FunctionKind.SQUARED_HINGE, -second
-    if second.EqualTo(zero):
-        return FunctionKind.SQUARED_HINGE, -first
-    return None
-
-
-def _match_log(e: Expression) -> tuple[FunctionKind, Expression] | None:
-    """Read log y as minus the table's −log y."""
-    if e.get_kind() != ExpressionKind.Log:
-        return None
-    return FunctionKind.NEG_LOG, _operands(e)[0]
-
-
-def _affine_in_one_variable(e: Expression) -> tuple[Variable, float, float] | None:
-    """The parts (x, scale, offset) of scale · x + offset."""
-    if len(e.GetVariables()) != 1 or not e.is_polynomial():
-        return None
-    polynomial = Polynomial(e)
-    if polynomial.TotalDegree() != 1:
-        return None
-    (variable,) = polynomial.indeterminates()
-    parts = polynomial.monomial_to_coefficient_map()
-    offset = parts.get(Monomial(), Expression(0.0))
-    return variable, parts[Monomial(variable)].Evaluate(), offset.Evaluate()

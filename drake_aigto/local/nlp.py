@@ -21,11 +21,11 @@ from drake_aigto.box import FunctionKind, Term, TermBlock, compile_program
 from drake_aigto.box.compile import (
     affine_terms,
     evaluator_name,
-    polynomial_terms,
     quadratic_terms,
     shared_evaluators,
     term_blocks,
 )
+from drake_aigto.box.expressions import polynomial_terms
 from drake_aigto.errors import OptionsError, UnsupportedTermError
 from drake_aigto.local.kernels import values_at
 from drake_aigto.local.kkt import KktStructure

@@ -1,0 +1,275 @@
+"""Drake's symbolic expressions → sums of `Term`s, or a refusal that names the term."""
+
+from __future__ import annotations
+
+import functools
+import math
+import operator
+from collections.abc import Callable, Iterator
+from typing import Any, cast
+
+from pydrake.symbolic import Expression, ExpressionKind, Monomial, Polynomial, Variable
+
+from drake_aigto.box.functions import FunctionKind
+from drake_aigto.box.polynomial import Factor, Term
+from drake_aigto.box.products import (
+    MAX_TERMS,
+    NoClosedFormError,
+    Sum,
+    TooManyTermsError,
+    add,
+    from_terms,
+    function,
+    multiply,
+    power,
+    to_terms,
+    wave_of_sum,
+)
+from drake_aigto.errors import UnsupportedTermError
+
+# Place of a variable among those that an evaluator is bound to.
+LocalIndex = Callable[[Variable], int]
+
+_LONGEST_SHOWN = 300  # characters of a term in a message
+
+_WAVES = {
+    ExpressionKind.Cos: FunctionKind.COSINE,
+    ExpressionKind.Sin: FunctionKind.SINE,
+    ExpressionKind.Exp: FunctionKind.EXPONENTIAL,
+}
+
+
+def expression_terms(label: str, expression: Expression, index: LocalIndex) -> tuple[Term, ...]:
+    """The terms of a sum of products of one-variable functions, multiplied out.
+
+    Args:
+        label: How messages call what the expression is the formula of.
+        expression: See `compile_program` for what may stand in it.
+        index: Place of a variable.
+
+    Raises:
+        UnsupportedTermError: A term has no closed-form mean here, or there are too many.
+    """
+    polynomial, functions = Expression(0.0), []
+    for summand in _summands(expression):
+        if summand.is_polynomial():
+            polynomial += summand
+        else:
+            functions.append(_summand_terms(label, summand, index))
+    _check_count(label, _count_monomials(polynomial)[0])
+    terms = polynomial_terms(polynomial, index)
+    if not functions:
+        return terms
+    total = add(from_terms(terms), *functions)
+    _check_count(label, len(total))
+    return to_terms(total)
+
+
+def polynomial_terms(expression: Expression, index: LocalIndex) -> tuple[Term, ...]:
+    """The terms of a polynomial expression, multiplied out."""
+    terms = []
+    for monomial, coefficient in Polynomial(expression).monomial_to_coefficient_map().items():
+        factors = [
+            Factor(index(v), FunctionKind.POWER, p) for v, p in monomial.get_powers().items()
+        ]
+        terms.append(Term(coefficient.Evaluate(), tuple(sorted(factors, key=lambda f: f.variable))))
+    return tuple(terms)
+
+
+def _summands(expression: Expression) -> Iterator[Expression]:
+    """The summands, as they stand; a polynomial is one."""
+    if expression.get_kind() == ExpressionKind.Add and not expression.is_polynomial():
+        yield from _operands(expression)
+    else:
+        yield expression
+
+
+def _operands(expression: Expression) -> list[Expression]:
+    """Arguments of an operation; Drake gives constants back as floats."""
+    _, operands = cast("tuple[Any, list[Any]]", expression.Unapply())
+    return [e if isinstance(e, Expression) else Expression(e) for e in operands]
+
+
+def _summand_terms(label: str, summand: Expression, index: LocalIndex) -> Sum:
+    """The terms of one summand, or a refusal that names it."""
+    try:
+        total = _expand(summand, index)
+        _check_barriers(label, summand, total)
+    except TooManyTermsError as error:
+        raise _too_many(label, error.count) from None
+    except NoClosedFormError as error:
+        raise UnsupportedTermError(
+            f"{label} can't be integrated",
+            got=f"the term {_shown(summand)}, where {error}",
+            expected="sums of products of powers, sin, cos and exp of affine functions, and "
+            "max(0, y)² or -log(y) times a constant, with y affine in one variable",
+            remedy="Give a function of several variables a variable of its own by an equality "
+            "constraint, or approximate the term by a polynomial.",
+        ) from None
+    return total
+
+
+def _check_barriers(label: str, summand: Expression, total: Sum) -> None:
+    """Logarithms must be alone, and with the sign of a barrier."""
+    for parts, coefficient in total.items():
+        if any(part.kind == FunctionKind.NEG_LOG for part in parts):
+            if len(parts) > 1:
+                raise NoClosedFormError("a logarithm is multiplied by another function")
+            if coefficient < 0.0:
+                raise UnsupportedTermError(
+                    f"{label} can't be minimised",
+                    got=f"the term {_shown(summand)}, which falls to minus infinity where the "
+                    "logarithm's argument is 0",
+                    expected="logarithms as barriers, -a*log(y) with a > 0",
+                    remedy="Check the term's sign.",
+                )
+
+
+def _shown(expression: Expression) -> str:
+    """Its formula, or the beginning of a long one."""
+    text = str(expression)
+    return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]} …"
+
+
+def _check_count(label: str, count: int) -> None:
+    if count > MAX_TERMS:
+        raise _too_many(label, count)
+
+
+def _too_many(label: str, count: int) -> UnsupportedTermError:
+    return UnsupportedTermError(
+        f"{label} has too many terms",
+        got=f"{count:,} when multiplied out",
+        expected=f"at most {MAX_TERMS:,}",
+        remedy="Give parts of it variables of their own by equality constraints.",
+    )
+
+
+def _expand(e: Expression, index: LocalIndex) -> Sum:
+    """The terms of an expression.
+
+    Raises:
+        NoClosedFormError: Something in it is no sum of products of factors.
+        TooManyTermsError: There are more than MAX_TERMS.
+    """
+    kind = e.get_kind()
+    if e.is_polynomial():
+        count = _count_monomials(e)[0]
+        if count > MAX_TERMS:
+            raise TooManyTermsError(count)
+        return from_terms(polynomial_terms(e, index))
+    if kind == ExpressionKind.Add:
+        return add(*(_expand(operand, index) for operand in _operands(e)))
+    if kind == ExpressionKind.Mul:
+        return functools.reduce(multiply, (_expand(operand, index) for operand in _operands(e)))
+    if kind == ExpressionKind.Div:
+        return _expand_quotient(e, index)
+    if kind == ExpressionKind.Pow:
+        return _expand_power(e, index)
+    if kind in _WAVES:
+        scales, offset = _affine(e, _operands(e)[0])
+        return wave_of_sum(_WAVES[kind], [(index(v), a) for v, a in scales], offset)
+    if kind == ExpressionKind.Log:
+        return _of_one_variable(-1.0, FunctionKind.NEG_LOG, e, _operands(e)[0], index)
+    if kind == ExpressionKind.Max:
+        raise NoClosedFormError(f"{e} is not the square of a max(0, y)")
+    raise NoClosedFormError(f"{e} has no closed-form mean")
+
+
+def _expand_quotient(e: Expression, index: LocalIndex) -> Sum:
+    dividend, divisor = _operands(e)
+    if divisor.GetVariables():
+        raise NoClosedFormError(f"the divisor {divisor} is not constant")
+    number = divisor.Evaluate()
+    return {parts: a / number for parts, a in _expand(dividend, index).items()}
+
+
+def _expand_power(e: Expression, index: LocalIndex) -> Sum:
+    base, exponent = _operands(e)
+    number = math.nan if exponent.GetVariables() else exponent.Evaluate()
+    if not (number >= 0.0 and number == int(number)):
+        raise NoClosedFormError(f"the exponent of {e} is not a whole number")
+    factor, hinge = _split_constant(base)
+    if hinge.get_kind() != ExpressionKind.Max or number != 2.0:
+        return power(_expand(base, index), int(number))
+    first, second = _operands(hinge)
+    zero = Expression(0.0)
+    if not (first.EqualTo(zero) or second.EqualTo(zero)):
+        raise NoClosedFormError(f"{hinge} is not max(0, y)")
+    below = -second if first.EqualTo(zero) else -first  # the table has max(0, −y)²
+    kind = FunctionKind.SQUARED_HINGE
+    return _of_one_variable(factor * factor, kind, hinge, below, index)
+
+
+def _split_constant(expression: Expression) -> tuple[float, Expression]:
+    """Write an expression as constant · rest."""
+    constant, rest = 1.0, expression
+    if rest.get_kind() == ExpressionKind.Div and not _operands(rest)[1].GetVariables():
+        rest, divisor = _operands(rest)
+        constant /= divisor.Evaluate()
+    if rest.get_kind() == ExpressionKind.Mul:
+        factor, *others = _operands(rest)  # Drake puts the constant first, also when it is 1
+        constant *= factor.Evaluate()
+        rest = functools.reduce(operator.mul, others)
+    return constant, rest
+
+
+def _of_one_variable(
+    coefficient: float,
+    kind: FunctionKind,
+    e: Expression,
+    argument: Expression,
+    index: LocalIndex,
+) -> Sum:
+    """The coefficient times the function of an affine argument, which e names in messages."""
+    scales, offset = _affine(e, argument)
+    if len(scales) != 1:
+        raise NoClosedFormError(f"{e} is a function of {len(scales)} variables at once")
+    ((variable, scale),) = scales
+    (parts,) = function(index(variable), kind, 1, scale, offset)
+    return {parts: coefficient}
+
+
+def _affine(e: Expression, argument: Expression) -> tuple[list[tuple[Variable, float]], float]:
+    """The parts [(x, scale), …] and offset of the argument Σ scale·x + offset of a function e."""
+    if not argument.is_polynomial():
+        raise NoClosedFormError(f"the argument of {e} is not affine")
+    scales, offset = [], 0.0
+    for monomial, coefficient in Polynomial(argument).monomial_to_coefficient_map().items():
+        if monomial.total_degree() > 1:
+            raise NoClosedFormError(f"the argument of {e} is not affine")
+        if monomial == Monomial():
+            offset = coefficient.Evaluate()
+        else:
+            (variable,) = monomial.GetVariables()
+            scales.append((variable, coefficient.Evaluate()))
+    scales = [(variable, scale) for variable, scale in scales if scale != 0.0]
+    return scales or [(next(iter(e.GetVariables())), 0.0)], offset
+
+
+def _count_monomials(e: Expression | float) -> tuple[int, int]:
+    """A bound on the monomials of a polynomial expression, found without expanding it; its degree.
+
+    Of n variables and degree d there are at most C(n + d, d).
+    """
+    if not isinstance(e, Expression):  # a constant; sums have one also when it is 0
+        return int(e != 0.0), 0
+    kind = e.get_kind()
+    if kind in (ExpressionKind.Constant, ExpressionKind.Var):
+        return 1, int(kind == ExpressionKind.Var)
+    _, operands = cast("tuple[Any, list[Any]]", e.Unapply())
+    if kind == ExpressionKind.Pow:
+        count, degree = _count_monomials(operands[0])
+        exponent = int(_operands(e)[1].Evaluate())
+        if count == 1:
+            return 1, degree * exponent
+        count, degree = math.comb(count + exponent - 1, exponent), degree * exponent
+    else:
+        counts, degrees = zip(*map(_count_monomials, operands), strict=True)
+        if kind == ExpressionKind.Add:
+            count, degree = sum(counts), max(degrees)
+        else:  # Mul, or Div by a constant
+            count, degree = math.prod(counts), sum(degrees)
+    if count > MAX_TERMS:
+        count = min(count, math.comb(e.GetVariables().size() + degree, degree))
+    return count, degree

@@ -1,0 +1,244 @@
+"""Products of one-variable functions, multiplied out into sums of `Term`s.
+
+A term holds at most one factor of each variable, since the mean of a product of functions of one
+variable is not the product of their means. So x·x becomes x², and for waves, at angles a and b,
+
+    2 cos a cos b = cos(a − b) + cos(a + b),    exp a · exp b = exp(a + b),    …
+
+Scales and offsets add up exactly, that like terms of sin(x/3)⁶ are found whatever is rounded.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator, Sequence
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+
+from drake_aigto.box.functions import VALUE, FunctionKind, factor_mean
+from drake_aigto.box.polynomial import Factor, Term
+
+# More terms than this are refused: 1e6 take some 10 s and 1 GB to parse.
+MAX_TERMS = 1_000_000
+
+_POWER, _COSINE, _SINE = FunctionKind.POWER, FunctionKind.COSINE, FunctionKind.SINE
+_EXPONENTIAL = FunctionKind.EXPONENTIAL
+_TRIGONOMETRIC = (_COSINE, _SINE)
+
+
+class NoClosedFormError(Exception):
+    """A product that no kind of factor stands for; the text says why."""
+
+
+class TooManyTermsError(Exception):
+    """A product of more than MAX_TERMS terms; `count` says how many, before like ones merge."""
+
+    def __init__(self, count: int) -> None:
+        """Store the count."""
+        super().__init__(count)
+        self.count = count
+
+
+class Part(NamedTuple):
+    """A `Factor` whose scale and offset are exact: fractions where a float can't be."""
+
+    variable: int
+    kind: FunctionKind
+    exponent: int = 1
+    scale: Fraction | float = 1.0
+    offset: Fraction | float = 0.0
+
+
+# Parts in the order of their variables ↦ coefficient.
+Sum = dict[tuple[Part, ...], float]
+
+
+def constant(value: float) -> Sum:
+    """A number."""
+    return {(): value}
+
+
+def function(
+    variable: int, kind: FunctionKind, exponent: int = 1, scale: float = 1.0, offset: float = 0.0
+) -> Sum:
+    """The function that a `Factor` of these attributes is, times 1."""
+    if kind == _POWER:
+        return {(Part(variable, kind, exponent),): 1.0} if exponent else constant(1.0)
+    if kind in (FunctionKind.SQUARED_HINGE, FunctionKind.NEG_LOG):
+        return {(Part(variable, kind, exponent, scale, offset),): 1.0}
+    coefficient, part = _wave(Part(variable, kind, exponent, scale, offset))
+    return {() if part is None else (part,): coefficient}
+
+
+def wave_of_sum(kind: FunctionKind, scales: Sequence[tuple[int, float]], offset: float) -> Sum:
+    """The cosine, sine or exponential of Σ scale·x + offset, by the addition theorems.
+
+    A cosine or sine of n variables has 2ⁿ⁻¹ terms.
+
+    Args:
+        kind: Which.
+        scales: Variable and scale of each summand, one or more.
+        offset: Constant summand.
+    """
+    (variable, scale), *others = scales
+    if kind == _EXPONENTIAL:
+        product = function(variable, kind, 0, scale, offset)
+        for variable, scale in others:
+            product = multiply(product, function(variable, kind, 0, scale))
+        return product
+    if len(others) >= MAX_TERMS.bit_length():
+        raise TooManyTermsError(2 ** len(others))
+    cosine = function(variable, _COSINE, 0, scale, offset)
+    sine = function(variable, _SINE, 0, scale, offset)
+    for variable, scale in others:
+        cos, sin = function(variable, _COSINE, 0, scale), function(variable, _SINE, 0, scale)
+        minus_sin = {parts: -a for parts, a in sin.items()}
+        cosine, sine = (
+            add(multiply(cosine, cos), multiply(sine, minus_sin)),
+            add(multiply(sine, cos), multiply(cosine, sin)),
+        )
+    return cosine if kind == _COSINE else sine
+
+
+def add(*sums: Sum) -> Sum:
+    """The sum, without terms that cancel."""
+    total: Sum = {}
+    for summand in sums:
+        _add_into(total, summand.items())
+    return {parts: a for parts, a in total.items() if a != 0.0}
+
+
+def multiply(first: Sum, second: Sum) -> Sum:
+    """The product, multiplied out."""
+    if len(first) * len(second) > MAX_TERMS:
+        raise TooManyTermsError(len(first) * len(second))
+    total: Sum = {}
+    for parts, a in first.items():
+        for others, b in second.items():
+            _add_into(total, _times(parts, others, a * b))
+    return {parts: a for parts, a in total.items() if a != 0.0}
+
+
+def power(base: Sum, exponent: int) -> Sum:
+    """The whole power ≥ 0, multiplied out."""
+    result, steps = constant(1.0), exponent * len(base)  # at least
+    for _ in range(exponent):
+        steps += (len(result) - 1) * len(base)
+        if steps > MAX_TERMS:
+            raise TooManyTermsError(steps)
+        result = multiply(result, base)
+    return result
+
+
+def to_terms(sums: Sum) -> tuple[Term, ...]:
+    """As terms of floats."""
+    return tuple(
+        Term(
+            coefficient,
+            tuple(
+                Factor(
+                    part.variable, part.kind, part.exponent, float(part.scale), float(part.offset)
+                )
+                for part in parts
+            ),
+        )
+        for parts, coefficient in sums.items()
+    )
+
+
+def from_terms(terms: Iterable[Term], places: Sequence[int] | None = None) -> Sum:
+    """The sum of terms whose variables are called places[variable], some of which may be equal.
+
+    Its powers are those of x alone, without scale and offset.
+    """
+    products = []
+    for term in terms:
+        product = constant(term.coefficient)
+        for f in term.factors:
+            variable = f.variable if places is None else places[f.variable]
+            product = multiply(product, function(variable, f.kind, f.exponent, f.scale, f.offset))
+        products.append(product)
+    return add(*products)
+
+
+def _sum(a: Fraction | float, b: Fraction | float) -> Fraction | float:
+    """The exact sum, as a float where one has its value."""
+    if isinstance(a, float) and isinstance(b, float):
+        total = a + b
+        shift = total - a
+        if (a - (total - shift)) + (b - shift) == 0.0 or not math.isfinite(total):
+            return total
+    exact = Fraction(a) + Fraction(b)
+    rounded = float(exact)
+    return rounded if rounded == exact else exact
+
+
+def _add_into(total: Sum, terms: Iterable[tuple[tuple[Part, ...], float]]) -> None:
+    for parts, coefficient in terms:
+        total[parts] = total.get(parts, 0.0) + coefficient
+
+
+def _times(
+    first: tuple[Part, ...], second: tuple[Part, ...], coefficient: float
+) -> Iterator[tuple[tuple[Part, ...], float]]:
+    """The terms of a product of two terms: two for each variable with waves in both."""
+    of_first = {part.variable: part for part in first}
+    shared = [part for part in second if part.variable in of_first]
+    apart = {part.variable: part for part in (*first, *second)}
+    for part in shared:
+        del apart[part.variable]
+    products: list[tuple[dict[int, Part], float]] = [(apart, coefficient)]
+    for part in shared:
+        options = list(_times_part(of_first[part.variable], part))
+        products = [
+            (parts if option is None else {**parts, option.variable: option}, a * b)
+            for parts, a in products
+            for b, option in options
+        ]
+    for parts, a in products:
+        yield tuple(parts[variable] for variable in sorted(parts)), a
+
+
+def _times_part(a: Part, b: Part) -> Iterator[tuple[float, Part | None]]:
+    """The product of two functions of one variable: coefficients, and None for a constant."""
+    kinds = {a.kind, b.kind}
+    if kinds & {FunctionKind.SQUARED_HINGE, FunctionKind.NEG_LOG}:
+        raise NoClosedFormError("max(0, y)² or log(y) is multiplied by a function of its variable")
+    exponent = a.exponent + b.exponent
+    if _POWER in kinds:
+        wave = a if b.kind == _POWER else b
+        yield 1.0, wave._replace(exponent=exponent)
+    elif kinds == {_EXPONENTIAL}:
+        scale, offset = _sum(a.scale, b.scale), _sum(a.offset, b.offset)
+        yield _wave(Part(a.variable, _EXPONENTIAL, exponent, scale, offset))
+    elif _EXPONENTIAL in kinds:
+        raise NoClosedFormError(
+            "an exponential and a sine or cosine of one variable are multiplied"
+        )
+    else:
+        same = a.kind == b.kind
+        kind = _COSINE if same else _SINE
+        # sin a sin b = ½ [cos(a − b) − cos(a + b)],  cos a sin b = ½ [sin(a + b) − sin(a − b)]
+        for sign in (-1.0, 1.0):
+            scale, offset = _sum(a.scale, sign * b.scale), _sum(a.offset, sign * b.offset)
+            negative = b.kind == _SINE and sign == (1 if same else -1)
+            coefficient, part = _wave(Part(a.variable, kind, exponent, scale, offset))
+            yield (-0.5 if negative else 0.5) * coefficient, part
+
+
+def _wave(part: Part) -> tuple[float, Part | None]:
+    """The coefficient and canonical part of x^p times a cosine, sine or exponential.
+
+    A scale of 0 leaves the power; a cosine's and sine's scale is made positive.
+    """
+    if part.scale == 0:
+        row = np.empty(6)
+        factor_mean(int(part.kind), 0, 0.0, float(part.offset), 0.0, 0.0, row)
+        alone = Part(part.variable, _POWER, part.exponent) if part.exponent else None
+        return float(row[VALUE]), alone
+    if part.kind in _TRIGONOMETRIC and part.scale < 0:
+        sign = -1.0 if part.kind == _SINE else 1.0
+        return sign, part._replace(scale=-part.scale, offset=-part.offset)
+    return 1.0, part
