@@ -40,6 +40,10 @@ class Objective(ABC):
         """Returns the part of a step, in (0, 1], that may be taken."""
         return 1.0
 
+    def move(self, y: Floats, step: Floats) -> Floats:
+        """Returns where a step leads."""
+        return y + step
+
 
 @dataclass(frozen=True)
 class NewtonResult:
@@ -104,10 +108,11 @@ def _try_step(
         return None
     step = dpbtrs(factor, -system.gradient, lower=1)[0]
     step *= objective.limit(step)
-    tried = objective.evaluate(y + step)
-    if not tried.value <= system.value + _ARMIJO * float(system.gradient @ step):
+    moved = objective.move(y, step)
+    tried = objective.evaluate(moved)
+    if not tried.value <= system.value + _ARMIJO * float(system.gradient @ (moved - y)):
         return None
-    return y + step, tried
+    return moved, tried
 
 
 class HeldUnknowns:
@@ -152,3 +157,69 @@ class PointObjective(Objective):
         """Returns |diag H|, kept off zero."""
         diagonal = np.abs(system.band[0])
         return diagonal + 1e-12 * diagonal.max()
+
+
+class BoundedPointObjective(PointObjective):
+    """f(c) within a box: steps are cut off at its faces, where variables are held that push out."""
+
+    def __init__(
+        self,
+        f: BoxPolynomial,
+        free: NDArray[np.bool_],
+        lower: Floats,
+        upper: Floats,
+        tolerance: float,
+    ) -> None:
+        """Prepares; the bounds (n,) are in the order of the variables."""
+        super().__init__(f, free, tolerance)
+        self._is_held = ~free[f.order]
+        self._lower, self._upper = lower[f.order], upper[f.order]
+
+    def move(self, y: Floats, step: Floats) -> Floats:
+        """Returns the point of the box that is nearest."""
+        return np.clip(y + step, self._lower, self._upper)
+
+    def evaluate(self, y: Floats) -> NewtonSystem:
+        """Returns f and its derivatives; 0 where a bound holds a variable."""
+        f = self._f
+        (center,) = f.to_variables(y)
+        system = f.newton_system(center, 0.0, centers_only=True)
+        outward = (y <= self._lower) & (system.gradient > 0)
+        outward |= (y >= self._upper) & (system.gradient < 0)
+        held = np.flatnonzero(outward | self._is_held)
+        HeldUnknowns(held, f.bandwidth).remove(system.gradient, system.band)
+        return system
+
+
+def bold_newton(objective: Objective, y: Floats, max_steps: int) -> tuple[Floats, int]:
+    """Takes Newton steps of many problems at once, that are not coupled, without looking back.
+
+    Where the Hessian is not positive definite, its diagonal is raised until it dominates. No step
+    is damped, as damping would bind the problems together: the caller judges each problem's end.
+
+    Returns:
+        The end and the number of steps.
+    """
+    for steps in range(max_steps):
+        system = objective.evaluate(y)
+        residual = np.sqrt(np.sum(system.gradient**2 / objective.scale(y, system)))
+        if not residual > objective.largest_residual:
+            return y, steps
+        factor, info = dpbtrf(system.band, lower=1)
+        if info != 0:
+            factor, info = dpbtrf(_dominated_by_diagonal(system.band), lower=1)
+        if info != 0:
+            return y, steps  # The gradient is flat, or not finite.
+        y = objective.move(y, dpbtrs(factor, -system.gradient, lower=1)[0])
+    return y, max_steps
+
+
+def _dominated_by_diagonal(band: Floats) -> Floats:
+    """Returns the band with H_ii raised to 1.1 Σ_j≠i |H_ij|, or to |H_ii| if that is more."""
+    beside = np.zeros(band.shape[1])
+    for d, diagonal in enumerate(np.abs(band[1:]), start=1):
+        beside[: beside.size - d] += diagonal[: beside.size - d]
+        beside[d:] += diagonal[: beside.size - d]
+    raised = band.copy()
+    raised[0] = np.maximum(np.abs(band[0]), 1.1 * beside)
+    return raised

@@ -1,0 +1,255 @@
+"""A search over boxes: from the first box, and again from boxes around parts of the best point."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_aigto.aigo.algorithm import Algorithm, Box, as_positive, minimize
+from drake_aigto.aigo.coupling import CouplingGraph
+from drake_aigto.aigo.face_flow import FaceFlow, Pace
+from drake_aigto.aigo.newton import BoundedPointObjective, bold_newton, newton
+from drake_aigto.box import BoxPolynomial
+from drake_aigto.errors import OptionsError
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# Gauss-Legendre on [0, 1]: exact for polynomials of degree 16 along a line.
+_NODES, _WEIGHTS = (a / 2 for a in np.polynomial.legendre.leggauss(8))
+_NODES = _NODES + 0.5
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A point that the search has found.
+
+    Attributes:
+        x: the point, shape (n,), read-only.
+        cost: f(x).
+        origin: which boxes it came from, in words.
+    """
+
+    x: Floats
+    cost: float
+    origin: str
+
+
+@dataclass(frozen=True)
+class SearchResult:
+    """The end of a search.
+
+    Attributes:
+        best: the candidate of least cost.
+        candidates: every improvement, in the order in which they were found.
+        num_boxes: boxes that were shrunk.
+        num_steps: steps of the flow and of Newton's method in all of them.
+        num_rounds: rounds of renewal.
+        widths: geometric-mean half widths of the first box as it shrank, for each first algorithm.
+    """
+
+    best: Candidate
+    candidates: tuple[Candidate, ...] = field(repr=False)
+    num_boxes: int
+    num_steps: int
+    num_rounds: int
+    widths: tuple[tuple[float, ...], ...] = field(repr=False)
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoxSearch:
+    """Shrinks the first box, then renews boxes of some variables while the others are held.
+
+    One run of AIGO commits every variable once, and a wide box of many variables judges each by
+    means over all values of the others, also those that will be ruled out. So boxes are opened
+    again, knowing what the other variables came to: in a round of renewal, connected clusters of
+    variables, none coupled to another, are given random boxes inside the first one and all others
+    are held. They shrink by a fast face flow, a few Newton steps end in a local minimum, and
+    each cluster keeps its new values if f is lower for it. Clusters that are not coupled change f
+    independently, so that a round tries as many boxes as there are clusters.
+
+    Attributes:
+        first: the algorithms that shrink the first box, each from the start.
+        renewal: the algorithm that shrinks the clusters' boxes.
+        rounds: the most rounds of renewal; 0 for none.
+        patience: the search ends after this many rounds in a row without a lower f.
+        cluster_sizes: largest numbers of variables in a cluster, in turn; the number of all
+            variables is one more size.
+        least_width: a renewed box is at least this part of the first one's width, in (0, 1].
+        newton_steps: the most Newton steps after a box has shrunk.
+        seed: of the renewed boxes and clusters.
+    """
+
+    first: tuple[Algorithm, ...] = (FaceFlow(),)
+    renewal: Algorithm = FaceFlow(
+        share=0.5, least_shrink=0.1, pace=Pace.COMPONENT, final_width=0.1
+    )
+    rounds: int = 100
+    patience: int = 40
+    cluster_sizes: tuple[int, ...] = (1, 2, 3, 4)
+    least_width: float = 0.1
+    newton_steps: int = 20
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Checks the ranges."""
+        for name, least in (("rounds", 0), ("patience", 1), ("newton_steps", 0)):
+            if getattr(self, name) < least:
+                raise OptionsError(name, got=getattr(self, name), expected=f"{least} or more")
+        if not self.first:
+            raise OptionsError("first", got="no algorithm", expected="one or more")
+        if not all(size >= 1 for size in self.cluster_sizes):
+            raise OptionsError("cluster_sizes", got=self.cluster_sizes, expected="1 or more each")
+        as_positive("least_width", self.least_width, below=1.0 + 1e-12)
+
+    def run(
+        self,
+        f: BoxPolynomial,
+        box: Box,
+        polish: Callable[[Floats], Floats] | None = None,
+        callback: Callable[[Candidate], None] | None = None,
+    ) -> SearchResult:
+        """Searches a box for a low point of f; the same input gives the same bits.
+
+        Args:
+            f: the cost.
+            box: where to search; no point of the answer is outside, unless polish leads there.
+            polish: leads to a local minimum; called for the end of each first algorithm and for
+                the end of the search.
+            callback: called with every improvement.
+        """
+        return _Search(self, f, box, polish, callback).run()
+
+
+class _Search:
+    """One run."""
+
+    def __init__(
+        self,
+        options: BoxSearch,
+        f: BoxPolynomial,
+        box: Box,
+        polish: Callable[[Floats], Floats] | None,
+        callback: Callable[[Candidate], None] | None,
+    ) -> None:
+        self._options, self._f, self._box = options, f, box
+        self._polish, self._callback = polish, callback
+        self._lower, self._upper = box.center - box.half_width, box.center + box.half_width
+        self._rng = np.random.default_rng(options.seed)
+        self._graph = CouplingGraph.of(f)
+        self._candidates: list[Candidate] = []
+        self._best: Candidate | None = None
+        self._num_boxes = self._num_steps = 0
+
+    def run(self) -> SearchResult:
+        """Runs the first algorithms, the rounds, and polishes what they lead to."""
+        widths, rounds = [], 0
+        try:
+            for algorithm in self._options.first:
+                widths.append(self._shrink_first(algorithm))
+            for rounds in self._renew():
+                pass
+        except KeyboardInterrupt:
+            pass
+        if rounds and self._polish is not None:
+            self._offer(self._polish(self._best.x), f"polish of: {self._best.origin}")
+        return SearchResult(
+            self._best,
+            tuple(self._candidates),
+            self._num_boxes,
+            self._num_steps,
+            rounds,
+            tuple(widths),
+        )
+
+    def _shrink_first(self, algorithm: Algorithm) -> tuple[float, ...]:
+        """Shrinks the first box; returns its mean half widths."""
+        result = minimize(self._f, self._box, algorithm)
+        self._num_boxes += 1
+        self._num_steps += result.num_inner_steps
+        name = f"{type(algorithm).__name__} from the first box"
+        x = np.clip(result.box.center, self._lower, self._upper)
+        self._offer(x, name)
+        x = self._descend(x, self._box.free)
+        self._offer(x, name + ", Newton")
+        if self._polish is not None:
+            self._offer(self._polish(x), name + ", polished")
+        return tuple(iterate.box.mean_half_width for iterate in result.history)
+
+    def _renew(self) -> Iterator[int]:
+        """Yields the number of rounds after each."""
+        n = self._f.num_variables
+        sizes = sorted({min(size, n) for size in (*self._options.cluster_sizes, n)})
+        idle = 0
+        for number in range(1, self._options.rounds + 1):
+            improved = self._round(sizes[number % len(sizes)], number)
+            idle = 0 if improved else idle + 1
+            yield number
+            if idle >= self._options.patience:
+                return
+
+    def _round(self, size: int, number: int) -> bool:
+        """Renews the boxes of clusters of a size; returns whether that lowered f."""
+        x, free = self._best.x, self._box.free
+        labels = self._graph.clusters(size, free, self._rng)
+        opened = labels >= 0
+        result = minimize(self._f, self._random_box(x, opened), self._options.renewal)
+        self._num_boxes += int(labels.max()) + 1
+        self._num_steps += result.num_inner_steps
+        y = self._descend(result.box.center, opened, together=labels.max() == 0)
+        z = self._best_of_each(x, y, labels)
+        return self._offer(z, f"renewal {number} of up to {size} variables")
+
+    def _random_box(self, x: Floats, opened: NDArray[np.bool_]) -> Box:
+        """Returns random boxes inside the first one for the opened variables."""
+        first = self._box
+        part, place = self._rng.random((2, x.size))
+        part = self._options.least_width + (1 - self._options.least_width) * part
+        half_width = part * first.half_width
+        center = first.center + (2 * place - 1) * (first.half_width - half_width)
+        return Box(np.where(opened, center, x), np.where(opened, half_width, 0.0))
+
+    def _descend(self, x: Floats, free: NDArray[np.bool_], together: bool = True) -> Floats:
+        """Returns a local minimum in the first box, nearly; or of each cluster for itself."""
+        f = self._f
+        objective = BoundedPointObjective(f, free, self._lower, self._upper, 1e-6)
+        start = np.clip(x, self._lower, self._upper)[f.order]
+        if together:
+            result = newton(objective, start, self._options.newton_steps, damping=0.0)
+            y, steps = result.y, result.steps
+        else:
+            y, steps = bold_newton(objective, start, self._options.newton_steps)
+        self._num_steps += steps
+        (y,) = f.to_variables(y)
+        return y
+
+    def _best_of_each(self, x: Floats, y: Floats, labels: Ints) -> Floats:
+        """Returns x with the clusters of y in which f is lower."""
+        if labels.max() <= 0:
+            return y
+        change = np.zeros(labels.max() + 1)
+        opened = labels >= 0
+        for node, weight in zip(_NODES, _WEIGHTS, strict=True):
+            _, gradient, _ = self._f.gradient(x + node * (y - x), np.zeros(x.size))
+            np.add.at(change, labels[opened], weight * (gradient * (y - x))[opened])
+        taken = opened & (change < 0)[labels]
+        return np.where(taken, y, x)
+
+    def _offer(self, x: Floats, origin: str) -> bool:
+        """Keeps a point if it is the best; returns whether it is, by more than rounding."""
+        cost = self._f(x)
+        best = self._best
+        if not np.isfinite(cost) and best is not None:
+            return False
+        if best is not None and not cost < best.cost:
+            return False
+        x = np.array(x)
+        x.setflags(write=False)
+        self._best = Candidate(x, cost, origin)
+        self._candidates.append(self._best)
+        if self._callback:
+            self._callback(self._best)
+        return best is None or cost < best.cost - 1e-9 * max(1.0, abs(best.cost))

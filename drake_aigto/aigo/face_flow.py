@@ -1,0 +1,150 @@
+"""Face flow: of the two faces of a box in each coordinate, the worse one moves in."""
+
+from __future__ import annotations
+
+import enum
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_aigto.aigo.algorithm import Box, Iterate, as_positive
+from drake_aigto.aigo.coupling import CouplingGraph
+from drake_aigto.box import BoxPolynomial
+from drake_aigto.errors import OptionsError
+from drake_aigto.jit import njit
+
+Floats = NDArray[np.float64]
+
+
+class Pace(enum.Enum):
+    """Which coordinates share one time step of the flow."""
+
+    TOGETHER = "all: the flow of the whole box"
+    COMPONENT = "those that are coupled, by way of others that are not held: the same flow, faster"
+    EACH = "none: every box loses the same part of its width in a step, the fastest"
+
+
+@dataclass(frozen=True, kw_only=True)
+class FaceFlow:
+    """Moves the worse of two opposite faces inwards, in every coordinate at once.
+
+    With F_i(x_i) the mean of f over the other coordinates' boxes, the *face means* of coordinate i
+    are F_i(c_i ± w_i), and
+
+        D_i = F_i(c_i − w_i) − F_i(c_i + w_i) = −2 w_i ∂f̄/∂c_i
+        c_i ← c_i + α_i D_i,      w_i ← w_i − max(β α_i |D_i|, ε_w w_i)
+
+    so that what is cut off a box is what was worse. This is the rule by which [5] (Labbe & Del
+    Prete 2025, L4DC) proves AIGO global for one variable; there, it differs by its time step, and
+    by ε_w > 0, which lets boxes end whose faces balance. The rule in many variables is ours.
+
+    The time step is α_i = share · min_j w_j/|D_j| over the coordinates j that keep i's pace. Boxes
+    never leave the first one.
+
+    Attributes:
+        share: the part of its half width that the fastest coordinate moves in one step, in (0, 1).
+        beta: β in [0, 1]; at 1 the better face stays, below it moves out.
+        least_shrink: ε_w in (0, 1), the part of its half width that every coordinate loses at
+            least.
+        pace: which coordinates share a time step.
+        final_width: converged once every half width is at most this part of its first.
+        max_steps: the most outer steps; in each, the largest w_i (of its first) halves.
+    """
+
+    share: float = 0.1
+    beta: float = 1.0
+    least_shrink: float = 1e-3
+    pace: Pace = Pace.COMPONENT
+    final_width: float = 1e-3
+    max_steps: int = 100
+
+    def __post_init__(self) -> None:
+        """Checks the ranges."""
+        as_positive("share", self.share, below=1.0)
+        as_positive("least_shrink", self.least_shrink, below=1.0)
+        as_positive("final_width", self.final_width, below=1.0)
+        if not 0 <= self.beta <= 1:
+            raise OptionsError("beta", got=f"{self.beta:g}", expected="a number in [0, 1]")
+        if self.max_steps < 1:
+            raise OptionsError("max_steps", got=self.max_steps, expected="1 or more")
+
+    def init(self, f: BoxPolynomial, box: Box) -> Iterate:
+        """Returns the first box; the memory is that box, and each coordinate's group."""
+        mean = f.mean(box.center, box.half_width)
+        return Iterate(box, mean, np.inf, memory=(box, self._groups(f, box)))
+
+    def step(self, f: BoxPolynomial, iterate: Iterate) -> Iterate:
+        """Flows until the largest half width, relative to its first, has halved."""
+        first, groups = iterate.memory
+        center, half_width = iterate.box.center.copy(), iterate.box.half_width.copy()
+        target = _largest_part(half_width, first.half_width) / 2
+        part, inner_steps = np.inf, 0
+        mean, gradient, gradient_z = f.gradient(center, half_width)
+        while part > target and np.isfinite(mean):
+            part = _flow(
+                *(self.share, self.beta, self.least_shrink, groups, gradient),
+                *(first.center, first.half_width, center, half_width),
+            )
+            mean, gradient, gradient_z = f.gradient(center, half_width)
+            inner_steps += 1
+        return Iterate(
+            Box(center, half_width),
+            mean,
+            temperature=float(np.sum(gradient_z) / max(1, np.count_nonzero(first.free))),
+            inner_steps=inner_steps,
+            residual=float(np.linalg.norm(gradient[first.free])),
+            memory=iterate.memory,
+        )
+
+    def terminate(self, f: BoxPolynomial, iterate: Iterate) -> bool:
+        """Returns whether all widths have shrunk to the final part of their first."""
+        first, _ = iterate.memory
+        return _largest_part(iterate.box.half_width, first.half_width) <= self.final_width
+
+    def _groups(self, f: BoxPolynomial, box: Box) -> NDArray[np.int64]:
+        """Returns the group of each coordinate, which moves by one time step; −1 where held."""
+        if self.pace is Pace.COMPONENT:
+            return CouplingGraph.of(f).components(box.free)
+        groups = np.zeros(f.num_variables, dtype=np.int64)
+        if self.pace is Pace.EACH:
+            groups = np.arange(f.num_variables)
+        return np.where(box.free, groups, -1)
+
+
+def _largest_part(half_width: Floats, first: Floats) -> float:
+    """Returns max w_i/w_i⁰ over the coordinates that are not held."""
+    return float(np.max(half_width[first > 0] / first[first > 0], initial=0.0))
+
+
+@njit(cache=True, error_model="numpy")
+def _flow(
+    share: float,
+    beta: float,
+    least_shrink: float,
+    groups: NDArray[np.int64],
+    gradient: Floats,
+    first_center: Floats,
+    first_half_width: Floats,
+    center: Floats,
+    half_width: Floats,
+) -> float:
+    """Moves c and w by one step, in place; |D|/w is 2 |∂f̄/∂c|. Returns `_largest_part`."""
+    fastest = np.zeros(groups.size)
+    for i, group in enumerate(groups):
+        if group >= 0:
+            fastest[group] = max(fastest[group], abs(gradient[i]))
+    largest = 0.0
+    for i, group in enumerate(groups):
+        if group < 0:
+            continue
+        c, w, g = center[i], half_width[i], gradient[i]
+        move = share * w * (abs(g) / fastest[group]) if g != 0.0 else 0.0
+        c -= math.copysign(move, g)
+        w -= max(beta * move, least_shrink * w)
+        low = max(c - w, first_center[i] - first_half_width[i])
+        high = min(c + w, first_center[i] + first_half_width[i])
+        center[i], half_width[i] = (low + high) / 2, (high - low) / 2
+        largest = max(largest, half_width[i] / first_half_width[i])
+    return largest
