@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from pydrake.solvers import ExpressionCost, MathematicalProgram
 
 from drake_aigto.study.global_problem import Floats
@@ -79,12 +79,12 @@ class ConstrainedProblem:
         """The number n of variables."""
         return self.lower.size
 
-    def summands(self, x: Sequence[Any]) -> Sequence[Any]:
+    def summands(self, x: Sequence[Any] | NDArray[Any]) -> Sequence[Any]:
         """Return the summands of the cost at x (n,)."""
         costs = self.costs(*x)
         return costs if isinstance(costs, (list, tuple)) else (costs,)
 
-    def evaluate(self, x: Sequence[Any]) -> Any:
+    def evaluate(self, x: Sequence[Any] | NDArray[Any]) -> Any:
         """Return the cost at x (n,), numbers or Expressions."""
         return sum(self.summands(x))
 

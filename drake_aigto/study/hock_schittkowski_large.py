@@ -261,6 +261,8 @@ def _hs83_rows(x: Any, y: Any, z: Any, u: Any, v: Any) -> Sequence[Any]:
 
 
 def _of_more() -> tuple[ConstrainedProblem, ...]:
+    # Two corners of 108's regular hexagon, turned by 10°; the optimum is the same at any angle.
+    hexagon = [f(math.radians(angle)) for angle in (10.0, 70.0) for f in (math.cos, math.sin)]
     return (
         hs(
             100,
@@ -322,17 +324,7 @@ def _of_more() -> tuple[ConstrainedProblem, ...]:
             108,
             ([*[-1.0] * 8, 0.0], 1.0),
             -math.sqrt(3.0) / 2.0,
-            [
-                0.9843651303104877,
-                0.17613997340514456,
-                0.3396408735617229,
-                0.9405551961554972,
-                0.9843651303129779,
-                0.1761399734097581,
-                0.33964087356447326,
-                0.9405551961510339,
-                0.0,
-            ],
+            [*hexagon, *hexagon, 0.0],
             lambda a, b, c, d, e, f, g, h, i: (
                 -0.5 * (a * d - b * c + c * i - e * i + e * h - f * g)
             ),
