@@ -184,6 +184,20 @@ def test_costs_that_drake_made_are_kept_apart() -> None:
         assert f(np.ones(50)) == sum(2 * i + 1 for i in range(50))
 
 
+def test_like_terms_of_costs_with_one_name_and_the_same_variables_are_merged() -> None:
+    prog, x = program()
+    for k in range(1, 11):  # a sum of squares, as residuals give it
+        add(prog, (x[0] - k * x[1] ** 2 + 1) ** 2, "residual")
+    add(prog, (x[0] + x[1]) ** 3, "another")
+    f = compile_program(prog)
+    assert [(block.name, len(block.terms)) for block in f.blocks] == [
+        ("residual", 6),
+        ("another", 4),
+    ]
+    point = np.array([0.5, -0.75, 0.0])
+    assert f(point) == pytest.approx(total_cost(prog, point), rel=1e-14)
+
+
 def test_a_shared_evaluator_is_parsed_once_and_means_the_sum_of_its_bindings() -> None:
     a, b = Variable("a"), Variable("b")
     shared = ExpressionCost(a**3 * b - log(b) + smax(0.0, a - 1.0) ** 2)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterator, Sequence
 
 import numpy as np
@@ -26,8 +27,9 @@ from drake_aigto.errors import UnsupportedTermError
 def compile_program(prog: MathematicalProgram, order: ArrayLike | None = None) -> BoxPolynomial:
     """Compile the costs of a program into a term table.
 
-    An evaluator that is bound to many sets of variables is parsed once. Constraints are not read:
-    turn them into costs first (`transcription.penalize`).
+    An evaluator that is bound to many sets of variables is parsed once, and like terms of costs
+    that share their name and variables are merged. Constraints are not read: turn them into costs
+    first (`transcription.penalize`).
 
     Args:
         prog: Costs may be linear, quadratic, or `ExpressionCost`s: sums of products of powers, sin,
@@ -40,12 +42,26 @@ def compile_program(prog: MathematicalProgram, order: ArrayLike | None = None) -
         UnsupportedTermError: A term has no closed-form mean here, or a cost has too many; the
             message names the cost and the term.
     """
+    sums: dict[tuple[str, tuple[tuple[int, ...], ...]], list[tuple[Term, ...]]] = {}
+    for label, evaluator, copies in shared_evaluators(prog, prog.GetAllCosts()):
+        alike = evaluator_name(evaluator), tuple(map(tuple, copies))
+        sums.setdefault(alike, []).append(_parse_cost(label, evaluator))
     blocks = [
         block
-        for label, evaluator, copies in shared_evaluators(prog, prog.GetAllCosts())
-        for block in term_blocks(evaluator_name(evaluator), _parse_cost(label, evaluator), copies)
+        for (name, copies), summands in sums.items()
+        for block in term_blocks(name, _merged(summands), copies)
     ]
     return BoxPolynomial(prog.num_vars(), tuple(blocks), order)
+
+
+def _merged(summands: Sequence[tuple[Term, ...]]) -> tuple[Term, ...]:
+    """One sum of several, like terms added up."""
+    if len(summands) == 1:
+        return summands[0]
+    total: dict[tuple[Factor, ...], float] = {}
+    for term in itertools.chain(*summands):
+        total[term.factors] = total.get(term.factors, 0.0) + term.coefficient
+    return tuple(Term(coefficient, factors) for factors, coefficient in total.items())
 
 
 def shared_evaluators(

@@ -30,6 +30,8 @@ from drake_aigto.errors import UnsupportedTermError
 # Place of a variable among those that an evaluator is bound to.
 LocalIndex = Callable[[Variable], int]
 
+_VARIABLE = operator.attrgetter("variable")
+
 _LONGEST_SHOWN = 300  # characters of a term in a message
 
 _WAVES = {
@@ -68,11 +70,16 @@ def expression_terms(label: str, expression: Expression, index: LocalIndex) -> t
 def polynomial_terms(expression: Expression, index: LocalIndex) -> tuple[Term, ...]:
     """The terms of a polynomial expression, multiplied out."""
     terms = []
+    known: dict[tuple[int, int], Factor] = {}  # few factors make up many terms
     for monomial, coefficient in Polynomial(expression).monomial_to_coefficient_map().items():
-        factors = [
-            Factor(index(v), FunctionKind.POWER, p) for v, p in monomial.get_powers().items()
-        ]
-        terms.append(Term(coefficient.Evaluate(), tuple(sorted(factors, key=lambda f: f.variable))))
+        factors = []
+        for variable, exponent in monomial.get_powers().items():
+            key = variable.get_id(), exponent
+            if key not in known:
+                known[key] = Factor(index(variable), FunctionKind.POWER, exponent)
+            factors.append(known[key])
+        factors.sort(key=_VARIABLE)
+        terms.append(Term(coefficient.Evaluate(), tuple(factors)))
     return tuple(terms)
 
 
