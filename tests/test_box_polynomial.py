@@ -14,11 +14,15 @@ from hypothesis import strategies as st
 
 from drake_aigto import OptionsError, UnsupportedTermError
 from drake_aigto.box import BoxPolynomial, Factor, FunctionKind, Term, TermBlock
+from drake_aigto.box.functions import WAVES
 from drake_aigto.box.reference import exact_mean, relative_error
 
 NUM_VARIABLES = 5
 # Some ten roundings a factor, and one for each of a few dozen terms.
 TOLERANCE = 1e-14
+# Waves are not among them: their means may be far smaller than they are, and their rounding errors
+# with them not. See test_box_waves.
+KINDS = [kind for kind in FunctionKind if kind not in WAVES]
 Floats = npt.NDArray[np.float64]
 Boxes = tuple[Floats, Floats]
 
@@ -30,8 +34,8 @@ def eighths(low: float, high: float) -> st.SearchStrategy[float]:
 
 @st.composite
 def factors(draw: st.DrawFn, variable: int) -> Factor:
-    """Any kind of factor; logarithms keep their argument positive over `boxes`."""
-    kind = draw(st.sampled_from(FunctionKind))
+    """Factors; logarithms keep their argument positive over `boxes`."""
+    kind = draw(st.sampled_from(KINDS))
     exponent = draw(st.integers(0, 4)) if kind is FunctionKind.POWER else 1
     scale = draw(st.sampled_from([-1.0, -0.5, 0.5, 1.0]))
     offset = draw(eighths(11, 15) if kind is FunctionKind.NEG_LOG else eighths(-3, 3))
@@ -377,7 +381,7 @@ def test_tables_are_read_only_and_the_callers_array_is_not() -> None:
     table = block(Term(1.0, (X0, X1)), variables=variables)
     variables[0, 0] = 7
     assert table.variables.tolist() == [[0, 1]]
-    for array in (*table.kernel_arguments[1:], BoxPolynomial(2, (table,)).order):
+    for array in (table.variables, BoxPolynomial(2, (table,)).order):
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0
 

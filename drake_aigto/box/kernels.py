@@ -1,209 +1,282 @@
-"""The hot loops: box means of a term block, with gradient and banded Hessian.
+"""The hot loops: means of stacked sums over boxes, with their derivatives in (c, z = log w).
 
-Shape letters: K copies of a block, L variables a copy, F factors, M terms, n unknowns of a system.
-Every function adds into its outputs, so that blocks can be summed in place. A block of weight 0 is
-off: it adds nothing, also where its own mean is infinite.
+A copy of weight 0 is off: it adds nothing, also where its own mean is infinite. Derivatives come
+from the product rule on a_m ∏_f μ_f, by products of what stands before and behind a factor: to
+divide by μ_f would fail where it is 0. At a half width of 0 means are values.
 
+Shape letters as in `StackedTerms`, and n variables. A symmetric matrix is kept in LAPACK's lower
+band storage: entry (i, j), i ≥ j, at [i − j, j].
+
+Helpers that take arrays are inlined: to call one takes as long as a short term.
 Numba's cache of this file does not see edits of `functions`: delete `__pycache__` after one.
 """
 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drake_aigto.box.functions import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE, factor_mean
+from drake_aigto.box.functions import (
+    D_C,
+    D_CC,
+    D_CZ,
+    D_Z,
+    D_ZZ,
+    VALUE,
+    FunctionKind,
+    factor_mean,
+)
+from drake_aigto.box.tables import Floats, Ints, Records, StackedTerms
 from drake_aigto.jit import njit
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-
-# A block's weight and term table: the first arguments of `block_mean` and `block_newton`.
-WeightedTable = tuple[float, Ints, Ints, Ints, Ints, Floats, Floats, Floats, Ints, Ints]
+_POWER = int(FunctionKind.POWER)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _fill_factors(
+def _fill_row(
+    kind: int,
+    exponent: int,
+    scale: float,
+    offset: float,
+    center: float,
+    half_width: float,
+    rows: Floats,
+    f: int,
+) -> None:
+    """`factor_mean` into rows[f], with the most common functions by hand."""
+    y = scale * center + offset
+    if kind == _POWER and exponent == 1:
+        rows[f, VALUE], rows[f, D_C], rows[f, D_CC] = y, scale, 0.0
+        rows[f, D_Z], rows[f, D_CZ], rows[f, D_ZZ] = 0.0, 0.0, 0.0
+    elif kind == _POWER and exponent == 2:
+        variance = (scale * half_width) ** 2 / 3.0
+        rows[f, VALUE], rows[f, D_C], rows[f, D_CC] = (
+            y * y + variance,
+            2.0 * y * scale,
+            2.0 * scale**2,
+        )
+        rows[f, D_Z], rows[f, D_CZ], rows[f, D_ZZ] = 2.0 * variance, 0.0, 4.0 * variance
+    else:
+        factor_mean(kind, exponent, scale, offset, center, half_width, rows[f])
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _fill_rows(
+    copy: np.record,
     copy_variables: Ints,
-    factor_variable: Ints,
-    factor_kind: Ints,
-    factor_exponent: Ints,
-    factor_scale: Floats,
-    factor_offset: Floats,
+    sums: Records,
+    factors: Records,
     center: Floats,
     half_width: Floats,
     rows: Floats,
-) -> None:
-    """Evaluate the F factors of one copy into rows (F, 6)."""
-    for f in range(factor_variable.size):
-        i = copy_variables[factor_variable[f]]
-        factor_mean(
-            factor_kind[f],
-            factor_exponent[f],
-            factor_scale[f],
-            factor_offset[f],
+    variables: Ints,
+) -> int:
+    """Evaluate a copy's factors into rows (most_factors, 6), and look up their variables.
+
+    Returns:
+        How many they are.
+    """
+    first = sums[copy.sum_index].first_factor
+    count = sums[copy.sum_index + 1].first_factor - first
+    for f in range(count):
+        factor = factors[first + f]
+        i = copy_variables[copy.first_variable + factor.variable]
+        variables[f] = i
+        _fill_row(
+            factor.kind,
+            factor.exponent,
+            factor.scale,
+            factor.offset,
             center[i],
             half_width[i],
-            rows[f],
+            rows,
+            f,
         )
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _multiply(
+    coefficient: float,
+    members: Ints,
+    first: int,
+    last: int,
+    rows: Floats,
+    before: Floats,
+    partials: Floats,
+) -> float:
+    """The term coefficient · ∏ μ of members[first:last]; adds its derivative by each μ to partials.
+
+    before[0], before[1], … become the coefficient times the μ that stand before each of them.
+    """
+    product = coefficient
+    for a in range(first, last):
+        before[a - first] = product
+        product *= rows[members[a], VALUE]
+    behind = 1.0
+    for a in range(last - 1, first - 1, -1):
+        partials[members[a]] += before[a - first] * behind
+        behind *= rows[members[a], VALUE]
+    return product
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def block_mean(
-    weight: float,
-    variables: Ints,
-    factor_variable: Ints,
-    factor_kind: Ints,
-    factor_exponent: Ints,
-    factor_scale: Floats,
-    factor_offset: Floats,
-    coefficients: Floats,
-    starts: Ints,
-    members: Ints,
+def add_means(
+    stacked: StackedTerms,
+    weights: Floats,
     center: Floats,
     half_width: Floats,
+    values: Floats,
     gradient_c: Floats,
     gradient_z: Floats,
 ) -> float:
-    """Weighted mean of a block's K copies; adds its gradient in (c, z = log w).
-
-    By the product rule on a_m ∏_f μ_f, every factor's partner being the product of the others. That
-    product is formed anew, since dividing by μ_f fails where it is 0.
+    """Weighted means of the copies; returns their sum, and adds its gradient.
 
     Args:
-        weight: Common factor.
-        variables: Variable of each copy's local variables (K, L).
-        factor_variable: Local variable of each factor (F,).
-        factor_kind: Its `FunctionKind` (F,).
-        factor_exponent: Its power (F,).
-        factor_scale: Factor inside its function (F,).
-        factor_offset: Term inside its function (F,).
-        coefficients: Coefficient of each term (M,).
-        starts: Term m's factors are members[starts[m]:starts[m + 1]] (M + 1,).
-        members: Factors of the terms, one term after the other.
-        center: Box center of every variable.
-        half_width: Box half width of every variable, ≥ 0.
-        gradient_c: Added to, over every variable; empty for the mean alone.
-        gradient_z: Added to, over every variable; empty for the mean alone.
+        stacked: The sums.
+        weights: Factor of each copy (C,).
+        center: Box center of every variable (n,).
+        half_width: Box half width of every variable (n,), ≥ 0.
+        values: Filled with weight · mean of every copy (C,).
+        gradient_c: Added to (n,); empty for the means alone.
+        gradient_z: Added to (n,); empty for the means alone.
     """
-    if weight == 0.0:
-        return 0.0
-    rows = np.empty((factor_variable.size, 6))
+    # Unpacked, as Numba counts references at every use of an array within a tuple.
+    copies, copy_variables, sums, factors, terms, members, most_factors, longest_term = stacked
+    rows, variables = np.empty((most_factors, 6)), np.empty(most_factors, np.int64)
+    partials, before = np.empty(most_factors), np.empty(longest_term)
     with_gradient = gradient_c.size > 0
     total = 0.0
-    for k in range(variables.shape[0]):
-        _fill_factors(
-            variables[k],
-            factor_variable,
-            factor_kind,
-            factor_exponent,
-            factor_scale,
-            factor_offset,
-            center,
-            half_width,
-            rows,
+    for copy in range(copies.size):
+        values[copy] = 0.0
+        if weights[copy] == 0.0:
+            continue
+        num_factors = _fill_rows(
+            copies[copy], copy_variables, sums, factors, center, half_width, rows, variables
         )
-        for m in range(coefficients.size):
-            first, last = starts[m], starts[m + 1]
-            coefficient = weight * coefficients[m]
-            product = coefficient
-            for a in range(first, last):
-                product *= rows[members[a], VALUE]
-            total += product
-            if not with_gradient:
-                continue
-            for a in range(first, last):
-                others = coefficient
-                for b in range(first, last):
-                    if b != a:
-                        others *= rows[members[b], VALUE]
-                i = variables[k, factor_variable[members[a]]]
-                gradient_c[i] += others * rows[members[a], D_C]
-                gradient_z[i] += others * rows[members[a], D_Z]
+        for f in range(num_factors):
+            partials[f] = 0.0
+        value = 0.0
+        for m in range(
+            sums[copies[copy].sum_index].first_term, sums[copies[copy].sum_index + 1].first_term
+        ):
+            first, last = terms[m].first_member, terms[m + 1].first_member
+            coefficient = weights[copy] * terms[m].coefficient
+            if with_gradient:
+                value += _multiply(coefficient, members, first, last, rows, before, partials)
+            else:
+                for a in range(first, last):
+                    coefficient *= rows[members[a], VALUE]
+                value += coefficient
+        if with_gradient:
+            for f in range(num_factors):
+                gradient_c[variables[f]] += partials[f] * rows[f, D_C]
+                gradient_z[variables[f]] += partials[f] * rows[f, D_Z]
+        values[copy] = value
+        total += value
     return total
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _add_to_band(band: Floats, i: int, j: int, value: float) -> None:
-    """Add to entry (i, j) = (j, i) of a symmetric matrix in LAPACK's lower band storage."""
+def _add(band: Floats, i: int, j: int, value: float) -> None:
+    """Add to entry (i, j) = (j, i) of a symmetric matrix in lower band storage."""
     if i >= j:
         band[i - j, j] += value
     else:
         band[j - i, i] += value
 
 
+@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
+def _add_pair(
+    band: Floats, stride: int, i: int, j: int, others: float, row_i: Floats, row_j: Floats
+) -> None:
+    """Add the Hessian of others · μ_i μ_j between two variables at places i and j, if both ≥ 0."""
+    if i < 0 or j < 0:
+        return
+    _add(band, i, j, others * row_i[D_C] * row_j[D_C])
+    if stride == 2:
+        _add(band, i, j + 1, others * row_i[D_C] * row_j[D_Z])
+        _add(band, i + 1, j, others * row_i[D_Z] * row_j[D_C])
+        _add(band, i + 1, j + 1, others * row_i[D_Z] * row_j[D_Z])
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def block_newton(
-    weight: float,
-    variables: Ints,
-    factor_variable: Ints,
-    factor_kind: Ints,
-    factor_exponent: Ints,
-    factor_scale: Floats,
-    factor_offset: Floats,
-    coefficients: Floats,
-    starts: Ints,
-    members: Ints,
+def add_newton_system(
+    stacked: StackedTerms,
+    weights: Floats,
+    multipliers: Floats,
     center: Floats,
     half_width: Floats,
-    position: Ints,
+    variable_places: Ints,
+    copy_places: Ints,
     stride: int,
     gradient: Floats,
     band: Floats,
 ) -> float:
-    """Weighted mean of a block's K copies; adds gradient and Hessian of the Newton system.
+    """Add the KKT matrix [W Aᵀ; A 0] of the copies' means, and the gradient of what has no row.
 
-    The arguments up to half_width are those of `block_mean`. `position` is the place of each
-    variable in the elimination order; `stride` is 2 for unknowns (c_i, z_i) at 2·position and
-    2·position + 1, or 1 for c_i alone at position. `gradient` (n,) and `band` in lower band storage
-    (rows, n) are added to.
+        W = Σ multiplier · weight · ∇²mean,      A's row of a copy: weight · ∇mean
+
+    Args:
+        stacked: The sums.
+        weights: Factor of each copy (C,).
+        multipliers: Factor of each copy's Hessian (C,).
+        center: Box center of every variable (n,).
+        half_width: Box half width of every variable (n,), ≥ 0.
+        variable_places: Place of each variable's first unknown in the matrix, −1 for a variable
+            that is held (n,).
+        copy_places: Place of each copy that is one of A's rows, −1 for one that is not (C,).
+        stride: 2 for unknowns (c_i, z_i), which stand next to each other, or 1 for c_i alone.
+        gradient: weight · ∇mean of the copies of place −1 is added (size,).
+        band: Added to (rows, size), lower band storage.
+
+    Returns:
+        The sum of weight · mean over all copies.
     """
-    if weight == 0.0:
-        return 0.0
-    rows = np.empty((factor_variable.size, 6))
+    # Unpacked, as Numba counts references at every use of an array within a tuple.
+    copies, copy_variables, sums, factors, terms, members, most_factors, longest_term = stacked
+    rows, variables = np.empty((most_factors, 6)), np.empty(most_factors, np.int64)
+    places = np.empty(most_factors, np.int64)
+    partials, before = np.empty(most_factors), np.empty(longest_term)
     total = 0.0
-    for k in range(variables.shape[0]):
-        _fill_factors(
-            variables[k],
-            factor_variable,
-            factor_kind,
-            factor_exponent,
-            factor_scale,
-            factor_offset,
-            center,
-            half_width,
-            rows,
+    for copy in range(copies.size):
+        if weights[copy] == 0.0:
+            continue
+        num_factors = _fill_rows(
+            copies[copy], copy_variables, sums, factors, center, half_width, rows, variables
         )
-        for m in range(coefficients.size):
-            first, last = starts[m], starts[m + 1]
-            coefficient = weight * coefficients[m]
-            product = coefficient
-            for a in range(first, last):
-                product *= rows[members[a], VALUE]
-            total += product
-            for a in range(first, last):
-                row_a = rows[members[a]]
-                i = stride * position[variables[k, factor_variable[members[a]]]]
-                others = coefficient
-                for b in range(first, last):
-                    if b != a:
-                        others *= rows[members[b], VALUE]
-                gradient[i] += others * row_a[D_C]
-                band[0, i] += others * row_a[D_CC]
-                if stride == 2:
-                    gradient[i + 1] += others * row_a[D_Z]
-                    band[1, i] += others * row_a[D_CZ]
-                    band[0, i + 1] += others * row_a[D_ZZ]
-                for b in range(a + 1, last):
-                    row_b = rows[members[b]]
-                    j = stride * position[variables[k, factor_variable[members[b]]]]
-                    pair = coefficient
-                    for d in range(first, last):
-                        if d != a and d != b:
-                            pair *= rows[members[d], VALUE]
-                    _add_to_band(band, i, j, pair * row_a[D_C] * row_b[D_C])
-                    if stride == 2:
-                        _add_to_band(band, i, j + 1, pair * row_a[D_C] * row_b[D_Z])
-                        _add_to_band(band, i + 1, j, pair * row_a[D_Z] * row_b[D_C])
-                        _add_to_band(band, i + 1, j + 1, pair * row_a[D_Z] * row_b[D_Z])
+        for f in range(num_factors):
+            partials[f] = 0.0
+            places[f] = variable_places[variables[f]]
+        value = 0.0
+        for m in range(
+            sums[copies[copy].sum_index].first_term, sums[copies[copy].sum_index + 1].first_term
+        ):
+            first, last = terms[m].first_member, terms[m + 1].first_member
+            coefficient = weights[copy] * terms[m].coefficient
+            value += _multiply(coefficient, members, first, last, rows, before, partials)
+            behind = multipliers[copy]
+            for a in range(last - 1, first, -1):
+                f = members[a]
+                between = behind
+                for b in range(a - 1, first - 1, -1):
+                    g = members[b]
+                    pair = before[b - first] * between
+                    _add_pair(band, stride, places[f], places[g], pair, rows[f], rows[g])
+                    between *= rows[g, VALUE]
+                behind *= rows[f, VALUE]
+        total += value
+        for f in range(num_factors):
+            i, curvature = places[f], multipliers[copy] * partials[f]
+            if i < 0:
+                continue
+            band[0, i] += curvature * rows[f, D_CC]
+            if stride == 2:
+                band[1, i] += curvature * rows[f, D_CZ]
+                band[0, i + 1] += curvature * rows[f, D_ZZ]
+            for part in range(stride):
+                slope = partials[f] * rows[f, D_C + part]
+                if copy_places[copy] < 0:
+                    gradient[i + part] += slope
+                else:
+                    _add(band, copy_places[copy], i + part, slope)
     return total

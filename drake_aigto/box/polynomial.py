@@ -12,7 +12,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from drake_aigto.box.functions import WAVES, FunctionKind
-from drake_aigto.box.kernels import Floats, Ints, WeightedTable, block_mean, block_newton
+from drake_aigto.box.kernels import add_means, add_newton_system
+from drake_aigto.box.tables import Floats, Ints, stack_terms
 from drake_aigto.errors import OptionsError, UnsupportedTermError
 
 _NO_GRADIENT = np.empty(0)
@@ -68,7 +69,6 @@ class TermBlock:
         terms: The sum's terms over local variables 0 … L−1.
         variables: (K, L) index of each copy's variables in the whole problem.
         weight: Common factor of all copies; 0 switches the block off.
-        kernel_arguments: The first arguments of the functions in `kernels`.
 
     Raises:
         UnsupportedTermError: A number is not finite, an exponent is negative, or two factors of a
@@ -79,58 +79,48 @@ class TermBlock:
     def __init__(
         self, name: str, terms: tuple[Term, ...], variables: ArrayLike, weight: float = 1.0
     ) -> None:
-        """Check the terms and flatten them into the arrays that the kernels walk."""
+        """Check the terms."""
         self.name = name
         self.terms = tuple(terms)
         self.weight = _finite_weight(name, weight)
         self.variables = np.atleast_2d(np.array(variables, dtype=np.int64))
+        self.variables.setflags(write=False)
         for term in self.terms:
             _check_numbers(name, term)
         self._check_distinct()
-        self.kernel_arguments = self._flatten()
-        for array in self.kernel_arguments[1:]:
-            array.setflags(write=False)
 
     def _check_distinct(self) -> None:
         """Refuse a term of which two factors read one variable, in the block or in one copy."""
-        for term in self.terms:
-            local = [factor.variable for factor in term.factors]
-            if len(set(local)) < len(local):
+        read = [[factor.variable for factor in term.factors] for term in self.terms]
+        for term, places in zip(self.terms, read, strict=True):
+            if len(set(places)) < len(places):
                 raise _repeated_variable(self.name, f"the term {term}")
-        a, b = self.couplings().T
-        copy, pair = np.nonzero((self.variables[:, a] == self.variables[:, b]) & (a != b))
-        if copy.size:
-            variable = self.variables[copy[0], a[pair[0]]]
-            raise _repeated_variable(self.name, f"copy {copy[0]} with variable {variable} twice")
-
-    def _flatten(self) -> WeightedTable:
-        factors = list(dict.fromkeys(factor for term in self.terms for factor in term.factors))
-        index = {factor: f for f, factor in enumerate(factors)}
-        return (
-            self.weight,
-            self.variables,
-            np.array([f.variable for f in factors], dtype=np.int64),
-            np.array([int(f.kind) for f in factors], dtype=np.int64),
-            np.array([f.exponent for f in factors], dtype=np.int64),
-            np.array([f.scale for f in factors], dtype=float),
-            np.array([f.offset for f in factors], dtype=float),
-            np.array([t.coefficient for t in self.terms], dtype=float),
-            np.cumsum([0] + [len(t.factors) for t in self.terms], dtype=np.int64),
-            np.array([index[f] for t in self.terms for f in t.factors], dtype=np.int64),
-        )
-
-    def with_weight(self, weight: float) -> TermBlock:
-        """The same block under another weight; the term table is shared."""
-        block = object.__new__(TermBlock)
-        block.__dict__.update(self.__dict__)
-        block.weight = _finite_weight(self.name, weight)
-        block.kernel_arguments = (block.weight, *self.kernel_arguments[1:])
-        return block
+        if not _repeats(self.variables)[0].size:
+            return
+        for places in read:
+            copy, variable = _repeats(self.variables[:, places])
+            if copy.size:
+                got = f"copy {copy[0]} with variable {variable[0]} twice"
+                raise _repeated_variable(self.name, got)
 
     def couplings(self) -> Ints:
         """Pairs of local variables that appear together in a term, shape (P, 2)."""
         pairs = {(a.variable, b.variable) for t in self.terms for a in t.factors for b in t.factors}
         return np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2)
+
+    def with_weight(self, weight: float) -> TermBlock:
+        """The same block under another weight; terms and variables are shared."""
+        block = object.__new__(TermBlock)
+        block.__dict__.update(self.__dict__)
+        block.weight = _finite_weight(self.name, weight)
+        return block
+
+
+def _repeats(variables: Ints) -> tuple[Ints, Ints]:
+    """Rows that hold a number twice, and that number."""
+    ordered = np.sort(variables, axis=1)
+    row, place = np.nonzero(ordered[:, 1:] == ordered[:, :-1])
+    return row, ordered[row, place]
 
 
 def _finite_weight(name: str, weight: float) -> float:
@@ -212,10 +202,12 @@ class BoxPolynomial:
         blocks: tuple[TermBlock, ...],
         order: ArrayLike | None = None,
     ) -> None:
-        """Store the blocks and find the Hessian's bandwidth under the elimination order."""
+        """Stack the blocks and find the Hessian's bandwidth under the elimination order."""
         self.num_variables = num_variables
         self.blocks = tuple(blocks)
-        rows, columns = self._coupled_pairs()
+        self._terms = stack_terms(self.blocks)
+        self._weights = self._copy_weights()
+        rows, columns = self.couplings().T
         if order is None and rows.size:
             graph = coo_array((np.ones(rows.size), (rows, columns)), shape=(num_variables,) * 2)
             order = reverse_cuthill_mckee(graph.tocsr(), symmetric_mode=True)
@@ -231,10 +223,14 @@ class BoxPolynomial:
         distance = np.abs(self._position[rows] - self._position[columns])
         self.bandwidth = int(np.max(distance, initial=0))
 
-    def _coupled_pairs(self) -> tuple[Ints, Ints]:
-        pairs = [block.variables[:, block.couplings()].reshape(-1, 2) for block in self.blocks]
-        stacked = np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs])
-        return stacked[:, 0], stacked[:, 1]
+    def _copy_weights(self) -> Floats:
+        """Weight of each copy, in the kernels' order."""
+        copies = [block.variables.shape[0] for block in self.blocks]
+        return np.repeat(np.array([block.weight for block in self.blocks], dtype=float), copies)
+
+    def couplings(self) -> Ints:
+        """Pairs of variables that a term reads, each variable with itself among them: (P, 2)."""
+        return self._terms.couplings()[1]
 
     @property
     def num_terms(self) -> int:
@@ -261,17 +257,15 @@ class BoxPolynomial:
             )
         other = object.__new__(BoxPolynomial)
         other.__dict__.update(self.__dict__)
-        other.blocks = tuple(b.with_weight(weights.get(b.name, b.weight)) for b in self.blocks)
+        other.blocks = tuple(
+            b.with_weight(weights[b.name]) if b.name in weights else b for b in self.blocks
+        )
+        other._weights = other._copy_weights()
         return other
 
     def mean(self, center: ArrayLike, half_width: ArrayLike) -> float:
         """f̄(c, w); f(c) at w = 0."""
-        c, w = self._box(center, half_width)
-        means = (
-            block_mean(*block.kernel_arguments, c, w, _NO_GRADIENT, _NO_GRADIENT)
-            for block in self.blocks
-        )
-        return sum(means, start=0.0)
+        return self._add_means(center, half_width, self._weights, _NO_GRADIENT, _NO_GRADIENT)[0]
 
     def __call__(self, x: ArrayLike) -> float:
         """f(x)."""
@@ -279,22 +273,35 @@ class BoxPolynomial:
 
     def mean_by_block(self, center: ArrayLike, half_width: ArrayLike) -> dict[str, float]:
         """Each block's share of f̄, divided by its weight."""
-        c, w = self._box(center, half_width)
-        shares: dict[str, float] = {}
+        ones = np.ones_like(self._weights)
+        _, means = self._add_means(center, half_width, ones, _NO_GRADIENT, _NO_GRADIENT)
+        shares = dict.fromkeys(self.weights, 0.0)
+        first = 0
         for block in self.blocks:
-            arguments = block.with_weight(1.0).kernel_arguments
-            share = block_mean(*arguments, c, w, _NO_GRADIENT, _NO_GRADIENT)
-            shares[block.name] = shares.get(block.name, 0.0) + share
+            last = first + block.variables.shape[0]
+            shares[block.name] += float(np.sum(means[first:last]))
+            first = last
         return shares
 
     def gradient(self, center: ArrayLike, half_width: ArrayLike) -> tuple[float, Floats, Floats]:
         """f̄, ∂f̄/∂c (n,) and ∂f̄/∂z (n,), z = log w."""
-        c, w = self._box(center, half_width)
         gradient_c, gradient_z = np.zeros(self.num_variables), np.zeros(self.num_variables)
-        value = 0.0
-        for block in self.blocks:
-            value += block_mean(*block.kernel_arguments, c, w, gradient_c, gradient_z)
+        value, _ = self._add_means(center, half_width, self._weights, gradient_c, gradient_z)
         return value, gradient_c, gradient_z
+
+    def _add_means(
+        self,
+        center: ArrayLike,
+        half_width: ArrayLike,
+        weights: Floats,
+        gradient_c: Floats,
+        gradient_z: Floats,
+    ) -> tuple[float, Floats]:
+        """The weighted mean, and its parts by copy; adds its gradient."""
+        c, w = self._box(center, half_width)
+        means = np.empty(weights.size)
+        value = add_means(self._terms, weights, c, w, means, gradient_c, gradient_z)
+        return value, means
 
     def newton_system(
         self, center: ArrayLike, half_width: ArrayLike, centers_only: bool = False
@@ -308,11 +315,18 @@ class BoxPolynomial:
         size = stride * self.num_variables
         gradient = np.zeros(size)
         band = np.zeros((stride * self.bandwidth + stride, size))
-        value = 0.0
-        for block in self.blocks:
-            value += block_newton(
-                *block.kernel_arguments, c, w, self._position, stride, gradient, band
-            )
+        value = add_newton_system(
+            self._terms,
+            self._weights,
+            np.ones_like(self._weights),
+            c,
+            w,
+            stride * self._position,
+            np.full(self._weights.size, -1),
+            stride,
+            gradient,
+            band,
+        )
         return NewtonSystem(value, gradient, band)
 
     def to_variables(self, ordered: Floats) -> Iterator[Floats]:

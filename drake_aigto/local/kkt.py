@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from drake_aigto.local.kernels import derivatives_at, erase_couplings
+from drake_aigto.box.kernels import add_newton_system
+from drake_aigto.local.kernels import erase_couplings
 
 if TYPE_CHECKING:
     from drake_aigto.local.nlp import PolynomialNlp
@@ -43,11 +44,11 @@ class KktStructure:
         self.free = np.flatnonzero(nlp.lower != nlp.upper)
         position = np.full(nlp.num_variables, -1)
         position[self.free] = range(self.free.size)
-        rows_read, variables_read = self._incidence(position)
+        rows_read, variables_read, couplings = self._reads(position)
         self.rows, row_numbers = np.unique(rows_read, return_inverse=True)
         self.size = self.free.size + self.rows.size
         incidence = np.vstack([self.free.size + row_numbers, variables_read])
-        edges = np.hstack([self._couplings(position), incidence])
+        edges = np.hstack([couplings, incidence])
         candidates = [self._cuthill_mckee(edges)]
         if nlp.order is not None:
             kept = position[nlp.order]
@@ -62,25 +63,19 @@ class KktStructure:
         self._is_row = np.zeros(self.size, dtype=bool)
         self._is_row[self.row_places] = True
 
-    def _couplings(self, position: Ints) -> Ints:
-        """Pairs of free variables within one term, shape (2, P)."""
-        pairs = [b.variables[:, b.couplings()].reshape(-1, 2) for b in self._nlp.blocks]
-        found = position[np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs])].T
-        return found[:, np.all(found >= 0, axis=0)]
+    def _reads(self, position: Ints) -> tuple[Ints, Ints, Ints]:
+        """What the copies read of the free variables.
 
-    def _incidence(self, position: Ints) -> tuple[Ints, Ints]:
-        """A row, and a free variable that it reads, for each such pair."""
-        rows, variables = [np.empty(0, dtype=np.int64)], [np.empty(0, dtype=np.int64)]
-        first = -self._nlp.num_costs
-        for block in self._nlp.blocks:
-            count = len(block.variables)
-            if first >= 0:
-                read = position[block.variables[:, np.unique(block.couplings())]]
-                copies = np.broadcast_to(np.arange(first, first + count)[:, None], read.shape)
-                rows.append(copies[read >= 0])
-                variables.append(read[read >= 0])
-            first += count
-        return np.concatenate(rows), np.concatenate(variables)
+        Returns:
+            A row, and a free variable that it reads, for each such pair; and pairs of free
+            variables within one term (2, P).
+        """
+        copies, pairs = self._nlp.terms.couplings()
+        found = position[pairs].T
+        is_free = np.all(found >= 0, axis=0)
+        rows, found = copies[is_free] - self._nlp.num_costs, found[:, is_free]
+        is_read = (rows >= 0) & (found[0] == found[1])
+        return rows[is_read], found[0, is_read], found
 
     def _cuthill_mckee(self, edges: Ints) -> Ints:
         if self.size == 0:
@@ -106,22 +101,24 @@ class KktStructure:
             multipliers: λ of the rows that read a free variable (ma,).
         """
         nlp = self._nlp
-        gradient = np.zeros(nlp.num_variables)
+        gradient = np.zeros(self.size)
         # In Fortran's order, which spares BLAS a copy.
         band = np.zeros((self.bandwidth + 1, self.size), order="F")
-        weights = np.ones(nlp.num_costs + nlp.num_rows)
-        weights[nlp.num_costs + self.rows] = multipliers
-        derivatives_at(
-            *nlp.tables,
-            x,
+        factors = np.ones(nlp.num_costs + nlp.num_rows)
+        factors[nlp.num_costs + self.rows] = multipliers
+        add_newton_system(
+            nlp.terms,
             scales * nlp.copy_weights,
-            weights,
+            factors,
+            x,
+            np.zeros_like(x),
             self._place_of_variable,
             self._place_of_copy,
+            1,
             gradient,
             band,
         )
-        return gradient[self.free], band
+        return gradient[self.variable_places], band
 
     def without_couplings(self, band: Floats) -> Floats:
         """A copy of the matrix with W = 0."""

@@ -26,10 +26,10 @@ from drake_aigto.box.compile import (
     term_blocks,
 )
 from drake_aigto.box.expressions import polynomial_terms
+from drake_aigto.box.kernels import add_means
+from drake_aigto.box.tables import stack_terms
 from drake_aigto.errors import OptionsError, UnsupportedTermError
-from drake_aigto.local.kernels import values_at
 from drake_aigto.local.kkt import KktStructure
-from drake_aigto.local.tables import stack_tables
 
 Floats = NDArray[np.float64]
 
@@ -186,7 +186,7 @@ class PolynomialNlp:
         upper: Floats,
         order: ArrayLike | None = None,
     ) -> None:
-        """Stack the blocks' tables into one."""
+        """Stack the blocks."""
         self.num_variables = num_variables
         self.lower, self.upper = lower, upper
         self.order = None if order is None else np.array(order, dtype=np.int64)
@@ -197,9 +197,10 @@ class PolynomialNlp:
                 expected=f"each of 0 … {num_variables - 1} once",
             )
         self.blocks = (*costs, *rows)
-        self.tables = stack_tables(self.blocks)
-        self.copy_weights = np.concatenate(
-            [np.empty(0), *(np.full(len(b.variables), b.weight) for b in self.blocks)]
+        self.terms = stack_terms(self.blocks)
+        self.copy_weights = np.repeat(
+            np.array([block.weight for block in self.blocks], dtype=float),
+            [len(block.variables) for block in self.blocks],
         )
         self.num_costs = sum(len(block.variables) for block in costs)
         self.row_names = tuple(block.name for block in rows for _ in block.variables)
@@ -219,9 +220,11 @@ class PolynomialNlp:
 
     def evaluate(self, x: ArrayLike) -> tuple[float, Floats]:
         """f(x) and c(x) (m,)."""
-        values = np.empty(self.copy_weights.size)
-        values_at(*self.tables, self._checked(x), values)
-        values *= self.copy_weights
+        values, no_gradient = np.empty(self.copy_weights.size), np.empty(0)
+        x = self._checked(x)
+        add_means(
+            self.terms, self.copy_weights, x, np.zeros_like(x), values, no_gradient, no_gradient
+        )
         return float(np.sum(values[: self.num_costs])), values[self.num_costs :]
 
     def _checked(self, x: ArrayLike) -> Floats:

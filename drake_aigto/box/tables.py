@@ -1,0 +1,127 @@
+"""Many `TermBlock`s as one set of flat arrays, so that one call of a kernel walks them all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from drake_aigto.box.polynomial import Factor, Term, TermBlock
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+Records = NDArray[np.void]
+
+
+# Records, so that kernels have few arrays to take and read one place in memory for each.
+COPY = np.dtype([("sum_index", np.int64), ("first_variable", np.int64)])
+SUM = np.dtype([("first_factor", np.int64), ("first_term", np.int64)])
+FACTOR = np.dtype(
+    [
+        ("variable", np.int64),
+        ("kind", np.int64),
+        ("exponent", np.int64),
+        ("scale", np.float64),
+        ("offset", np.float64),
+    ]
+)
+TERM = np.dtype([("coefficient", np.float64), ("first_member", np.int64)])
+
+
+class StackedTerms(NamedTuple):
+    """Sums of terms, and copies of them that are bound to variables.
+
+    Shape letters: T sums, C copies, F factors and M terms over all sums. What belongs to an entry
+    of an array ends where that of the next one starts, for which a last entry stands at the end.
+    All arrays are read-only.
+
+    Attributes:
+        copies: The sum of each copy, and its first place in copy_variables (C,).
+        copy_variables: Variables of the copies, one copy after the other.
+        sums: First factor and first term of each sum (T + 1,).
+        factors: Each factor's `Factor`, whose variable is a place among its copy's (F,).
+        terms: Coefficient of each term, and its first place in members (M + 1,).
+        members: Factors of the terms, counted from their sum's first.
+        most_factors: Largest number of different factors that a sum has.
+        longest_term: Largest number of factors that a term has.
+    """
+
+    copies: Records
+    copy_variables: Ints
+    sums: Records
+    factors: Records
+    terms: Records
+    members: Ints
+    most_factors: int
+    longest_term: int
+
+    def couplings(self) -> tuple[Ints, Ints]:
+        """Pairs of variables that a term of a copy reads, each once and with itself.
+
+        Returns:
+            The copies (P,), and the pairs (P, 2).
+        """
+        lengths = np.diff(self.terms["first_member"])
+        term_sum = np.repeat(np.arange(self.sums.size - 1), np.diff(self.sums["first_term"]))
+        first_factor = np.repeat(self.sums["first_factor"][term_sum], lengths)
+        variable = self.factors["variable"][first_factor + self.members]
+        term, pair = _ranges(lengths**2)
+        first_member = self.terms["first_member"][term]
+        a, b = (variable[first_member + part] for part in np.divmod(pair, lengths[term]))
+        # One number for each (sum, a, b), to find those that differ.
+        base = int(np.max(variable, initial=0)) + 1
+        found = np.unique((term_sum[term] * base + a) * base + b)
+        sums, a, b = found // base**2, found // base % base, found % base
+        starts = np.searchsorted(sums, np.arange(self.sums.size))
+        copies, pair = _ranges(np.diff(starts)[self.copies["sum_index"]])
+        pair += starts[self.copies["sum_index"][copies]]
+        first_variable = self.copies["first_variable"][copies]
+        columns = [self.copy_variables[first_variable + part[pair]] for part in (a, b)]
+        return copies, np.column_stack(columns)
+
+
+def stack_terms(blocks: Sequence[TermBlock]) -> StackedTerms:
+    """The arrays of some blocks; copies in the blocks' order, equal sums stored once."""
+    place_of: dict[tuple[Term, ...], int] = {}
+    block_sums = [place_of.setdefault(block.terms, len(place_of)) for block in blocks]
+    factors: list[tuple[float, ...]] = []
+    terms: list[tuple[float, int]] = []
+    members: list[int] = []
+    sums = [(0, 0)]
+    most_factors = longest_term = 0
+    for sum_ in place_of:
+        places: dict[Factor, int] = {}
+        for term in sum_:
+            terms.append((term.coefficient, len(members)))
+            members += [places.setdefault(factor, len(places)) for factor in term.factors]
+            longest_term = max(longest_term, len(term.factors))
+        factors += [(f.variable, f.kind, f.exponent, f.scale, f.offset) for f in places]
+        sums.append((len(factors), len(terms)))
+        most_factors = max(most_factors, len(places))
+    terms.append((0.0, len(members)))
+    counts = [block.variables.shape[0] for block in blocks]
+    copies = np.empty(sum(counts), dtype=COPY)
+    copies["sum_index"] = np.repeat(block_sums, counts)
+    sizes = np.repeat([block.variables.shape[1] for block in blocks], counts)
+    copies["first_variable"] = np.cumsum(sizes) - sizes
+    variables = [np.empty(0, dtype=np.int64), *(block.variables.ravel() for block in blocks)]
+    arrays = (
+        copies,
+        np.concatenate(variables),
+        np.array(sums, dtype=SUM),
+        np.array(factors, dtype=FACTOR),
+        np.array(terms, dtype=TERM),
+        np.array(members, dtype=np.int64),
+    )
+    for array in arrays:
+        array.setflags(write=False)
+    return StackedTerms(*arrays, most_factors, longest_term)
+
+
+def _ranges(lengths: Ints) -> tuple[Ints, Ints]:
+    """Numbers 0 … lengths[k] − 1 for every k, one range after the other: k, and the number."""
+    k = np.repeat(np.arange(lengths.size), lengths)
+    return k, np.arange(k.size) - (np.cumsum(lengths) - lengths)[k]
