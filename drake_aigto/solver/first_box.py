@@ -1,0 +1,92 @@
+"""Where AIGO starts: a box from the bounds, and from the cost's growth where there are none."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydrake.symbolic import Polynomial
+
+from drake_aigto.aigo import Box
+from drake_aigto.solver.options import AigoOptions
+from drake_aigto.solver.program import AigoProgram
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+
+def make_first_box(
+    program: AigoProgram, guess: npt.NDArray[np.float64], options: AigoOptions
+) -> Box:
+    """Returns the first box over y = (x, s).
+
+    Between two bounds, it is all that the bounds leave. Otherwise it reaches R = first_half_width ·
+    max(1, |guess|) around the guess (0 where there is none), cut to the bound on one side, and R
+    doubles until the cost's mean over either face that is no bound exceeds the mean over the box:
+
+        min(F_i(c_i − w_i), F_i(c_i + w_i)) ≥ f̄    ⟺    ∂f̄/∂z_i ≥ w_i |∂f̄/∂c_i|,    z = log w
+
+    so that what is outside is worse, on average, than what is inside. A slack gets the range of
+    what it stands for, by interval arithmetic.
+
+    Args:
+        program: with n variables x.
+        guess: shape (n,); NaN where there is none.
+        options: the first reach, and how often it doubles at most.
+    """
+    n = guess.size
+    lower, upper = program.nlp.lower, program.nlp.upper
+    start = np.clip(np.where(np.isfinite(guess), guess, 0.0), lower[:n], upper[:n])
+    reach = options.first_half_width * np.maximum(1.0, np.abs(start))
+    is_open = np.isinf(lower[:n]) | np.isinf(upper[:n])
+    reach[~is_open] = np.inf
+    for _ in range(options.max_doublings):
+        box = _box(program, start, reach)
+        growing = _is_growing(program, box)[:n] & is_open
+        if not np.any(growing):
+            break
+        reach[growing] *= 2
+    return _box(program, start, reach)
+
+
+def _is_growing(program: AigoProgram, box: Box) -> npt.NDArray[np.bool_]:
+    """Returns which faces have a lower mean than the box."""
+    _, by_center, by_log_width = program.costs.gradient(box.center, box.half_width)
+    fall = box.half_width * np.abs(by_center)
+    is_growing: npt.NDArray[np.bool_] = by_log_width < fall * (1 - 1e-12)
+    return is_growing
+
+
+def _box(
+    program: AigoProgram, start: npt.NDArray[np.float64], reach: npt.NDArray[np.float64]
+) -> Box:
+    """Returns the box of x within reach of a start and within bounds, with its slacks."""
+    lower, upper = program.nlp.lower, program.nlp.upper
+    n = start.size
+    low, high = np.maximum(lower[:n], start - reach), np.minimum(upper[:n], start + reach)
+    names = [variable.get_id() for variable in program.source.decision_variables()]
+    sides = dict(zip(names, zip(low.tolist(), high.tolist(), strict=True), strict=True))
+    for number, row in enumerate(program.slack_rows):
+        least, most = _range(row, sides)
+        first, last = lower[n + number], upper[n + number]
+        # Where no x of the box is feasible the slack still gets some room.
+        room = max(1.0, abs(first) if np.isfinite(first) else abs(last))
+        low = np.append(low, first if np.isfinite(first) else min(least, last - room))
+        high = np.append(high, last if np.isfinite(last) else max(most, first + room))
+    return Box((low + high) / 2, (high - low) / 2)
+
+
+def _range(polynomial: Polynomial, sides: dict[int, tuple[float, float]]) -> tuple[float, float]:
+    """Returns bounds of a polynomial over a box, term by term."""
+    least = most = 0.0
+    for monomial, coefficient in polynomial.monomial_to_coefficient_map().items():
+        ends = np.array([coefficient.Evaluate()] * 2)
+        for variable, power in monomial.get_powers().items():
+            low, high = sides[variable.get_id()]
+            powers = [low**power, high**power]
+            if power % 2 == 0 and low < 0 < high:
+                powers.append(0.0)
+            products = np.outer(ends, [min(powers), max(powers)])
+            ends = np.array([products.min(), products.max()])
+        least, most = least + ends[0], most + ends[1]
+    return float(least), float(most)

@@ -1,0 +1,70 @@
+"""How `AigoSolver` solves: numerics only."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from drake_aigto.errors import OptionsError
+
+PolishName = Literal["newton", "ipopt", "snopt", "none"]
+
+CHOICES: dict[str, tuple[str, ...]] = {"polish": ("newton", "ipopt", "snopt", "none")}
+
+
+@dataclass(frozen=True, kw_only=True)
+class AigoOptions:
+    """Options of `AigoSolver`; each may also be set in SolverOptions under its name.
+
+        options = SolverOptions()
+        options.SetOption(AigoSolver.id(), "rounds", 20)
+
+    Attributes:
+        polish: the local solver that improves every box center on the true constraints: "newton"
+            (`local.InteriorPoint`), "ipopt" or "snopt" through Drake, or "none".
+        rounds: the most rounds in which boxes of some variables are renewed (`aigo.BoxSearch`).
+        patience: rounds in a row without a better point that end the search.
+        feasibility: the largest violation of a constraint in an answer that is called a solution.
+        first_half_width: half width of the first box where a variable has no bounds, relative to
+            max(1, |guess|); it doubles from there while that lowers the cost's mean.
+        max_doublings: how often it does so at most.
+        seed: of everything random.
+    """
+
+    polish: PolishName = "newton"
+    rounds: int = 100
+    patience: int = 40
+    feasibility: float = 1e-6
+    first_half_width: float = 1.0
+    max_doublings: int = 10
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        """Checks the choices and ranges."""
+        for name, known in CHOICES.items():
+            if (got := getattr(self, name)) not in known:
+                raise OptionsError(name, got=repr(got), expected=f"one of {', '.join(known)}")
+        for name in ("feasibility", "first_half_width"):
+            if not 0 < (value := getattr(self, name)) < float("inf"):
+                raise OptionsError(name, got=value, expected="a number above 0")
+        for name, least in (("rounds", 0), ("patience", 1), ("max_doublings", 0), ("seed", 0)):
+            value = getattr(self, name)
+            if value != int(value) or value < least:
+                raise OptionsError(name, got=value, expected=f"a whole number, {least} or more")
+
+    def with_solver_options(self, values: Mapping[str, Any]) -> AigoOptions:
+        """Returns these options with those replaced that Drake's SolverOptions name.
+
+        Raises:
+            OptionsError: an unknown name, or a value out of range.
+        """
+        known = [field.name for field in dataclasses.fields(self)]
+        for name in values:
+            if name not in known:
+                raise OptionsError(
+                    f"unknown option {name!r} of AigoSolver",
+                    expected=f"one of {', '.join(known)}",
+                )
+        return dataclasses.replace(self, **values)

@@ -1,0 +1,122 @@
+"""What `AigoSolver` gives back, as a MathematicalProgramResult."""
+
+from __future__ import annotations
+
+import enum
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydrake.solvers import (
+    ClpSolver,
+    MathematicalProgram,
+    MathematicalProgramResult,
+    SolutionResult,
+    SolverId,
+)
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+# Drake compares ids by identity.
+SOLVER_ID = SolverId("AIGO")
+
+
+class AigoStatus(enum.Enum):
+    """Why a solve ended, and what to make of it."""
+
+    SOLVED = "the best feasible point of all boxes"
+    NO_FEASIBLE_POINT = (
+        "no box led to a feasible point, which is no proof that there is none: allow more boxes, "
+        "give a guess, or bound the variables"
+    )
+    CONTRADICTORY_BOUNDS = "bounds or constants contradict each other: there is no feasible point"
+    FALLS_WITHOUT_END = (
+        "the cost seems to fall without end, which is no proof: bound the variables, or check its "
+        "sign"
+    )
+    NOT_FINITE = "the cost is not finite in any box: bound the variables to where it is"
+    INTERRUPTED = "interrupted: the answer is the best so far"
+
+
+_DRAKE_STATUS = {
+    AigoStatus.SOLVED: SolutionResult.kSolutionFound,
+    AigoStatus.NO_FEASIBLE_POINT: SolutionResult.kInfeasibleConstraints,
+    AigoStatus.CONTRADICTORY_BOUNDS: SolutionResult.kInfeasibleConstraints,
+    AigoStatus.FALLS_WITHOUT_END: SolutionResult.kUnbounded,
+    AigoStatus.NOT_FINITE: SolutionResult.kSolverSpecificError,
+    AigoStatus.INTERRUPTED: SolutionResult.kIterationLimit,
+}
+
+
+@dataclass(frozen=True, eq=False)
+class AigoDetails:
+    """What `MathematicalProgramResult.get_solver_details` returns.
+
+    Attributes:
+        status: why the solve ended.
+        violation: the largest violation of a constraint at the answer.
+        boxes: how many boxes were shrunk.
+        iterations: inner iterations of AIGO, all boxes.
+        polishes: how many points were polished.
+        origin: which algorithm, from which box, led to the answer.
+        first_center: of the first box, shape (n,).
+        first_half_width: of the first box, shape (n,).
+        widths: for each weight of the penalties, for each first algorithm: geometric-mean half
+            widths of the first box as it shrank.
+    """
+
+    status: AigoStatus
+    violation: float
+    boxes: int
+    iterations: int
+    polishes: int
+    origin: str
+    first_center: npt.NDArray[np.float64]
+    first_half_width: npt.NDArray[np.float64]
+    widths: tuple[tuple[tuple[float, ...], ...], ...]
+
+    @classmethod
+    def of_nothing(cls, status: AigoStatus, x: npt.NDArray[np.float64]) -> AigoDetails:
+        """Returns details of a solve that did not start."""
+        return cls(status, np.inf, 0, 0, 0, "none", x, np.zeros(x.size), ())
+
+
+class AigoResult(MathematicalProgramResult):
+    """A MathematicalProgramResult whose solver is AIGO."""
+
+    def __init__(self) -> None:
+        """Starts unsolved."""
+        super().__init__()
+        self._details: AigoDetails | None = None
+
+    def get_solver_id(self) -> SolverId:
+        """Returns AIGO's id."""
+        return SOLVER_ID
+
+    def get_solver_details(self) -> AigoDetails | None:
+        """Returns what it took, and why it ended."""
+        return self._details
+
+
+def fill_result(
+    result: Any,
+    prog: MathematicalProgram,
+    x: npt.NDArray[np.float64],
+    cost: float,
+    details: AigoDetails,
+) -> None:
+    """Writes a solution into a MathematicalProgramResult.
+
+    Python has no setter for the map of decision variables or the cost. A program of the same
+    variables with a constant cost, solved into the result, sets both.
+    """
+    constant = MathematicalProgram()
+    variables = prog.decision_variables()
+    constant.AddDecisionVariables(variables)
+    constant.AddLinearCost(a=np.zeros(len(variables)), b=cost, vars=variables)
+    ClpSolver().Solve(constant, None, None, result)
+    result.set_x_val(x)
+    result.set_solution_result(_DRAKE_STATUS[details.status])
+    if isinstance(result, AigoResult):
+        result._details = details

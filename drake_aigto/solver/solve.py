@@ -1,0 +1,175 @@
+"""One solve: boxes shrink on the penalised cost, their centers are polished, the best is kept."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from drake_aigto.aigo import Box
+from drake_aigto.aigo.box_search import BoxSearch, Candidate
+from drake_aigto.box import BoxPolynomial
+from drake_aigto.local import InteriorPoint
+from drake_aigto.local.drake_solvers import solve_with_drake
+from drake_aigto.solver.first_box import make_first_box
+from drake_aigto.solver.options import AigoOptions
+from drake_aigto.solver.program import AigoProgram
+from drake_aigto.solver.result import AigoDetails, AigoStatus
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+Observer = Callable[["npt.NDArray[np.float64]", str], Any]
+
+# Penalties Σ r² weigh so many times what the cost varies by over the first box, in turn.
+_PENALTIES = (1.0, 30.0, 1e3)
+_POLISH_STEPS = 200
+# A point farther out than this, in a variable without bounds, is where a cost falls without end.
+_FAR = 1e8
+
+
+@dataclass(frozen=True, eq=False)
+class _Answer:
+    """A point, and what led to it."""
+
+    x: npt.NDArray[np.float64]
+    cost: float
+    violation: float
+    origin: str
+
+
+class Solve:
+    """Runs once.
+
+    Args:
+        program: with its slacks.
+        options: numerics.
+        guess: shape (n,), NaN where there is none.
+        observers: called with every better point, and a line about it.
+    """
+
+    def __init__(
+        self,
+        program: AigoProgram,
+        options: AigoOptions,
+        guess: npt.NDArray[np.float64],
+        observers: list[Observer],
+    ) -> None:
+        """Makes the first box."""
+        self._program, self._options, self._observers = program, options, observers
+        self._guess = guess
+        self._first = make_first_box(program, guess, options)
+        self._best: _Answer | None = None
+        self._boxes = self._iterations = self._polishes = 0
+        self._widths: list[tuple[tuple[float, ...], ...]] = []
+
+    def run(self) -> tuple[npt.NDArray[np.float64], float, AigoDetails]:
+        """Returns the answer x (n,), its cost, and details."""
+        status = None
+        try:
+            self._offer(self._first.center, "the middle of the first box")
+            if np.all(np.isfinite(self._guess)):
+                self._polish(self._program.with_slacks(self._guess), " of the guess")
+            for f, name in self._penalised():
+                self._search(f, name)
+        except KeyboardInterrupt:
+            status = AigoStatus.INTERRUPTED
+        best, n = self._best, self._guess.size
+        if best is None:
+            x = self._first.center[:n]
+            return x, np.inf, AigoDetails.of_nothing(AigoStatus.NOT_FINITE, x)
+        details = AigoDetails(
+            status=status or self._judge(best),
+            violation=best.violation,
+            boxes=self._boxes,
+            iterations=self._iterations,
+            polishes=self._polishes,
+            origin=best.origin,
+            first_center=self._first.center[:n],
+            first_half_width=self._first.half_width[:n],
+            widths=tuple(self._widths),
+        )
+        return best.x, best.cost, details
+
+    def _judge(self, best: _Answer) -> AigoStatus:
+        lower, upper = (bound[: best.x.size] for bound in self._bounds())
+        is_open = np.isinf(lower) | np.isinf(upper)
+        if best.violation > self._options.feasibility:
+            return AigoStatus.NO_FEASIBLE_POINT
+        if np.any(np.abs(best.x[is_open]) > _FAR):
+            return AigoStatus.FALLS_WITHOUT_END
+        return AigoStatus.SOLVED
+
+    def _bounds(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        return self._program.nlp.lower, self._program.nlp.upper
+
+    def _penalised(self) -> Iterator[tuple[BoxPolynomial, str]]:
+        """Yields f + W Σ r² for rising W, and what it is called."""
+        costs, penalties = self._program.costs, self._program.penalties
+        if not self._program.num_rows:
+            yield costs, ""
+            return
+        n = costs.num_variables
+        variation = _variation(costs, self._first)
+        scale = max(variation, 1e-3) / max(_variation(penalties, self._first), 1e-12)
+        merged = BoxPolynomial(n, (*costs.blocks, *penalties.blocks))
+        for factor in _PENALTIES:
+            weights = {name: factor * scale for name in penalties.weights}
+            yield merged.with_weights(weights), f", penalties {factor:g}"
+
+    def _search(self, f: BoxPolynomial, name: str) -> None:
+        """Searches the first box for low points of f, each a candidate."""
+        if not np.any(self._first.free):
+            return
+        options = self._options
+        search = BoxSearch(rounds=options.rounds, patience=options.patience, seed=options.seed)
+
+        def look(candidate: Candidate) -> None:
+            self._offer(candidate.x, f"{candidate.origin}{name}")
+
+        found = search.run(f, self._first, lambda y: self._polish(y, name), look)
+        self._boxes += found.num_boxes
+        self._iterations += found.num_steps
+        self._widths.append(found.widths)
+
+    def _polish(self, y: npt.NDArray[np.float64], name: str) -> npt.NDArray[np.float64]:
+        """Returns y = (x, s) improved on the true constraints; it is a candidate too."""
+        n, program = self._guess.size, self._program
+        if self._options.polish == "none":
+            return y
+        self._polishes += 1
+        if self._options.polish == "newton":
+            found = InteriorPoint(max_iterations=_POLISH_STEPS).solve(
+                program.nlp, program.with_slacks(y[:n])
+            )
+            x = found.x[:n]
+        else:
+            x = solve_with_drake(program.source, y[:n], self._options.polish).x
+        self._offer(x, f"polish{name}")
+        return program.with_slacks(np.clip(x, *(bound[:n] for bound in self._bounds())))
+
+    def _offer(self, y: npt.NDArray[np.float64], origin: str) -> None:
+        """Keeps a point, x or (x, s), if it is the best so far."""
+        n = self._guess.size
+        x = np.clip(y[:n], *(bound[:n] for bound in self._bounds()))
+        cost = self._program.cost(x)
+        if not np.isfinite(cost):
+            return
+        answer = _Answer(x, cost, self._program.violation(x), origin)
+        if self._best is None or self._rank(answer) < self._rank(self._best):
+            self._best = answer
+            for observer in self._observers:
+                observer(x, f"cost {cost:.9g}, violation {answer.violation:.1e}: {origin}")
+
+    def _rank(self, answer: _Answer) -> tuple[float, float]:
+        """Orders by violation beyond the tolerance, then by cost."""
+        return max(answer.violation, self._options.feasibility), answer.cost
+
+
+def _variation(f: BoxPolynomial, box: Box) -> float:
+    """Returns how much f's mean differs between faces, or from face to middle, at most."""
+    _, by_center, by_log_width = f.gradient(box.center, box.half_width)
+    differences = np.maximum(box.half_width * np.abs(by_center), np.abs(by_log_width))
+    return float(np.max(differences, initial=0.0))

@@ -1,0 +1,162 @@
+"""`AigoSolver`: AIGO as a Drake solver for any polynomial MathematicalProgram."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydrake.solvers import (
+    MathematicalProgram,
+    MathematicalProgramResult,
+    ProgramAttribute,
+    SolverId,
+    SolverInterface,
+    SolverOptions,
+)
+
+from drake_aigto.errors import OptionsError
+from drake_aigto.solver.options import AigoOptions
+from drake_aigto.solver.program import ContradictionError, read_program
+from drake_aigto.solver.result import (
+    SOLVER_ID,
+    AigoDetails,
+    AigoResult,
+    AigoStatus,
+    fill_result,
+)
+from drake_aigto.solver.solve import Observer, Solve
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+_SUPPORTED = {
+    ProgramAttribute.kLinearCost,
+    ProgramAttribute.kQuadraticCost,
+    ProgramAttribute.kGenericCost,
+    ProgramAttribute.kLinearConstraint,
+    ProgramAttribute.kLinearEqualityConstraint,
+    ProgramAttribute.kQuadraticConstraint,
+    ProgramAttribute.kGenericConstraint,
+    ProgramAttribute.kCallback,
+}
+
+
+class AigoSolver(SolverInterface):
+    """Global minima of polynomial programs, by boxes that shrink, without sampling.
+
+        minimise f(x)  subject to  lower ≤ g(x) ≤ upper
+
+    Costs are sums of products of one-variable functions (`compile_program` lists them); constraints
+    are bounds, or linear, quadratic or polynomial. Called as any other solver of Drake:
+
+        result = AigoSolver().Solve(prog)
+        result.get_solver_details()      # an `AigoDetails`
+
+    The mean of f, with constraints as penalties, over boxes is minimised in closed form while they
+    shrink (AIGTO Sec. II; Labbe & Del Prete 2025); a local solver then improves their centers on
+    the true constraints. An answer is called a solution if its constraints hold; that it is the
+    global one is likely, not proven.
+    """
+
+    def __init__(self, options: AigoOptions | None = None) -> None:
+        """Sets what holds unless a program's or a call's SolverOptions say otherwise."""
+        super().__init__()
+        self.options = options or AigoOptions()
+
+    @staticmethod
+    def id() -> SolverId:
+        """Returns the solver's id, "AIGO"."""
+        return SOLVER_ID
+
+    def solver_id(self) -> SolverId:
+        """Returns the solver's id, "AIGO"."""
+        return SOLVER_ID
+
+    def available(self) -> bool:
+        """Returns True: nothing else has to be installed."""
+        return True
+
+    def enabled(self) -> bool:
+        """Returns True: no licence is needed."""
+        return True
+
+    def AreProgramAttributesSatisfied(self, prog: MathematicalProgram) -> bool:
+        """Returns whether the kinds of costs, constraints and variables are supported.
+
+        Their formulas are looked at by `Solve` only, which names what it can't integrate.
+        """
+        return prog.required_capabilities() <= _SUPPORTED
+
+    def ExplainUnsatisfiedProgramAttributes(self, prog: MathematicalProgram) -> str:
+        """Returns what is not supported, or an empty string."""
+        missing = sorted(a.name[1:] for a in prog.required_capabilities() - _SUPPORTED)
+        return f"AigoSolver can't solve programs with {', '.join(missing)}." if missing else ""
+
+    def Solve(
+        self,
+        prog: MathematicalProgram,
+        initial_guess: npt.ArrayLike | None = None,
+        solver_options: SolverOptions | None = None,
+        result: MathematicalProgramResult | None = None,
+    ) -> MathematicalProgramResult | None:
+        """Solves a program.
+
+        Args:
+            prog: the program.
+            initial_guess: where the first box is put in variables without two bounds, shape (n,);
+                the program's own guess if None. NaN is no guess.
+            solver_options: values for the names of `AigoOptions`, and Drake's common ones.
+            result: filled if given.
+
+        Returns:
+            The result; None if one was given.
+
+        Raises:
+            UnsupportedTermError: a cost, constraint or variable that AIGO can't take, by name.
+            OptionsError: an unknown option, a bad value, or a guess of another size.
+        """
+        options, prints = self._merge(prog, solver_options)
+        guess = _check_guess(prog, initial_guess)
+        filled = AigoResult() if result is None else result
+        try:
+            program = read_program(prog)
+        except ContradictionError:
+            x = np.where(np.isfinite(guess), guess, 0.0)
+            details = AigoDetails.of_nothing(AigoStatus.CONTRADICTORY_BOUNDS, x)
+            fill_result(filled, prog, x, np.inf, details)
+            return filled if result is None else None
+        x, cost, details = Solve(program, options, guess, _observers(prog, prints)).run()
+        fill_result(filled, prog, x, cost, details)
+        return filled if result is None else None
+
+    def _merge(
+        self, prog: MathematicalProgram, solver_options: SolverOptions | None
+    ) -> tuple[AigoOptions, bool]:
+        """Returns the options, those of a call before the program's, and whether to print."""
+        values: dict[str, Any] = {}
+        common: dict[str, Any] = {}
+        for source in (prog.solver_options(), solver_options):
+            if source is not None:
+                values |= source.options.get(SOLVER_ID.name(), {})
+                common |= source.options.get("Drake", {})
+        return self.options.with_solver_options(values), bool(common.get("kPrintToConsole", 0))
+
+
+def _check_guess(prog: MathematicalProgram, guess: npt.ArrayLike | None) -> npt.NDArray[np.float64]:
+    values = np.array(prog.initial_guess() if guess is None else guess, dtype=float)
+    if values.shape != (prog.num_vars(),):
+        raise OptionsError(
+            "initial_guess", got=f"shape {values.shape}", expected=f"({prog.num_vars()},)"
+        )
+    return values
+
+
+def _observers(prog: MathematicalProgram, prints: bool) -> list[Observer]:
+    """Returns what is called with every better point, and a line about it."""
+    observers: list[Observer] = []
+    callbacks = prog.visualization_callbacks()
+    if callbacks:
+        observers.append(lambda x, _: [prog.EvalBinding(callback, x) for callback in callbacks])
+    if prints:
+        observers.append(lambda _, line: print(line))
+    return observers

@@ -1,0 +1,276 @@
+"""`AigoSolver` as Drake users call it: results, options, statuses, and honest answers."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from pydrake.solvers import (
+    CommonSolverOption,
+    ExpressionCost,
+    MathematicalProgram,
+    MathematicalProgramResult,
+    SolutionResult,
+    SolverOptions,
+)
+from pydrake.symbolic import cos
+
+from drake_aigto import UnsupportedTermError
+from drake_aigto.errors import OptionsError
+from drake_aigto.solver import AigoDetails, AigoOptions, AigoSolver, AigoStatus
+
+
+def add_cost(prog: MathematicalProgram, expression: Any) -> None:
+    cost = ExpressionCost(expression)
+    prog.AddCost(cost, vars=cost.vars())
+
+
+def himmelblau(tilt: float = 1.0) -> tuple[MathematicalProgram, Any]:
+    """Returns a function of four local minima; the tilt makes one of them the only global one."""
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(2, "x")
+    add_cost(prog, (x[0] ** 2 + x[1] - 11) ** 2 + (x[0] + x[1] ** 2 - 7) ** 2 + tilt * x[0])
+    prog.AddBoundingBoxConstraint(-5, 5, x)
+    return prog, x
+
+
+def solve(prog: MathematicalProgram, **options: Any) -> MathematicalProgramResult:
+    result = AigoSolver(AigoOptions(**options)).Solve(prog)
+    assert result is not None
+    return result
+
+
+# The answer.
+
+
+def test_the_global_one_of_several_minima_is_found() -> None:
+    for tilt, near in ((1.0, (-2.8, 3.1)), (-5.0, (3.6, -1.9))):
+        prog, x = himmelblau(tilt)
+        result = solve(prog)
+        assert result.is_success()
+        assert result.get_solution_result() == SolutionResult.kSolutionFound
+        np.testing.assert_allclose(result.GetSolution(x), near, atol=0.1)
+        value = prog.EvalBinding(prog.GetAllCosts()[0], result.get_x_val())[0]
+        assert result.get_optimal_cost() == pytest.approx(value)
+
+
+@pytest.mark.parametrize("polish", ["newton", "ipopt", "snopt"])
+def test_constraints_hold_in_the_answer_and_decide_it(polish: Any) -> None:
+    prog, x = himmelblau()
+    prog.AddConstraint(x[0] * x[1] >= 1)
+    prog.AddConstraint(x[0] ** 2 + x[1] ** 2 <= 9)
+    prog.AddConstraint(x[0] ** 3 - 8 * x[1] == 6)
+    result = solve(prog, polish=polish)
+    assert result.is_success()
+    u, v = result.GetSolution(x)
+    assert u * v >= 1 - 1e-6 and u**2 + v**2 <= 9 + 1e-6
+    assert u**3 - 8 * v == pytest.approx(6, abs=1e-6)
+    # On the curve v = (u³ − 6)/8 within the disc there is one variable left.
+    grid = np.linspace(-3, 3, 600_001)
+    curve = (grid**3 - 6) / 8
+    allowed = (grid * curve >= 1) & (grid**2 + curve**2 <= 9)
+    costs = (grid**2 + curve - 11) ** 2 + (grid + curve**2 - 7) ** 2 + grid
+    assert result.get_optimal_cost() == pytest.approx(np.min(costs[allowed]), abs=1e-3)
+
+
+def test_sines_and_cosines_need_no_lifting() -> None:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(3, "x")
+    for x_i in x:
+        add_cost(prog, x_i**2 - 10 * cos(2 * np.pi * x_i) + 10)
+    prog.AddBoundingBoxConstraint(-4.1, 5.3, x)
+    result = solve(prog)
+    np.testing.assert_allclose(result.GetSolution(x), 0, atol=1e-7)
+
+
+def test_bounds_hold_exactly() -> None:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(3, "x")
+    prog.AddLinearCost(-x[0] + x[1])
+    add_cost(prog, (x[2] - 0.3) ** 2)
+    prog.AddBoundingBoxConstraint([-1, 2, 0.1], [1, 3, 0.1], x)
+    np.testing.assert_array_equal(solve(prog).get_x_val(), [1, 2, 0.1])
+
+
+@pytest.mark.parametrize("guess", [None, 40.0, -1e3])
+def test_without_bounds_it_is_found_from_any_guess(guess: float | None) -> None:
+    prog = MathematicalProgram()
+    (x,) = prog.NewContinuousVariables(1, "x")
+    add_cost(prog, (x - 3) ** 2 * (x + 2) ** 2 + 0.1 * x)
+    start = None if guess is None else [guess]
+    result = AigoSolver().Solve(prog, start)
+    assert result.GetSolution(x) == pytest.approx(-2, abs=0.01)
+
+
+def test_the_same_program_gives_the_same_bits() -> None:
+    first, again = (solve(himmelblau()[0]).get_x_val() for _ in range(2))
+    assert first.tobytes() == again.tobytes()
+
+
+# As a solver of Drake.
+
+
+def test_both_ways_to_call_it() -> None:
+    prog, x = himmelblau()
+    returned = AigoSolver().Solve(prog)
+    filled = MathematicalProgramResult()
+    assert AigoSolver().Solve(prog, np.zeros(2), SolverOptions(), filled) is None
+    np.testing.assert_array_equal(returned.GetSolution(x), filled.GetSolution(x))
+    assert filled.is_success() and filled.get_optimal_cost() == returned.get_optimal_cost()
+    assert returned.get_solver_id() is AigoSolver.id() and AigoSolver.id().name() == "AIGO"
+    assert AigoSolver().solver_id() is AigoSolver.id()
+    assert AigoSolver().available() and AigoSolver().enabled()
+
+
+def test_details_say_what_it_took() -> None:
+    details = solve(himmelblau()[0]).get_solver_details()
+    assert isinstance(details, AigoDetails)
+    assert details.status is AigoStatus.SOLVED and details.violation == 0
+    assert details.boxes >= 1 and details.iterations > details.boxes and details.polishes >= 1
+    np.testing.assert_array_equal(details.first_half_width, [5, 5])
+    ((widths,),) = details.widths
+    assert list(widths) == sorted(widths, reverse=True) and widths[0] == pytest.approx(5)
+
+
+def test_options_come_from_program_call_and_constructor(capsys: Any) -> None:
+    prog, _ = himmelblau()
+    solver = AigoSolver(AigoOptions(polish="none", rounds=0))
+    assert solver.Solve(prog).get_solver_details().polishes == 0
+    prog.SetSolverOption(AigoSolver.id(), "polish", "newton")
+    assert solver.Solve(prog).get_solver_details().polishes >= 1
+    options = SolverOptions()
+    options.SetOption(AigoSolver.id(), "polish", "none")
+    assert solver.Solve(prog, None, options).get_solver_details().polishes == 0
+    assert capsys.readouterr().out == ""
+    options.SetOption(CommonSolverOption.kPrintToConsole, 1)
+    solver.Solve(prog, None, options)
+    assert capsys.readouterr().out.startswith("cost ")
+
+
+def test_visualization_callbacks_see_the_answer_last() -> None:
+    prog, x = himmelblau()
+    seen: list[Any] = []
+    prog.AddVisualizationCallback(lambda values: seen.append(np.array(values)), x)
+    result = solve(prog)
+    np.testing.assert_array_equal(seen[-1], result.get_x_val())
+    assert len(seen) >= 2
+
+
+@pytest.mark.parametrize(
+    ("name", "value", "message"),
+    [
+        ("speed", 3, "unknown option 'speed' of AigoSolver, expected|unknown option 'speed'"),
+        ("polish", "luck", "polish: got 'luck', expected one of newton, ipopt, snopt, none"),
+        ("rounds", -1, "rounds: got -1, expected a whole number, 0 or more"),
+        ("feasibility", 0.0, "feasibility: got 0.0, expected a number above 0"),
+    ],
+)
+def test_bad_options_are_refused(name: str, value: Any, message: str) -> None:
+    options = SolverOptions()
+    options.SetOption(AigoSolver.id(), name, value)
+    with pytest.raises(OptionsError, match=message):
+        AigoSolver().Solve(himmelblau()[0], None, options)
+
+
+def test_a_guess_of_another_size_is_refused() -> None:
+    with pytest.raises(OptionsError, match=r"initial_guess: got shape \(3,\), expected \(2,\)"):
+        AigoSolver().Solve(himmelblau()[0], np.zeros(3))
+
+
+def test_what_it_can_not_solve_is_said_before_and_named_when_asked() -> None:
+    prog, x = himmelblau()
+    assert AigoSolver().AreProgramAttributesSatisfied(prog)
+    assert AigoSolver().ExplainUnsatisfiedProgramAttributes(prog) == ""
+    prog.AddL2NormCost(np.eye(2), np.zeros(2), x)
+    assert not AigoSolver().AreProgramAttributesSatisfied(prog)
+    assert AigoSolver().ExplainUnsatisfiedProgramAttributes(prog) == (
+        "AigoSolver can't solve programs with L2NormCost."
+    )
+    with pytest.raises(UnsupportedTermError, match="got a L2NormCost"):
+        AigoSolver().Solve(prog)
+
+
+# No solution.
+
+
+def test_contradictory_bounds_are_infeasible() -> None:
+    prog, x = himmelblau()
+    prog.AddConstraint(x[0] >= 6)
+    result = solve(prog)
+    assert result.get_solution_result() == SolutionResult.kInfeasibleConstraints
+    assert result.get_solver_details().status is AigoStatus.CONTRADICTORY_BOUNDS
+
+
+def test_no_feasible_point_is_said_to_be_no_proof() -> None:
+    prog, x = himmelblau()
+    prog.AddConstraint(x[0] ** 2 + x[1] ** 2 <= 1)
+    prog.AddConstraint(x[0] * x[1] >= 1)
+    result = solve(prog)
+    assert not result.is_success()
+    assert result.get_solution_result() == SolutionResult.kInfeasibleConstraints
+    details = result.get_solver_details()
+    assert details.status is AigoStatus.NO_FEASIBLE_POINT and "no proof" in details.status.value
+    assert details.violation > 0.1
+
+
+@pytest.mark.parametrize("power", [1, 3])
+def test_a_cost_that_falls_without_end_is_said_to_be_so(power: int) -> None:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(2, "x")
+    add_cost(prog, x[0] ** power + (x[1] - 1) ** 2)
+    result = solve(prog)
+    assert result.get_solution_result() == SolutionResult.kUnbounded
+    assert result.get_solver_details().status is AigoStatus.FALLS_WITHOUT_END
+
+
+def test_programs_without_costs_or_variables_are_solved_too() -> None:
+    prog = MathematicalProgram()
+    assert solve(prog).is_success()
+    x = prog.NewContinuousVariables(2, "x")
+    assert solve(prog).is_success()
+    prog.AddConstraint(x[0] ** 2 + x[1] == 2)
+    prog.AddConstraint(x[0] + x[1] ** 2 == 2)
+    result = solve(prog)
+    u, v = result.GetSolution(x)
+    assert result.is_success() and u**2 + v == pytest.approx(2) and u + v**2 == pytest.approx(2)
+
+
+def test_random_programs_never_crash_and_never_lie() -> None:
+    generator = np.random.default_rng(0)
+    for _ in range(60):
+        prog = random_program(generator)
+        result = solve(prog, rounds=10)
+        x = result.get_x_val()
+        if result.is_success():
+            assert np.all(np.isfinite(x)) and np.isfinite(result.get_optimal_cost())
+            assert not result.GetInfeasibleConstraints(prog, 1e-5)
+
+
+def random_program(generator: np.random.Generator) -> MathematicalProgram:
+    """Returns a polynomial program of few variables, with or without bounds and constraints."""
+    prog = MathematicalProgram()
+    n = int(generator.integers(1, 4))
+    x = prog.NewContinuousVariables(n, "x")
+
+    def polynomial(terms: int) -> Any:
+        total: Any = generator.normal()
+        for _ in range(terms):
+            factor: Any = generator.normal() * 10 ** generator.uniform(-2, 2)
+            for i in generator.integers(0, n, 3):
+                factor = factor * x[i] ** int(generator.integers(0, 3))
+            total = total + factor
+        return total
+
+    cost = polynomial(4) + (sum(x_i**8 for x_i in x) if generator.random() < 0.7 else 0.0)
+    add_cost(prog, cost + x[0])
+    for i in range(n):
+        if generator.random() < 0.6:
+            ends = np.sort(generator.normal(size=2) * 3)
+            low, high = np.where(generator.random(2) < 0.3, [-np.inf, np.inf], ends)
+            prog.AddBoundingBoxConstraint(low, high, x[i])
+    for _ in range(int(generator.integers(0, 3))):
+        expression = polynomial(2) + x[0]
+        level = generator.normal()
+        prog.AddConstraint(expression == level if generator.random() < 0.4 else expression <= level)
+    return prog
