@@ -178,7 +178,7 @@ def products(draw: st.DrawFn) -> ExpressionOf:
     return expression_of
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 @given(products(), st.lists(st.floats(-2.0, 2.0), min_size=3, max_size=3))
 def test_any_product_keeps_its_value_and_slopes(
     expression_of: ExpressionOf, point: list[float]
@@ -296,13 +296,15 @@ def test_a_term_without_a_closed_form_is_refused_by_cost_term_and_reason(case: s
 TOO_MANY: dict[str, tuple[ExpressionOf, str]] = {
     "a power of a sum": (lambda x: pow(sum(x), 12), r"1,251,677,700"),
     "a product of powers": (lambda x: pow(sum(x), 6) * pow(sum(x) + 1, 6), r"\d+,\d{3},\d{3}"),
-    "a power of waves": (lambda x: pow(sum(sin(v) for v in x), 9), r"\d,\d{3},\d{3}"),
+    "a product of waves": (
+        lambda x: pow(sum(sin(v) for v in x[:20]), 3) * pow(sum(cos(v) for v in x[:20]), 3),
+        r"2,\d{3},\d{3}",
+    ),
     "a sine of a sum": (lambda x: sin(sum(x[:25])), r"16,777,216"),
     "a huge exponent": (lambda x: pow(1 + sin(x[0]), 1e6), r"2,000,000"),
 }
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("case", TOO_MANY)
 def test_too_many_terms_are_refused_with_their_number(case: str) -> None:
     expression_of, count = TOO_MANY[case]
