@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from drake_aigto.planning import plan as plan
     from drake_aigto.planning import replay_drake as replay_drake
     from drake_aigto.planning import replay_event_driven as replay_event_driven
+    from drake_aigto.solver import AigoDetails as AigoDetails
+    from drake_aigto.solver import AigoOptions as AigoOptions
+    from drake_aigto.solver import AigoSolver as AigoSolver
+    from drake_aigto.solver import AigoStatus as AigoStatus
     from drake_aigto.trajectory import Trajectory as Trajectory
     from drake_aigto.world import Contact as Contact
     from drake_aigto.world import Scenario as Scenario
@@ -33,6 +37,10 @@ __version__ = "0.1.0"  # The only place that has it; the build reads it from her
 
 # Public name → module. Loaded on first use, so that `import drake_aigto` is quick.
 _EXPORTS = {
+    "AigoDetails": "drake_aigto.solver",
+    "AigoOptions": "drake_aigto.solver",
+    "AigoSolver": "drake_aigto.solver",
+    "AigoStatus": "drake_aigto.solver",
     "AigtoError": "drake_aigto.errors",
     "ModelError": "drake_aigto.errors",
     "OptionsError": "drake_aigto.errors",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -26,6 +27,9 @@ Observer = Callable[["npt.NDArray[np.float64]", str], Any]
 # Penalties Σ r² weigh so many times what the cost varies by over the first box, in turn.
 _PENALTIES = (1.0, 30.0, 1e3)
 _POLISH_STEPS = 200
+# With constraints, so many of the points on the way are polished too, the last ones, and every
+# such a one.
+_POLISHED, _EVERY = 8, 2
 # A point farther out than this, in a variable without bounds, is where a cost falls without end.
 _FAR = 1e8
 
@@ -72,8 +76,8 @@ class Solve:
             self._offer(self._first.center, "the middle of the first box")
             if np.all(np.isfinite(self._guess)):
                 self._polish(self._program.with_slacks(self._guess), " of the guess")
-            for f, name in self._penalised():
-                self._search(f, name)
+            for number, (f, name) in enumerate(self._penalised()):
+                self._search(f, name, self._options.seed + number)
         except KeyboardInterrupt:
             status = AigoStatus.INTERRUPTED
         best, n = self._best, self._guess.size
@@ -119,17 +123,26 @@ class Solve:
             weights = {name: factor * scale for name in penalties.weights}
             yield merged.with_weights(weights), f", penalties {factor:g}"
 
-    def _search(self, f: BoxPolynomial, name: str) -> None:
+    def _search(self, f: BoxPolynomial, name: str, seed: int) -> None:
         """Searches the first box for low points of f, each a candidate."""
         if not np.any(self._first.free):
             return
         options = self._options
-        search = BoxSearch(rounds=options.rounds, patience=options.patience, seed=options.seed)
+        share = len(_PENALTIES) if self._program.num_rows else 1
+        search = BoxSearch(
+            rounds=math.ceil(options.rounds / share),
+            patience=math.ceil(options.patience / share),
+            seed=seed,
+        )
 
         def look(candidate: Candidate) -> None:
             self._offer(candidate.x, f"{candidate.origin}{name}")
 
         found = search.run(f, self._first, lambda y: self._polish(y, name), look)
+        if self._program.num_rows:
+            # The least penalised cost need not lead to the least feasible one.
+            for candidate in found.candidates[:-1][::-_EVERY][:_POLISHED]:
+                self._polish(candidate.x, name)
         self._boxes += found.num_boxes
         self._iterations += found.num_steps
         self._widths.append(found.widths)
