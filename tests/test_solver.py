@@ -19,6 +19,7 @@ from pydrake.symbolic import cos
 from drake_aigto import UnsupportedTermError
 from drake_aigto.errors import OptionsError
 from drake_aigto.solver import AigoDetails, AigoOptions, AigoSolver, AigoStatus
+from drake_aigto.study.random_programs import random_program
 
 
 def add_cost(prog: MathematicalProgram, expression: Any) -> None:
@@ -36,9 +37,7 @@ def himmelblau(tilt: float = 1.0) -> tuple[MathematicalProgram, Any]:
 
 
 def solve(prog: MathematicalProgram, **options: Any) -> MathematicalProgramResult:
-    result = AigoSolver(AigoOptions(**options)).Solve(prog)
-    assert result is not None
-    return result
+    return AigoSolver(AigoOptions(**options)).Solve(prog)
 
 
 # The answer.
@@ -245,32 +244,3 @@ def test_random_programs_never_crash_and_never_lie() -> None:
         if result.is_success():
             assert np.all(np.isfinite(x)) and np.isfinite(result.get_optimal_cost())
             assert not result.GetInfeasibleConstraints(prog, 1e-5)
-
-
-def random_program(generator: np.random.Generator) -> MathematicalProgram:
-    """Returns a polynomial program of few variables, with or without bounds and constraints."""
-    prog = MathematicalProgram()
-    n = int(generator.integers(1, 4))
-    x = prog.NewContinuousVariables(n, "x")
-
-    def polynomial(terms: int) -> Any:
-        total: Any = generator.normal()
-        for _ in range(terms):
-            factor: Any = generator.normal() * 10 ** generator.uniform(-2, 2)
-            for i in generator.integers(0, n, 3):
-                factor = factor * x[i] ** int(generator.integers(0, 3))
-            total = total + factor
-        return total
-
-    cost = polynomial(4) + (sum(x_i**8 for x_i in x) if generator.random() < 0.7 else 0.0)
-    add_cost(prog, cost + x[0])
-    for i in range(n):
-        if generator.random() < 0.6:
-            ends = np.sort(generator.normal(size=2) * 3)
-            low, high = np.where(generator.random(2) < 0.3, [-np.inf, np.inf], ends)
-            prog.AddBoundingBoxConstraint(low, high, x[i])
-    for _ in range(int(generator.integers(0, 3))):
-        expression = polynomial(2) + x[0]
-        level = generator.normal()
-        prog.AddConstraint(expression == level if generator.random() < 0.4 else expression <= level)
-    return prog

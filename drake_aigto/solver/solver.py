@@ -98,7 +98,7 @@ class AigoSolver(SolverInterface):
         initial_guess: npt.ArrayLike | None = None,
         solver_options: SolverOptions | None = None,
         result: MathematicalProgramResult | None = None,
-    ) -> MathematicalProgramResult | None:
+    ) -> Any:
         """Solves a program.
 
         Args:
@@ -109,7 +109,7 @@ class AigoSolver(SolverInterface):
             result: filled if given.
 
         Returns:
-            The result; None if one was given.
+            The result, a MathematicalProgramResult; None if one was given.
 
         Raises:
             UnsupportedTermError: a cost, constraint or variable that AIGO can't take, by name.
