@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydrake.solvers import MathematicalProgram
 from scipy.linalg import solveh_banded
 
 from drake_aigto.errors import OptionsError
@@ -69,22 +70,23 @@ class ChainProblem:
         slope[1:] += self.coupling * x[:-1]
         return slope
 
-    def problem(self, minimizer: Floats | None = None) -> GlobalProblem:
-        """Return it as a test function, with its minimizer (default: `exact_chain_minimum`)."""
-        x = exact_chain_minimum(self) if minimizer is None else minimizer
+    def problem(self, name: str = "") -> GlobalProblem:
+        """Return it as a test function, with its exact minimum; default name: "chain n=…"."""
+        return self._problem(name or f"chain n={self.num_variables}", exact_chain_minimum(self))
+
+    def prog(self) -> MathematicalProgram:
+        """Return the program: an ExpressionCost for every variable, and the box."""
+        return self._problem("", np.zeros(self.num_variables)).prog()
+
+    def _problem(self, name: str, x: Floats) -> GlobalProblem:
         n = self.num_variables
         pairs = np.arange(n - 1)[:, None] + [0, 1]
-        summands = (
+        parts = (
             Part(_link, pairs, np.column_stack((self.coupling, self.roots[:-1]))),
             Part(_well, [n - 1], self.roots[-1:]),
         )
-        return GlobalProblem(
-            f"chain n={n}", (-REACH, REACH), float(self.evaluate(x)), x, summands, "AIGO, Sec. V"
-        )
-
-    def prog(self) -> Any:
-        """Return the program: every summand an ExpressionCost, and the box."""
-        return self.problem(np.zeros(self.num_variables)).prog()
+        minimum = float(self.evaluate(x))
+        return GlobalProblem(name, (-REACH, REACH), minimum, x, parts, "Labbe & Del Prete (2025)")
 
 
 def chain_problem(n: int, seed: int) -> ChainProblem:

@@ -1,0 +1,267 @@
+"""Other people's global optimizers, each given the same seconds and the same compiled function.
+
+A peer that ends early starts again with the next seed, until its time is over; what counts is the
+least value that it saw. None is told where the optimum is.
+"""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import platform
+import time
+from collections.abc import Callable, Iterable
+from dataclasses import asdict, dataclass, fields
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from compiled import compile_function
+from pydrake.solvers import IpoptSolver, SnoptSolver
+from scipy.optimize import differential_evolution, direct, dual_annealing, minimize, shgo
+
+from drake_aigto.local import InteriorPoint, compile_nlp
+from drake_aigto.solver import AigoOptions, AigoSolver
+from drake_aigto.study.global_problem import GlobalProblem
+
+try:
+    import cma
+except ModuleNotFoundError:
+    cma = None
+
+LARGEST_SHGO = 10  # its first simplices have 2ⁿ corners
+LARGEST_DIRECT = 50  # from here on it spends its time before the first report
+LARGEST_FULL_CMA = 200  # above, only the diagonal of the covariance
+POLISH_STEPS = 100  # of a start of our polish: it converges in 20, or not at all
+OURS = "AIGO"
+ALONE = "AIGO, boxes alone"
+OPTIONS = {OURS: AigoOptions(), ALONE: AigoOptions(polish="none", rounds=0)}
+
+
+@dataclass(frozen=True)
+class Record:
+    """One run: a line of the CSV file."""
+
+    problem: str
+    variables: int
+    solver: str
+    seed: int
+    seconds: float
+    cost: float
+    minimum: float
+    range: float
+
+
+class TimeIsUpError(Exception):
+    """Ends a peer from within the function that it minimises."""
+
+
+class Target:
+    """A function that keeps the best value seen, and ends its minimizer when time is up."""
+
+    def __init__(self, problem: GlobalProblem, is_compiled: bool = True) -> None:
+        """Compiles the function, unless it is for a solver that doesn't call it."""
+        self.problem = problem
+        self.lower, self.upper = problem.lower, problem.upper
+        self.bounds = list(zip(problem.lower.tolist(), problem.upper.tolist(), strict=True))
+        self.prog = problem.prog()
+        if is_compiled:
+            self.nlp = compile_nlp(self.prog)
+            self._values, self._gradients = compile_function(problem)
+        else:
+            self._values = problem.evaluate
+        self.start(0.0)
+
+    def start(self, seconds: float, enough: float = -np.inf) -> None:
+        """Forgets what was seen; time runs from now, and ends at a value that is enough too."""
+        self.best = np.inf
+        self.enough = enough
+        self.deadline = time.process_time() + seconds
+
+    def value(self, x: np.ndarray) -> float:
+        """f(x)."""
+        return self._seen(self._values(x))
+
+    def value_and_gradient(self, x: np.ndarray) -> tuple[float, np.ndarray]:
+        """f(x), ∇f(x)."""
+        value, slope = self._gradients(x)
+        return self._seen(value), slope
+
+    def gradient(self, x: np.ndarray) -> np.ndarray:
+        """∇f(x)."""
+        return self.value_and_gradient(x)[1]
+
+    def found(self, x: np.ndarray) -> None:
+        """Takes the answer of a solver that doesn't call this function."""
+        if np.all(np.isfinite(x)):
+            self.value(np.clip(x, self.lower, self.upper))
+
+    def _seen(self, value: float) -> float:
+        if time.process_time() > self.deadline:
+            raise TimeIsUpError
+        self.best = min(self.best, value)
+        if value <= self.enough:
+            raise TimeIsUpError
+        return value
+
+
+def dual_annealing_with_gradients(target: Target, seed: int) -> None:
+    local = {"method": "L-BFGS-B", "jac": target.gradient, "bounds": target.bounds}
+    dual_annealing(target.value, target.bounds, maxiter=10**7, minimizer_kwargs=local, seed=seed)
+
+
+def evolution(target: Target, seed: int) -> None:
+    differential_evolution(target.value, target.bounds, maxiter=10**6, seed=seed)
+
+
+def dividing_rectangles(target: Target, seed: int) -> None:
+    del seed  # the first run goes on until time is up: direct draws nothing
+    direct(target.value, target.bounds, maxfun=10**6, maxiter=10**6, vol_tol=0.0, len_tol=0.0)
+    raise TimeIsUpError
+
+
+def simplicial_homology(target: Target, seed: int) -> None:
+    local = {"method": "L-BFGS-B", "jac": target.gradient, "bounds": target.bounds}
+    samples = 2 ** (6 + min(seed, 8))
+    shgo(target.value, target.bounds, n=samples, sampling_method="sobol", minimizer_kwargs=local)
+
+
+def covariance_adaptation(target: Target, seed: int) -> None:
+    center, width = (target.lower + target.upper) / 2.0, target.upper - target.lower
+    start = np.random.default_rng(seed).uniform(-0.5, 0.5, center.size)
+    options = {
+        "bounds": [-0.5, 0.5],
+        "seed": seed + 1,
+        "verbose": -9,
+        "CMA_diagonal": center.size > LARGEST_FULL_CMA,
+    }
+    cma.fmin2(
+        lambda y: target.value(center + width * y), start, 0.25, options, restarts=9, bipop=True
+    )
+
+
+def multistart_lbfgs(target: Target, seed: int) -> None:
+    start = np.random.default_rng(seed).uniform(target.lower, target.upper)
+    minimize(target.value_and_gradient, start, jac=True, method="L-BFGS-B", bounds=target.bounds)
+
+
+def multistart_drake(solver: Any, target: Target, seed: int) -> None:
+    start = np.random.default_rng(seed).uniform(target.lower, target.upper)
+    target.found(solver.Solve(target.prog, start, None).get_x_val())
+
+
+def multistart_polish(target: Target, seed: int) -> None:
+    start = np.random.default_rng(seed).uniform(target.lower, target.upper)
+    target.found(InteriorPoint(max_iterations=POLISH_STEPS).solve(target.nlp, start).x)
+
+
+PEERS: dict[str, Callable[[Target, int], None]] = {
+    "dual_annealing": dual_annealing_with_gradients,
+    "differential_evolution": evolution,
+    "direct": dividing_rectangles,
+    "shgo": simplicial_homology,
+    "CMA-ES": covariance_adaptation,
+    "L-BFGS-B, multistart": multistart_lbfgs,
+    "SNOPT, multistart": lambda target, seed: multistart_drake(SnoptSolver(), target, seed),
+    "IPOPT, multistart": lambda target, seed: multistart_drake(IpoptSolver(), target, seed),
+    "our polish, multistart": multistart_polish,
+}
+
+
+def is_left_out(name: str, num_variables: int) -> bool:
+    """Whether a peer is not installed, or does not come to its first report in that many."""
+    return (
+        (name == "CMA-ES" and cma is None)
+        or (name == "shgo" and num_variables > LARGEST_SHGO)
+        or (name == "direct" and num_variables > LARGEST_DIRECT)
+    )
+
+
+def run_ours(target: Target, options: AigoOptions) -> tuple[float, float]:
+    """Returns what AIGO costs and finds: seconds from the program to the answer, and f there."""
+    begin = time.process_time()
+    x = AigoSolver(options).Solve(target.prog).get_x_val()
+    seconds = time.process_time() - begin
+    target.start(np.inf)
+    target.found(np.asarray(x))
+    return seconds, target.best
+
+
+def run_peer(
+    name: str, target: Target, seconds: float, seed: int, enough: float = -np.inf
+) -> float:
+    """Returns the least value that a peer sees in these seconds; infinite if it sees none."""
+    target.start(seconds, enough)
+    try:
+        for restart in itertools.count():
+            if time.process_time() > target.deadline:
+                break
+            PEERS[name](target, 1000 * seed + restart)
+    except TimeIsUpError:
+        pass
+    return target.best
+
+
+def seconds_to_reach(
+    name: str, target: Target, cost: float, limit: float, seed: int
+) -> tuple[float, float]:
+    """Returns a peer's seconds to this cost, or the limit, and the least value that it saw."""
+    begin = time.process_time()
+    best = run_peer(name, target, limit, seed, enough=cost)
+    return time.process_time() - begin, best
+
+
+def run_all(
+    problem: GlobalProblem, size: float, seeds: Iterable[int], factor: float, peers: Iterable[str]
+) -> list[Record]:
+    """Runs ours, and then each peer for `factor` times the seconds that ours took."""
+    target = Target(problem)
+
+    def record(solver: str, seed: int, seconds: float, cost: float) -> Record:
+        n, minimum = problem.num_variables, problem.minimum
+        return Record(problem.name, n, solver, seed, seconds, cost, minimum, size)
+
+    records = []
+    taken = {name: run_ours(target, options) for name, options in OPTIONS.items()}
+    records += [record(name, 0, *result) for name, result in taken.items()]
+    seconds = factor * taken[OURS][0]
+    for name in peers:
+        if not is_left_out(name, problem.num_variables):
+            records += [
+                record(name, seed, seconds, run_peer(name, target, seconds, seed)) for seed in seeds
+            ]
+    return records
+
+
+def warm_up() -> None:
+    """Has Numba compile, and libraries load, before anything is timed."""
+    from drake_aigto.study.global_functions import planar_problems
+
+    target = Target(planar_problems()[0])
+    for options in OPTIONS.values():
+        run_ours(target, options)
+    for name in PEERS:
+        if not is_left_out(name, 2):
+            run_peer(name, target, 0.2, 0)
+
+
+def write_csv(path: Path, records: Iterable[Record]) -> None:
+    """Writes all runs; the first lines, behind #, say on what and with what."""
+    packages = ("drake", "numpy", "scipy", "numba", *(("cma",) if cma else ()))
+    versions = ", ".join(f"{name} {version(name)}" for name in packages)
+    with path.open("w", newline="", encoding="utf-8") as file:
+        file.write(f"# {machine()}\n# Python {platform.python_version()}, {versions}\n")
+        writer = csv.DictWriter(file, [field.name for field in fields(Record)])
+        writer.writeheader()
+        writer.writerows(asdict(record) for record in records)
+
+
+def machine() -> str:
+    """The processor and the system."""
+    names = [platform.processor() or platform.machine()]
+    cpuinfo = Path("/proc/cpuinfo")
+    if cpuinfo.exists():
+        lines = cpuinfo.read_text(encoding="utf-8").splitlines()
+        names = [line.split(":", 1)[1].strip() for line in lines if "model name" in line] or names
+    return f"{names[0]}, one core, {platform.system()}"
