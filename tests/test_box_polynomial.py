@@ -15,7 +15,10 @@ from hypothesis import strategies as st
 from drake_aigto import OptionsError, UnsupportedTermError
 from drake_aigto.box import BoxPolynomial, Factor, FunctionKind, Term, TermBlock
 from drake_aigto.box.functions import WAVES
+from drake_aigto.box.kernels import add_means, add_newton_system
 from drake_aigto.box.reference import exact_mean, relative_error
+from drake_aigto.box.tables import stack_terms
+from drake_aigto.local import PolynomialNlp
 
 NUM_VARIABLES = 5
 # Some ten roundings a factor, and one for each of a few dozen terms.
@@ -293,7 +296,11 @@ def block(*terms: Term, variables: object = (0, 1), name: str = "cost") -> TermB
     return TermBlock(name, terms, variables)  # type: ignore[arg-type]
 
 
-X0, X1 = Factor(0, FunctionKind.POWER), Factor(1, FunctionKind.POWER)
+def power(variable: int) -> Factor:
+    return Factor(variable, FunctionKind.POWER)
+
+
+X0, X1 = power(0), power(1)
 BARRIER = Term(1.0, (Factor(0, FunctionKind.NEG_LOG),))
 
 
@@ -381,9 +388,70 @@ def test_tables_are_read_only_and_the_callers_array_is_not() -> None:
     table = block(Term(1.0, (X0, X1)), variables=variables)
     variables[0, 0] = 7
     assert table.variables.tolist() == [[0, 1]]
-    for array in (table.variables, BoxPolynomial(2, (table,)).order):
+    stacked = [part for part in stack_terms([table]) if isinstance(part, np.ndarray)]
+    for array in (table.variables, BoxPolynomial(2, (table,)).order, *stacked):
         with pytest.raises(ValueError, match="read-only"):
             array[...] = 0
+
+
+@given(polynomials())
+def test_couplings_are_the_pairs_within_a_term(f: BoxPolynomial) -> None:
+    pairs = {
+        (variables[a.variable], variables[b.variable])
+        for block in f.blocks
+        for variables in block.variables.tolist()
+        for term in block.terms
+        for a in term.factors
+        for b in term.factors
+    }
+    assert {(i, j) for i, j in f.couplings().tolist()} == pairs
+
+
+def test_equal_sums_are_stored_once() -> None:
+    product, square = Term(2.0, (X0, X1)), Term(1.0, (dataclasses.replace(X0, exponent=2),))
+    blocks = (
+        block(product, square, variables=[(0, 1), (1, 2)]),
+        block(square, variables=(2,)),
+        block(product, square, variables=(0, 2), name="other"),
+    )
+    stacked = stack_terms(blocks)
+    assert stacked.copies["sum_index"].tolist() == [0, 0, 1, 0]
+    assert (stacked.factors.size, stacked.most_factors, stacked.longest_term) == (4, 3, 2)
+    assert stacked.copy_variables.tolist() == [0, 1, 1, 2, 2, 0, 2]
+
+
+@pytest.mark.parametrize("zeros", [(), (3,), (0, 9), (2, 5, 7)])
+def test_slopes_of_a_long_product_are_right_also_where_factors_are_zero(zeros: list[int]) -> None:
+    n = 10
+    x = np.arange(2.0, n + 2)
+    x[list(zeros)] = 0.0
+    f = BoxPolynomial(
+        n, (block(Term(1.0, tuple(map(power, range(n)))), variables=range(n)),), range(n)
+    )
+    others = [np.prod(np.delete(x, i)) for i in range(n)]
+    np.testing.assert_array_equal(f.gradient(x, 0.5)[1], others)
+    system = f.newton_system(x, 0.5, centers_only=True)
+    np.testing.assert_array_equal(system.gradient, others)
+    pairs = [[np.prod(np.delete(x, [i, j])) if i != j else 0.0 for i in range(n)] for j in range(n)]
+    np.testing.assert_array_equal(dense(system.band), pairs)
+
+
+def test_boxes_and_points_share_one_compilation() -> None:
+    cost = block(Term(1.0, (X0, X1)))
+    f = BoxPolynomial(2, (cost,))
+    x = np.ones(2)
+    f.gradient(x, 0.5)
+    f.mean_by_block(x, 0.5)
+    f.with_weights({"cost": 2.0}).newton_system(x, 0.5)
+    f.newton_system(x, 0.5, centers_only=True)
+    separable = BoxPolynomial(2, (block(Term(1.0, (X0,))),))
+    separable.newton_system(x, 0.5, centers_only=True)
+    nlp = PolynomialNlp(2, (cost,), (cost,), np.full(2, -np.inf), np.full(2, np.inf))
+    nlp.evaluate(x)
+    nlp.kkt_structure.assemble(x, np.ones(2), np.ones(1))
+    for kernel in (add_means, add_newton_system):
+        signatures = kernel.signatures  # type: ignore[union-attr]
+        assert len(signatures) == 1, "each costs a second when the package first runs"
 
 
 def test_nothing_to_integrate_is_zero() -> None:

@@ -40,8 +40,7 @@ class CouplingGraph:
 
     @classmethod
     def _build(cls, f: BoxPolynomial) -> CouplingGraph:
-        pairs = [block.variables[:, block.couplings()].reshape(-1, 2) for block in f.blocks]
-        rows, columns = np.concatenate([np.empty((0, 2), dtype=np.int64), *pairs]).T
+        rows, columns = f.couplings().T
         apart = rows != columns
         shape = (f.num_variables, f.num_variables)
         edges = (np.ones(np.count_nonzero(apart)), (rows[apart], columns[apart]))

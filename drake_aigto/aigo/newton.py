@@ -101,7 +101,7 @@ def _try_step(
     objective: Objective, y: Floats, system: NewtonSystem, scale: Floats, damping: float
 ) -> tuple[Floats, NewtonSystem] | None:
     """Returns the point and system after a damped step, or None if it does not descend."""
-    band = system.band.copy()
+    band = system.band.copy(order="F")  # LAPACK would copy once more
     band[0] += damping * scale
     factor, info = dpbtrf(band, lower=1)
     if info != 0:
@@ -110,7 +110,9 @@ def _try_step(
     step *= objective.limit(step)
     moved = objective.move(y, step)
     tried = objective.evaluate(moved)
-    if not tried.value <= system.value + _ARMIJO * float(system.gradient @ (moved - y)):
+    # Held variables have no width: their z is minus infinity, and stays.
+    taken = np.subtract(moved, y, out=np.zeros_like(y), where=moved != y)
+    if not tried.value <= system.value + _ARMIJO * float(system.gradient @ taken):
         return None
     return moved, tried
 

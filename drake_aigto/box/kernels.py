@@ -5,7 +5,8 @@ from the product rule on a_m ∏_f μ_f, by products of what stands before and b
 divide by μ_f would fail where it is 0. At a half width of 0 means are values.
 
 Shape letters as in `StackedTerms`, and n variables. A symmetric matrix is kept in LAPACK's lower
-band storage: entry (i, j), i ≥ j, at [i − j, j].
+band storage, transposed to be of one type for Numba however few diagonals there are: entry (i, j),
+i ≥ j, at [j, i − j].
 
 Helpers that take arrays are inlined: to call one takes as long as a short term.
 Numba's cache of this file does not see edits of `functions`: delete `__pycache__` after one.
@@ -178,11 +179,11 @@ def add_means(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _add(band: Floats, i: int, j: int, value: float) -> None:
-    """Add to entry (i, j) = (j, i) of a symmetric matrix in lower band storage."""
+    """Add to entry (i, j) = (j, i) of a symmetric matrix."""
     if i >= j:
-        band[i - j, j] += value
+        band[j, i - j] += value
     else:
-        band[j - i, i] += value
+        band[i, j - i] += value
 
 
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
@@ -227,7 +228,7 @@ def add_newton_system(
         copy_places: Place of each copy that is one of A's rows, −1 for one that is not (C,).
         stride: 2 for unknowns (c_i, z_i), which stand next to each other, or 1 for c_i alone.
         gradient: weight · ∇mean of the copies of place −1 is added (size,).
-        band: Added to (rows, size), lower band storage.
+        band: Added to (size, number of diagonals).
 
     Returns:
         The sum of weight · mean over all copies.
@@ -269,10 +270,10 @@ def add_newton_system(
             i, curvature = places[f], multipliers[copy] * partials[f]
             if i < 0:
                 continue
-            band[0, i] += curvature * rows[f, D_CC]
+            band[i, 0] += curvature * rows[f, D_CC]
             if stride == 2:
-                band[1, i] += curvature * rows[f, D_CZ]
-                band[0, i + 1] += curvature * rows[f, D_ZZ]
+                band[i, 1] += curvature * rows[f, D_CZ]
+                band[i + 1, 0] += curvature * rows[f, D_ZZ]
             for part in range(stride):
                 slope = partials[f] * rows[f, D_C + part]
                 if copy_places[copy] < 0:

@@ -103,11 +103,6 @@ class TermBlock:
                 got = f"copy {copy[0]} with variable {variable[0]} twice"
                 raise _repeated_variable(self.name, got)
 
-    def couplings(self) -> Ints:
-        """Pairs of local variables that appear together in a term, shape (P, 2)."""
-        pairs = {(a.variable, b.variable) for t in self.terms for a in t.factors for b in t.factors}
-        return np.array(sorted(pairs), dtype=np.int64).reshape(-1, 2)
-
     def with_weight(self, weight: float) -> TermBlock:
         """The same block under another weight; terms and variables are shared."""
         block = object.__new__(TermBlock)
@@ -166,7 +161,7 @@ class NewtonSystem:
     Attributes:
         value: f̄.
         gradient: (u n,) with unknowns (c_i, z_i) next to each other, or c_i alone.
-        band: (u (bandwidth + 1), u n) Hessian in LAPACK's lower band storage.
+        band: (u (bandwidth + 1), u n) Hessian in LAPACK's lower band storage, in Fortran's order.
     """
 
     value: float
@@ -314,7 +309,7 @@ class BoxPolynomial:
         stride = 1 if centers_only else 2
         size = stride * self.num_variables
         gradient = np.zeros(size)
-        band = np.zeros((stride * self.bandwidth + stride, size))
+        band = np.zeros((size, stride * self.bandwidth + stride))
         value = add_newton_system(
             self._terms,
             self._weights,
@@ -327,7 +322,7 @@ class BoxPolynomial:
             gradient,
             band,
         )
-        return NewtonSystem(value, gradient, band)
+        return NewtonSystem(value, gradient, band.T)
 
     def to_variables(self, ordered: Floats) -> Iterator[Floats]:
         """Split a vector in elimination order into its parts, c and then z, in variable order."""

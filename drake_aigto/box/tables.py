@@ -17,8 +17,8 @@ Records = NDArray[np.void]
 
 
 # Records, so that kernels have few arrays to take and read one place in memory for each.
-COPY = np.dtype([("sum_index", np.int64), ("first_variable", np.int64)])
-SUM = np.dtype([("first_factor", np.int64), ("first_term", np.int64)])
+COPY = np.dtype([("sum_index", np.int64), ("first_variable", np.int64)], align=True)
+SUM = np.dtype([("first_factor", np.int64), ("first_term", np.int64)], align=True)
 FACTOR = np.dtype(
     [
         ("variable", np.int64),
@@ -26,9 +26,10 @@ FACTOR = np.dtype(
         ("exponent", np.int64),
         ("scale", np.float64),
         ("offset", np.float64),
-    ]
+    ],
+    align=True,
 )
-TERM = np.dtype([("coefficient", np.float64), ("first_member", np.int64)])
+TERM = np.dtype([("coefficient", np.float64), ("first_member", np.int64)], align=True)
 
 
 class StackedTerms(NamedTuple):

@@ -102,8 +102,7 @@ class KktStructure:
         """
         nlp = self._nlp
         gradient = np.zeros(self.size)
-        # In Fortran's order, which spares BLAS a copy.
-        band = np.zeros((self.bandwidth + 1, self.size), order="F")
+        band = np.zeros((self.size, self.bandwidth + 1))
         factors = np.ones(nlp.num_costs + nlp.num_rows)
         factors[nlp.num_costs + self.rows] = multipliers
         add_newton_system(
@@ -118,7 +117,8 @@ class KktStructure:
             gradient,
             band,
         )
-        return gradient[self.variable_places], band
+        # In Fortran's order, which spares BLAS a copy.
+        return gradient[self.variable_places], band.T
 
     def without_couplings(self, band: Floats) -> Floats:
         """A copy of the matrix with W = 0."""

@@ -220,15 +220,13 @@ class PolynomialNlp:
 
     def evaluate(self, x: ArrayLike) -> tuple[float, Floats]:
         """f(x) and c(x) (m,)."""
-        values, no_gradient = np.empty(self.copy_weights.size), np.empty(0)
-        x = self._checked(x)
-        add_means(
-            self.terms, self.copy_weights, x, np.zeros_like(x), values, no_gradient, no_gradient
-        )
+        x, weights = self._checked(x), self.copy_weights.copy()
+        values, no_gradient = np.empty_like(weights), np.empty(0)
+        add_means(self.terms, weights, x, np.zeros_like(x), values, no_gradient, no_gradient)
         return float(np.sum(values[: self.num_costs])), values[self.num_costs :]
 
     def _checked(self, x: ArrayLike) -> Floats:
-        # Copied, as Numba would compile once more for an array that is read-only or strided.
+        # Copied, as the weights, for Numba would compile once more for arrays that are read-only.
         x = np.array(x, dtype=float, order="C")
         if x.shape != (self.num_variables,):
             raise OptionsError(
