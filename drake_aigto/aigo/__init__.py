@@ -1,18 +1,27 @@
 """Analytical Integral Global Optimization: boxes shrink onto a low point of their own mean."""
 
 from drake_aigto.aigo.algorithm import AigoResult, Algorithm, Box, Iterate, Status, minimize
+from drake_aigto.aigo.alternating import Alternating
 from drake_aigto.aigo.annealing import Annealing
+from drake_aigto.aigo.box_search import BoxSearch, Candidate, SearchResult
 from drake_aigto.aigo.continuation import PenaltyContinuation
+from drake_aigto.aigo.face_flow import FaceFlow, Pace
 from drake_aigto.aigo.full_gradient import FullGradient
 
 __all__ = [
     "AigoResult",
     "Algorithm",
+    "Alternating",
     "Annealing",
     "Box",
+    "BoxSearch",
+    "Candidate",
+    "FaceFlow",
     "FullGradient",
     "Iterate",
+    "Pace",
     "PenaltyContinuation",
+    "SearchResult",
     "Status",
     "minimize",
 ]

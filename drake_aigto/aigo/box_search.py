@@ -22,6 +22,12 @@ Ints = NDArray[np.int64]
 _NODES, _WEIGHTS = (a / 2 for a in np.polynomial.legendre.leggauss(8))
 _NODES = _NODES + 0.5
 
+_FIRST = FaceFlow(pace=Pace.EACH)
+_RENEWAL = FaceFlow(share=0.5, least_shrink=0.1, final_width=0.2)
+_BOLD_STEPS = 12  # Newton steps of many clusters at once; those that need more are left
+_ROUNDING = 1e-9  # an f that is lower by this part of itself or less does not count as lower
+_LONGEST_REST = 7  # turns that a size of clusters is left out after it has failed
+
 
 @dataclass(frozen=True)
 class Candidate:
@@ -76,22 +82,20 @@ class BoxSearch:
         renewal: the algorithm that shrinks the clusters' boxes.
         rounds: the most rounds of renewal; 0 for none.
         patience: the search ends after this many rounds in a row without a lower f.
-        cluster_sizes: largest numbers of variables in a cluster, in turn; the number of all
-            variables is one more size.
+        cluster_sizes: largest numbers of variables in a cluster, in turn; between any two, all
+            variables are opened. A size that fails rests for some turns.
         least_width: a renewed box is at least this part of the first one's width, in (0, 1].
         newton_steps: the most Newton steps after a box has shrunk.
         seed: of the renewed boxes and clusters.
     """
 
-    first: tuple[Algorithm, ...] = (FaceFlow(),)
-    renewal: Algorithm = FaceFlow(
-        share=0.5, least_shrink=0.1, pace=Pace.COMPONENT, final_width=0.1
-    )
-    rounds: int = 100
-    patience: int = 40
+    first: tuple[Algorithm, ...] = (_FIRST,)
+    renewal: Algorithm = _RENEWAL
+    rounds: int = 200
+    patience: int = 80
     cluster_sizes: tuple[int, ...] = (1, 2, 3, 4)
     least_width: float = 0.1
-    newton_steps: int = 20
+    newton_steps: int = 100
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -141,7 +145,7 @@ class _Search:
         self._rng = np.random.default_rng(options.seed)
         self._graph = CouplingGraph.of(f)
         self._candidates: list[Candidate] = []
-        self._best: Candidate | None = None
+        self._best = self._candidate(box.center, "the middle of the first box")
         self._num_boxes = self._num_steps = 0
 
     def run(self) -> SearchResult:
@@ -150,8 +154,8 @@ class _Search:
         try:
             for algorithm in self._options.first:
                 widths.append(self._shrink_first(algorithm))
-            for rounds in self._renew():
-                pass
+            for number in self._renew():
+                rounds = number
         except KeyboardInterrupt:
             pass
         if rounds and self._polish is not None:
@@ -181,11 +185,11 @@ class _Search:
 
     def _renew(self) -> Iterator[int]:
         """Yields the number of rounds after each."""
-        n = self._f.num_variables
-        sizes = sorted({min(size, n) for size in (*self._options.cluster_sizes, n)})
+        sizes = _Sizes(self._options.cluster_sizes, self._f.num_variables)
         idle = 0
         for number in range(1, self._options.rounds + 1):
-            improved = self._round(sizes[number % len(sizes)], number)
+            improved = self._round(sizes.next(), number)
+            sizes.learn(improved)
             idle = 0 if improved else idle + 1
             yield number
             if idle >= self._options.patience:
@@ -221,7 +225,7 @@ class _Search:
             result = newton(objective, start, self._options.newton_steps, damping=0.0)
             y, steps = result.y, result.steps
         else:
-            y, steps = bold_newton(objective, start, self._options.newton_steps)
+            y, steps = bold_newton(objective, start, min(self._options.newton_steps, _BOLD_STEPS))
         self._num_steps += steps
         (y,) = f.to_variables(y)
         return y
@@ -240,16 +244,47 @@ class _Search:
 
     def _offer(self, x: Floats, origin: str) -> bool:
         """Keeps a point if it is the best; returns whether it is, by more than rounding."""
+        before = self._best
+        found = self._candidate(x, origin)
+        if not found.cost < before.cost:
+            return False
+        self._best = found
+        self._candidates.append(found)
+        if self._callback:
+            self._callback(found)
+        return not found.cost >= before.cost - _ROUNDING * max(1.0, abs(before.cost))
+
+    def _candidate(self, x: Floats, origin: str) -> Candidate:
+        """Returns a point with its cost, infinite where f has no value."""
         cost = self._f(x)
-        best = self._best
-        if not np.isfinite(cost) and best is not None:
-            return False
-        if best is not None and not cost < best.cost:
-            return False
         x = np.array(x)
         x.setflags(write=False)
-        self._best = Candidate(x, cost, origin)
-        self._candidates.append(self._best)
-        if self._callback:
-            self._callback(self._best)
-        return best is None or cost < best.cost - 1e-9 * max(1.0, abs(best.cost))
+        return Candidate(x, np.inf if np.isnan(cost) else cost, origin)
+
+
+class _Sizes:
+    """Goes around the sizes of clusters; one that fails rests, longer each time it fails again."""
+
+    def __init__(self, sizes: tuple[int, ...], all_variables: int) -> None:
+        """Every second turn is that of all variables."""
+        smaller = sorted({size for size in sizes if size < all_variables})
+        self._turns = [turn for size in smaller for turn in (all_variables, size)]
+        self._turns = self._turns or [all_variables]
+        self._rests = dict.fromkeys(self._turns, 0)
+        self._waits = dict.fromkeys(self._turns, 0)
+        self._at = -1
+
+    def next(self) -> int:
+        """Returns the next size that does not rest."""
+        while True:
+            self._at = (self._at + 1) % len(self._turns)
+            size = self._turns[self._at]
+            if self._waits[size] == 0:
+                return size
+            self._waits[size] -= 1
+
+    def learn(self, improved: bool) -> None:
+        """Lets a size rest that did not improve."""
+        size = self._turns[self._at]
+        self._rests[size] = 0 if improved else min(2 * self._rests[size] + 1, _LONGEST_REST)
+        self._waits[size] = self._rests[size]

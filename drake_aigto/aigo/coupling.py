@@ -8,7 +8,6 @@ from weakref import WeakKeyDictionary
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.jit import njit
@@ -49,14 +48,8 @@ class CouplingGraph:
 
     def components(self, free: NDArray[np.bool_]) -> Ints:
         """Labels the variables that are coupled once the others are held: −1 where held."""
-        n = free.size
-        rows = np.repeat(np.arange(n), np.diff(self.starts))
-        kept = free[rows] & free[self.neighbors]
-        edges = (np.ones(np.count_nonzero(kept)), (rows[kept], self.neighbors[kept]))
-        labels = np.full(n, -1, dtype=np.int64)
-        _, found = connected_components(coo_array(edges, shape=(n, n)), directed=False)
-        _, labels[free] = np.unique(found[free], return_inverse=True)
-        return labels
+        seeds = np.flatnonzero(free)
+        return _pack(self.starts, self.neighbors, seeds, np.zeros(free.size), free.size)
 
     def clusters(self, size: int, free: NDArray[np.bool_], rng: np.random.Generator) -> Ints:
         """Packs random connected clusters of at most `size` variables, none beside another.

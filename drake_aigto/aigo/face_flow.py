@@ -53,7 +53,7 @@ class FaceFlow:
         max_steps: the most outer steps; in each, the largest w_i (of its first) halves.
     """
 
-    share: float = 0.1
+    share: float = 0.05
     beta: float = 1.0
     least_shrink: float = 1e-3
     pace: Pace = Pace.COMPONENT
@@ -79,7 +79,7 @@ class FaceFlow:
         """Flows until the largest half width, relative to its first, has halved."""
         first, groups = iterate.memory
         center, half_width = iterate.box.center.copy(), iterate.box.half_width.copy()
-        target = _largest_part(half_width, first.half_width) / 2
+        target = 0.5 * _largest_part(half_width, first.half_width)
         part, inner_steps = np.inf, 0
         mean, gradient, gradient_z = f.gradient(center, half_width)
         while part > target and np.isfinite(mean):
@@ -92,7 +92,7 @@ class FaceFlow:
         return Iterate(
             Box(center, half_width),
             mean,
-            temperature=float(np.sum(gradient_z) / max(1, np.count_nonzero(first.free))),
+            temperature=float(np.sum(gradient_z)) / max(1, int(np.count_nonzero(first.free))),
             inner_steps=inner_steps,
             residual=float(np.linalg.norm(gradient[first.free])),
             memory=iterate.memory,

@@ -40,9 +40,9 @@ class Objective(ABC):
         """Returns the part of a step, in (0, 1], that may be taken."""
         return 1.0
 
-    def move(self, y: Floats, step: Floats) -> Floats:
-        """Returns where a step leads."""
-        return y + step
+    def move(self, y: Floats, step: Floats) -> tuple[Floats, Floats]:
+        """Returns where a step leads, and the part of it that was taken."""
+        return y + step, step
 
 
 @dataclass(frozen=True)
@@ -108,11 +108,9 @@ def _try_step(
         return None
     step = dpbtrs(factor, -system.gradient, lower=1)[0]
     step *= objective.limit(step)
-    moved = objective.move(y, step)
+    moved, step = objective.move(y, step)
     tried = objective.evaluate(moved)
-    # Held variables have no width: their z is minus infinity, and stays.
-    taken = np.subtract(moved, y, out=np.zeros_like(y), where=moved != y)
-    if not tried.value <= system.value + _ARMIJO * float(system.gradient @ taken):
+    if not tried.value <= system.value + _ARMIJO * float(system.gradient @ step):
         return None
     return moved, tried
 
@@ -158,7 +156,7 @@ class PointObjective(Objective):
     def scale(self, y: Floats, system: NewtonSystem) -> Floats:
         """Returns |diag H|, kept off zero."""
         diagonal = np.abs(system.band[0])
-        return diagonal + 1e-12 * diagonal.max()
+        return diagonal + 1e-12 * diagonal.max(initial=0.0) + np.finfo(float).tiny
 
 
 class BoundedPointObjective(PointObjective):
@@ -174,12 +172,13 @@ class BoundedPointObjective(PointObjective):
     ) -> None:
         """Prepares; the bounds (n,) are in the order of the variables."""
         super().__init__(f, free, tolerance)
-        self._is_held = ~free[f.order]
+        self._is_held = self._now_held = ~free[f.order]
         self._lower, self._upper = lower[f.order], upper[f.order]
 
-    def move(self, y: Floats, step: Floats) -> Floats:
-        """Returns the point of the box that is nearest."""
-        return np.clip(y + step, self._lower, self._upper)
+    def move(self, y: Floats, step: Floats) -> tuple[Floats, Floats]:
+        """Returns the point of the box that is nearest to where the step leads."""
+        moved = np.clip(y + step, self._lower, self._upper)
+        return moved, moved - y
 
     def evaluate(self, y: Floats) -> NewtonSystem:
         """Returns f and its derivatives; 0 where a bound holds a variable."""
@@ -188,8 +187,11 @@ class BoundedPointObjective(PointObjective):
         system = f.newton_system(center, 0.0, centers_only=True)
         outward = (y <= self._lower) & (system.gradient > 0)
         outward |= (y >= self._upper) & (system.gradient < 0)
-        held = np.flatnonzero(outward | self._is_held)
-        HeldUnknowns(held, f.bandwidth).remove(system.gradient, system.band)
+        outward |= self._is_held
+        if not np.array_equal(outward, self._now_held):
+            self._now_held = outward
+            self._held = HeldUnknowns(np.flatnonzero(outward), f.bandwidth)
+        self._held.remove(system.gradient, system.band)
         return system
 
 
@@ -212,7 +214,7 @@ def bold_newton(objective: Objective, y: Floats, max_steps: int) -> tuple[Floats
             factor, info = dpbtrf(_dominated_by_diagonal(system.band), lower=1)
         if info != 0:
             return y, steps  # The gradient is flat, or not finite.
-        y = objective.move(y, dpbtrs(factor, -system.gradient, lower=1)[0])
+        y, _ = objective.move(y, dpbtrs(factor, -system.gradient, lower=1)[0])
     return y, max_steps
 
 
