@@ -11,8 +11,10 @@ from hypothesis import strategies as st
 
 from drake_aigto.aigo import (
     Algorithm,
+    Alternating,
     Annealing,
     Box,
+    FaceFlow,
     FullGradient,
     Iterate,
     PenaltyContinuation,
@@ -27,6 +29,8 @@ from drake_aigto.errors import OptionsError
 ALGORITHMS: dict[str, Algorithm] = {
     "annealing": Annealing(initial_temperature=10.0, final_temperature=1e-12),
     "full gradient": FullGradient(zeta=1.0),
+    "alternating": Alternating(final_width=1e-5),
+    "face flow": FaceFlow(final_width=1e-5),
 }
 
 
@@ -196,6 +200,9 @@ def test_running_out_of_steps_is_reported() -> None:
         (lambda: FullGradient(beta=1.0), r"beta: got 1, expected a number in \[0, 1\)"),
         (lambda: FullGradient(zeta=-1.0), "zeta: got -1, expected a number above 0"),
         (lambda: FullGradient(inner_steps=0), "inner_steps: got 0, expected 1 or more"),
+        (lambda: Alternating(gamma=0.9), "gamma: got 0.9, expected a number above 1"),
+        (lambda: Alternating(beta=1.0), r"beta: got 1, expected a number in \[0, 1\)"),
+        (lambda: Alternating(width_steps=0), "width_steps: got 0, expected 1 or more"),
         (lambda: Box(np.zeros(2), np.array([1.0, -1.0])), "half_width: got -1, expected 0"),
         (lambda: Box(np.array([np.nan]), np.ones(1)), "box: got NaN or infinity"),
     ],

@@ -45,7 +45,7 @@ class Alternating:
         max_steps: the most outer steps.
     """
 
-    beta: float = 0.9
+    beta: float = 0.5
     gamma: float = 1.02
     zeta: float = 1.0
     width_steps: int = 2

@@ -53,7 +53,7 @@ class FaceFlow:
         max_steps: the most outer steps; in each, the largest w_i (of its first) halves.
     """
 
-    share: float = 0.05
+    share: float = 0.02
     beta: float = 1.0
     least_shrink: float = 1e-3
     pace: Pace = Pace.COMPONENT

@@ -1,0 +1,191 @@
+"""The search over boxes: against exact optima, within bounds, and the same bits every time."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from drake_aigto.aigo import Box, BoxSearch, Candidate, FaceFlow
+from drake_aigto.aigo.newton import BoundedPointObjective, newton
+from drake_aigto.box import BoxPolynomial, Factor, FunctionKind, Term, TermBlock
+from drake_aigto.errors import OptionsError
+
+
+def power(variable: int, exponent: int) -> Factor:
+    return Factor(variable, FunctionKind.POWER, exponent)
+
+
+def sextic_chain(n: int, seed: int) -> tuple[BoxPolynomial, np.ndarray, np.ndarray]:
+    """Returns the family of [5] with its coefficients a (n, 7) and b (n − 1,)."""
+    rng = np.random.default_rng(seed)
+    roots = -2 + 0.8 * np.arange(6) + rng.uniform(-1 / 3, 1 / 3, (n, 6))
+    a = np.array([np.polynomial.polynomial.polyfromroots(row) for row in roots])
+    b = rng.uniform(-1, 1, n - 1)
+    blocks = [
+        TermBlock(
+            f"{i}", tuple(Term(c, (power(0, p),) if p else ()) for p, c in enumerate(row)), [[i]]
+        )
+        for i, row in enumerate(a)
+    ]
+    blocks += [
+        TermBlock(f"{i}, {i + 1}", (Term(c, (power(0, 1), power(1, 1))),), [[i, i + 1]])
+        for i, c in enumerate(b)
+    ]
+    return BoxPolynomial(n, tuple(blocks)), a, b
+
+
+def exact_minimum(a: np.ndarray, b: np.ndarray) -> float:
+    """Returns the least value over a grid, by dynamic programming along the chain."""
+    grid = np.linspace(-2.2, 2.2, 401)
+    values = np.polynomial.polynomial.polyval(grid, a.T)
+    best = values[0]
+    for i, link in enumerate(b):
+        best = values[i + 1] + np.min(best[:, None] + link * np.outer(grid, grid), axis=0)
+    return float(best.min())
+
+
+def rosenbrock_pair() -> BoxPolynomial:
+    """Returns (1 − x)² + 100 (y − x²)²."""
+    terms = (
+        Term(1.0, ()),
+        Term(-2.0, (power(0, 1),)),
+        Term(1.0, (power(0, 2),)),
+        Term(100.0, (power(1, 2),)),
+        Term(-200.0, (power(0, 2), power(1, 1))),
+        Term(100.0, (power(0, 4),)),
+    )
+    return BoxPolynomial(2, (TermBlock("valley", terms, [[0, 1]]),))
+
+
+@pytest.mark.parametrize("n", [2, 5, 10])
+def test_chains_reach_their_exact_minimum(n: int) -> None:
+    for seed in range(4):
+        f, a, b = sextic_chain(n, seed)
+        found = BoxSearch().run(f, Box(np.zeros(n), 2.2)).best.cost
+        exact = exact_minimum(a, b)
+        assert found <= exact + 1e-6 * abs(exact)
+        assert found >= exact * 1.01 - 1.0  # The grid is within 1 % of the true minimum.
+
+
+def test_renewal_lowers_what_one_run_leaves() -> None:
+    n = 40
+    f, a, b = sextic_chain(n, 0)
+    box = Box(np.zeros(n), 2.2)
+    once = BoxSearch(rounds=0).run(f, box).best.cost
+    renewed = BoxSearch().run(f, box).best.cost
+    exact = exact_minimum(a, b)
+    assert renewed - exact < 0.2 * (once - exact)
+    assert renewed - exact < 0.005 * abs(exact)
+
+
+def test_a_bent_valley_is_followed_to_its_end() -> None:
+    best = BoxSearch().run(rosenbrock_pair(), Box(np.zeros(2), 5.0)).best
+    np.testing.assert_allclose(best.x, 1.0, atol=1e-6)
+
+
+@settings(max_examples=10, deadline=None)
+@given(st.integers(0, 10**6), st.floats(-1.5, 1.5), st.floats(0.1, 1.0))
+def test_every_candidate_is_inside_the_box(seed: int, shift: float, width: float) -> None:
+    f, _, _ = sextic_chain(4, seed)
+    box = Box(np.full(4, shift), width)
+    result = BoxSearch(rounds=15).run(f, box)
+    for candidate in result.candidates:
+        assert np.all(candidate.x >= box.center - box.half_width)
+        assert np.all(candidate.x <= box.center + box.half_width)
+        assert candidate.cost == f(candidate.x)
+    costs = [candidate.cost for candidate in result.candidates]
+    assert costs == sorted(costs, reverse=True)
+    assert result.best.cost == costs[-1]
+
+
+def test_held_variables_stay() -> None:
+    f, _, _ = sextic_chain(5, 2)
+    box = Box(np.array([0.0, 0.3, 0.0, 0.0, -1.0]), np.array([2.2, 0.0, 2.2, 2.2, 0.0]))
+    result = BoxSearch(rounds=20).run(f, box)
+    for candidate in result.candidates:
+        assert candidate.x[1] == 0.3
+        assert candidate.x[4] == -1.0
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_one_other_boxes() -> None:
+    f, _, _ = sextic_chain(12, 5)
+    box = Box(np.zeros(12), 2.2)
+    one, two, other = (BoxSearch(rounds=20, seed=seed).run(f, box) for seed in (3, 3, 4))
+    np.testing.assert_array_equal(one.best.x, two.best.x)
+    assert [c.origin for c in one.candidates] == [c.origin for c in two.candidates]
+    assert one.num_steps == two.num_steps
+    assert one.num_steps != other.num_steps
+
+
+def test_polish_has_the_last_word_and_callbacks_see_every_improvement() -> None:
+    f, _, _ = sextic_chain(6, 1)
+    polished: list[np.ndarray] = []
+    seen: list[Candidate] = []
+
+    def polish(x: np.ndarray) -> np.ndarray:
+        polished.append(x)
+        return x
+
+    result = BoxSearch(rounds=5).run(f, Box(np.zeros(6), 2.2), polish, seen.append)
+    np.testing.assert_array_equal(polished[-1], result.best.x)
+    assert tuple(seen) == result.candidates
+
+
+def test_ctrl_c_returns_the_best_so_far() -> None:
+    f, _, _ = sextic_chain(6, 1)
+    seen: list[Candidate] = []
+
+    def interrupt(candidate: Candidate) -> None:
+        seen.append(candidate)
+        if len(seen) == 2:
+            raise KeyboardInterrupt
+
+    result = BoxSearch().run(f, Box(np.zeros(6), 2.2), callback=interrupt)
+    assert result.best is seen[-1]
+
+
+def test_a_box_without_free_variables_is_its_own_answer() -> None:
+    f, _, _ = sextic_chain(3, 0)
+    result = BoxSearch().run(f, Box(np.ones(3), 0.0))
+    np.testing.assert_array_equal(result.best.x, 1.0)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"rounds": -1}, "rounds: got -1, expected 0 or more"),
+        ({"patience": 0}, "patience: got 0, expected 1 or more"),
+        ({"newton_steps": -2}, "newton_steps: got -2, expected 0 or more"),
+        ({"first": ()}, "first: got no algorithm, expected one or more"),
+        ({"cluster_sizes": (0,)}, r"cluster_sizes: got \(0,\), expected 1 or more each"),
+        ({"least_width": 0.0}, "least_width: got 0, expected"),
+    ],
+)
+def test_bad_options_are_refused(options: dict[str, object], message: str) -> None:
+    with pytest.raises(OptionsError, match=message):
+        BoxSearch(**options)  # type: ignore[arg-type]
+
+
+def test_several_first_algorithms_each_leave_their_widths() -> None:
+    f, _, _ = sextic_chain(4, 0)
+    search = BoxSearch(first=(FaceFlow(), FaceFlow(share=0.3)), rounds=0)
+    result = search.run(f, Box(np.zeros(4), 2.2))
+    assert len(result.widths) == 2
+    assert all(widths[0] == pytest.approx(2.2) for widths in result.widths)
+    assert all(widths[-1] < 2.2e-3 for widths in result.widths)
+
+
+# Newton's method between bounds.
+
+
+def test_newton_ends_on_a_bound_that_is_in_the_way() -> None:
+    # The minimum of Rosenbrock's function over x ≤ 0.5 is where that bound is, on the valley.
+    lower, upper = np.array([-2.0, -2.0]), np.array([0.5, 2.0])
+    objective = BoundedPointObjective(rosenbrock_pair(), np.ones(2, bool), lower, upper, 1e-8)
+    f = rosenbrock_pair()
+    start = np.array([-1.2, 1.0])
+    (x,) = f.to_variables(newton(objective, start[f.order], 200, 0.0).y)
+    np.testing.assert_allclose(x, [0.5, 0.25], atol=1e-8)
+    assert x[0] == 0.5
