@@ -60,34 +60,31 @@ _LOG_SERIES_RATIO = 0.3
 
 
 @njit(cache=True, error_model="numpy")
-def _power_sums(exponent: int, c: float, w: float) -> tuple[float, float, float]:
-    """μ_p with its first and second derivative in z = log w, d = 0, 1, 2.
-
-    Σ_j (2j)^d C(p, 2j) c^{p−2j} w^{2j} / (2j+1).
-    """
-    value, first, second = 0.0, 0.0, 0.0
-    binomial, w_power = 1.0, 1.0
-    for j in range(exponent // 2 + 1):
-        term = binomial * c ** (exponent - 2 * j) * w_power / (2 * j + 1)
-        value += term
-        first += 2 * j * term
-        second += 4.0 * j * j * term
-        binomial *= (exponent - 2 * j) * (exponent - 2 * j - 1) / ((2.0 * j + 1) * (2.0 * j + 2))
-        w_power *= w * w
-    return value, first, second
-
-
-@njit(cache=True, error_model="numpy")
 def _power_mean(exponent: int, c: float, w: float, row: NDArray[np.float64]) -> None:
-    """Mean of y^p, by ∂μ_p/∂c = p μ_{p−1}."""
-    row[VALUE], row[D_Z], row[D_ZZ] = _power_sums(exponent, c, w)
-    row[D_C] = row[D_CZ] = row[D_CC] = 0.0
-    if exponent >= 1:
-        mean, d_z, _ = _power_sums(exponent - 1, c, w)
-        row[D_C] = exponent * mean
-        row[D_CZ] = exponent * d_z
-    if exponent >= 2:
-        row[D_CC] = exponent * (exponent - 1) * _power_sums(exponent - 2, c, w)[0]
+    """Mean of y^p by the recurrence of its even and odd part.
+
+    (c + w)^k = e_k + w o_k with e_{k+1} = c e_k + w² o_k and o_{k+1} = c o_k + e_k, in which all
+    summands have one sign, so that nothing cancels; μ_p = o_{p+1}/(p + 1), ∂μ_p/∂c = o_p. With
+    their first and second derivative in z = log w.
+    """
+    square = w * w
+    even, even_z, even_zz = 1.0, 0.0, 0.0
+    odd, odd_z, odd_zz, before = 0.0, 0.0, 0.0, 0.0
+    for _ in range(exponent):
+        before = odd
+        even, even_z, even_zz, odd, odd_z, odd_zz = (
+            c * even + square * odd,
+            c * even_z + square * (2.0 * odd + odd_z),
+            c * even_zz + square * (4.0 * (odd + odd_z) + odd_zz),
+            c * odd + even,
+            c * odd_z + even_z,
+            c * odd_zz + even_zz,
+        )
+    inverse = 1.0 / (exponent + 1)
+    row[VALUE] = (c * odd + even) * inverse
+    row[D_Z] = (c * odd_z + even_z) * inverse
+    row[D_ZZ] = (c * odd_zz + even_zz) * inverse
+    row[D_C], row[D_CZ], row[D_CC] = odd, odd_z, exponent * before
 
 
 @njit(cache=True, error_model="numpy")

@@ -32,34 +32,6 @@ from drake_aigto.jit import njit
 _POWER = int(FunctionKind.POWER)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
-def _fill_row(
-    kind: int,
-    exponent: int,
-    scale: float,
-    offset: float,
-    center: float,
-    half_width: float,
-    rows: Floats,
-    f: int,
-) -> None:
-    """`factor_mean` into rows[f], with the most common functions by hand."""
-    y = scale * center + offset
-    if kind == _POWER and exponent == 1:
-        rows[f, VALUE], rows[f, D_C], rows[f, D_CC] = y, scale, 0.0
-        rows[f, D_Z], rows[f, D_CZ], rows[f, D_ZZ] = 0.0, 0.0, 0.0
-    elif kind == _POWER and exponent == 2:
-        variance = (scale * half_width) ** 2 / 3.0
-        rows[f, VALUE], rows[f, D_C], rows[f, D_CC] = (
-            y * y + variance,
-            2.0 * y * scale,
-            2.0 * scale**2,
-        )
-        rows[f, D_Z], rows[f, D_CZ], rows[f, D_ZZ] = 2.0 * variance, 0.0, 4.0 * variance
-    else:
-        factor_mean(kind, exponent, scale, offset, center, half_width, rows[f])
-
-
 @njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
 def _fill_rows(
     copy: np.record,
@@ -82,16 +54,23 @@ def _fill_rows(
         factor = factors[first + f]
         i = copy_variables[copy.first_variable + factor.variable]
         variables[f] = i
-        _fill_row(
-            factor.kind,
-            factor.exponent,
-            factor.scale,
-            factor.offset,
-            center[i],
-            half_width[i],
-            rows,
-            f,
-        )
+        scale = factor.scale
+        y, reach = scale * center[i] + factor.offset, scale * half_width[i]
+        # The most common functions by hand: a fifth of the time.
+        if factor.kind == _POWER and factor.exponent == 1:
+            rows[f, VALUE], rows[f, D_C], rows[f, D_CC] = y, scale, 0.0
+            rows[f, D_Z], rows[f, D_CZ], rows[f, D_ZZ] = 0.0, 0.0, 0.0
+        elif factor.kind == _POWER and factor.exponent == 2:
+            variance = reach * reach / 3.0
+            rows[f, VALUE], rows[f, D_C], rows[f, D_CC] = (
+                y * y + variance,
+                2 * y * scale,
+                2 * scale**2,
+            )
+            rows[f, D_Z], rows[f, D_CZ], rows[f, D_ZZ] = 2 * variance, 0.0, 4 * variance
+        else:
+            box = center[i], half_width[i]
+            factor_mean(factor.kind, factor.exponent, scale, factor.offset, *box, rows[f])
     return count
 
 
