@@ -63,6 +63,7 @@ def main() -> None:
             if arguments.patience > 0:
                 chase(problem, records, arguments.patience)
         tell(n, records, samples)
+        write_csv(arguments.out / "chain.csv", records)  # what is done is kept
     for n in arguments.large:
         for seed in range(min(3, arguments.functions)):
             problem = chain_problem(n, seed).problem(f"chain n={n} function={seed}")

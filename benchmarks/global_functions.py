@@ -55,8 +55,8 @@ def main() -> None:
                 problem, value_range(problem), range(arguments.seeds), arguments.factor, PEERS
             )
             tell(problem, records)
+            write_csv(arguments.out / "global_functions.csv", records)  # what is done is kept
     summarise(records)
-    write_csv(arguments.out / "global_functions.csv", records)
     draw(records, arguments.out / "global_functions.png")
     if not arguments.only:
         univariate(arguments.univariate)
