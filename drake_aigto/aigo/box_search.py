@@ -25,6 +25,7 @@ _NODES = _NODES + 0.5
 _FIRST = FaceFlow(pace=Pace.EACH)
 _RENEWAL = FaceFlow(share=0.5, least_shrink=0.1, final_width=0.2)
 _BOLD_STEPS = 12  # Newton steps of many clusters at once; those that need more are left
+_IDLE_TERMS = 2e7  # terms evaluated in rounds without a lower f that end the search: half a second
 _ROUNDING = 1e-9  # an f that is lower by this part of itself or less does not count as lower
 _LONGEST_REST = 7  # turns that a size of clusters is left out after it has failed
 
@@ -81,7 +82,8 @@ class BoxSearch:
         first: the algorithms that shrink the first box, each from the start.
         renewal: the algorithm that shrinks the clusters' boxes.
         rounds: the most rounds of renewal; 0 for none.
-        patience: the search ends after this many rounds in a row without a lower f.
+        patience: the search ends after this many rounds in a row without a lower f; fewer where a
+            round costs much.
         cluster_sizes: largest numbers of variables in a cluster, in turn; between any two, all
             variables are opened. A size that fails rests for some turns.
         least_width: a renewed box is at least this part of the first one's width, in (0, 1].
@@ -186,13 +188,15 @@ class _Search:
     def _renew(self) -> Iterator[int]:
         """Yields the number of rounds after each."""
         sizes = _Sizes(self._options.cluster_sizes, self._f.num_variables)
-        idle = 0
+        idle, since = 0, self._num_steps
         for number in range(1, self._options.rounds + 1):
             improved = self._round(sizes.next(), number)
             sizes.learn(improved)
             idle = 0 if improved else idle + 1
+            since = self._num_steps if improved else since
             yield number
-            if idle >= self._options.patience:
+            idle_terms = (self._num_steps - since) * self._f.num_terms
+            if idle >= self._options.patience or idle_terms >= _IDLE_TERMS:
                 return
 
     def _round(self, size: int, number: int) -> bool:
