@@ -35,8 +35,8 @@ class AigoOptions:
     """
 
     polish: PolishName = "newton"
-    rounds: int = 100
-    patience: int = 40
+    rounds: int = 200
+    patience: int = 80
     feasibility: float = 1e-6
     first_half_width: float = 1.0
     max_doublings: int = 10
