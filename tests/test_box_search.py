@@ -63,7 +63,7 @@ def rosenbrock_pair() -> BoxPolynomial:
 def test_chains_reach_their_exact_minimum(n: int) -> None:
     for seed in range(4):
         f, a, b = sextic_chain(n, seed)
-        found = BoxSearch().run(f, Box(np.zeros(n), 2.2)).best.cost
+        found = BoxSearch().run(f, Box(np.zeros(n), np.full(n, 2.2))).best.cost
         exact = exact_minimum(a, b)
         assert found <= exact + 1e-6 * abs(exact)
         assert found >= exact * 1.01 - 1.0  # The grid is within 1 % of the true minimum.
@@ -72,7 +72,7 @@ def test_chains_reach_their_exact_minimum(n: int) -> None:
 def test_renewal_lowers_what_one_run_leaves() -> None:
     n = 40
     f, a, b = sextic_chain(n, 0)
-    box = Box(np.zeros(n), 2.2)
+    box = Box(np.zeros(n), np.full(n, 2.2))
     once = BoxSearch(rounds=0).run(f, box).best.cost
     renewed = BoxSearch().run(f, box).best.cost
     exact = exact_minimum(a, b)
@@ -81,7 +81,7 @@ def test_renewal_lowers_what_one_run_leaves() -> None:
 
 
 def test_a_bent_valley_is_followed_to_its_end() -> None:
-    best = BoxSearch().run(rosenbrock_pair(), Box(np.zeros(2), 5.0)).best
+    best = BoxSearch().run(rosenbrock_pair(), Box(np.zeros(2), np.full(2, 5.0))).best
     np.testing.assert_allclose(best.x, 1.0, atol=1e-6)
 
 
@@ -89,7 +89,7 @@ def test_a_bent_valley_is_followed_to_its_end() -> None:
 @given(st.integers(0, 10**6), st.floats(-1.5, 1.5), st.floats(0.1, 1.0))
 def test_every_candidate_is_inside_the_box(seed: int, shift: float, width: float) -> None:
     f, _, _ = sextic_chain(4, seed)
-    box = Box(np.full(4, shift), width)
+    box = Box(np.full(4, shift), np.full(4, width))
     result = BoxSearch(rounds=15).run(f, box)
     for candidate in result.candidates:
         assert np.all(candidate.x >= box.center - box.half_width)
@@ -111,7 +111,7 @@ def test_held_variables_stay() -> None:
 
 def test_the_same_seed_gives_the_same_bits_and_another_one_other_boxes() -> None:
     f, _, _ = sextic_chain(12, 5)
-    box = Box(np.zeros(12), 2.2)
+    box = Box(np.zeros(12), np.full(12, 2.2))
     one, two, other = (BoxSearch(rounds=20, seed=seed).run(f, box) for seed in (3, 3, 4))
     np.testing.assert_array_equal(one.best.x, two.best.x)
     assert [c.origin for c in one.candidates] == [c.origin for c in two.candidates]
@@ -128,7 +128,7 @@ def test_polish_has_the_last_word_and_callbacks_see_every_improvement() -> None:
         polished.append(x)
         return x
 
-    result = BoxSearch(rounds=5).run(f, Box(np.zeros(6), 2.2), polish, seen.append)
+    result = BoxSearch(rounds=5).run(f, Box(np.zeros(6), np.full(6, 2.2)), polish, seen.append)
     np.testing.assert_array_equal(polished[-1], result.best.x)
     assert tuple(seen) == result.candidates
 
@@ -142,13 +142,13 @@ def test_ctrl_c_returns_the_best_so_far() -> None:
         if len(seen) == 2:
             raise KeyboardInterrupt
 
-    result = BoxSearch().run(f, Box(np.zeros(6), 2.2), callback=interrupt)
+    result = BoxSearch().run(f, Box(np.zeros(6), np.full(6, 2.2)), callback=interrupt)
     assert result.best is seen[-1]
 
 
 def test_a_box_without_free_variables_is_its_own_answer() -> None:
     f, _, _ = sextic_chain(3, 0)
-    result = BoxSearch().run(f, Box(np.ones(3), 0.0))
+    result = BoxSearch().run(f, Box(np.ones(3), np.full(3, 0.0)))
     np.testing.assert_array_equal(result.best.x, 1.0)
 
 
@@ -171,7 +171,7 @@ def test_bad_options_are_refused(options: dict[str, object], message: str) -> No
 def test_several_first_algorithms_each_leave_their_widths() -> None:
     f, _, _ = sextic_chain(4, 0)
     search = BoxSearch(first=(FaceFlow(), FaceFlow(share=0.3)), rounds=0)
-    result = search.run(f, Box(np.zeros(4), 2.2))
+    result = search.run(f, Box(np.zeros(4), np.full(4, 2.2)))
     assert len(result.widths) == 2
     assert all(widths[0] == pytest.approx(2.2) for widths in result.widths)
     assert all(widths[-1] < 2.2e-3 for widths in result.widths)

@@ -33,7 +33,7 @@ def random_chain(n: int, seed: int) -> BoxPolynomial:
     blocks = []
     for i in range(n):
         quartic = np.polynomial.polynomial.polyfromroots(rng.uniform(-2, 2, 4))
-        terms = tuple(Term(a, (power(0, p),) if p else ()) for p, a in enumerate(quartic))
+        terms = tuple(Term(float(a), (power(0, p),) if p else ()) for p, a in enumerate(quartic))
         blocks.append(TermBlock(f"well {i}", terms, [[i]]))
     for i in range(n - 1):
         link = Term(rng.uniform(-1, 1), (power(0, 1), power(1, 1)))
@@ -79,7 +79,7 @@ def test_boxes_stay_inside_the_first_one(
 @settings(max_examples=15, deadline=None)
 @given(st.sampled_from(PACES), st.integers(0, 10**6))
 def test_at_beta_1_every_box_holds_the_next(pace: Pace, seed: int) -> None:
-    result = minimize(random_chain(4, seed), Box(np.zeros(4), 2.2), FaceFlow(pace=pace))
+    result = minimize(random_chain(4, seed), Box(np.zeros(4), np.full(4, 2.2)), FaceFlow(pace=pace))
     for before, after in pairwise(i.box for i in result.history):
         slack = before.half_width - np.abs(after.center - before.center) - after.half_width
         assert np.all(slack >= -1e-12)
@@ -100,8 +100,8 @@ def test_parts_that_are_not_coupled_do_not_see_each_other(pace: Pace) -> None:
     moved = [TermBlock(b.name + "'", b.terms, b.variables + 3, 50.0) for b in alone.blocks]
     both = BoxPolynomial(6, (*alone.blocks, *moved))
     algorithm = FaceFlow(pace=pace)
-    one = minimize(alone, Box(np.zeros(3), 2.2), algorithm).box.center
-    two = minimize(both, Box(np.zeros(6), 2.2), algorithm).box.center
+    one = minimize(alone, Box(np.zeros(3), np.full(3, 2.2)), algorithm).box.center
+    two = minimize(both, Box(np.zeros(6), np.full(6, 2.2)), algorithm).box.center
     # The boxes of the part that is done first go on to shrink: 1e-3 of 2.2 is their last width.
     np.testing.assert_allclose(two[:3], one, atol=2e-3)
     np.testing.assert_allclose(two[3:], one, atol=2e-3)
@@ -115,7 +115,7 @@ def test_a_flat_cost_leaves_the_center_where_it_is() -> None:
 
 
 def test_alternating_stays_inside_the_first_box() -> None:
-    first = Box(np.full(5, 0.5), 1.5)
+    first = Box(np.full(5, 0.5), np.full(5, 1.5))
     for iterate in minimize(random_chain(5, 3), first, Alternating()).history:
         reach = np.abs(iterate.box.center - first.center) + iterate.box.half_width
         assert np.all(reach <= first.half_width * (1 + 1e-9))
