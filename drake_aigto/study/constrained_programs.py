@@ -21,9 +21,6 @@ FLOUDAS = (
     "Floudas & Pardalos (1990), A Collection of Test Problems for Constrained Global Optimization "
     "Algorithms, Springer LNCS 455"
 )
-FLOUDAS_1999 = (
-    "Floudas et al. (1999), Handbook of Test Problems in Local and Global Optimization, Kluwer"
-)
 LIANG = (
     "Liang et al. (2006), Problem Definitions and Evaluation Criteria for the CEC 2006 Special "
     "Session on Constrained Real-Parameter Optimization"
