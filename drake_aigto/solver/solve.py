@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from drake_aigto.aigo import Box
-from drake_aigto.aigo.box_search import BoxSearch, Candidate
+from drake_aigto.aigo import Box, BoxSearch, Candidate
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.local import InteriorPoint
 from drake_aigto.local.drake_solvers import solve_with_drake
