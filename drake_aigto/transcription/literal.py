@@ -80,7 +80,7 @@ class LiteralTranscription(Transcription):
             DYNAMICS: np.max(np.abs(self._dynamics_defects(x))),
         }
         if self.nonpenetration:
-            found[NONPENETRATION] = max(0.0, -np.min(self.signed_distances(x)[1:]))
+            found[NONPENETRATION] = self._depth(x)
         return {name: float(value) for name, value in found.items()}
 
     def close_rows(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

@@ -16,13 +16,11 @@ from drake_aigto.transcription.rigid_contact import (
     DYNAMICS,
     FLIGHT,
     RESTITUTION,
-    RigidContact,
+    ImpactTranscription,
     bias_at,
-    rigid_defects,
 )
 from drake_aigto.transcription.shared import SharedEvaluator, as_expression, shared_constraint
 from drake_aigto.transcription.touch import Touch, TouchSequence
-from drake_aigto.transcription.transcription import NONPENETRATION, Transcription
 from drake_aigto.world import Scenario, World
 
 if TYPE_CHECKING:
@@ -43,7 +41,7 @@ class _Phase:
     rests: bool
 
 
-class PhaseTranscription(Transcription):
+class PhaseTranscription(ImpactTranscription):
     """What is left to optimise once the contact sequence is known: a multi-phase problem.
 
     Knots are spread evenly over each phase, whose duration is free, so time steps h_k are decision
@@ -75,7 +73,6 @@ class PhaseTranscription(Transcription):
     def __init__(self, world: World, scenario: Scenario, sequence: Sequence[Touch] = ()) -> None:
         """Spreads the knots by the sequence's times, and makes the program."""
         self.sequence: TouchSequence = tuple(sequence)
-        self._contact = RigidContact.of(world)
         self._phases = _make_phases(self.sequence, scenario)
         joints = [phase.first for phase in self._phases[1:]]
         rests = [phase.rests for phase in self._phases]
@@ -240,16 +237,6 @@ class PhaseTranscription(Transcription):
         v = np.vstack([scenario.initial_velocity, np.diff(q, axis=0) / np.diff(t)[:, np.newaxis]])
         zeros = np.zeros((self.num_samples(), 1))
         return Trajectory(t, q, v, np.zeros(self._u.shape), zeros, zeros[1:])
-
-    def defects(self, x: npt.NDArray[np.float64]) -> dict[str, float]:
-        """Returns the largest of each kind, as `rigid_defects`, and nonpenetration [m]."""
-        found = rigid_defects(self.world, self.scenario.restitution, self.trajectory(x))
-        found[NONPENETRATION] = max(0.0, -float(np.min(self.signed_distances(x)[1:])))
-        return found
-
-    def close_rows(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Returns x."""
-        return x
 
 
 def _make_phases(sequence: Sequence[Touch], scenario: Scenario) -> list[_Phase]:

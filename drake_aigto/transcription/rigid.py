@@ -14,19 +14,18 @@ from drake_aigto.transcription.rigid_contact import (
     DYNAMICS,
     FLIGHT,
     RESTITUTION,
-    RigidContact,
+    ImpactTranscription,
     bias_at,
-    rigid_defects,
 )
 from drake_aigto.transcription.shared import as_expression, shared_constraint
-from drake_aigto.transcription.transcription import CLEARANCE, NONPENETRATION, Transcription
+from drake_aigto.transcription.transcription import CLEARANCE, NONPENETRATION
 from drake_aigto.world import Scenario, World
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
 
-class RigidTranscription(Transcription):
+class RigidTranscription(ImpactTranscription):
     """Impulses at knots, exact flight between them, relaxed complementarity, Newton restitution.
 
     The impulse at knot k is what flight leaves unexplained, so it is no decision variable:
@@ -61,7 +60,6 @@ class RigidTranscription(Transcription):
         if not 0 <= relaxation < np.inf:
             raise OptionsError("relaxation", got=relaxation, expected="a number, 0 or more")
         self.relaxation = relaxation
-        self._contact = RigidContact.of(world)
         super().__init__(world, scenario)
 
     def _add_rows(self) -> None:
@@ -111,12 +109,6 @@ class RigidTranscription(Transcription):
         units = dict.fromkeys((NONPENETRATION, CLEARANCE), self.length_scale())
         return penalize(self._prog, inequality, scale=self.scenario.num_steps, units=units)
 
-    def defects(self, x: npt.NDArray[np.float64]) -> dict[str, float]:
-        """Returns the largest of each kind, as `rigid_defects`, and nonpenetration [m]."""
-        found = rigid_defects(self.world, self.scenario.restitution, self.trajectory(x))
-        found[NONPENETRATION] = max(0.0, -float(np.min(self.signed_distances(x)[1:])))
-        return found
-
     def impulses(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns λ_k, shape (N+1, 1) [N s]; 0 at the last knot: no step follows."""
         q, v, u = self.split(x)
@@ -124,7 +116,3 @@ class RigidTranscription(Transcription):
         free = np.array([self.world.calc_acceleration(*stage) for stage in means])
         jumps = (np.diff(v, axis=0) - self._dt * free) @ self._contact.jacobian
         return np.append(self._contact.mass * jumps, 0.0)[:, np.newaxis]
-
-    def close_rows(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Returns x."""
-        return x

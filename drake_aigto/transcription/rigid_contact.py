@@ -9,13 +9,14 @@ import numpy as np
 
 from drake_aigto.errors import ModelError
 from drake_aigto.transcription.shared import as_expression
+from drake_aigto.transcription.transcription import NONPENETRATION, Transcription
 from drake_aigto.world.polynomials import evaluate_constants
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
     from drake_aigto.trajectory import Trajectory
-    from drake_aigto.world import World
+    from drake_aigto.world import Scenario, World
 
 FLIGHT, DYNAMICS, CONTACT, RESTITUTION = "flight", "dynamics", "contact", "restitution"
 
@@ -64,6 +65,20 @@ class RigidContact:
             self.lift, self.jacobian
         )
         return R
+
+
+class ImpactTranscription(Transcription):
+    """A transcription whose contacts are those of a rigid wall with Newton's restitution."""
+
+    def __init__(self, world: World, scenario: Scenario) -> None:
+        """Reads the contact, then makes the program."""
+        self._contact = RigidContact.of(world)
+        super().__init__(world, scenario)
+
+    def defects(self, x: npt.NDArray[np.float64]) -> dict[str, float]:
+        """Returns the largest of each kind, as `rigid_defects`, and nonpenetration [m]."""
+        found = rigid_defects(self.world, self.scenario.restitution, self.trajectory(x))
+        return {**found, NONPENETRATION: self._depth(x)}
 
 
 def bias_at(

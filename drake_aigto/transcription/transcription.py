@@ -120,9 +120,13 @@ class Transcription(ABC):
         """Returns the contact forces that are held over each step, shape (N, m) [N]."""
         return np.zeros((len(self._u), self.world.num_contacts))
 
-    @abstractmethod
     def close_rows(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns x with the rounding that a solver left in the rows taken out, where it can be."""
+        return x
+
+    def _depth(self, x: npt.NDArray[np.float64]) -> float:
+        """Returns the deepest −φ ≥ 0 after the start [m]."""
+        return max(0.0, -float(np.min(self.signed_distances(x)[1:])))
 
     def prog(self) -> MathematicalProgram:
         """Returns the constrained program; add costs and constraints until it is solved."""
