@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import Bounds, minimize
 
-from drake_aigto.aigo.algorithm import Box, Iterate, as_positive
+from drake_aigto.aigo.algorithm import Box, Iterate
+from drake_aigto.aigo.size_penalty import LEAST_LOG_WIDTH, SizePenalty
 from drake_aigto.box import BoxPolynomial
-from drake_aigto.errors import OptionsError
 
 Floats = NDArray[np.float64]
 
@@ -18,7 +19,7 @@ _ARMIJO, _HALVINGS = 1e-4, 40
 
 
 @dataclass(frozen=True, kw_only=True)
-class Alternating:
+class Alternating(SizePenalty):
     """AIGO as it was first published ([5]: Labbe & Del Prete 2025, L4DC, PMLR 283:711-722).
 
         while s > s_thr
@@ -53,36 +54,21 @@ class Alternating:
     least_shrink: float = 1e-2
     max_steps: int = 5000
 
-    def __post_init__(self) -> None:
-        """Checks the ranges."""
-        if not 0 <= self.beta < 1:
-            raise OptionsError("beta", got=f"{self.beta:g}", expected="a number in [0, 1)")
-        if not self.gamma > 1:
-            raise OptionsError("gamma", got=f"{self.gamma:g}", expected="a number above 1")
-        as_positive("zeta", self.zeta)
-        as_positive("final_width", self.final_width, below=1.0)
-        as_positive("least_shrink", self.least_shrink, below=1.0)
-        for name in ("width_steps", "max_steps"):
-            if getattr(self, name) < 1:
-                raise OptionsError(name, got=getattr(self, name), expected="1 or more")
+    _counts: ClassVar[tuple[str, ...]] = ("width_steps", "max_steps")
 
     def init(self, f: BoxPolynomial, box: Box) -> Iterate:
         """Returns the first box; the memory is log s, log s_thr and the first box."""
-        log_s = box.log_size
-        log_s_thr = log_s + np.count_nonzero(box.free) * np.log(self.final_width)
         mean = f.mean(box.center, box.half_width)
-        return Iterate(box, mean, np.inf, memory=(log_s, log_s_thr, box))
+        return Iterate(box, mean, np.inf, memory=(*self._sizes(box), box))
 
     def step(self, f: BoxPolynomial, iterate: Iterate) -> Iterate:
         """Runs the loop's body once."""
         log_s, log_s_thr, first = iterate.memory
         free = first.free
-        old, half_width = iterate.box.center, iterate.box.half_width.copy()
         center = self._search_line(f, iterate.box, first)
-        shrunk = half_width - self.beta * np.abs(center - old)
-        half_width = np.maximum(shrunk, self.least_shrink * half_width)
-        box = Box(center, half_width)
-        log_s = min(box.log_size, log_s - np.count_nonzero(free) * np.log(self.gamma))
+        shift = center - iterate.box.center
+        box = Box(center, self._shrink(iterate.box.half_width, shift))
+        log_s = self._next_size(box, log_s)
         box, inner_steps = self._fit_widths(f, box, first, log_s)
         mean, gradient_c, gradient_z = f.gradient(box.center, box.half_width)
         return Iterate(
@@ -130,17 +116,16 @@ class Alternating:
         def penalized(z: Floats) -> tuple[float, Floats]:
             half_width[free] = np.exp(z)
             mean, _, gradient_z = f.gradient(center, half_width)
-            excess = free.size * np.log(2) + np.sum(z) - log_s
-            return mean + self.zeta * excess**2, gradient_z[free] + 2 * self.zeta * excess
+            penalty, slope = self._penalty(z, log_s)
+            return mean + penalty, gradient_z[free] + slope
 
-        floor = np.log(np.finfo(float).tiny) / 4  # w² must not underflow.
-        upper = np.maximum(start, np.log(np.maximum(room, np.exp(floor))))
+        upper = np.maximum(start, np.log(np.maximum(room, np.exp(LEAST_LOG_WIDTH))))
         found = minimize(
             penalized,
             start,
             jac=True,
             method="L-BFGS-B",
-            bounds=Bounds(np.full(free.size, floor), upper),
+            bounds=Bounds(np.full(free.size, LEAST_LOG_WIDTH), upper),
             options={"maxiter": self.width_steps},
         )
         half_width[free] = np.exp(found.x)

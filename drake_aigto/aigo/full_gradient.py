@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import Bounds, minimize
 
-from drake_aigto.aigo.algorithm import Box, Iterate, as_positive
+from drake_aigto.aigo.algorithm import Box, Iterate
+from drake_aigto.aigo.size_penalty import LEAST_LOG_WIDTH, SizePenalty
 from drake_aigto.box import BoxPolynomial
-from drake_aigto.errors import OptionsError
 
 
 @dataclass(frozen=True, kw_only=True)
-class FullGradient:
+class FullGradient(SizePenalty):
     """AIGTO Algorithm 1, line by line.
 
         2   s ← S(w)
@@ -48,37 +49,22 @@ class FullGradient:
     inner_steps: int = 20
     max_steps: int = 2000
 
-    def __post_init__(self) -> None:
-        """Checks the ranges."""
-        if not 0 <= self.beta < 1:
-            raise OptionsError("beta", got=f"{self.beta:g}", expected="a number in [0, 1)")
-        if not self.gamma > 1:
-            raise OptionsError("gamma", got=f"{self.gamma:g}", expected="a number above 1")
-        as_positive("zeta", self.zeta)
-        as_positive("final_width", self.final_width, below=1.0)
-        as_positive("least_shrink", self.least_shrink, below=1.0)
-        for name in ("inner_steps", "max_steps"):
-            if getattr(self, name) < 1:
-                raise OptionsError(name, got=getattr(self, name), expected="1 or more")
+    _counts: ClassVar[tuple[str, ...]] = ("inner_steps", "max_steps")
 
     def init(self, f: BoxPolynomial, box: Box) -> Iterate:
         """Line 2; the memory is log s, and log s_thr."""
-        n = np.count_nonzero(box.free)
-        log_s = box.log_size
         mean = f.mean(box.center, box.half_width)
-        return Iterate(box, mean, np.inf, memory=(log_s, log_s + n * np.log(self.final_width)))
+        return Iterate(box, mean, np.inf, memory=self._sizes(box))
 
     def step(self, f: BoxPolynomial, iterate: Iterate) -> Iterate:
         """Lines 4 to 6."""
         log_s, log_s_thr = iterate.memory
         free = np.flatnonzero(iterate.box.free)
         center, half_width, inner_steps = self._minimize(f, iterate.box, free, log_s)
-        shift = np.abs(center[free] - iterate.box.center[free])
-        shrunk = half_width[free] - self.beta * shift
-        half_width[free] = np.maximum(shrunk, self.least_shrink * half_width[free])
+        half_width = self._shrink(half_width, center - iterate.box.center)
         box = Box(center, half_width)
         mean, gradient_c, gradient_z = f.gradient(center, half_width)
-        log_s = min(box.log_size, log_s - free.size * np.log(self.gamma))
+        log_s = self._next_size(box, log_s)
         return Iterate(
             box,
             mean,
@@ -103,13 +89,11 @@ class FullGradient:
         def penalized(y: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
             center[free], half_width[free] = y[:n], np.exp(y[n:])
             mean, gradient_c, gradient_z = f.gradient(center, half_width)
-            excess = n * np.log(2) + np.sum(y[n:]) - log_s
-            gradient = [gradient_c[free], gradient_z[free] + 2 * self.zeta * excess]
-            return mean + self.zeta * excess**2, np.concatenate(gradient)
+            penalty, slope = self._penalty(y[n:], log_s)
+            return mean + penalty, np.concatenate([gradient_c[free], gradient_z[free] + slope])
 
         start = np.concatenate([center[free], np.log(half_width[free])])
-        floor = np.log(np.finfo(float).tiny) / 4  # w² must not underflow.
-        bounds = Bounds(np.repeat([-np.inf, floor], n), np.inf)
+        bounds = Bounds(np.repeat([-np.inf, LEAST_LOG_WIDTH], n), np.inf)
         options = {"maxiter": self.inner_steps, "maxcor": 20}
         found = minimize(
             penalized, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options

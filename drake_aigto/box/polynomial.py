@@ -169,6 +169,23 @@ class NewtonSystem:
     band: Floats
 
 
+def as_order(order: ArrayLike, num_variables: int) -> Ints:
+    """An elimination order as a read-only array (n,).
+
+    Raises:
+        OptionsError: It is no permutation of the variables.
+    """
+    places = np.array(order, dtype=np.int64)
+    places.setflags(write=False)
+    if not np.array_equal(np.sort(places), np.arange(num_variables)):
+        raise OptionsError(
+            "the elimination order",
+            got=f"{places.size} entries {np.array2string(places, threshold=8)}",
+            expected=f"each of 0 … {num_variables - 1} once",
+        )
+    return places
+
+
 class BoxPolynomial:
     """f(x) = Σ_m a_m ∏_i g_mi(x_i) and its mean over the box A(c, w) = {x : |x − c| ≤ w}.
 
@@ -206,14 +223,7 @@ class BoxPolynomial:
         if order is None and rows.size:
             graph = coo_array((np.ones(rows.size), (rows, columns)), shape=(num_variables,) * 2)
             order = reverse_cuthill_mckee(graph.tocsr(), symmetric_mode=True)
-        self.order = np.array(range(num_variables) if order is None else order, dtype=np.int64)
-        self.order.setflags(write=False)
-        if not np.array_equal(np.sort(self.order), np.arange(num_variables)):
-            raise OptionsError(
-                "the elimination order",
-                got=f"{self.order.size} entries {np.array2string(self.order, threshold=8)}",
-                expected=f"each of 0 … {num_variables - 1} once",
-            )
+        self.order = as_order(range(num_variables) if order is None else order, num_variables)
         self._position = np.argsort(self.order)
         distance = np.abs(self._position[rows] - self._position[columns])
         self.bandwidth = int(np.max(distance, initial=0))

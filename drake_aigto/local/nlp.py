@@ -27,6 +27,7 @@ from drake_aigto.box.compile import (
 )
 from drake_aigto.box.expressions import polynomial_terms
 from drake_aigto.box.kernels import add_means
+from drake_aigto.box.polynomial import as_order
 from drake_aigto.box.tables import stack_terms
 from drake_aigto.errors import OptionsError, UnsupportedTermError
 from drake_aigto.local.kkt import KktStructure
@@ -174,6 +175,7 @@ class PolynomialNlp:
         order: Elimination order of the variables for banded systems; None leaves it to the solver.
 
     Attributes:
+        costs: As given.
         row_names: Name of the constraint that each row came from (m,).
     """
 
@@ -189,13 +191,8 @@ class PolynomialNlp:
         """Stack the blocks."""
         self.num_variables = num_variables
         self.lower, self.upper = lower, upper
-        self.order = None if order is None else np.array(order, dtype=np.int64)
-        if self.order is not None and sorted(self.order) != list(range(num_variables)):
-            raise OptionsError(
-                "the elimination order",
-                got=f"{self.order.size} entries {np.array2string(self.order, threshold=8)}",
-                expected=f"each of 0 … {num_variables - 1} once",
-            )
+        self.order = None if order is None else as_order(order, num_variables)
+        self.costs = costs
         self.blocks = (*costs, *rows)
         self.terms = stack_terms(self.blocks)
         self.copy_weights = np.repeat(
@@ -204,9 +201,8 @@ class PolynomialNlp:
         )
         self.num_costs = sum(len(block.variables) for block in costs)
         self.row_names = tuple(block.name for block in rows for _ in block.variables)
-        for array in (self.lower, self.upper, self.order, self.copy_weights):
-            if array is not None:
-                array.setflags(write=False)
+        for array in (self.lower, self.upper, self.copy_weights):
+            array.setflags(write=False)
 
     @cached_property
     def kkt_structure(self) -> KktStructure:

@@ -178,10 +178,11 @@ class _Rows:
         for cost in self.source.GetAllCosts():
             constrained.AddCost(cost.evaluator(), vars=cost.variables())
         slack_rows = tuple(row for row, _, _ in self.slacks)
+        nlp = compile_nlp(constrained)
         return AigoProgram(
             source=self.source,
-            nlp=compile_nlp(constrained),
-            costs=compile_program(constrained),
+            nlp=nlp,
+            costs=BoxPolynomial(nlp.num_variables, nlp.costs),
             penalties=penalties,
             slack_rows=slack_rows,
             slack_map=PolynomialMap(
