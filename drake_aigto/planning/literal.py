@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -95,7 +94,7 @@ class LiteralSearch(Search[Knots]):
         last = self.problem.transcription.num_samples() - 1
         for i, shift in itertools.product(range(len(knots)), (-step, step)):
             moved = tuple(k + shift if j == i else k for j, k in enumerate(knots))
-            if not all(a < b for a, b in pairwise((0, *moved, last))):
+            if not all(a < b for a, b in itertools.pairwise((0, *moved, last))):
                 continue
             if moved not in self.by_sequence:
                 origin = self.by_sequence[knots].origin.split(_MOVED)[0]
@@ -139,7 +138,7 @@ def ballistic_guess(
         [scenario.initial_position]
         + [
             np.linspace(stops[first], stops[second], second - first + 1)[1:]
-            for first, second in pairwise(sorted(stops))
+            for first, second in itertools.pairwise(sorted(stops))
         ]
     )
     steps = np.diff(path, axis=0) / transcription.time_step()

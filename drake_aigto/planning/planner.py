@@ -17,7 +17,7 @@ from drake_aigto.planning.literal import LiteralProblem, LiteralSearch
 from drake_aigto.planning.material import contact_delay
 from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.plan import LARGEST_DEFECT, Candidate, Plan, PlanStats, Replays
-from drake_aigto.planning.replay import replay_drake, replay_event_driven
+from drake_aigto.planning.replay import Replay, replay_drake, replay_event_driven
 from drake_aigto.planning.rigid import RigidProblem, RigidSearch
 from drake_aigto.planning.search import Search
 from drake_aigto.trajectory import Trajectory
@@ -189,10 +189,14 @@ class Planner:
         return first, replays
 
     def _confirm(self, candidate: Candidate, scenario: Scenario) -> Replays:
-        control = candidate.trajectory.times, candidate.trajectory.controls
         with self._clock("replay"):
-            drake = replay_drake(self.world, scenario, *control) if self.options.confirm else None
-        return Replays(candidate.replay, drake)
+            return Replays(candidate.replay, self._replay_in_drake(candidate.trajectory, scenario))
+
+    def _replay_in_drake(self, trajectory: Trajectory, scenario: Scenario) -> Replay | None:
+        """Returns Drake's replay, if the options confirm."""
+        if not self.options.confirm:
+            return None
+        return replay_drake(self.world, scenario, trajectory.times, trajectory.controls)
 
     def simulate(self, trajectory: Trajectory, scenario: Scenario | None = None) -> Replays:
         """Returns what a trajectory's control alone does: event-driven, and in Drake to confirm.
@@ -202,10 +206,8 @@ class Planner:
             scenario: that it is for; the planner's if None.
         """
         scenario = scenario or self.scenario
-        control = trajectory.times, trajectory.controls
-        rigid = replay_event_driven(self.world, scenario, *control)
-        confirm = self.options.confirm
-        return Replays(rigid, replay_drake(self.world, scenario, *control) if confirm else None)
+        rigid = replay_event_driven(self.world, scenario, trajectory.times, trajectory.controls)
+        return Replays(rigid, self._replay_in_drake(trajectory, scenario))
 
     @contextmanager
     def _clock(self, part: str) -> Iterator[None]:

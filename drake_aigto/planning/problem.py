@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from functools import cached_property
 from typing import TYPE_CHECKING, Generic, TypeVar
 
@@ -87,19 +88,26 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
 
     def solve_locally(self, guess: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns what the local solver makes of a guess, all decision variables (n,)."""
-        x = self.solve_program(self.transcription.prog(), guess, self._nlp)
+        x = self.solve_program(self.transcription.prog(), guess, lambda: self._nlp)
         return self.transcription.close_rows(x)
 
     def solve_program(
         self,
         prog: MathematicalProgram,
         guess: npt.NDArray[np.float64],
-        nlp: PolynomialNlp | None = None,
+        compiled: Callable[[], PolynomialNlp] | None = None,
     ) -> npt.NDArray[np.float64]:
-        """Returns what the local solver makes of a guess for any program; compiled if `nlp`."""
+        """Returns what the local solver makes of a guess for any program.
+
+        Args:
+            prog: the program.
+            guess: all its decision variables.
+            compiled: gives it compiled, if there is a better way than `compile_nlp`; called where
+                the local solver is ours.
+        """
         if self.options.local_solver != "newton":
             return solve_with_drake(prog, guess, self.options.local_solver).x
-        nlp = nlp or compile_nlp(prog)
+        nlp = compiled() if compiled else compile_nlp(prog)
         for factor in self._cost_units:
             unit = factor * self.transcription.cost_scale()
             solver = InteriorPoint(max_iterations=_MAX_ITERATIONS, cost_unit=unit)

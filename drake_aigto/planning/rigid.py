@@ -74,8 +74,11 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
         path = coarse.split(center)[0]
         columns = [np.interp(times, coarse.GetSampleTimes(), column) for column in path.T]
         guess = phases.guess(np.column_stack(columns))
-        nlp = compile_nlp(phases.prog(), phases.elimination_order())
-        return phases, self.solve_program(phases.prog(), phases.vector(guess), nlp)
+        prog = phases.prog()
+        x = self.solve_program(
+            prog, phases.vector(guess), lambda: compile_nlp(prog, phases.elimination_order())
+        )
+        return phases, x
 
 
 class RigidSearch(Search[TouchSequence]):
