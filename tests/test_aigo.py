@@ -6,6 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from box_programs import power, univariate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -32,16 +33,6 @@ ALGORITHMS: dict[str, Algorithm] = {
     "alternating": Alternating(final_width=1e-5),
     "face flow": FaceFlow(final_width=1e-5),
 }
-
-
-def power(variable: int, exponent: int) -> Factor:
-    return Factor(variable, FunctionKind.POWER, exponent)
-
-
-def univariate(coefficients: np.ndarray) -> BoxPolynomial:
-    """Returns Σ a_p x^p."""
-    terms = tuple(Term(float(a), (power(0, p),) if p else ()) for p, a in enumerate(coefficients))
-    return BoxPolynomial(1, (TermBlock("f", terms, [[0]]),))
 
 
 def chain(n: int, weight: float = 3.0) -> BoxPolynomial:

@@ -7,14 +7,14 @@ from collections.abc import Callable
 from fractions import Fraction
 
 import numpy as np
-import numpy.typing as npt
 import pytest
+from box_programs import evaluate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from drake_aigto.box import Factor, FunctionKind
-from drake_aigto.box.functions import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE, factor_mean
+from drake_aigto.box.functions import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE
 from drake_aigto.box.reference import exact_factor_mean, relative_error
 
 # The goal is 1e-13; a mean takes some ten roundings of 1.1e-16, in c^p most of all.
@@ -55,15 +55,6 @@ def log_boxes(draw: st.DrawFn) -> tuple[float, float]:
     )
     w = c * draw(ratios)
     return c, (w if w < c else math.nextafter(c, 0.0))
-
-
-def evaluate(factor: Factor, center: float, half_width: float) -> npt.NDArray[np.float64]:
-    """Returns the row of μ and its derivatives, in the order of the kernels."""
-    row = np.full(6, np.nan)
-    factor_mean(
-        int(factor.kind), factor.exponent, factor.scale, factor.offset, center, half_width, row
-    )
-    return row
 
 
 def exact(factor: Factor, center: float, half_width: float) -> Fraction:

@@ -7,14 +7,14 @@ from collections.abc import Callable
 from fractions import Fraction
 
 import numpy as np
-import numpy.typing as npt
 import pytest
+from box_programs import evaluate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from drake_aigto.box import Factor, FunctionKind
-from drake_aigto.box.functions import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE, WAVES, factor_mean
+from drake_aigto.box.functions import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE, WAVES
 from drake_aigto.box.reference import exact_factor_mean
 
 # The goal is 1e-13 of the natural size; 5e-16 is the worst that 1,800 random boxes gave.
@@ -52,15 +52,6 @@ def boxes(draw: st.DrawFn, least: float = -12.0) -> Box:
     if kind is EXPONENTIAL:  # at most e⁵ in the box
         offset += 1.0 - scale * center - reach
     return Factor(0, kind, draw(st.integers(0, 8)), scale, offset), center, half_width
-
-
-def evaluate(factor: Factor, center: float, half_width: float) -> npt.NDArray[np.float64]:
-    """Returns the row of μ and its derivatives."""
-    row = np.full(6, np.nan)
-    factor_mean(
-        int(factor.kind), factor.exponent, factor.scale, factor.offset, center, half_width, row
-    )
-    return row
 
 
 def bound(factor: Factor, order: int, reach: Fraction) -> Fraction:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
+from box_programs import ExpressionOf, add, compiled, program
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.solvers import ExpressionCost, MathematicalProgram
@@ -18,28 +19,6 @@ from drake_aigto.box import BoxPolynomial, FunctionKind, compile_program
 from drake_aigto.box.products import MAX_TERMS
 from drake_aigto.box.reference import exact_mean, relative_error
 from drake_aigto.local import compile_nlp
-
-ExpressionOf = Callable[[np.ndarray], Expression]
-
-
-def program(num_variables: int = 3) -> tuple[MathematicalProgram, np.ndarray]:
-    """Returns an empty program and its variables."""
-    prog = MathematicalProgram()
-    return prog, prog.NewContinuousVariables(num_variables, "x")
-
-
-def add(prog: MathematicalProgram, expression: Expression, name: str = "the cost") -> None:
-    """Adds an ExpressionCost, which keeps its formula."""
-    cost = ExpressionCost(expression)
-    cost.set_description(name)
-    prog.AddCost(cost, vars=cost.vars())
-
-
-def compiled(expression_of: ExpressionOf, num_variables: int = 3) -> BoxPolynomial:
-    """Returns the table of one ExpressionCost."""
-    prog, x = program(num_variables)
-    add(prog, expression_of(x))
-    return compile_program(prog)
 
 
 def levy(x: np.ndarray) -> Expression:

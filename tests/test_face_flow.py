@@ -6,25 +6,16 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from box_programs import power, univariate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drake_aigto.aigo import Alternating, Box, FaceFlow, Pace, minimize
 from drake_aigto.aigo.coupling import CouplingGraph
-from drake_aigto.box import BoxPolynomial, Factor, FunctionKind, Term, TermBlock
+from drake_aigto.box import BoxPolynomial, Term, TermBlock
 from drake_aigto.errors import OptionsError
 
 PACES = list(Pace)
-
-
-def power(variable: int, exponent: int) -> Factor:
-    return Factor(variable, FunctionKind.POWER, exponent)
-
-
-def univariate(coefficients: np.ndarray) -> BoxPolynomial:
-    """Returns Σ a_p x^p."""
-    terms = tuple(Term(float(a), (power(0, p),) if p else ()) for p, a in enumerate(coefficients))
-    return BoxPolynomial(1, (TermBlock("f", terms, [[0]]),))
 
 
 def random_chain(n: int, seed: int) -> BoxPolynomial:

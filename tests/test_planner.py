@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rigid_worlds import AXIS, write_model
 
 from drake_aigto import OutputFileError, PlanFileError, Scenario, ScenarioError
 from drake_aigto.aigo import Annealing, FullGradient
@@ -25,9 +26,8 @@ from drake_aigto.planning.contacts import find_contacts
 from drake_aigto.planning.options import LITERAL_LADDER, LocalSolverName
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import LiteralTranscription
-from drake_aigto.world import World, files
+from drake_aigto.world import World
 
-SHIPPED = files.models_directory() / "point_mass_and_wall.sdf"
 # Coarse, and with two rungs, so that a plan takes a fraction of a second.
 QUICK = PlanOptions(transcription="literal", ladder=LITERAL_LADDER[2:4], confirm=False)
 BOUNCE = Scenario(initial_position=0.4, initial_velocity=-1.2, goal_position=1.0, time_step=0.02)
@@ -39,15 +39,6 @@ FLIGHT = Scenario(
     time_step=0.02,
     epsilon=1e-9,
 )
-AXIS = "<xyz>1 0 0</xyz>"
-
-
-def write_model(directory: Path, old: str, new: str) -> str:
-    text = SHIPPED.read_text(encoding="utf-8")
-    assert old in text
-    path = directory / "variant.sdf"
-    path.write_text(text.replace(old, new), encoding="utf-8")
-    return str(path)
 
 
 def least_cost(

@@ -22,7 +22,8 @@ from scipy.linalg import solveh_banded
 
 from drake_aigto.errors import OptionsError
 from drake_aigto.jit import njit
-from drake_aigto.study.global_problem import Floats, GlobalProblem, Part
+from drake_aigto.study.global_problem import GlobalProblem, Part
+from drake_aigto.study.known_optimum import Floats
 
 REACH = 2.2
 NUM_ROOTS = 6

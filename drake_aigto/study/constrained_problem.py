@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.solvers import ExpressionCost, MathematicalProgram
 
-from drake_aigto.study.global_problem import Floats
+from drake_aigto.study.known_optimum import KnownOptimum
 
 # x_1, …, x_n, numbers or Drake Expressions → the rows.
 Rows = Callable[..., Sequence[Any]]
@@ -22,27 +22,18 @@ def no_rows(*_: Any) -> Sequence[Any]:
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class ConstrainedProblem:
+class ConstrainedProblem(KnownOptimum):
     """minimise Σ costs(x)  s.t.  equalities(x) = 0,  inequalities(x) ≥ 0,  lower ≤ x ≤ upper.
 
     Attributes:
-        name: as in the literature.
-        lower: shape (n,), read-only.
-        upper: shape (n,), read-only.
-        minimum: f*, the least cost of all feasible x.
-        minimizers: known points where it is taken, shape (k, n), read-only; not always all of them.
-        source: where it is from, or why the optimum is one.
+        costs: the summands of the cost.
+        equalities: rows that have to be 0.
+        inequalities: rows that have to be 0 or more.
     """
 
-    name: str
-    lower: Floats
-    upper: Floats
-    minimum: float
-    minimizers: Floats
     costs: Rows = field(repr=False)
     equalities: Rows = field(repr=False)
     inequalities: Rows = field(repr=False)
-    source: str = field(repr=False)
 
     def __init__(
         self,
@@ -57,27 +48,8 @@ class ConstrainedProblem:
         source: str,
     ) -> None:
         """Give all arrays their shapes; costs may return a single number, bounds may be scalars."""
-        points = np.atleast_2d(np.array(minimizers, dtype=float))
-        arrays = {"minimizers": points}
-        for bound, values in zip(("lower", "upper"), box, strict=True):
-            arrays[bound] = np.array(np.broadcast_to(values, points.shape[1:]), dtype=float)
-        for array in arrays.values():
-            array.setflags(write=False)
-        fields = {
-            "name": name,
-            "minimum": float(minimum),
-            "costs": costs,
-            "equalities": equalities,
-            "inequalities": inequalities,
-            "source": source,
-        }
-        for key, value in (fields | arrays).items():
-            object.__setattr__(self, key, value)
-
-    @property
-    def num_variables(self) -> int:
-        """The number n of variables."""
-        return self.lower.size
+        rows = {"costs": costs, "equalities": equalities, "inequalities": inequalities}
+        self._set(name, box, minimum, minimizers, **rows, source=source)
 
     def summands(self, x: Sequence[Any] | NDArray[Any]) -> Sequence[Any]:
         """Return the summands of the cost at x (n,)."""
@@ -101,9 +73,7 @@ class ConstrainedProblem:
 
     def prog(self) -> MathematicalProgram:
         """Return the program; Drake picks the kind of each constraint."""
-        prog = MathematicalProgram()
-        x = prog.NewContinuousVariables(self.num_variables, "x")
-        prog.AddBoundingBoxConstraint(self.lower, self.upper, x)
+        prog, x = self._start_program()
         for summand in self.summands(x):
             cost = ExpressionCost(summand)
             prog.AddCost(cost, vars=cost.vars())

@@ -12,7 +12,7 @@ from pydrake.solvers import ExpressionCost, MathematicalProgram
 from pydrake.symbolic import Expression, MakeVectorVariable
 from pydrake.symbolic import cos as symbolic_cos
 
-Floats = NDArray[np.float64]
+from drake_aigto.study.known_optimum import Floats, KnownOptimum
 
 _COMPLEX_STEP = 1e-30  # its square is lost beside any number that is not tiny itself
 
@@ -84,26 +84,14 @@ def _set_array(owner: object, name: str, array: NDArray[Any]) -> None:
 
 
 @dataclass(frozen=True, eq=False, init=False)
-class GlobalProblem:
+class GlobalProblem(KnownOptimum):
     """minimise f(x) = Σ parts subject to lower ≤ x ≤ upper, whose global minimum is known.
 
     Attributes:
-        name: as in the literature, with the number of variables where there are several versions.
-        lower: of the start box, shape (n,), read-only.
-        upper: of the start box, shape (n,), read-only.
-        minimum: f*, the least value over the box.
-        minimizers: known points where it is taken, shape (k, n), read-only; not always all of them.
         parts: what f is the sum of.
-        source: where formula, box and minimum are from, and where the literature errs.
     """
 
-    name: str
-    lower: Floats
-    upper: Floats
-    minimum: float
-    minimizers: Floats
     parts: tuple[Part, ...] = field(repr=False)
-    source: str = field(repr=False)
 
     def __init__(
         self,
@@ -115,19 +103,7 @@ class GlobalProblem:
         source: str,
     ) -> None:
         """Give all arrays their shapes; bounds may be scalars, a single minimizer may be flat."""
-        points = np.atleast_2d(np.array(minimizers, dtype=float))
-        _set_array(self, "minimizers", points)
-        for bound, values in zip(("lower", "upper"), box, strict=True):
-            _set_array(self, bound, np.array(np.broadcast_to(values, points.shape[1:]), float))
-        object.__setattr__(self, "name", name)
-        object.__setattr__(self, "minimum", minimum)
-        object.__setattr__(self, "parts", tuple(parts))
-        object.__setattr__(self, "source", source)
-
-    @property
-    def num_variables(self) -> int:
-        """The number n of variables."""
-        return self.lower.size
+        self._set(name, box, minimum, minimizers, parts=tuple(parts), source=source)
 
     def evaluate(self, x: ArrayLike | Sequence[Any]) -> Any:
         """Return f at x (n,) of Drake Expressions, or at numbers of shape (…, n)."""
@@ -150,9 +126,7 @@ class GlobalProblem:
 
     def prog(self) -> MathematicalProgram:
         """Return the program; alike summands share an ExpressionCost."""
-        prog = MathematicalProgram()
-        x = prog.NewContinuousVariables(self.num_variables, "x")
-        prog.AddBoundingBoxConstraint(self.lower, self.upper, x)
+        prog, x = self._start_program()
         for part in self.parts:
             part.bind(prog, x)
         return prog

@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.linalg import spsolve
 
-from drake_aigto.study.global_problem import Floats, GlobalProblem, Part, cos
+from drake_aigto.study.global_problem import GlobalProblem, Part, cos
+from drake_aigto.study.known_optimum import Floats
 
 JAMIL = "Jamil & Yang (2013), Int. J. Math. Modelling and Numerical Optimisation 4:150-194"
 MGH = "Moré, Garbow & Hillstrom (1981), ACM Trans. Math. Software 7:17-41"

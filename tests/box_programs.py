@@ -1,0 +1,61 @@
+"""Programs, terms and factors that the tests of boxes share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import numpy.typing as npt
+from pydrake.solvers import ExpressionCost, MathematicalProgram
+from pydrake.symbolic import Expression
+
+from drake_aigto.box import (
+    BoxPolynomial,
+    Factor,
+    FunctionKind,
+    Term,
+    TermBlock,
+    compile_program,
+)
+from drake_aigto.box.functions import factor_mean
+
+ExpressionOf = Callable[[np.ndarray], Expression]
+
+
+def program(num_variables: int = 3) -> tuple[MathematicalProgram, np.ndarray]:
+    """Returns an empty program and its variables."""
+    prog = MathematicalProgram()
+    return prog, prog.NewContinuousVariables(num_variables, "x")
+
+
+def add(prog: MathematicalProgram, expression: Expression, name: str = "") -> None:
+    """Adds an ExpressionCost, which keeps its formula."""
+    cost = ExpressionCost(expression)
+    cost.set_description(name)
+    prog.AddCost(cost, vars=cost.vars())
+
+
+def compiled(expression_of: ExpressionOf, num_variables: int = 3) -> BoxPolynomial:
+    """Returns the table of one ExpressionCost."""
+    prog, x = program(num_variables)
+    add(prog, expression_of(x), "the cost")
+    return compile_program(prog)
+
+
+def power(variable: int, exponent: int) -> Factor:
+    return Factor(variable, FunctionKind.POWER, exponent)
+
+
+def univariate(coefficients: np.ndarray) -> BoxPolynomial:
+    """Returns Σ a_p x^p."""
+    terms = tuple(Term(float(a), (power(0, p),) if p else ()) for p, a in enumerate(coefficients))
+    return BoxPolynomial(1, (TermBlock("f", terms, [[0]]),))
+
+
+def evaluate(factor: Factor, center: float, half_width: float) -> npt.NDArray[np.float64]:
+    """Returns the row of μ and its derivatives, in the order of the kernels."""
+    row = np.full(6, np.nan)
+    factor_mean(
+        int(factor.kind), factor.exponent, factor.scale, factor.offset, center, half_width, row
+    )
+    return row
