@@ -1,4 +1,4 @@
-"""Means of whole polynomials over boxes: their laws, their derivatives, and what is refused."""
+"""Means of whole polynomials over boxes: their laws, their derivatives."""
 
 from __future__ import annotations
 
@@ -7,85 +7,27 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-import numpy.typing as npt
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
+from random_boxes import (
+    NUM_VARIABLES,
+    TOLERANCE,
+    Boxes,
+    Floats,
+    boxes,
+    dense,
+    eighths,
+    polynomials,
+)
 
-from drake_aigto import OptionsError, UnsupportedTermError
 from drake_aigto.box import BoxPolynomial, Factor, FunctionKind, Term, TermBlock
-from drake_aigto.box.functions import WAVES
-from drake_aigto.box.kernels import add_means, add_newton_system
 from drake_aigto.box.reference import exact_mean, relative_error
-from drake_aigto.box.tables import stack_terms
-from drake_aigto.local import PolynomialNlp
-
-NUM_VARIABLES = 5
-# Some ten roundings a factor, and one for each of a few dozen terms.
-TOLERANCE = 1e-14
-# Waves are not among them: their means may be far smaller than they are, and their rounding errors
-# with them not. See test_box_waves.
-KINDS = [kind for kind in FunctionKind if kind not in WAVES]
-Floats = npt.NDArray[np.float64]
-Boxes = tuple[Floats, Floats]
-
-
-def eighths(low: float, high: float) -> st.SearchStrategy[float]:
-    """Multiples of 1/8: sums and products of a few of them are exact."""
-    return st.integers(math.ceil(8 * low), math.floor(8 * high)).map(lambda i: i / 8)
-
-
-@st.composite
-def factors(draw: st.DrawFn, variable: int) -> Factor:
-    """Factors; logarithms keep their argument positive over `boxes`."""
-    kind = draw(st.sampled_from(KINDS))
-    exponent = draw(st.integers(0, 4)) if kind is FunctionKind.POWER else 1
-    scale = draw(st.sampled_from([-1.0, -0.5, 0.5, 1.0]))
-    offset = draw(eighths(11, 15) if kind is FunctionKind.NEG_LOG else eighths(-3, 3))
-    return Factor(variable, kind, exponent, scale, offset)
-
-
-@st.composite
-def blocks(draw: st.DrawFn, name: str = "block", copies: int | None = None) -> TermBlock:
-    """A few terms in one to three variables, copied onto some of the variables."""
-    size = draw(st.integers(1, 3))
-    terms = []
-    for _ in range(draw(st.integers(1, 4))):
-        chosen = draw(st.sets(st.integers(0, size - 1)))
-        terms.append(Term(draw(eighths(-3, 3)), tuple(draw(factors(i)) for i in sorted(chosen))))
-    count = draw(st.integers(1, 3)) if copies is None else copies
-    places = [draw(st.permutations(range(NUM_VARIABLES)))[:size] for _ in range(count)]
-    return TermBlock(name, tuple(terms), places, draw(eighths(0.5, 3)))
-
-
-@st.composite
-def polynomials(draw: st.DrawFn) -> BoxPolynomial:
-    """A sum of two or three blocks, under the default order."""
-    names = ["first", "second", "third"][: draw(st.integers(2, 3))]
-    return BoxPolynomial(NUM_VARIABLES, tuple(draw(blocks(name)) for name in names))
-
-
-@st.composite
-def boxes(draw: st.DrawFn, least_width: float = 0.0) -> Boxes:
-    """Boxes within |x| ≤ 10, most of them away from the origin."""
-    lists = st.lists(eighths(-6, 6), min_size=NUM_VARIABLES, max_size=NUM_VARIABLES)
-    widths = st.lists(eighths(least_width, 4), min_size=NUM_VARIABLES, max_size=NUM_VARIABLES)
-    return np.array(draw(lists)), np.array(draw(widths))
 
 
 def size_of(f: BoxPolynomial, box: Boxes) -> float:
     """Returns Σ |a_m| ∏ |μ|, the size that rounding errors are measured by."""
     return float(exact_mean(f, *box)[1])
-
-
-def dense(band: Floats) -> Floats:
-    """Returns the symmetric matrix that is stored as a lower band."""
-    n = band.shape[1]
-    matrix: Floats = np.zeros((n, n))
-    for offset, diagonal in enumerate(band):
-        assert not diagonal[n - offset :].any(), "entries beyond the matrix"
-        matrix += np.diag(diagonal[: n - offset], -offset)
-    return np.asarray(matrix + np.tril(matrix, -1).T)
 
 
 def in_variable_order(f: BoxPolynomial, matrix: Floats) -> Floats:
@@ -290,172 +232,3 @@ def test_new_weights_leave_the_old_polynomial_as_it_was(f: BoxPolynomial, box: B
     before, weights = f.mean(*box), f.weights
     f.with_weights({"second": 17.0})
     assert (f.mean(*box), f.weights) == (before, weights)
-
-
-def block(*terms: Term, variables: object = (0, 1), name: str = "cost") -> TermBlock:
-    return TermBlock(name, terms, variables)  # type: ignore[arg-type]
-
-
-def power(variable: int) -> Factor:
-    return Factor(variable, FunctionKind.POWER)
-
-
-X0, X1 = power(0), power(1)
-BARRIER = Term(1.0, (Factor(0, FunctionKind.NEG_LOG),))
-
-
-def test_a_weight_of_zero_switches_an_infinite_barrier_off() -> None:
-    f = BoxPolynomial(2, (block(BARRIER, name="barrier"), block(Term(2.0, (X1,)), name="slope")))
-    outside, width = np.array([-1.0, 3.0]), np.full(2, 0.5)
-    assert f.mean(outside, width) == math.inf
-    off = f.with_weights({"barrier": 0.0})
-    assert off.mean(outside, width) == 6.0
-    assert off.gradient(outside, width)[0] == off.newton_system(outside, width).value == 6.0
-
-
-def test_unknown_names_and_useless_weights_are_refused() -> None:
-    f = BoxPolynomial(2, (block(BARRIER, name="barrier"), block(Term(1.0, (X0,)), name="slope")))
-    with pytest.raises(OptionsError, match=r"no cost named \['barier'\].*'barrier', 'slope'"):
-        f.with_weights({"barier": 2.0})
-    with pytest.raises(OptionsError, match="weight of 'barrier': got nan, expected a finite"):
-        f.with_weights({"barrier": math.nan})
-
-
-@pytest.mark.parametrize(
-    ("terms", "variables", "message"),
-    [
-        (
-            [Term(1.0, (X0, X0))],
-            (0, 1),
-            r"the cost 'cost'.*the term 1 \* x0\^1 \* x0\^1.*x·x is x²",
-        ),
-        ([Term(1.0, (X0, X1))], [(0, 1), (2, 2)], "copy 1 with variable 2 twice.*x·x is x²"),
-        ([Term(math.nan, (X0,))], (0, 1), r"the term nan \* x0\^1, expected finite numbers"),
-        ([Term(1.0, (dataclasses.replace(X0, offset=math.inf),))], (0, 1), r"\(1\*x0 \+ inf\)\^1"),
-        (
-            [Term(1.0, (dataclasses.replace(X0, exponent=-1),))],
-            (0, 1),
-            "exponent -1, expected whole",
-        ),
-    ],
-)
-def test_a_term_without_a_right_mean_is_refused(
-    terms: list[Term], variables: object, message: str
-) -> None:
-    with pytest.raises(UnsupportedTermError, match=message):
-        block(*terms, variables=variables)
-
-
-def test_a_variable_may_come_back_in_another_term() -> None:
-    f = BoxPolynomial(1, (block(Term(1.0, (X0,)), Term(3.0, (X1,)), variables=(0, 0)),))
-    assert f.mean([2.0], 0.5) == 8.0
-
-
-@pytest.mark.parametrize("order", [[0, 0], [0], [1, 2], [0, 1, 2]])
-def test_an_order_that_is_no_permutation_is_refused(order: list[int]) -> None:
-    with pytest.raises(
-        OptionsError, match=r"elimination order: got .* expected each of 0 … 1 once"
-    ):
-        BoxPolynomial(2, (block(Term(1.0, (X0, X1))),), order)
-
-
-def test_boxes_of_another_size_or_of_negative_width_are_refused() -> None:
-    f = BoxPolynomial(2, (block(Term(1.0, (X0, X1))),))
-    with pytest.raises(
-        ValueError, match=r"center has shape \(3,\) and half_width \(2,\); expected"
-    ):
-        f.mean(np.ones(3), np.ones(2))
-    with pytest.raises(ValueError, match=r"half_width \(3,\); expected \(2,\)"):
-        f.gradient(np.ones(2), np.ones(3))
-    with pytest.raises(ValueError, match=r"half_width is -0\.5 at its least"):
-        f.newton_system(np.ones(2), [1.0, -0.5])
-
-
-@settings(max_examples=10)
-@given(polynomials(), boxes())
-def test_boxes_may_be_lists_read_only_or_strided(f: BoxPolynomial, box: Boxes) -> None:
-    center, half_width = box
-    expected = f.mean(center, half_width)
-    frozen = center.copy()
-    frozen.setflags(write=False)
-    assert f.mean(list(center), tuple(half_width)) == expected
-    assert f.mean(frozen, np.repeat(half_width, 2)[::2]) == expected
-    assert f.mean(center, 0.5) == f.mean(center, np.full(NUM_VARIABLES, 0.5))
-
-
-def test_tables_are_read_only_and_the_callers_array_is_not() -> None:
-    variables = np.array([[0, 1]])
-    table = block(Term(1.0, (X0, X1)), variables=variables)
-    variables[0, 0] = 7
-    assert table.variables.tolist() == [[0, 1]]
-    stacked = [part for part in stack_terms([table]) if isinstance(part, np.ndarray)]
-    for array in (table.variables, BoxPolynomial(2, (table,)).order, *stacked):
-        with pytest.raises(ValueError, match="read-only"):
-            array[...] = 0
-
-
-@given(polynomials())
-def test_couplings_are_the_pairs_within_a_term(f: BoxPolynomial) -> None:
-    pairs = {
-        (variables[a.variable], variables[b.variable])
-        for block in f.blocks
-        for variables in block.variables.tolist()
-        for term in block.terms
-        for a in term.factors
-        for b in term.factors
-    }
-    assert {(i, j) for i, j in f.couplings().tolist()} == pairs
-
-
-def test_equal_sums_are_stored_once() -> None:
-    product, square = Term(2.0, (X0, X1)), Term(1.0, (dataclasses.replace(X0, exponent=2),))
-    blocks = (
-        block(product, square, variables=[(0, 1), (1, 2)]),
-        block(square, variables=(2,)),
-        block(product, square, variables=(0, 2), name="other"),
-    )
-    stacked = stack_terms(blocks)
-    assert stacked.copies["sum_index"].tolist() == [0, 0, 1, 0]
-    assert (stacked.factors.size, stacked.most_factors, stacked.longest_term) == (4, 3, 2)
-    assert stacked.copy_variables.tolist() == [0, 1, 1, 2, 2, 0, 2]
-
-
-@pytest.mark.parametrize("zeros", [(), (3,), (0, 9), (2, 5, 7)])
-def test_slopes_of_a_long_product_are_right_also_where_factors_are_zero(zeros: list[int]) -> None:
-    n = 10
-    x = np.arange(2.0, n + 2)
-    x[list(zeros)] = 0.0
-    f = BoxPolynomial(
-        n, (block(Term(1.0, tuple(map(power, range(n)))), variables=range(n)),), range(n)
-    )
-    others = [np.prod(np.delete(x, i)) for i in range(n)]
-    np.testing.assert_array_equal(f.gradient(x, 0.5)[1], others)
-    system = f.newton_system(x, 0.5, centers_only=True)
-    np.testing.assert_array_equal(system.gradient, others)
-    pairs = [[np.prod(np.delete(x, [i, j])) if i != j else 0.0 for i in range(n)] for j in range(n)]
-    np.testing.assert_array_equal(dense(system.band), pairs)
-
-
-def test_boxes_and_points_share_one_compilation() -> None:
-    cost = block(Term(1.0, (X0, X1)))
-    f = BoxPolynomial(2, (cost,))
-    x = np.ones(2)
-    f.gradient(x, 0.5)
-    f.mean_by_block(x, 0.5)
-    f.with_weights({"cost": 2.0}).newton_system(x, 0.5)
-    f.newton_system(x, 0.5, centers_only=True)
-    separable = BoxPolynomial(2, (block(Term(1.0, (X0,))),))
-    separable.newton_system(x, 0.5, centers_only=True)
-    nlp = PolynomialNlp(2, (cost,), (cost,), np.full(2, -np.inf), np.full(2, np.inf))
-    nlp.evaluate(x)
-    nlp.kkt_structure.assemble(x, np.ones(2), np.ones(1))
-    for kernel in (add_means, add_newton_system):
-        signatures = kernel.signatures  # type: ignore[union-attr]
-        assert len(signatures) == 1, "each costs a second when the package first runs"
-
-
-def test_nothing_to_integrate_is_zero() -> None:
-    for f in (BoxPolynomial(0, ()), BoxPolynomial(3, ())):
-        x = np.ones(f.num_variables)
-        assert (f(x), f.num_terms, f.bandwidth) == (0.0, 0, 0)
-        assert f.newton_system(x, 1.0).gradient.shape == (2 * x.size,)

@@ -2,166 +2,26 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from local_problems import INF, PROBLEMS, Problem
 from pydrake.solvers import (
     BoundingBoxConstraint,
-    ExpressionCost,
     IpoptSolver,
     MathematicalProgram,
     SnoptSolver,
     SolverOptions,
 )
-from pydrake.symbolic import Expression, log, sin, tan
+from pydrake.symbolic import log
 
-from drake_aigto import OptionsError, Scenario, UnsupportedTermError, World
-from drake_aigto.local import InteriorPoint, LocalResult, LocalStatus, PolynomialNlp, compile_nlp
+from drake_aigto import Scenario, World
+from drake_aigto.local import InteriorPoint, LocalStatus, PolynomialNlp, compile_nlp
 from drake_aigto.local.symmetric import BandFactors
 from drake_aigto.transcription import LiteralTranscription
-
-INF = math.inf
-Formula = Callable[[Any], Any]
-
-
-@dataclass(frozen=True)
-class Problem:
-    """A small program: cost, rows that are to be 0, start, bounds, and the optimal cost."""
-
-    cost: Formula
-    rows: Callable[[Any], Sequence[Any]]
-    start: Sequence[float]
-    optimum: float = math.nan
-    lower: Sequence[float] | None = None
-    upper: Sequence[float] | None = None
-
-    def program(self) -> MathematicalProgram:
-        prog = MathematicalProgram()
-        x = prog.NewContinuousVariables(len(self.start), "x")
-        add_cost(prog, self.cost(x))
-        for row in self.rows(x):
-            prog.AddConstraint(row == 0)
-        if self.lower is not None and self.upper is not None:
-            prog.AddBoundingBoxConstraint(self.lower, self.upper, x)
-        return prog
-
-    def solve(self, **options: Any) -> LocalResult:
-        return InteriorPoint(**options).solve(compile_nlp(self.program()), self.start)
-
-
-def add_cost(prog: MathematicalProgram, formula: Any) -> None:
-    cost = ExpressionCost(Expression(0.0) + formula)
-    prog.AddCost(cost, vars=cost.vars())
-
-
-# "HS n": W. Hock and K. Schittkowski (1981), "Test Examples for Nonlinear Programming Codes".
-PROBLEMS = {
-    "HS6": Problem(
-        lambda x: (1 - x[0]) ** 2, lambda x: [10 * (x[1] - x[0] ** 2)], [-1.2, 1.0], 0.0
-    ),
-    "HS27": Problem(
-        lambda x: 0.01 * (x[0] - 1) ** 2 + (x[1] - x[0] ** 2) ** 2,
-        lambda x: [x[0] + x[2] ** 2 + 1],
-        [2.0, 2.0, 2.0],
-        0.04,
-    ),
-    "HS39": Problem(
-        lambda x: -x[0],
-        lambda x: [x[1] - x[0] ** 3 - x[2] ** 2, x[0] ** 2 - x[1] - x[3] ** 2],
-        [2.0] * 4,
-        -1.0,
-    ),
-    "HS40": Problem(
-        lambda x: -x[0] * x[1] * x[2] * x[3],
-        lambda x: [x[0] ** 3 + x[1] ** 2 - 1, x[0] ** 2 * x[3] - x[2], x[3] ** 2 - x[1]],
-        [0.8] * 4,
-        -0.25,
-    ),
-    "HS42": Problem(
-        lambda x: sum((x[i] - i - 1) ** 2 for i in range(4)),
-        lambda x: [x[0] - 2, x[2] ** 2 + x[3] ** 2 - 2],
-        [1.0] * 4,
-        28 - 10 * math.sqrt(2),
-    ),
-    "HS52": Problem(
-        lambda x: (
-            (4 * x[0] - x[1]) ** 2 + (x[1] + x[2] - 2) ** 2 + (x[3] - 1) ** 2 + (x[4] - 1) ** 2
-        ),
-        lambda x: [x[0] + 3 * x[1], x[2] + x[3] - 2 * x[4], x[1] - x[4]],
-        [2.0] * 5,
-        1859 / 349,
-    ),
-    "HS53, no bound active": Problem(
-        lambda x: (x[0] - x[1]) ** 2 + (x[1] + x[2] - 2) ** 2 + (x[3] - 1) ** 2 + (x[4] - 1) ** 2,
-        lambda x: [x[0] + 3 * x[1], x[2] + x[3] - 2 * x[4], x[1] - x[4]],
-        [2.0] * 5,
-        176 / 43,
-        [-10.0] * 5,
-        [10.0] * 5,
-    ),
-    "HS63": Problem(
-        lambda x: 1000 - x[0] ** 2 - 2 * x[1] ** 2 - x[2] ** 2 - x[0] * x[1] - x[0] * x[2],
-        lambda x: [
-            8 * x[0] + 14 * x[1] + 7 * x[2] - 56,
-            x[0] ** 2 + x[1] ** 2 + x[2] ** 2 - 25,
-        ],
-        [2.0] * 3,
-        961.7151721,
-        [0.0] * 3,
-        [INF] * 3,
-    ),
-    "HS71, two bounds active": Problem(
-        lambda x: x[0] * x[3] * (x[0] + x[1] + x[2]) + x[2],
-        lambda x: [x[0] * x[1] * x[2] * x[3] - 25 - x[4], sum(x[i] ** 2 for i in range(4)) - 40],
-        [1.0, 5.0, 5.0, 1.0, 0.0],
-        17.0140173,
-        [1.0, 1.0, 1.0, 1.0, 0.0],
-        [5.0, 5.0, 5.0, 5.0, INF],
-    ),
-    "HS78": Problem(
-        lambda x: x[0] * x[1] * x[2] * x[3] * x[4],
-        lambda x: [
-            sum(v**2 for v in x) - 10,
-            x[1] * x[2] - 5 * x[3] * x[4],
-            x[0] ** 3 + x[1] ** 3 + 1,
-        ],
-        [-2.0, 1.5, 2.0, -1.0, -1.0],
-        -2.91970041,
-    ),
-    # Interior point methods that only ever take a share of the Newton step never get there.
-    "Wächter and Biegler's": Problem(
-        lambda x: x[0],
-        lambda x: [x[0] ** 2 - x[1] - 1, x[0] - x[2] - 0.5],
-        [-2.0, 1.0, 1.0],
-        1.0,
-        [-INF, 0.0, 0.0],
-        [INF] * 3,
-    ),
-    "a linear program": Problem(
-        lambda x: x[0] + 2 * x[1],
-        lambda x: [x[0] + x[1] - 1],
-        [5.0, 1.0],
-        1.0,
-        [0.0] * 2,
-        [INF] * 2,
-    ),
-    "rows that depend on each other": Problem(
-        lambda x: x[0] ** 2 + x[1] ** 2,
-        lambda x: [x[0] + x[1] - 1, 2 * x[0] + 2 * x[1] - 2, x[0] + x[1] - 1],
-        [3.0, -1.0],
-        0.5,
-    ),
-    "no rows": Problem(lambda x: (x[0] - 1) ** 2 + (x[1] - 3) ** 4, lambda x: [], [5.0, 1.0], 0.0),
-    "a log barrier": Problem(
-        lambda x: 2 * x[0] - log(x[0] - 3), lambda x: [], [9.0], 7.0 + math.log(2.0)
-    ),
-}
 
 
 def test_a_polynomial_program_away_from_the_origin_is_solved_exactly() -> None:
@@ -503,60 +363,3 @@ def test_the_history_ends_in_the_result() -> None:
 def test_results_are_read_only() -> None:
     with pytest.raises(ValueError, match="read-only"):
         PROBLEMS["HS6"].solve().x[0] = 1.0
-
-
-def constrained(add: Callable[[MathematicalProgram, Any], object]) -> MathematicalProgram:
-    prog = MathematicalProgram()
-    add(prog, prog.NewContinuousVariables(2, "x"))
-    return prog
-
-
-@pytest.mark.parametrize(
-    ("add", "message"),
-    [
-        (lambda p, x: p.AddConstraint(sin(x[0]) == 0), r"'ExpressionConstraint'.*not known to be"),
-        (lambda p, x: p.AddConstraint(1 / x[0] == x[1]), "Multiply denominators out"),
-        (lambda p, x: p.AddConstraint(x[0] * x[1] >= 1), r"inequality.*variable s of its own"),
-        (lambda p, x: p.AddConstraint(x[0] + x[1] <= 1), "an inequality of several variables"),
-        (lambda p, x: p.AddConstraint(lambda z: z, [0.0], [0.0], x[:1]), "PyFunctionConstraint"),
-        (lambda p, x: p.AddLorentzConeConstraint(x), "LorentzConeConstraint"),
-        (
-            lambda p, x: p.AddQuadraticConstraint(np.full((2, 2), np.nan), np.zeros(2), 0, 0, x),
-            "got NaN among its numbers",
-        ),
-        (
-            lambda p, x: (p.AddConstraint(x[0] >= 3), p.AddConstraint(x[0] <= 2)),
-            r"bounds of x\(0\) leave it no value: got \[3, 2\]",
-        ),
-        (lambda p, x: p.AddCost(tan(x[0])), "the cost"),
-    ],
-)
-def test_unsupported_programs_are_refused_by_name(
-    add: Callable[[MathematicalProgram, Any], object], message: str
-) -> None:
-    with pytest.raises(UnsupportedTermError, match=message):
-        compile_nlp(constrained(add))
-
-
-@pytest.mark.parametrize(
-    ("call", "message"),
-    [
-        (lambda nlp: InteriorPoint().solve(nlp, [1.0]), r"x0: got shape \(1,\), expected \(2,\)"),
-        (
-            lambda nlp: InteriorPoint().solve(nlp, [1.0, np.nan]),
-            r"x0: got 1 entries that are NaN or infinite.*initial guess is NaN",
-        ),
-        (lambda nlp: InteriorPoint(tolerance=0.0), "tolerance: got 0.0, expected a positive"),
-        (lambda nlp: InteriorPoint(bound_push=0.5), "bound_push: got 0.5, expected less than"),
-        (lambda nlp: InteriorPoint(max_iterations=-1), "max_iterations: got -1"),
-        (lambda nlp: nlp.evaluate([1.0]), "the point: got shape"),
-        (
-            lambda nlp: compile_nlp(PROBLEMS["HS6"].program(), [0, 0]),
-            "the elimination order: got 2 entries",
-        ),
-    ],
-)
-def test_bad_numbers_are_refused(call: Callable[[PolynomialNlp], object], message: str) -> None:
-    nlp = compile_nlp(PROBLEMS["HS6"].program())
-    with pytest.raises(OptionsError, match=message):
-        call(nlp)

@@ -1,0 +1,137 @@
+"""Worlds of the user's own: diagrams made in code, URDF, other masses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydrake.geometry import HalfSpace, Sphere
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
+from pydrake.multibody.tree import PrismaticJoint, SpatialInertia, UnitInertia
+from pydrake.symbolic import Expression
+from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.primitives import ConstantVectorSource
+from world_models import (
+    BALL_SHAPE,
+    BOX,
+    ModelWriter,
+    differs_by_zero,
+    make_scenario,
+)
+
+from drake_aigto import ModelError, ScenarioError, World
+
+
+def build_half_space_diagram(time_step: float = 0.0, gravity_axis: int = 2) -> Diagram:
+    """Returns a ball over the ground, made in code as a user would."""
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=time_step)
+    inertia = SpatialInertia(mass=1.5, p_PScm_E=np.zeros(3), G_SP_E=UnitInertia.SolidSphere(0.1))
+    ball = plant.AddRigidBody("ball", inertia)
+    friction = CoulombFriction(0.0, 0.0)
+    plant.RegisterCollisionGeometry(ball, RigidTransform(), Sphere(0.1), "ball", friction)
+    plant.RegisterCollisionGeometry(
+        plant.world_body(), RigidTransform(), HalfSpace(), "ground", friction
+    )
+    axis = np.eye(3)[gravity_axis]
+    joint = plant.AddJoint(
+        PrismaticJoint("lift", plant.world_frame(), ball.body_frame(), axis, damping=0.3)
+    )
+    plant.AddJointActuator("motor", joint)
+    plant.Finalize()
+    return builder.Build()
+
+
+def test_a_users_own_diagram_is_read() -> None:
+    diagram = build_half_space_diagram()
+    world = World.from_diagram(diagram, mass=2.0)
+    assert world.diagram is diagram
+    (q,), (v,) = world.positions, world.velocities
+    assert world.mass_matrix[0, 0].EqualTo(Expression(2.0))
+    assert differs_by_zero(world.bias[0], 2.0 * 9.81 + 0.3 * v)
+    assert differs_by_zero(world.contacts[0].signed_distance, q - 0.1)
+    assert world.contacts[0].name == "ball against ground"
+
+
+def test_a_plant_inside_a_nested_diagram_is_found() -> None:
+    builder = DiagramBuilder()
+    builder.AddSystem(build_half_space_diagram())
+    world = World.from_diagram(builder.Build())
+    assert world.num_positions == 1
+    assert world.plant.GetPositions(
+        world.plant.GetMyContextFromRoot(world.create_context())
+    ) == pytest.approx([0.0])
+
+
+def test_a_discrete_plant_is_refused_with_the_reason() -> None:
+    with pytest.raises(
+        ModelError, match=r"discrete one \(time_step = 0\.001 s\).*contact loses energy"
+    ):
+        World.from_diagram(build_half_space_diagram(time_step=1e-3))
+
+
+URDF = """<robot name="own">
+  <link name="world"/>
+  <link name="ball">
+    <inertial><mass value="2"/></inertial>
+    <collision><geometry><sphere radius="0.05"/></geometry></collision>
+  </link>
+  <link name="wall"><collision><geometry><box size="0.1 1 1"/></geometry></collision></link>
+  <joint name="slider" type="prismatic">
+    <parent link="world"/><child link="ball"/><axis xyz="1 0 0"/><dynamics damping="0.4"/>
+  </joint>
+  <joint name="weld" type="fixed">
+    <parent link="world"/><child link="wall"/><origin xyz="-0.1 0 0"/>
+  </joint>
+  <transmission>
+    <type>transmission_interface/SimpleTransmission</type>
+    <joint name="slider"/><actuator name="motor"/>
+  </transmission>
+</robot>"""
+
+
+def test_a_users_own_urdf_is_read_by_a_relative_path(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "own.urdf").write_text(URDF, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    world = World.from_scenario(make_scenario("own.urdf"))
+    assert world.mass_matrix_values.tolist() == [[2.0]]
+    assert differs_by_zero(world.bias[0], 0.4 * world.velocities[0])
+    assert differs_by_zero(world.contacts[0].signed_distance, world.positions[0])
+
+
+def test_a_massless_link_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "massless.urdf"
+    path.write_text(URDF.replace('<mass value="2"/>', '<mass value="0"/>'), encoding="utf-8")
+    with pytest.raises(ModelError, match=r"mass matrix is singular: got \[\[0\.0\]\]\. Give every"):
+        World.from_scenario(make_scenario(str(path)))
+
+
+@pytest.mark.parametrize("number", [0, 2])
+def test_a_diagram_of_another_number_of_plants_than_one_is_refused(number: int) -> None:
+    builder = DiagramBuilder()
+    builder.AddSystem(ConstantVectorSource([1.0]))
+    for i in range(number):
+        builder.AddNamedSystem(f"part {i}", build_half_space_diagram())
+    with pytest.raises(ModelError, match=f"got {number} of type MultibodyPlant, expected one"):
+        World.from_diagram(builder.Build())
+
+
+def test_the_mass_of_a_sphere_that_does_not_move_is_refused(write_model: ModelWriter) -> None:
+    swapped = {
+        BALL_SHAPE: "<box><size>0.1 0.1 0.1</size></box>",
+        f"<box>\n            {BOX}\n          </box>": BALL_SHAPE,
+    }
+    # A box that moves and a sphere that is welded: fine, unless the sphere's mass is replaced.
+    World.from_scenario(make_scenario(write_model(swapped)))
+    with pytest.raises(ModelError, match="mass: got link 'wall', which carries the contact's"):
+        World.from_scenario(make_scenario(write_model(swapped), mass=2.0))
+
+
+@pytest.mark.parametrize("mass", [0.0, -1.0, float("nan"), True])
+def test_a_users_mass_is_checked(mass: float) -> None:
+    with pytest.raises(ScenarioError, match=r"mass: got .*, expected"):
+        World.from_diagram(build_half_space_diagram(), mass=mass)

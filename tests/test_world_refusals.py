@@ -1,0 +1,179 @@
+"""Bad models, and scenarios that do not fit them, each with one clear error."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import pytest
+from world_models import (
+    AXIS,
+    BALL_SHAPE,
+    BOX,
+    CART,
+    SLIDER,
+    ModelWriter,
+    make_scenario,
+    read_thin_walled,
+)
+
+from drake_aigto import ModelError, ScenarioError, World
+from drake_aigto.world.diagram import build_diagram
+
+# Bad models, each with one clear error.
+
+SLIDER_AXIS = """<axis>
+        <xyz>1 0 0</xyz>
+      </axis>"""
+PRISMATIC = '<joint name="slider" type="prismatic">'
+STOP = """<link name="stop"><pose>2 0 0 0 0 0</pose>
+      <collision name="stop"><geometry><box><size>0.1 1 1</size></box></geometry></collision>
+    </link>
+    <joint name="stop_to_world" type="fixed"><parent>world</parent><child>stop</child></joint>"""
+ARM = """<link name="arm">
+      <inertial><pose>0.3 0 0 0 0 0</pose><mass>1</mass></inertial>
+    </link>
+    <joint name="shoulder" type="revolute">
+      <parent>world</parent><child>arm</child><axis><xyz>0 1 0</xyz></axis>
+    </joint>
+    <link name="hand"><inertial><mass>1</mass></inertial></link>
+    <joint name="elbow" type="prismatic">
+      <parent>arm</parent><child>hand</child><axis><xyz>1 0 0</xyz></axis>
+    </joint>"""
+WALL_LINK = '<link name="wall">'
+
+
+def between(start: str, end: str) -> str:
+    """Returns a piece of the shipped SDF, both marks included."""
+    text = read_thin_walled()
+    first = text.index(start)
+    return text[first : text.index(end, first) + len(end)]
+
+
+# name → (replacements in the shipped SDF, message)
+BAD_MODELS: dict[str, tuple[dict[str, str], str]] = {
+    "pendulum": (
+        {
+            PRISMATIC: '<joint name="hinge" type="revolute"><pose>0 0 1 0 0 0</pose>',
+            AXIS: "<xyz>0 1 0</xyz>",
+        },
+        r"joint 'hinge' \(revolute\): got a coordinate that enters the distance of ball against "
+        r"wall in a way that is not polynomial, expected .*\. Use prismatic joints; weld this one",
+    ),
+    "a swinging arm beside the ball": (
+        {WALL_LINK: f"{ARM}{WALL_LINK}"},
+        r"joint 'shoulder' \(revolute\): got a coordinate that enters the mass matrix in a way",
+    ),
+    "ball joint": (
+        {PRISMATIC: '<joint name="socket" type="ball">', SLIDER_AXIS: ""},
+        r"joint 'socket' \(ball_rpy\): got velocities v that are not q̇, expected q̇ = v",
+    ),
+    "floating": (
+        {between(PRISMATIC, "</joint>"): ""},
+        r"no joint attaches link 'ball', so it floats: .*Attach the link by prismatic joints",
+    ),
+    "welded": (
+        {PRISMATIC: '<joint name="slider" type="fixed">'},
+        r"the model lacks a joint that moves\. Attach the moving link by a prismatic joint",
+    ),
+    "no actuator": (
+        {AXIS: f"{AXIS}<limit><effort>0</effort></limit>"},
+        r"the model lacks an actuator\. In SDF drop <effort>0</effort>",
+    ),
+    "effort limit": (
+        {AXIS: f"{AXIS}<limit><effort>7.5</effort></limit>"},
+        r"actuator 'slider' of joint 'slider': got an effort limit of 7\.5, expected none",
+    ),
+    "no wall": (
+        {between('<collision name="wall_collision">', "</collision>"): ""},
+        "the model lacks contact geometry: expected a sphere, and a box or half space",
+    ),
+    "two walls": (
+        {WALL_LINK: f"{STOP}{WALL_LINK}"},
+        "more than one contact: got ball against stop, ball against wall, expected one",
+    ),
+    "box against box": (
+        {BALL_SHAPE: "<box><size>0.1 0.1 0.1</size></box>"},
+        "ball_collision with point_mass_and_wall::wall_collision: got Box against Box, expected "
+        "Sphere against Box or HalfSpace",
+    ),
+    "not XML": ({"<link": "<lin k"}, r"Drake can't parse the model .*variant\.sdf: got "),
+}
+
+
+@pytest.mark.parametrize("name", BAD_MODELS)
+def test_a_bad_model_is_refused_by_name(write_model: ModelWriter, name: str) -> None:
+    replacements, message = BAD_MODELS[name]
+    with pytest.raises(ModelError, match=message):
+        World.from_diagram(build_diagram(write_model(replacements)))
+
+
+@pytest.mark.parametrize(
+    ("model", "message"),
+    [
+        ("no/such.sdf", r"model no/such\.sdf: got no file no/such\.sdf, expected an SDF or URDF"),
+        ("package://nowhere/a.sdf", "got the unknown package 'nowhere', expected one of drake"),
+        ("package://drake_aigto_models/a.sdf", r"got no file .*a\.sdf.*shipped ones lie in"),
+        (".", r"model \.: got no file \., expected"),
+    ],
+)
+def test_a_missing_model_is_refused_by_name(model: str, message: str) -> None:
+    with pytest.raises(ModelError, match=message):
+        World.from_scenario(make_scenario(model))
+
+
+# Scenarios that don't fit the world.
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        (
+            {"initial_position": 0.0},
+            r"initial_position is inside, behind or against the wall \(ball against wall\): got a "
+            r"signed distance of 0 m, expected more than 0 m",
+        ),
+        ({"initial_position": -0.02}, r"initial_position is inside.* got .* -0\.02 m"),
+        ({"goal_position": -0.02}, r"goal_position is inside.* got .* -0\.02 m"),
+        ({"initial_position": -1.0}, r"initial_position is inside, behind .* got .* -1 m"),
+        ({"initial_position": [1, 2]}, "initial_position: got 2 values, expected 1, one for each"),
+        ({"initial_velocity": [1, 2]}, "initial_velocity: got 2 values, expected 1, one for each"),
+        ({"goal_position": [1, 2]}, "goal_position: got 2 values, expected 1, one for each"),
+    ],
+)
+def test_a_scenario_that_does_not_fit_is_refused(fields: dict[str, Any], message: str) -> None:
+    with pytest.raises(ScenarioError, match=message):
+        World.from_scenario(make_scenario(**fields))
+
+
+def test_a_start_and_a_goal_on_two_sides_of_a_thin_wall_are_refused(
+    write_model: ModelWriter,
+) -> None:
+    message = (
+        r"goal_position is inside, behind .*The wall is the face that the sphere faces at "
+        r"q = \[-1\.0\]; start and goal must both be in front of it"
+    )
+    with pytest.raises(ScenarioError, match=message):
+        World.from_scenario(make_scenario(write_model({}), initial_position=-1.0))
+
+
+def test_a_position_beside_the_walls_face_is_refused(write_model: ModelWriter) -> None:
+    small = {SLIDER: CART, BOX: "<size>0.1 4 0.6</size>"}
+    fits = make_scenario(write_model(small), 2, goal_position=[2.4, 1.0])
+    world = World.from_scenario(fits)  # 1.92 m off the middle, 2 m are there.
+    beside = dataclasses.replace(fits, goal_position=[2.6, 1.0])
+    with pytest.raises(
+        ScenarioError,
+        match=r"goal_position is beside the face of the wall .*got the sphere's centre "
+        r"\[2\.08, 0\.0\] m off .* expected within \[2\.0, 0\.3\] m\. Widen the wall",
+    ):
+        world.check(beside)
+
+
+def test_a_scenario_of_another_mass_is_refused() -> None:
+    world = World.from_scenario(make_scenario(mass=2.0))
+    world.check(make_scenario(mass=2.0))
+    with pytest.raises(ScenarioError, match=r"mass: got 3 kg, expected 2 kg\. The world"):
+        world.check(make_scenario(mass=3.0))
+    with pytest.raises(ScenarioError, match="mass: got 3 kg, expected None, the model's"):
+        World.from_scenario(make_scenario()).check(make_scenario(mass=3.0))
