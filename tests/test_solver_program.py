@@ -84,6 +84,14 @@ def test_penalties_are_the_squared_rows(seed: int) -> None:
     assert program.costs(y) == pytest.approx(x @ x)
 
 
+def test_a_cost_that_is_named_like_a_row_keeps_its_weight() -> None:
+    prog = make_program(lambda x: (x[0] * x[1], 1, 1))
+    prog.GetAllCosts()[0].evaluator().set_description("row 0")
+    program = read_program(prog)
+    assert set(program.costs.weights) == {"row 0"}
+    assert not set(program.costs.weights) & set(program.penalties.weights)
+
+
 @pytest.mark.parametrize(
     "constraints",
     [

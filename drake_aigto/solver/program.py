@@ -47,7 +47,7 @@ class AigoProgram:
         source: the program that was asked, over x.
         nlp: f, r and bounds over y, for a local solver.
         costs: f over y.
-        penalties: Σ r_i², a block "row i" for each row.
+        penalties: Σ r_i², a block for each row, named unlike all costs.
         slack_rows: g of each slack.
         slack_map: all of them, in numbers.
     """
@@ -160,6 +160,14 @@ class _Rows:
         if not np.all(low <= high) or np.any(np.isposinf(low) | np.isneginf(high)):
             raise ContradictionError
 
+    def _row_prefix(self) -> str:
+        """Returns how rows' names begin, as no cost's does: weights are given by name."""
+        costs = [cost.evaluator().get_description() for cost in self.source.GetAllCosts()]
+        prefix = "row "
+        while any(name.startswith(prefix) for name in costs):
+            prefix = f"constraint {prefix}"
+        return prefix
+
     def finish(self) -> AigoProgram:
         """Returns the program."""
         constrained = MathematicalProgram()
@@ -168,8 +176,9 @@ class _Rows:
         rows = list(self.equalities)
         for slack, (row, _, _) in zip(slacks, self.slacks, strict=True):
             rows.append(row.ToExpression() - slack)
+        prefix = self._row_prefix()
         for number, row in enumerate(rows):
-            shared = shared_constraint(as_expression(row), f"row {number}")
+            shared = shared_constraint(as_expression(row), f"{prefix}{number}")
             constrained.AddConstraint(shared.evaluator, vars=list(shared.placeholders))
         penalties = compile_program(penalize(constrained))
         lower = np.concatenate([self._lower, [bounds[1] for bounds in self.slacks]])
