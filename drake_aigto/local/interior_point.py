@@ -12,6 +12,7 @@ from drake_aigto.errors import OptionsError
 from drake_aigto.local.line_search import Filter, LineSearch
 from drake_aigto.local.newton import NewtonSearch, NewtonStep
 from drake_aigto.local.nlp import PolynomialNlp
+from drake_aigto.local.progress import Progress
 from drake_aigto.local.restoration import Restoration
 from drake_aigto.local.result import LocalIterate, LocalResult, LocalStatus
 from drake_aigto.local.scaled import Duals, Linearisation, Point, ScaledProblem, longest
@@ -129,6 +130,7 @@ class _Solve:
         self._point = self._problem.start(start, options.bound_push)
         self._filter = Filter(self._point.violation)
         self._duals = Duals(np.zeros(self._point.rows.size), np.zeros(self._point.slacks.size))
+        self._progress = Progress()
         self._history: list[LocalIterate] = []
         self._iterations = self._extra_steps = 0
         self._is_solution = False
@@ -151,7 +153,7 @@ class _Solve:
                 self._lower_barrier(optimality)
                 step = self._search.step(self._point, self._duals, linearisation, self._mu)
                 self._iterations += 1
-                status, length = self._advance(step)
+                status, length = self._advance(step, optimality)
             if status is not None:
                 break
         return self._result(status)
@@ -180,24 +182,36 @@ class _Solve:
         return _Optimality(max_norm(force) / scale, z * self._point.slacks, bound_scale)
 
     def _lower_barrier(self, optimality: _Optimality) -> None:
-        """Lower μ for as long as its barrier problem is solved well enough, eq. (7)."""
+        """Lower μ for as long as its barrier problem is solved well enough, eq. (7), or can be."""
         while self._mu > self._least_mu:
             error = max(optimality.error(self._mu), max_norm(self._point.rows))
-            if error > _KAPPA_EPSILON * self._mu:
+            if error > _KAPPA_EPSILON * self._mu and not self._progress.has_ended:
                 break
             self._mu = max(self._least_mu, min(_KAPPA_MU * self._mu, self._mu**_THETA_MU))
             self._filter.clear()
+            self._progress.restart()
 
-    def _advance(self, step: NewtonStep | None) -> tuple[LocalStatus | None, float]:
+    def _advance(
+        self, step: NewtonStep | None, optimality: _Optimality
+    ) -> tuple[LocalStatus | None, float]:
         """Take a step, or restore feasibility; the status if neither works, and the step length."""
         if step is None:
             return self._stuck(), 0.0
         fraction = max(_TAU_MIN, 1.0 - self._mu)
         search = LineSearch(self._problem, self._filter, self._point, self._mu, fraction)
+        self._is_solution |= self._is_within_rounding(step, optimality, search.rounding)
+        if self._progress.has_ended:
+            return self._stuck(), 0.0
         found = search.run(step)
         if found is None:
             return self._restore(), 0.0
         point, length = found
+        self._progress.add(
+            (self._point.violation, point.violation),
+            (self._point.barrier(self._mu), point.barrier(self._mu)),
+            search.rounding,
+            optimality.error(self._mu),
+        )
         multipliers = self._duals.rows + length * step.duals.rows
         bound_length = longest(self._duals.bounds, step.duals.bounds, fraction)
         z = self._duals.bounds + bound_length * step.duals.bounds
@@ -208,9 +222,32 @@ class _Solve:
         self._point, self._duals = point, Duals(multipliers, z)
         return None, length
 
+    def _is_within_rounding(
+        self, step: NewtonStep, optimality: _Optimality, rounding: float
+    ) -> bool:
+        """Whether the point is a solution as far as rounding lets one tell.
+
+        A gradient beyond the tolerance is overlooked where Newton's step changes φ by less than its
+        rounding, unless it is the shift that makes the step short.
+        """
+        complementarity = max_norm(optimality.products) / optimality.bound_scale
+        return (
+            not step.is_distorted
+            and abs(step.slope) <= rounding
+            and complementarity <= self._options.tolerance
+            and self._rows_hold()
+        )
+
+    def _rows_hold(self) -> bool:
+        """Whether residuals are within the tolerance, as far as rounding lets one tell."""
+        residuals, tolerance = np.abs(self._point.rows), self._options.tolerance
+        if max_norm(residuals) <= tolerance:
+            return True
+        return bool(np.all(residuals <= tolerance + self._problem.row_roundings(self._point.y)))
+
     def _restore(self) -> LocalStatus | None:
         """Move to a point of less violation that the filter accepts."""
-        if max_norm(self._point.rows) <= self._options.tolerance:
+        if self._rows_hold():
             return self._stuck()
         violation = self._point.violation
         self._filter.add(violation, self._point.barrier(self._mu))

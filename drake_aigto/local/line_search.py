@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drake_aigto.local.newton import NewtonStep
-from drake_aigto.local.scaled import Point, ScaledProblem
+from drake_aigto.local.scaled import ROUNDING, Point, ScaledProblem
 from drake_aigto.local.symmetric import max_norm
 
 Floats = NDArray[np.float64]
@@ -20,7 +21,6 @@ _ETA_PHI = 1e-8  # Armijo condition
 _GAMMA_ALPHA = 0.05  # shortest step
 _LEAST_FAR_LENGTH = 1e-4  # ours
 _KAPPA_SOC, _CORRECTIONS = 0.99, 4
-_TINY = 10 * float(np.finfo(float).eps)  # relative rounding that is overlooked
 
 
 class Filter:
@@ -68,10 +68,16 @@ class LineSearch:
     mu: float
     fraction: float
 
+    @cached_property
+    def rounding(self) -> float:
+        """How far φ may be off where the step starts."""
+        of_cost = self.problem.cost_rounding(self.point.y)
+        return ROUNDING * abs(self.point.barrier(self.mu)) + of_cost
+
     def run(self, step: NewtonStep) -> tuple[Point, float] | None:
         """The next point and the step length; None where only a restoration can help."""
         longest = length = self.problem.longest(self.point, step.dy, self.fraction)
-        if max_norm(step.dy / (1 + np.abs(self.point.y))) < _TINY:
+        if max_norm(step.dy / (1 + np.abs(self.point.y))) < ROUNDING:
             return self.problem.point(self.point.y + length * step.dy), length
         least = self._least_length(step.slope)
         while length >= least:
@@ -109,7 +115,7 @@ class LineSearch:
         if not self.filter.accepts(new_violation, new_barrier):
             return False
         descends = slope < 0 and length * (-slope) ** _S_PHI > _DELTA * violation**_S_THETA
-        change = new_barrier - barrier - _TINY * abs(barrier)
+        change = new_barrier - barrier - self.rounding
         armijo = change <= _ETA_PHI * length * slope
         if descends and violation <= self.filter.least_violation:
             return armijo

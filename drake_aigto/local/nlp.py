@@ -30,6 +30,7 @@ from drake_aigto.box.kernels import add_means
 from drake_aigto.box.polynomial import as_order
 from drake_aigto.box.tables import stack_terms
 from drake_aigto.errors import OptionsError, UnsupportedTermError
+from drake_aigto.local.kernels import fill_magnitudes
 from drake_aigto.local.kkt import KktStructure
 
 Floats = NDArray[np.float64]
@@ -220,6 +221,20 @@ class PolynomialNlp:
         values, no_gradient = np.empty_like(weights), np.empty(0)
         add_means(self.terms, weights, x, np.zeros_like(x), values, no_gradient, no_gradient)
         return float(np.sum(values[: self.num_costs])), values[self.num_costs :]
+
+    def cost_magnitude(self, x: ArrayLike) -> float:
+        """Σ |terms| of f at x: f(x) is known to some roundings of it, whatever cancels."""
+        return float(np.sum(self._magnitudes(x, 0, self.num_costs)))
+
+    def row_magnitudes(self, x: ArrayLike) -> Floats:
+        """Σ |terms| of every row at x (m,)."""
+        return self._magnitudes(x, self.num_costs, self.num_rows)
+
+    def _magnitudes(self, x: ArrayLike, first: int, count: int) -> Floats:
+        magnitudes = np.empty(count)
+        weights = self.copy_weights.copy()
+        fill_magnitudes(self.terms, weights, self._checked(x), first, magnitudes)
+        return magnitudes
 
     def _checked(self, x: ArrayLike) -> Floats:
         # Copied, as the weights, for Numba would compile once more for arrays that are read-only.

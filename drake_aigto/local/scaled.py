@@ -13,6 +13,7 @@ from drake_aigto.local.symmetric import multiply
 
 Floats = NDArray[np.float64]
 
+ROUNDING = 10 * float(np.finfo(float).eps)  # relative to what was added up
 _STEEPEST = 100.0  # of a cost or row at the start, once scaled (Wächter & Biegler sec. 3.8)
 
 
@@ -134,6 +135,15 @@ class ScaledProblem:
         cost, rows = self._nlp.evaluate(self.full(y))
         slacks = np.maximum(self._signs * y[self.bounded] - self._limits, self._least_slacks)
         return Point(y, self.cost_scale * cost, self.row_scales * rows[self.structure.rows], slacks)
+
+    def cost_rounding(self, y: Floats) -> float:
+        """How far s f may be off: relative to its terms, not to what is left once they cancel."""
+        return ROUNDING * self.cost_scale * self._nlp.cost_magnitude(self.full(y))
+
+    def row_roundings(self, y: Floats) -> Floats:
+        """How far each s c may be off (ma,)."""
+        magnitudes = self._nlp.row_magnitudes(self.full(y))[self.structure.rows]
+        return ROUNDING * self.row_scales * magnitudes
 
     def linearise(self, y: Floats, multipliers: Floats) -> Linearisation:
         """Differentiate, with W for these multipliers of the rows."""
