@@ -1,153 +1,181 @@
 """AIGO and its peers on AIGO's own benchmark, against the exact optimum.
 
     python benchmarks/chain.py [--sizes 2 10 26 50 82 122 170] [--functions 10] [--large 1000 10000]
+        [--first-seed 0] [--patience 0] [--factor 1] [--aigo-seed 0] [--workers 1] [--minutes 9]
+        [--out DIR] [--reread]
 
 Ours is timed first, from the program to the answer; each peer then gets as many seconds on the same
 core, times `--factor`. gap = (f − f*) / |f*|, f* by dynamic programming; the paper's score is
 (f − mean) / (mean − min) of f at 1,000 random points, so lower is better, and depends on them.
 
-Beside it: the seconds that dual_annealing with gradients needs to ours' value, tried for up to
-`--patience` times ours' seconds. `--large` sizes are for ours alone. Writes chain.csv, chain.png.
+With `--patience`: the seconds that dual_annealing with gradients needs to ours' value, tried for up
+to that many times ours' seconds. `--large` sizes are for ours alone, three functions at most.
+Writes chain.csv and chain.png.
 """
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded: one core for all
-
 import argparse
+import time
 from collections.abc import Sequence
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
+from figures import draw_gaps
 from peers import (
-    OPTIONS,
+    OUR_NAMES,
     OURS,
     PEERS,
     Record,
     Target,
+    add_arguments,
+    collect,
     machine,
+    make_record,
     run_all,
-    run_ours,
+    run_ours_only,
     seconds_to_reach,
     warm_up,
-    write_csv,
 )
 
-from drake_aigto.study.chain import chain_problem
-from drake_aigto.study.global_problem import GlobalProblem
+from drake_aigto.study.chain import REACH, chain_problem
 
 SIZES = (2, 10, 26, 50, 82, 122, 170)
+LARGE = (1000, 10000)
+LARGE_FUNCTIONS = 3
 SAMPLES = 1000
 CHASER = "dual_annealing"
+CHASE = f"{CHASER}, to ours' value"
+SAME = 1e-6  # gaps that differ by less are the same
+
+Job = tuple[int, int]  # n, seed of the function
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--sizes", type=int, nargs="*", default=SIZES)
-    parser.add_argument("--large", type=int, nargs="*", default=(1000, 10000))
+    parser.add_argument("--large", type=int, nargs="*", default=LARGE)
     parser.add_argument("--functions", type=int, default=10, help="of each size")
-    parser.add_argument("--factor", type=float, default=1.0, help="seconds of peers over ours")
+    parser.add_argument("--first-seed", type=int, default=0, help="of the functions")
     parser.add_argument("--patience", type=float, default=0.0, help="as said above; 0: don't")
-    parser.add_argument("--out", type=Path, default=Path())
+    add_arguments(parser)
     arguments = parser.parse_args()
-    warm_up()
-    records: list[Record] = []
-    for n in arguments.sizes:
-        samples: dict[str, tuple[float, float]] = {}
-        for seed in range(arguments.functions):
-            problem = chain_problem(n, seed).problem(f"chain n={n} function={seed}")
-            samples[problem.name] = sample(problem)
-            records += run_all(problem, 1.0, [seed], arguments.factor, PEERS)
-            if arguments.patience > 0:
-                chase(problem, records, arguments.patience)
-        tell(n, records, samples)
-        write_csv(arguments.out / "chain.csv", records)  # what is done is kept
-    for n in arguments.large:
-        for seed in range(min(3, arguments.functions)):
-            problem = chain_problem(n, seed).problem(f"chain n={n} function={seed}")
-            target = Target(problem, is_compiled=False)
-            for name, options in OPTIONS.items():
-                seconds, cost = run_ours(target, options)
-                records.append(
-                    Record(problem.name, n, name, seed, seconds, cost, problem.minimum, 1.0)
-                )
-        tell(n, records, {})
+    seeds = [arguments.first_seed + i for i in range(arguments.functions)]
+    jobs = [(n, seed) for n in arguments.sizes for seed in seeds]
+    jobs += [(n, seed) for n in arguments.large for seed in seeds[:LARGE_FUNCTIONS]]
+    work = partial(
+        run,
+        large=frozenset(arguments.large),
+        factor=arguments.factor,
+        patience=arguments.patience,
+        aigo_seed=arguments.aigo_seed,
+    )
+    records = collect(work, jobs, lambda job: job[0], tell, "chain.csv", arguments)
     print(machine())
-    write_csv(arguments.out / "chain.csv", records)
+    for n in sorted({record.variables for record in records}):
+        summarise(n, [record for record in records if record.variables == n])
     draw(records, arguments.out / "chain.png")
 
 
-def sample(problem: GlobalProblem) -> tuple[float, float]:
-    """Returns mean and least value at random points."""
-    shape = (SAMPLES, problem.num_variables)
-    points = np.random.default_rng(0).uniform(problem.lower, problem.upper, shape)
-    values = problem.evaluate(points)
-    return float(np.mean(values)), float(np.min(values))
+def run(
+    job: Job, *, large: frozenset[int], factor: float, patience: float, aigo_seed: int
+) -> list[Record]:
+    """Runs ours, its peers, and the chase on one function."""
+    warm_up()
+    n, seed = job
+    problem = chain_problem(n, seed).problem(f"chain n={n} function={seed}")
+    if n in large:
+        return run_ours_only(Target(problem, is_compiled=False), 1.0, aigo_seed)
+    target = Target(problem)
+    records = run_all(target, 1.0, [seed], factor, aigo_seed)
+    if patience > 0:
+        limit = patience * records[0].seconds
+        seconds, cost = seconds_to_reach(CHASER, target, records[0].cost, limit, seed)
+        records.append(make_record(problem, 1.0, CHASE, seed, seconds, cost))
+    return records
 
 
 def gap(record: Record) -> float:
     return (record.cost - record.minimum) / abs(record.minimum)
 
 
-def chase(problem: GlobalProblem, records: Sequence[Record], patience: float) -> None:
-    """Prints how long the chaser takes to ours' value."""
-    (ours,) = [r for r in records if r.problem == problem.name and r.solver == OURS]
-    limit = patience * ours.seconds
-    seconds, cost = seconds_to_reach(CHASER, Target(problem), ours.cost, limit, ours.seed)
-    share = (cost - problem.minimum) / abs(problem.minimum)
-    word = "reaches it after" if cost <= ours.cost else "has not reached it after"
+def tell(runs: Sequence[Record]) -> None:
+    """Prints a line for a function: ours, and the best of its peers."""
+    ours = runs[0]
+    peers = [record for record in runs if record.solver in PEERS]
+    beside = ""
+    if peers:
+        best = min(peers, key=gap)
+        beside = f"  best peer {gap(best):8.3%} {best.solver}"
     print(
-        f"{problem.name}: ours {gap(ours):.2%} in {ours.seconds:.2f} s; {CHASER} {word} "
-        f"{seconds:.2f} s, {share:.2%}",
+        f"[{time.strftime('%H:%M:%S')}] {ours.problem:26} ours {gap(ours):8.3%} in "
+        f"{ours.seconds:7.3f} s{beside}",
         flush=True,
     )
 
 
-def tell(n: int, records: Sequence[Record], samples: dict[str, tuple[float, float]]) -> None:
-    """Prints mean gap and score of each solver at a size."""
-    for name in (*OPTIONS, *PEERS):
-        runs = [r for r in records if r.solver == name and r.variables == n]
-        if not runs:
-            continue
-        scores = [
-            (r.cost - mean) / (mean - least)
-            for r in runs
-            for mean, least in [samples.get(r.problem, (np.nan, np.nan))]
-        ]
-        seconds = np.mean([r.seconds for r in runs])
-        gaps = [gap(r) for r in runs]
+@cache
+def sample(n: int, seed: int) -> tuple[float, float]:
+    """Returns mean and least value at random points."""
+    points = np.random.default_rng(0).uniform(-REACH, REACH, (SAMPLES, n))
+    values = chain_problem(n, seed).evaluate(points)
+    return float(np.mean(values)), float(np.min(values))
+
+
+def score(record: Record) -> float:
+    if record.variables > max(SIZES):
+        return np.nan
+    mean, least = sample(record.variables, int(record.problem.rpartition("=")[2]))
+    return (record.cost - mean) / (mean - least)
+
+
+def summarise(n: int, records: Sequence[Record]) -> None:
+    """Prints mean gap and score of each solver at a size, and verdicts."""
+    gaps = {}
+    for name in (*OUR_NAMES, *PEERS):
+        runs = [record for record in records if record.solver == name]
+        if runs:
+            gaps[name] = float(np.mean([gap(run) for run in runs]))
+            print(
+                f"n = {n:5}  {name:24} gap {gaps[name]:8.3%} (worst {max(map(gap, runs)):8.3%})  "
+                f"score {np.mean([score(run) for run in runs]):7.3f}  "
+                f"{np.mean([run.seconds for run in runs]):8.3f} s"
+            )
+    better = [
+        f"{name} {gaps[name]:.4%}" for name in PEERS if gaps.get(name, np.inf) < gaps[OURS] - SAME
+    ]
+    if len(gaps) > len(OUR_NAMES):
+        verdict = f"NO: ours {gaps[OURS]:.4%}, {', '.join(better)}" if better else "yes"
+        print(f"n = {n:5}  no worse than every peer at equal time: {verdict}")
+    judge_chase(n, records)
+
+
+def judge_chase(n: int, records: Sequence[Record]) -> None:
+    """Prints by how much the chaser is slower; where it gives up, that is a lower bound."""
+    ours = {record.problem: record for record in records if record.solver == OURS}
+    chases = [record for record in records if record.solver == CHASE]
+    if chases:
+        ratios = [record.seconds / ours[record.problem].seconds for record in chases]
+        reached = sum(record.cost <= ours[record.problem].cost for record in chases)
         print(
-            f"n = {n:5}  {name:24} gap {np.mean(gaps):8.3%} (worst {max(gaps):8.3%})  "
-            f"score {np.mean(scores):7.3f}  {seconds:8.3f} s",
-            flush=True,
+            f"n = {n:5}  {CHASER} reaches ours' value in {reached} of {len(chases)}; its seconds, "
+            f"then or when ended, over ours: least {min(ratios):.1f}, median "
+            f"{np.median(ratios):.1f}; gap then {np.mean([gap(run) for run in chases]):.3%}"
         )
 
 
 def draw(records: Sequence[Record], path: Path) -> None:
     """Draws the mean gap over the size for each solver."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    import matplotlib.pyplot as plt
-
-    figure, axes = plt.subplots(figsize=(7.0, 4.5), layout="constrained")
-    for name in (*OPTIONS, *PEERS):
-        sizes = sorted({r.variables for r in records if r.solver == name})
+    lines = {}
+    for name in (*OUR_NAMES, *PEERS):
+        sizes = sorted({record.variables for record in records if record.solver == name})
         gaps = [
             np.mean([gap(r) for r in records if r.solver == name and r.variables == n])
             for n in sizes
         ]
-        if sizes:
-            style = {"linewidth": 2.5} if name in OPTIONS else {"linewidth": 1.0}
-            axes.plot(sizes, 100.0 * np.maximum(gaps, 1e-6), "o-", label=name, **style)
-    axes.set_xscale("log")
-    axes.set_yscale("log")
-    axes.set_xlabel("variables n")
-    axes.set_ylabel("mean gap to the exact optimum [%]")
-    axes.legend(frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
-    figure.savefig(path, dpi=150)
+        lines[name] = (sizes, 100.0 * np.array(gaps))
+    draw_gaps({name: line for name, line in lines.items() if line[0]}, path)
 
 
 if __name__ == "__main__":

@@ -1,86 +1,123 @@
 """AIGO on constrained programs whose global optimum is known, and multistart SNOPT beside it.
 
-    python benchmarks/constrained_programs.py [--only HS] [--factor 1] [--out DIR]
+    python benchmarks/constrained_programs.py [--only HS] [--factor 1] [--aigo-seed 0]
+        [--workers 1] [--minutes 9] [--out DIR] [--reread]
 
 Global: constraints and bounds hold to 1e-6, and f − f* ≤ 1e-5 max(1, |f*|). A success that is not
 feasible to 1e-6 is counted apart: there must be none. SNOPT starts from random points of the box
-for as many seconds as ours took, times `--factor`. Writes constrained_programs.csv.
+for as many seconds as ours took, times `--factor`. Writes constrained_programs.csv, in which inf is
+no feasible answer, and nan an infeasible one that was called a success.
 """
 
 from __future__ import annotations
 
-import os
-
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # before NumPy is loaded: one core for all
-
 import argparse
 import time
-from pathlib import Path
+from collections.abc import Sequence
+from functools import cache, partial
 
 import numpy as np
-from peers import OURS, Record, machine, write_csv
+from peers import OURS, Record, add_arguments, collect, machine, make_record
 from pydrake.solvers import SnoptSolver
 
-from drake_aigto.solver import AigoSolver
+from drake_aigto.solver import AigoOptions, AigoSolver
 from drake_aigto.study.constrained_problem import ConstrainedProblem
 from drake_aigto.study.constrained_programs import constrained_problems
 
 FEASIBLE = 1e-6
 GLOBAL = 1e-5
 PEER = "SNOPT, multistart"
+WARM_UPS = ("HS 43", "planted n=5 seed=0")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--only", default="", help="programs whose name has this in it")
-    parser.add_argument("--factor", type=float, default=1.0, help="seconds of SNOPT over ours")
-    parser.add_argument("--out", type=Path, default=Path())
+    add_arguments(parser)
     arguments = parser.parse_args()
-    problems = [p for p in constrained_problems() if arguments.only in p.name]
-    AigoSolver().Solve(problems[0].prog())  # Numba compiles
-    records, broken = [], 0
-    for problem in problems:
-        ours, is_broken = run_ours(problem)
-        peer = run_snopt(problem, arguments.factor * ours.seconds)
-        records += [ours, peer]
-        broken += is_broken
-        words = ["global" if is_global(record) else f"{record.cost:.6g}" for record in (ours, peer)]
-        print(
-            f"{problem.name:24} f* = {problem.minimum:12.6g}  ours {words[0]:12} "
-            f"{ours.seconds:6.2f} s{' INFEASIBLE SUCCESS' if is_broken else ''}  SNOPT {words[1]}",
-            flush=True,
-        )
+    names = [name for name in problems_by_name() if arguments.only in name]
+    work = partial(run, factor=arguments.factor, aigo_seed=arguments.aigo_seed)
+    summarise(collect(work, names, effort, tell, "constrained_programs.csv", arguments))
+
+
+@cache
+def problems_by_name() -> dict[str, ConstrainedProblem]:
+    return {problem.name: problem for problem in constrained_problems()}
+
+
+def effort(name: str) -> int:
+    return problems_by_name()[name].num_variables
+
+
+@cache
+def warm_up() -> None:
+    """Has Numba compile, and SNOPT load, before anything is timed in this process."""
+    for name in WARM_UPS:
+        problem = problems_by_name()[name]
+        run_ours(problem, 0)
+        run_snopt(problem, 0.0)
+
+
+def run(name: str, *, factor: float, aigo_seed: int) -> list[Record]:
+    """Runs ours, and then SNOPT."""
+    warm_up()
+    problem = problems_by_name()[name]
+    ours = run_ours(problem, aigo_seed)
+    return [ours, run_snopt(problem, factor * ours.seconds)]
+
+
+def tell(runs: Sequence[Record]) -> None:
+    """Prints a line for a program."""
+    ours, peer = runs
+    words = ["global" if is_global(run) else f"{run.cost:.6g}" for run in runs]
+    print(
+        f"[{time.strftime('%H:%M:%S')}] {ours.problem:24} f* = {ours.minimum:12.6g}  "
+        f"ours {words[0]:12}{ours.seconds:7.2f} s{' INFEASIBLE SUCCESS' * is_broken(ours)}  "
+        f"{peer.solver} {words[1]}",
+        flush=True,
+    )
+
+
+def summarise(records: Sequence[Record]) -> None:
+    """Prints how many programs each solver solves, and which ours does not."""
     print(machine())
     for name in (OURS, PEER):
         runs = [record for record in records if record.solver == name]
-        count = sum(is_global(record) for record in runs)
-        print(f"{name:20} global {count} of {len(runs)}, {count / len(runs):.1%}")
-    print(f"successes of ours that are infeasible: {broken}")
-    write_csv(arguments.out / "constrained_programs.csv", records)
+        if runs:
+            count = sum(map(is_global, runs))
+            slowest = max(run.seconds for run in runs)
+            print(
+                f"{name:20} global {count} of {len(runs)}, {count / len(runs):.1%}, "
+                f"slowest {slowest:.2f} s"
+            )
+    ours = [record for record in records if record.solver == OURS]
+    print(f"not global: {', '.join(r.problem for r in ours if not is_global(r)) or 'none'}")
+    print(f"successes of ours that are infeasible: {sum(map(is_broken, ours))}")
 
 
 def is_global(record: Record) -> bool:
     return record.cost - record.minimum <= GLOBAL * max(1.0, abs(record.minimum))
 
 
-def make_record(problem: ConstrainedProblem, name: str, seconds: float, cost: float) -> Record:
-    n, minimum = problem.num_variables, problem.minimum
-    return Record(problem.name, n, name, 0, seconds, cost, minimum, 1.0)
+def is_broken(record: Record) -> bool:
+    """Whether what was called a success is not feasible."""
+    return bool(np.isnan(record.cost))
 
 
-def cost_if_feasible(problem: ConstrainedProblem, x: np.ndarray) -> float:
-    return float(problem.evaluate(x)) if problem.violation(x) <= FEASIBLE else np.inf
-
-
-def run_ours(problem: ConstrainedProblem) -> tuple[Record, bool]:
-    """Returns the run, and whether it calls a success what is not feasible."""
+def run_ours(problem: ConstrainedProblem, aigo_seed: int) -> Record:
     prog = problem.prog()
     begin = time.process_time()
-    result = AigoSolver().Solve(prog)
+    result = AigoSolver(AigoOptions(seed=aigo_seed)).Solve(prog)
     seconds = time.process_time() - begin
-    cost = cost_if_feasible(problem, result.get_x_val()) if result.is_success() else np.inf
-    is_broken = result.is_success() and not np.isfinite(cost)
-    return make_record(problem, OURS, seconds, cost), is_broken
+    cost = cost_or(problem, result.get_x_val(), np.nan) if result.is_success() else np.inf
+    return make_record(problem, 1.0, OURS, aigo_seed, seconds, cost)
+
+
+def cost_or(problem: ConstrainedProblem, x: np.ndarray, infeasible: float) -> float:
+    """The cost, if x is feasible and finite."""
+    if not np.all(np.isfinite(x)) or problem.violation(x) > FEASIBLE:
+        return infeasible
+    return float(problem.evaluate(x))
 
 
 def run_snopt(problem: ConstrainedProblem, seconds: float) -> Record:
@@ -90,9 +127,9 @@ def run_snopt(problem: ConstrainedProblem, seconds: float) -> Record:
     while True:
         start = rng.uniform(problem.lower, problem.upper)
         x = SnoptSolver().Solve(prog, start, None).get_x_val()
-        best = min(best, cost_if_feasible(problem, x))
+        best = min(best, cost_or(problem, x, np.inf))
         if time.process_time() > deadline:
-            return make_record(problem, PEER, seconds, best)
+            return make_record(problem, 1.0, PEER, 0, seconds, best)
 
 
 if __name__ == "__main__":

@@ -6,24 +6,32 @@ least value that it saw. None is told where the optimum is.
 
 from __future__ import annotations
 
+import argparse
 import csv
 import itertools
 import platform
 import time
-from collections.abc import Callable, Iterable
+import traceback
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, fields
+from functools import cache
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from compiled import compile_function
+from jobs import add_options, run_jobs
 from pydrake.solvers import IpoptSolver, SnoptSolver
 from scipy.optimize import differential_evolution, direct, dual_annealing, minimize, shgo
 
 from drake_aigto.local import InteriorPoint, compile_nlp
 from drake_aigto.solver import AigoOptions, AigoSolver
+from drake_aigto.study.chain import chain_problem
+from drake_aigto.study.global_functions import planar_problems
 from drake_aigto.study.global_problem import GlobalProblem
+from drake_aigto.study.known_optimum import KnownOptimum
+from drake_aigto.study.scalable_functions import rastrigin
 
 try:
     import cma
@@ -36,7 +44,7 @@ LARGEST_FULL_CMA = 200  # above, only the diagonal of the covariance
 POLISH_STEPS = 100  # of a start of our polish: it converges in 20, or not at all
 OURS = "AIGO"
 ALONE = "AIGO, boxes alone"
-OPTIONS = {OURS: AigoOptions(), ALONE: AigoOptions(polish="none", rounds=0)}
+OUR_NAMES = (OURS, ALONE)
 
 
 @dataclass(frozen=True)
@@ -212,49 +220,119 @@ def seconds_to_reach(
     return time.process_time() - begin, best
 
 
+def our_options(seed: int) -> dict[str, AigoOptions]:
+    """The default, and what boxes do without polish and restarts."""
+    return {
+        OURS: AigoOptions(seed=seed),
+        ALONE: AigoOptions(polish="none", rounds=0, seed=seed),
+    }
+
+
 def run_all(
-    problem: GlobalProblem, size: float, seeds: Iterable[int], factor: float, peers: Iterable[str]
+    target: Target, size: float, seeds: Iterable[int], factor: float, aigo_seed: int
 ) -> list[Record]:
     """Runs ours, and then each peer for `factor` times the seconds that ours took."""
-    target = Target(problem)
-
-    def record(solver: str, seed: int, seconds: float, cost: float) -> Record:
-        n, minimum = problem.num_variables, problem.minimum
-        return Record(problem.name, n, solver, seed, seconds, cost, minimum, size)
-
-    records = []
-    taken = {name: run_ours(target, options) for name, options in OPTIONS.items()}
-    records += [record(name, 0, *result) for name, result in taken.items()]
-    seconds = factor * taken[OURS][0]
-    for name in peers:
-        if not is_left_out(name, problem.num_variables):
+    records = run_ours_only(target, size, aigo_seed)
+    seconds = factor * records[0].seconds
+    for name in PEERS:
+        if not is_left_out(name, target.problem.num_variables):
             records += [
-                record(name, seed, seconds, run_peer(name, target, seconds, seed)) for seed in seeds
+                make_record(
+                    target.problem, size, name, seed, seconds, run_peer(name, target, seconds, seed)
+                )
+                for seed in seeds
             ]
     return records
 
 
-def warm_up() -> None:
-    """Has Numba compile, and libraries load, before anything is timed."""
-    from drake_aigto.study.global_functions import planar_problems
+def run_ours_only(target: Target, size: float, aigo_seed: int) -> list[Record]:
+    """Runs ours: the default comes first."""
+    return [
+        make_record(target.problem, size, name, aigo_seed, *run_ours(target, options))
+        for name, options in our_options(aigo_seed).items()
+    ]
 
-    target = Target(planar_problems()[0])
-    for options in OPTIONS.values():
-        run_ours(target, options)
+
+def make_record(
+    problem: KnownOptimum, size: float, solver: str, seed: int, seconds: float, cost: float
+) -> Record:
+    n = problem.num_variables
+    return Record(problem.name, n, solver, seed, seconds, cost, problem.minimum, size)
+
+
+@cache
+def warm_up() -> None:
+    """Has Numba compile, and libraries load, before anything is timed in this process."""
+    for problem in (chain_problem(26, 0).problem(), rastrigin(2), planar_problems()[0]):
+        target = Target(problem)
+        for options in our_options(0).values():
+            run_ours(target, options)
     for name in PEERS:
-        if not is_left_out(name, 2):
+        if not is_left_out(name, target.problem.num_variables):
             run_peer(name, target, 0.2, 0)
 
 
-def write_csv(path: Path, records: Iterable[Record]) -> None:
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Adds what all scripts that write records take."""
+    parser.add_argument("--factor", type=float, default=1.0, help="seconds of peers over ours")
+    parser.add_argument("--aigo-seed", type=int, default=0, help="of AIGO's own random choices")
+    parser.add_argument("--out", type=Path, default=Path(), help="folder of CSV file and figure")
+    parser.add_argument("--reread", action="store_true", help="run nothing: the CSV file in --out")
+    add_options(parser)
+
+
+def collect(
+    work: Callable[[Any], list[Record]],
+    jobs: Sequence[Any],
+    effort: Callable[[Any], float],
+    tell: Callable[[list[Record]], None],
+    name: str,
+    arguments: argparse.Namespace,
+) -> list[Record]:
+    """Runs jobs, those of most effort first, and returns all records, in the order of the jobs.
+
+    Tells what a job records as it ends, and keeps all that is done in a CSV file.
+    """
+    path = arguments.out / name
+    if arguments.reread:
+        return read_csv(path)
+    records: list[Record] = []
+    order = sorted(range(len(jobs)), key=lambda number: -effort(jobs[number]))
+    done: dict[int, list[Record]] = {}
+    in_order = [jobs[number] for number in order]
+    for number, future in run_jobs(work, in_order, arguments.workers, arguments.minutes):
+        if error := future.exception():
+            print(f"FAILED {in_order[number]}: {''.join(traceback.format_exception(error))}")
+            continue
+        done[order[number]] = future.result()
+        records = [record for place in sorted(done) for record in done[place]]
+        write_csv(path, records, arguments.workers)
+        tell(future.result())
+    print(f"{name}: {len(done)} of {len(jobs)} jobs done\n", flush=True)
+    return records
+
+
+def write_csv(path: Path, records: Iterable[Record], workers: int) -> None:
     """Writes all runs; the first lines, behind #, say on what and with what."""
     packages = ("drake", "numpy", "scipy", "numba", *(("cma",) if cma else ()))
     versions = ", ".join(f"{name} {version(name)}" for name in packages)
     with path.open("w", newline="", encoding="utf-8") as file:
-        file.write(f"# {machine()}\n# Python {platform.python_version()}, {versions}\n")
+        file.write(f"# {machine()}, {workers} runs at once, a core each\n")
+        file.write(f"# Python {platform.python_version()}, {versions}\n")
         writer = csv.DictWriter(file, [field.name for field in fields(Record)])
         writer.writeheader()
         writer.writerows(asdict(record) for record in records)
+
+
+def read_csv(path: Path) -> list[Record]:
+    """Reads what `write_csv` wrote."""
+    kinds = {"variables": int, "seed": int, "problem": str, "solver": str}
+    with path.open(newline="", encoding="utf-8") as file:
+        lines = [line for line in file if not line.startswith("#")]
+    return [
+        Record(**{key: kinds.get(key, float)(value) for key, value in row.items()})
+        for row in csv.DictReader(lines)
+    ]
 
 
 def machine() -> str:
@@ -264,4 +342,4 @@ def machine() -> str:
     if cpuinfo.exists():
         lines = cpuinfo.read_text(encoding="utf-8").splitlines()
         names = [line.split(":", 1)[1].strip() for line in lines if "model name" in line] or names
-    return f"{names[0]}, one core, {platform.system()}"
+    return f"{names[0]}, {platform.system()}"

@@ -1,9 +1,9 @@
 """Does `AigoSolver` ever crash or lie? Random small programs, solved twice.
 
-    python benchmarks/random_programs.py --count 10000 --seed 0
+    python benchmarks/random_programs.py [--count 10000] [--seed 0] [--workers 16] [--minutes 9]
 
 Every program is solved twice, which has to give the same bits. A success has to be finite and to
-meet its constraints to 1e-6. Exits with 1 otherwise.
+meet its constraints to 1e-6. Exits with 1 otherwise, or if not all were tried.
 """
 
 from __future__ import annotations
@@ -14,16 +14,16 @@ import sys
 import time
 import traceback
 from collections import Counter
-from concurrent.futures import ProcessPoolExecutor
-from multiprocessing import get_context
 
 import numpy as np
+from jobs import add_options, run_jobs
 
 from drake_aigto.solver import AigoOptions, AigoSolver
 from drake_aigto.study.random_programs import random_program
 
 # Of constraint violations; Drake compares with this itself.
 TOLERANCE = 1e-6
+REPORTED = 1000  # programs between lines of progress
 
 
 def run(job: tuple[int, int, int]) -> str:
@@ -51,20 +51,29 @@ def main() -> int:
     parser.add_argument("--count", type=int, default=10_000)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--rounds", type=int, default=4, help="of each solve")
-    parser.add_argument("--workers", type=int, default=os.cpu_count())
+    add_options(parser, workers=os.cpu_count() or 1)
     options = parser.parse_args()
-    os.environ["OPENBLAS_NUM_THREADS"] = "1"  # Workers would fight for cores.
     jobs = [(options.seed, number, options.rounds) for number in range(options.count)]
     start = time.perf_counter()
-    with ProcessPoolExecutor(options.workers, get_context("spawn")) as pool:
-        outcomes = list(pool.map(run, jobs, chunksize=16))
-    wrong = [outcome for outcome in outcomes if " " in outcome]
-    for outcome in wrong:
-        print(outcome)
-    print(f"{options.count} programs, each twice, in {time.perf_counter() - start:.0f} s")
-    print(dict(Counter(outcome for outcome in outcomes if " " not in outcome)))
-    print(f"crashed or lied: {len(wrong)}")
-    return 1 if wrong else 0
+    outcomes: Counter[str] = Counter()
+    wrong = 0
+    for number, future in run_jobs(run, jobs, options.workers, options.minutes):
+        died = future.exception()
+        outcome = f"WORKER DIED on {number}: {died!r}" if died else future.result()
+        if " " in outcome:
+            print(outcome, flush=True)
+            wrong += 1
+        else:
+            outcomes[outcome] += 1
+        tried = outcomes.total() + wrong
+        if tried % REPORTED == 0:
+            print(f"{tried} tried, {wrong} crashed or lied", flush=True)
+    tried = outcomes.total() + wrong
+    seconds = time.perf_counter() - start
+    print(f"{tried} of {options.count} programs, each twice, in {seconds:.0f} s")
+    print(dict(outcomes))
+    print(f"crashed or lied: {wrong}")
+    return 1 if wrong or tried < options.count else 0
 
 
 if __name__ == "__main__":
