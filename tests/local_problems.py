@@ -11,7 +11,7 @@ from pydrake.solvers import (
     ExpressionCost,
     MathematicalProgram,
 )
-from pydrake.symbolic import Expression, log
+from pydrake.symbolic import Expression, cos, exp, log, sin
 
 from drake_aigto.local import InteriorPoint, LocalResult, compile_nlp
 
@@ -145,6 +145,33 @@ PROBLEMS = {
         lambda x: [x[0] + x[1] - 1, 2 * x[0] + 2 * x[1] - 2, x[0] + x[1] - 1],
         [3.0, -1.0],
         0.5,
+    ),
+    # x² + 4 cos² x is least where x = 2 sin 2x.
+    "a cosine row": Problem(
+        lambda x: x[0] ** 2 + x[1] ** 2,
+        lambda x: [x[1] - 2 * cos(x[0])],
+        [1.5, 0.0],
+        1.9595400123340820,
+    ),
+    "an exponential row": Problem(
+        lambda x: x[0] + x[1],
+        lambda x: [exp(x[0]) * x[1] - 1],
+        [2.0, 3.0],
+        1.0,
+        [-5.0] * 2,
+        [5.0] * 2,
+    ),
+    "a power times an exponential": Problem(  # Lambert's W(1) = 0.567…
+        lambda x: (x[1] - 1) ** 2 + x[0],
+        lambda x: [x[0] * exp(x[0]) - 1],
+        [1.0, 3.0],
+        0.5671432904098,
+    ),
+    "an arm of two links": Problem(
+        lambda x: x[0] ** 2 + x[1] ** 2,
+        lambda x: [cos(x[0]) + cos(x[0] + x[1]) - 1, sin(x[0]) + sin(x[0] + x[1]) - 1],
+        [0.3, 1.0],
+        math.pi**2 / 4,
     ),
     "no rows": Problem(lambda x: (x[0] - 1) ** 2 + (x[1] - 3) ** 4, lambda x: [], [5.0, 1.0], 0.0),
     "a log barrier": Problem(

@@ -107,7 +107,13 @@ def compiled(transcription: LiteralTranscription) -> PolynomialNlp:
     return compile_nlp(transcription.prog(), transcription.elimination_order())
 
 
-@pytest.mark.parametrize("name", ["HS40", "HS71, two bounds active", "HS78", "the contact problem"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        *("HS40", "HS71, two bounds active", "HS78", "the contact problem"),
+        *("a cosine row", "a power times an exponential", "an arm of two links"),
+    ],
+)
 def test_derivatives_are_those_of_finite_differences(name: str) -> None:
     nlp = compiled(literal(True)) if name not in PROBLEMS else compile_nlp(PROBLEMS[name].program())
     rng = np.random.default_rng(0)

@@ -11,7 +11,8 @@ from local_problems import PROBLEMS
 from pydrake.solvers import (
     MathematicalProgram,
 )
-from pydrake.symbolic import sin, tan
+from pydrake.symbolic import cos, exp, log, sin, tan
+from pydrake.symbolic import max as symbolic_max
 
 from drake_aigto import OptionsError, UnsupportedTermError
 from drake_aigto.local import InteriorPoint, PolynomialNlp, compile_nlp
@@ -26,7 +27,23 @@ def constrained(add: Callable[[MathematicalProgram, Any], object]) -> Mathematic
 @pytest.mark.parametrize(
     ("add", "message"),
     [
-        (lambda p, x: p.AddConstraint(sin(x[0]) == 0), r"'ExpressionConstraint'.*not known to be"),
+        (
+            lambda p, x: p.AddConstraint(sin(x[0] * x[1]) == 0),
+            r"constraint 'ExpressionConstraint' of x\(0\), x\(1\) .* the term sin\(.*not affine",
+        ),
+        (
+            lambda p, x: p.AddConstraint(exp(x[0]) * sin(x[0]) == x[1]),
+            r"the term \(exp\(x\(0\)\) \* sin\(x\(0\)\)\), where an exponential and a sine",
+        ),
+        (
+            lambda p, x: p.AddConstraint(log(x[0]) == x[1]),
+            r"the term log\(x\(0\)\), where .* stands in a constraint, .* take exp of both sides",
+        ),
+        (
+            lambda p, x: p.AddConstraint(symbolic_max(0.0, x[0]) ** 2 == x[1]),
+            r"stands in a constraint",
+        ),
+        (lambda p, x: p.AddConstraint(cos(x[0]) >= 0.5), r"-inf ≤ \(-1 \* cos\(x\(0\)\)\) ≤ -0\.5"),
         (lambda p, x: p.AddConstraint(1 / x[0] == x[1]), "Multiply denominators out"),
         (lambda p, x: p.AddConstraint(x[0] * x[1] >= 1), r"inequality.*variable s of its own"),
         (lambda p, x: p.AddConstraint(x[0] + x[1] <= 1), "an inequality of several variables"),
@@ -34,7 +51,7 @@ def constrained(add: Callable[[MathematicalProgram, Any], object]) -> Mathematic
         (lambda p, x: p.AddLorentzConeConstraint(x), "LorentzConeConstraint"),
         (
             lambda p, x: p.AddQuadraticConstraint(np.full((2, 2), np.nan), np.zeros(2), 0, 0, x),
-            "got NaN among its numbers",
+            "got a number that is NaN or infinite in 0 ≤ nan",
         ),
         (
             lambda p, x: (p.AddConstraint(x[0] >= 3), p.AddConstraint(x[0] <= 2)),

@@ -14,7 +14,7 @@ from pydrake.solvers import (
     SolutionResult,
     SolverOptions,
 )
-from pydrake.symbolic import cos
+from pydrake.symbolic import cos, exp, sin
 
 from drake_aigto import UnsupportedTermError
 from drake_aigto.errors import OptionsError
@@ -81,6 +81,72 @@ def test_sines_and_cosines_need_no_lifting() -> None:
     prog.AddBoundingBoxConstraint(-4.1, 5.3, x)
     result = solve(prog)
     np.testing.assert_allclose(result.GetSolution(x), 0, atol=1e-7)
+
+
+def constrained(
+    num_variables: int, cost: Any, constraints: Any, reach: float | None
+) -> MathematicalProgram:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(num_variables, "x")
+    add_cost(prog, cost(x))
+    for constraint in constraints(x):
+        prog.AddConstraint(constraint)
+    if reach is not None:
+        prog.AddBoundingBoxConstraint(-reach, reach, x)
+    return prog
+
+
+@pytest.mark.parametrize("reach", [4.0, 20.0, None])
+@pytest.mark.parametrize(
+    ("cost", "constraints", "optimum"),
+    [
+        # Both elbows of an arm of two links; one takes smaller angles.
+        (
+            lambda x: x[0] ** 2 + x[1] ** 2,
+            lambda x: [
+                cos(x[0]) + cos(x[0] + x[1]) == 1,
+                sin(x[0]) + sin(x[0] + x[1]) == 1,
+            ],
+            np.pi**2 / 4,
+        ),
+        (lambda x: -x[0] - x[1], lambda x: [exp(x[0]) + exp(x[1]) <= 4], -2 * np.log(2)),
+        # x² + 4 cos² x where x = 2 sin 2x
+        (
+            lambda x: x[0] ** 2 + x[1] ** 2,
+            lambda x: [x[1] == 2 * cos(x[0])],
+            1.9595400123340820,
+        ),
+    ],
+    ids=["arm", "exponentials", "cosine"],
+)
+def test_constraints_need_no_lifting_either(
+    cost: Any, constraints: Any, optimum: float, reach: float | None
+) -> None:
+    result = solve(constrained(2, cost, constraints, reach))
+    assert result.is_success()
+    assert result.get_optimal_cost() == pytest.approx(optimum, abs=1e-6)
+
+
+def test_the_lowest_of_many_valleys_of_a_constraint_is_found() -> None:
+    prog = constrained(
+        2, lambda x: x[1] + 0 * x[0], lambda x: [x[1] >= sin(3 * x[0]) + x[0] / 2], 4.0
+    )
+    grid = np.linspace(-4, 4, 800_001)
+    lowest = np.min(np.sin(3 * grid) + grid / 2)
+    assert solve(prog).get_optimal_cost() == pytest.approx(lowest, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    "constraints",
+    [
+        lambda x: [sin(x[0]) >= 2],
+        lambda x: [exp(x[0]) >= 1e200, x[0] >= 800],
+    ],
+)
+def test_constraints_that_can_not_hold_or_overflow_are_no_success(constraints: Any) -> None:
+    result = solve(constrained(1, lambda x: x[0] ** 2, constraints, 1e3), rounds=3)
+    assert not result.is_success()
+    assert result.get_solver_details().status == AigoStatus.NO_FEASIBLE_POINT
 
 
 def test_bounds_hold_exactly() -> None:

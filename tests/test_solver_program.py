@@ -7,13 +7,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from pydrake.solvers import ExpressionCost, MathematicalProgram
-from pydrake.symbolic import Polynomial, cos
+from pydrake.symbolic import Polynomial, cos, exp, sin
 
 from drake_aigto import UnsupportedTermError
 from drake_aigto.solver import AigoOptions
 from drake_aigto.solver.first_box import make_first_box
 from drake_aigto.solver.program import ContradictionError, read_program
+from drake_aigto.solver.ranges import sum_range
 
 INF = np.inf
 NAN = np.full(2, np.nan)
@@ -49,7 +52,7 @@ def test_inequalities_that_are_affine_in_one_variable_are_bounds() -> None:
     )
     np.testing.assert_allclose(program.nlp.lower, [-np.inf, -4])
     np.testing.assert_allclose(program.nlp.upper, [2, 7])
-    assert program.nlp.num_rows == 0 and program.slack_rows == ()
+    assert program.nlp.num_rows == 0 and program.slacks == ()
 
 
 def test_other_inequalities_get_a_slack_between_their_bounds() -> None:
@@ -61,7 +64,7 @@ def test_other_inequalities_get_a_slack_between_their_bounds() -> None:
             lambda x: (x[0] ** 3 + x[1], 0, 0),
         )
     )
-    assert program.nlp.num_rows == 4 and len(program.slack_rows) == 2
+    assert program.nlp.num_rows == 4 and len(program.slacks) == 2
     np.testing.assert_array_equal(program.nlp.lower[2:], [1, -np.inf])
     np.testing.assert_array_equal(program.nlp.upper[2:], [np.inf, 4])
     x = np.array([2.0, -3.0])
@@ -69,6 +72,87 @@ def test_other_inequalities_get_a_slack_between_their_bounds() -> None:
     np.testing.assert_allclose(program.with_slacks(x), [2, -3, 1, 4])
     assert program.violation(x) == pytest.approx(7.0)  # x y ≥ 1
     assert program.cost(x) == pytest.approx(13.0)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_rows_with_waves_have_penalties_and_slacks_too(seed: int) -> None:
+    program = read_program(
+        make_program(
+            lambda x: (cos(x[0] + 2 * x[1]) + x[0] * sin(x[0]), -1, 1),
+            lambda x: (x[0] * exp(2 * x[0] - 1) + x[1], 0.5, 0.5),
+        )
+    )
+    y = np.random.default_rng(seed).uniform(-2, 2, 3)
+    (u, v), s = y[:2], y[2]
+    wave, growth = np.cos(u + 2 * v) + u * np.sin(u), u * np.exp(2 * u - 1) + v
+    residuals = [wave - s, growth - 0.5]
+    assert sorted(program.nlp.evaluate(y)[1]) == pytest.approx(sorted(residuals))
+    assert program.penalties(y) == pytest.approx(sum(r**2 for r in residuals), rel=1e-9)
+    assert program.with_slacks(y[:2])[2] == pytest.approx(np.clip(wave, -1, 1))
+    # The penalty's mean over a box is that of many points in it.
+    half_width = np.array([0.3, 0.5, 0.2])
+    grid = np.polynomial.legendre.leggauss(24)
+    points = np.stack(np.meshgrid(*[grid[0]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    weights = np.einsum("i,j,k->ijk", *[grid[1] / 2] * 3).ravel()
+    u, v, s = (y + half_width * points).T
+    rows = (
+        np.cos(u + 2 * v) + u * np.sin(u) - s,
+        u * np.exp(2 * u - 1) + v - 0.5,
+    )
+    assert program.penalties.mean(y, half_width) == pytest.approx(
+        sum(weights @ row**2 for row in rows), rel=1e-9
+    )
+
+
+def test_a_row_without_a_square_in_closed_form_is_refused_by_name() -> None:
+    prog = make_program()
+    x = prog.decision_variables()
+    prog.AddConstraint(exp(x[0]) + sin(x[0]) == x[1]).evaluator().set_description("mixed")
+    with pytest.raises(
+        UnsupportedTermError,
+        match=r"the constraint 'mixed' of .* the row .*exp\(x\(0\)\).*, in whose square an "
+        r"exponential and a sine .* Give one of the two functions a variable s of its own",
+    ):
+        read_program(prog)
+    # What it says works.
+    prog = make_program()
+    x, (s,) = prog.decision_variables(), prog.NewContinuousVariables(1, "s")
+    prog.AddConstraint(s == exp(x[0]))
+    prog.AddConstraint(s + sin(x[0]) == x[1])
+    assert read_program(prog).num_rows == 2
+
+
+def test_a_square_of_too_many_terms_is_refused_by_name() -> None:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(1100, "x")
+    prog.AddLinearEqualityConstraint(np.ones((1, x.size)), [1.0], x).evaluator().set_description(
+        "long"
+    )
+    with pytest.raises(
+        UnsupportedTermError, match=r"the constraint 'long' of .* has too many terms: got 1,213,"
+    ):
+        read_program(prog)
+
+
+def test_rows_that_are_constant_once_multiplied_out_are_checked() -> None:
+    program = read_program(make_program(lambda x: (sin(x[0]) ** 2 + cos(x[0]) ** 2, 1, 1)))
+    assert program.num_rows == 0
+    with pytest.raises(ContradictionError):
+        read_program(make_program(lambda x: (sin(x[0]) ** 2 + cos(x[0]) ** 2, 2, 3)))
+
+
+def test_copies_of_a_constraint_share_a_table_and_have_slacks_of_their_own() -> None:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(3, "x")
+    first = prog.AddConstraint(x[0] * x[1] >= 2).evaluator()
+    prog.AddConstraint(first, vars=x[1:])
+    prog.AddConstraint(first, vars=[x[2], x[2]])
+    program = read_program(prog)
+    assert program.num_rows == len(program.slacks) == 3
+    y = program.with_slacks(np.array([2.0, 3.0, 5.0]))
+    np.testing.assert_allclose(np.abs(y[3:]), [6, 15, 25])  # Drake may turn rows round
+    np.testing.assert_allclose(program.nlp.evaluate(y)[1], 0, atol=1e-14)
+    assert program.penalties(y) == pytest.approx(0, abs=1e-11)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -107,8 +191,10 @@ def test_bounds_that_contradict_each_other_are_found_at_once(constraints: Any) -
 def test_what_can_not_be_read_is_refused_by_name() -> None:
     prog = make_program()
     x = prog.decision_variables()
-    prog.AddConstraint(cos(x[0]) <= x[1]).evaluator().set_description("shadow")
-    with pytest.raises(UnsupportedTermError, match=r"the constraint 'shadow' can't be solved for"):
+    prog.AddConstraint(cos(x[0] * x[1]) <= x[1]).evaluator().set_description("shadow")
+    with pytest.raises(
+        UnsupportedTermError, match=r"the constraint 'shadow' of x\(0\), x\(1\) can't"
+    ):
         read_program(prog)
     prog = make_program()
     prog.AddPositiveSemidefiniteConstraint(prog.NewSymmetricContinuousVariables(2))
@@ -173,3 +259,44 @@ def test_slacks_start_with_the_range_of_what_they_stand_for() -> None:
     center, half_width = first_box(prog)
     np.testing.assert_allclose([center[2] - half_width[2], center[2] + half_width[2]], [-7, 13])
     np.testing.assert_allclose([center[3] - half_width[3], center[3] + half_width[3]], [50, 100])
+
+
+@given(
+    st.sampled_from(
+        [lambda u, v: cos(2 * u + v), lambda u, v: u**2 * sin(u) - v, lambda u, v: u * exp(-v)]
+    ),
+    st.lists(st.floats(-4, 4), min_size=4, max_size=4),
+)
+def test_slacks_of_waves_get_all_that_they_can_be(function: Any, ends: list[float]) -> None:
+    low, high = np.minimum(ends[:2], ends[2:]), np.maximum(ends[:2], ends[2:])
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(2, "x")
+    (row,) = [function(*x)]
+    prog.AddConstraint(row, -1e9, 1e9)
+    (slack,) = read_program(prog).slacks
+    places = list(slack.variables)
+    least, most = sum_range(slack.terms, low[places], high[places])
+    grid = np.stack(np.meshgrid(*np.linspace(low, high, 9).T), axis=-1).reshape(-1, 2)
+    values = [row.Evaluate(dict(zip(x, point, strict=True))) for point in grid]
+    room = 1e-9 * (1 + np.max(np.abs(values)))
+    assert least - room <= min(values) and max(values) <= most + room
+
+
+def test_ranges_of_waves_are_tight() -> None:
+    prog = make_program(lambda x: (cos(x[0]), 0, 2), lambda x: (exp(x[1]), 0, 9))
+    program = read_program(prog)
+    low, high = np.array([0.5]), np.array([1.0])
+    ranges = [sum_range(slack.terms, low, high) for slack in program.slacks]
+    np.testing.assert_allclose(ranges, [[np.cos(1), np.cos(0.5)], [np.exp(0.5), np.exp(1)]])
+    around = [sum_range(program.slacks[0].terms, low, high + width) for width in (3, 6)]
+    np.testing.assert_allclose(around, [[-1, np.cos(0.5)], [-1, 1]])
+
+
+def test_where_exponentials_overflow_the_first_box_is_cut() -> None:
+    prog = make_program(lambda x: (exp(x[0]), 1, 4), lambda x: (x[0] + 0, -1e3, 1e3))
+    _, half_width = first_box(prog)
+    assert 1 < half_width[0] < 60 and half_width[1] == 1
+    assert np.all(np.isfinite(read_program(prog).with_slacks(np.array([1e3, 0.0]))))
+    # Not where that is no remedy.
+    prog = make_program(lambda x: (x[0] + 0, -3, 3), lambda x: (1e30 * x[1] + exp(x[0]), 0, 0))
+    assert first_box(prog)[1][0] == 3

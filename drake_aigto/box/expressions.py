@@ -10,7 +10,7 @@ from typing import Any, cast
 
 from pydrake.symbolic import Expression, ExpressionKind, Monomial, Polynomial, Variable
 
-from drake_aigto.box.functions import FunctionKind
+from drake_aigto.box.functions import WAVES, FunctionKind
 from drake_aigto.box.polynomial import Factor, Term
 from drake_aigto.box.products import (
     MAX_TERMS,
@@ -34,6 +34,14 @@ _VARIABLE = operator.attrgetter("variable")
 
 _LONGEST_SHOWN = 300  # characters of a term in a message
 
+_IN_ROWS = "sums of products of powers, sin, cos and exp of affine functions"
+_IN_COSTS = f"{_IN_ROWS}, and max(0, y)² or -log(y) times a constant, with y affine in one variable"
+_FOR_ROWS = "Multiply denominators out, and take exp of both sides of a logarithm. "
+_FOR_ALL = (
+    "Give a function of several variables a variable of its own by an equality constraint, or "
+    "approximate the term by a polynomial."
+)
+
 _WAVES = {
     ExpressionKind.Cos: FunctionKind.COSINE,
     ExpressionKind.Sin: FunctionKind.SINE,
@@ -41,13 +49,16 @@ _WAVES = {
 }
 
 
-def expression_terms(label: str, expression: Expression, index: LocalIndex) -> tuple[Term, ...]:
+def expression_terms(
+    label: str, expression: Expression, index: LocalIndex, is_row: bool = False
+) -> tuple[Term, ...]:
     """The terms of a sum of products of one-variable functions, multiplied out.
 
     Args:
         label: How messages call what the expression is the formula of.
         expression: See `compile_program` for what may stand in it.
         index: Place of a variable.
+        is_row: Whether it is a row of a constraint, where penalties and barriers have no place.
 
     Raises:
         UnsupportedTermError: A term has no closed-form mean here, or there are too many.
@@ -57,7 +68,7 @@ def expression_terms(label: str, expression: Expression, index: LocalIndex) -> t
         if summand.is_polynomial():
             polynomial += summand
         else:
-            functions.append(_summand_terms(label, summand, index))
+            functions.append(_summand_terms(label, summand, index, is_row))
     _check_count(label, _count_monomials(polynomial)[0])
     terms = polynomial_terms(polynomial, index)
     if not functions:
@@ -97,23 +108,31 @@ def _operands(expression: Expression) -> list[Expression]:
     return [e if isinstance(e, Expression) else Expression(e) for e in operands]
 
 
-def _summand_terms(label: str, summand: Expression, index: LocalIndex) -> Sum:
+def _summand_terms(label: str, summand: Expression, index: LocalIndex, is_row: bool) -> Sum:
     """The terms of one summand, or a refusal that names it."""
     try:
         total = _expand(summand, index)
-        _check_barriers(label, summand, total)
+        if is_row:
+            _check_smooth(total)
+        else:
+            _check_barriers(label, summand, total)
     except TooManyTermsError as error:
         raise _too_many(label, error.count) from None
     except NoClosedFormError as error:
         raise UnsupportedTermError(
             f"{label} can't be integrated",
             got=f"the term {_shown(summand)}, where {error}",
-            expected="sums of products of powers, sin, cos and exp of affine functions, and "
-            "max(0, y)² or -log(y) times a constant, with y affine in one variable",
-            remedy="Give a function of several variables a variable of its own by an equality "
-            "constraint, or approximate the term by a polynomial.",
+            expected=_IN_ROWS if is_row else _IN_COSTS,
+            remedy=(_FOR_ROWS if is_row else "") + _FOR_ALL,
         ) from None
     return total
+
+
+def _check_smooth(total: Sum) -> None:
+    """A row's square must have a mean too."""
+    kinds = {part.kind for parts in total for part in parts}
+    if not kinds <= {FunctionKind.POWER, *WAVES}:
+        raise NoClosedFormError("max(0, y)² or log(y) stands in a constraint")
 
 
 def _check_barriers(label: str, summand: Expression, total: Sum) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -16,6 +16,7 @@ from pydrake.solvers import (
     MathematicalProgram,
     QuadraticConstraint,
 )
+from pydrake.symbolic import Expression
 
 from drake_aigto.box import FunctionKind, Term, TermBlock, compile_program
 from drake_aigto.box.compile import (
@@ -25,7 +26,7 @@ from drake_aigto.box.compile import (
     shared_evaluators,
     term_blocks,
 )
-from drake_aigto.box.expressions import polynomial_terms
+from drake_aigto.box.expressions import expression_terms
 from drake_aigto.box.kernels import add_means
 from drake_aigto.box.polynomial import as_order
 from drake_aigto.box.tables import stack_terms
@@ -35,14 +36,29 @@ from drake_aigto.local.kkt import KktStructure
 
 Floats = NDArray[np.float64]
 
+_LONGEST_SHOWN = 300  # characters of a row in a message
+
 
 @dataclass(frozen=True)
-class _Row:
-    """lower ≤ Σ terms ≤ upper over an evaluator's own variables."""
+class ConstraintRow:
+    """lower ≤ Σ terms ≤ upper over an evaluator's own variables.
+
+    Attributes:
+        terms: The sum's terms.
+        lower: Its lower bound.
+        upper: Its upper bound.
+        formula: What the terms are the expansion of, for messages.
+    """
 
     terms: tuple[Term, ...]
     lower: float
     upper: float
+    formula: Expression | None = None
+
+    def __str__(self) -> str:
+        """The formula, or the beginning of a long one."""
+        text = " + ".join(map(str, self.terms)) if self.formula is None else str(self.formula)
+        return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]} …"
 
 
 def compile_nlp(prog: MathematicalProgram, order: ArrayLike | None = None) -> PolynomialNlp:
@@ -51,8 +67,8 @@ def compile_nlp(prog: MathematicalProgram, order: ArrayLike | None = None) -> Po
     Rows that are affine in one variable become bounds, and equal bounds hold their variable.
 
     Args:
-        prog: Costs as in `compile_program`; constraints linear, quadratic or polynomial
-            `ExpressionConstraint`s, and equalities unless they are affine in one variable.
+        prog: Costs as in `compile_program`; constraints as in `parse_rows`, and equalities unless
+            they are affine in one variable.
         order: Elimination order of the decision variables, as in `compile_program`. Default:
             reverse Cuthill-McKee.
 
@@ -64,10 +80,10 @@ def compile_nlp(prog: MathematicalProgram, order: ArrayLike | None = None) -> Po
     lower, upper = np.full(prog.num_vars(), -np.inf), np.full(prog.num_vars(), np.inf)
     rows: list[TermBlock] = []
     for label, evaluator, copies in shared_evaluators(prog, prog.GetAllConstraints()):
-        for row in _parse_rows(label, evaluator):
+        for row in parse_rows(label, evaluator):
             if np.isneginf(row.lower) and np.isposinf(row.upper):
                 continue
-            bound = _as_bound(row)
+            bound = as_bound(row)
             if bound is not None:
                 local, low, high = bound
                 index = np.array([variables[local] for variables in copies], dtype=np.int64)
@@ -80,48 +96,57 @@ def compile_nlp(prog: MathematicalProgram, order: ArrayLike | None = None) -> Po
     return PolynomialNlp(prog.num_vars(), costs, tuple(rows), lower, upper, order)
 
 
-def _parse_rows(label: str, constraint: EvaluatorBase) -> Iterator[_Row]:
-    """The rows of one constraint over its own variables 0 … L−1."""
-    sums: Sequence[tuple[Term, ...]]
-    if isinstance(constraint, LinearConstraint):  # bounding boxes and equalities among them
-        if isinstance(constraint, BoundingBoxConstraint):
-            matrix = np.eye(constraint.num_vars())
-        else:
-            matrix = constraint.GetDenseA()
-        sums = [affine_terms(a, 0.0) for a in matrix]
-    elif isinstance(constraint, QuadraticConstraint):
-        sums = [quadratic_terms(np.asarray(constraint.Q()), constraint.b(), 0.0)]
-    elif isinstance(constraint, ExpressionConstraint) and all(
-        expression.is_polynomial() for expression in constraint.expressions()
-    ):
-        index = {v.get_id(): i for i, v in enumerate(constraint.vars())}
-        sums = [
-            polynomial_terms(expression, lambda v: index[v.get_id()])
-            for expression in constraint.expressions()
-        ]
-    else:
-        raise UnsupportedTermError(
-            f"{label} can't be compiled",
-            got=f"a {type(constraint).__name__} whose rows are not known to be polynomials",
-            expected="polynomial equalities, or bounds",
-            remedy="Multiply denominators out and write it symbolically: "
-            "prog.AddConstraint(expression == 0).",
-        )
-    for terms, lower, upper in zip(
-        sums, constraint.lower_bound(), constraint.upper_bound(), strict=True
-    ):
-        numbers = [lower, upper, *(term.coefficient for term in terms)]
-        if np.any(np.isnan(numbers)):
+def parse_rows(label: str, constraint: EvaluatorBase) -> Iterator[ConstraintRow]:
+    """The rows of one constraint over its own variables 0 … L−1.
+
+    Args:
+        label: How messages call it.
+        constraint: Linear, quadratic, or an `ExpressionConstraint` of sums of products of powers,
+            sin, cos and exp of affine functions.
+
+    Raises:
+        UnsupportedTermError: It is another one, or a number is NaN.
+    """
+    sums = _row_sums(label, constraint)
+    is_symbolic = isinstance(constraint, ExpressionConstraint)
+    formulas = constraint.expressions() if is_symbolic else [None] * len(sums)
+    bounds = constraint.lower_bound(), constraint.upper_bound()
+    for terms, lower, upper, formula in zip(sums, *bounds, formulas, strict=True):
+        row = ConstraintRow(terms, float(lower), float(upper), formula)
+        numbers = [term.coefficient for term in terms]
+        if not np.all(np.isfinite(numbers)) or np.any(np.isnan([lower, upper])):
             raise UnsupportedTermError(
                 f"{label} can't be compiled",
-                got="NaN among its numbers",
+                got=f"a number that is NaN or infinite in {lower:g} ≤ {row} ≤ {upper:g}",
                 expected="finite coefficients",
                 remedy="Look for a parameter that was not set.",
             )
-        yield _Row(terms, float(lower), float(upper))
+        yield row
 
 
-def _as_bound(row: _Row) -> tuple[int, float, float] | None:
+def _row_sums(label: str, constraint: EvaluatorBase) -> list[tuple[Term, ...]]:
+    """The terms of each row."""
+    if isinstance(constraint, BoundingBoxConstraint):
+        return [affine_terms(a, 0.0) for a in np.eye(constraint.num_vars())]
+    if isinstance(constraint, LinearConstraint):  # equalities among them
+        return [affine_terms(a, 0.0) for a in constraint.GetDenseA()]
+    if isinstance(constraint, QuadraticConstraint):
+        return [quadratic_terms(np.asarray(constraint.Q()), constraint.b(), 0.0)]
+    if isinstance(constraint, ExpressionConstraint):
+        index = {v.get_id(): i for i, v in enumerate(constraint.vars())}
+        return [
+            expression_terms(label, formula, lambda v: index[v.get_id()], is_row=True)
+            for formula in constraint.expressions()
+        ]
+    raise UnsupportedTermError(
+        f"{label} can't be compiled",
+        got=f"a {type(constraint).__name__}",
+        expected="bounds, or a linear, quadratic or expression constraint",
+        remedy="Write it symbolically: prog.AddConstraint(expression == 0).",
+    )
+
+
+def as_bound(row: ConstraintRow) -> tuple[int, float, float] | None:
     """The local variable and its bounds, if the row is scale · x + offset."""
     constant = sum(term.coefficient for term in row.terms if not term.factors)
     linear = [term for term in row.terms if term.factors]
@@ -134,13 +159,13 @@ def _as_bound(row: _Row) -> tuple[int, float, float] | None:
     return factor.variable, low, high
 
 
-def _equality_terms(label: str, row: _Row) -> tuple[Term, ...]:
+def _equality_terms(label: str, row: ConstraintRow) -> tuple[Term, ...]:
     """The terms of row − value = 0."""
     if row.lower != row.upper:
         raise UnsupportedTermError(
             f"{label} can't be compiled",
-            got=f"an inequality of several variables, or not affine: {row.lower:g} ≤ "
-            f"{' + '.join(map(str, row.terms))} ≤ {row.upper:g}",
+            got=f"an inequality of several variables, or not affine: {row.lower:g} ≤ {row} ≤ "
+            f"{row.upper:g}",
             expected="equalities, and bounds on single variables",
             remedy="Give the expression a variable s of its own: expression == s, s ≥ 0.",
         )
@@ -160,7 +185,7 @@ def _check_bounds(prog: MathematicalProgram, lower: Floats, upper: Floats) -> No
 
 
 class PolynomialNlp:
-    """A polynomial program with equality constraints and bounds.
+    """A program with equality constraints and bounds, of sums of products.
 
         minimise f(x)    subject to    c(x) = 0,    lower ≤ x ≤ upper
 

@@ -5,14 +5,18 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from pydrake.symbolic import Polynomial
 
 from drake_aigto.aigo import Box
+from drake_aigto.box import FunctionKind
 from drake_aigto.solver.options import AigoOptions
 from drake_aigto.solver.program import AigoProgram
+from drake_aigto.solver.ranges import sum_range
 
 if TYPE_CHECKING:
     import numpy.typing as npt
+
+_LARGEST_MEAN = 1e20  # of costs or squared rows: beyond it, they hide all else
+_MOST_HALVINGS = 60  # of exponentials' variables
 
 
 def make_first_box(
@@ -27,7 +31,9 @@ def make_first_box(
         min(F_i(c_i − w_i), F_i(c_i + w_i)) ≥ f̄    ⟺    ∂f̄/∂z_i ≥ w_i |∂f̄/∂c_i|,    z = log w
 
     so that what is outside is worse, on average, than what is inside. A slack gets the range of
-    what it stands for, by interval arithmetic.
+    what it stands for, by interval arithmetic. Where exponentials make costs or squared rows
+    larger than 1e20 on average, their variables' R halves, within bounds too: the search would see
+    nothing else.
 
     Args:
         program: with n variables x.
@@ -46,7 +52,41 @@ def make_first_box(
         if not np.any(growing):
             break
         reach[growing] *= 2
-    return _box(program, start, reach)
+    return _cut_exponentials(program, start, reach)
+
+
+def _cut_exponentials(
+    program: AigoProgram, start: npt.NDArray[np.float64], reach: npt.NDArray[np.float64]
+) -> Box:
+    """Returns the box, smaller in exponentials' variables where that makes means usable."""
+    box = whole = _box(program, start, reach)
+    exponents = _exponents(program)
+    for _ in range(_MOST_HALVINGS if exponents.size else 0):
+        if not _overflows(program, box):
+            return box
+        reach = reach.copy()
+        reach[exponents] = box.half_width[exponents] / 2
+        box = _box(program, start, reach)
+    return whole
+
+
+def _exponents(program: AigoProgram) -> npt.NDArray[np.int64]:
+    """Returns the variables x that exponentials are of."""
+    found = {
+        variable
+        for block in (*program.costs.blocks, *program.penalties.blocks)
+        for term in block.terms
+        for factor in term.factors
+        if factor.kind == FunctionKind.EXPONENTIAL
+        for variable in block.variables[:, factor.variable].tolist()
+    }
+    return np.array(sorted(found), dtype=np.int64)
+
+
+def _overflows(program: AigoProgram, box: Box) -> bool:
+    """Returns whether costs or penalties are too large to be of use, or not finite, on average."""
+    means = [f.mean(box.center, box.half_width) for f in (program.costs, program.penalties)]
+    return not np.all(np.abs(means) < _LARGEST_MEAN)
 
 
 def _is_growing(program: AigoProgram, box: Box) -> npt.NDArray[np.bool_]:
@@ -64,29 +104,12 @@ def _box(
     lower, upper = program.nlp.lower, program.nlp.upper
     n = start.size
     low, high = np.maximum(lower[:n], start - reach), np.minimum(upper[:n], start + reach)
-    names = [variable.get_id() for variable in program.source.decision_variables()]
-    sides = dict(zip(names, zip(low.tolist(), high.tolist(), strict=True), strict=True))
-    for number, row in enumerate(program.slack_rows):
-        least, most = _range(row, sides)
+    for number, slack in enumerate(program.slacks):
+        places = list(slack.variables)
+        least, most = sum_range(slack.terms, low[places], high[places])
         first, last = lower[n + number], upper[n + number]
         # Where no x of the box is feasible the slack still gets some room.
         room = max(1.0, abs(first) if np.isfinite(first) else abs(last))
         low = np.append(low, first if np.isfinite(first) else min(least, last - room))
         high = np.append(high, last if np.isfinite(last) else max(most, first + room))
     return Box((low + high) / 2, (high - low) / 2)
-
-
-def _range(polynomial: Polynomial, sides: dict[int, tuple[float, float]]) -> tuple[float, float]:
-    """Returns bounds of a polynomial over a box, term by term."""
-    least = most = 0.0
-    for monomial, coefficient in polynomial.monomial_to_coefficient_map().items():
-        ends = np.array([coefficient.Evaluate()] * 2)
-        for variable, power in monomial.get_powers().items():
-            low, high = sides[variable.get_id()]
-            powers = [low**power, high**power]
-            if power % 2 == 0 and low < 0 < high:
-                powers.append(0.0)
-            products = np.outer(ends, [min(powers), max(powers)])
-            ends = np.array([products.min(), products.max()])
-        least, most = least + ends[0], most + ends[1]
-    return float(least), float(most)

@@ -2,37 +2,52 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
-from pydrake.solvers import (
-    Binding,
-    BoundingBoxConstraint,
-    ExpressionConstraint,
-    LinearConstraint,
-    MathematicalProgram,
-    QuadraticConstraint,
-)
-from pydrake.symbolic import Expression, Monomial, Polynomial, Variable
+from pydrake.solvers import MathematicalProgram
+from pydrake.symbolic import Variable
 
-from drake_aigto.box import BoxPolynomial, compile_program
+from drake_aigto.box import BoxPolynomial, Factor, FunctionKind, Term, TermBlock, compile_program
+from drake_aigto.box.compile import evaluator_name, shared_evaluators, term_blocks
+from drake_aigto.box.products import (
+    MAX_TERMS,
+    NoClosedFormError,
+    TooManyTermsError,
+    from_terms,
+    power,
+    to_terms,
+)
 from drake_aigto.errors import UnsupportedTermError
-from drake_aigto.local import PolynomialNlp, compile_nlp
-from drake_aigto.transcription import penalize
-from drake_aigto.transcription.shared import as_expression, shared_constraint
-from drake_aigto.world.polynomials import PolynomialMap
+from drake_aigto.local import PolynomialNlp
+from drake_aigto.local.nlp import ConstraintRow, as_bound, parse_rows
+from drake_aigto.solver.ranges import LARGEST
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-_WITH_FORMULA = (LinearConstraint, QuadraticConstraint, ExpressionConstraint)
 # A row of constants may miss its bounds by this.
 _ROUNDING = 1e-9
 
 
 class ContradictionError(Exception):
     """Bounds or constants alone leave no feasible point."""
+
+
+@dataclass(frozen=True)
+class Slack:
+    """A variable s of its own for an inequality's g(x).
+
+    Attributes:
+        row: number of the row g(x) − s = 0.
+        terms: g, over its own variables.
+        variables: which of x these are.
+    """
+
+    row: int
+    terms: tuple[Term, ...]
+    variables: tuple[int, ...]
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,17 +62,15 @@ class AigoProgram:
         source: the program that was asked, over x.
         nlp: f, r and bounds over y, for a local solver.
         costs: f over y.
-        penalties: Σ r_i², a block for each row, named unlike all costs.
-        slack_rows: g of each slack.
-        slack_map: all of them, in numbers.
+        penalties: Σ r_i², named unlike all costs.
+        slacks: what each s_i stands for.
     """
 
     source: MathematicalProgram
     nlp: PolynomialNlp
     costs: BoxPolynomial
     penalties: BoxPolynomial
-    slack_rows: tuple[Polynomial, ...]
-    slack_map: PolynomialMap
+    slacks: tuple[Slack, ...]
 
     @property
     def num_rows(self) -> int:
@@ -83,9 +96,10 @@ class AigoProgram:
 
     def with_slacks(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns y = (x, s) with s = g(x), moved within the bounds."""
-        y = np.concatenate([x, np.zeros(len(self.slack_rows))])
-        if self.slack_rows:
-            y[x.size :] = self.slack_map(x)
+        y = np.concatenate([x, np.zeros(len(self.slacks))])
+        if self.slacks:
+            values = self.nlp.evaluate(y)[1][[slack.row for slack in self.slacks]]
+            y[x.size :] = np.nan_to_num(values, posinf=LARGEST, neginf=-LARGEST)
         return np.clip(y, self.nlp.lower, self.nlp.upper)
 
 
@@ -93,111 +107,96 @@ def read_program(prog: MathematicalProgram) -> AigoProgram:
     """Returns a program with slacks.
 
     Raises:
-        UnsupportedTermError: a cost without a mean in closed form, a constraint that is no
-            polynomial, or variables that are not continuous; by name.
+        UnsupportedTermError: a cost or a row's square without a mean in closed form, or variables
+            that are not continuous; by name.
         ContradictionError: bounds or constants alone leave no feasible point.
     """
     _check_variables(prog)
     rows = _Rows(prog)
-    for binding in prog.GetAllConstraints():
-        rows.add(binding)
+    for label, evaluator, copies in shared_evaluators(prog, prog.GetAllConstraints()):
+        for row in parse_rows(label, evaluator):
+            rows.add(label, evaluator_name(evaluator), row, copies)
     return rows.finish()
 
 
 @dataclass
 class _Rows:
-    """Collects equality rows, bounds and slacks of a program."""
+    """Collects equality rows, their squares, bounds and slacks of a program."""
 
     source: MathematicalProgram
-    equalities: list[Expression] = field(default_factory=list)
-    slacks: list[tuple[Polynomial, float, float]] = field(default_factory=list)
+    blocks: list[TermBlock] = field(default_factory=list)
+    squares: list[TermBlock] = field(default_factory=list)
+    slacks: list[Slack] = field(default_factory=list)
 
     def __post_init__(self) -> None:
         n = self.source.num_vars()
         self._lower, self._upper = np.full(n, -np.inf), np.full(n, np.inf)
-
-    def add(self, binding: Binding) -> None:
-        """Adds all rows of a constraint."""
-        evaluator = binding.evaluator()
-        if isinstance(evaluator, BoundingBoxConstraint):
-            self._bound(binding.variables(), evaluator.lower_bound(), evaluator.upper_bound())
-            return
-        values = np.ravel(_evaluate(binding))
-        bounds = evaluator.lower_bound(), evaluator.upper_bound()
-        for value, lower, upper in zip(values, *bounds, strict=True):
-            if np.isnan(lower) or np.isnan(upper) or lower > upper:
-                raise ContradictionError
-            self._add_row(_as_polynomial(binding, value), float(lower), float(upper))
-
-    def _add_row(self, row: Polynomial, lower: float, upper: float) -> None:
-        """Adds lower ≤ row ≤ upper as bounds, an equality, or with a slack."""
-        affine = _as_affine(row)
-        if affine is not None:
-            self._add_affine(*affine, lower, upper)
-        elif lower == upper:
-            self.equalities.append(row.ToExpression() - lower)
-        elif np.isfinite(lower) or np.isfinite(upper):
-            self.slacks.append((row, lower, upper))
-
-    def _add_affine(
-        self, variable: Variable | None, scale: float, offset: float, lower: float, upper: float
-    ) -> None:
-        """Adds lower ≤ scale · x + offset ≤ upper."""
-        if variable is None:
-            if not lower - _ROUNDING <= offset <= upper + _ROUNDING:
-                raise ContradictionError
-            return
-        low, high = sorted(((lower - offset) / scale, (upper - offset) / scale))
-        self._bound(np.array([variable]), np.array([low]), np.array([high]))
-
-    def _bound(
-        self, variables: Any, lower: npt.NDArray[np.float64], upper: npt.NDArray[np.float64]
-    ) -> None:
-        index = self.source.FindDecisionVariableIndices(variables)
-        np.maximum.at(self._lower, index, lower)
-        np.minimum.at(self._upper, index, upper)
-        low, high = self._lower[index], self._upper[index]
-        if not np.all(low <= high) or np.any(np.isposinf(low) | np.isneginf(high)):
-            raise ContradictionError
+        self._prefix = self._row_prefix()
+        self._num_rows = 0
 
     def _row_prefix(self) -> str:
         """Returns how rows' names begin, as no cost's does: weights are given by name."""
-        costs = [cost.evaluator().get_description() for cost in self.source.GetAllCosts()]
+        costs = [evaluator_name(cost.evaluator()) for cost in self.source.GetAllCosts()]
         prefix = "row "
         while any(name.startswith(prefix) for name in costs):
             prefix = f"constraint {prefix}"
         return prefix
 
+    def add(self, label: str, name: str, row: ConstraintRow, copies: list[list[int]]) -> None:
+        """Adds the copies of a row as bounds, equalities, or with slacks."""
+        if row.lower > row.upper or np.isposinf(row.lower) or np.isneginf(row.upper):
+            raise ContradictionError
+        if np.isneginf(row.lower) and np.isposinf(row.upper):
+            return
+        for block in term_blocks(name, row.terms, copies):
+            alike = replace(row, terms=block.terms)
+            bound = as_bound(alike)
+            if bound is not None:
+                local, low, high = bound
+                self._bound(block.variables[:, local], low, high)
+            elif not any(term.factors for term in block.terms):
+                _check_constant(alike)
+            else:
+                self._add_rows(label, alike, block)
+
+    def _bound(self, index: npt.NDArray[np.int64], low: float, high: float) -> None:
+        np.maximum.at(self._lower, index, low)
+        np.minimum.at(self._upper, index, high)
+        lower, upper = self._lower[index], self._upper[index]
+        if not np.all(lower <= upper) or np.any(np.isposinf(lower) | np.isneginf(upper)):
+            raise ContradictionError
+
+    def _add_rows(self, label: str, row: ConstraintRow, block: TermBlock) -> None:
+        """Adds copies of an equality, or of an inequality with a slack each."""
+        variables, count = block.variables, len(block.variables)
+        if row.lower == row.upper:
+            rest = Term(-row.lower, ())
+        else:
+            first = self._lower.size
+            rest = Term(-1.0, (Factor(variables.shape[1], FunctionKind.POWER),))
+            for number, copy in enumerate(variables.tolist(), self._num_rows):
+                self.slacks.append(Slack(number, row.terms, tuple(copy)))
+            own = np.arange(first, first + count)
+            variables = np.column_stack([variables, own])
+            self._lower = np.append(self._lower, np.full(count, row.lower))
+            self._upper = np.append(self._upper, np.full(count, row.upper))
+        terms = (*row.terms, rest)
+        self.blocks.append(TermBlock(block.name, terms, variables))
+        self.squares.append(
+            TermBlock(f"{self._prefix}{self._num_rows}", _square(label, row, terms), variables)
+        )
+        self._num_rows += count
+
     def finish(self) -> AigoProgram:
         """Returns the program."""
-        constrained = MathematicalProgram()
-        constrained.AddDecisionVariables(self.source.decision_variables())
-        slacks = constrained.NewContinuousVariables(len(self.slacks), "slack")
-        rows = list(self.equalities)
-        for slack, (row, _, _) in zip(slacks, self.slacks, strict=True):
-            rows.append(row.ToExpression() - slack)
-        prefix = self._row_prefix()
-        for number, row in enumerate(rows):
-            shared = shared_constraint(as_expression(row), f"{prefix}{number}")
-            constrained.AddConstraint(shared.evaluator, vars=list(shared.placeholders))
-        penalties = compile_program(penalize(constrained))
-        lower = np.concatenate([self._lower, [bounds[1] for bounds in self.slacks]])
-        upper = np.concatenate([self._upper, [bounds[2] for bounds in self.slacks]])
-        constrained.AddBoundingBoxConstraint(lower, upper, constrained.decision_variables())
-        for cost in self.source.GetAllCosts():
-            constrained.AddCost(cost.evaluator(), vars=cost.variables())
-        slack_rows = tuple(row for row, _, _ in self.slacks)
-        nlp = compile_nlp(constrained)
+        size = self._lower.size
+        costs = compile_program(self.source, range(self.source.num_vars())).blocks
         return AigoProgram(
             source=self.source,
-            nlp=nlp,
-            costs=BoxPolynomial(nlp.num_variables, nlp.costs),
-            penalties=penalties,
-            slack_rows=slack_rows,
-            slack_map=PolynomialMap(
-                np.array([row.ToExpression() for row in slack_rows], dtype=object),
-                self.source.decision_variables(),
-            ),
+            nlp=PolynomialNlp(size, costs, tuple(self.blocks), self._lower, self._upper),
+            costs=BoxPolynomial(size, costs),
+            penalties=BoxPolynomial(size, tuple(self.squares)),
+            slacks=tuple(self.slacks),
         )
 
 
@@ -212,54 +211,27 @@ def _check_variables(prog: MathematicalProgram) -> None:
             )
 
 
-def _name(binding: Binding) -> str:
-    evaluator = binding.evaluator()
-    return evaluator.get_description() or type(evaluator).__name__
+def _check_constant(row: ConstraintRow) -> None:
+    value = sum(term.coefficient for term in row.terms)
+    if not row.lower - _ROUNDING <= value <= row.upper + _ROUNDING:
+        raise ContradictionError
 
 
-def _evaluate(binding: Binding) -> npt.NDArray[Any]:
-    """Returns a constraint's rows as expressions."""
-    evaluator = binding.evaluator()
-    if not isinstance(evaluator, _WITH_FORMULA):
+def _square(label: str, row: ConstraintRow, terms: tuple[Term, ...]) -> tuple[Term, ...]:
+    """Returns the terms of a row's square, the row's penalty."""
+    try:
+        return to_terms(power(from_terms(terms), 2))
+    except NoClosedFormError as error:
         raise UnsupportedTermError(
-            f"the constraint '{_name(binding)}' can't be solved for",
-            got=f"a {type(evaluator).__name__}",
-            expected="bounds, or a linear, quadratic or polynomial equality or inequality",
-            remedy="Write it as symbolic formulas: prog.AddConstraint(expression >= 0).",
-        )
-    rows: npt.NDArray[Any] = evaluator.Eval(binding.variables())
-    return rows
-
-
-def _as_polynomial(binding: Binding, row: Any) -> Polynomial:
-    expression = as_expression(row)
-    if not expression.is_polynomial():
+            f"{label} can't be penalised",
+            got=f"the row {row}, in whose square {error}",
+            expected="rows whose square has a mean in closed form",
+            remedy="Give one of the two functions a variable s of its own: s == exp(x).",
+        ) from None
+    except TooManyTermsError as error:
         raise UnsupportedTermError(
-            f"the constraint '{_name(binding)}' can't be solved for",
-            got=f"the row {expression}",
-            expected="a polynomial",
-            remedy="Multiply denominators out, or give sin, cos and exp variables of their own.",
-        )
-    polynomial = Polynomial(expression)
-    coefficients = polynomial.monomial_to_coefficient_map().values()
-    if not all(np.isfinite(coefficient.Evaluate()) for coefficient in coefficients):
-        raise UnsupportedTermError(
-            f"the constraint '{_name(binding)}' can't be solved for",
-            got=f"the row {expression}",
-            expected="finite numbers",
-            remedy="Look for a parameter that was not set.",
-        )
-    return polynomial
-
-
-def _as_affine(row: Polynomial) -> tuple[Variable | None, float, float] | None:
-    """Returns the parts (x, scale, offset) of scale · x + offset; None if it is something else."""
-    parts = row.monomial_to_coefficient_map()
-    offset = parts.pop(Monomial(), Expression(0.0)).Evaluate()
-    if not parts:
-        return None, 0.0, offset
-    ((monomial, scale), *others) = parts.items()
-    if others or monomial.total_degree() != 1:
-        return None
-    (variable,) = monomial.get_powers()
-    return variable, scale.Evaluate(), offset
+            f"{label} has too many terms",
+            got=f"{error.count:,} in the square of the row {row}",
+            expected=f"at most {MAX_TERMS:,}",
+            remedy="Give parts of it variables of their own by equality constraints.",
+        ) from None

@@ -117,6 +117,8 @@ class Solve:
         n = costs.num_variables
         variation = _variation(costs, self._first)
         scale = max(variation, 1e-3) / max(_variation(penalties, self._first), 1e-12)
+        if not math.isfinite(scale):  # exponentials overflow wherever bounds let x be
+            return
         merged = BoxPolynomial(n, (*costs.blocks, *penalties.blocks))
         for factor in _PENALTIES:
             weights = {name: factor * scale for name in penalties.weights}

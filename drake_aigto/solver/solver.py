@@ -47,7 +47,8 @@ class AigoSolver(SolverInterface):
         minimise f(x)  subject to  lower ≤ g(x) ≤ upper
 
     Costs are sums of products of one-variable functions (`compile_program` lists them); constraints
-    are bounds, or linear, quadratic or polynomial. Called as any other solver of Drake:
+    are bounds, and rows that are sums of products of powers, sin, cos and exp. Called as any other
+    solver of Drake:
 
         result = AigoSolver().Solve(prog)
         result.get_solver_details()      # an `AigoDetails`
