@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from compiled import compile_function
 from jobs import add_options, run_jobs
-from pydrake.solvers import IpoptSolver, SnoptSolver
+from pydrake.solvers import IpoptSolver, SnoptSolver, SolverOptions
 from scipy.optimize import differential_evolution, direct, dual_annealing, minimize, shgo
 
 from drake_aigto.local import InteriorPoint, compile_nlp
@@ -156,7 +156,10 @@ def multistart_lbfgs(target: Target, seed: int) -> None:
 
 def multistart_drake(solver: Any, target: Target, seed: int) -> None:
     start = np.random.default_rng(seed).uniform(target.lower, target.upper)
-    target.found(solver.Solve(target.prog, start, None).get_x_val())
+    options = SolverOptions()  # SNOPT has no such limit, but ends soon by itself
+    left = max(1e-3, target.deadline - time.process_time())
+    options.SetOption(IpoptSolver.id(), "max_cpu_time", left)
+    target.found(solver.Solve(target.prog, start, options).get_x_val())
 
 
 def multistart_polish(target: Target, seed: int) -> None:
@@ -296,6 +299,7 @@ def collect(
     path = arguments.out / name
     if arguments.reread:
         return read_csv(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
     records: list[Record] = []
     order = sorted(range(len(jobs)), key=lambda number: -effort(jobs[number]))
     done: dict[int, list[Record]] = {}

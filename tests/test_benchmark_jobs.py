@@ -1,0 +1,57 @@
+"""A job that fails takes no other with it."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import time
+from concurrent.futures.process import BrokenProcessPool
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+FILE = Path(__file__).parents[1] / "benchmarks" / "jobs.py"
+
+
+@pytest.fixture(name="jobs")
+def load_jobs(monkeypatch: pytest.MonkeyPatch) -> Any:
+    spec = importlib.util.spec_from_file_location("jobs", FILE)
+    assert spec and spec.loader
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    for name in module.ONE_THREAD:  # what run_jobs sets is taken back
+        monkeypatch.setenv(name, "1")
+    return module
+
+
+def work(job: str) -> str:
+    if job == "dies":
+        os._exit(3)
+    if job == "raises":
+        raise ValueError(job)
+    if job == "sleeps":
+        time.sleep(600.0)
+    return job
+
+
+def test_a_job_that_dies_or_raises_is_named_and_the_others_end(jobs: Any) -> None:
+    names = ["a", "dies", "b", "raises", "c"]
+    ended = dict(jobs.run_jobs(work, names, workers=2))
+    failures = {names[k]: type(future.exception()) for k, future in ended.items()}
+    nothing = type(None)
+    assert failures == {
+        **dict.fromkeys("abc", nothing),
+        "dies": BrokenProcessPool,
+        "raises": ValueError,
+    }
+
+
+def test_when_time_is_up_what_is_done_was_yielded(
+    jobs: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    ended = dict(jobs.run_jobs(work, ["a", "sleeps", "b"], workers=1, minutes=4.0 / 60.0))
+    assert ended[0].result() == "a"
+    assert isinstance(ended[1].exception(), BrokenProcessPool)
+    assert 2 not in ended
+    assert "1 jobs not begun, 1 ended" in capsys.readouterr().out
