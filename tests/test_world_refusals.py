@@ -9,9 +9,7 @@ import pytest
 from world_models import (
     AXIS,
     BALL_SHAPE,
-    BOX,
-    CART,
-    SLIDER,
+    WALL_POSE,
     ModelWriter,
     make_scenario,
     read_thin_walled,
@@ -26,10 +24,6 @@ SLIDER_AXIS = """<axis>
         <xyz>1 0 0</xyz>
       </axis>"""
 PRISMATIC = '<joint name="slider" type="prismatic">'
-STOP = """<link name="stop"><pose>2 0 0 0 0 0</pose>
-      <collision name="stop"><geometry><box><size>0.1 1 1</size></box></geometry></collision>
-    </link>
-    <joint name="stop_to_world" type="fixed"><parent>world</parent><child>stop</child></joint>"""
 ARM = """<link name="arm">
       <inertial><pose>0.3 0 0 0 0 0</pose><mass>1</mass></inertial>
     </link>
@@ -88,14 +82,10 @@ BAD_MODELS: dict[str, tuple[dict[str, str], str]] = {
         {between('<collision name="wall_collision">', "</collision>"): ""},
         "the model lacks contact geometry: expected a sphere, and a box or half space",
     ),
-    "two walls": (
-        {WALL_LINK: f"{STOP}{WALL_LINK}"},
-        "more than one contact: got ball against stop, ball against wall, expected one",
-    ),
     "box against box": (
         {BALL_SHAPE: "<box><size>0.1 0.1 0.1</size></box>"},
         "ball_collision with point_mass_and_wall::wall_collision: got Box against Box, expected "
-        "Sphere against Box or HalfSpace",
+        "Sphere against Box, HalfSpace or Sphere",
     ),
     "not XML": ({"<link": "<lin k"}, r"Drake can't parse the model .*variant\.sdf: got "),
 }
@@ -158,14 +148,15 @@ def test_a_start_and_a_goal_on_two_sides_of_a_thin_wall_are_refused(
 
 
 def test_a_position_beside_the_walls_face_is_refused(write_model: ModelWriter) -> None:
-    small = {SLIDER: CART, BOX: "<size>0.1 4 0.6</size>"}
-    fits = make_scenario(write_model(small), 2, goal_position=[2.4, 1.0])
-    world = World.from_scenario(fits)  # 1.92 m off the middle, 2 m are there.
-    beside = dataclasses.replace(fits, goal_position=[2.6, 1.0])
+    # The ball moves along x only, askew to the face.
+    askew = {WALL_POSE: "<pose>-0.1 0 0 0 0 0.7853981633974483</pose>"}
+    fits = make_scenario(write_model(askew), initial_position=0.3, goal_position=0.3)
+    world = World.from_scenario(fits)  # 0.28 m off the middle, 0.3 m are there.
+    beside = dataclasses.replace(fits, goal_position=0.4)
     with pytest.raises(
         ScenarioError,
         match=r"goal_position is beside the face of the wall .*got the sphere's centre "
-        r"\[2\.08, 0\.0\] m off .* expected within \[2\.0, 0\.3\] m\. Widen the wall",
+        r"\[-0\.353553, 0\.0\] m off .* expected within \[0\.3, 0\.3\] m\. Widen the wall",
     ):
         world.check(beside)
 

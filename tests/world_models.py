@@ -43,6 +43,10 @@ CART = """<link name="cart">
     </joint>
     <joint name="slider" type="prismatic">
       <parent>cart</parent>"""
+HALF_SPACE = {
+    WALL_POSE: "<pose>-0.05 0 0 0 1.5707963267948966 0</pose>",
+    f"<box>\n            {BOX}\n          </box>": "<plane><normal>0 0 1</normal></plane>",
+}
 SLIDER = """<joint name="slider" type="prismatic">
       <parent>world</parent>"""
 
@@ -59,10 +63,7 @@ VARIANTS: dict[str, dict[str, str]] = {
     },
     "shifted wall": {WALL_POSE: "<pose>0.15 0 0 0 0 0</pose>"},
     "turned wall": {WALL_POSE: "<pose>-0.1 0 0 0 0.4 1.5707963267948966</pose>"},
-    "half space": {
-        WALL_POSE: "<pose>-0.05 0 0 0 1.5707963267948966 0</pose>",
-        f"<box>\n            {BOX}\n          </box>": "<plane><normal>0 0 1</normal></plane>",
-    },
+    "half space": HALF_SPACE,
     "ball off its link's origin": {
         '<collision name="ball_collision">': '<collision name="ball_collision">'
         "<pose>0.2 0.1 0 0 0 0</pose>"
@@ -71,7 +72,7 @@ VARIANTS: dict[str, dict[str, str]] = {
         "</axis>": "</axis><drake:rotor_inertia>0.3</drake:rotor_inertia>"
         "<drake:gear_ratio>2</drake:gear_ratio>"
     },
-    "cart": {SLIDER: CART, BOX: "<size>0.1 9 9</size>"},
+    "cart": {SLIDER: CART, **HALF_SPACE},
 }
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydrake.symbolic import Expression
 
+from drake_aigto.transcription.shared import only_contact
 from drake_aigto.world.polynomials import PolynomialMap
 
 if TYPE_CHECKING:
@@ -20,9 +21,13 @@ class ContactMotion:
     """The distance φ of a world's contact along a motion x = (q, v), and what impulses do to it."""
 
     def __init__(self, world: World) -> None:
-        """Compiles φ and its rates."""
+        """Compiles φ and its rates.
+
+        Raises:
+            ModelError: there are several contacts.
+        """
         self._world = world
-        (contact,) = world.contacts
+        contact = only_contact(world, "the replay")
         x = np.concatenate([world.positions, world.velocities])
         rate = _calc_rate(contact.signed_distance, world)
         curvature = _calc_rate(rate, world)

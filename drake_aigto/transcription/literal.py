@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydrake.symbolic import Expression
 
-from drake_aigto.transcription.shared import as_expression, shared_constraint
+from drake_aigto.transcription.shared import as_expression, only_contact, shared_constraint
 from drake_aigto.transcription.transcription import NONPENETRATION, Transcription
 from drake_aigto.world import Scenario, World
 
@@ -37,7 +37,12 @@ class LiteralTranscription(Transcription):
     """
 
     def __init__(self, world: World, scenario: Scenario, nonpenetration: bool = True) -> None:
-        """Makes the program."""
+        """Makes the program.
+
+        Raises:
+            ModelError: the world has several contacts.
+        """
+        only_contact(world, "the literal transcription")
         self.nonpenetration = nonpenetration
         super().__init__(world, scenario)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -17,8 +18,32 @@ from pydrake.solvers import (
 )
 from pydrake.symbolic import Expression, Polynomial, Variable
 
+from drake_aigto.errors import ModelError
+
 if TYPE_CHECKING:
     import numpy.typing as npt
+
+    from drake_aigto.world import Contact, World
+
+
+def only_contact(world: World, user: str) -> Contact:
+    """Returns the contact of a world that has but one.
+
+    Args:
+        world: the world.
+        user: who can't do with more, such as "the replay".
+
+    Raises:
+        ModelError: there are several.
+    """
+    if world.num_contacts > 1:
+        raise ModelError(
+            f"{user} is for one contact",
+            got=", ".join(contact.name for contact in world.contacts),
+            expected="one of them",
+            remedy="Remove the others, or exclude them with a <drake:collision_filter_group>.",
+        )
+    return world.contacts[0]
 
 
 @dataclass(frozen=True)
@@ -40,11 +65,15 @@ class SharedEvaluator:
             prog: the program.
             values: placeholder id → decision variable.
         """
-        variables = [values[placeholder.get_id()] for placeholder in self.placeholders]
+        variables = [values[identity] for identity in self._identities]
         if isinstance(self.evaluator, Cost):
             prog.AddCost(self.evaluator, vars=variables)
         else:
             prog.AddConstraint(self.evaluator, vars=variables)
+
+    @cached_property
+    def _identities(self) -> list[int]:
+        return [placeholder.get_id() for placeholder in self.placeholders]
 
 
 def as_expression(value: Any) -> Expression:

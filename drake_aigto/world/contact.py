@@ -1,4 +1,4 @@
-"""Contact geometry, read from a SceneGraph: pairs of a sphere and a flat face, and their distance.
+"""Contact geometry, read from a SceneGraph: a sphere, a flat face, and how far they are apart.
 
 Drake's geometry queries have no symbolic form, so φ is built here from the shapes and the plant's
 symbolic kinematics: φ(q) = n · (p_sphere(q) − p_face) − r, exact while the sphere's centre projects
@@ -24,20 +24,28 @@ if TYPE_CHECKING:
 
     _Array = npt.NDArray[np.float64]
 
+# Where a scene graph keeps the restitution of a shape, if its maker put it there.
+RESTITUTION = ("material", "restitution")
+
 
 @dataclass(frozen=True, eq=False)
 class Contact:
-    """A pair of shapes that can touch, and how far they are apart.
+    """A sphere and a face that can touch, and how far they are apart.
 
     Attributes:
-        name: such as "ball against wall".
+        name: such as "ball against wall", or "ball against block, +x face".
         signed_distance: φ(q) [m], positive when apart, a polynomial.
         jacobian: J = ∂φ/∂q, shape (nv,), as q̇ = v.
+        solid: index of what is touched. All faces of a box that one sphere can reach have the same:
+            the sphere is outside when it is in front of one of them.
+        restitution: the model's own, in [0, 1]; None leaves it to the scenario.
     """
 
     name: str
     signed_distance: Expression
     jacobian: npt.NDArray[Any]
+    solid: int = 0
+    restitution: float | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,115 +53,171 @@ class SphereAndFace:
     """A sphere on one body and a flat face on another.
 
     Attributes:
-        name: such as "ball against wall".
+        shapes: the sphere, and the shape that has the face.
+        pair: both, such as "ball against wall".
+        face: which of several faces it is, such as "+x"; empty if there is but one.
         sphere_body: the body S that carries the sphere.
         p_SC: the sphere's centre C in its body's frame, shape (3,) [m].
         radius: r [m].
         face_body: the body B that carries the face.
         X_BF: the face's frame F in its body's: the origin in the face's middle, x and y along its
             edges, z its outward normal n.
-        half_extents: half the lengths of its edges, shape (2,) [m]; infinite for a half space.
+        half_extents: half the lengths of its edges, shape (2,) [m]: infinite for a half space, zero
+            for a sphere, which is no wall but on one line.
+        restitution: that of the material, in [0, 1], or None.
     """
 
-    name: str
+    shapes: tuple[GeometryId, GeometryId]
+    pair: str
+    face: str
     sphere_body: RigidBody
     p_SC: _Array
     radius: float
     face_body: RigidBody
     X_BF: RigidTransform
     half_extents: _Array
+    restitution: float | None
+
+    @property
+    def is_unbounded(self) -> bool:
+        """Whether every centre projects onto the face."""
+        return bool(np.all(np.isinf(self.half_extents)))
+
+    @property
+    def is_ball(self) -> bool:
+        """Whether the face is that of a second sphere, flat on the line through both centres."""
+        return not np.any(self.half_extents)
 
     def calc_center(self, plant: Any, context: Any, scalar: type = float) -> npt.NDArray[Any]:
-        """Returns the sphere's centre in the face's frame, shape (3,) [m].
+        """Returns the sphere's centre in the face's frame, shape (3,) [m]; the third is φ + r.
 
         Args:
             plant: the plant that the bodies belong to, or its symbolic twin.
             context: that plant's context.
             scalar: float, or Expression for the symbolic twin.
         """
-        X_BS = plant.CalcRelativeTransform(
-            context,
-            plant.get_body(self.face_body.index()).body_frame(),
-            plant.get_body(self.sphere_body.index()).body_frame(),
-        )
+        X_BS = _calc_pose(plant, context, self.face_body, self.sphere_body)
         X_FB = self.X_BF.inverse().cast[scalar]()
         return X_FB.multiply(X_BS.multiply(self.p_SC))
-
-    def calc_signed_distance(self, plant: Any, context: Any, scalar: type = float) -> Any:
-        """Returns φ [m]; arguments as `calc_center`."""
-        return self.calc_center(plant, context, scalar)[2] - self.radius
 
 
 def find_pairs(
     plant: MultibodyPlant, scene_graph: SceneGraph, plant_context: Any
-) -> list[SphereAndFace]:
-    """Returns every pair that may collide (Drake's filters applied), spheres against faces.
+) -> list[list[SphereAndFace]]:
+    """Returns all faces of every pair of shapes that may collide (Drake's filters applied).
 
-    A box offers the face that its sphere faces in the given context: that of largest distance.
+    Each pair is a list: the six faces of a box, the one of a half space. Of two spheres, the second
+    counts as a wall that faces the first one, in the given context: exact on the line through their
+    centres.
 
     Raises:
-        ModelError: a shape or a pair of shapes that is not supported, by name.
+        ModelError: a pair of shapes that is not supported, by name.
     """
     inspector = scene_graph.model_inspector()
-    pairs = []
-    for first, second in sorted(
-        inspector.GetCollisionCandidates(), key=lambda ids: [i.get_value() for i in ids]
-    ):
-        shapes = inspector.GetShape(first), inspector.GetShape(second)
-        if isinstance(shapes[0], Sphere) and isinstance(shapes[1], Box | HalfSpace):
-            sphere, wall = first, second
-        elif isinstance(shapes[1], Sphere) and isinstance(shapes[0], Box | HalfSpace):
-            sphere, wall = second, first
-        else:
-            raise ModelError(
-                f"contact of {inspector.GetName(first)} with {inspector.GetName(second)}",
-                got=" against ".join(type(shape).__name__ for shape in shapes),
-                expected="Sphere against Box or HalfSpace",
-                remedy="Change the collision shapes, or exclude the pair with a "
-                "<drake:collision_filter_group>.",
-            )
-        pairs.append(_read_pair(plant, inspector, sphere, wall, plant_context))
-    return pairs
+    candidates = inspector.GetCollisionCandidates()
+    return [
+        _read_pair(plant, inspector, *_order(inspector, first, second), plant_context)
+        for first, second in sorted(candidates, key=lambda ids: [i.get_value() for i in ids])
+    ]
+
+
+def _order(inspector: Any, first: GeometryId, second: GeometryId) -> tuple[GeometryId, GeometryId]:
+    """Returns the sphere first."""
+    shapes = inspector.GetShape(first), inspector.GetShape(second)
+    if isinstance(shapes[0], Sphere) and isinstance(shapes[1], Box | HalfSpace | Sphere):
+        return first, second
+    if isinstance(shapes[1], Sphere) and isinstance(shapes[0], Box | HalfSpace):
+        return second, first
+    raise ModelError(
+        f"contact of {inspector.GetName(first)} with {inspector.GetName(second)}",
+        got=" against ".join(type(shape).__name__ for shape in shapes),
+        expected="Sphere against Box, HalfSpace or Sphere",
+        remedy="Change the collision shapes, or exclude the pair with a "
+        "<drake:collision_filter_group>.",
+    )
 
 
 def _read_pair(
     plant: MultibodyPlant, inspector: Any, sphere: GeometryId, wall: GeometryId, context: Any
-) -> SphereAndFace:
-    """Returns one pair; of a box, the face of largest distance."""
-    sphere_body = plant.GetBodyFromFrameId(inspector.GetFrameId(sphere))
-    face_body = plant.GetBodyFromFrameId(inspector.GetFrameId(wall))
-    names = [
-        inspector.GetName(geometry).split("::")[-1] if body == plant.world_body() else body.name()
-        for body, geometry in ((sphere_body, sphere), (face_body, wall))
-    ]
-    shape = inspector.GetShape(wall)
+) -> list[SphereAndFace]:
+    """Returns all faces of one pair."""
+    sphere_body, face_body = (
+        plant.GetBodyFromFrameId(inspector.GetFrameId(shape)) for shape in (sphere, wall)
+    )
     X_BG = inspector.GetPoseInFrame(wall)
-    candidates = [
+    p_SC = inspector.GetPoseInFrame(sphere).translation()
+    p_BC = _calc_pose(plant, context, face_body, sphere_body).multiply(p_SC)
+    names = [_name(plant, inspector, shape) for shape in (sphere, wall)]
+    return [
         SphereAndFace(
-            name=" against ".join(names),
+            shapes=(sphere, wall),
+            pair=" against ".join(names),
+            face=face,
             sphere_body=sphere_body,
-            p_SC=inspector.GetPoseInFrame(sphere).translation(),
+            p_SC=p_SC,
             radius=inspector.GetShape(sphere).radius(),
             face_body=face_body,
             X_BF=X_BG @ X_GF,
             half_extents=half_extents,
+            restitution=_read_restitution(inspector, sphere, wall),
         )
-        for X_GF, half_extents in _faces(shape)
+        for face, X_GF, half_extents in _faces(
+            inspector.GetShape(wall), X_BG.inverse().multiply(p_BC)
+        )
     ]
-    return max(candidates, key=lambda pair: pair.calc_signed_distance(plant, context))
 
 
-def _faces(shape: Box | HalfSpace) -> list[tuple[RigidTransform, _Array]]:
-    """Returns X_GF, as `SphereAndFace` has it, and half extents of each face of a geometry G."""
+def _calc_pose(plant: Any, context: Any, base: RigidBody, body: RigidBody) -> Any:
+    """Returns the pose of a body in another, in the plant's own scalar."""
+    frames = (plant.get_body(each.index()).body_frame() for each in (base, body))
+    return plant.CalcRelativeTransform(context, *frames)
+
+
+def _name(plant: MultibodyPlant, inspector: Any, shape: GeometryId) -> str:
+    """Returns the name of a shape's body, or its own where a body has several, as the world may."""
+    body = plant.GetBodyFromFrameId(inspector.GetFrameId(shape))
+    if body == plant.world_body() or len(plant.GetCollisionGeometriesForBody(body)) > 1:
+        return inspector.GetName(shape).split("::")[-1]
+    return body.name()
+
+
+def _read_restitution(inspector: Any, sphere: GeometryId, wall: GeometryId) -> float | None:
+    """Returns the material's restitution, the smaller one where both shapes have it."""
+    found = []
+    for shape in (sphere, wall):
+        properties = inspector.GetProximityProperties(shape)
+        if not properties.HasProperty(*RESTITUTION):
+            continue
+        value = properties.GetProperty(*RESTITUTION)
+        if not (isinstance(value, float | int) and 0 <= value <= 1):
+            raise ModelError(
+                f"restitution of collision shape {inspector.GetName(shape)!r}",
+                got=value,
+                expected="a number from 0 to 1",
+            )
+        found.append(float(value))
+    return min(found, default=None)
+
+
+def _faces(
+    shape: Box | HalfSpace | Sphere, p_GC: _Array
+) -> list[tuple[str, RigidTransform, _Array]]:
+    """Returns name, X_GF and half extents of each face of a geometry G, seen from a centre C."""
     if isinstance(shape, HalfSpace):
-        return [(RigidTransform(), np.full(2, np.inf))]
+        return [("", RigidTransform(), np.full(2, np.inf))]
+    if isinstance(shape, Sphere):
+        distance = float(np.linalg.norm(p_GC))
+        normal = p_GC / distance if distance > 0 else np.array([0.0, 0.0, 1.0])
+        R_GF = RotationMatrix.MakeFromOneVector(normal, 2)
+        return [("", RigidTransform(R_GF, shape.radius() * normal), np.zeros(2))]
     half = np.asarray(shape.size()) / 2
     faces = []
-    for z in range(3):
+    for z, axis in enumerate("xyz"):
         for sign in (1.0, -1.0):
             # The two edges in the order that makes a right-handed frame with ±z.
             edges = [(z + 1) % 3, (z + 2) % 3][:: int(sign)]
             normal = sign * np.eye(3)[z]
             R_GF = RotationMatrix(np.column_stack([*np.eye(3)[edges], normal]))
-            faces.append((RigidTransform(R_GF, half[z] * normal), half[edges]))
+            name = f"{'+' if sign > 0 else '-'}{axis}"
+            faces.append((name, RigidTransform(R_GF, half[z] * normal), half[edges]))
     return faces

@@ -49,14 +49,21 @@ class SymbolicPlant:
         """Replaces a body's mass [kg]; its inertia scales along."""
         self._twin.get_body(body.index()).SetMass(self._context, Expression(mass))
 
-    def calc_signed_distance(self, pair: SphereAndFace) -> Expression:
-        """Returns φ(q) of a pair [m].
+    def calc_place(self, face: SphereAndFace) -> npt.NDArray[Any]:
+        """Returns where a sphere is before a face, (x, y, φ), shape (3,) [m].
+
+        x and y are its centre's coordinates along the edges. A face without any has none: zeros.
 
         Raises:
-            ModelError: it is not polynomial.
+            ModelError: not polynomial.
         """
-        distance = pair.calc_signed_distance(self._twin, self._context, Expression)
-        return self._tidy(np.array([distance]), f"the distance of {pair.name}")[0]
+        x, y, z = face.calc_center(self._twin, self._context, Expression)
+        distance = z - face.radius
+        what = f"the distance of {face.pair}"
+        if face.is_unbounded:
+            zero = Expression(0.0)
+            return np.array([zero, zero, *self._tidy(np.array([distance]), what)])
+        return self._tidy(np.array([x, y, distance]), what)
 
     def calc_mass_matrix(self) -> npt.NDArray[Any]:
         """Returns M, shape (nv, nv) [kg], constant.

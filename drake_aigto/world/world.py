@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydrake.geometry import SceneGraph
+from pydrake.geometry import GeometryId, SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import RigidBody
 from pydrake.symbolic import MakeVectorVariable
 from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.world.contact import Contact, SphereAndFace, find_pairs
+from drake_aigto.world.contact import Contact, SphereAndFace
 from drake_aigto.world.diagram import build_diagram, check_plant, find_plant
 from drake_aigto.world.fields import as_number
-from drake_aigto.world.polynomials import PolynomialMap, evaluate_constants, tidy
+from drake_aigto.world.polynomials import PolynomialMap, evaluate_constants
+from drake_aigto.world.reach import ReachableFace, find_reachable_faces
 from drake_aigto.world.scenario import Scenario
 from drake_aigto.world.symbolic_plant import SymbolicPlant
 
@@ -32,15 +34,19 @@ class World:
         M v̇ + h(q, v) = B u + J(q)ᵀ λ,    0 ≤ φ(q) ⊥ λ ≥ 0,    q̇ = v
 
     M, h and B come from the symbolic plant and φ from the scene graph's shapes: nothing is assumed
-    about masses, springs, dampers, gravity, or where the wall is. Letters: nq positions, nv = nq
-    velocities, nu actuators, m contacts (one, in this version).
+    about masses, springs, dampers, gravity, or where the walls are. Letters: nq positions, nv = nq
+    velocities, nu actuators, m contacts, S solids.
+
+    A contact is a sphere and a flat face. One sphere and all that it can reach of one box make a
+    solid: the sphere is outside when it is in front of one face at least, max_i φ_i ≥ 0. Elsewhere
+    each contact is a solid of its own.
 
     Attributes:
         diagram: holds the plant and its scene graph.
         plant: the continuous MultibodyPlant, as the model has it.
         scene_graph: its geometry.
-        mass: replaces the model's mass of the body that the contact's sphere is on [kg], or None.
-            The plant is not edited: it acts in all that is read here and in `create_context`.
+        mass: replaces the model's mass of the only body with spheres that touch [kg], or None. The
+            plant is not edited: it acts in all that is read here and in `create_context`.
         positions: the variables q, shape (nq,) [m].
         velocities: the variables v, shape (nv,) [m/s].
         controls: the variables u, shape (nu,) [N].
@@ -48,7 +54,7 @@ class World:
         bias: h(q, v), shape (nv,), polynomial Expressions [N]: Coriolis and centrifugal terms,
             gravity, springs and dampers, on the left side of the equation above.
         actuation: B, shape (nv, nu).
-        contacts: φ and J of each contact.
+        contacts: φ and J of each contact, those of one solid in a row.
     """
 
     diagram: Diagram
@@ -62,7 +68,7 @@ class World:
     bias: npt.NDArray[Any]
     actuation: npt.NDArray[np.float64]
     contacts: tuple[Contact, ...]
-    _pair: SphereAndFace = field(repr=False)
+    _reachable: tuple[ReachableFace, ...] = field(repr=False)
 
     @classmethod
     def from_scenario(cls, scenario: Scenario) -> World:
@@ -87,22 +93,26 @@ class World:
     def from_diagram(cls, diagram: Diagram, mass: float | None = None) -> World:
         """Reads a diagram of your own, which holds one continuous plant and its scene graph.
 
-        Of a box, that face counts as the wall which the sphere faces at the plant's default
-        positions.
+        Of a box that the sphere can only move along one line to, that face counts which the sphere
+        faces at the plant's default positions; of another box, every face that it can reach.
+
+        Args:
+            diagram: of one continuous MultibodyPlant and its SceneGraph, at any depth.
+            mass: replaces that of the only body with spheres that touch [kg]; None: the model's.
 
         Raises:
-            ModelError: the plant is discrete, lacks a joint, an actuator or a contact, has more
-                than one contact, or moves in a way that is not polynomial; says which.
+            ModelError: the plant is discrete, lacks a joint, an actuator or a contact, has shapes
+                that are not supported, or moves in a way that is not polynomial; or the mass is
+                that of several bodies, or of one that does not move. Says which.
             ScenarioError: the mass is not above zero.
         """
         plant, scene_graph = find_plant(diagram)
         check_plant(plant)
         symbolic_plant = SymbolicPlant(plant)
-        pair, contact = _find_contact(plant, scene_graph, symbolic_plant)
+        reachable = tuple(find_reachable_faces(plant, scene_graph, symbolic_plant))
         if mass is not None:
             mass = as_number("mass", mass, above=0.0, unit="kg")
-            _check_moves(plant, pair.sphere_body)
-            symbolic_plant.set_mass(pair.sphere_body, mass)
+            symbolic_plant.set_mass(_find_sphere_body(plant, reachable), mass)
         return cls(
             diagram=diagram,
             plant=plant,
@@ -114,8 +124,8 @@ class World:
             mass_matrix=symbolic_plant.calc_mass_matrix(),
             bias=symbolic_plant.calc_bias(),
             actuation=_read_only(plant.MakeActuationMatrix()),
-            contacts=(contact,),
-            _pair=pair,
+            contacts=tuple(each.contact for each in reachable),
+            _reachable=reachable,
         )
 
     @property
@@ -138,6 +148,16 @@ class World:
         """The number of contacts, m."""
         return len(self.contacts)
 
+    @property
+    def num_solids(self) -> int:
+        """The number of solids, S."""
+        return self.contacts[-1].solid + 1
+
+    @property
+    def shapes(self) -> tuple[tuple[GeometryId, GeometryId], ...]:
+        """The sphere and the shape that it touches, of each contact, in the scene graph."""
+        return tuple(each.face.shapes for each in self._reachable)
+
     @cached_property
     def mass_matrix_values(self) -> npt.NDArray[np.float64]:
         """M as floats, shape (nv, nv) [kg]; it is constant."""
@@ -146,6 +166,33 @@ class World:
     def calc_signed_distance(self, q: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns φ(q), shape (m,) [m], at q of shape (nq,) [m]."""
         return self._signed_distance_map(q)
+
+    def calc_clearance(self, q: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Returns how far the sphere is outside each solid, shape (S,) [m], at q of shape (nq,).
+
+        The largest φ_i of the solid's faces: at least 0 outside, and the distance itself where the
+        sphere's centre projects onto a face. Past an edge or a corner the distance is larger: the
+        corner counts as sharp though the sphere would round it.
+        """
+        return np.maximum.reduceat(self.calc_signed_distance(q), self._first_of_solid)
+
+    def is_on_face(self, q: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+        """Returns whether the sphere's centre projects onto each face, shape (m,)."""
+        off = self._lateral_map(q).reshape(-1, 2)
+        return np.all(np.abs(off) <= self._half_extents, axis=1)
+
+    def restitutions(self, scenario: Scenario) -> npt.NDArray[np.float64]:
+        """Returns the restitution of each contact, shape (m,): the model's own, or the scenario's.
+
+        A model has its own as the proximity property ("material", "restitution") of a shape; of two
+        shapes that have it, the smaller one counts.
+        """
+        return np.array(
+            [
+                scenario.restitution if contact.restitution is None else contact.restitution
+                for contact in self.contacts
+            ]
+        )
 
     def calc_contact_jacobian(self, q: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns J(q) = ∂φ/∂q, shape (m, nv), at q of shape (nq,) [m]."""
@@ -178,7 +225,7 @@ class World:
         root = self.diagram.CreateDefaultContext()
         if self.mass is not None:
             context = self.plant.GetMyMutableContextFromRoot(root)
-            self._pair.sphere_body.SetMass(context, self.mass)
+            _find_sphere_body(self.plant, self._reachable).SetMass(context, self.mass)
         return root
 
     def check(self, scenario: Scenario) -> None:
@@ -196,30 +243,20 @@ class World:
                 expected="None, the model's" if self.mass is None else f"{self.mass:g} kg",
                 remedy="The world was made with that; make it of this scenario.",
             )
-        context = self.plant.CreateDefaultContext()
         for name in ("initial_position", "goal_position"):
-            self.plant.SetPositions(context, getattr(scenario, name))
-            self._check_place(name, self._pair.calc_center(self.plant, context))
+            self._check_place(name, getattr(scenario, name))
 
-    def _check_place(self, name: str, center: npt.NDArray[np.float64]) -> None:
-        """Refuses a centre of the sphere, in the face's frame, that is not in front of it."""
-        lateral, distance = center[:2], center[2] - self._pair.radius
-        if distance <= 0:
-            faced = np.round(self.plant.GetDefaultPositions(), 6).tolist()
-            raise ScenarioError(
-                f"{name} is inside, behind or against the wall ({self._pair.name})",
-                got=f"a signed distance of {distance:g} m",
-                expected="more than 0 m",
-                remedy=f"The wall is the face that the sphere faces at q = {faced}; start and goal "
-                "must both be in front of it.",
-            )
-        if np.any(np.abs(lateral) > self._pair.half_extents):
-            raise ScenarioError(
-                f"{name} is beside the face of the wall ({self._pair.name})",
-                got=f"the sphere's centre {np.round(lateral, 6).tolist()} m off the face's middle",
-                expected=f"within {self._pair.half_extents.tolist()} m",
-                remedy="Widen the wall, or use a half space.",
-            )
+    def _check_place(self, name: str, q: npt.NDArray[np.float64]) -> None:
+        """Refuses a position inside or against a solid, or beside the one face that it has."""
+        ends = np.append(self._first_of_solid, self.num_contacts)
+        for solid, distance in enumerate(self.calc_clearance(q)):
+            first, faces = ends[solid], ends[solid + 1] - ends[solid]
+            face = self._reachable[first].face
+            if distance <= 0:
+                raise _refuse_inside(name, face, distance, faces, self.plant)
+            if faces == 1 and not self.is_on_face(q)[first]:
+                off = self._lateral_map(q).reshape(-1, 2)[first]
+                raise _refuse_beside(name, face, off)
 
     @cached_property
     def _jacobian_map(self) -> PolynomialMap:
@@ -232,6 +269,20 @@ class World:
         return PolynomialMap(distances, self.positions)
 
     @cached_property
+    def _first_of_solid(self) -> npt.NDArray[np.intp]:
+        """Index of the first contact of each solid, shape (S,)."""
+        return np.unique([contact.solid for contact in self.contacts], return_index=True)[1]
+
+    @cached_property
+    def _lateral_map(self) -> PolynomialMap:
+        lateral = np.concatenate([each.lateral for each in self._reachable])
+        return PolynomialMap(lateral, self.positions)
+
+    @cached_property
+    def _half_extents(self) -> npt.NDArray[np.float64]:
+        return np.array([each.face.half_extents for each in self._reachable])
+
+    @cached_property
     def _bias_map(self) -> PolynomialMap:
         return PolynomialMap(self.bias, np.concatenate([self.positions, self.velocities]))
 
@@ -240,35 +291,18 @@ class World:
         return np.linalg.inv(self.mass_matrix_values)
 
 
-def _find_contact(
-    plant: MultibodyPlant, scene_graph: SceneGraph, symbolic_plant: SymbolicPlant
-) -> tuple[SphereAndFace, Contact]:
-    """Returns the one pair whose distance changes with q, and that distance."""
-    found = []
-    for pair in find_pairs(plant, scene_graph, plant.CreateDefaultContext()):
-        distance = symbolic_plant.calc_signed_distance(pair)
-        if distance.GetVariables().empty():
-            continue  # No relative motion towards each other.
-        jacobian = tidy(np.array([distance.Differentiate(x) for x in symbolic_plant.q]))
-        found.append((pair, Contact(pair.name, distance, jacobian)))
-    if not found:
+def _find_sphere_body(plant: MultibodyPlant, reachable: Sequence[ReachableFace]) -> RigidBody:
+    """Returns the only body with spheres that touch, whose mass a scenario may replace."""
+    bodies = {each.face.sphere_body.index(): each.face.sphere_body for each in reachable}
+    if len(bodies) > 1:
         raise ModelError(
-            "the model lacks contact geometry",
-            expected="a sphere, and a box or half space that it can touch",
-            remedy="Add <collision> shapes to both links.",
+            "mass",
+            got=f"links {', '.join(repr(body.name()) for body in bodies.values())}, which all "
+            "carry spheres that touch",
+            expected="one such link",
+            remedy="Edit the masses in the model instead.",
         )
-    if len(found) > 1:
-        raise ModelError(
-            "the model has more than one contact",
-            got=", ".join(pair.name for pair, _ in found),
-            expected="one",
-            remedy="Remove the others, or exclude them with a <drake:collision_filter_group>.",
-        )
-    return found[0]
-
-
-def _check_moves(plant: MultibodyPlant, body: RigidBody) -> None:
-    """Refuses to give a mass to a body that does not move."""
+    (body,) = bodies.values()
     if plant.IsAnchored(body):
         raise ModelError(
             "mass",
@@ -276,6 +310,34 @@ def _check_moves(plant: MultibodyPlant, body: RigidBody) -> None:
             expected="the sphere on a moving link",
             remedy="Edit the mass in the model instead.",
         )
+    return body
+
+
+def _refuse_inside(
+    name: str, face: SphereAndFace, distance: float, num_faces: int, plant: MultibodyPlant
+) -> ScenarioError:
+    """Returns the error of a position inside or against a solid."""
+    faced = np.round(plant.GetDefaultPositions(), 6).tolist()
+    remedy = (
+        f"The wall is the face that the sphere faces at q = {faced}; start and goal must both be "
+        "in front of it."
+    )
+    return ScenarioError(
+        f"{name} is inside, behind or against the wall ({face.pair})",
+        got=f"a signed distance of {distance:g} m",
+        expected="more than 0 m",
+        remedy=remedy if num_faces == 1 else "Start and goal must both be outside.",
+    )
+
+
+def _refuse_beside(name: str, face: SphereAndFace, off: npt.NDArray[np.float64]) -> ScenarioError:
+    """Returns the error of a position off the edges of the only face of a wall."""
+    return ScenarioError(
+        f"{name} is beside the face of the wall ({face.pair})",
+        got=f"the sphere's centre {np.round(off, 6).tolist()} m off the face's middle",
+        expected=f"within {face.half_extents.tolist()} m",
+        remedy="Widen the wall, or use a half space.",
+    )
 
 
 def _check_sizes(plant: MultibodyPlant, scenario: Scenario) -> None:

@@ -1,0 +1,113 @@
+"""Which faces a sphere can reach: pairs of shapes become contacts."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from pydrake.geometry import SceneGraph
+from pydrake.multibody.plant import MultibodyPlant
+from pydrake.symbolic import Expression
+
+from drake_aigto.errors import ModelError
+from drake_aigto.world.contact import Contact, SphereAndFace, find_pairs
+from drake_aigto.world.polynomials import tidy
+from drake_aigto.world.symbolic_plant import SymbolicPlant
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+# A sphere that slides along a face, at a distance that is zero but for rounding, is not inside [m].
+_ROUNDING = 1e-9
+
+
+class ReachableFace(NamedTuple):
+    """A contact, and the face that it is read from.
+
+    Attributes:
+        face: its geometry.
+        lateral: the sphere's centre along the face's edges, shape (2,) Expressions [m].
+        contact: φ and J.
+    """
+
+    face: SphereAndFace
+    lateral: npt.NDArray[Any]
+    contact: Contact
+
+
+def find_reachable_faces(
+    plant: MultibodyPlant, scene_graph: SceneGraph, symbolic_plant: SymbolicPlant
+) -> list[ReachableFace]:
+    """Returns every face that a sphere can touch, those of one box in a row.
+
+    Of a box that the sphere can only move along one line to, that is the face which it faces at the
+    default positions; of another box, every face that the sphere can move to or from.
+
+    Raises:
+        ModelError: there is none, or a pair of shapes is not supported.
+    """
+    found: list[ReachableFace] = []
+    solid = 0
+    for pair in find_pairs(plant, scene_graph, plant.CreateDefaultContext()):
+        places = [symbolic_plant.calc_place(face) for face in pair]
+        chosen = _choose(pair, places, symbolic_plant.q, plant.GetDefaultPositions())
+        for i in chosen:
+            face, distance = pair[i], places[i][2]
+            _check_line(face, places[i])
+            name = f"{face.pair}, {face.face} face" if len(chosen) > 1 else face.pair
+            jacobian = tidy(_differentiate(distance, symbolic_plant.q))
+            contact = Contact(name, distance, jacobian, solid, face.restitution)
+            found.append(ReachableFace(face, places[i][:2], contact))
+        solid += bool(chosen)
+    if not found:
+        raise ModelError(
+            "the model lacks contact geometry",
+            expected="a sphere, and a box or half space that it can touch",
+            remedy="Add <collision> shapes to both links.",
+        )
+    return found
+
+
+def _choose(
+    pair: list[SphereAndFace],
+    places: list[npt.NDArray[Any]],
+    q: npt.NDArray[Any],
+    default: npt.NDArray[np.float64],
+) -> list[int]:
+    """Returns the indices of the faces that count, none if the two shapes can't touch."""
+    distances = [place[2] for place in places]
+    fixed = [i for i, distance in enumerate(distances) if _is_constant(distance)]
+    if any(distances[i].Evaluate() >= -_ROUNDING for i in fixed):
+        return []
+    at_default = dict(zip(q, default, strict=True))
+    if len(pair) > 1:
+        rates = np.array([_differentiate(length, q) for length in places[0]])
+        if np.linalg.matrix_rank(_evaluate(rates, at_default)) > 1:
+            return [i for i in range(len(pair)) if i not in fixed]
+    nearest = int(np.argmax(_evaluate(np.array(distances), at_default)))
+    return [] if nearest in fixed else [nearest]
+
+
+def _check_line(face: SphereAndFace, place: npt.NDArray[Any]) -> None:
+    """Refuses two spheres whose centres leave the line on which one is a wall to the other."""
+    if face.is_ball and not all(length.EqualTo(Expression(0.0)) for length in place[:2]):
+        raise ModelError(
+            f"contact of {face.pair}",
+            got="two spheres that do not move along the line through their centres",
+            expected="Sphere against Box or HalfSpace, or spheres on one line",
+            remedy="Change a collision shape, or exclude the pair with a "
+            "<drake:collision_filter_group>.",
+        )
+
+
+def _differentiate(expression: Expression, q: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    return np.array([expression.Differentiate(x) for x in q])
+
+
+def _evaluate(expressions: npt.NDArray[Any], at: dict[Any, float]) -> npt.NDArray[np.float64]:
+    values = [expression.Evaluate(at) for expression in expressions.flat]
+    return np.array(values).reshape(expressions.shape)
+
+
+def _is_constant(expression: Expression) -> bool:
+    return expression.GetVariables().empty()
