@@ -3,24 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydrake.symbolic import Expression, MakeVectorVariable
+from pydrake.symbolic import Expression, MakeVectorVariable, Variable
 
-from drake_aigto.errors import OptionsError
 from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription.facings import Facing, find_facings
 from drake_aigto.transcription.rigid_contact import (
     CONTACT,
     DYNAMICS,
     FLIGHT,
     RESTITUTION,
     ImpactTranscription,
+    JointImpact,
     bias_at,
 )
 from drake_aigto.transcription.shared import SharedEvaluator, as_expression, shared_constraint
-from drake_aigto.transcription.touch import Touch, TouchSequence
+from drake_aigto.transcription.timeline import make_timeline
+from drake_aigto.transcription.touch import Touch, TouchSequence, joint_times
+from drake_aigto.transcription.transcription import NONPENETRATION
 from drake_aigto.world import Scenario, World
 
 if TYPE_CHECKING:
@@ -32,80 +34,100 @@ if TYPE_CHECKING:
 _SHORTEST_FLIGHT, _SHORTEST_CONTACT = 1e-7, 1e-3
 
 
-@dataclass(frozen=True)
-class _Phase:
-    """Steps first … last − 1 of one kind, all of one length."""
-
-    first: int
-    last: int
-    rests: bool
-
-
 class PhaseTranscription(ImpactTranscription):
     """What is left to optimise once the contact sequence is known: a multi-phase problem.
 
-    Knots are spread evenly over each phase, whose duration is free, so time steps h_k are decision
-    variables. From the velocity v⁺_k after knot k, with means over the step marked by a bar:
+    Phases meet where a contact is touched or left. Knots are spread evenly over each phase, whose
+    duration is free, so time steps h_k are decision variables. From the velocity v⁺_k after knot k,
+    with means over the step marked by a bar:
 
         q_{k+1} = q_k + h_k v̄_k                                                            "flight"
         M (v_{k+1} − v⁺_k) = h_k (B u_k − h(q̄_k, v̄_k) + Jᵀ λ_k)                          "dynamics"
-        v⁺_k = v_k, but where the wall is touched
-        φ(q_k) = 0,  J v_k ≤ 0,  J v⁺_k = −e J v_k                         "contact", "restitution"
-        while contact lasts: φ(q_{k+1}) = 0, λ_k ≥ 0; and it starts with J v⁺_k = 0
-        elsewhere: λ_k = 0 and φ(q_k) ≥ 0                                          "nonpenetration"
+        v⁺_k = v_k, but where contacts C are touched
+        φ_i(q_k) = 0,  J_i v_k ≤ 0,  J_C v⁺_k = −E J_C v_k                 "contact", "restitution"
+        while contact i lasts: φ_i(q_{k+1}) = 0, λ_ik ≥ 0; and it starts with J_i v⁺_k = 0
+        elsewhere: λ_ik = 0 and φ_i(q_k) ≥ 0                                       "nonpenetration"
         h_{k+1} = h_k within a phase,  Σ h_k = T                                             "clock"
+
+    C are all contacts that are touched at that knot, and those that were resting until then: they
+    are struck at once (`JointImpact`), and no impulse pulls. A contact that lasts holds its normal
+    only, so that the body slides along the frictionless wall. Of a box with several faces the one
+    that is in force (`Facing`) stands for all; beside a face, none of it is touched.
 
     Held controls make flight exact for a constant h; with springs and dampers this is the implicit
     midpoint rule. Forces are variables here, for the mode is known.
 
     Decision variables are q, v, u, clearances (`Transcription`), and, with contacts, time steps h
-    and times t, the closing speeds J v_k of the touches, and the λ_k of contacts that last.
+    and times t, the closing speeds J_i v_k of the touches, impulses of coupled contacts, and the
+    λ_ik of contacts that last.
 
     Args:
-        world: the plant, read; its signed distance has to be affine.
+        world: the plant, read; its signed distances have to be affine.
         scenario: the task; its time step only says how many knots there are.
         sequence: the contacts in the order of time; () is a free flight.
+        facings: which faces of boxes keep the motion out; if None, those of a straight guess.
 
     Raises:
         OptionsError: times out of order or outside of the duration, or more phases than steps.
     """
 
-    def __init__(self, world: World, scenario: Scenario, sequence: Sequence[Touch] = ()) -> None:
+    def __init__(
+        self,
+        world: World,
+        scenario: Scenario,
+        sequence: Sequence[Touch] = (),
+        facings: Sequence[Facing] | None = None,
+    ) -> None:
         """Spreads the knots by the sequence's times, and makes the program."""
         self.sequence: TouchSequence = tuple(sequence)
-        self._phases = _make_phases(self.sequence, scenario)
-        joints = [phase.first for phase in self._phases[1:]]
-        rests = [phase.rests for phase in self._phases]
-        # A touch is a joint that a flight leads to.
-        self._touches = [k for k, before in zip(joints, rests, strict=False) if not before]
-        self._resting = [k for p in self._phases if p.rests for k in range(p.first, p.last)]
+        if facings is None:
+            facings = find_facings(world, *straight_path(world, scenario, sequence), sequence)
+        self.timeline = make_timeline(world, scenario, self.sequence, facings)
+        self._facing_contacts = tuple(facing.contact for facing in facings)
+        self._restitutions = world.restitutions(scenario)
         super().__init__(world, scenario)
 
     def _make_variables(self) -> None:
         super()._make_variables()
-        N = self.scenario.num_steps
+        N, m = self.scenario.num_steps, self.world.num_contacts
         new = self._prog.NewContinuousVariables
         self._steps, self._times = np.empty(0, dtype=object), np.empty(0, dtype=object)
         self._step = MakeVectorVariable(2, "h")  # of this stage and the next
         self._clock = MakeVectorVariable(2, "t")
-        if self.sequence:
+        if self._has_clock:
             self._steps, self._times = new(N, "h"), new(N + 1, "t")
             self._duration = Expression(self._step[0])
-        self._closing = new(len(self._touches), "closing")
-        self._force = MakeVectorVariable(1, "f")
-        self._forces = new(len(self._resting), "f")
+        line = self.timeline
+        knots = np.flatnonzero(line.struck.any(axis=1)).tolist()
+        self._impacts = {k: self._impact(line.struck[k]) for k in knots}
+        self._is_coupled = np.zeros_like(line.struck)
+        for k, impact in self._impacts.items():
+            self._is_coupled[k, line.struck[k]] = impact.coupled
+        # Variables stand where the masks of the same shape are True.
+        self._closing = _scatter(new(int(np.sum(line.starts)), "closing"), line.starts)
+        self._push = _scatter(new(int(np.sum(self._is_coupled)), "push"), self._is_coupled)
+        self._force = MakeVectorVariable(m, "f")
+        self._forces = _scatter(new(int(np.sum(line.rests)), "f"), line.rests)
+
+    @property
+    def _has_clock(self) -> bool:
+        return len(self.timeline.phases) > 1
+
+    def _impact(self, struck: npt.NDArray[np.bool_]) -> JointImpact:
+        contacts = [self._contacts[i] for i in np.flatnonzero(struck)]
+        return JointImpact.of(contacts, self._restitutions[struck])
 
     def _add_rows(self) -> None:
-        if self.sequence:
+        if self._has_clock:
             self._add_clock()
-        held = {*self._touches, *(k + 1 for k in self._resting)}
-        self._add_nonpenetration([k for k in range(1, self.num_samples()) if k not in held])
-        self._add_contacts(held)
-        rows: dict[tuple[bool, bool], list[SharedEvaluator]] = {}
+        self._add_distances()
+        self._add_touches()
+        line = self.timeline
+        rows: dict[bytes, list[SharedEvaluator]] = {}
         for k in range(len(self._u)):
-            kind = k in self._touches, k in self._resting
+            kind = line.struck[k].tobytes() + line.rests[k].tobytes()
             if kind not in rows:
-                rows[kind] = self._motion_rows(*kind)
+                rows[kind] = self._motion_rows(k)
             for row in rows[kind]:
                 self._bind(row, k)
 
@@ -114,7 +136,7 @@ class PhaseTranscription(ImpactTranscription):
         T = self.scenario.duration
         same = shared_constraint(self._step[1] - self._step[0], "clock")
         add = shared_constraint(self._clock[1] - self._clock[0] - self._step[0], "clock")
-        for phase in self._phases:
+        for phase in self.timeline.phases:
             least = T * (_SHORTEST_CONTACT if phase.rests else _SHORTEST_FLIGHT)
             steps = self._steps[phase.first : phase.last]
             self._prog.AddBoundingBoxConstraint(least / len(steps), T, steps)
@@ -125,37 +147,57 @@ class PhaseTranscription(ImpactTranscription):
             "duration"
         )
 
-    def _add_contacts(self, held: set[int]) -> None:
-        """Adds where the ball is at the wall, and how it comes there."""
-        distance = (
-            Expression(self._clearance[0])
-            if self._clearance.size
-            else self.world.contacts[0].signed_distance
-        )
-        self._bind_each(shared_constraint(distance, CONTACT), sorted(held))
-        e, rests = self.scenario.restitution, {phase.first for phase in self._phases if phase.rests}
-        for closing, k in zip(self._closing, self._touches, strict=True):
-            self._prog.AddLinearConstraint(
-                closing - self._contact.jacobian @ self._v[k] == 0
-            ).evaluator().set_description(RESTITUTION)
-            # Only a ball that does not rebound can stay.
-            lower = 0.0 if e > 0 and k in rests else -np.inf
-            self._prog.AddBoundingBoxConstraint(lower, 0.0, closing)
-        if self._forces.size:
-            self._prog.AddBoundingBoxConstraint(0.0, np.inf, self._forces)
+    def _add_distances(self) -> None:
+        """Adds where the ball is at a wall, and where it is before or beside it."""
+        line = self.timeline
+        for mask, name, lower, upper in (
+            (line.apart, NONPENETRATION, 0.0, np.inf),
+            (line.held, CONTACT, 0.0, 0.0),
+            (line.beside, NONPENETRATION, -np.inf, 0.0),
+        ):
+            for i in range(self.world.num_contacts):
+                knots = np.flatnonzero(mask[1:, i]) + 1
+                if knots.size:
+                    row = shared_constraint(self._distance(i), name, lower, upper)
+                    self._bind_each(row, knots.tolist())
 
-    def _motion_rows(self, touches: bool, rests: bool) -> list[SharedEvaluator]:
-        """Returns the flight and dynamics rows of a stage."""
-        world, contact, h = self.world, self._contact, self._duration
+    def _add_touches(self) -> None:
+        """Adds how the ball comes to walls, and that no wall pulls."""
+        line = self.timeline
+        for k, i in np.argwhere(line.starts).tolist():
+            self._add_speed(self._closing[k, i], self._contacts[i].jacobian, k)
+            # Only a ball that does not rebound can stay.
+            stays = k < len(line.rests) and line.rests[k, i] and self._restitutions[i] > 0
+            self._prog.AddBoundingBoxConstraint(0.0 if stays else -np.inf, 0.0, self._closing[k, i])
+        for k, impact in self._impacts.items():
+            for push, row in zip(
+                self._push[k, self._is_coupled[k]], impact.impulses[impact.coupled], strict=True
+            ):
+                self._add_speed(push, row, k)
+        for unilateral in (self._push[self._is_coupled], self._forces[line.rests]):
+            if unilateral.size:
+                self._prog.AddBoundingBoxConstraint(0.0, np.inf, unilateral)
+
+    def _add_speed(self, variable: Variable, row: npt.NDArray[np.float64], k: int) -> None:
+        """Adds the variable's definition, row · v_k."""
+        variables = np.append(variable, self._v[k])
+        coefficients = np.append(-1.0, row)[np.newaxis]
+        self._prog.AddLinearEqualityConstraint(
+            coefficients, [0.0], variables
+        ).evaluator().set_description(RESTITUTION)
+
+    def _motion_rows(self, k: int) -> list[SharedEvaluator]:
+        """Returns the flight and dynamics rows of stages like the k-th."""
+        world, h = self.world, self._duration
         start = world.velocities
-        if touches:
-            start = contact.impact_map(self.scenario.restitution) @ start
+        if k in self._impacts:
+            start = self._impacts[k].velocities @ start
         mean = (start + self._next_v) / 2
         force = world.actuation @ world.controls - bias_at(
             world, (world.positions + self._next_q) / 2, mean
         )
-        if rests:
-            force = force + contact.jacobian * self._force[0]
+        for i in np.flatnonzero(self.timeline.rests[k]):
+            force = force + self._contacts[i].jacobian * self._force[i]
         flight = self._next_q - world.positions - h * mean
         dynamics = world.mass_matrix @ (self._next_v - start) - h * force
         return [
@@ -171,19 +213,25 @@ class PhaseTranscription(ImpactTranscription):
                 (self._step, np.array([self._steps[k], next_step])),
                 (self._clock, self._times[k : k + 2]),
             ]
-        if k in self._resting:
-            pairs.append((self._force, self._forces[[self._resting.index(k)]]))
+        if k < len(self._u):
+            rests = self.timeline.rests[k]
+            pairs.append((self._force[rests], self._forces[k, rests]))
         return pairs
 
     def _stage_variables(self, k: int) -> npt.NDArray[Any]:
-        of_touch = self._closing[[k == touch for touch in self._touches]]
-        of_rest = self._forces[[k == rest for rest in self._resting]]
-        clock = [self._times[k : k + 1], self._steps[k : k + 1]]
-        return np.concatenate([super()._stage_variables(k), of_touch, *clock, of_rest])
+        line = self.timeline
+        of_knot = [
+            self._closing[k, line.starts[k]],
+            self._push[k, self._is_coupled[k]],
+            self._times[k : k + 1],
+            self._steps[k : k + 1],
+        ]
+        of_step = [self._forces[k, line.rests[k]]] if k < len(self._u) else []
+        return np.concatenate([super()._stage_variables(k), *of_knot, *of_step])
 
     def sample_times(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns the knots' times at x, shape (N+1,) [s]; they increase at any x within bounds."""
-        if not self.sequence:
+        if not self._has_clock:
             return self.GetSampleTimes()
         elapsed = np.cumsum(self._values(x, self._steps))
         return np.append(0.0, self.scenario.duration * elapsed / elapsed[-1])
@@ -191,85 +239,105 @@ class PhaseTranscription(ImpactTranscription):
     def contact_sequence(self, x: npt.NDArray[np.float64]) -> TouchSequence:
         """Returns the sequence with its times at x."""
         t = self.sample_times(x)
-        ends = {phase.first: phase.last for phase in self._phases if phase.rests}
-        return tuple(Touch(float(t[k]), float(t[ends.get(k, k)])) for k in self._touches)
+        return tuple(
+            Touch(float(t[first]), float(t[last]), touch.contact)
+            for touch, (first, last) in zip(self.sequence, self.timeline.spans, strict=True)
+        )
+
+    def facings(self, x: npt.NDArray[np.float64]) -> tuple[Facing, ...]:
+        """Returns the faces of boxes that keep the motion out, with their times at x."""
+        t = self.sample_times(x)
+        return tuple(
+            Facing(float(t[k]), contact)
+            for contact, k in zip(self._facing_contacts, self.timeline.turns, strict=True)
+        )
 
     def impulses(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Returns −(1 + e) m J v_k where the wall is touched, shape (N+1, 1) [N s]."""
-        contact, touches = self._contact, self._touches
-        impulses = np.zeros((self.num_samples(), 1))
-        rates = self.split(x)[1][touches] @ contact.jacobian
-        impulses[touches, 0] = -(1 + self.scenario.restitution) * contact.mass * rates
+        """Returns P v_k (`JointImpact`) where contacts are touched, shape (N+1, m) [N s]."""
+        velocities = self.split(x)[1]
+        impulses = np.zeros(self.timeline.struck.shape)
+        for k, impact in self._impacts.items():
+            impulses[k, self.timeline.struck[k]] = impact.impulses @ velocities[k]
         return impulses
 
     def forces(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Returns λ_k, shape (N, 1) [N]."""
-        forces = super().forces(x)
-        forces[self._resting, 0] = self._values(x, self._forces)
+        """Returns λ_k, shape (N, m) [N]."""
+        forces, rests = super().forces(x), self.timeline.rests
+        forces[rests] = self._values(x, self._forces[rests])
         return forces
 
     def vector(self, trajectory: Trajectory) -> npt.NDArray[np.float64]:
         """Returns all decision variables of a trajectory at these knots; undoes `trajectory`."""
         x = self.vector_of(trajectory.positions, trajectory.velocities, trajectory.controls)
-        groups: list[tuple[npt.NDArray[Any], npt.NDArray[np.float64]]] = [
-            (self._closing, trajectory.velocities[self._touches] @ self._contact.jacobian),
-            (self._forces, trajectory.forces[self._resting, 0]),
+        line, v = self.timeline, trajectory.velocities
+        J = np.array([contact.jacobian for contact in self._contacts])
+        pushes = np.zeros(line.struck.shape)
+        for k, impact in self._impacts.items():
+            pushes[k, line.struck[k]] = impact.impulses @ v[k]
+        groups = [
+            (self._closing, line.starts, v @ J.T),
+            (self._push, self._is_coupled, pushes),
+            (self._forces, line.rests, trajectory.forces),
         ]
-        if self.sequence:
-            groups += [(self._steps, np.diff(trajectory.times)), (self._times, trajectory.times)]
-        for variables, values in groups:
-            x[self._prog.FindDecisionVariableIndices(variables)] = values
+        for variables, mask, values in groups:
+            x[self._prog.FindDecisionVariableIndices(variables[mask])] = values[mask]
+        if self._has_clock:
+            for variables, values in (
+                (self._steps, np.diff(trajectory.times)),
+                (self._times, trajectory.times),
+            ):
+                x[self._prog.FindDecisionVariableIndices(variables)] = values
         return x
 
-    def guess(self, through: npt.ArrayLike = ()) -> Trajectory:
+    def guess(self, through: npt.ArrayLike | None = None) -> Trajectory:
         """Returns a guess that flies straight from stop to stop without control.
 
         Args:
-            through: where the wall is touched, a row of nq for each of the touches' joints [m].
+            through: where the ball is at each of the `joint_times`, shape (J, nq) [m]; if None, on
+                the straight way to the goal, moved to the walls that are touched.
         """
-        scenario = self.scenario
-        knots = [0, *(phase.last for phase in self._phases)]
-        times = [0.0, *(t for touch in self.sequence for t in touch.joints), scenario.duration]
-        inner = np.reshape(through, (len(times) - 2, self.world.num_positions))
-        stops = np.vstack([scenario.initial_position, inner, scenario.goal_position])
-        q = np.column_stack([np.interp(range(knots[-1] + 1), knots, stop) for stop in stops.T])
-        t = np.interp(range(knots[-1] + 1), knots, times)
-        v = np.vstack([scenario.initial_velocity, np.diff(q, axis=0) / np.diff(t)[:, np.newaxis]])
-        zeros = np.zeros((self.num_samples(), 1))
+        line, N = self.timeline, len(self._u)
+        times, stops = straight_path(self.world, self.scenario, self.sequence, through)
+        knots = [0, *(phase.last for phase in line.phases)]
+        t = np.interp(range(N + 1), knots, line.times)
+        q = np.column_stack([np.interp(t, times, column) for column in stops.T])
+        v = np.vstack(
+            [self.scenario.initial_velocity, np.diff(q, axis=0) / np.diff(t)[:, np.newaxis]]
+        )
+        zeros = np.zeros(line.held.shape)
         return Trajectory(t, q, v, np.zeros(self._u.shape), zeros, zeros[1:])
 
 
-def _make_phases(sequence: Sequence[Touch], scenario: Scenario) -> list[_Phase]:
-    """Returns the phases, with steps spread by their durations."""
-    times = np.array([0.0, *(t for touch in sequence for t in touch.joints), scenario.duration])
-    durations = np.diff(times)
-    if np.any(durations <= 0):
-        raise OptionsError(
-            "sequence",
-            got=f"contacts at {times[1:-1].tolist()} s",
-            expected=f"increasing times between 0 and {scenario.duration:g} s",
-        )
-    if len(durations) > scenario.num_steps:
-        raise OptionsError(
-            "sequence",
-            got=f"{len(durations)} phases",
-            expected=f"at most the {scenario.num_steps} steps of the scenario",
-        )
-    rests = [False]
-    for touch in sequence:
-        rests += [True, False] if touch.lasts else [False]
-    counts = _spread(durations, scenario.num_steps)
-    ends = np.cumsum(counts)
-    return [
-        _Phase(int(last - count), int(last), rest)
-        for count, last, rest in zip(counts, ends, rests, strict=True)
-    ]
+def straight_path(
+    world: World,
+    scenario: Scenario,
+    sequence: Sequence[Touch],
+    through: npt.ArrayLike | None = None,
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Returns start, goal and the stops between, when and where: shapes (J+2,) [s], (J+2, nq) [m].
+
+    Args:
+        world: the plant, read.
+        scenario: the task.
+        sequence: the contacts; there is a stop at each of its `joint_times`.
+        through: the stops, shape (J, nq) [m]; if None, those of the straight way from start to
+            goal, each moved to the walls that are touched then.
+    """
+    times = np.array([0.0, *joint_times(sequence), scenario.duration])
+    ends = scenario.initial_position, scenario.goal_position
+    if through is not None:
+        inner = np.reshape(through, (len(times) - 2, world.num_positions))
+        return times, np.vstack([ends[0], inner, ends[1]])
+    stops = ends[0] + np.outer(times / times[-1], ends[1] - ends[0])
+    for stop, time in zip(stops[1:-1], times[1:-1], strict=True):
+        touched = [touch.contact for touch in sequence if touch.start <= time <= touch.end]
+        J = world.calc_contact_jacobian(stop)[touched]
+        stop -= np.linalg.pinv(J) @ world.calc_signed_distance(stop)[touched]
+    return times, stops
 
 
-def _spread(durations: npt.NDArray[np.float64], count: int) -> npt.NDArray[np.int64]:
-    """Returns how many of the steps each phase gets: by duration, and an equal share of half."""
-    even = np.full(len(durations), 1 / len(durations))
-    shares = np.cumsum(durations / durations.sum() + even) / 2
-    spare = count - len(durations)  # Each gets one first.
-    ends = np.round(spare * shares).astype(int)
-    return 1 + np.diff(ends, prepend=0)
+def _scatter(variables: npt.NDArray[Any], mask: npt.NDArray[np.bool_]) -> npt.NDArray[Any]:
+    """Returns an array of the mask's shape with the variables where it is True."""
+    places = np.full(mask.shape, None, dtype=object)
+    places[mask] = variables
+    return places

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from drake_aigto.errors import ModelError
+from drake_aigto.errors import ModelError, OptionsError
 from drake_aigto.transcription.shared import as_expression
 from drake_aigto.transcription.transcription import NONPENETRATION, Transcription
 from drake_aigto.world.polynomials import evaluate_constants
@@ -20,10 +21,13 @@ if TYPE_CHECKING:
 
 FLIGHT, DYNAMICS, CONTACT, RESTITUTION = "flight", "dynamics", "contact", "restitution"
 
+# Least eigenvalue of c contacts' inertia in units of their masses, 1 if they don't feel each other.
+_DEPENDENT = 1e-9
+
 
 @dataclass(frozen=True, eq=False)
 class RigidContact:
-    """The one contact of a world, frictionless, with a constant Jacobian.
+    """One contact of a world, frictionless, with a constant Jacobian.
 
     Attributes:
         jacobian: J = ∂φ/∂q, shape (nv,).
@@ -38,13 +42,13 @@ class RigidContact:
     tangents: npt.NDArray[np.float64]
 
     @classmethod
-    def of(cls, world: World) -> RigidContact:
-        """Returns the contact of a world.
+    def of(cls, world: World, index: int = 0) -> RigidContact:
+        """Returns a contact of a world.
 
         Raises:
             ModelError: φ is not affine in q.
         """
-        (contact,) = world.contacts
+        contact = world.contacts[index]
         if any(not entry.GetVariables().empty() for entry in contact.jacobian):
             raise ModelError(
                 f"the contact {contact.name} turns as the plant moves",
@@ -53,7 +57,9 @@ class RigidContact:
                 remedy="Use the literal transcription.",
             )
         J = evaluate_constants(contact.jacobian)
-        kick = world.calc_velocity_change(np.zeros(world.num_positions), np.ones(1))
+        impulse = np.zeros(world.num_contacts)
+        impulse[index] = 1.0
+        kick = world.calc_velocity_change(np.zeros(world.num_positions), impulse)
         mass = 1 / float(J @ kick)
         tangents = np.linalg.svd(J[np.newaxis])[2][1:].T
         return cls(J, mass * kick, mass, tangents)
@@ -67,17 +73,69 @@ class RigidContact:
         return R
 
 
+@dataclass(frozen=True, eq=False)
+class JointImpact:
+    """What contacts that are struck together do: Newton's law for all of them at once.
+
+        v⁺ = R v⁻ = v⁻ + M⁻¹ J_Cᵀ p,    p = P v⁻ = −(J_C M⁻¹ J_Cᵀ)⁻¹ (I + E) J_C v⁻
+
+    so that J_C v⁺ = −E J_C v⁻. Contacts that rest take part: their impulse keeps them at rest.
+    Where contacts are coupled, J_C M⁻¹ J_Cᵀ not diagonal, it is a convention of its own: impacts
+    one after the other would end in other velocities, that depend on the order.
+
+    Attributes:
+        impulses: P, shape (c, nv) [kg].
+        velocities: R, shape (nv, nv).
+        coupled: which of the contacts have an impulse that another one's speed changes, shape (c,).
+    """
+
+    impulses: npt.NDArray[np.float64]
+    velocities: npt.NDArray[np.float64]
+    coupled: npt.NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, contacts: Sequence[RigidContact], restitutions: npt.ArrayLike) -> JointImpact:
+        """Returns the impact of c contacts, with their restitutions, shape (c,).
+
+        Raises:
+            OptionsError: J_C has dependent rows: how they share an impulse is not defined.
+        """
+        J = np.array([contact.jacobian for contact in contacts])
+        kicks = np.column_stack([contact.lift / contact.mass for contact in contacts])
+        # In units of the contacts' own masses.
+        root = np.sqrt([contact.mass for contact in contacts])
+        inertia = root[:, np.newaxis] * (J @ kicks) * root
+        if np.linalg.eigvalsh(inertia)[0] < _DEPENDENT:
+            raise OptionsError(
+                "sequence",
+                got=f"{len(contacts)} contacts at once that can't all be told apart",
+                expected="contacts with independent Jacobians",
+                remedy="Leave out those that the others imply.",
+            )
+        closing = (1 + np.asarray(restitutions))[:, np.newaxis] * J
+        impulses = -root[:, np.newaxis] * np.linalg.solve(inertia, root[:, np.newaxis] * closing)
+        couplings = np.abs(inertia - np.diag(np.diag(inertia)))
+        return cls(
+            impulses=impulses,
+            velocities=np.eye(J.shape[1]) + kicks @ impulses,
+            coupled=np.any(couplings > _DEPENDENT, axis=1),
+        )
+
+
 class ImpactTranscription(Transcription):
     """A transcription whose contacts are those of a rigid wall with Newton's restitution."""
 
     def __init__(self, world: World, scenario: Scenario) -> None:
-        """Reads the contact, then makes the program."""
-        self._contact = RigidContact.of(world)
+        """Reads the contacts, then makes the program."""
+        self._contacts = tuple(RigidContact.of(world, i) for i in range(world.num_contacts))
+        self._contact = self._contacts[0]
         super().__init__(world, scenario)
 
     def defects(self, x: npt.NDArray[np.float64]) -> dict[str, float]:
         """Returns the largest of each kind, as `rigid_defects`, and nonpenetration [m]."""
-        found = rigid_defects(self.world, self.scenario.restitution, self.trajectory(x))
+        found = rigid_defects(
+            self.world, self.world.restitutions(self.scenario), self.trajectory(x)
+        )
         return {**found, NONPENETRATION: self._depth(x)}
 
 
@@ -91,37 +149,48 @@ def bias_at(
     return np.array([entry.Substitute(table) for entry in world.bias], dtype=object)
 
 
-def rigid_defects(world: World, restitution: float, trajectory: Trajectory) -> dict[str, float]:
+def rigid_defects(
+    world: World, restitution: npt.ArrayLike, trajectory: Trajectory
+) -> dict[str, float]:
     """Returns how far a trajectory is from a motion with rigid impacts at its knots.
 
     With v⁺_k = v_k + M⁻¹ Jᵀ p_k, τ_k = t_{k+1} − t_k and means over the interval marked by a bar:
 
         flight          ‖q_{k+1} − q_k − τ_k v̄_k‖∞                                           [m]
         dynamics        ‖v_{k+1} − v⁺_k − τ_k M⁻¹ (B u_k − h(q̄_k, v̄_k) + Jᵀ λ_k)‖∞           [m/s]
-        contact         min(φ_k, τ_k Δφ̇_k): the wall pushes from afar; φ_k, φ_{k+1} if λ_k ≠ 0   [m]
-        restitution     min(Δφ̇_k, |φ̇⁺_k + e φ̇_k|): the impact returns another speed         [m/s]
+        contact         min(φ_k, τ_k p_k/m): the wall pushes from afar; φ_k, φ_{k+1} if λ_k ≠ 0  [m]
+        restitution     min(p_k/m, |φ̇⁺_k + e φ̇_k|): the impact returns another speed         [m/s]
 
-    and likewise a pull, Δφ̇_k < 0 or λ_k < 0, counts as restitution.
+    the largest over all contacts, where m is the mass that a contact feels, so that p/m is how its
+    own impulse changes φ̇. Likewise a pull, p_k < 0 or λ_k < 0, counts as restitution.
+
+    Args:
+        world: the plant, read.
+        restitution: e of every contact, shape (m,), or of all.
+        trajectory: the motion.
     """
-    contact = RigidContact.of(world)
+    contacts = [RigidContact.of(world, i) for i in range(world.num_contacts)]
+    J = np.array([contact.jacobian for contact in contacts])
+    kicks = np.array([contact.lift / contact.mass for contact in contacts])
+    masses = np.array([contact.mass for contact in contacts])
     tau = np.diff(trajectory.times)[:, np.newaxis]
     q, v, u = trajectory.positions, trajectory.velocities, trajectory.controls
-    jumps = trajectory.impulses[:, 0] / contact.mass
-    after = v + np.outer(jumps, contact.lift)
+    jumps, pushes = trajectory.impulses / masses, tau * trajectory.forces / masses
+    after = v + trajectory.impulses @ kicks
     q_mean, v_mean = (q[:-1] + q[1:]) / 2, (after[:-1] + v[1:]) / 2
     stages = zip(q_mean, v_mean, u, strict=True)
     free = np.array([world.calc_acceleration(*stage) for stage in stages])
-    push = trajectory.forces * contact.lift / contact.mass
-    distances = np.array([world.calc_signed_distance(p)[0] for p in q])
-    rate = v @ contact.jacobian
-    reach = np.append(tau, tau[-1]) * jumps
-    missed = np.abs((1 + restitution) * rate + jumps)
-    gaps = np.abs(distances)
-    held = np.where(trajectory.forces[:, 0] != 0, np.maximum(gaps[:-1], gaps[1:]), 0.0)
-    pull = np.maximum(np.max(-jumps), np.max(-tau * trajectory.forces / contact.mass))
+    gaps = np.abs([world.calc_signed_distance(p) for p in q])
+    reach = np.vstack([tau, tau[-1]]) * np.abs(jumps)
+    missed = np.abs(after @ J.T + np.asarray(restitution) * (v @ J.T))
+    held = np.where(trajectory.forces != 0, np.maximum(gaps[:-1], gaps[1:]), 0.0)
     return {
         FLIGHT: float(np.max(np.abs(q[1:] - q[:-1] - tau * v_mean))),
-        DYNAMICS: float(np.max(np.abs(v[1:] - after[:-1] - tau * (free + push)))),
-        CONTACT: float(max(np.max(np.minimum(gaps, np.abs(reach))), np.max(held))),
-        RESTITUTION: float(max(np.max(np.minimum(np.abs(jumps), missed)), pull, 0.0)),
+        DYNAMICS: float(
+            np.max(np.abs(v[1:] - after[:-1] - tau * (free + trajectory.forces @ kicks)))
+        ),
+        CONTACT: float(max(np.max(np.minimum(gaps, reach)), np.max(held))),
+        RESTITUTION: float(
+            max(np.max(np.minimum(np.abs(jumps), missed)), -np.min(jumps), -np.min(pushes), 0.0)
+        ),
     }

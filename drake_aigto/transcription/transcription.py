@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.solvers import MathematicalProgram, MathematicalProgramResult
-from pydrake.symbolic import Expression, Formula, MakeVectorVariable
+from pydrake.symbolic import Expression, Formula, MakeVectorVariable, Variable
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.trajectory import Trajectory
@@ -81,6 +81,8 @@ class Transcription(ABC):
         self._clearances = np.empty((N + 1, 0), dtype=object)
         self._clearance = np.empty(0, dtype=object)
         self._clearance_contacts: list[int] = []
+        # Placeholder id → decision variable, of each stage that something was bound to.
+        self._chosen: dict[int, dict[int, Variable]] = {}
 
     @abstractmethod
     def _add_rows(self) -> None:
@@ -88,25 +90,32 @@ class Transcription(ABC):
 
     def _add_nonpenetration(self, knots: Sequence[int]) -> None:
         """Adds φ(q_k) ≥ 0 for all contacts at these knots."""
-        for i, contact in enumerate(self.world.contacts):
-            distance = contact.signed_distance
-            if len(distance.GetVariables()) > 1:
-                distance = self._add_clearance(i)
-            apart = shared_constraint(distance, NONPENETRATION, 0.0, np.inf)
+        for i in range(self.world.num_contacts):
+            apart = shared_constraint(self._distance(i), NONPENETRATION, 0.0, np.inf)
             self._bind_each(apart, knots)
 
-    def _add_clearance(self, contact: int) -> Expression:
-        """Adds variables s_k with rows s_k = φ(q_k); returns their placeholder."""
+    def _distance(self, contact: int) -> Expression:
+        """Returns φ of a contact in placeholders, as its clearance if it reads several positions.
+
+        Such a clearance is added the first time: variables s_k with rows s_k = φ(q_k).
+        """
+        distance = self.world.contacts[contact].signed_distance
+        if len(distance.GetVariables()) <= 1:
+            return distance
+        if contact not in self._clearance_contacts:
+            self._add_clearance(contact)
+        return Expression(self._clearance[self._clearance_contacts.index(contact)])
+
+    def _add_clearance(self, contact: int) -> None:
         name = f"s{contact}"
         variables = self._prog.NewContinuousVariables(len(self._q), 1, name)
         self._clearances = np.hstack([self._clearances, variables])
         self._clearance_contacts.append(contact)
         self._clearance = np.append(self._clearance, MakeVectorVariable(1, name))
-        placeholder = Expression(self._clearance[-1])
+        self._chosen.clear()
         distance = self.world.contacts[contact].signed_distance
-        row = shared_constraint(placeholder - distance, CLEARANCE)
+        row = shared_constraint(Expression(self._clearance[-1]) - distance, CLEARANCE)
         self._bind_each(row, range(len(self._q)))
-        return placeholder
 
     @abstractmethod
     def defects(self, x: npt.NDArray[np.float64]) -> dict[str, float]:
@@ -125,8 +134,9 @@ class Transcription(ABC):
         return x
 
     def _depth(self, x: npt.NDArray[np.float64]) -> float:
-        """Returns the deepest −φ ≥ 0 after the start [m]."""
-        return max(0.0, -float(np.min(self.signed_distances(x)[1:])))
+        """Returns how deep inside of solids the knots are after the start, 0 outside [m]."""
+        clearances = [self.world.calc_clearance(q) for q in self.split(x)[0][1:]]
+        return max(0.0, -float(np.min(clearances)))
 
     def prog(self) -> MathematicalProgram:
         """Returns the constrained program; add costs and constraints until it is solved."""
@@ -366,7 +376,9 @@ class Transcription(ABC):
 
     def _bind(self, shared: SharedEvaluator, k: int) -> None:
         """Binds an evaluator over the placeholders of knot k, its control and the next knot."""
-        shared.bind(self._prog, substitutions(*zip(*self._stage(k), strict=True)))
+        if k not in self._chosen:
+            self._chosen[k] = substitutions(*zip(*self._stage(k), strict=True))
+        shared.bind(self._prog, self._chosen[k])
 
     def _stage(self, k: int) -> list[tuple[npt.NDArray[Any], npt.NDArray[Any]]]:
         """Returns pairs of placeholders and what they stand for at knot k."""

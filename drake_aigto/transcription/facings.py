@@ -1,0 +1,144 @@
+"""Which face of a box keeps a motion out of it: outside means in front of one of them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drake_aigto.errors import OptionsError
+from drake_aigto.transcription.touch import Touch
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from drake_aigto.world import World
+
+    Mask = npt.NDArray[np.bool_]
+
+# How finely a path is looked at to find the faces that it passes, in parts of the duration.
+_GRID = 200
+
+
+@dataclass(frozen=True)
+class Facing:
+    """From a time on, a motion is in front of one face of a box that has several.
+
+    A sphere is outside of a box where φ ≥ 0 for one of its faces. Which one is a choice, as which
+    contact is touched is: it turns the alternative into a row.
+
+    Attributes:
+        start: since when [s]; 0 for the first face, until the next one of the same box.
+        contact: the face, one of the world's contacts.
+    """
+
+    start: float
+    contact: int
+
+
+class Fronts:
+    """The faces in force over time: of half spaces the only one, of boxes as the facings say.
+
+    Attributes:
+        times: when a facing starts, after 0 [s].
+        same_solid: which contacts are faces of one box, shape (m, m).
+    """
+
+    def __init__(
+        self, world: World, sequence: Sequence[Touch], facings: Sequence[Facing], duration: float
+    ) -> None:
+        """Checks that there is one face of every box at any time, and it is the one touched."""
+        solids = np.array([contact.solid for contact in world.contacts])
+        self.same_solid: Mask = solids[:, np.newaxis] == solids
+        self._alone = np.sum(self.same_solid, axis=1) == 1
+        self._facings = tuple(facings)
+        self.times = tuple(facing.start for facing in facings if facing.start > 0)
+        for solid in sorted(set(solids[~self._alone].tolist())):
+            of_solid = [facing for facing in facings if solids[facing.contact] == solid]
+            starts = [facing.start for facing in of_solid]
+            if not starts or starts[0] != 0 or np.any(np.diff([*starts, duration]) <= 0):
+                names = [c.name for c in world.contacts if c.solid == solid]
+                raise OptionsError(
+                    "facings",
+                    got=f"faces of one box from {starts} s on",
+                    expected=f"the first from 0 s, then in order, of {', '.join(names)}",
+                )
+
+    def at_knots(self, times: npt.NDArray[np.float64], knots: Sequence[int]) -> Mask:
+        """Returns which faces are in force, shape (N+1, m); both of them where one takes over.
+
+        Args:
+            times: when phases meet, and both ends [s].
+            knots: those at these times.
+        """
+        front = np.tile(self._alone, (knots[-1] + 1, 1))
+        for facing in self._facings:
+            later = (
+                other.start
+                for other in self._facings
+                if other.start > facing.start and self.same_solid[facing.contact, other.contact]
+            )
+            end = min(later, default=times[-1])
+            first, last = (knots[int(np.searchsorted(times, t))] for t in (facing.start, end))
+            front[first : last + 1, facing.contact] = True
+        return front
+
+
+def find_facings(
+    world: World,
+    times: npt.NDArray[np.float64],
+    path: npt.NDArray[np.float64],
+    sequence: Sequence[Touch] = (),
+) -> tuple[Facing, ...]:
+    """Returns the faces that a path goes along, as few changes as it takes.
+
+    A face lasts for as long as the path is in front of it, or, where the path cuts a box, nearer to
+    it than to the others. It takes over in the middle of the time in which both are.
+
+    Args:
+        world: whose boxes these are.
+        times: of the path's points, shape (K,) [s].
+        path: shape (K, nq) [m]; straight between its points.
+        sequence: touches; at their times the touched face is the one.
+    """
+    boxes: dict[int, list[int]] = {}
+    for i, contact in enumerate(world.contacts):
+        boxes.setdefault(contact.solid, []).append(i)
+    boxes = {solid: faces for solid, faces in boxes.items() if len(faces) > 1}
+    if not boxes:
+        return ()
+    joints = {time for touch in sequence for time in touch.joints}
+    grid = np.unique([*np.linspace(times[0], times[-1], _GRID + 1), *times, *joints])
+    points = np.column_stack([np.interp(grid, times, column) for column in path.T])
+    distances = np.array([world.calc_signed_distance(q) for q in points])
+    found: list[Facing] = []
+    for faces in boxes.values():
+        phi = distances[:, faces]
+        fits = (phi >= 0) | (phi == np.max(phi, axis=1, keepdims=True))
+        for touch in sequence:
+            if touch.contact in faces:
+                during = (grid >= touch.start) & (grid <= touch.end)
+                fits[during] = np.array(faces) == touch.contact
+        found += [Facing(float(grid[k] - times[0]), faces[face]) for k, face in _cover(fits)]
+    return tuple(sorted(found, key=lambda facing: facing.start))
+
+
+def _cover(fits: Mask) -> list[tuple[int, int]]:
+    """Returns from which row on which column to take, so that all fit and few change.
+
+    Args:
+        fits: shape (K, F); every row has a True.
+    """
+    cover: list[tuple[int, int]] = []
+    k, K = 0, len(fits)
+    while k < K:
+        ends = [k + int(np.argmin(np.append(column[k:], False))) for column in fits.T]
+        face = int(np.argmax(ends))
+        # Back to since when it fits, at most to where the one before began.
+        since = k - int(np.argmin(np.append(fits[:k, face][::-1], False)))
+        earliest = cover[-1][0] + 1 if cover else 0
+        cover.append(((max(since, earliest) + k) // 2 if cover else 0, face))
+        k = ends[face]
+    return cover
