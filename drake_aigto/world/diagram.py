@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -101,6 +103,21 @@ def find_joint(plant: MultibodyPlant, position_index: int) -> Joint:
         if 0 <= position_index - joint.position_start() < joint.num_positions():
             return joint
     raise IndexError(position_index)
+
+
+@contextmanager
+def hide_half_space_warning() -> Iterator[None]:
+    """Keeps from the log that half spaces don't touch deformable bodies: we have none."""
+
+    def is_other(record: logging.LogRecord) -> bool:
+        return "half spaces are not currently supported for deformable" not in record.getMessage()
+
+    logger = logging.getLogger("drake")
+    logger.addFilter(is_other)
+    try:
+        yield
+    finally:
+        logger.removeFilter(is_other)
 
 
 def _walk(system: Any) -> Iterator[Any]:

@@ -16,7 +16,12 @@ from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.world.contact import Contact, SphereAndFace
-from drake_aigto.world.diagram import build_diagram, check_plant, find_plant
+from drake_aigto.world.diagram import (
+    build_diagram,
+    check_plant,
+    find_plant,
+    hide_half_space_warning,
+)
 from drake_aigto.world.fields import as_number
 from drake_aigto.world.polynomials import PolynomialMap, evaluate_constants
 from drake_aigto.world.reach import ReachableFace, find_reachable_faces
@@ -222,7 +227,8 @@ class World:
 
     def create_context(self) -> Context:
         """Returns a new root context of the diagram, at defaults, with the mass replaced."""
-        root = self.diagram.CreateDefaultContext()
+        with hide_half_space_warning():
+            root = self.diagram.CreateDefaultContext()
         if self.mass is not None:
             context = self.plant.GetMyMutableContextFromRoot(root)
             _find_sphere_body(self.plant, self._reachable).SetMass(context, self.mass)
