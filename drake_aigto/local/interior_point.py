@@ -196,14 +196,13 @@ class _Solve:
     ) -> tuple[LocalStatus | None, float]:
         """Take a step, or restore feasibility; the status if neither works, and the step length."""
         if step is None:
-            return self._stuck(), 0.0
+            return (LocalStatus.CONVERGED if self._is_solution else LocalStatus.STALLED), 0.0
         fraction = max(_TAU_MIN, 1.0 - self._mu)
         search = LineSearch(self._problem, self._filter, self._point, self._mu, fraction)
-        self._is_solution |= self._is_within_rounding(step, optimality, search.rounding)
-        if self._progress.has_ended:
-            return self._stuck(), 0.0
-        found = search.run(step)
+        found = None if self._progress.has_ended else search.run(step)
         if found is None:
+            if self._rows_hold():
+                return self._stuck(step, optimality, search.rounding), 0.0
             return self._restore(), 0.0
         point, length = found
         self._progress.add(
@@ -222,21 +221,20 @@ class _Solve:
         self._point, self._duals = point, Duals(multipliers, z)
         return None, length
 
-    def _is_within_rounding(
-        self, step: NewtonStep, optimality: _Optimality, rounding: float
-    ) -> bool:
-        """Whether the point is a solution as far as rounding lets one tell.
+    def _stuck(self, step: NewtonStep, optimality: _Optimality, rounding: float) -> LocalStatus:
+        """The status of a run that gets no further: converged, as far as rounding lets one tell?
 
         A gradient beyond the tolerance is overlooked where Newton's step changes φ by less than its
         rounding, unless it is the shift that makes the step short.
         """
         complementarity = max_norm(optimality.products) / optimality.bound_scale
-        return (
+        is_solution = self._is_solution or (
             not step.is_distorted
             and abs(step.slope) <= rounding
             and complementarity <= self._options.tolerance
             and self._rows_hold()
         )
+        return LocalStatus.CONVERGED if is_solution else LocalStatus.STALLED
 
     def _rows_hold(self) -> bool:
         """Whether residuals are within the tolerance, as far as rounding lets one tell."""
@@ -247,8 +245,6 @@ class _Solve:
 
     def _restore(self) -> LocalStatus | None:
         """Move to a point of less violation that the filter accepts."""
-        if self._rows_hold():
-            return self._stuck()
         violation = self._point.violation
         self._filter.add(violation, self._point.barrier(self._mu))
         point, taken = self._restoration.run(
@@ -264,10 +260,8 @@ class _Solve:
             ran_out = self._iterations >= self._options.max_iterations
             return LocalStatus.ITERATION_LIMIT if ran_out else LocalStatus.INFEASIBLE
         self._point, self._duals = point, self._fresh_duals(point)
+        self._progress.restart()
         return None
-
-    def _stuck(self) -> LocalStatus:
-        return LocalStatus.CONVERGED if self._is_solution else LocalStatus.STALLED
 
     def _fresh_duals(self, point: Point) -> Duals:
         multipliers = self._search.least_squares_multipliers(point, self._mu)

@@ -11,7 +11,11 @@ from numpy.typing import NDArray
 
 
 class LocalStatus(enum.Enum):
-    """Why a local solve ended, and what to do about it."""
+    """Why a local solve ended, and what to do about it.
+
+    A point counts as within the tolerances too where only rounding of f or of the rows, relative to
+    the terms that they are sums of, keeps it from them.
+    """
 
     CONVERGED = "a stationary point within the tolerances"
     INFEASIBLE = "the rows can't be met near here: start elsewhere, or look for a contradiction"
