@@ -218,11 +218,12 @@ def test_the_variable_that_is_not_polynomial_is_found(function: Callable[[Any], 
 def test_compiled_polynomials_agree_with_drakes_expressions() -> None:
     x, y = Variable("x"), Variable("y")
     expressions = np.array([3.0 * x**3 * y - y + 2.0, x + y, Expression(0.0), Expression(4.0)])
-    compiled = PolynomialMap(expressions, np.array([x, y]))
-    for point in np.random.default_rng(4).uniform(-2.0, 2.0, (5, 2)):
-        np.testing.assert_allclose(
-            compiled(point), evaluate(expressions, (x, y), point), rtol=RELATIVE, atol=RELATIVE
-        )
+    for some in (expressions, expressions[1:], expressions[2:]):  # Cubic, affine, constant.
+        compiled = PolynomialMap(some, np.array([x, y]))
+        for point in np.random.default_rng(4).uniform(-2.0, 2.0, (5, 2)):
+            np.testing.assert_allclose(
+                compiled(point), evaluate(some, (x, y), point), rtol=RELATIVE, atol=RELATIVE
+            )
 
 
 @pytest.mark.parametrize("place", ["drake_aigto/models", "models"])

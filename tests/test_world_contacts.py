@@ -10,7 +10,13 @@ import pytest
 from pydrake.geometry import Box, Cylinder, HalfSpace, ProximityProperties, Sphere
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction, MultibodyPlant
-from pydrake.multibody.tree import PrismaticJoint, PrismaticSpring, SpatialInertia, UnitInertia
+from pydrake.multibody.tree import (
+    LinearSpringDamper,
+    PrismaticJoint,
+    PrismaticSpring,
+    SpatialInertia,
+    UnitInertia,
+)
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from world_models import RELATIVE, differs_by_zero
 
@@ -250,6 +256,20 @@ def test_a_spring_damper_on_a_joint_without_a_motor_is_read() -> None:
     assert differs_by_zero(world.bias[0], 0.0)
     spring = 30.0 * (world.positions[1] - 0.2) + 0.7 * world.velocities[1]
     assert differs_by_zero(world.bias[1], spring)
+
+
+def test_a_spring_damper_between_points_is_refused_with_the_joint_that_does_it() -> None:
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
+    add_ball(plant, "ball", "x")
+    ball, post = plant.GetBodyByName("ball"), plant.world_body()
+    plant.AddForceElement(
+        LinearSpringDamper(ball, np.zeros(3), post, np.ones(3), 0.3, stiffness=5.0, damping=0.4)
+    )
+    plant.RegisterCollisionGeometry(post, RigidTransform(BLOCK[2]), BLOCK[1], "block", material())
+    plant.Finalize()
+    with pytest.raises(ModelError, match=r"joint 'ball x' .*put spring and damping on a joint"):
+        World.from_diagram(builder.Build())
 
 
 # Who can't do with several contacts says so.

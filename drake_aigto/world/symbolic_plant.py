@@ -113,5 +113,6 @@ class SymbolicPlant:
             f"joint {joint.name()!r} ({joint.type_name()})",
             got=f"a coordinate that enters {what} in a way that is not polynomial",
             expected="polynomial dynamics with a constant mass matrix",
-            remedy="Use prismatic joints; weld this one, or remove the force that acts on it.",
+            remedy="Use prismatic joints; weld this one, or remove the force that acts on it (a "
+            "LinearSpringDamper is a square root: put spring and damping on a joint).",
         )

@@ -184,7 +184,7 @@ class World:
     def is_on_face(self, q: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
         """Returns whether the sphere's centre projects onto each face, shape (m,)."""
         off = self._lateral_map(q).reshape(-1, 2)
-        return np.all(np.abs(off) <= self._half_extents, axis=1)
+        return np.logical_and.reduce(np.abs(off) <= self._half_extents, axis=1)
 
     def restitutions(self, scenario: Scenario) -> npt.NDArray[np.float64]:
         """Returns the restitution of each contact, shape (m,): the model's own, or the scenario's.
