@@ -1,0 +1,305 @@
+"""Motions of point masses that fly from touch to touch: least effort, by Newton's method.
+
+Contact fixes positions or ties velocities and leaves times and speeds free. Between two touches
+nothing is left to optimise, because the cheapest flight is a cubic; so a contact sequence is a
+small smooth problem, which this module solves. It knows nothing of knots, boxes or the planner.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from drake_aigto.jit import njit
+
+Floats = NDArray[np.float64]
+
+# Newton's method: a predicted gain that is rounding, and the most steps.
+_RELATIVE, _ABSOLUTE, _MOST_STEPS = 1e-14, 1e-24, 80
+_MOST_SHIFTS = 40
+# A gain that is small enough if rounding keeps the cost from falling.
+_STALLED = 1e-9
+# Part of the way to a bound that a step takes at most, and of the predicted gain that it must give.
+_TO_BOUND, _SUFFICIENT = 0.9, 1e-4
+
+
+@dataclass
+class Flights:
+    """A contact sequence: flights whose ends are linear in what is free, z.
+
+    A flight covers Δ from velocity v₀ to v₁ in time τ, under gravity g along −x. Its least effort
+    is that of a cubic:
+
+        min ∫ (ẍ + g)² dt = (v₁ − v₀ + gτ)²/τ + 12 (Δ − (v₀ + v₁)τ/2)²/τ³
+
+    The last flight of a mass ends where it likes, at a price w for its squared distance from the
+    goal; Δ is now the way to the goal, and v₁ is free:
+
+        min ∫ (ẍ + g)² dt + w (Δ − Δ_flown)² = 3w/(3 + wτ³) (Δ − v₀τ + gτ²/2)²
+
+    The cost of a sequence is the sum, each times a factor: the squared mass, if masses differ.
+
+    Attributes:
+        size: n, the number of free variables.
+        gravity: g.
+    """
+
+    size: int
+    gravity: float = 0.0
+    _rows: list[Floats] = field(default_factory=list, repr=False)
+    _prices: list[tuple[float, float]] = field(default_factory=list, repr=False)
+
+    def variable(self, number: int) -> Floats:
+        """Returns z[number] as a row: n coefficients and a constant."""
+        row = np.zeros(self.size + 1)
+        row[number] = 1.0
+        return row
+
+    def constant(self, value: float) -> Floats:
+        """Returns a number as a row."""
+        row = np.zeros(self.size + 1)
+        row[-1] = value
+        return row
+
+    def add(
+        self, way: Floats, start: Floats, end: Floats, time: Floats, factor: float = 1.0
+    ) -> None:
+        """Adds a flight between touches: rows of Δ, v₀, v₁, τ."""
+        self._rows.append(np.array([way, start, end, time]))
+        self._prices.append((factor, math.inf))
+
+    def add_last(
+        self, way: Floats, start: Floats, time: Floats, weight: float, factor: float = 1.0
+    ) -> None:
+        """Adds a flight to the end: rows of Δ, v₀, τ, and the price w of the goal."""
+        self._rows.append(np.array([way, start, self.constant(0.0), time]))
+        self._prices.append((factor, weight))
+
+    def minimize(self, starts: Floats, positive: ArrayLike) -> Iterator[tuple[float, Floats]]:
+        """Yields the local optimum (cost, z) of each start that leads to one.
+
+        Args:
+            starts: shape (k, n).
+            positive: rows that have to stay above zero, such as times and speeds. What ends at a
+                bound is not yielded.
+        """
+        rows, prices = np.array(self._rows), np.array(self._prices)
+        bounds = np.array(positive, dtype=float).reshape(-1, self.size + 1)
+        for start in starts:
+            if np.all(bounds[:, :-1] @ start + bounds[:, -1] > 0):
+                z, cost, is_optimal = _minimize(start, rows, prices, self.gravity, bounds)
+                if is_optimal:
+                    yield cost, z
+
+    def values(self, z: Floats) -> Floats:
+        """Returns Δ, v₀, v₁ and τ of all flights at z, shape (flights, 4); v₁ of a last one too."""
+        rows = np.array(self._rows)
+        values = rows[:, :, :-1] @ z + rows[:, :, -1]
+        g = self.gravity
+        for flight, (_, weight) in zip(values, self._prices, strict=True):
+            if math.isfinite(weight):
+                way, start, _, time = flight
+                lift = weight / (3 + weight * time**3) * (way - start * time + g * time**2 / 2)
+                # u(t) = 3 lift (τ − t)
+                flight[0] = start * time - g * time**2 / 2 + lift * time**3
+                flight[2] = start - g * time + 1.5 * lift * time**2
+        return values
+
+
+def polynomial(flight: ArrayLike) -> Floats:
+    """Returns the coefficients, constant first, of x(t) − x(0) of a flight (Δ, v₀, v₁, τ)."""
+    way, start, end, time = np.asarray(flight, dtype=float)
+    rest = way - start * time
+    turn = (end - start) * time
+    return np.array([0.0, start, (3 * rest - turn) / time**2, (turn - 2 * rest) / time**3])
+
+
+def extremes(cubic: ArrayLike, first: float, last: float) -> tuple[float, float]:
+    """Returns the least and the largest value of a cubic over first ≤ t ≤ last."""
+    a, b, c, d = np.asarray(cubic, dtype=float)
+    times = [first, last]
+    # The stable form of the quadratic formula, for 3d t² + 2c t + b.
+    discriminant = c * c - 3 * b * d
+    if discriminant > 0:
+        q = -(c + math.copysign(math.sqrt(discriminant), c))
+        roots = [q / (3 * d)] if d else []
+        roots += [b / q] if q else []
+        times += [t for t in roots if first < t < last]
+    values = [a + t * (b + t * (c + t * d)) for t in times]
+    return min(values), max(values)
+
+
+@njit(cache=True, error_model="numpy")
+def _through(x: Floats, g: float, slope: Floats, bend: Floats) -> float:
+    """Returns the effort of a flight x = (Δ, v₀, v₁, τ), with its derivatives."""
+    way, start, end, t = x
+    W, S = end - start + g * t, way - (start + end) * t / 2
+    by_W, by_S = 2 * W / t, 24 * S / t**3
+    # ∂W/∂x = (0, −1, 1, g), ∂S/∂x = (1, −t/2, −t/2, −(v₀ + v₁)/2)
+    dW, dS = (0.0, -1.0, 1.0, g), (1.0, -t / 2, -t / 2, -(start + end) / 2)
+    for i in range(4):
+        slope[i] = by_W * dW[i] + by_S * dS[i]
+        for j in range(4):
+            bend[i, j] = 2 / t * dW[i] * dW[j] + 24 / t**3 * dS[i] * dS[j]
+    slope[3] -= (W / t) ** 2 + 36 * S**2 / t**4
+    for i in range(4):
+        mixed = -2 * W / t**2 * dW[i] - 72 * S / t**4 * dS[i]
+        bend[i, 3] += mixed
+        bend[3, i] += mixed
+    bend[3, 3] += 2 * W**2 / t**3 + 144 * S**2 / t**5
+    for i in (1, 2):
+        bend[i, 3] -= by_S / 2
+        bend[3, i] -= by_S / 2
+    return W**2 / t + 12 * S**2 / t**3
+
+
+@njit(cache=True, error_model="numpy")
+def _last(x: Floats, w: float, g: float, slope: Floats, bend: Floats) -> float:
+    """Returns the cost of a last flight x = (Δ, v₀, ·, τ), with its derivatives."""
+    way, start, _, t = x
+    k, D = 3 * w / (3 + w * t**3), way - start * t + g * t**2 / 2
+    by_t = -((k * t) ** 2)  # of k
+    dD = (1.0, -t, 0.0, -start + g * t)
+    for i in range(4):
+        slope[i] = 2 * k * D * dD[i]
+        for j in range(4):
+            bend[i, j] = 2 * k * dD[i] * dD[j]
+    slope[3] += by_t * D**2
+    for i in range(4):
+        bend[i, 3] += 2 * by_t * D * dD[i]
+        bend[3, i] += 2 * by_t * D * dD[i]
+    bend[3, 3] += 2 * k**2 * t * (k * t**3 - 1) * D**2 + 2 * k * D * g
+    bend[1, 3] -= 2 * k * D
+    bend[3, 1] -= 2 * k * D
+    return k * D**2
+
+
+@njit(cache=True, error_model="numpy")
+def _evaluate(
+    z: Floats, rows: Floats, prices: Floats, g: float, gradient: Floats, hessian: Floats
+) -> float:
+    """Returns the cost of a sequence at z, with its derivatives."""
+    n = z.size
+    gradient[:] = 0.0
+    hessian[:, :] = 0.0
+    x, slope, bend = np.empty(4), np.empty(4), np.empty((4, 4))
+    total = 0.0
+    for flight in range(len(rows)):
+        row = rows[flight]
+        factor, weight = prices[flight]
+        for a in range(4):
+            x[a] = row[a, n]
+            for i in range(n):
+                x[a] += row[a, i] * z[i]
+        if np.isinf(weight):
+            total += factor * _through(x, g, slope, bend)
+        else:
+            total += factor * _last(x, weight, g, slope, bend)
+        for a in range(4):
+            for i in range(n):
+                if row[a, i] != 0.0:
+                    gradient[i] += factor * row[a, i] * slope[a]
+                    for b in range(4):
+                        for j in range(n):
+                            hessian[i, j] += factor * row[a, i] * bend[a, b] * row[b, j]
+    return total
+
+
+@njit(cache=True, error_model="numpy")
+def _factor(L: Floats) -> bool:
+    """Puts the Cholesky factor in place of a matrix; returns whether it is safely positive."""
+    for j in range(len(L)):
+        largest = L[j, j]
+        for k in range(j):
+            L[j, j] -= L[j, k] ** 2
+        if not L[j, j] > 1e-12 * largest:
+            return False
+        L[j, j] = math.sqrt(L[j, j])
+        for i in range(j + 1, len(L)):
+            for k in range(j):
+                L[i, j] -= L[i, k] * L[j, k]
+            L[i, j] /= L[j, j]
+    return True
+
+
+@njit(cache=True, error_model="numpy")
+def _solve_factored(L: Floats, gradient: Floats) -> Floats:
+    """Returns −(L Lᵀ)⁻¹ times the gradient."""
+    n = len(L)
+    x = np.empty(n)
+    for i in range(n):
+        x[i] = -gradient[i]
+        for k in range(i):
+            x[i] -= L[i, k] * x[k]
+        x[i] /= L[i, i]
+    for i in range(n - 1, -1, -1):
+        for k in range(i + 1, n):
+            x[i] -= L[k, i] * x[k]
+        x[i] /= L[i, i]
+    return x
+
+
+@njit(cache=True, error_model="numpy")
+def _newton_step(gradient: Floats, hessian: Floats) -> Floats:
+    """Returns a step down: Newton's, with the least shift, by powers of 4, that makes it one."""
+    n = gradient.size
+    scale = np.empty(n)
+    for i in range(n):
+        scale[i] = abs(hessian[i, i]) + 1e-12
+    shift = 0.0
+    for _ in range(_MOST_SHIFTS):
+        shifted = hessian.copy()
+        for i in range(n):
+            shifted[i, i] += shift * scale[i]
+        if _factor(shifted):
+            return _solve_factored(shifted, gradient)
+        shift = 4 * shift if shift else 1e-3
+    return np.full(n, np.nan)  # Numbers overflowed.
+
+
+@njit(cache=True, error_model="numpy")
+def _longest(z: Floats, step: Floats, bounds: Floats) -> float:
+    """Returns how much of a step to take at most, to stay within bounds."""
+    n, length = z.size, 1.0
+    for bound in bounds:
+        left, change = bound[n], 0.0
+        for i in range(n):
+            left += bound[i] * z[i]
+            change += bound[i] * step[i]
+        if change < 0:
+            length = min(length, -_TO_BOUND * left / change)
+    return length
+
+
+@njit(cache=True, error_model="numpy")
+def _minimize(
+    start: Floats, rows: Floats, prices: Floats, g: float, bounds: Floats
+) -> tuple[Floats, float, bool]:
+    """Returns where Newton's method with line search ends, the cost, and whether it converged."""
+    n = start.size
+    z, trial = start.copy(), start.copy()
+    gradient, hessian = np.empty(n), np.empty((n, n))
+    cost = _evaluate(z, rows, prices, g, gradient, hessian)
+    for _ in range(_MOST_STEPS):
+        step = _newton_step(gradient, hessian)
+        gain = 0.0
+        for i in range(n):
+            gain -= gradient[i] * step[i]
+        if gain <= _RELATIVE * cost + _ABSOLUTE:
+            return z, cost, True
+        length = _longest(z, step, bounds)
+        while True:
+            for i in range(n):
+                trial[i] = z[i] + length * step[i]
+            value = _evaluate(trial, rows, prices, g, gradient, hessian)
+            if value <= cost - _SUFFICIENT * length * gain:
+                break
+            length /= 2
+            if length < 1e-10:
+                return z, cost, gain <= _STALLED * cost + _ABSOLUTE
+        z[:], cost = trial, value
+    return z, cost, False

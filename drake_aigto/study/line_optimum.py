@@ -1,0 +1,243 @@
+"""The least cost of one point mass on a line between walls, or on a floor, in unit time.
+
+It shares no line and no idea with the planner: no knots, no boxes, no solver of the package.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_aigto.study.flights import Flights, extremes, polynomial
+
+Floats = NDArray[np.float64]
+
+# Flights may leave the line by this much, for rounding.
+_TOLERANCE = 1e-9
+# Where Newton's method starts: how much longer each flight lasts than the one before, what part of
+# all time the first one lasts, and how much longer than by that rule the last one does.
+_RATIOS, _FIRST, _LAST = (0.5, 0.8, 1.0, 1.25, 2.0), (0.1, 0.25, 0.6), (0.3, 1.0, 2.0)
+# Sequences that come to rest have up to so many touches.
+_MOST_WITH_REST = 3
+
+
+class Wall(NamedTuple):
+    """One end of the line."""
+
+    place: float
+    side: int  # 1 if the mass is above it, −1 if below
+    restitution: float
+
+
+class Bounce(NamedTuple):
+    """One touch."""
+
+    time: float
+    wall: int
+    speed: float  # before it
+
+
+class Rest(NamedTuple):
+    """A contact that lasts."""
+
+    start: float
+    end: float
+    wall: int
+
+
+@dataclass(frozen=True)
+class Motion:
+    """The best motion of one contact sequence.
+
+    Attributes:
+        cost: of it.
+        bounces: its touches; those of a mass that settles are told up to the first of them.
+        rest: where it rests, if it does.
+    """
+
+    cost: float
+    bounces: tuple[Bounce, ...]
+    rest: Rest | None
+
+
+@dataclass(frozen=True)
+class Line:
+    """The problem: minimise ∫₀¹ (ẍ + g)² dt + w (x(1) − goal)², bouncing off the walls.
+
+    Attributes:
+        position: x(0).
+        velocity: ẋ(0).
+        goal: where x(1) should be.
+        weight: w.
+        gravity: g, along −x; may be negative.
+        walls: one or two, the lower one first.
+    """
+
+    position: float
+    velocity: float
+    goal: float
+    weight: float
+    gravity: float
+    walls: tuple[Wall, ...]
+
+    def optimum(self, most_touches: int) -> Motion:
+        """Returns the best motion of all sequences.
+
+        Without gravity the number of touches is bounded by what they cost at least; with it, it
+        goes up to `most_touches`.
+        """
+        best = self.solve(())
+        for number in itertools.count(1):
+            if self.gravity and number > most_touches:
+                return best
+            sequences = [
+                sequence
+                for sequence in self._sequences(number)
+                if self._least_effort(sequence[0]) < best.cost
+            ]
+            if not sequences:
+                return best
+            for walls, rests in sequences:
+                best = min(best, self.solve(walls, rests), key=lambda motion: motion.cost)
+        raise AssertionError("counting ended")
+
+    def _sequences(self, number: int) -> Iterator[tuple[tuple[int, ...], int | None]]:
+        """Yields the walls of so many touches, and after which one the mass rests, if it does."""
+        for walls in itertools.product(range(len(self.walls)), repeat=number):
+            if self.gravity == 0:
+                if all(one != other for one, other in itertools.pairwise(walls)):
+                    yield walls, None
+                continue
+            yield walls, None
+            if number <= _MOST_WITH_REST:
+                for place, wall in enumerate(walls):
+                    if self._settles(self.walls[wall]):
+                        yield walls, place
+
+    def _settles(self, wall: Wall) -> bool:
+        """Returns whether a mass on this wall comes to rest by itself."""
+        return wall.side * self.gravity > 0 and wall.restitution < 1
+
+    def _least_effort(self, walls: tuple[int, ...]) -> float:
+        """Returns a bound of the effort of these touches, from the way alone.
+
+        Without gravity. A touch takes speed away, never gives it: to go a way D in all, turning at
+        walls, ∫ (1 − t) |ẍ| dt ≥ D − V with V the velocity along that way, so ∫ ẍ² ≥ 3 (D − V)².
+        """
+        if self.gravity != 0:
+            return 0.0
+        places = [self.position, *(self.walls[wall].place for wall in walls)]
+        way = float(np.sum(np.abs(np.diff(places))))
+        along = -self.walls[walls[0]].side * self.velocity
+        return 3 * max(0.0, way - along) ** 2
+
+    def solve(self, walls: tuple[int, ...], rests: int | None = None) -> Motion:
+        """Returns the best motion of one sequence; its cost is infinite if none is admissible.
+
+        Args:
+            walls: the number of the wall that each touch is on.
+            rests: after which of them the mass settles; None if it doesn't.
+        """
+        best = Motion(math.inf, (), None)
+        for slack in (False,) if rests is None else (False, True):
+            sequence = _Sequence(self, walls, rests, slack)
+            for cost, z in sequence.flights.minimize(sequence.starts(), sequence.positive):
+                if cost < best.cost and sequence.is_admissible(z):
+                    best = sequence.motion(cost, z)
+        return best
+
+
+class _Sequence:
+    """One contact sequence of a line, as flights.
+
+    Free are the times of all flights but the last, the speeds before all touches, and, with slack,
+    how long the mass rests. It settles by bounces of less and less height without any effort; that
+    takes 2ey/(g(1 − e)) from the touch at speed y.
+    """
+
+    def __init__(self, line: Line, walls: tuple[int, ...], rests: int | None, slack: bool) -> None:
+        self.line, self.walls, self.rests, self.slack = line, walls, rests, slack
+        n = len(walls)
+        self.flights = flights = Flights(2 * n + slack, line.gravity)
+        constant, variable = flights.constant, flights.variable
+        place, velocity, left = line.position, constant(line.velocity), constant(1.0)
+        for i, number in enumerate(walls):
+            wall, time, speed = line.walls[number], variable(i), variable(n + i)
+            flights.add(constant(wall.place - place), velocity, -wall.side * speed, time)
+            place, velocity = wall.place, wall.side * wall.restitution * speed
+            left = left - time
+            if i == rests:
+                velocity = constant(0.0)
+                left = left - self._settling(wall) * speed
+                if slack:
+                    left = left - variable(2 * n)
+        flights.add_last(constant(line.goal - place), velocity, left, line.weight)
+        self.positive = [*map(variable, range(flights.size)), left]
+
+    def _settling(self, wall: Wall) -> float:
+        """Returns how long it takes to settle, over the speed of the touch."""
+        e = wall.restitution
+        return 2 * e / (abs(self.line.gravity) * (1 - e))
+
+    def starts(self) -> Floats:
+        """Returns where to start Newton's method, shape (k, n)."""
+        line, n = self.line, len(self.walls)
+        if n == 0:
+            return np.empty((1, 0))
+        places = [line.position, *(line.walls[number].place for number in self.walls), line.goal]
+        ways = np.abs(np.diff(places))
+        ways[ways == 0] = np.mean(ways)
+        starts = []
+        ratios = _RATIOS if n > 1 else (1.0,)
+        for ratio, first, last in itertools.product(ratios, self._first_times(ways[0]), _LAST):
+            times = ways * ratio ** np.arange(n + 1)
+            times[-1] *= last
+            times[1:] *= (1 - first) / times[1:].sum()
+            times[0] = first
+            # As in flights that start at rest, or hop.
+            speeds = ways[:n] / times[:n] + abs(line.gravity) * times[:n] / 2
+            if self.rests is not None:
+                times *= 0.6
+                settling = self._settling(line.walls[self.walls[self.rests]])
+                speeds[self.rests] = min(speeds[self.rests], 0.2 / max(settling, 1e-9))
+            starts.append([*times[:n], *speeds, *([0.1] if self.slack else [])])
+        return np.array(starts)
+
+    def _first_times(self, way: float) -> list[float]:
+        """Returns how long the first flight may last: some parts of all time, and by itself."""
+        times = [*_FIRST]
+        along = -self.line.walls[self.walls[0]].side * self.line.velocity
+        if along > way:
+            times += [way / along, 0.7 * way / along]
+        return times
+
+    def is_admissible(self, z: Floats) -> bool:
+        """Returns whether all flights stay on the line."""
+        lower, upper = -math.inf, math.inf
+        for wall in self.line.walls:
+            lower, upper = (wall.place, upper) if wall.side > 0 else (lower, wall.place)
+        place = self.line.position
+        for flight in self.flights.values(z):
+            least, largest = extremes(polynomial(flight), 0.0, flight[3])
+            if place + least < lower - _TOLERANCE or place + largest > upper + _TOLERANCE:
+                return False
+            place += flight[0]
+        return True
+
+    def motion(self, cost: float, z: Floats) -> Motion:
+        """Returns the motion of this z."""
+        n, time, bounces, rest = len(self.walls), 0.0, [], None
+        for i, number in enumerate(self.walls):
+            time += float(z[i])
+            bounces.append(Bounce(time, number, float(z[n + i])))
+            if i == self.rests:
+                start = time + self._settling(self.line.walls[number]) * float(z[n + i])
+                time = start + (float(z[2 * n]) if self.slack else 0.0)
+                rest = Rest(start, time, number)
+        return Motion(float(cost), tuple(bounces), rest)

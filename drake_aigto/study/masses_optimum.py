@@ -1,0 +1,311 @@
+"""The optimum of two masses on a line between walls, which also hit each other."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.polynomial import Polynomial
+from numpy.typing import NDArray
+
+from drake_aigto.errors import ModelError
+from drake_aigto.study.flights import Flights, extremes, polynomial
+from drake_aigto.study.walls_optimum import ContactOptimum, KnownTouch
+from drake_aigto.world import Scenario, World
+
+Floats = NDArray[np.float64]
+
+_TOLERANCE = 1e-9
+# Newton's starts of each sequence.
+_STARTS = 30
+# The signs of ∂φ/∂q of the left wall, of the masses against each other, and of the right wall.
+_JACOBIAN = ((1.0, 0.0), (-1.0, 1.0), (0.0, -1.0))
+_LEFT, _MEETING, _RIGHT = range(3)
+
+
+def masses_optimum(world: World, scenario: Scenario, most_meetings: int = 2) -> ContactOptimum:
+    """Returns the best motion of two masses on a line that is known.
+
+        minimise   control_weight ∫₀ᵀ ‖u‖² dt + goal_weight ‖q(T) − goal‖²
+        subject to m_i q̈_i = B_i u  while apart from walls and each other; Newton restitution
+
+    *Equal masses, e = 1: exact.* Where they meet they swap velocities, and may be taken for two
+    ghosts that fly through each other, each alone between the walls. Who of them ends left and who
+    right is free: ghosts are assigned to goals in the order in which they would coast, as a sum of
+    squares is least for equal orders. So the optimum is
+
+        k Σ_i (sorted fold(p + vT)_i − goal_i)²,    k as in `walls_optimum`
+
+    *Otherwise: the best of what was listed*, an upper bound. Sequences of up to `most_meetings` in
+    which no contact follows itself, without rest; each by Newton's method from seeded starts on
+    times, places and velocities of all contacts.
+
+    Args:
+        world: two coordinates, no bias, M and B Bᵀ diagonal; contacts of the first mass with a wall
+            on its left, of both masses, and of the second with a wall on its right.
+        scenario: start, goal, duration, weights and restitution; it has to fit the world.
+        most_meetings: of the masses with each other, in the listed sequences.
+
+    Raises:
+        ModelError: another kind of world.
+        ScenarioError: the scenario does not fit the world (`World.check`).
+    """
+    world.check(scenario)
+    pair, contacts, price = _make_pair(world, scenario)
+    if pair.swaps:
+        cost, found = pair.solve_ghosts()
+    else:
+        cost, found = pair.solve_listed(most_meetings)
+    T = scenario.duration
+    touches = [
+        KnownTouch(time * T, time * T, contacts[kind], speed / T) for time, kind, speed in found
+    ]
+    return ContactOptimum(price * cost, tuple(sorted(touches)))
+
+
+# Time, kind and closing speed of each contact.
+Contacts = list[tuple[float, int, float]]
+
+
+@dataclass(frozen=True)
+class _Pair:
+    """Two masses that meet where their coordinates are equal, 0 ≤ x₁ ≤ x₂ ≤ length, in unit time.
+
+    Minimise Σ_i efforts_i ∫₀¹ ẍ_i² dt + weight Σ_i (x_i(1) − goals_i)².
+    """
+
+    positions: Floats
+    velocities: Floats
+    goals: Floats
+    efforts: Floats
+    masses: Floats
+    weight: float
+    length: float
+    restitutions: tuple[float, float, float]
+
+    @property
+    def swaps(self) -> bool:
+        """Whether the masses are as ghosts to each other."""
+        one, other = self.masses
+        return bool(
+            one == other
+            and self.efforts[0] == self.efforts[1]
+            and self.restitutions == (1.0, 1.0, 1.0)
+        )
+
+    def solve_ghosts(self) -> tuple[float, Contacts]:
+        """Returns the exact optimum of equal elastic masses."""
+        ends = self.positions + self.velocities
+        period = 2 * self.length
+        folded = np.abs((ends + self.length) % period - self.length)
+        misses = np.empty(2)
+        misses[np.argsort(folded)] = self.goals - np.sort(folded)
+        weight = self.weight / self.efforts[0]
+        cost = float(self.efforts[0] * 3 * weight / (3 + weight) * np.sum(misses**2))
+        # On the way back, the corridor's image is mirrored.
+        signs = np.where((ends + self.length) % period < self.length, -1.0, 1.0)
+        lifts = weight / (3 + weight) * signs * misses
+        one, other = (
+            Polynomial([p, v, 1.5 * lift, -0.5 * lift])
+            for p, v, lift in zip(self.positions, self.velocities, lifts, strict=True)
+        )
+        crossings = [
+            *(_cross(path, self.length, (_LEFT, _RIGHT)) for path in (one, other)),
+            *(_cross(path, period, (_MEETING,)) for path in (one - other, one + other)),
+        ]
+        return cost, list(itertools.chain(*crossings))
+
+    def solve_listed(self, most_meetings: int) -> tuple[float, Contacts]:
+        """Returns the best of all listed sequences."""
+        best: tuple[float, Contacts] = math.inf, []
+        for kinds in _list_sequences(most_meetings):
+            sequence = _Sequence(self, kinds)
+            for cost, z in sequence.flights.minimize(sequence.starts(), sequence.positive):
+                if cost < best[0] and sequence.is_admissible(z):
+                    best = cost, sequence.contacts(z)
+        return best
+
+
+def _cross(path: Polynomial, period: float, kinds: Sequence[int]) -> Contacts:
+    """Returns when and how fast a path crosses multiples of a period, whose kinds take turns."""
+    least, largest = extremes(_four(path), 0.0, 1.0)
+    return [
+        (float(root.real), kinds[i % len(kinds)], abs(float(path.deriv()(root.real))))
+        for i in range(math.ceil(least / period), math.floor(largest / period) + 1)
+        for root in np.roots(_four(path - period * i)[::-1]).tolist()
+        if abs(root.imag) < _TOLERANCE and 0 < root.real < 1
+    ]
+
+
+def _list_sequences(most_meetings: int) -> Iterator[tuple[int, ...]]:
+    """Yields sequences in which no contact follows itself, with so many meetings at most."""
+    ends = ((), (_LEFT,), (_RIGHT,), (_LEFT, _RIGHT))
+    yield from ends
+    for meetings in range(1, most_meetings + 1):
+        between = itertools.product(ends[1:], repeat=meetings - 1)
+        for first, inner, last in itertools.product(ends, between, ends):
+            parts = [first, *inner, last]
+            yield tuple(itertools.chain(*((*part, _MEETING) for part in parts[:-1]), parts[-1]))
+
+
+class _Sequence:
+    """One contact sequence, as flights of both masses.
+
+    Free are the time of each contact; of one with a wall the speed before it; of a meeting the
+    place and both velocities before it.
+    """
+
+    def __init__(self, pair: _Pair, kinds: Sequence[int]) -> None:
+        self.pair, self.kinds = pair, tuple(kinds)
+        sizes = [4 if kind == _MEETING else 2 for kind in kinds]
+        self.offsets = [0, *itertools.accumulate(sizes)]
+        self.flights = flights = Flights(self.offsets[-1])
+        constant, variable = flights.constant, flights.variable
+        self.bodies: list[int] = []  # of each flight
+        self._at = [[constant(0.0), constant(p)] for p in pair.positions]  # time and place
+        self._velocities = [constant(v) for v in pair.velocities]
+        self.positive: list[Floats] = []
+        for offset, kind in zip(self.offsets, self.kinds, strict=False):
+            time = variable(offset)
+            if kind == _MEETING:
+                self._meet(time, *(variable(offset + i) for i in (1, 2, 3)))
+            else:
+                self._touch(kind, time, variable(offset + 1))
+        for body in range(2):
+            start, place = self._at[body]
+            left, effort = constant(1.0) - start, float(pair.efforts[body])
+            way = constant(pair.goals[body]) - place
+            flights.add_last(way, self._velocities[body], left, pair.weight / effort, effort)
+            self.positive.append(left)
+            self.bodies.append(body)
+
+    def _fly(self, body: int, time: Floats, place: Floats, velocity: Floats) -> None:
+        """Adds a mass's flight to its next contact."""
+        start, origin = self._at[body]
+        factor = float(self.pair.efforts[body])
+        self.flights.add(place - origin, self._velocities[body], velocity, time - start, factor)
+        self.positive.append(time - start)
+        self.bodies.append(body)
+        self._at[body] = [time, place]
+
+    def _touch(self, kind: int, time: Floats, speed: Floats) -> None:
+        body, side, place = (0, 1, 0.0) if kind == _LEFT else (1, -1, self.pair.length)
+        self._fly(body, time, self.flights.constant(place), -side * speed)
+        self._velocities[body] = side * self.pair.restitutions[kind] * speed
+        self.positive.append(speed)
+
+    def _meet(self, time: Floats, place: Floats, one: Floats, other: Floats) -> None:
+        self._fly(0, time, place, one)
+        self._fly(1, time, place, other)
+        closing = one - other
+        push = (1 + self.pair.restitutions[_MEETING]) / np.sum(self.pair.masses) * closing
+        self._velocities = [one - self.pair.masses[1] * push, other + self.pair.masses[0] * push]
+        self.positive += [closing, place, self.flights.constant(self.pair.length) - place]
+
+    def starts(self) -> Floats:
+        """Returns where to start Newton's method, shape (k, n): seeded, by chance."""
+        rng = np.random.default_rng(len(self.kinds))
+        starts = []
+        for _ in range(_STARTS):
+            times = np.cumsum(rng.dirichlet(np.full(len(self.kinds) + 1, 2.0)))
+            z: list[float] = []
+            for kind, time in zip(self.kinds, times, strict=False):
+                speed = self.pair.length * rng.uniform(0.5, 4.0)
+                z += [time, speed]
+                if kind == _MEETING:
+                    place = self.pair.length * rng.uniform(0.1, 0.9)
+                    mean = self.pair.length * rng.uniform(-2.0, 2.0)
+                    z[-1:] = [place, mean + speed / 2, mean - speed / 2]
+            starts.append(z)
+        return np.array(starts).reshape(_STARTS, self.flights.size)
+
+    def is_admissible(self, z: Floats) -> bool:
+        """Returns whether the masses stay between the walls, and in their order."""
+        paths = self._paths(z)
+        for body, (lower, upper) in enumerate(((0.0, math.inf), (-math.inf, self.pair.length))):
+            for first, last, path in paths[body]:
+                least, largest = extremes(path.coef, 0.0, last - first)
+                if least < lower - _TOLERANCE or largest > upper + _TOLERANCE:
+                    return False
+        for one, other in itertools.product(*paths):
+            first, last = max(one[0], other[0]), min(one[1], other[1])
+            if first < last:
+                gap = _later(other, first) - _later(one, first)
+                if extremes(_four(gap), 0.0, last - first)[0] < -_TOLERANCE:
+                    return False
+        return True
+
+    def _paths(self, z: Floats) -> list[list[tuple[float, float, Polynomial]]]:
+        """Returns start, end and path since the start of each flight of both masses."""
+        paths: list[list[tuple[float, float, Polynomial]]] = [[], []]
+        at = [[0.0, float(p)] for p in self.pair.positions]
+        for body, flight in zip(self.bodies, self.flights.values(z), strict=True):
+            time, place = at[body]
+            paths[body].append((time, time + flight[3], Polynomial(polynomial(flight)) + place))
+            at[body] = [time + flight[3], place + flight[0]]
+        return paths
+
+    def contacts(self, z: Floats) -> Contacts:
+        """Returns time, kind and closing speed of each contact."""
+        found = []
+        for offset, kind in zip(self.offsets, self.kinds, strict=False):
+            speed = z[offset + 2] - z[offset + 3] if kind == _MEETING else z[offset + 1]
+            found.append((float(z[offset]), kind, float(speed)))
+        return found
+
+
+def _later(piece: tuple[float, float, Polynomial], time: float) -> Polynomial:
+    """Returns a path since a later time."""
+    return piece[2](Polynomial([time - piece[0], 1.0]))
+
+
+def _four(path: Polynomial) -> Floats:
+    """Returns the four coefficients of a cubic, zeros included."""
+    coefficients = np.zeros(4)
+    coefficients[: len(path.coef)] = path.coef
+    return coefficients
+
+
+def _make_pair(world: World, scenario: Scenario) -> tuple[_Pair, list[int], float]:
+    """Returns the problem in unit time, the contact of each kind, and the worth of a unit cost."""
+    contacts = _find_contacts(world)
+    start, T = scenario.initial_position, scenario.duration
+    gaps = world.calc_signed_distance(start)[contacts]
+    # From coordinates to those in which the masses meet where they are equal.
+    shifts = np.array([gaps[_LEFT], gaps[_LEFT] + gaps[_MEETING]]) - start
+    masses = np.diag(world.mass_matrix_values)
+    price = scenario.control_weight / T**3
+    pair = _Pair(
+        positions=start + shifts,
+        velocities=scenario.initial_velocity * T,
+        goals=scenario.goal_position + shifts,
+        efforts=masses**2 / np.sum(world.actuation**2, axis=1),
+        masses=masses,
+        weight=scenario.goal_weight / price,
+        length=float(np.sum(gaps)),
+        restitutions=tuple(world.restitutions(scenario)[contacts].tolist()),
+    )
+    return pair, contacts, price
+
+
+def _find_contacts(world: World) -> list[int]:
+    """Returns which contact is of which kind."""
+    remedy = "For other worlds no optimum of two masses is known here."
+    expected = "two masses on a line: a wall, a mass, a mass, a wall, and no other force"
+    slopes = [contact.jacobian for contact in world.contacts]
+    squares = world.actuation @ world.actuation.T
+    if (
+        world.num_positions != 2
+        or any(not h.EqualTo(0.0) for h in world.bias)
+        or any(not s.GetVariables().empty() for slope in slopes for s in slope)
+        or np.any(world.mass_matrix_values != np.diag(np.diag(world.mass_matrix_values)))
+        or np.any(squares != np.diag(np.diag(squares)))
+    ):
+        raise ModelError("the optimum of two masses", "another world", expected, remedy)
+    found = [tuple(float(s.Evaluate()) for s in slope) for slope in slopes]
+    if sorted(found) != sorted(_JACOBIAN):
+        raise ModelError("the optimum of two masses", f"∂φ/∂q = {found}", expected, remedy)
+    return [found.index(slope) for slope in _JACOBIAN]
