@@ -60,8 +60,10 @@ class Scenario:
         goal_weight: w_f ≥ 0 [1/m²].
         epsilon: ε > 0 in the contact force λ = ε/(φ + δ) [J]. Literal transcription only.
         delta: δ ≥ 0 that keeps this force finite at the wall [m]. Literal transcription only.
-        restitution: speed after / before an impact, e ∈ [0, 1].
-        mass: replaces the mass of the body that touches the wall [kg]; None keeps the model's.
+        restitution: speed after / before an impact, e ∈ [0, 1], where the model has none of its own
+            (`World.restitutions`).
+        mass: replaces the mass of the only body with spheres that touch [kg]; None keeps the
+            model's.
 
     Raises:
         ScenarioError: a value that is no number, not finite, or out of range.
