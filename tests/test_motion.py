@@ -44,8 +44,8 @@ def replay_of(times: Any, positions: Any, velocities: Any) -> Replay:
     nothing: dict[str, Any] = {
         **dict.fromkeys(("cost", "goal_error", "max_penetration"), 0.0),
         **dict.fromkeys(("compliance_error", "compliance_cost"), 0.0),
-        **dict.fromkeys(("bounce_times", "energies_before", "energies_after"), ()),
-        "matched_speed": None,
+        **dict.fromkeys(("bounce_times", "bounce_contacts", "matched_speeds"), ()),
+        **dict.fromkeys(("energies_before", "energies_after"), ()),
     }
     rows = {"times": times, "positions": positions, "velocities": velocities}
     return Replay(simulator="event-driven", **rows, **nothing)

@@ -277,7 +277,7 @@ def test_a_plan_file_cut_short_is_refused(found: Plan, tmp_path: Path, kept: flo
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"version": 99}, r"version 99, expected version 2\. Plan again"),
+        ({"version": 99}, r"version 99, expected version 3\. Plan again"),
         ({"format": "poem"}, "is not a plan file: got format 'poem'"),
         ({"candidates": []}, "is damaged"),
         ({"replay": {}}, "is damaged: got KeyError"),

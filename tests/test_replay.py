@@ -37,7 +37,7 @@ def test_drakes_elastic_wall_is_late_by_its_contact_and_else_agrees(row: int) ->
     assert rigid.positions[-1, 0] - drake.positions[-1, 0] == pytest.approx(late, rel=0.1)
     assert drake.max_penetration == pytest.approx(speed * math.sqrt(1 / 1e9), rel=1e-3)
     assert drake.energy_ratio == pytest.approx(1.0, abs=3e-5)
-    assert drake.matched_speed is None
+    assert drake.matched_speeds == () and drake.bounce_contacts == (0,)
     assert np.all(np.diff(drake.times) >= 0) and len(drake.times) == len(control[0]) + 3
     assert confirms(rigid.cost, drake, rigid.goal_error)
 
@@ -47,7 +47,8 @@ def test_drakes_dissipation_is_matched_without_editing_the_plant(e: float) -> No
     world, scenario = shipped_world(), make_scenario(restitution=e)
     rigid = replay_event_driven(world, scenario, *hold(-0.5))
     drake = replay_drake(world, scenario, *hold(-0.5))
-    assert drake.matched_speed == pytest.approx(math.sqrt(2 * rigid.energies_before[0]))
+    (matched,) = drake.matched_speeds
+    assert matched == pytest.approx(math.sqrt(2 * rigid.energies_before[0]))
     assert drake.energy_ratio == pytest.approx(e**2, abs=1e-3)
     assert drake.positions[-1, 0] == pytest.approx(rigid.positions[-1, 0], abs=3e-4)
     elastic = replay_drake(world, make_scenario(), *hold(-0.5))
@@ -62,7 +63,7 @@ def test_what_a_compliant_wall_does_to_the_end_is_known_beforehand(e: float, spe
     rigid = replay_event_driven(world, scenario, *hold(0.0))
     drake = replay_drake(world, scenario, *hold(0.0))
     missed = abs(rigid.positions[-1, 0] - drake.positions[-1, 0])
-    assert missed == pytest.approx(drake.compliance_error, rel=0.2)
+    assert 0.7 * drake.compliance_error < missed < drake.compliance_error
     assert rigid.compliance_error == rigid.compliance_cost == 0
     nearer = drake.goal_error - drake.compliance_error
     explained = 3.0 * (drake.goal_error**2 - max(nearer, 0.0) ** 2)
@@ -179,7 +180,7 @@ def test_a_replay_survives_json(replay_in: Any) -> None:
         read = Replay.from_dict(json.loads(json.dumps(replay.to_dict())))
         assert read == replay and hash(read) == hash(replay)
         assert not read.positions.flags.writeable
-    with pytest.raises(PlanFileError, match="Replay: got no cost, expected the keys bounce_times,"):
+    with pytest.raises(PlanFileError, match="Replay: got no cost, expected the keys bounce_con"):
         Replay.from_dict({k: v for k, v in replay.to_dict().items() if k != "cost"})
 
 

@@ -140,9 +140,9 @@ def test_what_is_not_known_is_left_out(plan: Plan) -> None:
     assert "ms late" not in format_replays(still, 1e-4)
 
 
-def test_a_matched_dissipation_says_for_which_impact(plan: Plan) -> None:
-    matched = with_replays(plan, matched_speed=1.234)
-    assert "restitution matched for impacts at 1.23 m/s" in format_plan(matched, OPTIONS)
+def test_a_matched_dissipation_says_for_which_impacts(plan: Plan) -> None:
+    matched = with_replays(plan, matched_speeds=(1.234, 0.98765))
+    assert "restitution matched for impacts at 1.23, 0.99 m/s" in format_plan(matched, OPTIONS)
 
 
 def test_what_compliance_explains_is_told(plan: Plan) -> None:

@@ -1,4 +1,4 @@
-"""Drake's own contact: the continuous plant, its compliant wall, and an implicit rule."""
+"""Drake's own contact: the continuous plant, its compliant walls, and an implicit rule."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 
-from drake_aigto.planning.contact_motion import ContactMotion, calc_time_to_wall
-from drake_aigto.planning.material import contact_delay, set_dissipation
+from drake_aigto.planning.contact_motion import Clearance, ContactMotion, calc_time_to_wall
+from drake_aigto.planning.material import calc_dissipation, contact_delays, set_dissipation
 from drake_aigto.planning.recording import Impact, Recording
 
 if TYPE_CHECKING:
     import numpy.typing as npt
+    from pydrake.systems.framework import Context
 
     from drake_aigto.world import World
 
@@ -42,18 +43,20 @@ def simulate_compliant_wall(
     state: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]],
     times: npt.NDArray[np.float64],
     controls: npt.NDArray[np.float64],
-    dissipation: float | None = None,
+    restitutions: npt.NDArray[np.float64],
 ) -> Recording:
     """Runs a held control on the world's own plant, by Radau's implicit rule.
 
-    The plant and its scene graph stay as they are; another dissipation goes into the context alone.
+    A contact of restitution 1 keeps the model's dissipation. Any other gets, just before each
+    impact, the Hunt-Crossley dissipation that makes its restitution at the speed that is coming.
+    The plant and its scene graph stay as they are: it goes into the context alone.
 
     Args:
         world: its diagram is simulated, its stiffness decides where steps must be fine.
         state: the start, (q, v).
         times: of the knots, shape (N+1,) [s].
         controls: held between them, shape (N, nu).
-        dissipation: Hunt-Crossley dissipation of the contact [s/m]; None keeps the model's.
+        restitutions: e of each contact, in [0, 1], shape (m,).
 
     Returns:
         The states at all knots, and where each contact begins, is deepest, and ends.
@@ -62,61 +65,147 @@ def simulate_compliant_wall(
         ModelError: a shape has no stiffness.
     """
     root = world.create_context()
-    if dissipation is not None:
-        set_dissipation(world, root, dissipation)
     context = world.plant.GetMyMutableContextFromRoot(root)
     world.plant.SetPositionsAndVelocities(context, np.concatenate(state))
     root.SetTime(times[0])
     simulator = Simulator(world.diagram, root)
     config = SimulatorConfig(integration_scheme=_SCHEME, accuracy=_ACCURACY, use_error_control=True)
     ApplySimulatorConfig(config, simulator)
-    delay = contact_delay(world, state[0])
-    pace = _Pace(world, delay, float(times[0]), float(times[-1] - times[0]))
-    trace = _Trace(world, delay)
+    delays, motion = contact_delays(world), ContactMotion(world)
+    matching = _Matching(world, root, restitutions, delays)
+    pace = _Pace(world, motion, delays, times, matching)
+    trace = _Trace(world, motion, delays)
     simulator.set_monitor(
         lambda _: trace.add(context.get_time(), world.plant.GetPositionsAndVelocities(context))
     )
+    longest_step = math.inf
     for knot, control in zip(times[1:].tolist(), controls, strict=True):
         world.plant.get_actuation_input_port().FixValue(context, control)
         trace.control = control
         while context.get_time() < knot:
             x = world.plant.GetPositionsAndVelocities(context)
             stretch, step = pace.plan(context.get_time(), x, control)
+            if step > longest_step:
+                _forget(simulator)
+            longest_step = step
             simulator.get_mutable_integrator().set_maximum_step_size(step)
             simulator.AdvanceTo(min(context.get_time() + stretch, knot))
-    return trace.read(times)
+    recording = trace.read(times)
+    recording.matched_speeds = matching.speeds
+    return recording
+
+
+def _forget(simulator: Simulator) -> None:
+    """Starts the integrator anew, which leaves a wall.
+
+    Radau's rule keeps its Jacobian as long as Newton's method converges with it. That of a contact
+    is a million times too stiff for flight, and may converge to a wrong velocity, in tiny steps.
+    """
+    integrator = simulator.get_mutable_integrator()
+    integrator.Reset()
+    integrator.set_target_accuracy(_ACCURACY)
+    integrator.Initialize()
+
+
+class _Matching:
+    """Gives contacts the dissipation for the impact that is coming."""
+
+    def __init__(
+        self,
+        world: World,
+        root: Context,
+        restitutions: npt.NDArray[np.float64],
+        delays: list[float],
+    ) -> None:
+        self._world = world
+        self._root = root
+        self._restitutions = restitutions.tolist()
+        self._delays = delays
+        self.speeds: list[float] = []
+
+    def match(self, near: Clearance, push: float) -> None:
+        """Sets the dissipation for the speed of an approach; one of rest, if that is slower."""
+        e = self._restitutions[near.contact]
+        speed = math.sqrt(max(near.rate**2 - 2 * push * near.distance, 0.0))
+        speed = max(speed, abs(push) * self._delays[near.contact])
+        if e < 1 and speed > 0:
+            set_dissipation(self._world, self._root, near.contact, calc_dissipation(e, speed))
+            self.speeds.append(speed)
 
 
 class _Pace:
     """Chooses how far to simulate next, and in what steps, so that no contact is missed."""
 
-    def __init__(self, world: World, delay: float, start: float, duration: float) -> None:
+    def __init__(
+        self,
+        world: World,
+        motion: ContactMotion,
+        delays: list[float],
+        times: npt.NDArray[np.float64],
+        matching: _Matching,
+    ) -> None:
         self._world = world
-        self._contact = ContactMotion(world)
-        self._delay = delay
-        self._flight = _FLIGHT * duration
-        self._touched = start  # no contact that is still going on began before this [s]
-        self._is_slow = False
-        self._fastest = 0.0  # approach so far [m/s]
+        self._motion = motion
+        start, flight = float(times[0]), _FLIGHT * float(times[-1] - times[0])
+        shortest = [min(delays[i] for i in faces) for faces in motion.solids]
+        self._solids = [_SolidPace(delay, flight, start, matching) for delay in shortest]
 
     def plan(
         self, time: float, x: npt.NDArray[np.float64], control: npt.NDArray[np.float64]
     ) -> tuple[float, float]:
         """Returns how long to go on before planning again, and the longest step [s]."""
-        distance, rate = self._contact.calc_distance(x)
-        self._fastest = max(self._fastest, -rate)
-        if distance > 0:
-            q, v = np.split(x, 2)
-            push = self._contact.calc_push(x, self._world.calc_acceleration(q, v, control))
-            fall = calc_time_to_wall(distance, rate, push)
+        clearances = self._motion.calc_clearances(x)
+        acceleration = _calc_acceleration(self._world, self._motion, x, control, clearances)
+        pushes = self._motion.calc_pushes(acceleration)
+        plans = [
+            pace.plan(time, near, pushes[near.contact])
+            for pace, near in zip(self._solids, clearances, strict=True)
+        ]
+        return min(stretch for stretch, _ in plans), min(step for _, step in plans)
+
+
+class _SolidPace:
+    """What one solid asks for."""
+
+    def __init__(self, delay: float, flight: float, start: float, matching: _Matching) -> None:
+        self._delay = delay
+        self._flight = flight
+        self._matching = matching
+        self._touched = start  # no contact that is still going on began before this [s]
+        self._is_slow = False
+        self._is_matched = False
+        self._fastest = 0.0  # approach so far [m/s]
+
+    def plan(self, time: float, near: Clearance, push: float) -> tuple[float, float]:
+        """Returns how long to go on before planning again, and the longest step [s]."""
+        self._fastest = max(self._fastest, -near.rate)
+        if near.distance > 0:
+            fall = calc_time_to_wall(near.distance, near.rate, push)
             if fall > _NEAR * self._delay:
                 stretch = min(_APPROACH * fall, self._flight)
-                self._touched, self._is_slow = time + stretch, False
+                self._touched, self._is_slow, self._is_matched = time + stretch, False, False
                 return stretch, stretch
-            self._touched, self._is_slow = time, -rate <= _SLOW * self._fastest
+            self._touched, self._is_slow = time, -near.rate <= _SLOW * self._fastest
+        if near.rate < 0 and not self._is_matched:
+            self._matching.match(near, push)
+            self._is_matched = True
         if self._is_slow or time - self._touched > _SETTLED * self._delay:
             return _COARSE_STEP * self._delay, _COARSE_STEP * self._delay
         return self._delay, _FINE_STEP * self._delay
+
+
+def _calc_acceleration(
+    world: World,
+    motion: ContactMotion,
+    x: npt.NDArray[np.float64],
+    control: npt.NDArray[np.float64],
+    clearances: list[Clearance],
+    but: int | None = None,
+) -> npt.NDArray[np.float64]:
+    """Returns v̇ as if the ball rested on all that it touches, but for one contact [m/s²]."""
+    q, v = np.split(x, 2)
+    touched = [near.contact for near in clearances if near.distance <= 0 and near.contact != but]
+    return motion.calc_supported(world.calc_acceleration(q, v, control), touched)
 
 
 class _Sample(NamedTuple):
@@ -125,94 +214,122 @@ class _Sample(NamedTuple):
     time: float
     x: npt.NDArray[np.float64]
     control: npt.NDArray[np.float64]
-    distance: float
-    rate: float
+    clearances: list[Clearance]  # of each solid
 
 
-_Row = tuple[float, "npt.NDArray[np.float64]"]  # time, (q, v)
+class _Row(NamedTuple):
+    """A moment of a contact."""
+
+    time: float
+    x: npt.NDArray[np.float64]
+    push: float  # φ̈ without this contact [m/s²]
 
 
 class _Trace:
     """Every step of a simulation, and the contacts that are read off it."""
 
-    def __init__(self, world: World, delay: float) -> None:
+    def __init__(self, world: World, motion: ContactMotion, delays: list[float]) -> None:
         self._world = world
-        self._contact = ContactMotion(world)
-        self._delay = delay
+        self._motion = motion
+        self._delays = delays
         self._samples: list[_Sample] = []
         self.control = np.zeros(world.num_actuators)
 
     def add(self, time: float, x: npt.NDArray[np.float64]) -> None:
         """Appends a step's end."""
-        distance, rate = self._contact.calc_distance(x)
-        self._samples.append(_Sample(time, x, self.control, distance, rate))
+        clearances = self._motion.calc_clearances(x)
+        self._samples.append(_Sample(time, x, self.control, clearances))
 
     def read(self, knots: npt.NDArray[np.float64]) -> Recording:
         """Returns the states at knots and about contacts, and the impacts."""
         at_knots = set(knots.tolist())
         rows = [(sample.time, sample.x) for sample in self._samples if sample.time in at_knots]
-        recording = Recording(max_penetration=self._calc_depth())
-        for first, last in self._find_contacts():
-            touch, release = self._find_touch(first), self._find_release(last)
-            deepest = min(self._samples[first : last + 1], key=lambda sample: sample.distance)
-            rows += [touch, (deepest.time, deepest.x), release]
-            impact = self._calc_impact(touch, release, self._samples[first].control)
-            if impact is not None:
-                recording.impacts.append(impact)
+        recording = Recording()
+        for solid in range(len(self._motion.solids)):
+            depth = self._calc_depth(solid)
+            recording.max_penetration = max(recording.max_penetration, depth)
+            for first, last in self._find_contacts(solid):
+                touch, release = self._find_touch(solid, first), self._find_release(solid, last)
+                deepest = min(
+                    self._samples[first : last + 1],
+                    key=lambda sample: sample.clearances[solid].distance,
+                )
+                rows += [(row.time, row.x) for row in (touch, deepest, release)]
+                impact = self._calc_impact(self._face(solid, first), touch, release)
+                recording.impacts += [impact] if impact else []
+        recording.impacts.sort(key=lambda impact: impact.time)
         for time, x in sorted(rows, key=lambda row: row[0]):
             recording.add(time, *np.split(x, 2))
         return recording
 
-    def _find_contacts(self) -> list[tuple[int, int]]:
+    def _face(self, solid: int, index: int) -> int:
+        """Returns which face of a solid a sample is at."""
+        return self._samples[index].clearances[solid].contact
+
+    def _is_on_face(self, solid: int, index: int) -> bool:
+        """Returns whether Drake sees a contact: past an edge the ball rounds the corner."""
+        q, _ = np.split(self._samples[index].x, 2)
+        return bool(self._world.is_on_face(q)[self._face(solid, index)])
+
+    def _find_contacts(self, solid: int) -> list[tuple[int, int]]:
         """Returns the first and the last sample of each stretch with φ ≤ 0."""
-        inside = np.array([sample.distance <= 0 for sample in self._samples])
+        inside = np.array([sample.clearances[solid].distance <= 0 for sample in self._samples])
         edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]])))
-        return [(int(first), int(after) - 1) for first, after in edges.reshape(-1, 2)]
+        stretches = [(int(first), int(after) - 1) for first, after in edges.reshape(-1, 2)]
+        return [
+            (first, last)
+            for first, last in stretches
+            if any(self._is_on_face(solid, index) for index in (first, last))
+        ]
 
-    def _find_touch(self, first: int) -> _Row:
+    def _find_touch(self, solid: int, first: int) -> _Row:
         """Returns when and how contact began: from the flight before it, or the very start."""
-        if first == 0:
-            return self._samples[0].time, self._samples[0].x
-        return self._extrapolate(self._samples[first - 1], self._samples[first].control, 1.0)
+        before = self._samples[max(first - 1, 0)]
+        control, face = self._samples[first].control, self._face(solid, first)
+        return self._extrapolate(before, control, face, 1.0 if first else 0.0)
 
-    def _find_release(self, last: int) -> _Row:
+    def _find_release(self, solid: int, last: int) -> _Row:
         """Returns when and how contact ended: from the flight after it, or the very end."""
-        if last == len(self._samples) - 1:
-            return self._samples[-1].time, self._samples[-1].x
-        after = self._samples[last + 1]
-        return self._extrapolate(after, after.control, -1.0)
+        ends = last == len(self._samples) - 1
+        after = self._samples[last if ends else last + 1]
+        return self._extrapolate(after, after.control, self._face(solid, last), float(ends) - 1)
 
     def _extrapolate(
-        self, sample: _Sample, control: npt.NDArray[np.float64], direction: float
+        self, sample: _Sample, control: npt.NDArray[np.float64], face: int, direction: float
     ) -> _Row:
-        """Returns when and how free flight is at the wall, forward (+1) or backward (−1)."""
-        q, v = np.split(sample.x, 2)
-        acceleration = self._world.calc_acceleration(q, v, control)
-        push = self._contact.calc_push(sample.x, acceleration)
-        t = calc_time_to_wall(sample.distance, direction * sample.rate, push)
-        t = direction * t if math.isfinite(t) else 0.0
-        x = np.concatenate([q + t * v + t**2 / 2 * acceleration, v + t * acceleration])
-        return sample.time + t, x
+        """Returns when and how flight is at the wall, forward (+1) or backward (−1); 0: as is."""
+        x = sample.x
+        clearances = sample.clearances
+        acceleration = _calc_acceleration(
+            self._world, self._motion, x, control, clearances, but=face
+        )
+        push = self._motion.calc_pushes(acceleration)[face]
+        distances, rates = self._motion.calc_distances(x)
+        t = calc_time_to_wall(max(distances[face], 0.0), direction * rates[face], push)
+        t = direction * t if direction and math.isfinite(t) else 0.0
+        q, v = np.split(x, 2)
+        moved = np.concatenate([q + t * v + t**2 / 2 * acceleration, v + t * acceleration])
+        return _Row(sample.time + t, moved, push)
 
-    def _calc_impact(
-        self, touch: _Row, release: _Row, control: npt.NDArray[np.float64]
-    ) -> Impact | None:
+    def _calc_impact(self, contact: int, touch: _Row, release: _Row) -> Impact | None:
         """Returns the impact, or None if the control alone could stop so slow a ball in contact."""
-        q, v = np.split(touch[1], 2)
-        speed = -self._contact.calc_distance(touch[1])[1]
-        push = self._contact.calc_push(touch[1], self._world.calc_acceleration(q, v, control))
-        if speed <= abs(push) * self._delay:
+        speed = -self._motion.calc_distances(touch.x)[1][contact]
+        if speed <= abs(touch.push) * self._delays[contact]:
             return None
         energies = (
-            self._contact.calc_kinetic_energy(np.split(x, 2)[1]) for _, x in (touch, release)
+            self._motion.calc_kinetic_energy(np.split(row.x, 2)[1]) for row in (touch, release)
         )
-        return Impact(touch[0], speed, push, *energies)
+        return Impact(touch.time, contact, speed, touch.push, *energies)
 
-    def _calc_depth(self) -> float:
+    def _calc_depth(self, solid: int) -> float:
         """Returns the deepest penetration, of the parabola wherever φ̇ turns positive."""
-        depths = [0.0] + [-sample.distance for sample in self._samples]
-        for a, b in itertools.pairwise(self._samples):
-            if a.rate < 0 < b.rate:
-                t = (b.time - a.time) * a.rate / (a.rate - b.rate)
-                depths.append(-a.distance - a.rate * t / 2)
-        return max(depths)
+        deepest = 0.0
+        for index, (before, after) in enumerate(itertools.pairwise(self._samples)):
+            a, b = before.clearances[solid], after.clearances[solid]
+            depth = -b.distance
+            if a.contact == b.contact and a.rate < 0 < b.rate:
+                t = (after.time - before.time) * a.rate / (a.rate - b.rate)
+                depth = max(depth, -a.distance - a.rate * t / 2)
+            if depth > deepest and self._is_on_face(solid, index + 1):
+                deepest = depth
+        return deepest

@@ -7,6 +7,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drake_aigto.planning.contact_motion import ContactMotion
+
 if TYPE_CHECKING:
     import numpy.typing as npt
 
@@ -31,43 +33,59 @@ class PlannedContact:
     Attributes:
         time: of its first knot [s].
         last_time: of its last knot [s].
-        velocity_change: ‖Σ M⁻¹ Jᵀ (p_k + λ_k τ_k)‖ [m/s].
-        energy_ratio: kinetic energy after / before; 1 where it is still before and after.
+        velocity_change: ‖Σ M⁻¹ J_iᵀ (p_ik + λ_ik τ_k)‖ [m/s].
+        energy_ratio: kinetic energy after / before, with all that happens at its knots; 1 where it
+            is still before and after.
+        contact: i, which of the world's contacts.
     """
 
     time: float
     last_time: float
     velocity_change: float
     energy_ratio: float
+    contact: int = 0
 
 
 def find_contacts(world: World, trajectory: Trajectory) -> tuple[PlannedContact, ...]:
     """Returns the contacts of a trajectory in the order of time: its contact sequence.
 
-    Where the wall pushes at every knot, large impulses are contacts, and those that follow each
+    Where a wall pushes at every knot, large impulses are contacts, and those that follow each
     other soon are one. Where it does not, every impulse and every held force is one.
     """
-    changes = _velocity_changes(world, trajectory)
+    motion = ContactMotion(world)
+    found = [
+        contact
+        for i in range(world.num_contacts)
+        for contact in _find_contacts(world, trajectory, motion.lifts[i] / motion.masses[i], i)
+    ]
+    return tuple(sorted(found, key=lambda contact: (contact.time, contact.contact)))
+
+
+def _find_contacts(
+    world: World, trajectory: Trajectory, lift: npt.NDArray[np.float64], index: int
+) -> list[PlannedContact]:
+    """Returns those of one contact, whose impulses change v by `lift` a newton second."""
+    impulses, forces = trajectory.impulses[:, index], trajectory.forces[:, index]
+    held = forces * np.diff(trajectory.times)
+    changes = np.outer(impulses + np.append(held, 0.0), lift)
     sizes = np.linalg.norm(changes, axis=1)
     largest = np.max(np.linalg.norm(trajectory.velocities, axis=1))
-    if np.all(trajectory.impulses[:-1]):
+    if np.all(impulses[:-1]):
         hit = np.flatnonzero(sizes > _SHARE * largest)
         apart = np.diff(trajectory.times[hit]) >= _GAP
     else:
-        held = np.any(trajectory.forces, axis=1)
-        touching = np.append(held, False) | np.append(False, held)
+        touching = np.append(held != 0, False) | np.append(False, held != 0)
         hit = np.flatnonzero((sizes > _ROUNDING * largest) | touching)
-        apart = ~held[hit[:-1]]
+        apart = held[hit[:-1]] == 0
     if not hit.size:
-        return ()
+        return []
     runs = np.split(hit, np.flatnonzero(apart) + 1)
-    return tuple(_contact(world, trajectory, changes, run[0], run[-1]) for run in runs)
+    return [_contact(world, trajectory, changes, run[0], run[-1], index) for run in runs]
 
 
 def max_penetration(world: World, trajectory: Trajectory) -> float:
-    """Returns the deepest −φ(q_k) ≥ 0 over the knots [m]."""
-    distances = [world.calc_signed_distance(q) for q in trajectory.positions]
-    return max(0.0, -float(np.min(distances)))
+    """Returns how deep the ball is inside a wall at most, over the knots, at least 0 [m]."""
+    return ContactMotion(world).calc_depth(trajectory.positions)
 
 
 def _contact(
@@ -76,6 +94,7 @@ def _contact(
     changes: npt.NDArray[np.float64],
     first: int,
     last: int,
+    index: int,
 ) -> PlannedContact:
     """Returns the contact of knots first … last."""
     before = trajectory.velocities[first]
@@ -86,6 +105,7 @@ def _contact(
         last_time=float(trajectory.times[last]),
         velocity_change=float(np.linalg.norm(changes[first : last + 1].sum(axis=0))),
         energy_ratio=_energy_ratio(world, trajectory, before, after),
+        contact=index,
     )
 
 
@@ -103,11 +123,3 @@ def _energy_ratio(
     if given == 0:
         return 1.0 if returned == 0 else np.inf
     return returned / given
-
-
-def _velocity_changes(world: World, trajectory: Trajectory) -> npt.NDArray[np.float64]:
-    """Returns what the wall adds at each knot and until the next, shape (N+1, nv) [m/s]."""
-    held = trajectory.forces * np.diff(trajectory.times)[:, np.newaxis]
-    pushes = trajectory.impulses + np.vstack([held, np.zeros((1, held.shape[1]))])
-    knots = zip(trajectory.positions, pushes, strict=True)
-    return np.array([world.calc_velocity_change(q, p) for q, p in knots])

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-import numpy as np
 from pydrake.geometry import GeometryId, ProximityProperties, RoleAssign
 from scipy.optimize import brentq
 
@@ -13,7 +12,6 @@ from drake_aigto.errors import ModelError
 from drake_aigto.planning.contact_motion import ContactMotion
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
     from pydrake.systems.framework import Context
 
     from drake_aigto.world import World
@@ -27,23 +25,27 @@ LEAST_RESTITUTION = 1e-3
 _NEARLY_ELASTIC = 1e-4
 
 
-def contact_delay(world: World, q: npt.NDArray[np.float64] | None = None) -> float:
-    """Returns how long an elastic contact lasts, π √(m / k) [s].
+def contact_delay(world: World) -> float:
+    """Returns how long an elastic contact of the world lasts at most, π √(m / k) [s].
 
     A rigid wall turns the ball round at once. Drake's compliant one, of stiffness k, keeps it for
     half a period of mass m on spring k, which delays all that follows.
 
     Args:
-        world: k = k₁ k₂ / (k₁ + k₂) comes from the material of its two shapes, and
-            m = (J M⁻¹ Jᵀ)⁻¹ from its mass matrix.
-        q: where J is taken, shape (nq,) [m]; the plant's default if None.
+        world: k = k₁ k₂ / (k₁ + k₂) comes from the material of its shapes, and
+            m = (J_i M⁻¹ J_iᵀ)⁻¹ from its mass matrix.
 
     Raises:
         ModelError: a shape has no stiffness.
     """
-    if q is None:
-        q = world.plant.GetDefaultPositions()
-    return math.pi * math.sqrt(ContactMotion(world).calc_mass(q) / _calc_stiffness(world))
+    return max(contact_delays(world))
+
+
+def contact_delays(world: World) -> list[float]:
+    """Returns `contact_delay` of each contact [s]."""
+    masses = ContactMotion(world).masses
+    stiffnesses = [_calc_stiffness(world, shapes) for shapes in world.shapes]
+    return [math.pi * math.sqrt(m / k) for m, k in zip(masses, stiffnesses, strict=True)]
 
 
 def calc_dissipation(restitution: float, speed: float) -> float:
@@ -72,47 +74,50 @@ def calc_dissipation(restitution: float, speed: float) -> float:
     return -math.expm1(-z) / e / speed
 
 
-def set_dissipation(world: World, root: Context, dissipation: float) -> None:
-    """Gives both shapes of the contact a Hunt-Crossley dissipation [s/m], in this context only."""
+def set_dissipation(world: World, root: Context, contact: int, dissipation: float) -> None:
+    """Gives a contact a Hunt-Crossley dissipation [s/m], in this context only.
+
+    Drake weighs those of the two shapes by the other one's stiffness. Where one shape belongs to
+    other contacts too, as a ball between walls, its own becomes 0 and the other one's makes up for
+    it, so that no other contact which is going on is another.
+    """
+    shapes = world.shapes[contact]
+    k = [_read_stiffness(world, shape) for shape in shapes]
+    alone = [_is_alone(world, shape) for shape in shapes]
+    values = [dissipation, dissipation]
+    if alone[0] != alone[1]:
+        own = alone.index(True)
+        values[1 - own] = 0.0
+        values[own] = dissipation * (k[0] + k[1]) / k[1 - own]
     context = world.scene_graph.GetMyMutableContextFromRoot(root)
     inspector = world.scene_graph.model_inspector()
-    for shape in _find_shapes(world):
+    for shape, value in zip(shapes, values, strict=True):
         properties = ProximityProperties(inspector.GetProximityProperties(shape))
-        properties.UpdateProperty(*_DISSIPATION, dissipation)
+        properties.UpdateProperty(*_DISSIPATION, value)
         world.scene_graph.AssignRole(
             context, world.plant.get_source_id(), shape, properties, RoleAssign.kReplace
         )
 
 
-def _calc_stiffness(world: World) -> float:
-    """Returns the stiffness of both shapes in series, k₁ k₂ / (k₁ + k₂) [N/m]."""
+def _is_alone(world: World, shape: GeometryId) -> bool:
+    """Returns whether a shape can touch but one other."""
+    return sum(shape in pair for pair in set(world.shapes)) == 1
+
+
+def _calc_stiffness(world: World, shapes: tuple[GeometryId, GeometryId]) -> float:
+    """Returns the stiffness of two shapes in series, k₁ k₂ / (k₁ + k₂) [N/m]."""
+    return 1 / sum(1 / _read_stiffness(world, shape) for shape in shapes)
+
+
+def _read_stiffness(world: World, shape: GeometryId) -> float:
     inspector = world.scene_graph.model_inspector()
-    compliance = 0.0
-    for shape in _find_shapes(world):
-        properties = inspector.GetProximityProperties(shape)
-        if not properties.HasProperty(*_STIFFNESS):
-            raise ModelError(
-                f"collision shape {inspector.GetName(shape)!r}",
-                got="no stiffness, so Drake's default, which hardly rebounds",
-                expected="<drake:point_contact_stiffness>",
-                remedy="Give both shapes 2e9 N/m, and <drake:hunt_crossley_dissipation> 0, for a "
-                "nearly rigid, elastic wall.",
-            )
-        compliance += 1 / properties.GetProperty(*_STIFFNESS)
-    return 1 / compliance
-
-
-def _find_shapes(world: World) -> tuple[GeometryId, GeometryId]:
-    """Returns the two shapes of the world's contact: those whose distance is φ."""
-    root = world.create_context()
-    q = world.plant.GetPositions(world.plant.GetMyContextFromRoot(root))
-    (distance,) = world.calc_signed_distance(q)
-    query = world.scene_graph.get_query_output_port().Eval(
-        world.scene_graph.GetMyContextFromRoot(root)
-    )
-    candidates = world.scene_graph.model_inspector().GetCollisionCandidates()
-
-    def error(shapes: tuple[GeometryId, GeometryId]) -> float:
-        return abs(query.ComputeSignedDistancePairClosestPoints(*shapes).distance - distance)
-
-    return min(sorted(candidates, key=lambda pair: [i.get_value() for i in pair]), key=error)
+    properties = inspector.GetProximityProperties(shape)
+    if not properties.HasProperty(*_STIFFNESS):
+        raise ModelError(
+            f"collision shape {inspector.GetName(shape)!r}",
+            got="no stiffness, so Drake's default, which hardly rebounds",
+            expected="<drake:point_contact_stiffness>",
+            remedy="Give both shapes 2e9 N/m, and <drake:hunt_crossley_dissipation> 0, for a "
+            "nearly rigid, elastic wall.",
+        )
+    return float(properties.GetProperty(*_STIFFNESS))

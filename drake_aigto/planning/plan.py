@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 FORMAT = "drake_aigto plan"
-FORMAT_VERSION = 2
+FORMAT_VERSION = 3
 
 # A candidate whose rows are off by more than this is no solution of the transcription [m, m/s].
 LARGEST_DEFECT = 1e-6

@@ -1,4 +1,4 @@
-"""What a simulation of a held control saw: states, and contacts with the wall."""
+"""What a simulation of a held control saw: states, and contacts with walls."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ class Impact(NamedTuple):
     """A contact that throws the ball back."""
 
     time: float  # when the wall was touched [s]
+    contact: int  # which of the world's contacts
     speed: float  # of approach, −φ̇ > 0 [m/s]
     push: float  # φ̈ without contact; negative is into the wall [m/s²]
     energy_before: float  # kinetic, ½ vᵀ M v, when the wall was touched [J]
@@ -30,6 +31,7 @@ class Recording:
         velocities: v for each time, shape (nv,) [m/s].
         impacts: in order of time.
         max_penetration: the deepest −φ, at least 0 [m].
+        matched_speeds: for which dissipation was set, on compliant walls [m/s].
     """
 
     times: list[float] = field(default_factory=list)
@@ -37,6 +39,7 @@ class Recording:
     velocities: list[npt.NDArray[np.float64]] = field(default_factory=list)
     impacts: list[Impact] = field(default_factory=list)
     max_penetration: float = 0.0
+    matched_speeds: list[float] = field(default_factory=list)
 
     def add(self, time: float, q: npt.NDArray[np.float64], v: npt.NDArray[np.float64]) -> None:
         """Appends a state."""

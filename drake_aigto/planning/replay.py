@@ -1,4 +1,4 @@
-"""Replay: a plan's control alone, run from the start against a rigid wall."""
+"""Replay: a plan's control alone, run from the start against rigid walls."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drake_aigto.errors import TrajectoryError
+from drake_aigto.planning.compliance import calc_compliance_error
 from drake_aigto.planning.compliant_wall import simulate_compliant_wall
-from drake_aigto.planning.material import LEAST_RESTITUTION, calc_dissipation, contact_delay
 from drake_aigto.planning.recording import Recording
 from drake_aigto.planning.rigid_wall import simulate_rigid_wall
 from drake_aigto.trajectory import ArrayRecord, check_control, read_only
@@ -25,22 +25,25 @@ class Replay(ArrayRecord):
     """What a control does to the world, whatever its plan promised.
 
     Attributes:
-        simulator: "event-driven" (exactly rigid wall) or "drake" (the continuous plant).
+        simulator: "event-driven" (exactly rigid walls) or "drake" (the continuous plant).
         cost: control_weight Σ dt_k ‖u_k‖² + goal_weight ‖q(T) − goal‖².
         goal_error: ‖q(T) − goal‖ [m].
         max_penetration: the deepest −φ, at least 0 [m].
-        bounce_times: when the wall was touched, B of them [s].
+        bounce_times: when walls were touched, B of them [s].
+        bounce_contacts: which of the world's contacts each touch was at.
         energies_before: kinetic energy ½ vᵀ M v at each touch, B [J].
         energies_after: kinetic energy as each contact ends, B [J]. A contact that lasts to T is
             compared with T.
-        compliance_error: "drake" only: how far the end should be from where a rigid wall leads [m].
-            A contact lasts τ = π √(m/k), which delays what follows and loses what the control adds
-            meanwhile, and no dissipation brings restitution below 1e-3: Σ e v τ + |φ̈| τ (T − t) +
-            (1e-3 − e)₊ v (T − t) over impacts at speed v, time t and push φ̈.
+        compliance_error: "drake" only: how far the end should be, at most, from where rigid walls
+            lead [m]. A contact lasts τ = π √(m/k), which delays what follows and loses what the
+            control adds meanwhile, and no dissipation brings restitution below 1e-3. After one
+            impact at speed v, time t and push φ̈ that is e v τ + |φ̈| τ (T − t) +
+            (1e-3 − e)₊ v (T − t) and some hundredths; `calc_compliance_error` has all of it, and
+            what later impacts make of it.
         compliance_cost: what of the cost this explains at most.
-        matched_speed: "drake" only, restitution < 1 only: the speed of impact for which the
-            dissipation gives the scenario's restitution [m/s]. Slower impacts return more of their
-            speed, faster ones less. None: the model's own dissipation.
+        matched_speeds: "drake" only, restitution < 1 only: the speeds, in the order of time, for
+            which the dissipation was set to give each impact its restitution [m/s]. The slowest are
+            of balls that come to rest, and no bounces. Empty: the model's own dissipation.
         times: shape (K,): the knots, and where contacts begin and end [s]. Never decreasing; a
             rigid impact has two rows of equal time.
         positions: shape (K, nq) [m].
@@ -52,11 +55,12 @@ class Replay(ArrayRecord):
     goal_error: float
     max_penetration: float
     bounce_times: tuple[float, ...]
+    bounce_contacts: tuple[int, ...]
     energies_before: tuple[float, ...]
     energies_after: tuple[float, ...]
     compliance_error: float
     compliance_cost: float
-    matched_speed: float | None
+    matched_speeds: tuple[float, ...]
     times: npt.NDArray[np.float64]
     positions: npt.NDArray[np.float64]
     velocities: npt.NDArray[np.float64]
@@ -68,8 +72,9 @@ class Replay(ArrayRecord):
             *("compliance_error", "compliance_cost"),
         ):
             object.__setattr__(self, name, float(getattr(self, name)))
-        for name in ("bounce_times", "energies_before", "energies_after"):
+        for name in ("bounce_times", "energies_before", "energies_after", "matched_speeds"):
             object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
+        object.__setattr__(self, "bounce_contacts", tuple(map(int, self.bounce_contacts)))
         for name in ("times", "positions", "velocities"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
@@ -84,8 +89,8 @@ class Replay(ArrayRecord):
         """The one number for tables, Σ after / Σ before over all contacts; None without contact.
 
         Contacts count by their energy, so that the last tremor before rest does not hide the
-        bounce. On a rigid wall it is restitution² if the ball moves straight at the wall, and never
-        more than 1: more is energy from nowhere.
+        bounce. On rigid walls it is restitution² if the ball moves straight at them, and never more
+        than 1: more is energy from nowhere.
         """
         return sum(self.energies_after) / sum(self.energies_before) if self.bounce_times else None
 
@@ -93,14 +98,14 @@ class Replay(ArrayRecord):
 def replay_event_driven(
     world: World, scenario: Scenario, times: npt.ArrayLike, controls: npt.ArrayLike
 ) -> Replay:
-    """Replays a held control on an exactly rigid wall (`RigidWall` has its equations).
+    """Replays a held control on exactly rigid walls (`RigidWall` has their equations).
 
     The judge of plans, for any restitution in [0, 1]. Exact but for rounding under constant
     acceleration, with two exceptions that `RigidWall` states: hops too short to follow become rest,
     and touches shorter than a millionth of the duration may not be noticed.
 
     Args:
-        world: its dynamics and its contact.
+        world: its dynamics and its contacts.
         scenario: start, goal, weights and restitution; it has to fit the world (`World.check`).
         times: of the knots, shape (N+1,), not necessarily even [s].
         controls: held over each interval, shape (N, nu) [N].
@@ -110,7 +115,7 @@ def replay_event_driven(
     """
     times, controls = _check_control(world, times, controls)
     start = scenario.initial_position, scenario.initial_velocity
-    recording = simulate_rigid_wall(world, scenario.restitution, start, times, controls)
+    recording = simulate_rigid_wall(world, world.restitutions(scenario), start, times, controls)
     return _summarize("event-driven", scenario, times, controls, recording)
 
 
@@ -119,11 +124,12 @@ def replay_drake(
 ) -> Replay:
     """Replays a held control on the world's own continuous plant in Drake.
 
-    Its wall is compliant, so each bounce is late by `contact_delay` and dips in by v √(m / k). With
-    restitution 1 the model keeps its own dissipation, which the shipped models have at zero. With
-    less, Hunt-Crossley dissipation is set, in the simulation's context, for the speed of the first
-    impact that the event-driven replay sees (`Replay.matched_speed`). The restitution it makes
-    depends on the speed: for several bounces at different speeds trust the event-driven replay.
+    Its walls are compliant, so each bounce is late by `contact_delay` and dips in by v √(m / k).
+    With restitution 1 the model keeps its own dissipation, which the shipped models have at zero.
+    The restitution that Hunt-Crossley dissipation makes depends on the speed. So with less than 1
+    it is set before each impact for the speed that is coming (`Replay.matched_speeds`), in the
+    simulation's context alone. A ball rolls
+    round the corners of a box, which the event-driven replay takes for sharp.
 
     Args:
         world: its diagram, whose actuation this replaces.
@@ -137,15 +143,10 @@ def replay_drake(
     """
     times, controls = _check_control(world, times, controls)
     start = scenario.initial_position, scenario.initial_velocity
-    speed = dissipation = None
-    if scenario.restitution < 1:
-        rigid = simulate_rigid_wall(world, scenario.restitution, start, times, controls)
-        if rigid.impacts:
-            speed = rigid.impacts[0].speed
-            dissipation = calc_dissipation(scenario.restitution, speed)
-    recording = simulate_compliant_wall(world, start, times, controls, dissipation)
-    error = _calc_compliance_error(world, scenario, recording)
-    return _summarize("drake", scenario, times, controls, recording, error, speed)
+    restitutions = world.restitutions(scenario)
+    recording = simulate_compliant_wall(world, start, times, controls, restitutions)
+    error = calc_compliance_error(world, restitutions, recording.impacts, times[-1])
+    return _summarize("drake", scenario, times, controls, recording, error)
 
 
 def confirms(
@@ -197,18 +198,6 @@ def _check_control(
     return t, u
 
 
-def _calc_compliance_error(world: World, scenario: Scenario, recording: Recording) -> float:
-    """Returns `Replay.compliance_error`."""
-    delay = contact_delay(world, scenario.initial_position)
-    e, end = scenario.restitution, recording.times[-1]
-    excess = max(0.0, LEAST_RESTITUTION - e)
-    return sum(
-        e * impact.speed * delay
-        + (abs(impact.push) * delay + excess * impact.speed) * (end - impact.time)
-        for impact in recording.impacts
-    )
-
-
 def _summarize(
     simulator: str,
     scenario: Scenario,
@@ -216,7 +205,6 @@ def _summarize(
     controls: npt.NDArray[np.float64],
     recording: Recording,
     compliance_error: float = 0.0,
-    matched_speed: float | None = None,
 ) -> Replay:
     """Returns the replay that a recording shows."""
     effort = float(np.diff(times) @ np.sum(controls**2, axis=1))
@@ -228,11 +216,12 @@ def _summarize(
         goal_error=goal_error,
         max_penetration=recording.max_penetration,
         bounce_times=tuple(impact.time for impact in recording.impacts),
+        bounce_contacts=tuple(impact.contact for impact in recording.impacts),
         energies_before=tuple(impact.energy_before for impact in recording.impacts),
         energies_after=tuple(impact.energy_after for impact in recording.impacts),
         compliance_error=compliance_error,
         compliance_cost=scenario.goal_weight * (goal_error**2 - unexplained**2),
-        matched_speed=matched_speed,
+        matched_speeds=tuple(recording.matched_speeds),
         times=np.array(recording.times),
         positions=np.array(recording.positions),
         velocities=np.array(recording.velocities),

@@ -1,9 +1,9 @@
-"""An exactly rigid wall, as a hybrid system in Drake's Simulator."""
+"""Exactly rigid walls, as a hybrid system in Drake's Simulator."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
@@ -17,13 +17,16 @@ from pydrake.systems.framework import (
     WitnessFunctionDirection,
 )
 
-from drake_aigto.planning.contact_motion import ContactMotion, calc_time_to_wall
-from drake_aigto.planning.recording import Impact, Recording
+from drake_aigto.planning.contact_motion import Clearance, ContactMotion
+from drake_aigto.planning.impacts import Impacts, Phase
+from drake_aigto.planning.recording import Recording
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
     from drake_aigto.world import World
+
+    _Array = npt.NDArray[np.float64]
 
 # Times are parts of the simulated duration T.
 
@@ -36,49 +39,40 @@ _LAG = 2.0347e-7
 _WINDOW = 2e-7
 # A ball inside the wall came in no longer ago than this, at whatever speed and push.
 _LATEST = 2 * _LAG + 2 * _WINDOW
-# The n-th impact becomes rest if the hop after it would last less than n times this, which is more
-# than _LATEST. No more than √(2 / _HOP) ≈ 1,400 hops fit into T then: no Zeno sequence can hang.
-_HOP = 1e-6
-# Impact and rest leave this much air, relative to the largest position or 1 m, so that rounding
-# does not put the ball inside.
-_AIR = 1e-14
+# The sum of forces on a contact at rest that is not surely a pull, relative to the accelerations.
+_PULLED = 1e-13
 # What rises faster than this has turned round [m/s]. Not 0, which velocities do reach on knots.
 _RISING = 1.7e-10
 # Local error of an integration step.
 _ACCURACY = 1e-10
 
 
-class _Touch(NamedTuple):
-    """An impact, traced back from a state soon after it."""
-
-    age: float  # how long ago [s]
-    speed: float  # of approach, −φ̇ [m/s]
-    push: float  # φ̈ without contact [m/s²]
-    acceleration: npt.NDArray[np.float64]  # v̇ without contact [m/s²]
-
-
 class RigidWall(LeafSystem):
-    """A world whose wall is exactly rigid and frictionless.
+    """A world whose walls are exactly rigid and frictionless.
 
         flight    q̇ = v,  M v̇ + h(q, v) = B u                     while φ(q) > 0
-        impact    v⁺ = v⁻ − (1 + e) M⁻¹ Jᵀ (J M⁻¹ Jᵀ)⁻¹ J v⁻      when φ = 0, J v⁻ < 0
-        rest      M v̇ + h(q, v) = B u + Jᵀ λ,  φ̈ = 0              while λ ≥ 0
+        impact    v⁺ = v⁻ − (1 + e_i) M⁻¹ J_iᵀ (J_i M⁻¹ J_iᵀ)⁻¹ J_i v⁻    when φ_i = 0, J_i v⁻ < 0
+        rest      M v̇ + h(q, v) = B u + J_Rᵀ λ,  0 ≤ λ ⊥ J_R v̇ ≥ 0      on the contacts R
 
-    With e < 1 a constant push makes infinitely many impacts in finite time. So the n-th impact
-    becomes rest if the hop after it would last less than τ = 1e-6 n T. Pressed by an acceleration
-    a, that drops a speed of at most a τ/2 and a height of a τ²/8. An impact no faster than that
-    speed is a touch, and not recorded.
+    Impacts at the same time happen one after the other until none is approached (`Impacts.run`). A
+    contact that is rested on is one of them if another impact drives the ball into it.
 
-    The state is (q, v); whether the ball rests; how many impacts there were. Control is an input,
-    which has to be constant while the Simulator advances. Call ``ExecuteForcedEvents(context)``
-    before it changes: an impact that is not detected yet then happens under the control that led
-    to it.
+    With e < 1 a constant push makes infinitely many impacts in finite time. So the n-th impact at
+    a contact becomes rest if the hop after it would last less than τ = 1e-6 n T. Pressed by an
+    acceleration a, that drops a speed of at most a τ/2 and a height of a τ²/8. An impact no faster
+    than that speed is a touch, and not recorded. Bodies that collapse onto each other without a
+    push stay together after a thousand impacts within a millionth of T.
+
+    The state is (q, v); which contacts are rested on; how many impacts each had. Control is an
+    input, which has to be constant while the Simulator advances. Call
+    ``ExecuteForcedEvents(context)`` before it changes: an impact that is not detected yet then
+    happens under the control that led to it.
     """
 
     def __init__(
         self,
         world: World,
-        restitution: float,
+        restitutions: _Array,
         duration: float,
         longest_step: float,
         recording: Recording,
@@ -86,8 +80,8 @@ class RigidWall(LeafSystem):
         """Declares states, input and events.
 
         Args:
-            world: its dynamics and its contact.
-            restitution: e in [0, 1].
+            world: its dynamics and its contacts.
+            restitutions: e of each contact, in [0, 1], shape (m,).
             duration: T, how long will be simulated [s].
             longest_step: the longest that the Simulator will take [s].
             recording: where impacts are noted, with the states before and after.
@@ -95,174 +89,206 @@ class RigidWall(LeafSystem):
         super().__init__()
         self._world = world
         self._nq = world.num_positions
-        self._contact = ContactMotion(world)
-        self._restitution = restitution
+        # v̇ = gain u + drift, if the drift is constant.
+        origin = np.zeros(self._nq)
+        drift = world.calc_acceleration(origin, origin, np.zeros(world.num_actuators))
+        self._drift = drift if _is_constant(world.bias) else None
+        self._gain = np.linalg.solve(world.mass_matrix_values, world.actuation)
+        self._motion = ContactMotion(world)
+        self._impacts = Impacts(self._motion, restitutions, duration, recording)
         self._duration = duration
         self._longest_step = longest_step
-        self._recording = recording
         self.DeclareContinuousState(world.num_positions, world.num_velocities, 0)
+        # Sets, as the bits of integers.
         self._rest = self.DeclareDiscreteState(1)
-        self._count = self.DeclareDiscreteState(1)
+        self._rising = self.DeclareDiscreteState(1)
+        self._counts = self.DeclareDiscreteState(world.num_contacts)
         self._control = self.DeclareVectorInputPort("control", world.num_actuators)
         # They have no event of their own: they end a step, and the next begins with an update.
-        self._witnesses = [
-            self.MakeWitnessFunction(
-                "has touched the wall",
-                WitnessFunctionDirection.kPositiveThenNonPositive,
-                self._calc_delayed_distance,
-            ),
-            self.MakeWitnessFunction(
-                "may have touched the wall and left it",
-                WitnessFunctionDirection.kNegativeThenNonNegative,
-                self._calc_departure,
-            ),
-        ]
+        self._touched = self.MakeWitnessFunction(
+            "has touched a wall",
+            WitnessFunctionDirection.kPositiveThenNonPositive,
+            self._calc_delayed_distance,
+        )
+        self._left = self._witness_growth(
+            "may have touched a wall and left it", self._calc_departure
+        )
+        self._slid_off = self._witness_growth("has slid over an edge", self._calc_overhang)
         self.DeclarePerStepUnrestrictedUpdateEvent(self._update)
         self.DeclareForcedUnrestrictedUpdateEvent(self._update)
 
+    def _witness_growth(self, description: str, calc: Any) -> WitnessFunction:
+        direction = WitnessFunctionDirection.kNegativeThenNonNegative
+        return self.MakeWitnessFunction(description, direction, calc)
+
     def DoGetWitnessFunctions(self, context: Context) -> list[WitnessFunction]:
-        """Returns what ends a step: in flight the wall, at rest nothing."""
-        return [] if self._is_at_rest(context) else self._witnesses
+        """Returns what ends a step: solids in flight, and edges of those that are rested on."""
+        resting = self._get_resting(context)
+        if not resting:
+            return [self._touched, self._left]
+        held = {self._motion.solid_of[i] for i in resting}
+        found = [self._touched, self._left] if len(held) < len(self._motion.solids) else []
+        if any(len(self._motion.solids[solid]) > 1 for solid in held):
+            found.append(self._slid_off)
+        return found
 
     def DoCalcTimeDerivatives(self, context: Context, derivatives: ContinuousState) -> None:
         """Writes (q̇, v̇)."""
         x = _get_state(context)
         acceleration = self._calc_acceleration(context, x)
-        if self._is_at_rest(context):
-            push = min(self._contact.calc_push(x, acceleration), 0.0)
-            acceleration = acceleration - push * self._contact.calc_lift(x[: self._nq])
+        acceleration = self._impacts.support(acceleration, self._get_resting(context))
         rates = np.concatenate([x[self._nq :], acceleration])
         derivatives.get_mutable_vector().SetFromVector(rates)
 
-    def _calc_acceleration(
-        self, context: Context, x: npt.NDArray[np.float64]
-    ) -> npt.NDArray[np.float64]:
+    def _calc_acceleration(self, context: Context, x: _Array) -> _Array:
         """Returns v̇ without contact."""
         u = self._control.Eval(context)
-        return self._world.calc_acceleration(x[: self._nq], x[self._nq :], u)
+        if self._drift is None:
+            return self._world.calc_acceleration(x[: self._nq], x[self._nq :], u)
+        return self._gain @ u + self._drift
 
-    def _is_at_rest(self, context: Context) -> bool:
-        return bool(context.get_discrete_state(self._rest).GetAtIndex(0))
+    def _get_resting(self, context: Context) -> set[int]:
+        bits = self._get_set(context, self._rest)
+        return {i for i in range(bits.bit_length()) if bits >> i & 1}
+
+    def _get_set(self, context: Context, index: int) -> int:
+        return int(context.get_discrete_state(index).GetAtIndex(0))
 
     def _calc_delayed_distance(self, context: Context) -> float:
-        """Returns φ a lag ago if falling, φ if rising."""
-        distance, rate = self._contact.calc_distance(_get_state(context))
-        return distance - _LAG * self._duration * min(rate, 0.0)
+        """Returns φ a lag ago if falling, φ if rising, of the nearest solid in flight."""
+        distances, rates = self._motion.calc_distances(_get_state(context))
+        lag, resting = _LAG * self._duration, self._get_resting(context)
+        return min(
+            max(distances[i] - lag * min(rates[i], 0.0) for i in faces)
+            for faces in self._motion.solids
+            if resting.isdisjoint(faces)
+        )
 
     def _calc_departure(self, context: Context) -> float:
-        """Returns 1 if the ball rises and may have touched during the last step, else −1.
+        """Returns 1 if the ball has turned round at a wall since the step began, else −1."""
+        rising = self._find_rising(self._motion.calc_clearances(_get_state(context)))
+        known = self._get_set(context, self._rising)
+        return 1.0 if rising & ~known else -1.0
+
+    def _find_rising(self, clearances: list[Clearance]) -> int:
+        """Returns the solids that the ball rises from, and may have touched during a step.
 
         While φ̈ ≥ 0, φ was nowhere below what it is now less φ̇ times the step.
         """
-        distance, rate = self._contact.calc_distance(_get_state(context))
-        return 1.0 if rate > _RISING and distance <= self._longest_step * rate else -1.0
+        step = self._longest_step
+        return sum(
+            1 << solid
+            for solid, near in enumerate(clearances)
+            if near.rate > _RISING and near.distance <= step * near.rate
+        )
+
+    def _calc_overhang(self, context: Context) -> float:
+        """Returns how far beyond an edge the ball, which rests on that solid, was a lag ago."""
+        distances, rates = self._motion.calc_distances(_get_state(context))
+        lag, resting = _LAG * self._duration, self._get_resting(context)
+        return max(
+            distances[i] - lag * max(rates[i], 0.0)
+            for faces in self._motion.solids
+            if len(faces) > 1 and not resting.isdisjoint(faces)
+            for i in faces
+            if i not in resting
+        )
 
     def predict_impact(self, context: Context, horizon: float) -> float:
-        """Returns how long until φ = 0 under the present φ̈ [s]; infinity if never, or at rest.
+        """Returns how long until the next φ = 0 under the present φ̈ [s]; infinity if never.
 
         Args:
             context: the present state.
             horizon: what is hardly within this is not looked at, and infinity [s].
         """
-        x = _get_state(context)
-        distance, rate = self._contact.calc_distance(x)
-        if self._is_at_rest(context) or not 0 <= distance <= 2 * horizon * abs(rate):
+        x, resting = _get_state(context), self._get_resting(context)
+        if not any(
+            0 <= near.distance <= 2 * horizon * abs(near.rate)
+            for near in self._motion.calc_clearances(x)
+            if near.contact not in resting
+        ):
             return math.inf
-        push = self._contact.calc_push(x, self._calc_acceleration(context, x))
-        return calc_time_to_wall(distance, rate, push)
+        acceleration = self._impacts.support(self._calc_acceleration(context, x), resting)
+        return self._impacts.find_touch(x, acceleration, resting).wait
 
     def _update(self, context: Context, state: State) -> EventStatus:
-        """Lets go of the wall, or bounces off it, when it is time to."""
-        x = _get_state(context)
-        if self._is_at_rest(context):
-            if self._contact.calc_push(x, self._calc_acceleration(context, x)) <= 0:
-                return EventStatus.DidNothing()
-            state.get_mutable_discrete_state(self._rest).SetAtIndex(0, 0.0)
-            return EventStatus.Succeeded()
-        if self._contact.calc_distance(x)[0] > 0:
-            return EventStatus.DidNothing()
-        touch = self._trace_back(x, self._calc_acceleration(context, x))
-        if touch.age > _LATEST * self._duration:
-            # It starts at the wall and leaves it. Exactly at 0 its return would not be seen.
-            self._set_motion(state, x, rise=self._calc_air(x), jump=0.0)
+        """Lets go of walls, or bounces off them, when it is time to."""
+        x, resting = _get_state(context), self._get_resting(context)
+        clearances = self._motion.calc_clearances(x)
+        status = EventStatus.DidNothing()
+        if resting or min(near.distance for near in clearances) <= 0:
+            counts = context.get_discrete_state(self._counts).get_value().tolist()
+            phase = Phase(x, resting, counts)
+            if self._advance(context, phase, clearances):
+                self._write(state, phase)
+                status = EventStatus.Succeeded()
+                clearances = self._motion.calc_clearances(phase.x)
+        rising = self._find_rising(clearances)
+        if rising != self._get_set(context, self._rising):
+            state.get_mutable_discrete_state(self._rising).SetAtIndex(0, rising)
+            status = EventStatus.Succeeded()
+        return status
+
+    def _advance(self, context: Context, phase: Phase, clearances: list[Clearance]) -> bool:
+        """Returns whether something happened, after which the phase is another."""
+        acceleration = self._calc_acceleration(context, phase.x)
+        before = set(phase.resting)
+        self._let_go(phase, acceleration)
+        if phase.resting == before and all(
+            near.distance > 0 or not before.isdisjoint(self._faces(near)) for near in clearances
+        ):
+            return False
+        self._bounce(context.get_time(), phase, acceleration)
+        return True
+
+    def _write(self, state: State, phase: Phase) -> None:
+        state.get_mutable_continuous_state().SetFromVector(phase.x)
+        bits = sum(1 << i for i in phase.resting)
+        state.get_mutable_discrete_state(self._rest).SetAtIndex(0, bits)
+        state.get_mutable_discrete_state(self._counts).SetFromVector(phase.counts)
+
+    def _faces(self, clearance: Clearance) -> list[int]:
+        """Returns all faces of the solid."""
+        return self._motion.solids[self._motion.solid_of[clearance.contact]]
+
+    def _let_go(self, phase: Phase, acceleration: _Array) -> None:
+        """Ends rest where the ball is pulled off, or has slid over an edge."""
+        if not phase.resting:
+            return
+        pushes = self._motion.calc_pushes(self._impacts.support(acceleration, phase.resting))
+        still = _PULLED * max(1.0, float(np.max(np.abs(acceleration))))
+        held = {near.contact for near in self._motion.calc_clearances(phase.x)}
+        phase.resting = {i for i in phase.resting & held if pushes[i] <= still}
+
+    def _bounce(self, time: float, phase: Phase, acceleration: _Array) -> None:
+        """Replays what happened since the earliest of the touches that are not old."""
+        supported = self._impacts.support(acceleration, phase.resting)
+        touches = [
+            self._impacts.trace_back(phase.x, supported, near)
+            for near in self._motion.calc_clearances(phase.x)
+            if near.distance <= 0 and phase.resting.isdisjoint(self._faces(near))
+        ]
+        # What is older starts at the wall and leaves it. Exactly at 0 its return would not be seen.
+        fresh = [touch for touch in touches if touch.wait <= _LATEST * self._duration]
+        if fresh:
+            first = max(fresh, key=lambda touch: touch.wait)
+            self._impacts.run(time, phase, acceleration, first)
         else:
-            self._bounce(context, x, touch, state)
-        return EventStatus.Succeeded()
-
-    def _trace_back(
-        self, x: npt.NDArray[np.float64], acceleration: npt.NDArray[np.float64]
-    ) -> _Touch:
-        """Returns when and how fast the ball came in, for a constant φ̈ and φ ≤ 0."""
-        distance, rate = self._contact.calc_distance(x)
-        push = self._contact.calc_push(x, acceleration)
-        speed = math.sqrt(max(rate**2 - 2 * push * distance, 0.0))
-        # Back in time, from inside, the wall is ahead: both signs turn.
-        came_in = distance < 0 or rate < 0
-        age = calc_time_to_wall(-distance, rate, -push) if came_in else math.inf
-        return _Touch(age, speed, push, acceleration)
-
-    def _bounce(
-        self, context: Context, x: npt.NDArray[np.float64], touch: _Touch, state: State
-    ) -> None:
-        """Writes the state as it is since an impact, or comes to rest."""
-        q, v = np.split(x, 2)
-        distance, rate = self._contact.calc_distance(x)
-        count = context.get_discrete_state(self._count).GetAtIndex(0) + 1
-        shortest_hop = _HOP * self._duration * count
-        jump = (1 + self._restitution) * touch.speed
-        if 2 * touch.speed > shortest_hop * abs(touch.push):
-            self._record(context.get_time(), q, v, touch, jump)
-        rests = 2 * self._restitution * touch.speed <= -shortest_hop * touch.push
-        if rests:
-            jump, rise = -rate, self._calc_air(x) - distance
-        else:
-            rise = max(jump * touch.age, self._calc_air(x) - distance)
-        self._set_motion(state, x, rise, jump)
-        state.get_mutable_discrete_state(self._rest).SetAtIndex(0, float(rests))
-        state.get_mutable_discrete_state(self._count).SetAtIndex(0, count)
-
-    def _calc_air(self, x: npt.NDArray[np.float64]) -> float:
-        """Returns the least distance that is surely positive [m]."""
-        return _AIR * max(1.0, float(np.max(np.abs(x[: self._nq]))))
-
-    def _set_motion(
-        self, state: State, x: npt.NDArray[np.float64], rise: float, jump: float
-    ) -> None:
-        """Writes (q, v) with φ more by `rise` and φ̇ more by `jump` than in x."""
-        lift = self._contact.calc_lift(x[: self._nq])
-        changed = x + np.concatenate([rise * lift, jump * lift])
-        state.get_mutable_continuous_state().SetFromVector(changed)
-
-    def _record(
-        self,
-        time: float,
-        q: npt.NDArray[np.float64],
-        v: npt.NDArray[np.float64],
-        touch: _Touch,
-        jump: float,
-    ) -> None:
-        """Notes an impact, and the states before and after it."""
-        before = v - touch.age * touch.acceleration
-        after = before + jump * self._contact.calc_lift(q)
-        q = q - touch.age * (v + before) / 2
-        for velocity in (before, after):
-            self._recording.add(time - touch.age, q, velocity)
-        energies = (self._contact.calc_kinetic_energy(velocity) for velocity in (before, after))
-        self._recording.impacts.append(Impact(time - touch.age, touch.speed, touch.push, *energies))
+            self._impacts.settle(phase)
 
 
 def simulate_rigid_wall(
     world: World,
-    restitution: float,
+    restitutions: npt.NDArray[np.float64],
     state: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]],
     times: npt.NDArray[np.float64],
     controls: npt.NDArray[np.float64],
 ) -> Recording:
-    """Runs a held control against an exactly rigid wall.
+    """Runs a held control against exactly rigid walls.
 
     Args:
-        world: its dynamics and its contact.
-        restitution: e in [0, 1].
+        world: its dynamics and its contacts.
+        restitutions: e of each contact, in [0, 1], shape (m,).
         state: the start, (q, v).
         times: of the knots, shape (N+1,) [s].
         controls: held between them, shape (N, nu).
@@ -273,14 +299,15 @@ def simulate_rigid_wall(
     longest_step = float(np.max(np.diff(times)))
     duration = float(times[-1] - times[0])
     recording = Recording()
-    wall = RigidWall(world, restitution, duration, longest_step, recording)
+    wall = RigidWall(world, restitutions, duration, longest_step, recording)
     simulator = Simulator(wall)
+    varies = not _is_constant(world.bias)
     config = SimulatorConfig(
-        # Third order is exact for constant acceleration; fifth takes fewer steps for any other.
-        integration_scheme="runge_kutta3" if _is_constant(world.bias) else "runge_kutta5",
+        # Second order is exact for constant acceleration; fifth takes few steps for any other.
+        integration_scheme="runge_kutta5" if varies else "runge_kutta2",
         max_step_size=longest_step,
         accuracy=_ACCURACY,
-        use_error_control=True,
+        use_error_control=varies,
     )
     ApplySimulatorConfig(config, simulator)
     context = simulator.get_mutable_context()
@@ -295,9 +322,9 @@ def simulate_rigid_wall(
             stop = _plan_stop(now, wall.predict_impact(context, time - now), duration)
             simulator.AdvanceTo(min(stop, time))
         wall.ExecuteForcedEvents(context, publish=False)
-        recording.add(time, *np.split(_get_state(context), 2))
-    distances = [world.calc_signed_distance(q) for q in recording.positions]
-    recording.max_penetration = max(0.0, -float(np.min(distances)))
+        x = _get_state(context)
+        recording.add(time, x[: world.num_positions], x[world.num_positions :])
+    recording.max_penetration = ContactMotion(world).calc_depth(recording.positions)
     return recording
 
 

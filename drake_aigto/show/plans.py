@@ -86,8 +86,9 @@ def _simulation(replay: Replay, contact_delay: float | None) -> Iterator[str]:
     more = len(replay.bounce_times) - _MOST_BOUNCES
     times = ", ".join(f"{time:.4f}" for time in replay.bounce_times[:_MOST_BOUNCES])
     yield f"bounces at {times} s" + (f" and {more} times more" if more > 0 else "")
-    if replay.matched_speed is not None:
-        yield f"restitution matched for impacts at {replay.matched_speed:.2f} m/s"
+    if replay.matched_speeds:
+        speeds = ", ".join(f"{speed:.2f}" for speed in replay.matched_speeds[:_MOST_BOUNCES])
+        yield f"restitution matched for impacts at {speeds} m/s"
     if replay.simulator == "drake" and contact_delay is not None:
         yield f"each {time_text(contact_delay)} late (π √(m / k))"
 
