@@ -189,3 +189,31 @@ def test_newton_ends_on_a_bound_that_is_in_the_way() -> None:
     (x,) = f.to_variables(newton(objective, start[f.order], 200, 0.0).y)
     np.testing.assert_allclose(x, [0.5, 0.25], atol=1e-8)
     assert x[0] == 0.5
+
+
+def test_renewals_are_polished_where_f_only_stands_in_for_the_goal() -> None:
+    f, _, _ = sextic_chain(3, 0)
+    box = Box(np.zeros(3), np.full(3, 2.2))
+    polished: list[np.ndarray] = []
+
+    def polish(x: np.ndarray) -> np.ndarray:
+        polished.append(x)
+        return x
+
+    BoxSearch(rounds=30, patience=30).run(f, box, polish)
+    without = len(polished)
+    polished.clear()
+    BoxSearch(rounds=30, patience=30, polished_renewals=4).run(f, box, polish)
+    assert len(polished) == without + 4
+    # They are points that the search itself need not keep.
+    assert len({f(x) for x in polished}) >= 3
+
+
+def test_the_best_that_no_polish_led_to_is_told_apart() -> None:
+    f = rosenbrock_pair()
+    box = Box(np.zeros(2), np.full(2, 3.0))
+    found = BoxSearch(rounds=4, newton_steps=1).run(f, box, lambda x: np.ones(2))
+    assert found.best.is_polished and found.best.cost == 0
+    assert not found.unpolished.is_polished and found.unpolished.cost > 0
+    alone = BoxSearch(rounds=4).run(f, box)
+    assert alone.unpolished is alone.best

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from pydrake.solvers import SnoptSolver, SolverOptions
 
+from drake_aigto.solver import AigoSolver
 from drake_aigto.study.constrained_problem import ConstrainedProblem
 from drake_aigto.study.constrained_programs import constrained_problems, planted_program
 
@@ -27,6 +28,14 @@ def tight_options() -> SolverOptions:
 
 def scale(problem: ConstrainedProblem) -> float:
     return max(1.0, abs(problem.minimum))
+
+
+@pytest.mark.parametrize("name", ["HS 18", "HS 40", "HS 106", "HS 108", "Floudas-Pardalos 2.1"])
+def test_ours_solves_those_that_once_were_missed_or_slow(name: str) -> None:
+    problem = PROBLEMS[name]
+    result = AigoSolver().Solve(problem.prog())
+    assert result.is_success() and problem.violation(result.get_x_val()) <= 1e-6
+    assert result.get_optimal_cost() <= problem.minimum + 1e-5 * scale(problem)
 
 
 def test_there_are_enough_of_them() -> None:

@@ -73,6 +73,44 @@ def test_constraints_hold_in_the_answer_and_decide_it(polish: Any) -> None:
     assert result.get_optimal_cost() == pytest.approx(np.min(costs[allowed]), abs=1e-3)
 
 
+def test_multipliers_let_boxes_alone_meet_constraints() -> None:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(2, "x")
+    add_cost(prog, x[0] ** 2 + 2 * x[1] ** 2 - 3 * x[0])
+    prog.AddConstraint(x[0] ** 2 + x[1] == 0.5)
+    prog.AddConstraint(x[0] + x[1] >= 0.6)
+    prog.AddBoundingBoxConstraint(-2, 2, x)
+    exact = solve(prog).get_x_val()
+    # By penalties alone, 2e-4 is left.
+    alone = solve(prog, polish="none", feasibility=1e-5)
+    assert alone.is_success() and alone.get_solver_details().polishes == 0
+    np.testing.assert_allclose(alone.get_x_val(), exact, atol=1e-5)
+
+
+def test_constraints_cut_the_first_box() -> None:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(2, "x")
+    add_cost(prog, -x[0] * x[1])
+    prog.AddConstraint(x[0] ** 2 + x[1] ** 2 <= 8)
+    prog.AddBoundingBoxConstraint(0, 1e6, x)
+    result = solve(prog)
+    np.testing.assert_allclose(result.get_x_val(), [2, 2], atol=1e-6)
+    details = result.get_solver_details()
+    np.testing.assert_allclose(details.first_half_width, np.sqrt(2), atol=1e-6)
+
+
+def test_constraints_move_the_first_box_to_where_they_hold() -> None:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(2, "x")
+    add_cost(prog, (x[0] - 1) ** 2 + x[1] ** 2)
+    prog.AddConstraint(x[0] - x[1] ** 2 == 70)
+    prog.AddBoundingBoxConstraint(-5, 5, x[1:])
+    result = solve(prog)
+    assert result.is_success()
+    assert result.get_solver_details().first_center[0] > 65
+    np.testing.assert_allclose(result.get_x_val(), [70, 0], atol=1e-4)
+
+
 def test_sines_and_cosines_need_no_lifting() -> None:
     prog = MathematicalProgram()
     x = prog.NewContinuousVariables(3, "x")

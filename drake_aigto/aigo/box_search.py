@@ -38,11 +38,13 @@ class Candidate:
         x: the point, shape (n,), read-only.
         cost: f(x).
         origin: which boxes it came from, in words.
+        is_polished: whether a polish led to it.
     """
 
     x: Floats
     cost: float
     origin: str
+    is_polished: bool = False
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,7 @@ class SearchResult:
 
     Attributes:
         best: the candidate of least cost.
+        unpolished: the one of least cost that no polish led to.
         candidates: every improvement, in the order in which they were found.
         num_boxes: boxes that were shrunk.
         num_steps: steps of the flow and of Newton's method in all of them.
@@ -59,6 +62,7 @@ class SearchResult:
     """
 
     best: Candidate
+    unpolished: Candidate
     candidates: tuple[Candidate, ...] = field(repr=False)
     num_boxes: int
     num_steps: int
@@ -88,6 +92,9 @@ class BoxSearch:
             variables are opened. A size that fails rests for some turns.
         least_width: a renewed box is at least this part of the first one's width, in (0, 1].
         newton_steps: the most Newton steps after a box has shrunk.
+        polished_renewals: of the renewals of all variables, every second is polished, whether it
+            is lower or not, and so many at most: for an f that stands in for what a polish
+            minimises, as penalties do for constraints.
         seed: of the renewed boxes and clusters.
     """
 
@@ -98,11 +105,13 @@ class BoxSearch:
     cluster_sizes: tuple[int, ...] = (1, 2, 3, 4)
     least_width: float = 0.1
     newton_steps: int = 100
+    polished_renewals: int = 0
     seed: int = 0
 
     def __post_init__(self) -> None:
         """Checks the ranges."""
-        for name, least in (("rounds", 0), ("patience", 1), ("newton_steps", 0)):
+        counts = {"rounds": 0, "patience": 1, "newton_steps": 0, "polished_renewals": 0}
+        for name, least in counts.items():
             if getattr(self, name) < least:
                 raise OptionsError(name, got=getattr(self, name), expected=f"{least} or more")
         if not self.first:
@@ -123,8 +132,8 @@ class BoxSearch:
         Args:
             f: the cost.
             box: where to search; no point of the answer is outside, unless polish leads there.
-            polish: leads to a local minimum; called for the end of each first algorithm and for
-                the end of the search.
+            polish: leads to a local minimum; called for the end of each first algorithm, for
+                `polished_renewals` and for the end of the search.
             callback: called with every improvement.
         """
         return _Search(self, f, box, polish, callback).run()
@@ -147,8 +156,8 @@ class _Search:
         self._rng = np.random.default_rng(options.seed)
         self._graph = CouplingGraph.of(f)
         self._candidates: list[Candidate] = []
-        self._best = self._candidate(box.center, "the middle of the first box")
-        self._num_boxes = self._num_steps = 0
+        self._best = self._unpolished = self._candidate(box.center, "the middle of the first box")
+        self._num_boxes = self._num_steps = self._num_of_all = 0
 
     def run(self) -> SearchResult:
         """Runs the first algorithms, the rounds, and polishes what they lead to."""
@@ -161,9 +170,12 @@ class _Search:
         except KeyboardInterrupt:
             pass
         if rounds and self._polish is not None:
-            self._offer(self._polish(self._best.x), f"polish of: {self._best.origin}")
+            self._offer(
+                self._polish(self._best.x), f"polish of: {self._best.origin}", is_polished=True
+            )
         return SearchResult(
             self._best,
+            self._unpolished,
             tuple(self._candidates),
             self._num_boxes,
             self._num_steps,
@@ -182,7 +194,7 @@ class _Search:
         x = self._descend(x, self._box.free)
         self._offer(x, name + ", Newton")
         if self._polish is not None:
-            self._offer(self._polish(x), name + ", polished")
+            self._offer(self._polish(x), name + ", polished", is_polished=True)
         return tuple(iterate.box.mean_half_width for iterate in result.history)
 
     def _renew(self) -> Iterator[int]:
@@ -209,7 +221,19 @@ class _Search:
         self._num_steps += result.num_inner_steps
         y = self._descend(result.box.center, opened, together=labels.max() == 0)
         z = self._best_of_each(x, y, labels)
-        return self._offer(z, f"renewal {number} of up to {size} variables")
+        name = f"renewal {number} of up to {size} variables"
+        improved = self._offer(z, name)
+        if self._polish is not None and self._is_polished(size):
+            improved |= self._offer(self._polish(y), name + ", polished", is_polished=True)
+        return improved
+
+    def _is_polished(self, size: int) -> bool:
+        """Returns whether a renewal of this size is one of those that are polished."""
+        if size < self._f.num_variables:
+            return False
+        self._num_of_all += 1
+        number, odd = divmod(self._num_of_all, 2)
+        return not odd and number <= self._options.polished_renewals
 
     def _random_box(self, x: Floats, opened: NDArray[np.bool_]) -> Box:
         """Returns random boxes inside the first one for the opened variables."""
@@ -246,10 +270,12 @@ class _Search:
         taken = opened & (change < 0)[labels]
         return np.where(taken, y, x)
 
-    def _offer(self, x: Floats, origin: str) -> bool:
+    def _offer(self, x: Floats, origin: str, is_polished: bool = False) -> bool:
         """Keeps a point if it is the best; returns whether it is, by more than rounding."""
         before = self._best
-        found = self._candidate(x, origin)
+        found = self._candidate(x, origin, is_polished)
+        if not is_polished and found.cost < self._unpolished.cost:
+            self._unpolished = found
         if not found.cost < before.cost:
             return False
         self._best = found
@@ -258,12 +284,12 @@ class _Search:
             self._callback(found)
         return not found.cost >= before.cost - _ROUNDING * max(1.0, abs(before.cost))
 
-    def _candidate(self, x: Floats, origin: str) -> Candidate:
+    def _candidate(self, x: Floats, origin: str, is_polished: bool = False) -> Candidate:
         """Returns a point with its cost, infinite where f has no value."""
         cost = self._f(x)
         x = np.array(x)
         x.setflags(write=False)
-        return Candidate(x, np.inf if np.isnan(cost) else cost, origin)
+        return Candidate(x, np.inf if np.isnan(cost) else cost, origin, is_polished)
 
 
 class _Sizes:

@@ -11,6 +11,7 @@ from drake_aigto.box import FunctionKind
 from drake_aigto.solver.options import AigoOptions
 from drake_aigto.solver.program import AigoProgram
 from drake_aigto.solver.ranges import sum_range
+from drake_aigto.solver.tighten import Bounds, tighten
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -42,31 +43,35 @@ def make_first_box(
     """
     n = guess.size
     lower, upper = program.nlp.lower, program.nlp.upper
-    start = np.clip(np.where(np.isfinite(guess), guess, 0.0), lower[:n], upper[:n])
+    bounds = tighten(program.nlp)
+    start = np.clip(np.where(np.isfinite(guess), guess, 0.0), *(bound[:n] for bound in bounds))
     reach = options.first_half_width * np.maximum(1.0, np.abs(start))
     is_open = np.isinf(lower[:n]) | np.isinf(upper[:n])
     reach[~is_open] = np.inf
     for _ in range(options.max_doublings):
-        box = _box(program, start, reach)
+        box = _box(program, bounds, start, reach)
         growing = _is_growing(program, box)[:n] & is_open
         if not np.any(growing):
             break
         reach[growing] *= 2
-    return _cut_exponentials(program, start, reach)
+    return _cut_exponentials(program, bounds, start, reach)
 
 
 def _cut_exponentials(
-    program: AigoProgram, start: npt.NDArray[np.float64], reach: npt.NDArray[np.float64]
+    program: AigoProgram,
+    bounds: Bounds,
+    start: npt.NDArray[np.float64],
+    reach: npt.NDArray[np.float64],
 ) -> Box:
     """Returns the box, smaller in exponentials' variables where that makes means usable."""
-    box = whole = _box(program, start, reach)
+    box = whole = _box(program, bounds, start, reach)
     exponents = _exponents(program)
     for _ in range(_MOST_HALVINGS if exponents.size else 0):
         if not _overflows(program, box):
             return box
         reach = reach.copy()
         reach[exponents] = box.half_width[exponents] / 2
-        box = _box(program, start, reach)
+        box = _box(program, bounds, start, reach)
     return whole
 
 
@@ -98,12 +103,15 @@ def _is_growing(program: AigoProgram, box: Box) -> npt.NDArray[np.bool_]:
 
 
 def _box(
-    program: AigoProgram, start: npt.NDArray[np.float64], reach: npt.NDArray[np.float64]
+    program: AigoProgram,
+    bounds: Bounds,
+    start: npt.NDArray[np.float64],
+    reach: npt.NDArray[np.float64],
 ) -> Box:
-    """Returns the box of x within reach of a start and within bounds, with its slacks."""
+    """Returns the box of x within reach of a start and within tight bounds, with its slacks."""
     lower, upper = program.nlp.lower, program.nlp.upper
     n = start.size
-    low, high = np.maximum(lower[:n], start - reach), np.minimum(upper[:n], start + reach)
+    low, high = np.maximum(bounds[0][:n], start - reach), np.minimum(bounds[1][:n], start + reach)
     for number, slack in enumerate(program.slacks):
         places = list(slack.variables)
         least, most = sum_range(slack.terms, low[places], high[places])
@@ -112,4 +120,5 @@ def _box(
         room = max(1.0, abs(first) if np.isfinite(first) else abs(last))
         low = np.append(low, first if np.isfinite(first) else min(least, last - room))
         high = np.append(high, last if np.isfinite(last) else max(most, first + room))
+    low, high = (np.clip(side, *bounds) for side in (low, high))
     return Box((low + high) / 2, (high - low) / 2)

@@ -26,7 +26,8 @@ class AigoOptions:
             (`local.InteriorPoint`), "ipopt" or "snopt" through Drake, or "none".
         rounds: the most rounds in which boxes of some variables are renewed (`aigo.BoxSearch`).
             With constraints, they are shared out to three weights of their penalties.
-        patience: rounds in a row without a better point that end the search; shared out alike.
+        patience: rounds in a row without a better point that end the search; with constraints, a
+            sixth of them does at each weight.
         feasibility: the largest violation of a constraint in an answer that is called a solution.
         first_half_width: half width of the first box where a variable has no bounds, relative to
             max(1, |guess|); it doubles from there while that lowers the cost's mean.

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from drake_aigto.aigo import Box, BoxSearch, Candidate
+from drake_aigto.aigo import BoxSearch, Candidate, SearchResult
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.local import InteriorPoint
 from drake_aigto.local.drake_solvers import solve_with_drake
 from drake_aigto.solver.first_box import make_first_box
+from drake_aigto.solver.lagrangian import AugmentedLagrangian
 from drake_aigto.solver.options import AigoOptions
 from drake_aigto.solver.program import AigoProgram
 from drake_aigto.solver.result import AigoDetails, AigoStatus
@@ -27,8 +28,11 @@ Observer = Callable[["npt.NDArray[np.float64]", str], Any]
 _PENALTIES = (1.0, 30.0, 1e3)
 _POLISH_STEPS = 200
 # With constraints, so many of the points on the way are polished too, the last ones, and every
-# such a one.
+# such a one; and so many renewals of all variables.
 _POLISHED, _EVERY = 8, 2
+_POLISHED_RENEWALS = 10
+# The search at one of three weights gives up after this part of the patience.
+_PATIENCE_SHARE = 6
 # A point farther out than this, in a variable without bounds, is where a cost falls without end.
 _FAR = 1e8
 
@@ -75,8 +79,7 @@ class Solve:
             self._offer(self._first.center, "the middle of the first box")
             if np.all(np.isfinite(self._guess)):
                 self._polish(self._program.with_slacks(self._guess), " of the guess")
-            for number, (f, name) in enumerate(self._penalised()):
-                self._search(f, name, self._options.seed + number)
+            self._search_all()
         except KeyboardInterrupt:
             status = AigoStatus.INTERRUPTED
         best, n = self._best, self._guess.size
@@ -108,45 +111,43 @@ class Solve:
     def _bounds(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         return self._program.nlp.lower, self._program.nlp.upper
 
-    def _penalised(self) -> Iterator[tuple[BoxPolynomial, str]]:
-        """Yields f + W Σ r² for rising W, and what it is called."""
-        costs, penalties = self._program.costs, self._program.penalties
-        if not self._program.num_rows:
-            yield costs, ""
-            return
-        n = costs.num_variables
-        variation = _variation(costs, self._first)
-        scale = max(variation, 1e-3) / max(_variation(penalties, self._first), 1e-12)
-        if not math.isfinite(scale):  # exponentials overflow wherever bounds let x be
-            return
-        merged = BoxPolynomial(n, (*costs.blocks, *penalties.blocks))
-        for factor in _PENALTIES:
-            weights = {name: factor * scale for name in penalties.weights}
-            yield merged.with_weights(weights), f", penalties {factor:g}"
-
-    def _search(self, f: BoxPolynomial, name: str, seed: int) -> None:
-        """Searches the first box for low points of f, each a candidate."""
+    def _search_all(self) -> None:
+        """Searches f, or with constraints the augmented Lagrangians of rising weights."""
+        options, program = self._options, self._program
         if not np.any(self._first.free):
             return
-        options = self._options
-        share = len(_PENALTIES) if self._program.num_rows else 1
-        search = BoxSearch(
-            rounds=math.ceil(options.rounds / share),
-            patience=math.ceil(options.patience / share),
-            seed=seed,
-        )
+        if not program.num_rows:
+            search = BoxSearch(rounds=options.rounds, patience=options.patience, seed=options.seed)
+            self._search(search, program.costs, "")
+            return
+        lagrangian = AugmentedLagrangian(program, self._first)
+        if not lagrangian.is_finite:
+            return
+        for number, factor in enumerate(_PENALTIES):
+            search = BoxSearch(
+                rounds=math.ceil(options.rounds / len(_PENALTIES)),
+                patience=math.ceil(options.patience / _PATIENCE_SHARE),
+                polished_renewals=_POLISHED_RENEWALS,
+                seed=options.seed + number,
+            )
+            name = f", penalties {factor:g}"
+            found = self._search(search, lagrangian.function(factor), name)
+            # The least penalised cost need not lead to the least feasible one.
+            for candidate in found.candidates[:-1][::-_EVERY][:_POLISHED]:
+                self._polish(candidate.x, name)
+            lagrangian.update(factor, found.unpolished.x)
+
+    def _search(self, search: BoxSearch, f: BoxPolynomial, name: str) -> SearchResult:
+        """Searches the first box for low points of f, each a candidate."""
 
         def look(candidate: Candidate) -> None:
             self._offer(candidate.x, f"{candidate.origin}{name}")
 
         found = search.run(f, self._first, lambda y: self._polish(y, name), look)
-        if self._program.num_rows:
-            # The least penalised cost need not lead to the least feasible one.
-            for candidate in found.candidates[:-1][::-_EVERY][:_POLISHED]:
-                self._polish(candidate.x, name)
         self._boxes += found.num_boxes
         self._iterations += found.num_steps
         self._widths.append(found.widths)
+        return found
 
     def _polish(self, y: npt.NDArray[np.float64], name: str) -> npt.NDArray[np.float64]:
         """Returns y = (x, s) improved on the true constraints; it is a candidate too."""
@@ -180,10 +181,3 @@ class Solve:
     def _rank(self, answer: _Answer) -> tuple[float, float]:
         """Orders by violation beyond the tolerance, then by cost."""
         return max(answer.violation, self._options.feasibility), answer.cost
-
-
-def _variation(f: BoxPolynomial, box: Box) -> float:
-    """Returns how much f's mean differs between faces, or from face to middle, at most."""
-    _, by_center, by_log_width = f.gradient(box.center, box.half_width)
-    differences = np.maximum(box.half_width * np.abs(by_center), np.abs(by_log_width))
-    return float(np.max(differences, initial=0.0))

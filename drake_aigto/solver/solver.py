@@ -53,10 +53,10 @@ class AigoSolver(SolverInterface):
         result = AigoSolver().Solve(prog)
         result.get_solver_details()      # an `AigoDetails`
 
-    The mean of f, with constraints as penalties, over boxes is minimised in closed form while they
-    shrink (AIGTO Sec. II; Labbe & Del Prete 2025); a local solver then improves their centers on
-    the true constraints. An answer is called a solution if its constraints hold; that it is the
-    global one is likely, not proven.
+    The mean of f over boxes, or with constraints that of its augmented Lagrangian, is minimised
+    in closed form while they shrink (AIGTO Sec. II; Labbe & Del Prete 2025); a local solver then
+    improves their centers on the true constraints. An answer is called a solution if its
+    constraints hold; that it is the global one is likely, not proven.
     """
 
     def __init__(self, options: AigoOptions | None = None) -> None:
