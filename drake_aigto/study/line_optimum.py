@@ -18,7 +18,7 @@ from drake_aigto.study.flights import Flights, extremes, polynomial
 
 Floats = NDArray[np.float64]
 
-# Flights may leave the line by this much, for rounding.
+# Flights may leave the line by this much, for rounding; and one that is over sooner is none.
 _TOLERANCE = 1e-9
 # Where Newton's method starts: how much longer each flight lasts than the one before, what part of
 # all time the first one lasts, and how much longer than by that rule the last one does.
@@ -92,7 +92,7 @@ class Line:
         Without gravity the number of touches is bounded by what they cost at least; with it, it
         goes up to `most_touches`.
         """
-        best = self.solve(())
+        best = min(self.solve(()), self._stay(), key=lambda motion: motion.cost)
         for number in itertools.count(1):
             if self.gravity and number > most_touches:
                 return best
@@ -123,6 +123,25 @@ class Line:
     def _settles(self, wall: Wall) -> bool:
         """Returns whether a mass on this wall comes to rest by itself."""
         return wall.side * self.gravity > 0 and wall.restitution < 1
+
+    def _stay(self) -> Motion:
+        """Returns falling, settling and staying there without any effort, if time allows."""
+        for number, wall in enumerate(self.walls):
+            if len(self.walls) == 1 and self._settles(wall):
+                g, height = abs(self.gravity), wall.side * (self.position - wall.place)
+                rise = wall.side * self.velocity
+                speed = math.sqrt(rise**2 + 2 * g * height)
+                time = (rise + speed) / g
+                settled = time + self.settling(wall) * speed
+                if settled < 1:
+                    cost = self.weight * (self.goal - wall.place) ** 2
+                    return Motion(cost, (Bounce(time, number, speed),), Rest(settled, 1.0, number))
+        return Motion(math.inf, (), None)
+
+    def settling(self, wall: Wall) -> float:
+        """Returns how long a mass takes to settle, over the speed of the first touch."""
+        e = wall.restitution
+        return 2 * e / (abs(self.gravity) * (1 - e))
 
     def _least_effort(self, walls: tuple[int, ...]) -> float:
         """Returns a bound of the effort of these touches, from the way alone.
@@ -174,16 +193,11 @@ class _Sequence:
             left = left - time
             if i == rests:
                 velocity = constant(0.0)
-                left = left - self._settling(wall) * speed
+                left = left - line.settling(wall) * speed
                 if slack:
                     left = left - variable(2 * n)
         flights.add_last(constant(line.goal - place), velocity, left, line.weight)
         self.positive = [*map(variable, range(flights.size)), left]
-
-    def _settling(self, wall: Wall) -> float:
-        """Returns how long it takes to settle, over the speed of the touch."""
-        e = wall.restitution
-        return 2 * e / (abs(self.line.gravity) * (1 - e))
 
     def starts(self) -> Floats:
         """Returns where to start Newton's method, shape (k, n)."""
@@ -204,7 +218,7 @@ class _Sequence:
             speeds = ways[:n] / times[:n] + abs(line.gravity) * times[:n] / 2
             if self.rests is not None:
                 times *= 0.6
-                settling = self._settling(line.walls[self.walls[self.rests]])
+                settling = line.settling(line.walls[self.walls[self.rests]])
                 speeds[self.rests] = min(speeds[self.rests], 0.2 / max(settling, 1e-9))
             starts.append([*times[:n], *speeds, *([0.1] if self.slack else [])])
         return np.array(starts)
@@ -218,12 +232,14 @@ class _Sequence:
         return times
 
     def is_admissible(self, z: Floats) -> bool:
-        """Returns whether all flights stay on the line."""
+        """Returns whether there are all flights, and stay on the line."""
         lower, upper = -math.inf, math.inf
         for wall in self.line.walls:
             lower, upper = (wall.place, upper) if wall.side > 0 else (lower, wall.place)
         place = self.line.position
         for flight in self.flights.values(z):
+            if flight[3] < _TOLERANCE:
+                return False
             least, largest = extremes(polynomial(flight), 0.0, flight[3])
             if place + least < lower - _TOLERANCE or place + largest > upper + _TOLERANCE:
                 return False
@@ -237,7 +253,7 @@ class _Sequence:
             time += float(z[i])
             bounces.append(Bounce(time, number, float(z[n + i])))
             if i == self.rests:
-                start = time + self._settling(self.line.walls[number]) * float(z[n + i])
+                start = time + self.line.settling(self.line.walls[number]) * float(z[n + i])
                 time = start + (float(z[2 * n]) if self.slack else 0.0)
                 rest = Rest(start, time, number)
         return Motion(float(cost), tuple(bounces), rest)

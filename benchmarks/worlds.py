@@ -1,0 +1,260 @@
+"""How often is the plan the global optimum, where sequences are many? Random scenarios by world.
+
+    python benchmarks/worlds.py corridor --count 200 --seed 0 --workers 16
+    python benchmarks/worlds.py floor --peer coasting
+
+Starts, goals and velocities by chance (`study.world_scenarios`), e ∈ {1, 0.8}, but for two masses
+e = 1. A plan succeeds if its event-driven replay costs no more than 1.01 J* + 1e-7, where J* is the
+optimum of the study, which the planner does not know. Shown apart: how often a sequence that AIGO's
+boxes propose, before any polish, has the optimum's contacts, in an order that makes no difference.
+
+Peers are given to the same polish and replay, without boxes: "listed", every sequence of 0 to 6
+bounces, the shorter ones first, evenly spread in time; "coasting", the bounces of a motion without
+control, and the first of them. A peer starts no polish after `--factor` times the plan's seconds.
+
+Exits with 1 if fewer succeed than the world asks.
+"""
+
+from __future__ import annotations
+
+import argparse
+import itertools
+import sys
+import time
+from collections import Counter
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from typing import Any
+
+import numpy as np
+from jobs import add_options, run_jobs
+
+from drake_aigto.errors import AigtoError
+from drake_aigto.planning import Planner, PlanOptions, RigidProblem, make_problem
+from drake_aigto.planning.replay import replay_event_driven
+from drake_aigto.study.walls_optimum import ContactOptimum
+from drake_aigto.study.world_scenarios import WORLDS
+from drake_aigto.transcription import Touch, TouchSequence
+from drake_aigto.world import Scenario, World
+
+# The least shares of optimal plans.
+ASKED = {"corridor": 0.9, "floor": 0.95, "room": 0.8, "two_masses": 0.8}
+PEERS = ("listed", "coasting")
+MOST_LISTED = 6  # bounces
+RELATIVE, ABSOLUTE = 0.01, 1e-7
+OPTIONS = PlanOptions(confirm=False)
+
+
+@dataclass(frozen=True)
+class Job:
+    """One scenario of a world, what else solves it, and in how many times the plan's seconds."""
+
+    world: str
+    scenario: Scenario
+    peers: tuple[str, ...]
+    factor: float
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What became of one scenario.
+
+    Attributes:
+        scenario: the question.
+        optimum: of the study.
+        cost: of the plan's event-driven replay; infinity if nothing held.
+        seconds: of the plan.
+        read: whether the boxes propose the optimum's sequence, before any polish, by rung.
+        peers: the least cost and the seconds of each peer.
+    """
+
+    scenario: Scenario
+    optimum: ContactOptimum
+    cost: float
+    seconds: float
+    read: tuple[bool, ...]
+    peers: dict[str, tuple[float, float]] = field(default_factory=dict)
+
+    def is_optimal(self, cost: float) -> bool:
+        """Whether this is the optimum's cost."""
+        return cost <= (1 + RELATIVE) * self.optimum.cost + ABSOLUTE
+
+
+@cache
+def shared_world(name: str) -> World:
+    """Returns a shipped world, built once a process, with all kernels loaded."""
+    (scenario,) = WORLDS[name].draw(1, seed=2**31)
+    world = World.from_scenario(scenario)
+    plan(world, scenario)
+    WORLDS[name].optimum(world, scenario)
+    return world
+
+
+def plan(world: World, scenario: Scenario) -> float:
+    """Returns the cost of a plan's event-driven replay, infinity if there is no plan."""
+    try:
+        return Planner(scenario, OPTIONS, world).plan().replay.event_driven.cost
+    except AigtoError:
+        return np.inf
+
+
+def run(job: Job) -> Outcome:
+    """Plans, reads the boxes, and lets peers try."""
+    scenario, world = job.scenario, shared_world(job.world)
+    optimum = WORLDS[job.world].optimum(world, scenario)
+    start = time.perf_counter()
+    cost = plan(world, scenario)
+    seconds = time.perf_counter() - start
+    problem = make_problem(world, scenario, OPTIONS)
+    assert isinstance(problem, RigidProblem)
+    read = read_boxes(problem, optimum)
+    peers = {name: run_peer(name, problem, job.factor * seconds) for name in job.peers}
+    return Outcome(scenario, optimum, cost, seconds, read, peers)
+
+
+def read_boxes(problem: RigidProblem, optimum: ContactOptimum) -> tuple[bool, ...]:
+    """Returns, by rung, whether one of the sequences that the boxes propose is the optimum's."""
+    world, known = problem.transcription.world, known_sequence(optimum)
+    found = []
+    for rung in OPTIONS.rungs:
+        proposed = problem.find_sequences(problem.run_aigo(rung), rung)
+        found.append(any(is_equivalent(world, each, known) for each in proposed))
+    return tuple(found)
+
+
+def known_sequence(optimum: ContactOptimum) -> TouchSequence:
+    """Returns the optimum's contacts."""
+    return tuple(Touch(touch.start, touch.end, touch.contact) for touch in optimum.touches)
+
+
+def is_equivalent(world: World, one: Sequence[Touch], other: Sequence[Touch]) -> bool:
+    """Returns whether sequences differ only in the order of contacts that do not feel each other.
+
+    That is so if and only if the parts of both that are of any two contacts which do, are equal.
+    """
+    q = world.plant.GetDefaultPositions()
+    coupling = world.calc_contact_jacobian(q) @ np.column_stack(
+        [world.calc_velocity_change(q, unit) for unit in np.eye(world.num_contacts)]
+    )
+    pairs = np.argwhere(np.abs(coupling) > 0).tolist()
+    return all(
+        [(touch.contact, touch.lasts) for touch in one if touch.contact in pair]
+        == [(touch.contact, touch.lasts) for touch in other if touch.contact in pair]
+        for pair in pairs
+    )
+
+
+def run_peer(name: str, problem: RigidProblem, seconds: float) -> tuple[float, float]:
+    """Returns the least replayed cost of a peer's sequences, and the seconds that it took."""
+    make = {"listed": list_sequences, "coasting": coasting_sequences}[name]
+    best, start = np.inf, time.perf_counter()
+    for sequence in make(problem):
+        if time.perf_counter() - start > seconds:
+            break
+        best = min(best, polish(problem, sequence))
+    return best, time.perf_counter() - start
+
+
+def polish(problem: RigidProblem, sequence: TouchSequence) -> float:
+    """Returns what a sequence's polish costs in the event-driven replay; infinity if it fails."""
+    if not problem.fits(sequence):
+        return np.inf
+    center = problem.box.center
+    try:
+        phases, x = problem.polish(center, sequence)
+        candidate = problem.judge("peer", center, phases, x)
+    except AigtoError:
+        return np.inf
+    return candidate.replay.cost if candidate.is_feasible and candidate.is_confirmed else np.inf
+
+
+def list_sequences(problem: RigidProblem) -> Iterator[TouchSequence]:
+    """Yields all bounces in all orders; none follows itself where there are several contacts."""
+    world, T = problem.transcription.world, problem.transcription.scenario.duration
+    for number in range(MOST_LISTED + 1):
+        times = T * np.arange(1, number + 1) / (number + 1)
+        for contacts in itertools.product(range(world.num_contacts), repeat=number):
+            repeats = any(one == other for one, other in itertools.pairwise(contacts))
+            if world.num_contacts == 1 or not repeats:
+                yield tuple(map(Touch.bounce, times, contacts))
+
+
+def coasting_sequences(problem: RigidProblem) -> Iterator[TouchSequence]:
+    """Yields the bounces of a motion without control, and the first ones of them."""
+    world, scenario = problem.transcription.world, problem.transcription.scenario
+    times = problem.transcription.GetSampleTimes()
+    controls = np.zeros((scenario.num_steps, world.num_actuators))
+    replay = replay_event_driven(world, scenario, times, controls)
+    bounces = tuple(map(Touch.bounce, replay.bounce_times, replay.bounce_contacts))
+    for number in range(len(bounces), -1, -1):
+        yield bounces[:number]
+
+
+def report(name: str, outcomes: list[Outcome]) -> bool:
+    """Prints the figures; returns whether enough plans are optimal."""
+    count = len(outcomes)
+    if not count:
+        return False
+    for outcome in outcomes:
+        if not outcome.is_optimal(outcome.cost):
+            contacts = outcome.optimum.contacts
+            print(
+                f"MISSED  {outcome.cost:.4e}, known {outcome.optimum.cost:.4e} by contacts "
+                f"{contacts}: {outcome.scenario}"
+            )
+    succeeded = [outcome.is_optimal(outcome.cost) for outcome in outcomes]
+    seconds = [outcome.seconds for outcome in outcomes]
+    print(f"{name}, optimal: {sum(succeeded)} of {count}, asked {ASKED[name]:.0%}")
+    for e in sorted({outcome.scenario.restitution for outcome in outcomes}):
+        mine = [s for o, s in zip(outcomes, succeeded, strict=True) if o.scenario.restitution == e]
+        print(f"  e = {e:g}: {sum(mine)} of {len(mine)}")
+    print(
+        f"seconds a plan, N = {outcomes[0].scenario.num_steps}, without confirmation in Drake: "
+        f"median {np.median(seconds):.2f}, at most {np.max(seconds):.2f}"
+    )
+    report_sequences(outcomes)
+    for peer in outcomes[0].peers:
+        costs, times = zip(*(outcome.peers[peer] for outcome in outcomes), strict=True)
+        right = sum(o.is_optimal(cost) for o, cost in zip(outcomes, costs, strict=True))
+        print(f"peer {peer!r}: {right} of {count}, median {np.median(times):.2f} s")
+    return sum(succeeded) >= ASKED[name] * count
+
+
+def report_sequences(outcomes: list[Outcome]) -> None:
+    """Prints how many contacts the optima have, and how often boxes alone read them."""
+    count = len(outcomes)
+    lengths = Counter(len(outcome.optimum.touches) for outcome in outcomes)
+    print("contacts of the optimum: " + ", ".join(f"{n}: {k}" for n, k in sorted(lengths.items())))
+    print("a sequence that boxes alone propose, before the polish, is the optimum's:")
+    for number, rung in enumerate(OPTIONS.rungs):
+        right = sum(outcome.read[number] for outcome in outcomes)
+        print(f"  rung {number + 1}, from temperature {rung.temperature:g}: {right} of {count}")
+    print(f"  any rung: {sum(any(outcome.read) for outcome in outcomes)} of {count}")
+
+
+def main() -> int:
+    """Runs all scenarios and returns the exit status."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("world", choices=WORLDS)
+    parser.add_argument("--count", type=int, default=200)
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--peer", action="append", choices=PEERS, default=[], dest="peers")
+    parser.add_argument("--factor", type=float, default=1.0, help="seconds of peers over ours")
+    add_options(parser)
+    options = parser.parse_args()
+    scenarios = WORLDS[options.world].draw(options.count, options.seed)
+    jobs = [Job(options.world, each, tuple(options.peers), options.factor) for each in scenarios]
+    outcomes: dict[int, Any] = {}
+    for number, future in run_jobs(run, jobs, options.workers, options.minutes):
+        if error := future.exception():
+            print(f"FAILED {jobs[number].scenario}: {error!r}", flush=True)
+        else:
+            outcomes[number] = future.result()
+    is_enough = report(options.world, [outcomes[number] for number in sorted(outcomes)])
+    print(f"{len(outcomes)} of {len(jobs)} scenarios done")
+    return 0 if is_enough and len(outcomes) == len(jobs) else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

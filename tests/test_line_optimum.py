@@ -1,0 +1,218 @@
+"""The optimum on a line: mirrors, stationarity, rivals, a solver that does not know it."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import logging
+import math
+from collections.abc import Iterator
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from line_rivals import bounces_by_chance, cost_of, legs_of, transcribe
+
+from drake_aigto.study.line_optimum import Bounce, Line, Motion, Wall, _Sequence
+
+
+def make_corridor(
+    position: float = 0.3, velocity: float = 2.0, goal: float = 0.6, e: float = 0.8, w: float = 3e3
+) -> Line:
+    return Line(position, velocity, goal, w, 0.0, (Wall(0.0, 1, e), Wall(1.0, -1, e)))
+
+
+def make_floor(
+    position: float = 0.6,
+    velocity: float = 0.0,
+    goal: float = 0.4,
+    e: float = 0.8,
+    w: float = 3e3,
+    gravity: float = 22.0,
+) -> Line:
+    return Line(position, velocity, goal, w, gravity, (Wall(0.0, 1, e),))
+
+
+inside = st.floats(0.05, 0.95)
+restitutions = st.one_of(st.sampled_from([0.0, 0.5, 0.8, 1.0]), st.floats(0, 1))
+weights = st.sampled_from([1e-2, 1.0, 3e3, 1e6])
+corridors = st.builds(make_corridor, inside, st.floats(-6, 6), inside, restitutions, weights)
+floors = st.builds(make_floor, inside, st.floats(-3, 3), inside, restitutions, weights)
+
+
+def solve(line: Line) -> Motion:
+    return line.optimum(most_touches=4)
+
+
+@given(corridors)
+def test_elastic_walls_are_mirrors_and_coasting_tells_the_touches(line: Line) -> None:
+    walls = tuple(wall._replace(restitution=1.0) for wall in line.walls)
+    line = dataclasses.replace(line, walls=walls)
+    end = line.position + line.velocity
+    folded = abs((end + 1) % 2 - 1)
+    motion = solve(line)
+    k = 3 * line.weight / (3 + line.weight)
+    assert motion.cost == pytest.approx(k * (folded - line.goal) ** 2, rel=1e-7, abs=1e-12)
+    if abs(end - round(end)) > 1e-6:
+        assert len(motion.bounces) == abs(math.floor(end))
+
+
+@settings(max_examples=30)
+@given(corridors | floors)
+def test_the_optimum_is_a_motion_that_costs_as_much(line: Line) -> None:
+    motion = solve(line)
+    if motion.rest is None:
+        assert cost_of(line, motion.bounces) == pytest.approx(motion.cost, rel=1e-7, abs=1e-12)
+
+
+@settings(max_examples=30)
+@given(corridors | floors)
+def test_forces_and_energy_follow_the_maximum_principle(line: Line) -> None:
+    # The costate of the velocity, 2u, is divided by −e at a bounce; H = 2u̇v − u² + 2ug is kept.
+    motion = solve(line)
+    g, legs = line.gravity, legs_of(line, motion.bounces)
+    if motion.rest is not None:
+        return
+    scale = max(abs(u) for leg in legs for u in leg.end_controls(g))
+    for (before, after), bounce in zip(itertools.pairwise(legs), motion.bounces, strict=True):
+        wall = line.walls[bounce.wall]
+        last, first = before.end_controls(g)[1], after.end_controls(g)[0]
+        assert wall.restitution * first == pytest.approx(-last, abs=1e-4 * scale + 1e-8)
+        v = -wall.side * bounce.speed
+        energy = 2 * before.b * v - last**2 + 2 * g * last
+        again = -2 * after.b * wall.restitution * v - first**2 + 2 * g * first
+        largest = scale * (abs(v) * scale / min(before.time, after.time) + scale + g)
+        assert again == pytest.approx(energy, abs=1e-4 * largest + 1e-8)
+
+
+@settings(max_examples=30)
+@given(corridors | floors, st.integers(0, 2**32 - 1))
+def test_no_motion_by_chance_is_cheaper(line: Line, seed: int) -> None:
+    rng, motion = np.random.default_rng(seed), solve(line)
+    costs = [cost_of(line, bounces_by_chance(line, 1 + i % 3, rng)) for i in range(200)]
+    # Half of them are about the optimum.
+    for _ in range(200 if motion.rest is None else 0):
+        near = [
+            Bounce(
+                b.time * np.exp(0.02 * rng.normal()), b.wall, b.speed * np.exp(0.1 * rng.normal())
+            )
+            for b in motion.bounces
+        ]
+        times = [0.0, *(bounce.time for bounce in near), 1.0]
+        if all(one < other for one, other in itertools.pairwise(times)):
+            costs.append(cost_of(line, near))
+    assert min(costs) >= motion.cost * (1 - 1e-7) - 1e-12
+
+
+@given(corridors)
+def test_a_mirrored_corridor_costs_the_same(line: Line) -> None:
+    mirrored = dataclasses.replace(
+        line, position=1 - line.position, velocity=-line.velocity, goal=1 - line.goal
+    )
+    assert solve(mirrored).cost == pytest.approx(solve(line).cost, rel=1e-7, abs=1e-12)
+
+
+@settings(max_examples=20)
+@given(floors)
+def test_a_ceiling_under_gravity_that_pulls_up_is_a_floor(line: Line) -> None:
+    (wall,) = line.walls
+    mirrored = dataclasses.replace(
+        line,
+        position=-line.position,
+        velocity=-line.velocity,
+        goal=-line.goal,
+        gravity=-line.gravity,
+        walls=(wall._replace(side=-1),),
+    )
+    assert solve(mirrored).cost == pytest.approx(solve(line).cost, rel=1e-6, abs=1e-10)
+
+
+def test_without_rebound_a_ball_waits_on_the_floor_and_jumps() -> None:
+    # From rest at T − τ: k (X + gτ²/2)² is least where X = gτ²/6, for a goal that must be met.
+    X, g = 0.05, 22.0
+    motion = solve(make_floor(position=0.3, goal=X, e=0.0, w=1e12, gravity=g))
+    tau = math.sqrt(6 * X / g)
+    assert motion.cost == pytest.approx(48 * X**2 / tau**3, rel=1e-6)
+    assert motion.rest is not None
+    assert motion.rest.end == pytest.approx(1 - tau, rel=1e-4)
+    (bounce,) = motion.bounces
+    assert bounce.time == pytest.approx(math.sqrt(2 * 0.3 / g), rel=1e-6)
+
+
+def test_a_ball_settles_for_nothing() -> None:
+    # Bounces after the first last 2y/g (e + e² + …).
+    e, g = 0.3, 40.0
+    motion = solve(make_floor(position=0.3, goal=0.001, e=e, gravity=g))
+    assert motion.rest is not None
+    (first,) = motion.bounces
+    y = math.sqrt(2 * 0.3 * g)
+    assert first.speed == pytest.approx(y, rel=1e-6)
+    assert motion.rest.start == pytest.approx(first.time + 2 * y / g * e / (1 - e), rel=1e-6)
+
+
+# Sequences and starts that were not tried.
+
+
+def starts_by_chance(sequence: _Sequence, count: int, rng: np.random.Generator) -> np.ndarray:
+    line, n = sequence.line, len(sequence.walls)
+    times = rng.dirichlet(np.ones(n + 1), count)[:, :n]
+    speed = max(abs(line.velocity), 1.0)
+    speeds = line.gravity * times / 2 + speed * np.exp(rng.normal(size=(count, n)))
+    return np.hstack([times, speeds])
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("e", [0.2, 0.5, 0.8])
+def test_no_other_start_and_no_wall_twice_in_a_row_is_better(e: float) -> None:
+    rng = np.random.default_rng(int(10 * e))
+    for _ in range(12):
+        p, goal = rng.uniform(0.1, 0.9, 2)
+        line = make_corridor(p, rng.uniform(-6, 6), goal, e)
+        cost = solve(line).cost
+        for number in (1, 2, 3, 4):
+            for walls in itertools.product((0, 1), repeat=number):
+                sequence = _Sequence(line, walls, None, slack=False)
+                starts = starts_by_chance(sequence, 20, rng)
+                for other, z in sequence.flights.minimize(starts, sequence.positive):
+                    if other < cost * (1 - 1e-7) - 1e-12:
+                        assert not sequence.is_admissible(z), (line, walls)
+
+
+# A direct transcription, solved by SNOPT.
+
+
+@pytest.fixture
+def quiet_drake() -> Iterator[None]:
+    """Keeps Drake from logging that SNOPT ran out of iterations."""
+    logger = logging.getLogger("drake")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    yield
+    logger.setLevel(level)
+
+
+def transcribed_cost(line: Line, motion: Motion, rng: np.random.Generator) -> float:
+    """Returns the best cost over several sequences: the optimum's, shorter and longer ones."""
+    costs = [transcribe(line, motion.bounces), transcribe(line, ())]
+    costs.append(transcribe(line, motion.bounces[:-1]))
+    for count in (1, 2, 3):
+        guess = bounces_by_chance(line, count, rng)
+        costs.append(transcribe(line, guess))
+    return min(costs)
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("quiet_drake")
+@pytest.mark.parametrize("make", [make_corridor, make_floor])
+def test_snopt_finds_the_optimum_and_nothing_below(make: type[Line]) -> None:
+    rng = np.random.default_rng(1)
+    for number in range(10):
+        p, goal = rng.uniform(0.2, 0.9, 2)
+        line = make(p, rng.uniform(-3, 3), goal, e=(1.0, 0.8, 0.5)[number % 3])
+        motion = solve(line)
+        if motion.rest is not None:
+            continue
+        cost = transcribed_cost(line, motion, rng)
+        # Forces that are held over 1/K of a phase are dearer by up to 1/K² than linear ones.
+        assert motion.cost * (1 - 1e-5) - 1e-9 < cost < motion.cost * (1 + 4 / 20**2) + 1e-6
