@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache
 from itertools import pairwise
 
 import numpy as np
+import pytest
 from replay_worlds import make_scenario
 from rigid_worlds import Array
 from scipy.optimize import minimize_scalar
@@ -17,7 +18,13 @@ from drake_aigto import Scenario, World
 from drake_aigto.local import InteriorPoint, LocalStatus, compile_nlp
 from drake_aigto.planning.replay import Replay, replay_event_driven
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import PhaseTranscription, Touch, TouchSequence
+from drake_aigto.transcription import (
+    Facing,
+    PhaseTranscription,
+    Touch,
+    TouchSequence,
+    joint_times,
+)
 
 # What the local solver leaves in the rows, which are of the order of 1 m and 1 m/s.
 MET = 1e-9
@@ -51,16 +58,17 @@ class Solved:
 
 
 def solve(phases: PhaseTranscription) -> Solved:
-    """Solves from where the planner starts: straight to the wall and on to the goal."""
-    joints = sum(len(touch.joints) for touch in phases.sequence)
-    guess = phases.guess(np.zeros((joints, phases.world.num_positions)))
-    result = InteriorPoint().solve(compile_nlp(phases.prog()), phases.vector(guess))
+    """Solves from where the planner starts: straight from wall to wall and on to the goal."""
+    nlp = compile_nlp(phases.prog(), phases.elimination_order())
+    result = InteriorPoint().solve(nlp, phases.vector(phases.guess()))
     return Solved(phases, result.x, result.status)
 
 
-def optimise(world: World, scenario: Scenario, *touches: Touch) -> Solved:
+def optimise(
+    world: World, scenario: Scenario, *touches: Touch, facings: Sequence[Facing] | None = None
+) -> Solved:
     """Solves, and checks what holds of every solution."""
-    solved = solve(PhaseTranscription(world, scenario, touches))
+    solved = solve(PhaseTranscription(world, scenario, touches, facings))
     assert solved.status is LocalStatus.CONVERGED
     assert max(solved.phases.defects(solved.x).values()) < MET
     prog = solved.phases.prog()
@@ -72,7 +80,8 @@ def optimise(world: World, scenario: Scenario, *touches: Touch) -> Solved:
 def check_clock(solved: Solved) -> None:
     """Steps within a phase are equal, and take T together; what the wall does has its sign."""
     motion, touches, T = solved.trajectory, solved.touches, solved.phases.scenario.duration
-    joints = [0.0, *(t for touch in touches for t in touch.joints), T]
+    turns = (facing.start for facing in solved.phases.facings(solved.x))
+    joints = sorted({0.0, *joint_times(touches), *turns, T})
     knots = np.searchsorted(motion.times, np.array(joints) - 1e-12 * T)
     np.testing.assert_allclose(motion.times[knots], joints, atol=1e-12 * T)
     assert motion.times[0] == 0.0
@@ -84,10 +93,13 @@ def check_clock(solved: Solved) -> None:
     world = solved.phases.world
     assert np.all(motion.impulses >= -MET)
     assert np.all(motion.forces >= 0)
-    J = world.calc_contact_jacobian(motion.positions[0])[0]
+    J = world.calc_contact_jacobian(motion.positions[0])
     for touch in touches:
         k = int(np.argmin(np.abs(motion.times - touch.start)))
-        assert J @ motion.velocities[k] <= MET
+        assert J[touch.contact] @ motion.velocities[k] <= MET
+        assert world.calc_signed_distance(motion.positions[k])[touch.contact] == pytest.approx(
+            0, abs=MET
+        )
 
 
 # Closed forms, in continuous time and for a unit mass.

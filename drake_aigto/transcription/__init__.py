@@ -1,14 +1,16 @@
 """Contact problems as MathematicalPrograms, and their constraints as polynomial penalties."""
 
+from drake_aigto.transcription.facings import Facing, find_facings
 from drake_aigto.transcription.literal import LiteralTranscription
 from drake_aigto.transcription.penalties import cut_to_bounds, penalize
 from drake_aigto.transcription.phases import PhaseTranscription
 from drake_aigto.transcription.rigid import RigidTranscription
-from drake_aigto.transcription.touch import Touch, TouchSequence
+from drake_aigto.transcription.touch import Touch, TouchSequence, joint_times
 from drake_aigto.transcription.transcription import NONPENETRATION, Transcription
 
 __all__ = [
     "NONPENETRATION",
+    "Facing",
     "LiteralTranscription",
     "PhaseTranscription",
     "RigidTranscription",
@@ -16,5 +18,7 @@ __all__ = [
     "TouchSequence",
     "Transcription",
     "cut_to_bounds",
+    "find_facings",
+    "joint_times",
     "penalize",
 ]

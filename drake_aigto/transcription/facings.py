@@ -46,24 +46,28 @@ class Fronts:
         same_solid: which contacts are faces of one box, shape (m, m).
     """
 
-    def __init__(
-        self, world: World, sequence: Sequence[Touch], facings: Sequence[Facing], duration: float
-    ) -> None:
-        """Checks that there is one face of every box at any time, and it is the one touched."""
+    def __init__(self, world: World, facings: Sequence[Facing], duration: float) -> None:
+        """Checks that there is a face of every box at any time."""
         solids = np.array([contact.solid for contact in world.contacts])
         self.same_solid: Mask = solids[:, np.newaxis] == solids
         self._alone = np.sum(self.same_solid, axis=1) == 1
         self._facings = tuple(facings)
         self.times = tuple(facing.start for facing in facings if facing.start > 0)
-        for solid in sorted(set(solids[~self._alone].tolist())):
-            of_solid = [facing for facing in facings if solids[facing.contact] == solid]
-            starts = [facing.start for facing in of_solid]
+        boxes = set(solids[~self._alone].tolist())
+        chosen = [facing.contact for facing in facings]
+        if not all(0 <= i < len(solids) and not self._alone[i] for i in chosen):
+            raise OptionsError(
+                "facings",
+                got=f"contacts {chosen}",
+                expected=f"those of {np.flatnonzero(~self._alone).tolist()}, the faces of boxes",
+            )
+        for solid in sorted(boxes):
+            starts = [facing.start for facing in facings if solids[facing.contact] == solid]
             if not starts or starts[0] != 0 or np.any(np.diff([*starts, duration]) <= 0):
-                names = [c.name for c in world.contacts if c.solid == solid]
                 raise OptionsError(
                     "facings",
                     got=f"faces of one box from {starts} s on",
-                    expected=f"the first from 0 s, then in order, of {', '.join(names)}",
+                    expected=f"the first from 0 s, and increasing times below {duration:g} s",
                 )
 
     def at_knots(self, times: npt.NDArray[np.float64], knots: Sequence[int]) -> Mask:

@@ -20,7 +20,7 @@ from drake_aigto.transcription.rigid_contact import (
     bias_at,
 )
 from drake_aigto.transcription.shared import SharedEvaluator, as_expression, shared_constraint
-from drake_aigto.transcription.timeline import make_timeline
+from drake_aigto.transcription.timeline import check_sequence, make_timeline
 from drake_aigto.transcription.touch import Touch, TouchSequence, joint_times
 from drake_aigto.transcription.transcription import NONPENETRATION
 from drake_aigto.world import Scenario, World
@@ -52,7 +52,7 @@ class PhaseTranscription(ImpactTranscription):
     C are all contacts that are touched at that knot, and those that were resting until then: they
     are struck at once (`JointImpact`), and no impulse pulls. A contact that lasts holds its normal
     only, so that the body slides along the frictionless wall. Of a box with several faces the one
-    that is in force (`Facing`) stands for all; beside a face, none of it is touched.
+    that is in force (`Facing`) stands for all; where it is touched, φ ≤ 0 for the others.
 
     Held controls make flight exact for a constant h; with springs and dampers this is the implicit
     midpoint rule. Forces are variables here, for the mode is known.
@@ -68,7 +68,8 @@ class PhaseTranscription(ImpactTranscription):
         facings: which faces of boxes keep the motion out; if None, those of a straight guess.
 
     Raises:
-        OptionsError: times out of order or outside of the duration, or more phases than steps.
+        OptionsError: times out of order or outside of the duration, contacts that there are not,
+            more phases than steps, or facings that leave out a box or what is touched.
     """
 
     def __init__(
@@ -80,6 +81,7 @@ class PhaseTranscription(ImpactTranscription):
     ) -> None:
         """Spreads the knots by the sequence's times, and makes the program."""
         self.sequence: TouchSequence = tuple(sequence)
+        check_sequence(world, self.sequence, scenario.duration)
         if facings is None:
             facings = find_facings(world, *straight_path(world, scenario, sequence), sequence)
         self.timeline = make_timeline(world, scenario, self.sequence, facings)
@@ -234,7 +236,7 @@ class PhaseTranscription(ImpactTranscription):
         if not self._has_clock:
             return self.GetSampleTimes()
         elapsed = np.cumsum(self._values(x, self._steps))
-        return np.append(0.0, self.scenario.duration * elapsed / elapsed[-1])
+        return np.append(0.0, self.scenario.duration * (elapsed / elapsed[-1]))
 
     def contact_sequence(self, x: npt.NDArray[np.float64]) -> TouchSequence:
         """Returns the sequence with its times at x."""

@@ -43,7 +43,7 @@ class Timeline:
         struck: those, and with them the ones that have been resting until then.
         held: φ = 0: struck, resting, or about to leave.
         apart: φ ≥ 0 is asked for: neither held, nor one of several faces that others stand for.
-        beside: faces next to a held one; the sphere's centre is behind them.
+        beside: φ ≤ 0: the other faces of a box that is held, whose corners count as sharp.
         rests: which contacts rest during each step, shape (N, m).
     """
 
@@ -67,16 +67,14 @@ def make_timeline(
     Args:
         world: whose contacts these are.
         scenario: its duration and number of steps.
-        sequence: the contacts.
+        sequence: the contacts, checked by `check_sequence`.
         facings: the faces of solids that have several; phases meet at their starts, too.
 
     Raises:
-        OptionsError: times out of order or outside of the duration, contacts that the world lacks,
-            or more phases than steps.
+        OptionsError: more phases than steps, or facings that leave out a box or what is touched.
     """
     N, m, T = scenario.num_steps, world.num_contacts, scenario.duration
-    _check_sequence(world, sequence, T)
-    fronts = Fronts(world, sequence, facings, T)
+    fronts = Fronts(world, facings, T)
     inner = sorted({*joint_times(sequence), *fronts.times})
     times = np.array([0.0, *inner, T])
     if len(times) - 1 > N:
@@ -123,8 +121,12 @@ def make_timeline(
     )
 
 
-def _check_sequence(world: World, sequence: TouchSequence, duration: float) -> None:
-    """Refuses contacts that are not there, and times that do not increase within the duration."""
+def check_sequence(world: World, sequence: TouchSequence, duration: float) -> None:
+    """Checks that a sequence may be one of this world, and takes no longer than the duration [s].
+
+    Raises:
+        OptionsError: times out of order or outside of the duration, or contacts that there are not.
+    """
     m = world.num_contacts
     for touch in sequence:
         if not 0 <= touch.contact < m:

@@ -1,0 +1,270 @@
+"""Multi-phase problems of several contacts: corridors, rooms, floors, two bodies, exactly."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from phase_solutions import MET, Solved, optimise
+from unfolded_flights import (
+    MODELS,
+    Flight,
+    are_apart,
+    fold,
+    image_of,
+    scenario_of,
+    touches_of,
+)
+
+from drake_aigto import Scenario, World
+from drake_aigto.local.drake_solvers import solve_with_drake
+from drake_aigto.transcription import PhaseTranscription, Touch, TouchSequence
+
+T = 1.5
+place = st.floats(0.15, 0.85)
+
+
+@cache
+def load(model: str) -> World:
+    q = {"corridor": [0.5], "floor": [0.5], "two_masses": [0.3, 0.6]}.get(model, [0.1, 0.1])
+    zero, name = np.zeros(len(q)), MODELS.format(model)
+    return World.from_scenario(
+        Scenario(model=name, initial_position=q, initial_velocity=zero, goal_position=q)
+    )
+
+
+def fly(start: float, goal: float, bounces: int, push: float) -> Flight:
+    """Returns a flight over so many walls; the push is what it lacks in speed [m/s]."""
+    image = image_of(goal, bounces)
+    return Flight(start, (image - start) / T - push, image, T)
+
+
+def evenly(sequence: TouchSequence) -> TouchSequence:
+    """Returns the same touches at even times: what is known of a sequence is its order."""
+    times = np.linspace(0, T, len(sequence) + 2)[1:-1]
+    pairs = zip(times, sequence, strict=True)
+    return tuple(Touch.bounce(time, touch.contact) for time, touch in pairs)
+
+
+def check_unfolds(found: Solved, axes: int) -> None:
+    """Without walls, its control leads where folding says: no other code is asked."""
+    motion, scenario = found.trajectory, found.phases.scenario
+    tau = np.diff(motion.times)[:, np.newaxis]
+    side = np.ones(axes)
+    q, v = scenario.initial_position.copy(), scenario.initial_velocity.copy()
+    struck = np.max(motion.impulses.reshape(len(motion.times), axes, 2), axis=2) > 0
+    for k, (step, u) in enumerate(zip(tau, motion.controls, strict=True)):
+        side = np.where(struck[k], -side, side)
+        q = q + step * v + step**2 / 2 * side * u
+        v = v + step * side * u
+        np.testing.assert_allclose(fold(q), motion.positions[k + 1], atol=1e-7)
+
+
+# A corridor.
+
+
+@pytest.mark.parametrize("bounces", [-6, -5, -4, -3, -2, -1, 0, 1, 2, 3, 4, 5, 6])
+def test_a_corridor_unfolds(bounces: int) -> None:
+    flight = fly(0.4, 0.7, bounces, push=0.4 if bounces > 0 else -0.3)
+    sequence = touches_of(flight)
+    assert len(sequence) == abs(bounces)
+    errors = []
+    for steps in (40, 80):
+        found = optimise(
+            load("corridor"), scenario_of("corridor", flight, steps=steps), *evenly(sequence)
+        )
+        errors.append(found.cost / flight.cost - 1)
+        for touch, exact in zip(found.touches, sequence, strict=True):
+            assert touch.contact == exact.contact
+            assert touch.start == pytest.approx(exact.start, abs=2e-3)
+        check_unfolds(found, axes=1)
+    # Controls are held, so the continuous optimum is approached, from above, to second order.
+    assert 0 < errors[1] < errors[0] < 5e-3
+    assert errors[0] / errors[1] == pytest.approx(4.0, rel=0.25)
+
+
+@settings(max_examples=25)
+@given(q=place, goal=place, bounces=st.integers(-6, 6), push=st.floats(-1, 1))
+def test_corridors_cost_what_they_should(q: float, goal: float, bounces: int, push: float) -> None:
+    flight = fly(q, goal, bounces, push)
+    sequence = touches_of(flight)
+    assume(len(sequence) == abs(bounces) and are_apart(sequence, T) and flight.cost > 1e-8)
+    found = optimise(load("corridor"), scenario_of("corridor", flight), *evenly(sequence))
+    assert found.cost == pytest.approx(flight.cost, rel=5e-3)
+    check_unfolds(found, axes=1)
+
+
+@pytest.mark.parametrize("e", [1.0, 0.8])
+@pytest.mark.parametrize("bounces", [1, 3, 6])
+def test_drakes_solver_finds_the_same(bounces: int, e: float) -> None:
+    flight = fly(0.4, 0.7, bounces, push=0.5)
+    scenario = scenario_of("corridor", flight, e=e)
+    found = optimise(load("corridor"), scenario, *evenly(touches_of(flight)))
+    start = found.phases.vector(found.phases.guess())
+    other = solve_with_drake(found.phases.prog(), start, "snopt")
+    assert found.phases.scenario_cost(other.x) == pytest.approx(found.cost, rel=1e-4)
+
+
+# A room.
+
+
+@settings(max_examples=15)
+@given(
+    q=st.tuples(place, place),
+    goal=st.tuples(place, place),
+    bounces=st.tuples(st.integers(-3, 3), st.integers(-3, 3)),
+    push=st.tuples(st.floats(-0.8, 0.8), st.floats(-0.8, 0.8)),
+)
+def test_rooms_unfold_along_both_axes(
+    q: tuple[float, float],
+    goal: tuple[float, float],
+    bounces: tuple[int, int],
+    push: tuple[float, float],
+) -> None:
+    flights = [fly(*axis) for axis in zip(q, goal, bounces, push, strict=True)]
+    sequence = touches_of(*flights)
+    cost = sum(flight.cost for flight in flights)
+    assume(len(sequence) == sum(map(abs, bounces)) and are_apart(sequence, T) and cost > 1e-8)
+    # Their order does not say where on a wall they are: times near the right ones do.
+    shifted = [Touch.bounce(touch.start - 0.02 * T, touch.contact) for touch in sequence]
+    found = optimise(load("room"), scenario_of("room", *flights), *shifted)
+    assert found.cost == pytest.approx(cost, rel=5e-3)
+    check_unfolds(found, axes=2)
+
+
+@pytest.mark.parametrize("bounces", [-1, 1, 2])
+def test_two_walls_at_once(bounces: int) -> None:
+    flights = [fly(0.3, 0.6, bounces, push=0.4)] * 2
+    corners = evenly(touches_of(flights[0]))
+    sequence = [
+        Touch.bounce(corner.start, corner.contact + shift) for corner in corners for shift in (0, 2)
+    ]
+    found = optimise(load("room"), scenario_of("room", *flights), *sequence)
+    assert found.cost == pytest.approx(2 * flights[0].cost, rel=1e-3)
+    assert len(found.phases.timeline.phases) == abs(bounces) + 1
+    check_unfolds(found, axes=2)
+
+
+def test_into_a_corner_one_after_the_other_and_at_once_cost_the_same() -> None:
+    flights = [fly(0.3, 0.6, -1, push=0.4)] * 2
+    scenario = scenario_of("room", *flights)
+    at_once, x_first, y_first = (
+        optimise(load("room"), scenario, Touch.bounce(one, 0), Touch.bounce(other, 2)).cost
+        if one <= other
+        else optimise(load("room"), scenario, Touch.bounce(other, 2), Touch.bounce(one, 0)).cost
+        for one, other in ((0.4, 0.4), (0.35, 0.45), (0.45, 0.35))
+    )
+    assert x_first == pytest.approx(at_once, rel=1e-3)
+    assert y_first == pytest.approx(x_first, rel=1e-6)  # mirrored
+
+
+# What needs no control: the goal is where the motion ends by itself.
+
+
+@pytest.mark.parametrize("e", [1.0, 0.8, 0.5])
+@pytest.mark.parametrize("bounces", [1, 2, 3])
+def test_a_ball_that_drops_and_bounces_by_itself_costs_nothing(bounces: int, e: float) -> None:
+    g, drop = 9.81, 0.5
+    time, speed = np.sqrt(2 * drop / g), np.sqrt(2 * drop * g)
+    times = []
+    for _ in range(bounces):
+        times.append(float(time))
+        speed *= e
+        time += 2 * speed / g
+    rise = 2 * speed / g * 0.4
+    scenario = Scenario(
+        model=MODELS.format("floor"),
+        initial_position=drop,
+        initial_velocity=0.0,
+        goal_position=speed * rise - g / 2 * rise**2,
+        duration=times[-1] + rise,
+        time_step=(times[-1] + rise) / 40,
+        restitution=e,
+    )
+    guess = [Touch.bounce(0.9 * time) for time in times]
+    found = optimise(load("floor"), scenario, *guess)
+    assert found.cost == pytest.approx(0.0, abs=1e-10)
+    assert [touch.start for touch in found.touches] == pytest.approx(times, rel=1e-4)
+
+
+@settings(max_examples=15)
+@given(
+    q=st.tuples(st.floats(0.1, 0.4), st.floats(0.5, 0.9)),
+    v=st.tuples(st.floats(-2, 2), st.floats(-2, 2)),
+    push=st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)),
+)
+def test_two_masses_pass_through_each_other(
+    q: tuple[float, float], v: tuple[float, float], push: tuple[float, float]
+) -> None:
+    # Equal masses swap velocities, as if they went on and swapped names; so do the controls.
+    flights = [
+        Flight(start, speed, start + speed * T + more, T)
+        for start, speed, more in zip(q, v, push, strict=True)
+    ]
+    t = np.linspace(0, T, 3001)
+    paths = [fold(flight.position(t)) for flight in flights]
+    crossings = np.flatnonzero(np.diff(np.sign(paths[1] - paths[0])))
+    met = [(float(t[k]), 1) for k in crossings]
+    for path in paths:
+        turns = np.flatnonzero(np.diff(np.sign(np.diff(path)))) + 1
+        met += [(float(t[k]), 0 if path[k] < 0.5 else 2) for k in turns]
+    bounces = sum(len(flight.bounces()) for flight in flights)
+    sequence = tuple(Touch.bounce(*touch) for touch in sorted(met))
+    ends = sorted(float(path[-1]) for path in paths)
+    assume(len(met) == len(crossings) + bounces and len(met) <= 6 and are_apart(sequence, T, 0.03))
+    assume(0.02 < ends[0] < ends[1] - 0.02 < 0.96)
+    # The soft goal is left a little on the way to the image.
+    goals = sorted(float(fold(np.array(flight.image))) for flight in flights)
+    order = [float(fold(np.array(flight.image))) for flight in flights]
+    assume((order[0] < order[1]) == (paths[0][-1] < paths[1][-1]))
+    assume(0 < goals[0] < goals[1] < 1)
+    scenario = Scenario(
+        model=MODELS.format("two_masses"),
+        initial_position=q,
+        initial_velocity=v,
+        goal_position=goals,
+        duration=T,
+        time_step=T / 50,
+    )
+    found = optimise(load("two_masses"), scenario, *sequence)
+    cost = sum(flight.cost for flight in flights)
+    assert found.cost == pytest.approx(cost, rel=5e-3, abs=1e-9)
+
+
+# Restitution of each contact.
+
+
+def test_every_contact_has_its_own_restitution() -> None:
+    world = load("corridor")
+    left, right = world.contacts
+    lossy = dataclasses.replace(world, contacts=(left, dataclasses.replace(right, restitution=0.5)))
+    scenario = scenario_of("corridor", fly(0.4, 0.7, 2, push=0.5), e=0.9)
+    found = optimise(lossy, scenario, Touch.bounce(0.4, 1), Touch.bounce(1.0, 0))
+    speeds = []
+    for touch in found.touches:
+        k = int(np.argmin(np.abs(found.trajectory.times - touch.start)))
+        change = found.trajectory.impulses[k] @ [1.0, -1.0]
+        before = found.trajectory.velocities[k, 0]
+        speeds.append((before, before + change))
+    (first, second) = speeds
+    assert first[1] == pytest.approx(-0.5 * first[0])
+    assert second[1] == pytest.approx(-0.9 * second[0])
+    assert max(found.phases.defects(found.x).values()) < MET
+
+
+def test_phases_grow_linearly_in_number_of_rows() -> None:
+    sequence = [Touch.bounce(t, i % 2) for i, t in enumerate(np.linspace(0, T, 8)[1:-1])]
+    flight = fly(0.4, 0.7, -6, push=0.5)
+    sizes = []
+    for steps in (20, 40, 60):
+        phases = PhaseTranscription(
+            load("corridor"), scenario_of("corridor", flight, steps=steps), sequence
+        )
+        rows = phases.prog().GetAllConstraints()
+        sizes.append((len(rows), len({id(row.evaluator()) for row in rows})))
+    (few, _), (some, _), (many, _) = sizes
+    assert many - some == some - few
