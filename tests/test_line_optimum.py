@@ -6,7 +6,7 @@ import dataclasses
 import itertools
 import logging
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import numpy as np
 import pytest
@@ -205,7 +205,7 @@ def transcribed_cost(line: Line, motion: Motion, rng: np.random.Generator) -> fl
 @pytest.mark.slow
 @pytest.mark.usefixtures("quiet_drake")
 @pytest.mark.parametrize("make", [make_corridor, make_floor])
-def test_snopt_finds_the_optimum_and_nothing_below(make: type[Line]) -> None:
+def test_snopt_finds_the_optimum_and_nothing_below(make: Callable[..., Line]) -> None:
     rng = np.random.default_rng(1)
     for number in range(10):
         p, goal = rng.uniform(0.2, 0.9, 2)

@@ -1,0 +1,239 @@
+"""Optima of the shipped worlds: known ones, symmetries, replays of them, and what is refused."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from replay_worlds import make_diagram, make_scenario, shipped_world
+
+from drake_aigto.errors import ModelError, ScenarioError
+from drake_aigto.study import rigid_optimum
+from drake_aigto.study.masses_optimum import _list_sequences, _make_pair, _Sequence, masses_optimum
+from drake_aigto.study.walls_optimum import ContactOptimum, walls_optimum
+from drake_aigto.study.world_scenarios import WORLDS
+from drake_aigto.world import Scenario, World
+
+
+@cache
+def world_of(name: str) -> World:
+    (scenario,) = WORLDS[name].draw(1, seed=0)
+    return World.from_scenario(scenario)
+
+
+def draw(name: str, seed: int, **changes: Any) -> Scenario:
+    (scenario,) = WORLDS[name].draw(1, seed)
+    return dataclasses.replace(scenario, **changes)
+
+
+def solve(name: str, scenario: Scenario) -> ContactOptimum:
+    return WORLDS[name].optimum(world_of(name), scenario)
+
+
+seeds = st.integers(0, 2**32 - 1)
+restitutions = st.sampled_from([0.0, 0.5, 0.8, 1.0])
+
+
+# One wall: another road to the same number.
+
+
+@given(
+    st.floats(0.1, 2),
+    st.floats(-4, 1),
+    st.floats(0.1, 2),
+    restitutions,
+    st.sampled_from([1e-3, 1.0, 1e3]),
+)
+def test_one_wall_has_the_optimum_by_algebra(
+    p: float, v: float, goal: float, e: float, weight: float
+) -> None:
+    scenario = dataclasses.replace(
+        make_scenario(p, v, restitution=e, goal_weight=weight), goal_position=goal
+    )
+    known = rigid_optimum(shipped_world(), scenario)
+    found = walls_optimum(shipped_world(), scenario)
+    assert found.cost == pytest.approx(known.cost, rel=1e-6, abs=1e-14)
+    if abs(known.cost - known.flight_cost) > 1e-6 * known.cost + 1e-12:
+        times = [touch.start for touch in found.touches]
+        assert times == pytest.approx(known.bounce_times, rel=1e-3)
+
+
+# Units and symmetries.
+
+
+@settings(max_examples=20)
+@given(seeds, restitutions, st.sampled_from(["corridor", "floor"]))
+def test_twice_the_mass_is_four_times_the_control_weight(seed: int, e: float, name: str) -> None:
+    scenario = draw(name, seed, restitution=e)
+    heavy = dataclasses.replace(scenario, mass=2.0)
+    dear = dataclasses.replace(scenario, control_weight=4 * scenario.control_weight)
+    cost = WORLDS[name].optimum(World.from_scenario(heavy), heavy).cost
+    assert cost == pytest.approx(solve(name, dear).cost, rel=1e-7, abs=1e-15)
+
+
+@given(seeds, restitutions)
+def test_a_room_costs_what_its_two_corridors_cost(seed: int, e: float) -> None:
+    scenario = draw("room", seed, restitution=e)
+    room = solve("room", scenario)
+    corridors = [
+        solve("corridor", draw("corridor", 0, restitution=e, **ends(scenario, axis)))
+        for axis in range(2)
+    ]
+    assert room.cost == pytest.approx(sum(each.cost for each in corridors), rel=1e-9)
+    for axis, corridor in enumerate(corridors):
+        mine = [touch for touch in room.touches if touch.contact // 2 == axis]
+        assert [touch.contact % 2 for touch in mine] == list(corridor.contacts)
+        assert [touch.start for touch in mine] == [touch.start for touch in corridor.touches]
+
+
+def ends(scenario: Scenario, axis: int) -> dict[str, float]:
+    names = ("initial_position", "initial_velocity", "goal_position")
+    return {name: float(getattr(scenario, name)[axis]) for name in names}
+
+
+@given(seeds)
+def test_touches_are_in_the_order_of_time_and_within_it(seed: int) -> None:
+    for name in WORLDS:
+        scenario = draw(name, seed)
+        optimum = solve(name, scenario)
+        times = [touch.start for touch in optimum.touches]
+        assert times == sorted(times)
+        assert all(0 < t < scenario.duration for t in times)
+        assert all(touch.impact_speed > 0 for touch in optimum.touches if not touch.lasts)
+
+
+# Two masses.
+
+
+@settings(max_examples=8)
+@given(seeds)
+def test_ghosts_that_fly_through_each_other_cost_what_listed_sequences_cost(seed: int) -> None:
+    scenario = draw("two_masses", seed)
+    pair, _, price = _make_pair(world_of("two_masses"), scenario)
+    exact = solve("two_masses", scenario)
+    cost, contacts = pair.solve_listed(most_meetings=1)
+    # Listed sequences are motions, so none can be below; and all are, up to one meeting.
+    assert price * cost >= exact.cost * (1 - 1e-9)
+    if exact.contacts.count(1) <= 1:
+        assert price * cost == pytest.approx(exact.cost, rel=1e-6, abs=1e-14)
+        found = sorted(contacts)
+        assert [kind for _, kind, _ in found] == list(exact.contacts)
+        speeds = [speed / scenario.duration for _, _, speed in found]
+        assert speeds == pytest.approx([t.impact_speed for t in exact.touches], rel=1e-3)
+
+
+@settings(max_examples=30)
+@given(seeds)
+def test_two_masses_in_a_mirror_cost_the_same(seed: int) -> None:
+    scenario = draw("two_masses", seed)
+    mirrored = dataclasses.replace(
+        scenario,
+        initial_position=1 - scenario.initial_position[::-1],
+        initial_velocity=-scenario.initial_velocity[::-1],
+        goal_position=1 - scenario.goal_position[::-1],
+    )
+    one, other = solve("two_masses", scenario), solve("two_masses", mirrored)
+    assert one.cost == pytest.approx(other.cost, rel=1e-9)
+    assert [2 - contact for contact in one.contacts] == list(other.contacts)
+
+
+def test_masses_that_stay_apart_are_two_corridors() -> None:
+    scenario = draw(
+        "two_masses",
+        0,
+        initial_position=[0.2, 0.8],
+        initial_velocity=[-0.5, 0.5],
+        goal_position=[0.3, 0.7],
+        restitution=0.5,
+    )
+    corridors = [draw("corridor", 0, restitution=0.5, **ends(scenario, axis)) for axis in range(2)]
+    cost = sum(solve("corridor", each).cost for each in corridors)
+    assert solve("two_masses", scenario).cost == pytest.approx(cost, rel=1e-9)
+
+
+def test_a_meeting_keeps_momentum_and_loses_energy_by_restitution() -> None:
+    scenario = draw("two_masses", 1, restitution=0.5)
+    pair, _, _ = _make_pair(world_of("two_masses"), scenario)
+    pair = dataclasses.replace(pair, masses=np.array([1.0, 3.0]), efforts=np.array([1.0, 9.0]))
+    sequence = _Sequence(pair, (1,))
+    z = np.array([0.4, 0.5, 1.2, -0.3])  # time, place, velocities
+    before = sequence.flights.values(z)[:2, 2]
+    after = sequence.flights.values(z)[2:, 1]
+    assert pair.masses @ after == pytest.approx(pair.masses @ before)
+    assert after[1] - after[0] == pytest.approx(0.5 * (before[0] - before[1]))
+
+
+def test_listed_sequences_are_all_different_and_repeat_no_contact() -> None:
+    sequences = list(_list_sequences(2))
+    assert len(set(sequences)) == len(sequences) == 4 + 16 + 48
+    for sequence in sequences:
+        # Something that the contact feels comes between.
+        for feels in ((0, 1, 2), (0, 1), (1, 2)):
+            mine = [kind for kind in sequence if kind in feels]
+            repeated = [one for one, other in itertools.pairwise(mine) if one == other]
+            assert all(kind == 1 and len(feels) == 2 for kind in repeated)
+
+
+# Random scenarios.
+
+
+@pytest.mark.parametrize("name", WORLDS)
+def test_random_scenarios_fit_their_world_and_are_the_same_again(name: str) -> None:
+    study = WORLDS[name]
+    scenarios = list(study.draw(20, seed=3))
+    assert scenarios[:5] == list(study.draw(5, seed=3))
+    assert scenarios[0] != next(study.draw(1, seed=4))
+    assert {scenario.restitution for scenario in scenarios} == set(study.restitutions)
+    for scenario in scenarios:
+        world_of(name).check(scenario)
+
+
+# Bad input.
+
+
+@pytest.mark.parametrize(
+    ("model", "message"),
+    [
+        ("room_with_block", "got a box with several faces, expected walls. For other worlds"),
+        ("two_masses", r"right_ball, expected a wall across one axis. For other worlds"),
+    ],
+)
+def test_worlds_without_axes_of_their_own_are_refused(model: str, message: str) -> None:
+    scenario = draw("room", 0, model=f"package://drake_aigto_models/{model}.sdf")
+    scenario = dataclasses.replace(scenario, initial_position=[0.2, 0.8], goal_position=[0.3, 0.7])
+    with pytest.raises(ModelError, match=message):
+        walls_optimum(World.from_scenario(scenario), scenario)
+
+
+def test_a_spring_is_refused() -> None:
+    world = World.from_diagram(make_diagram(spring=3.0, reference=0.5))
+    with pytest.raises(ModelError, match=r"got a bias h\(q, v\) = .*3 \*.*, expected a constant"):
+        walls_optimum(world, make_scenario())
+
+
+def test_coupled_coordinates_are_refused() -> None:
+    world = World.from_diagram(make_diagram(num_joints=2))
+    with pytest.raises(ModelError, match=r"got M = \[\[.*, expected a diagonal matrix"):
+        walls_optimum(world, make_scenario([0.0, 1.0], [0.0, -2.0]))
+
+
+def test_one_mass_is_no_pair() -> None:
+    with pytest.raises(ModelError, match="expected two masses on a line: a wall, a mass, a mass"):
+        masses_optimum(world_of("corridor"), draw("corridor", 0))
+
+
+def test_a_room_is_no_pair() -> None:
+    with pytest.raises(ModelError, match=r"got ∂φ/∂q = \[\(1.0, 0.0\), \(-1.0, 0.0\)"):
+        masses_optimum(world_of("room"), draw("room", 0))
+
+
+def test_a_scenario_of_another_world_is_refused() -> None:
+    for optimum in (walls_optimum, masses_optimum):
+        with pytest.raises(ScenarioError, match="mass: got 3 kg, expected None, the model's"):
+            optimum(world_of("corridor"), draw("corridor", 0, mass=3.0))
