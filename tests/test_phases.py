@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
@@ -12,14 +11,12 @@ from hypothesis import strategies as st
 from phase_solutions import (
     MET,
     bouncing,
-    effort,
-    find_least,
-    goal_cost,
     one_bounce,
     optimise,
     solve,
 )
 from replay_worlds import make_diagram, make_scenario, shipped_world
+from rest_solutions import least_rest
 
 from drake_aigto import Scenario, World
 from drake_aigto.local import LocalStatus
@@ -104,31 +101,12 @@ def resting(e: float, N: int) -> Scenario:
     )
 
 
-def least_rest(scenario: Scenario, m: float = 1.5, g: float = 3.0) -> tuple[float, float, float]:
-    """Returns the least cost of landing, resting and jumping; when it lands, when it jumps."""
-    q, w_u = scenario.initial_position[0], scenario.control_weight
-    # The weight is as much control as it takes: ∫(v̇ + g)² = ∫v̇² + 2 g Δv + g² t, from rest to rest.
-    heavy = dataclasses.replace(scenario, control_weight=m**2 * w_u)
-
-    def jump(time: float) -> float:
-        return goal_cost(heavy, scenario.goal_position[0] + g * time**2 / 2, time)
-
-    def land(time: float) -> float:
-        return float(m**2 * w_u * (effort(-q, 0.0, time) + g**2 * time))
-
-    jump_time, jump_cost = find_least(jump, 1e-3, 1.5)
-    land_time, land_cost = math.sqrt(2 * q / g), 0.0
-    if scenario.restitution > 0:  # It lands without speed.
-        land_time, land_cost = find_least(land, 1e-3, 1.5)
-    return land_cost + jump_cost, land_time, scenario.duration - jump_time
-
-
 @pytest.mark.parametrize("e", [0.0, 0.5, 1.0])
 def test_a_contact_that_lasts_carries_the_weight_and_is_optimal(floor: World, e: float) -> None:
     errors = []
     for N in (20, 40):
         scenario = resting(e, N)
-        cost, land, leave = least_rest(scenario)
+        cost, land, leave = least_rest(0.3, 2.0, e, mass=1.5, gravity=3.0, goal_weight=100.0)
         rest = optimise(floor, scenario, Touch(0.6, 1.4))
         errors.append(rest.cost / cost - 1)
         (touch,) = rest.touches

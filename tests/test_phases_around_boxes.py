@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 import pytest
-from phase_solutions import MET, Solved, optimise
+from phase_solutions import Solved, optimise
 from rigid_worlds import Array
 from unfolded_flights import MODELS, Flight
 
@@ -22,18 +23,17 @@ def room() -> World:
     return World.from_scenario(make_scenario([0.1, 0.1], [0, 0], [0.9, 0.9]))
 
 
-def make_scenario(q: object, v: object, goal: object, steps: int = 40, e: float = 1.0) -> Scenario:
+def make_scenario(q: Any, v: Any, goal: Any, steps: int = 40) -> Scenario:
     return Scenario(
         model=MODELS.format("room_with_block"),
         initial_position=q,
         initial_velocity=v,
         goal_position=goal,
         time_step=1 / steps,
-        restitution=e,
     )
 
 
-def faces_along(path: Array, *touches: Touch) -> list[int]:
+def faces_along(path: list[list[float]], *touches: Touch) -> list[int]:
     times = np.linspace(0, 1, len(path))
     return [facing.contact for facing in find_facings(room(), times, np.array(path), touches)]
 
