@@ -1,4 +1,4 @@
-"""A point mass and a rigid wall solved exactly: the judge of the judge.
+"""A point mass and one rigid wall, or two, solved exactly: the judge of the judge.
 
 Root by root of the parabolas between events, with 40 digits, and geometric series where bounces are
 infinitely many. It shares no line and no idea with the simulation that it checks.
@@ -29,28 +29,43 @@ def run(
     controls: Sequence[float],
     restitution: float,
     mass: float = 1.0,
+    length: float | None = None,
 ) -> ExactRun:
-    """Returns how a mass moves that starts with (q ≥ 0, v) and is pushed by held forces."""
+    """Returns how a mass moves that starts with (q ≥ 0, v) and is pushed by held forces.
+
+    The wall is at 0; with a length, there is another one that far from it.
+    """
     with localcontext() as context:
         context.prec = 40
         q, v, e = Decimal(position), Decimal(velocity), Decimal(restitution)
+        # Position of a wall, and which way it faces.
+        walls = [(Decimal(0), 1)] + ([(Decimal(length), -1)] if length else [])
         result = ExactRun()
         time = Decimal(times[0])
         for end, control in zip(times[1:], controls, strict=True):
             a, stop = Decimal(control) / Decimal(mass), Decimal(end)
-            while (wait := _time_to_wall(q, v, a)) is not None and time + wait <= stop:
-                if q == 0 and v == 0:
-                    break  # pressed to the wall, at rest
-                q, v, time = Decimal(0), v + a * wait, time + wait
+            rests = False
+            while True:
+                rests = v == 0 and any(q == wall and side * a <= 0 for wall, side in walls)
+                waits = [
+                    (wait, wall, side)
+                    for wall, side in walls
+                    if (wait := _time_to_wall(side * (q - wall), side * v, side * a)) is not None
+                ]
+                if rests or not waits or time + min(waits)[0] > stop:
+                    break
+                wait, wall, side = min(waits)
+                q, v, time = wall, v + a * wait, time + wait
                 result.impact_times.append(float(time))
-                result.impact_speeds.append(float(-v))
+                result.impact_speeds.append(float(abs(v)))
                 v = -e * v
-                if a < 0 and e < 1 and time + 2 * v / (-a * (1 - e)) <= stop:
+                pressed = side * a < 0 and not (length and v * v >= 2 * abs(a) * Decimal(length))
+                if pressed and e < 1 and time + 2 * abs(v / a) / (1 - e) <= stop:
                     v = Decimal(0)  # the sum of all hops that follow
-                elif a < 0:
-                    result.shortest_hop = min(result.shortest_hop, float(2 * v / -a))
+                elif pressed:
+                    result.shortest_hop = min(result.shortest_hop, float(2 * abs(v / a)))
             left, time = stop - time, stop
-            if not (q == 0 and v == 0 and a <= 0):
+            if not rests:
                 q, v = q + v * left + a * left * left / 2, v + a * left
         result.position, result.velocity = float(q), float(v)
         return result

@@ -1,0 +1,350 @@
+"""The event-driven walls where there are several, judged by exact mathematics."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import exact_wall
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from several_walls import hold_still, make_line, make_task, make_wedge, shipped
+
+from drake_aigto.planning.contact_motion import ContactMotion
+from drake_aigto.planning.replay import Replay, replay_event_driven
+from drake_aigto.world import World
+
+# What the event-driven walls promise; they mostly are a thousand times better.
+EXACT = 1e-8
+DEEPEST = 1e-12
+
+RESTITUTIONS = [1.0, 0.8, 0.5, 0.0]
+
+places = st.floats(0.02, 0.98)
+speeds = st.floats(-4, 4)
+forces = st.floats(-20, 20).map(lambda f: round(f, 6))
+
+
+def run(
+    world: World, q: Any, v: Any, times: npt.ArrayLike, controls: npt.ArrayLike, e: float = 1.0
+) -> Replay:
+    scenario = make_task("room", q, v, restitution=e)
+    return replay_event_driven(world, scenario, times, controls)
+
+
+@st.composite
+def held_forces(draw: st.DrawFn, columns: int) -> tuple[list[float], npt.NDArray[np.float64]]:
+    gaps = draw(st.lists(st.floats(0.01, 0.4), min_size=1, max_size=6))
+    rows = st.lists(forces, min_size=columns, max_size=columns)
+    controls = draw(st.lists(rows, min_size=len(gaps), max_size=len(gaps)))
+    return np.concatenate([[0.0], np.cumsum(gaps)]).tolist(), np.array(controls)
+
+
+def check_end(replay: Replay, coordinate: int, exact: exact_wall.ExactRun) -> None:
+    # Shorter hops may become rest (RigidWall): a tolerance that is stated.
+    assume(exact.shortest_hop > 1e-6 * 20 * replay.times[-1])
+    assert abs(replay.positions[-1, coordinate] - exact.position) < EXACT
+    assert abs(replay.velocities[-1, coordinate] - exact.velocity) < 10 * EXACT
+    assert replay.max_penetration <= DEEPEST
+
+
+# The corridor.
+
+
+@settings(max_examples=100)
+@given(places, st.floats(-30, 30))
+def test_elastic_walls_fold_a_free_flight(q: float, v: float) -> None:
+    replay = run(shipped("corridor"), q, v, *hold_still(shipped("corridor")))
+    unfolded = q + v
+    assert replay.positions[-1, 0] == pytest.approx(1 - abs(1 - unfolded % 2), abs=1e-12)
+    assert len(replay.bounce_times) == abs(math.floor(unfolded))
+    first = int(v > 0)
+    sides = [(first + k) % 2 for k in range(len(replay.bounce_times))]
+    assert replay.bounce_contacts == tuple(sides)
+    np.testing.assert_allclose(replay.energy_ratios, 1.0, atol=1e-13)
+
+
+@settings(max_examples=100)
+@given(places, speeds, held_forces(1), st.sampled_from(RESTITUTIONS) | st.floats(0, 1))
+def test_the_corridor_is_exact(q: float, v: float, control: Any, e: float) -> None:
+    times, u = control
+    exact = exact_wall.run(q, v, times, u[:, 0].tolist(), e, length=1.0)
+    replay = run(shipped("corridor"), q, v, times, u, e)
+    check_end(replay, 0, exact)
+    for time in exact.impact_times[: len(replay.bounce_times)]:
+        assert min(abs(time - np.array(replay.bounce_times))) < EXACT
+    np.testing.assert_allclose(replay.energy_ratios, e**2, atol=1e-12)
+
+
+@settings(max_examples=50)
+@given(places, speeds, held_forces(1), st.sampled_from(RESTITUTIONS))
+def test_the_corridor_has_a_mirror(q: float, v: float, control: Any, e: float) -> None:
+    times, u = control
+    assume(exact_wall.run(q, v, times, u[:, 0].tolist(), e, length=1.0).shortest_hop > 1e-4)
+    one = run(shipped("corridor"), q, v, times, u, e)
+    other = run(shipped("corridor"), 1 - q, -v, times, -u, e)
+    assert other.positions[-1, 0] == pytest.approx(1 - one.positions[-1, 0], abs=EXACT)
+    assert other.bounce_contacts == tuple(1 - i for i in one.bounce_contacts)
+
+
+# The room.
+
+
+@settings(max_examples=100)
+@given(
+    *(st.tuples(places, speeds) for _ in range(2)), held_forces(2), st.sampled_from(RESTITUTIONS)
+)
+def test_the_room_is_two_corridors(
+    x: tuple[float, float], y: tuple[float, float], control: Any, e: float
+) -> None:
+    # Also rest on one wall, sliding along it into the next, and rest on both.
+    times, u = control
+    replay = run(shipped("room"), [x[0], y[0]], [x[1], y[1]], times, u, e)
+    for axis, (q, v) in enumerate((x, y)):
+        exact = exact_wall.run(q, v, times, u[:, axis].tolist(), e, length=1.0)
+        check_end(replay, axis, exact)
+
+
+@pytest.mark.parametrize("e", RESTITUTIONS)
+@pytest.mark.parametrize("shift", [0.0, *(s * 10.0**-n for n in range(5, 17) for s in (1, -1))])
+def test_a_corner_turns_the_ball_round_at_once(e: float, shift: float) -> None:
+    q, v = np.array([0.5, 0.25 + shift]), np.array([-2.0, -1.0])
+    times, u = hold_still(shipped("room"), 0.5)
+    replay = run(shipped("room"), q, v, times, u, e)
+    assert sorted(replay.bounce_contacts) == [0, 2]
+    assert replay.bounce_times == pytest.approx([0.25, 0.25], abs=1.1 * abs(shift) + 1e-14)
+    late = np.array([0.25, 0.25 - shift])
+    np.testing.assert_allclose(replay.velocities[-1], -e * v, atol=1e-14)
+    np.testing.assert_allclose(replay.positions[-1], -e * v * late, atol=1e-13)
+
+
+def test_the_ball_rests_in_a_corner_and_slides_out_of_it() -> None:
+    times = np.linspace(0.0, 3.0, 301)
+    u = np.tile([-4.0, -3.0], (300, 1))
+    u[200:, 0] = 1.0
+    replay = run(shipped("room"), [0.3, 0.2], [0.0, 0.0], times, u, 0.3)
+    in_corner = (replay.times > 1.5) & (replay.times < 2.0)
+    assert np.all(np.abs(replay.positions[in_corner]) <= 1e-13)
+    assert np.all(replay.velocities[in_corner] == 0)
+    np.testing.assert_allclose(replay.positions[-1], [1 / 2, 0], atol=1e-11)
+    np.testing.assert_allclose(replay.velocities[-1], [1, 0], atol=1e-11)
+
+
+@pytest.mark.parametrize("n", [2, 3, 4, 5])
+@settings(max_examples=30)
+@given(st.floats(0.1, 0.9), st.floats(-3, 3), st.floats(-3, 3))
+def test_an_elastic_wedge_of_a_whole_part_of_a_half_turn_folds_a_free_flight(
+    n: int, place: float, x: float, y: float
+) -> None:
+    # Reflections in its walls make 2n copies of the wedge around the corner.
+    angle = math.pi / n
+    world = make_wedge(angle)
+    start, v = np.array([math.cos(place * angle), math.sin(place * angle)]), np.array([x, y])
+    assume(np.linalg.norm(v) > 0.1)
+    nearest = abs(start[0] * y - start[1] * x) / np.linalg.norm(v)
+    assume(nearest > 1e-3)  # A corner itself has no answer.
+    replay = run(world, start, v, *hold_still(world))
+    free = start + v
+    turn = math.atan2(free[1], free[0]) % (2 * angle)
+    turn = min(turn, 2 * angle - turn)
+    end = np.linalg.norm(free) * np.array([math.cos(turn), math.sin(turn)])
+    np.testing.assert_allclose(replay.positions[-1], end, atol=1e-11)
+    assert len(replay.bounce_times) <= n
+    np.testing.assert_allclose(replay.energy_ratios, 1.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("e", [1.0, 0.5, 0.0])
+def test_a_ball_pressed_into_a_wedge_rests_on_both_walls(e: float) -> None:
+    world, motion = make_wedge(math.pi / 3), ContactMotion(make_wedge(math.pi / 3))
+    times, u = np.linspace(0.0, 2.0, 101), np.tile([-6.0, 0.0], (100, 1))
+    replay = run(world, [0.2, 0.1], [0.0, 0.0], times, u, e)
+    assert replay.max_penetration <= DEEPEST
+    if e < 1:
+        np.testing.assert_allclose(replay.positions[-1], 0, atol=1e-9)
+        np.testing.assert_allclose(replay.velocities[-1], 0, atol=1e-9)
+    else:
+        work = -6.0 * (replay.positions[-1, 0] - 0.2)
+        assert motion.calc_kinetic_energy(replay.velocities[-1]) == pytest.approx(work, abs=1e-5)
+
+
+def test_walls_have_the_restitution_of_the_model() -> None:
+    world = make_wedge(math.pi / 2, (0.5, None))
+    replay = run(world, [0.2, 0.1], [-1.0, -1.0], *hold_still(world), 0.8)
+    np.testing.assert_allclose(replay.velocities[-1], [0.8, 0.5])
+    assert replay.bounce_contacts == (0, 1)
+
+
+# The block: convex corners.
+
+
+def test_a_ball_slides_over_the_edge_of_a_block() -> None:
+    # Down onto the block, along it to its edge at x = 0.6, and past that down to the wall.
+    times = np.linspace(0.0, 0.6, 61)
+    u = np.tile([0.0, -5.0], (60, 1))
+    replay = run(shipped("room_with_block"), [0.45, 0.65], [0.5, 0.0], times, u, 0.0)
+    edge = (0.6 - 0.45) / 0.5
+    resting = (replay.times > 0.15) & (replay.times < edge)
+    np.testing.assert_allclose(replay.positions[resting, 1], 0.6, atol=1e-13)
+    np.testing.assert_allclose(replay.positions[-1, 0], 0.45 + 0.6 * 0.5, atol=1e-12)
+    falling = replay.times > edge
+    fall = 0.6 - 2.5 * (replay.times[falling] - edge) ** 2
+    # The edge is noticed some ten-millionths of the duration late.
+    np.testing.assert_allclose(replay.positions[falling, 1], fall, atol=5 * 0.3 * 1e-6)
+
+
+@pytest.mark.parametrize(
+    ("q", "v", "contact", "end"),
+    [
+        ([0.2, 0.5], [0.5, 0.01], 5, [0.1, 0.51]),
+        ([0.8, 0.5], [-0.5, 0.01], 4, [0.9, 0.51]),
+        ([0.45, 0.8], [0.1, -0.5], 6, [0.55, 0.9]),
+        ([0.45, 0.2], [0.1, 0.5], 7, [0.55, 0.1]),
+        ([0.3, 0.3], [0.5, 0.1], None, [0.8, 0.4 - 1e-9]),
+    ],
+)
+def test_a_block_is_bounced_off_on_every_side(
+    q: list[float], v: list[float], contact: int | None, end: list[float]
+) -> None:
+    if contact is None:
+        q = [q[0], q[1] - 1e-9]  # A hair below the block.
+    replay = run(shipped("room_with_block"), q, v, *hold_still(shipped("room_with_block"), steps=3))
+    assert replay.bounce_contacts == (() if contact is None else (contact,))
+    np.testing.assert_allclose(replay.positions[-1], end, atol=1e-12)
+
+
+@settings(max_examples=60)
+@given(
+    st.sampled_from([(0.2, 0.5), (0.7, 0.3), (0.5, 0.9)]),
+    st.tuples(speeds, speeds),
+    held_forces(2),
+    st.sampled_from(RESTITUTIONS),
+)
+def test_nothing_gets_into_a_block_whatever_is_done(
+    q: tuple[float, float], v: tuple[float, float], control: Any, e: float
+) -> None:
+    world, (times, u) = shipped("room_with_block"), control
+    replay = run(world, q, v, times, u, e)
+    assert replay.max_penetration <= DEEPEST
+    assert np.all(np.diff(replay.times) >= 0)
+    assert all(ratio <= 1 + 1e-12 for ratio in replay.energy_ratios)
+    swapped = run(world, q[::-1], v[::-1], times, u[:, ::-1], e)
+    assume(len(replay.bounce_times) < 10)
+    np.testing.assert_allclose(swapped.positions[-1], replay.positions[-1, ::-1], atol=1e-6)
+    order = [2, 3, 0, 1, 6, 7, 4, 5]  # x and y change places
+    assert sorted(swapped.bounce_contacts) == sorted(order[i] for i in replay.bounce_contacts)
+
+
+# Bodies that hit each other.
+
+
+@settings(max_examples=100)
+@given(places, places, speeds, speeds, held_forces(1))
+def test_equal_masses_exchange_their_velocities(
+    q0: float, q1: float, v0: float, v1: float, control: Any
+) -> None:
+    # As if each went through the other one.
+    q0, q1 = sorted((q0, q1))
+    assume(q1 - q0 > 1e-3)
+    times, u = control
+    ghosts = [
+        exact_wall.run(q, v, times, u[:, 0].tolist(), 1.0, length=1.0)
+        for q, v in ((q0, v0), (q1, v1))
+    ]
+    assume(min(ghost.shortest_hop for ghost in ghosts) > 1e-3)
+    replay = run(shipped("two_masses"), [q0, q1], [v0, v1], times, np.hstack([u, u]))
+    ends = sorted(ghost.position for ghost in ghosts)
+    np.testing.assert_allclose(replay.positions[-1], ends, atol=EXACT)
+    assert replay.max_penetration <= DEEPEST
+
+
+@pytest.mark.parametrize(("ratio", "count"), [(1, 3), (100, 31), (10_000, 314)])
+def test_a_heavy_ball_a_light_one_and_a_wall_count_the_digits_of_pi(ratio: int, count: int) -> None:
+    # Galperin, "Playing pool with π", Regular and Chaotic Dynamics 8 (2003).
+    world = make_line((1.0, float(ratio)))
+    replay = run(world, [0.3, 0.5], [0.0, -1.0], *hold_still(world, duration=8.0))
+    assert len(replay.bounce_times) == count
+    energy = world.mass_matrix_values @ replay.velocities[-1] ** 2 / 2
+    assert np.sum(energy) == pytest.approx(ratio / 2, rel=1e-10)
+    assert 0 <= replay.velocities[-1, 0] <= replay.velocities[-1, 1]
+
+
+@settings(max_examples=50)
+@given(places, places, speeds, speeds, held_forces(2), st.sampled_from(RESTITUTIONS))
+def test_two_masses_have_a_mirror_and_lose_energy_only(
+    q0: float, q1: float, v0: float, v1: float, control: Any, e: float
+) -> None:
+    q0, q1 = sorted((q0, q1))
+    assume(q1 - q0 > 1e-3)
+    times, u = control
+    world = shipped("two_masses")
+    replay = run(world, [q0, q1], [v0, v1], times, u, e)
+    assert replay.max_penetration <= DEEPEST
+    assert all(ratio <= 1 + 1e-12 for ratio in replay.energy_ratios)
+    at_knots = np.searchsorted(replay.times, times, side="right") - 1
+    work = np.sum(u * np.diff(replay.positions[at_knots], axis=0))
+    gained = (np.sum(replay.velocities[-1] ** 2) - v0**2 - v1**2) / 2
+    assert gained <= work + 1e-6
+    if len(replay.bounce_times) < 8:
+        other = run(world, [1 - q1, 1 - q0], [-v1, -v0], times, -u[:, ::-1], e)
+        np.testing.assert_allclose(other.positions[-1], 1 - replay.positions[-1, ::-1], atol=1e-6)
+
+
+def test_momentum_goes_along_the_contact() -> None:
+    world = make_line((1.0, 3.0))
+    replay = run(world, [0.4, 0.6], [0.5, -1.0], *hold_still(world, 0.2), 0.5)
+    assert replay.bounce_contacts == (0,)
+    masses = np.diag(world.mass_matrix_values)
+    exchanged = masses * (replay.velocities[-1] - [0.5, -1.0])
+    assert exchanged == pytest.approx([-exchanged[1], exchanged[1]]) and exchanged[1] > 0
+    assert np.diff(replay.velocities[-1])[0] == pytest.approx(0.5 * 1.5)
+
+
+@pytest.mark.parametrize("e", [0.7, 0.3, 0.0])
+def test_a_stack_comes_to_rest(e: float) -> None:
+    world = make_line((1.0, 2.0), gravity=9.81)
+    times, u = hold_still(world, 3.0, 30)
+    replay = run(world, [0.1, 0.3], [0.0, 0.0], times, u, e)
+    assert replay.max_penetration <= DEEPEST
+    np.testing.assert_allclose(replay.positions[-1], 0, atol=1e-9)
+    np.testing.assert_allclose(replay.velocities[-1], 0, atol=1e-9)
+
+
+def test_a_blow_goes_through_what_rests() -> None:
+    # The first ball is pressed to the wall; hit, it kicks back, as a row of balls does.
+    world = make_line((1.0, 1.0))
+    times, u = np.linspace(0.0, 0.5, 51), np.tile([-1.0, 0.0], (50, 1))
+    replay = run(world, [1e-3, 0.4], [0.0, -2.0], times, u, 0.0)
+    np.testing.assert_allclose(replay.velocities[-1], 0, atol=1e-12)
+    elastic = run(world, [0.0, 0.4], [0.0, -2.0], times, 0 * u, 1.0)
+    np.testing.assert_allclose(elastic.velocities[-1], [0, 2], atol=1e-12)
+    assert elastic.bounce_contacts == (0, 1, 0)
+
+
+def test_bodies_that_collapse_onto_each_other_do_not_hang() -> None:
+    world = make_line((1.0, 100.0))
+    for e in (0.1, 0.5, 0.8):
+        replay = run(world, [0.3, 0.5], [0.0, -1.0], *hold_still(world, 2.0), e)
+        assert replay.max_penetration <= DEEPEST
+        energy = np.diag(world.mass_matrix_values) @ replay.velocities[-1] ** 2 / 2
+        assert energy <= 50
+        assert np.all(np.diff(replay.positions[-1]) >= -DEEPEST)
+
+
+# The law of rest.
+
+
+@settings(max_examples=100)
+@given(st.lists(st.floats(-10, 10), min_size=2, max_size=2), st.sampled_from([2, 3, 5]))
+def test_rest_is_gauss_principle(free: list[float], n: int) -> None:
+    world = make_wedge(math.pi / n)
+    motion, a = ContactMotion(world), np.array(free)
+    supported = motion.calc_supported(a, (0, 1))
+    M, J = world.mass_matrix_values, motion.jacobian
+    forces = np.linalg.lstsq(J.T, M @ (supported - a), rcond=None)[0]
+    rates = J @ supported
+    assert np.all(rates >= -1e-12) and np.all(forces >= -1e-11)
+    assert forces @ rates == pytest.approx(0, abs=1e-11)
+    np.testing.assert_allclose(J.T @ forces, M @ (supported - a), atol=1e-11)
