@@ -320,7 +320,7 @@ def test_nothing_that_holds_is_an_error_that_says_what_was_tried(
 ) -> None:
     monkeypatch.setattr(planner, "replay_drake", contradict(99))
     message = (
-        r"nothing that was planned holds in simulation: got \d candidates from 3 rungs of AIGO "
+        r"nothing that was planned holds in simulation: got \d candidates from 5 rungs of AIGO "
         r"\(contact at 0\.550 s for 2\.18e-04, replayed 2\.18e-04, in Drake 1\.00e\+00 and "
         r"1\.0e\+00 m off the goal; .*free flight for 8\.95e-03, .*, expected simulations .* Allow"
     )
@@ -332,5 +332,5 @@ def test_nothing_that_holds_is_an_error_that_says_what_was_tried(
 
 def test_a_polish_that_fails_is_an_error_too(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(RigidProblem, "solve_program", lambda self, prog, guess, nlp: guess)
-    with pytest.raises(PlanningError, match=r"no candidate meets the .* from 3 rungs, the small"):
+    with pytest.raises(PlanningError, match=r"no candidate meets the .* from 5 rungs, the small"):
         plan(table1(1, **COARSE))

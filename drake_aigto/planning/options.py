@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 from drake_aigto.aigo import Algorithm, Annealing, FullGradient
 from drake_aigto.errors import OptionsError
@@ -14,6 +14,7 @@ from drake_aigto.transcription.rigid_contact import CONTACT, FLIGHT, RESTITUTION
 
 AlgorithmName = Literal["annealing", "full gradient"]
 LocalSolverName = Literal["newton", "ipopt", "snopt"]
+StartName = Literal["line", "coast"]
 TranscriptionName = Literal["rigid", "literal"]
 
 # Option → what it may be.
@@ -34,15 +35,25 @@ class Rung:
         temperature: first temperature μ of the annealing (not used by the full gradient).
         weights: constraint name → weight of its penalty r²/dt.
         others: weight of rows that have no name there, such as those that users add.
+        start: what the first box is around: "line", the straight line from start to goal, as far
+            as the walls; or "coast", the motion without control in simulation, narrow at first and
+            wider with time.
     """
 
     temperature: float
     weights: Mapping[str, float]
     others: float = 1.0
+    start: StartName = "line"
+
+    def __post_init__(self) -> None:
+        """Checks the start."""
+        if self.start not in (known := get_args(StartName)):
+            raise OptionsError("start", got=repr(self.start), expected=f"one of {known}")
 
     def __str__(self) -> str:
-        """Returns the weights, as tables and plan files show them."""
-        return ", ".join(f"{name} {weight:g}" for name, weight in self.weights.items())
+        """Returns the start and weights, as tables and plan files show them."""
+        weights = ", ".join(f"{name} {weight:g}" for name, weight in self.weights.items())
+        return f"around the {self.start}; weights {weights}"
 
 
 def _literal_rung(temperature: float, kinematics: float, dynamics: float) -> Rung:
@@ -63,15 +74,23 @@ LITERAL_LADDER = (
 )
 
 
-def _rigid_rung(temperature: float, restitution: float) -> Rung:
+def _rigid_rung(temperature: float, restitution: float, start: StartName = "line") -> Rung:
     weights = {FLIGHT: 3e2, DYNAMICS: 3e2, CONTACT: 3e2, RESTITUTION: restitution}
-    return Rung(temperature, {**weights, NONPENETRATION: 3e3}, others=3e2)
+    return Rung(temperature, {**weights, NONPENETRATION: 3e3}, others=3e2, start=start)
 
 
 # Hot boxes under a light restitution row find the wall, whether a bounce pays or not; cold ones
 # under a heavy row, which no impulse pleases while boxes are wide, the free flight; the rung in
-# between often tells which is better. What is best is only known after the polish.
-RIGID_LADDER = (_rigid_rung(3.0, 2.0), _rigid_rung(0.5, 5.0), _rigid_rung(0.03, 1000.0))
+# between often tells which is better. What is best is only known after the polish. Between several
+# walls, boxes around the straight line hold every sequence at once and lose all of them; those
+# around the coasting motion keep its bounces, or one more or less near the end.
+RIGID_LADDER = (
+    _rigid_rung(3.0, 2.0),
+    _rigid_rung(0.5, 5.0),
+    _rigid_rung(0.03, 1000.0),
+    _rigid_rung(0.1, 50.0, "coast"),
+    _rigid_rung(1.0, 5.0, "coast"),
+)
 
 # A rigid anneal ends at this part of its first temperature: no sequence changed below.
 _COOLED = 1e-7
@@ -144,8 +163,8 @@ class PlanOptions:
     def describe(self, rung: Rung) -> str:
         """Returns how tables and plan files name a start of AIGO."""
         if self.algorithm == "annealing":
-            return f"annealing from temperature {rung.temperature:g}; weights {rung}"
-        return f"full gradient; weights {rung}"
+            return f"annealing from temperature {rung.temperature:g}; {rung}"
+        return f"full gradient; {rung}"
 
     def make_algorithm(self, rung: Rung, unit: float = 1.0) -> Algorithm:
         """Returns AIGO's algorithm for a rung, whose temperature is in this unit."""

@@ -47,7 +47,7 @@ def make_problem(
     """Returns the scenario, transcribed and compiled as the options say.
 
     The rigid transcription has time steps of its own (`PlanOptions.aigo_steps`), but more, up to
-    the scenario's, if the ball would be at the wall in less than three of them.
+    the scenario's, if a wall would be touched in less than three of them.
     """
     if options.transcription == "literal":
         literal = LiteralTranscription(world, scenario, options.nonpenetration)
@@ -59,10 +59,10 @@ def make_problem(
 
 def _count_steps(world: World, scenario: Scenario) -> int:
     """Returns into how many steps T has to be cut for the ball to fly three before the wall."""
-    distance = float(np.min(world.calc_signed_distance(scenario.initial_position)))
+    distances = world.calc_signed_distance(scenario.initial_position)
     jacobian = world.calc_contact_jacobian(scenario.initial_position)
-    speed = -float(np.min(jacobian @ scenario.initial_velocity))
-    return math.ceil(_STEPS_TO_WALL * scenario.duration * max(speed, 0.0) / distance)
+    speeds = np.maximum(-jacobian @ scenario.initial_velocity, 0.0)
+    return math.ceil(_STEPS_TO_WALL * scenario.duration * float(np.max(speeds / distances)))
 
 
 def plan(

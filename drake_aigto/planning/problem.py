@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Generic, TypeVar
 
@@ -15,7 +16,7 @@ from drake_aigto.box import BoxPolynomial, compile_program
 from drake_aigto.local import InteriorPoint, PolynomialNlp, compile_nlp
 from drake_aigto.local.drake_solvers import solve_with_drake
 from drake_aigto.planning.contacts import find_contacts, max_penetration
-from drake_aigto.planning.options import PlanOptions, Rung
+from drake_aigto.planning.options import PlanOptions, Rung, StartName
 from drake_aigto.planning.plan import Candidate
 from drake_aigto.planning.replay import replay_event_driven
 from drake_aigto.transcription import Transcription
@@ -28,6 +29,23 @@ TranscriptionT = TypeVar("TranscriptionT", bound=Transcription)
 
 # Of the local solver; a candidate that needs more is one whose phases vanish.
 _MAX_ITERATIONS = 200
+# A box around the motion without control has this part of the first box's size at the end.
+_COAST_SHARE = 0.2
+
+
+@dataclass(frozen=True, eq=False)
+class Start(Generic[TranscriptionT]):
+    """Where AIGO starts.
+
+    Attributes:
+        transcription: the constrained program.
+        polynomial: its penalised cost.
+        box: the first box.
+    """
+
+    transcription: TranscriptionT
+    polynomial: BoxPolynomial
+    box: Box
 
 
 class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
@@ -39,7 +57,7 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
     Attributes:
         transcription: the constrained program.
         polynomial: its penalised cost, for AIGO.
-        box: where AIGO starts.
+        box: where AIGO starts, around the straight line from start to goal.
     """
 
     # Of the local solver's cost, in `cost_scale`, in turn until it converges.
@@ -53,18 +71,42 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
         """
         self.transcription = transcription
         self.options = options or PlanOptions()
-        order = transcription.elimination_order()
-        self.polynomial: BoxPolynomial = compile_program(transcription.penalized(), order)
-        self.box = Box(*transcription.initial_box())
+        first = Start(transcription, _compile(transcription), Box(*transcription.initial_box()))
+        self.polynomial, self.box = first.polynomial, first.box
+        self._starts: dict[StartName, Start[TranscriptionT]] = {"line": first}
+
+    def start(self, name: StartName) -> Start[TranscriptionT]:
+        """Returns where a rung of this start begins."""
+        if name not in self._starts:
+            self._starts[name] = self._start_coasting()
+        return self._starts[name]
+
+    def _start_coasting(self) -> Start[TranscriptionT]:
+        """Returns a box around the motion without control, on the rigid wall."""
+        times = self.transcription.GetSampleTimes()
+        world, scenario = self.transcription.world, self.transcription.scenario
+        controls = np.zeros((len(times) - 1, world.num_actuators))
+        coast = replay_event_driven(world, scenario, times, controls)
+        # Of the two rows of an impact on a knot, the first: velocities before impulses.
+        rows = np.searchsorted(coast.times, times)
+        q, v = coast.positions[rows], coast.velocities[rows]
+        around = self._transcribe_around(q)
+        polynomial = self.polynomial if around is self.transcription else _compile(around)
+        return Start(around, polynomial, Box(*around.box_around(q, v, _COAST_SHARE)))
+
+    def _transcribe_around(self, positions: npt.NDArray[np.float64]) -> TranscriptionT:
+        """Returns the transcription for boxes around a path, shape (N+1, nq) [m]."""
+        return self.transcription
 
     @cached_property
     def _nlp(self) -> PolynomialNlp:
         return compile_nlp(self.transcription.prog())
 
     def run_aigo(self, rung: Rung) -> AigoResult:
-        """Returns what AIGO makes of the first box under a rung's weights."""
+        """Returns what AIGO makes of the rung's first box under its weights."""
         algorithm = self.options.make_algorithm(rung, self.transcription.cost_scale())
-        return minimize(self._weighted(rung), self.box, algorithm)
+        start = self.start(rung.start)
+        return minimize(start.polynomial.with_weights(self._weights(rung)), start.box, algorithm)
 
     def pull(self, center: npt.NDArray[np.float64], rung: Rung) -> npt.NDArray[np.float64]:
         """Returns a box center pulled towards the constraints by raising the rung's penalties."""
@@ -155,3 +197,7 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
 
     def _weighted(self, rung: Rung) -> BoxPolynomial:
         return self.polynomial.with_weights(self._weights(rung))
+
+
+def _compile(transcription: Transcription) -> BoxPolynomial:
+    return compile_program(transcription.penalized(), transcription.elimination_order())

@@ -18,6 +18,8 @@ from drake_aigto.planning.problem import PlanningProblem
 from drake_aigto.planning.search import Clock, Search
 from drake_aigto.planning.touches import are_near, is_same, read_sequences
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch, TouchSequence
+from drake_aigto.transcription.facings import find_facings
+from drake_aigto.transcription.touch import joint_times
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -28,7 +30,7 @@ _SAME_START, _SAME_END = 0.05, 1e-3
 # A touch this near to the start or the end, as a part of the duration, is none.
 _MARGIN = 1e-6
 # Of a sequence that grows by bounces which its replay has and it lacks.
-_MOST_TOUCHES = 3
+_MOST_TOUCHES = 8
 # In a candidate's origin, if its sequence grew.
 _SEEN = "; with bounces seen in its replay"
 
@@ -41,7 +43,17 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
 
     def find_sequences(self, result: AigoResult, rung: Rung) -> list[TouchSequence]:
         """Returns the contact sequences that AIGO proposes (`read_sequences`) and that fit."""
-        return list(filter(self.fits, read_sequences(self.transcription, result.box.center)))
+        read = read_sequences(self.start(rung.start).transcription, result.box.center)
+        return list(filter(self.fits, read))
+
+    def _transcribe_around(self, positions: npt.NDArray[np.float64]) -> RigidTranscription:
+        """Returns the transcription with those faces of boxes in force that a path goes along."""
+        first = self.transcription
+        if first.world.num_solids == first.world.num_contacts:
+            return first
+        around = RigidTranscription(first.world, first.scenario, first.relaxation, positions)
+        around.add_what_was_added_to(first)
+        return around
 
     def fits(self, sequence: TouchSequence) -> bool:
         """Returns whether all touches are within the duration."""
@@ -68,12 +80,15 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
         scenario = coarse.scenario
         if num_steps is not None:
             scenario = dataclasses.replace(scenario, time_step=scenario.duration / num_steps)
-        phases = PhaseTranscription(coarse.world, scenario, sequence)
+        path, knots, joints = (
+            coarse.split(center)[0],
+            coarse.GetSampleTimes(),
+            joint_times(sequence),
+        )
+        facings = find_facings(coarse.world, knots, path, sequence)
+        phases = PhaseTranscription(coarse.world, scenario, sequence, facings)
         phases.add_what_was_added_to(coarse)
-        times = [t for touch in sequence for t in touch.joints]
-        path = coarse.split(center)[0]
-        columns = [np.interp(times, coarse.GetSampleTimes(), column) for column in path.T]
-        guess = phases.guess(np.column_stack(columns))
+        guess = phases.guess(np.column_stack([np.interp(joints, knots, q) for q in path.T]))
         prog = phases.prog()
         x = self.solve_program(
             prog, phases.vector(guess), lambda: compile_nlp(prog, phases.elimination_order())
@@ -112,11 +127,13 @@ class RigidSearch(Search[TouchSequence]):
     def _with_unplanned_bounce(self, sequence: TouchSequence) -> list[TouchSequence]:
         """Returns a sequence up to the first bounce of its replay that it lacks, and all of it."""
         optimum, near = self._optimum(sequence), _SAME_START * self._duration
-        for time in self.by_sequence[sequence].replay.bounce_times:
-            nearest = (min(max(time, touch.start), touch.end) for touch in optimum)
-            if not any(are_near(time, planned, near) for planned in nearest):
+        replay = self.by_sequence[sequence].replay
+        for time, contact in zip(replay.bounce_times, replay.bounce_contacts, strict=True):
+            planned = (touch for touch in optimum if touch.contact == contact)
+            nearest = (min(max(time, touch.start), touch.end) for touch in planned)
+            if not any(are_near(time, touched, near) for touched in nearest):
                 before = tuple(touch for touch in optimum if touch.end < time)
-                seen = (*before, Touch.bounce(time))
+                seen = (*before, Touch.bounce(time, contact))
                 longer = (*seen, *optimum[len(before) :])
                 return [sequence for sequence in (seen, longer) if self._fits(sequence)]
         return []
@@ -124,7 +141,7 @@ class RigidSearch(Search[TouchSequence]):
     def improve(self, sequence: TouchSequence) -> None:
         """Polishes a candidate with the scenario's time step, in its place."""
         coarse, optimum = self.by_sequence[sequence], self._optimum(sequence)
-        num_phases = 1 + sum(len(touch.joints) for touch in optimum)
+        num_phases = 1 + len(joint_times(optimum))
         if self._num_steps == len(coarse.trajectory.controls) or self._num_steps < num_phases:
             return
         self.solve(coarse.origin, self.centers[sequence], optimum, self._polish_again)

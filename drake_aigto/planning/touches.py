@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -21,38 +22,58 @@ _GAP = 0.1
 _LASTING = 4
 
 
+class _Pushes(NamedTuple):
+    """The impulses of one contact that count."""
+
+    contact: int
+    times: npt.NDArray[np.float64]  # [s]
+    sizes: npt.NDArray[np.float64]  # [N s]
+
+    def bounce(self) -> Touch:
+        """Returns a bounce at the mean time of the impulses."""
+        return Touch.bounce(np.average(self.times, weights=self.sizes), self.contact)
+
+    def split(self, gap: float) -> Iterator[_Pushes]:
+        """Yields runs of impulses that follow each other sooner than this [s]."""
+        ends = np.flatnonzero(np.diff(self.times) >= gap) + 1
+        for times, sizes in zip(
+            np.split(self.times, ends), np.split(self.sizes, ends), strict=True
+        ):
+            yield _Pushes(self.contact, times, sizes)
+
+
 def read_sequences(
     transcription: RigidTranscription, x: npt.NDArray[np.float64]
 ) -> list[TouchSequence]:
     """Returns the contact sequences that a box center may stand for, the most literal first.
 
-    A contact is a cluster of impulses. Boxes also split one contact in several, and do not tell a
-    bounce from a contact that lasts. So this reads: every cluster a bounce; all clusters together
-    one bounce, at the mean time of their impulses; and if the wall pushes knot after knot, one
-    contact that lasts.
+    A contact is a cluster of one wall's impulses. Boxes also split one contact in several, and do
+    not tell a bounce from a contact that lasts. So this reads: every cluster a bounce; all clusters
+    of a wall together one bounce, at the mean time of their impulses; and if a wall pushes knot
+    after knot, one contact that lasts instead of that wall's bounces.
 
     Args:
         transcription: whose decision variables these are.
         x: the box center, shape (n,); the rows need not hold.
     """
-    times, sizes = _read_impulses(transcription, x)
-    if not times.size:
+    pushes = _read_impulses(transcription, x)
+    if not pushes:
         return [()]
     T, dt = transcription.scenario.duration, transcription.time_step()
-    starts = np.flatnonzero(np.diff(times) >= _GAP * T) + 1
-    clusters = zip(np.split(times, starts), np.split(sizes, starts), strict=True)
-    bounces = tuple(Touch.bounce(np.average(t, weights=p)) for t, p in clusters)
-    sequences = [bounces, (Touch.bounce(np.average(times, weights=sizes)),)]
-    runs = np.split(times, np.flatnonzero(np.diff(times) > 1.5 * dt) + 1)
-    longest = max(runs, key=len)
-    if len(longest) >= _LASTING:
-        sequences.append((Touch(float(longest[0]), float(longest[-1])),))
-    return sequences
+    bounces = [run.bounce() for one in pushes for run in one.split(_GAP * T)]
+    sequences = [bounces, [one.bounce() for one in pushes]]
+    runs = [run for one in pushes for run in one.split(1.5 * dt)]
+    longest = max(runs, key=lambda run: run.times.size)
+    if longest.times.size >= _LASTING:
+        first, last = map(float, longest.times[[0, -1]])
+        others = [touch for touch in bounces if touch.contact != longest.contact]
+        sequences.append([*others, Touch(first, last, longest.contact)])
+    return [tuple(sorted(sequence, key=lambda touch: touch.start)) for sequence in sequences]
 
 
 def is_same(one: TouchSequence, other: TouchSequence, near: float) -> bool:
     """Returns whether both have the same contacts, at times that `are_near` [s]."""
-    return [touch.lasts for touch in one] == [touch.lasts for touch in other] and all(
+    return _kinds(one) == _kinds(other) and all(
         are_near(mine.start, yours.start, near) and are_near(mine.end, yours.end, near)
         for mine, yours in zip(one, other, strict=True)
     )
@@ -63,14 +84,22 @@ def are_near(one: float, other: float, near: float) -> bool:
     return abs(one - other) <= min(near, max(one, other) / 4)
 
 
-def _read_impulses(
-    transcription: RigidTranscription, x: npt.NDArray[np.float64]
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
-    """Returns the times and sizes of the impulses that belong to contacts, after the start."""
-    world, scenario = transcription.world, transcription.scenario
-    impulses = transcription.impulses(x)[:, 0]
-    kick = np.linalg.norm(world.calc_velocity_change(scenario.initial_position, np.ones(1)))
+def _kinds(sequence: TouchSequence) -> list[tuple[int, bool]]:
+    return [(touch.contact, touch.lasts) for touch in sequence]
+
+
+def _read_impulses(transcription: RigidTranscription, x: npt.NDArray[np.float64]) -> list[_Pushes]:
+    """Returns the impulses that belong to contacts, after the start, of every wall that has any."""
+    world, q0 = transcription.world, transcription.scenario.initial_position
+    impulses = transcription.impulses(x)
+    kicks = [
+        np.linalg.norm(world.calc_velocity_change(q0, one)) for one in np.eye(world.num_contacts)
+    ]
     velocities = transcription.split(x)[1]
-    least = _SHARE * np.max(np.linalg.norm(velocities, axis=1)) / kick
-    pushed = np.flatnonzero(impulses[1:] > least) + 1
-    return transcription.GetSampleTimes()[pushed], impulses[pushed]
+    least = _SHARE * np.max(np.linalg.norm(velocities, axis=1)) / np.array(kicks)
+    times, found = transcription.GetSampleTimes(), []
+    for contact, sizes in enumerate(impulses.T):
+        pushed = np.flatnonzero(sizes[1:] > least[contact]) + 1
+        if pushed.size:
+            found.append(_Pushes(contact, times[pushed], sizes[pushed]))
+    return found

@@ -52,7 +52,9 @@ class LiteralTranscription(Transcription):
         for row in self._dynamics_rows():
             self._bind_stages(shared_constraint(row, DYNAMICS))
         if self.nonpenetration:
-            self._add_nonpenetration(range(1, self.num_samples()))
+            self._bound_distances(
+                np.ones((self.num_samples(), self.world.num_contacts), dtype=bool)
+            )
 
     def _kinematics_rows(self) -> npt.NDArray[np.object_]:
         return self._next_q - self.world.positions - self._dt * self.world.velocities

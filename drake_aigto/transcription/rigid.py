@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import math
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.solvers import MathematicalProgram
+from pydrake.symbolic import Expression
 
 from drake_aigto.errors import OptionsError
+from drake_aigto.transcription.directions import ImpulseDirections
+from drake_aigto.transcription.facings import Fronts, find_facings
 from drake_aigto.transcription.penalties import InequalityPenalty, penalize
 from drake_aigto.transcription.rigid_contact import (
     CONTACT,
@@ -32,61 +37,124 @@ class RigidTranscription(ImpactTranscription):
 
         p_k = M (v_{k+1} − v_k) − dt (B u_k − h̄_k),   h̄_k = h((q_k + q_{k+1})/2, (q_{k+1} − q_k)/dt)
 
-    Along the wall it has to vanish. Across it, with the contact's mass m = (J M⁻¹ Jᵀ)⁻¹, it is
-    λ_k = m J M⁻¹ p_k, and v⁺_k = v_{k+1} − dt M⁻¹ (B u_k − h̄_k) is the velocity after it:
+    Its part in the direction a that walls push in (`ImpulseDirections`) is π_ak, with the mass m_a,
+    and v⁺_k = v_{k+1} − dt M⁻¹ (B u_k − h̄_k) is the velocity after it:
 
         q_{k+1} = q_k + dt v_{k+1} − (dt²/2) M⁻¹ (B u_k − h̄_k)                             "flight"
-        tᵀ p_k = 0 for all t along the wall, J t = 0                                     "dynamics"
-        φ(q_k) λ_k = dt ε, k ≥ 1;  λ_0 = 0, for the start is off the wall                 "contact"
-        λ_k (J v⁺_k + e J v_k) = 0, k ≥ 1                                             "restitution"
-        φ(q_k) ≥ 0, k ≥ 1                                                          "nonpenetration"
+        tᵀ p_k = 0 for all t along all walls, J t = 0                                    "dynamics"
+        π_ak ∏_i φ_i = dt ε Σ_i G_ai ∏_{l≠i} φ_l;  π_a0 = 0, off the walls                 "contact"
+        π_ak (d_a v⁺_k + e d_a v_k) = 0, k ≥ 1                                        "restitution"
+        φ_i(q_k) ≥ 0, k ≥ 1                                                         "nonpenetration"
+
+    Products and sums are over the contacts i that show in direction a: for one wall the contact row
+    is φ λ = dt ε, for two that face each other λ = λ_0 − λ_1 and φ_0 φ_1 λ = dt ε (φ_1 − φ_0). So
+    rows stay polynomials, and their number linear in N. Where directions depend on each other, two
+    bodies between two walls for one, restitution is the one row p_kᵀ (v⁺_k + e v_k) = 0. Walls of
+    different restitution share their mean here.
 
     Flight is exact for a constant h, gravity for one, and the implicit midpoint rule, of second
     order in dt, where there are springs and dampers. For ε = 0 contacts are rigid. With ε > 0 the
     wall pushes a little from afar, λ_k = dt ε/φ_k as in AIGTO Sec. IV, which contradicts its
     restitution: such a program is for penalties, not for a solver that wants its rows met.
 
-    Rows, or their penalties, are divided by their units, those of mass m, the `length_scale` L and
-    T, so that penalty weights mean the same for every scale.
+    Rows, or their penalties, are divided by their units, those of mass m_a, the `length_scale` L
+    and T, so that penalty weights mean the same for every scale.
 
     Args:
-        world: the plant, read; its signed distance has to be affine.
+        world: the plant, read; its signed distances have to be affine.
         scenario: the task, with its restitution e; its ε and δ are the literal transcription's.
         relaxation: ε ≥ 0, in units of m L²/T² [1].
+        path: positions at the knots, shape (N+1, nq) [m]. Of a box with several faces those are in
+            force at each knot which such a motion goes along (`find_facings`), for to be outside of
+            it is no polynomial inequality. If None, the straight line from start to goal.
     """
 
-    def __init__(self, world: World, scenario: Scenario, relaxation: float = 1e-4) -> None:
+    def __init__(
+        self,
+        world: World,
+        scenario: Scenario,
+        relaxation: float = 1e-4,
+        path: npt.NDArray[np.float64] | None = None,
+    ) -> None:
         """Makes the program."""
         if not 0 <= relaxation < np.inf:
             raise OptionsError("relaxation", got=relaxation, expected="a number, 0 or more")
         self.relaxation = relaxation
+        self.impulse_directions = ImpulseDirections.of(world)
+        if path is None:
+            ends = scenario.initial_position, scenario.goal_position
+            path = np.linspace(*ends, scenario.num_steps + 1)
+        self._fronts = _find_fronts(world, scenario, path)
         super().__init__(world, scenario)
 
     def _add_rows(self) -> None:
-        world, dt, contact = self.world, self._dt, self._contact
+        world, dt, ways = self.world, self._dt, self.impulse_directions
         L, T = self.length_scale(), self.scenario.duration
         inverse = np.linalg.inv(world.mass_matrix_values)
         mean_velocity = (self._next_q - world.positions) / dt
         bias = bias_at(world, (world.positions + self._next_q) / 2, mean_velocity)
         kick = dt * inverse @ (world.actuation @ world.controls - bias)  # of control and bias
         after = self._next_v - kick
-        change = after - world.velocities
-        jump = contact.jacobian @ change  # Δφ̇ = λ/m
-        rebound = contact.jacobian @ after
-        approach = contact.jacobian @ world.velocities
-        distance = world.contacts[0].signed_distance
+        impulse = world.mass_matrix_values @ (after - world.velocities)
         for row in self._next_q - world.positions - dt * (self._next_v - kick / 2):
             self._bind_stages(shared_constraint(as_expression(row / L), FLIGHT))
-        for row in contact.tangents.T @ world.mass_matrix_values @ change:
-            row = row / contact.mass * T / L
+        for row in ways.tangents.T @ impulse:
+            row = row / np.max(ways.masses) * T / L
             self._bind_stages(shared_constraint(as_expression(row), DYNAMICS))
-        pushed = distance * jump * T / L**2 - self.relaxation * dt / T
-        self._bind(shared_constraint(as_expression(jump * T / L), CONTACT), 0)
-        self._bind_each(shared_constraint(as_expression(pushed), CONTACT), range(1, len(self._u)))
-        returned = jump * (rebound + self.scenario.restitution * approach) * (T / L) ** 2
-        restitution = shared_constraint(as_expression(returned), RESTITUTION)
-        self._bind_each(restitution, range(1, len(self._u)))
-        self._add_nonpenetration(range(1, self.num_samples()))
+        jumps = ways.readers @ impulse / ways.masses
+        for direction, jump in enumerate(jumps):
+            self._bind(shared_constraint(as_expression(jump * T / L), CONTACT), 0)
+            for members, knots in self._knots_by_members(direction).items():
+                pushed = self._pushed_row(direction, members, jump)
+                self._bind_each(shared_constraint(pushed, CONTACT), knots)
+        for row in self._restitution_rows(jumps, impulse, after):
+            returned = shared_constraint(as_expression(row * (T / L) ** 2), RESTITUTION)
+            self._bind_each(returned, range(1, len(self._u)))
+        self._bound_distances(self._fronts)
+
+    def _knots_by_members(self, direction: int) -> dict[tuple[int, ...], list[int]]:
+        """Returns the contacts in force that show in a direction → at which knots 1 … N−1."""
+        in_force = self._fronts & (self.impulse_directions.shares[direction] != 0)
+        found: dict[tuple[int, ...], list[int]] = {}
+        for k in range(1, len(self._u)):
+            found.setdefault(tuple(np.flatnonzero(in_force[k]).tolist()), []).append(k)
+        return found
+
+    def _pushed_row(self, direction: int, members: tuple[int, ...], jump: Any) -> Expression:
+        """Returns π_a ∏ φ_i − dt ε Σ G_ai ∏_{l≠i} φ_l of one direction, without unit.
+
+        Distances are in units of L; that of a wall which is not the one touched, of two that face
+        each other, as a part of the way between them, which is how far it is then.
+        """
+        world, ways = self.world, self.impulse_directions
+        L, T = self.length_scale(), self.scenario.duration
+        phi = [world.contacts[i].signed_distance / L for i in members]
+        law = sum(
+            (
+                ways.shares[direction, i] * _product(phi[:place] + phi[place + 1 :])
+                for place, i in enumerate(members)
+            ),
+            Expression(0.0),
+        )
+        row = jump * T / L * _product(phi) - self.relaxation * self._dt / T * law
+        total = sum(phi, Expression(0.0)).Expand()
+        is_gap = len(phi) == 2 and total.GetVariables().empty()
+        return as_expression(row / total.Evaluate() if is_gap else row)
+
+    def _restitution_rows(
+        self, jumps: npt.NDArray[Any], impulse: npt.NDArray[Any], after: npt.NDArray[Any]
+    ) -> list[Any]:
+        """Returns jump times missed speed, of each direction if they are independent [m²/s²]."""
+        ways, e = self.impulse_directions, self.world.restitutions(self.scenario)
+        before = self.world.velocities
+        if not ways.are_independent:
+            missed = after + float(np.mean(e)) * before
+            return [impulse @ missed / np.max(ways.masses)]
+        means = [float(np.mean(e[share != 0])) for share in ways.shares]
+        return [
+            jump * (d @ after + mean * (d @ before))
+            for jump, d, mean in zip(jumps, ways.directions, means, strict=True)
+        ]
 
     def cost_scale(self) -> float:
         """Returns what L costs to overcome in T from rest, without a wall.
@@ -110,9 +178,26 @@ class RigidTranscription(ImpactTranscription):
         return penalize(self._prog, inequality, scale=self.scenario.num_steps, units=units)
 
     def impulses(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Returns λ_k, shape (N+1, 1) [N s]; 0 at the last knot: no step follows."""
+        """Returns λ_k, shape (N+1, m) [N s]; 0 at the last knot: no step follows."""
         q, v, u = self.split(x)
         means = zip((q[:-1] + q[1:]) / 2, np.diff(q, axis=0) / self._dt, u, strict=True)
         free = np.array([self.world.calc_acceleration(*stage) for stage in means])
-        jumps = (np.diff(v, axis=0) - self._dt * free) @ self._contact.jacobian
-        return np.append(self._contact.mass * jumps, 0.0)[:, np.newaxis]
+        net = (np.diff(v, axis=0) - self._dt * free) @ self.world.mass_matrix_values
+        distances = self._distances(q[:-1])
+        found = self.impulse_directions.contact_impulses(net, distances, self._fronts[:-1])
+        return np.vstack([found, np.zeros((1, self.world.num_contacts))])
+
+
+def _find_fronts(
+    world: World, scenario: Scenario, path: npt.NDArray[np.float64]
+) -> npt.NDArray[np.bool_]:
+    """Returns which contacts are in force at each knot, shape (N+1, m)."""
+    N, T = scenario.num_steps, scenario.duration
+    facings = find_facings(world, np.linspace(0.0, T, N + 1), path)
+    fronts = Fronts(world, facings, T)
+    times = np.array([0.0, *fronts.times, T])
+    return fronts.at_knots(times, np.round(N * times / T).astype(int).tolist())
+
+
+def _product(factors: Sequence[Expression]) -> Expression:
+    return math.prod(factors, start=Expression(1.0))

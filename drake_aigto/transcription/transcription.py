@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 
 NONPENETRATION = "nonpenetration"
 CLEARANCE = "clearance"
+
+# The least part that a box around a motion has of its last knot's half widths.
+_LEAST_GROWN = 1e-2
 
 
 class Transcription(ABC):
@@ -88,11 +91,18 @@ class Transcription(ABC):
     def _add_rows(self) -> None:
         """Adds the dynamics and contact rows to the program."""
 
-    def _add_nonpenetration(self, knots: Sequence[int]) -> None:
-        """Adds φ(q_k) ≥ 0 for all contacts at these knots."""
-        for i in range(self.world.num_contacts):
-            apart = shared_constraint(self._distance(i), NONPENETRATION, 0.0, np.inf)
-            self._bind_each(apart, knots)
+    def _bound_distances(
+        self,
+        where: npt.NDArray[np.bool_],
+        name: str = NONPENETRATION,
+        lower: float = 0.0,
+        upper: float = np.inf,
+    ) -> None:
+        """Adds lower ≤ φ_i(q_k) ≤ upper where the mask, shape (N+1, m), says so, k ≥ 1."""
+        for i, knots in enumerate(where[1:].T):
+            if np.any(knots):
+                row = shared_constraint(self._distance(i), name, lower, upper)
+                self._bind_each(row, (np.flatnonzero(knots) + 1).tolist())
 
     def _distance(self, contact: int) -> Expression:
         """Returns φ of a contact in placeholders, as its clearance if it reads several positions.
@@ -326,18 +336,48 @@ class Transcription(ABC):
         braking), cut to the program's bounds.
         Variables that the program fixes get half width 0.
         """
-        world, scenario = self.world, self.scenario
-        q0, goal, T = scenario.initial_position, scenario.goal_position, scenario.duration
-        length, inertia = self.length_scale(), self.inertia()
+        scenario = self.scenario
+        q0, goal = scenario.initial_position, scenario.goal_position
         path = np.linspace(q0, goal, self.num_samples())
-        speed = np.broadcast_to((goal - q0) / T, self._v.shape)
-        center = self.vector_of(path, speed, np.zeros(self._u.shape))
-        reach = length * np.sum(np.abs(world.calc_contact_jacobian(q0)), axis=1)
+        speed = np.broadcast_to((goal - q0) / scenario.duration, self._v.shape)
+        return self._box(path, speed, np.ones(self.num_samples()))
+
+    def box_around(
+        self,
+        positions: npt.NDArray[np.float64],
+        velocities: npt.NDArray[np.float64],
+        share: float,
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Returns center and half width of a box around a motion, narrow at first.
+
+        Half widths are those of `initial_box` times share · (t/T)², as far off as a push of unknown
+        size leads, but at least a hundredth of the last ones. Controls are around zero.
+
+        Args:
+            positions: q at the knots, shape (N+1, nq) [m].
+            velocities: v at the knots, shape (N+1, nv) [m/s].
+            share: of the first box's size, at the end.
+        """
+        grown = np.maximum(np.linspace(0, 1, self.num_samples()) ** 2, _LEAST_GROWN)
+        return self._box(positions, velocities, share * grown)
+
+    def _box(
+        self,
+        positions: npt.NDArray[np.float64],
+        velocities: npt.NDArray[np.float64],
+        shares: npt.NDArray[np.float64],
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Returns center and half width, the latter times a share at each knot, within bounds."""
+        q0, T = self.scenario.initial_position, self.scenario.duration
+        length, inertia = self.length_scale(), self.inertia()
+        center = self.vector_of(positions, velocities, np.zeros(self._u.shape))
+        reach = length * np.sum(np.abs(self.world.calc_contact_jacobian(q0)), axis=1)
+        column = shares[:, np.newaxis]
         half_width = self._join(
-            np.full(self._q.shape, length),
-            np.full(self._v.shape, 2 * length / T),
-            np.full(self._u.shape, 4 * inertia * length / T**2),
-            np.broadcast_to(reach[self._clearance_contacts], self._clearances.shape),
+            length * np.broadcast_to(column, self._q.shape),
+            2 * length / T * np.broadcast_to(column, self._v.shape),
+            4 * inertia * length / T**2 * np.broadcast_to(column[-1], self._u.shape),
+            column * reach[self._clearance_contacts],
         )
         return cut_to_bounds(self._prog, center, half_width)
 

@@ -1,0 +1,131 @@
+"""The directions that contacts push in: a net impulse taken apart, without forces as variables."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.optimize import nnls
+
+from drake_aigto.transcription.rigid_contact import RigidContact
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from drake_aigto.world import World
+
+# Jacobians are parallel, or directions dependent, within this.
+_PARALLEL = 1e-9
+# How much a push from afar counts against one from nearby, where impulses could be either's.
+_AFAR = 1e-3
+
+
+@dataclass(frozen=True, eq=False)
+class ImpulseDirections:
+    """What of a net impulse p = Σ_i J_iᵀ λ_i each direction holds: π = R p = G λ.
+
+    Contacts whose Jacobians are parallel share a direction d_a; two opposite walls for one. If
+    the directions are independent, R = (D M⁻¹ Dᵀ)⁻¹ D M⁻¹ for the rows D of all d_a, so that a
+    contact shows in its own direction only. If not, as for two bodies between two walls, which push
+    in three ways on two coordinates, directions are the coordinates, R = I, and a contact between
+    bodies shows in both of theirs. Either way a direction holds few contacts, and the law λ_i φ_i =
+    dt ε leaves
+
+        π_a ∏_i φ_i = dt ε Σ_i G_ai ∏_{l≠i} φ_l        over the contacts i with G_ai ≠ 0
+
+    without any λ.
+
+    Attributes:
+        jacobians: J, shape (m, nv), constant.
+        directions: D, shape (r, nv).
+        readers: R, shape (r, nv).
+        shares: G = R Jᵀ, shape (r, m).
+        masses: (d_a M⁻¹ d_aᵀ)⁻¹, shape (r,) [kg].
+        tangents: basis of the velocities along all walls, J t = 0, shape (nv, nv − rank J).
+        are_independent: whether no direction is a combination of others.
+    """
+
+    jacobians: npt.NDArray[np.float64]
+    directions: npt.NDArray[np.float64]
+    readers: npt.NDArray[np.float64]
+    shares: npt.NDArray[np.float64]
+    masses: npt.NDArray[np.float64]
+    tangents: npt.NDArray[np.float64]
+    are_independent: bool
+
+    @classmethod
+    def of(cls, world: World) -> ImpulseDirections:
+        """Returns the directions of a world.
+
+        Raises:
+            ModelError: some φ is not affine in q.
+        """
+        contacts = [RigidContact.of(world, i) for i in range(world.num_contacts)]
+        J = np.array([contact.jacobian for contact in contacts])
+        inverse = np.linalg.inv(world.mass_matrix_values)
+        D = _distinct(J)
+        _, sizes, basis = np.linalg.svd(J)
+        rank = int(np.sum(sizes > _PARALLEL * sizes[0]))
+        are_independent = len(D) == rank
+        if are_independent:
+            R = np.asarray(np.linalg.solve(D @ inverse @ D.T, D @ inverse), dtype=np.float64)
+        else:
+            D = R = np.eye(J.shape[1])[np.any(np.abs(J) > _PARALLEL, axis=0)]
+        shares = R @ J.T
+        shares[np.abs(shares) < _PARALLEL] = 0.0
+        masses = np.array([1 / float(d @ inverse @ d) for d in D])
+        return cls(J, D, R, shares, masses, basis[rank:].T, are_independent)
+
+    def contact_impulses(
+        self,
+        impulses: npt.NDArray[np.float64],
+        distances: npt.NDArray[np.float64],
+        in_force: npt.NDArray[np.bool_],
+    ) -> npt.NDArray[np.float64]:
+        """Returns λ of net impulses: each direction's goes to the nearest wall that pushes so.
+
+        What nothing can push, a pull, is the nearest wall's too. Where directions depend on each
+        other, λ ≥ 0 are those that explain p best, pushes from nearby before those from afar.
+
+        Args:
+            impulses: p, shape (K, nv) [N s].
+            distances: φ at these knots, shape (K, m) [m].
+            in_force: which contacts there are at these knots, shape (K, m).
+
+        Returns:
+            Shape (K, m) [N s].
+        """
+        if not self.are_independent:
+            return np.array(list(map(self._explain, impulses, distances, in_force)))
+        found = np.zeros(distances.shape)
+        for reader, share in zip(self.readers, self.shares, strict=True):
+            pushes = impulses @ reader
+            # The last key counts first: those in force, then those that push, then the nearest.
+            cannot = np.sign(share) != np.sign(pushes)[:, np.newaxis]
+            is_none = ~in_force | (share == 0)
+            chosen = np.lexsort((distances, cannot, is_none), axis=1)[:, 0]
+            rows = np.flatnonzero(~np.take_along_axis(is_none, chosen[:, np.newaxis], 1)[:, 0])
+            found[rows, chosen[rows]] = pushes[rows] / share[chosen[rows]]
+        return found
+
+    def _explain(
+        self,
+        impulse: npt.NDArray[np.float64],
+        distances: npt.NDArray[np.float64],
+        in_force: npt.NDArray[np.bool_],
+    ) -> npt.NDArray[np.float64]:
+        """Returns λ ≥ 0 of one net impulse, shape (m,)."""
+        prices = _AFAR * np.abs(distances) / max(np.max(np.abs(distances)), 1e-300)
+        matrix = np.vstack([self.jacobians.T, np.diag(prices)]) * in_force
+        return nnls(matrix, np.append(impulse, np.zeros(len(prices))))[0]
+
+
+def _distinct(jacobians: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Returns those rows that are parallel to none before them."""
+    kept: list[npt.NDArray[np.float64]] = []
+    for row in jacobians:
+        unit = row / np.linalg.norm(row)
+        if all(abs(unit @ other) < np.linalg.norm(other) * (1 - _PARALLEL) for other in kept):
+            kept.append(row)
+    return np.array(kept)
