@@ -117,6 +117,8 @@ def test_coupled_contacts_push_and_never_pull() -> None:
     assert between == pytest.approx(-2 * motion.velocities[k, 1])
     x = found.phases.vector(motion)
     np.testing.assert_allclose(x, found.x, atol=1e-12)
+    # Equal elastic balls end alike if their impacts come one after the other.
+    assert found.replay().cost == pytest.approx(found.cost, rel=1e-4)
 
 
 # Rest on one, bounce off another.
@@ -152,6 +154,7 @@ def test_it_slides_along_a_floor_and_bounces_off_a_wall_meanwhile() -> None:
     # The wall does not lift it, nor does the floor push it on.
     (k,) = np.flatnonzero(motion.impulses[:, 0])
     assert motion.velocities[k, 1] == pytest.approx(0, abs=1e-6)
+    assert found.replay().cost == pytest.approx(found.cost, rel=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -121,6 +121,9 @@ def test_a_bounce_off_the_block_unfolds() -> None:
     (touch,) = found.touches
     assert touch.contact == LEFT
     assert np.min(clearances(found)) > -1e-9
+    replay = found.replay()
+    assert replay.cost == pytest.approx(found.cost, rel=1e-6)
+    assert replay.bounce_contacts == (LEFT,)
 
 
 def test_a_face_is_touched_within_its_edges() -> None:

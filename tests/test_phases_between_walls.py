@@ -64,6 +64,15 @@ def check_unfolds(found: Solved, axes: int) -> None:
         np.testing.assert_allclose(fold(q), motion.positions[k + 1], atol=1e-7)
 
 
+def check_replays(found: Solved) -> None:
+    """The exactly rigid walls do to its control what was planned."""
+    replay = found.replay()
+    assert replay.cost == pytest.approx(found.cost, rel=1e-6, abs=1e-12)
+    assert replay.max_penetration < 1e-9
+    assert replay.bounce_times == pytest.approx([t.start for t in found.touches], abs=1e-7)
+    assert sorted(replay.bounce_contacts) == sorted(touch.contact for touch in found.touches)
+
+
 # A corridor.
 
 
@@ -96,6 +105,7 @@ def test_corridors_cost_what_they_should(q: float, goal: float, bounces: int, pu
     found = optimise(load("corridor"), scenario_of("corridor", flight), *evenly(sequence))
     assert found.cost == pytest.approx(flight.cost, rel=5e-3)
     check_unfolds(found, axes=1)
+    check_replays(found)
 
 
 @pytest.mark.parametrize("e", [1.0, 0.8])
@@ -104,6 +114,7 @@ def test_drakes_solver_finds_the_same(bounces: int, e: float) -> None:
     flight = fly(0.4, 0.7, bounces, push=0.5)
     scenario = scenario_of("corridor", flight, e=e)
     found = optimise(load("corridor"), scenario, *evenly(touches_of(flight)))
+    check_replays(found)
     start = found.phases.vector(found.phases.guess())
     other = solve_with_drake(found.phases.prog(), start, "snopt")
     assert found.phases.scenario_cost(other.x) == pytest.approx(found.cost, rel=1e-4)
@@ -134,6 +145,7 @@ def test_rooms_unfold_along_both_axes(
     found = optimise(load("room"), scenario_of("room", *flights), *shifted)
     assert found.cost == pytest.approx(cost, rel=5e-3)
     check_unfolds(found, axes=2)
+    check_replays(found)
 
 
 @pytest.mark.parametrize("bounces", [-1, 1, 2])
@@ -147,6 +159,7 @@ def test_two_walls_at_once(bounces: int) -> None:
     assert found.cost == pytest.approx(2 * flights[0].cost, rel=1e-3)
     assert len(found.phases.timeline.phases) == abs(bounces) + 1
     check_unfolds(found, axes=2)
+    check_replays(found)
 
 
 def test_into_a_corner_one_after_the_other_and_at_once_cost_the_same() -> None:
@@ -189,6 +202,7 @@ def test_a_ball_that_drops_and_bounces_by_itself_costs_nothing(bounces: int, e: 
     found = optimise(load("floor"), scenario, *guess)
     assert found.cost == pytest.approx(0.0, abs=1e-10)
     assert [touch.start for touch in found.touches] == pytest.approx(times, rel=1e-4)
+    check_replays(found)
 
 
 @settings(max_examples=15)
@@ -233,6 +247,7 @@ def test_two_masses_pass_through_each_other(
     found = optimise(load("two_masses"), scenario, *sequence)
     cost = sum(flight.cost for flight in flights)
     assert found.cost == pytest.approx(cost, rel=5e-3, abs=1e-9)
+    check_replays(found)
 
 
 # Restitution of each contact.
