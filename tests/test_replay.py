@@ -63,7 +63,7 @@ def test_what_a_compliant_wall_does_to_the_end_is_known_beforehand(e: float, spe
     rigid = replay_event_driven(world, scenario, *hold(0.0))
     drake = replay_drake(world, scenario, *hold(0.0))
     missed = abs(rigid.positions[-1, 0] - drake.positions[-1, 0])
-    assert 0.7 * drake.compliance_error < missed < drake.compliance_error
+    assert 0.65 * drake.compliance_error < missed < drake.compliance_error
     assert rigid.compliance_error == rigid.compliance_cost == 0
     nearer = drake.goal_error - drake.compliance_error
     explained = 3.0 * (drake.goal_error**2 - max(nearer, 0.0) ** 2)

@@ -36,10 +36,8 @@ class Replay(ArrayRecord):
             compared with T.
         compliance_error: "drake" only: how far the end should be, at most, from where rigid walls
             lead [m]. A contact lasts τ = π √(m/k), which delays what follows and loses what the
-            control adds meanwhile, and no dissipation brings restitution below 1e-3. After one
-            impact at speed v, time t and push φ̈ that is e v τ + |φ̈| τ (T − t) +
-            (1e-3 − e)₊ v (T − t) and some hundredths; `calc_compliance_error` has all of it, and
-            what later impacts make of it.
+            control adds meanwhile: of one elastic impact, τ times the last speed. All of it is in
+            `calc_compliance_error`.
         compliance_cost: what of the cost this explains at most.
         matched_speeds: "drake" only, restitution < 1 only: the speeds, in the order of time, for
             which the dissipation was set to give each impact its restitution [m/s]. The slowest are
