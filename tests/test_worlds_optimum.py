@@ -11,13 +11,20 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from line_rivals import SAMPLES, Leg, legs_of
 from replay_worlds import make_diagram, make_scenario, shipped_world
 
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.study import rigid_optimum
-from drake_aigto.study.masses_optimum import _list_sequences, _make_pair, _Sequence, masses_optimum
-from drake_aigto.study.walls_optimum import ContactOptimum, walls_optimum
-from drake_aigto.study.world_scenarios import WORLDS
+from drake_aigto.planning import replay_event_driven
+from drake_aigto.study import (
+    WORLDS,
+    ContactOptimum,
+    masses_optimum,
+    rigid_optimum,
+    walls_optimum,
+)
+from drake_aigto.study.line_optimum import Bounce, Line, Wall
+from drake_aigto.study.masses_optimum import _list_sequences, _make_pair, _Sequence
 from drake_aigto.world import Scenario, World
 
 
@@ -97,6 +104,7 @@ def ends(scenario: Scenario, axis: int) -> dict[str, float]:
     return {name: float(getattr(scenario, name)[axis]) for name in names}
 
 
+@settings(max_examples=8)
 @given(seeds)
 def test_touches_are_in_the_order_of_time_and_within_it(seed: int) -> None:
     for name in WORLDS:
@@ -180,6 +188,37 @@ def test_listed_sequences_are_all_different_and_repeat_no_contact() -> None:
             assert all(kind == 1 and len(feels) == 2 for kind in repeated)
 
 
+# A block in the room.
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_room_with_a_block_costs_no_more_than_the_empty_one_if_that_is_clear(seed: int) -> None:
+    scenario = draw("room_with_block", seed)
+    empty = dataclasses.replace(scenario, model=draw("room", 0).model)
+    optimum, other = solve("room_with_block", scenario), solve("room", empty)
+    if is_off_block(scenario, other):
+        assert optimum.cost <= other.cost * (1 + 1e-9)
+    else:
+        assert optimum.cost != pytest.approx(other.cost, rel=1e-6)
+
+
+def test_a_block_on_the_way_is_passed_at_its_corner_or_bounced_off() -> None:
+    # Straight across the middle, at rest: the way around touches nothing, and passes corners.
+    scenario = draw(
+        "room_with_block",
+        0,
+        initial_position=[0.3, 0.35],
+        initial_velocity=[0.0, 0.0],
+        goal_position=[0.45, 0.7],
+        restitution=1.0,
+    )
+    straight = 3e-3 * np.sum((scenario.goal_position - scenario.initial_position) ** 2) / 1.5**3
+    around = solve("room_with_block", scenario)
+    assert around.touches == ()
+    # The line passes 0.4 at 0.58, inside the block: a detour, but a short one.
+    assert straight < around.cost < 1.5 * straight
+
+
 # Random scenarios.
 
 
@@ -192,6 +231,100 @@ def test_random_scenarios_fit_their_world_and_are_the_same_again(name: str) -> N
     assert {scenario.restitution for scenario in scenarios} == set(study.restitutions)
     for scenario in scenarios:
         world_of(name).check(scenario)
+
+
+# The optimal control, replayed.
+
+
+def axis_line(scenario: Scenario, axis: int) -> Line:
+    """Returns the problem of one axis, in unit time; a wall for each contact, if of this axis."""
+    name = scenario.model.rpartition("/")[2].removesuffix(".sdf")
+    world, T, q = world_of(name), scenario.duration, scenario.initial_position
+    distances, jacobian = world.calc_signed_distance(q), world.calc_contact_jacobian(q)
+    walls = tuple(
+        Wall(q[axis] - distances[i] / J[axis], int(J[axis]), scenario.restitution)
+        if J[axis]
+        else Wall(0.0, 0, 0.0)
+        for i, J in enumerate(jacobian)
+    )
+    return Line(
+        position=q[axis],
+        velocity=scenario.initial_velocity[axis] * T,
+        goal=scenario.goal_position[axis],
+        weight=scenario.goal_weight * T**3 / scenario.control_weight,
+        gravity=world.bias[axis].Evaluate() * T**2,
+        walls=walls,
+    )
+
+
+def axis_legs(scenario: Scenario, optimum: ContactOptimum, axis: int) -> list[Leg]:
+    """Returns the flights of one axis, in unit time."""
+    line, T = axis_line(scenario, axis), scenario.duration
+    bounces = [
+        Bounce(touch.start / T, touch.contact, touch.impact_speed * T)
+        for touch in optimum.touches
+        if line.walls[touch.contact].side
+    ]
+    return legs_of(line, bounces)
+
+
+def passes_corner(scenario: Scenario, optimum: ContactOptimum) -> bool:
+    """Returns whether the optimum is dearer than its touches alone make it."""
+    cost = 0.0
+    for axis in range(len(scenario.initial_position)):
+        line, legs = axis_line(scenario, axis), axis_legs(scenario, optimum, axis)
+        cost += sum(leg.effort(line.gravity) for leg in legs)
+        cost += line.weight * (legs[-1].path()[-1] - line.goal) ** 2
+    return optimum.cost > cost * scenario.control_weight / scenario.duration**3 * (1 + 1e-6) + 1e-12
+
+
+def is_off_block(scenario: Scenario, optimum: ContactOptimum) -> bool:
+    paths = []
+    for axis in range(2):
+        legs = axis_legs(scenario, optimum, axis)
+        starts = np.cumsum([0.0, *(leg.time for leg in legs[:-1])])
+        times = np.concatenate(
+            [t + leg.time * SAMPLES for t, leg in zip(starts, legs, strict=True)]
+        )
+        path = np.concatenate([leg.path() for leg in legs])
+        paths.append(np.interp(np.linspace(0, 1, 5001), times, path))
+    return not np.any(np.max(np.abs(np.array(paths) - 0.5), axis=0) < 0.1 - 1e-6)
+
+
+def optimal_controls(
+    scenario: Scenario, optimum: ContactOptimum, steps: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Returns knots, those of touches among them, and what forces are in the middle between."""
+    T = scenario.duration
+    knots = np.unique([*np.linspace(0, T, steps + 1), *(t.start for t in optimum.touches)])
+    middles = (knots[1:] + knots[:-1]) / 2 / T
+    columns = []
+    for axis in range(len(scenario.initial_position)):
+        legs = axis_legs(scenario, optimum, axis)
+        gravity = axis_line(scenario, axis).gravity
+        starts = np.cumsum([0.0, *(leg.time for leg in legs[:-1])])
+        which = np.searchsorted(starts, middles, side="right") - 1
+        u = [
+            legs[i].a + legs[i].b * (t - starts[i]) + gravity
+            for i, t in zip(which, middles, strict=True)
+        ]
+        columns.append(np.array(u) / T**2)
+    return knots, np.column_stack(columns)
+
+
+@pytest.mark.parametrize("name", ["corridor", "floor", "room", "room_with_block"])
+@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("e", [1.0, 0.8])
+def test_the_replayed_optimum_touches_and_costs_as_it_says(name: str, seed: int, e: float) -> None:
+    scenario = draw(name, seed, restitution=e)
+    optimum = solve(name, scenario)
+    if any(touch.lasts for touch in optimum.touches) or passes_corner(scenario, optimum):
+        return
+    knots, controls = optimal_controls(scenario, optimum, 1000)
+    replay = replay_event_driven(world_of(name), scenario, knots, controls)
+    assert replay.cost == pytest.approx(optimum.cost, rel=1e-3, abs=1e-9)
+    assert replay.bounce_contacts == optimum.contacts
+    assert replay.bounce_times == pytest.approx([t.start for t in optimum.touches], abs=1e-4)
 
 
 # Bad input.
@@ -228,12 +361,17 @@ def test_one_mass_is_no_pair() -> None:
         masses_optimum(world_of("corridor"), draw("corridor", 0))
 
 
+def test_a_room_without_a_box_is_refused_where_one_is_expected() -> None:
+    with pytest.raises(ModelError, match="expected four walls and one box across two axes"):
+        block_optimum(world_of("room"), draw("room", 0))
+
+
 def test_a_room_is_no_pair() -> None:
     with pytest.raises(ModelError, match=r"got ∂φ/∂q = \[\(1.0, 0.0\), \(-1.0, 0.0\)"):
         masses_optimum(world_of("room"), draw("room", 0))
 
 
 def test_a_scenario_of_another_world_is_refused() -> None:
-    for optimum in (walls_optimum, masses_optimum):
+    for optimum in (walls_optimum, masses_optimum, block_optimum):
         with pytest.raises(ScenarioError, match="mass: got 3 kg, expected None, the model's"):
             optimum(world_of("corridor"), draw("corridor", 0, mass=3.0))
