@@ -22,7 +22,6 @@ from drake_aigto.transcription.rigid_contact import (
 from drake_aigto.transcription.shared import SharedEvaluator, as_expression, shared_constraint
 from drake_aigto.transcription.timeline import check_sequence, make_timeline
 from drake_aigto.transcription.touch import Touch, TouchSequence, joint_times
-from drake_aigto.transcription.transcription import NONPENETRATION
 from drake_aigto.world import Scenario, World
 
 if TYPE_CHECKING:
@@ -122,9 +121,11 @@ class PhaseTranscription(ImpactTranscription):
     def _add_rows(self) -> None:
         if self._has_clock:
             self._add_clock()
-        self._add_distances()
-        self._add_touches()
         line = self.timeline
+        self._bound_distances(line.apart)
+        self._bound_distances(line.beside, lower=-np.inf, upper=0.0)
+        self._bound_distances(line.held, CONTACT, upper=0.0)
+        self._add_touches()
         rows: dict[bytes, list[SharedEvaluator]] = {}
         for k in range(len(self._u)):
             kind = line.struck[k].tobytes() + line.rests[k].tobytes()
@@ -148,20 +149,6 @@ class PhaseTranscription(ImpactTranscription):
         self._prog.AddBoundingBoxConstraint([0, T], [0, T], ends).evaluator().set_description(
             "duration"
         )
-
-    def _add_distances(self) -> None:
-        """Adds where the ball is at a wall, and where it is before or beside it."""
-        line = self.timeline
-        for mask, name, lower, upper in (
-            (line.apart, NONPENETRATION, 0.0, np.inf),
-            (line.held, CONTACT, 0.0, 0.0),
-            (line.beside, NONPENETRATION, -np.inf, 0.0),
-        ):
-            for i in range(self.world.num_contacts):
-                knots = np.flatnonzero(mask[1:, i]) + 1
-                if knots.size:
-                    row = shared_constraint(self._distance(i), name, lower, upper)
-                    self._bind_each(row, knots.tolist())
 
     def _add_touches(self) -> None:
         """Adds how the ball comes to walls, and that no wall pulls."""

@@ -33,13 +33,11 @@ class RigidContact:
         jacobian: J = ∂φ/∂q, shape (nv,).
         lift: how an impulse that changes φ̇ by one changes v, M⁻¹ Jᵀ / (J M⁻¹ Jᵀ), shape (nv,).
         mass: what the wall feels, (J M⁻¹ Jᵀ)⁻¹ [kg].
-        tangents: basis of the velocities along the wall, J t = 0, shape (nv, nv − 1).
     """
 
     jacobian: npt.NDArray[np.float64]
     lift: npt.NDArray[np.float64]
     mass: float
-    tangents: npt.NDArray[np.float64]
 
     @classmethod
     def of(cls, world: World, index: int = 0) -> RigidContact:
@@ -61,16 +59,7 @@ class RigidContact:
         impulse[index] = 1.0
         kick = world.calc_velocity_change(np.zeros(world.num_positions), impulse)
         mass = 1 / float(J @ kick)
-        tangents = np.linalg.svd(J[np.newaxis])[2][1:].T
-        return cls(J, mass * kick, mass, tangents)
-
-    def impact_map(self, restitution: float) -> npt.NDArray[np.float64]:
-        """Returns R with v⁺ = R v⁻, so that J v⁺ = −e J v⁻, shape (nv, nv)."""
-        nv = len(self.jacobian)
-        R: npt.NDArray[np.float64] = np.eye(nv) - (1 + restitution) * np.outer(
-            self.lift, self.jacobian
-        )
-        return R
+        return cls(J, mass * kick, mass)
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,7 +117,6 @@ class ImpactTranscription(Transcription):
     def __init__(self, world: World, scenario: Scenario) -> None:
         """Reads the contacts, then makes the program."""
         self._contacts = tuple(RigidContact.of(world, i) for i in range(world.num_contacts))
-        self._contact = self._contacts[0]
         super().__init__(world, scenario)
 
     def defects(self, x: npt.NDArray[np.float64]) -> dict[str, float]:
