@@ -19,6 +19,7 @@ from drake_aigto.planning import replay_event_driven
 from drake_aigto.study import (
     WORLDS,
     ContactOptimum,
+    block_optimum,
     masses_optimum,
     rigid_optimum,
     walls_optimum,
