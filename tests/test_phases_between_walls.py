@@ -22,6 +22,7 @@ from unfolded_flights import (
 
 from drake_aigto import Scenario, World
 from drake_aigto.local.drake_solvers import solve_with_drake
+from drake_aigto.study.walls_optimum import walls_optimum
 from drake_aigto.transcription import PhaseTranscription, Touch, TouchSequence
 
 T = 1.5
@@ -118,6 +119,31 @@ def test_drakes_solver_finds_the_same(bounces: int, e: float) -> None:
     start = found.phases.vector(found.phases.guess())
     other = solve_with_drake(found.phases.prog(), start, "snopt")
     assert found.phases.scenario_cost(other.x) == pytest.approx(found.cost, rel=1e-4)
+
+
+@pytest.mark.parametrize("model", ["corridor", "floor", "room"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_the_known_optimum_is_polished_from_its_contacts(model: str, seed: int) -> None:
+    # Listed sequences, with Newton's method for each: nothing of it is a knot or a phase.
+    rng = np.random.default_rng(seed)
+    size = load(model).num_positions
+    scenario = Scenario(
+        model=MODELS.format(model),
+        initial_position=rng.uniform(0.2, 0.8, size),
+        initial_velocity=rng.uniform(-2.5, 2.5, size),
+        goal_position=rng.uniform(0.2, 0.8, size),
+        time_step=0.0125,
+        restitution=0.8,
+    )
+    known = walls_optimum(load(model), scenario, most_touches=3)
+    sequence = [Touch(touch.start, touch.end, touch.contact) for touch in known.touches]
+    found = optimise(load(model), scenario, *sequence)
+    assert found.cost == pytest.approx(known.cost, rel=0.01)
+    assert found.cost > known.cost * (1 - 1e-9)
+    assert [t.start for t in found.touches] == pytest.approx(
+        [t.start for t in known.touches], abs=0.01
+    )
+    check_replays(found)
 
 
 # A room.
