@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drake_aigto.aigo import Box, BoxSearch, Candidate, FaceFlow
+from drake_aigto.aigo import Box, BoxSearch, Candidate, FaceFlow, box_search
 from drake_aigto.aigo.newton import BoundedPointObjective, newton
 from drake_aigto.box import BoxPolynomial, Factor, FunctionKind, Term, TermBlock
 from drake_aigto.errors import OptionsError
@@ -217,3 +217,16 @@ def test_the_best_that_no_polish_led_to_is_told_apart() -> None:
     assert not found.unpolished.is_polished and found.unpolished.cost > 0
     alone = BoxSearch(rounds=4).run(f, box)
     assert alone.unpolished is alone.best
+
+
+def test_only_renewals_that_lead_below_the_best_get_all_their_newton_steps(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    f, box = rosenbrock_pair(), Box(np.zeros(2), np.full(2, 3.0))
+    search = BoxSearch(first=(FaceFlow(max_steps=1),), newton_steps=60, rounds=30, patience=30)
+    found = {}
+    for steps in (2, 60):
+        monkeypatch.setattr(box_search, "_TRIAL_STEPS", steps)
+        found[steps] = search.run(f, box)
+        assert found[steps].best.cost < 1e-10 and found[steps].num_rounds == 30
+    assert found[2].num_steps < 0.9 * found[60].num_steps

@@ -27,7 +27,7 @@ from pydrake.symbolic import max as smax
 from pydrake.symbolic import min as smin
 
 from drake_aigto import OptionsError, UnsupportedTermError
-from drake_aigto.box import FunctionKind, compile_program
+from drake_aigto.box import FunctionKind, compile_program, expressions
 from drake_aigto.box.reference import exact_mean, relative_error
 
 
@@ -335,3 +335,17 @@ def test_unnamed_costs_go_by_their_type() -> None:
     prog.AddCost(x[0] ** 2)
     add(prog, x[0] ** 4)
     assert set(compile_program(prog).weights) == {"LinearCost", "QuadraticCost", "ExpressionCost"}
+
+
+def test_costs_that_are_too_many_terms_as_one_are_parsed_each(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(expressions, "MAX_TERMS", 8)
+    prog, x = program()
+    add(prog, (x[0] + x[1]) ** 5, "power")
+    add(prog, (x[0] + 2 * x[1]) ** 4, "power")
+    f = compile_program(prog)
+    assert f.num_terms == 6 + 5
+    point = np.linspace(0.5, 1.0, prog.num_vars())
+    u, v = point[:2]
+    assert f(point) == pytest.approx((u + v) ** 5 + (u + 2 * v) ** 4, rel=1e-13)

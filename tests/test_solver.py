@@ -348,3 +348,14 @@ def test_random_programs_never_crash_and_never_lie() -> None:
         if result.is_success():
             assert np.all(np.isfinite(x)) and np.isfinite(result.get_optimal_cost())
             assert not result.GetInfeasibleConstraints(prog, 1e-5)
+
+
+def test_where_rounding_hides_which_point_is_better_the_formula_decides() -> None:
+    # Multiplied out, (x − 1000)⁶ is known to 1e-13 of 1000⁶ only: to 1e5.
+    prog = MathematicalProgram()
+    (x,) = prog.NewContinuousVariables(1, "x")
+    add_cost(prog, (x - 1000) ** 6)
+    prog.AddBoundingBoxConstraint(990, 1010.5, [x])
+    result = AigoSolver(AigoOptions(rounds=5)).Solve(prog, [1000.0])
+    assert result.get_optimal_cost() == (result.GetSolution(x) - 1000) ** 6
+    assert result.get_optimal_cost() <= 1e-12

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -24,6 +24,7 @@ _NODES = _NODES + 0.5
 
 _FIRST = FaceFlow(pace=Pace.EACH)
 _RENEWAL = FaceFlow(share=0.5, least_shrink=0.1, final_width=0.2)
+_TRIAL_STEPS = 20  # Newton steps of a renewal, before it has to be lower than the best for more
 _BOLD_STEPS = 12  # Newton steps of many clusters at once; those that need more are left
 _IDLE_TERMS = 2e7  # terms evaluated in rounds without a lower f that end the search: half a second
 _ROUNDING = 1e-9  # an f that is lower by this part of itself or less does not count as lower
@@ -91,7 +92,8 @@ class BoxSearch:
         cluster_sizes: largest numbers of variables in a cluster, in turn; between any two, all
             variables are opened. A size that fails rests for some turns.
         least_width: a renewed box is at least this part of the first one's width, in (0, 1].
-        newton_steps: the most Newton steps after a box has shrunk.
+        newton_steps: the most Newton steps after a box has shrunk; a renewed one gets 20, and the
+            rest only if they have led below the best.
         polished_renewals: of the renewals of all variables, every second is polished, whether it
             is lower or not, and so many at most: for an f that stands in for what a polish
             minimises, as penalties do for constraints.
@@ -158,18 +160,18 @@ class _Search:
         self._candidates: list[Candidate] = []
         self._best = self._unpolished = self._candidate(box.center, "the middle of the first box")
         self._num_boxes = self._num_steps = self._num_of_all = 0
+        self._num_rounds = 0
 
     def run(self) -> SearchResult:
         """Runs the first algorithms, the rounds, and polishes what they lead to."""
-        widths, rounds = [], 0
+        widths = []
         try:
             for algorithm in self._options.first:
                 widths.append(self._shrink_first(algorithm))
-            for number in self._renew():
-                rounds = number
+            self._renew()
         except KeyboardInterrupt:
             pass
-        if rounds and self._polish is not None:
+        if self._num_rounds and self._polish is not None:
             self._offer(
                 self._polish(self._best.x), f"polish of: {self._best.origin}", is_polished=True
             )
@@ -179,7 +181,7 @@ class _Search:
             tuple(self._candidates),
             self._num_boxes,
             self._num_steps,
-            rounds,
+            self._num_rounds,
             tuple(widths),
         )
 
@@ -197,16 +199,16 @@ class _Search:
             self._offer(self._polish(x), name + ", polished", is_polished=True)
         return tuple(iterate.box.mean_half_width for iterate in result.history)
 
-    def _renew(self) -> Iterator[int]:
-        """Yields the number of rounds after each."""
+    def _renew(self) -> None:
+        """Runs the rounds, until they no longer lower f."""
         sizes = _Sizes(self._options.cluster_sizes, self._f.num_variables)
         idle, since = 0, self._num_steps
         for number in range(1, self._options.rounds + 1):
+            self._num_rounds = number
             improved = self._round(sizes.next(), number)
             sizes.learn(improved)
             idle = 0 if improved else idle + 1
             since = self._num_steps if improved else since
-            yield number
             idle_terms = (self._num_steps - since) * self._f.num_terms
             if idle >= self._options.patience or idle_terms >= _IDLE_TERMS:
                 return
@@ -250,13 +252,24 @@ class _Search:
         objective = BoundedPointObjective(f, free, self._lower, self._upper, 1e-6)
         start = np.clip(x, self._lower, self._upper)[f.order]
         if together:
-            result = newton(objective, start, self._options.newton_steps, damping=0.0)
-            y, steps = result.y, result.steps
+            y, steps = self._descend_together(objective, start)
         else:
             y, steps = bold_newton(objective, start, min(self._options.newton_steps, _BOLD_STEPS))
         self._num_steps += steps
         (y,) = f.to_variables(y)
         return y
+
+    def _descend_together(
+        self, objective: BoundedPointObjective, start: Floats
+    ) -> tuple[Floats, int]:
+        """Returns the end of Newton's method and its steps: a few, and more where that pays."""
+        most = self._options.newton_steps
+        few = most if not self._num_rounds else min(_TRIAL_STEPS, most)
+        result = newton(objective, start, few, damping=0.0)
+        if not few == result.steps < most or not result.value < self._best.cost:
+            return result.y, result.steps
+        rest = newton(objective, result.y, most - few, result.damping)
+        return rest.y, few + rest.steps
 
     def _best_of_each(self, x: Floats, y: Floats, labels: Ints) -> Floats:
         """Returns x with the clusters of y in which f is lower."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -16,12 +17,15 @@ from pydrake.solvers import (
     MathematicalProgram,
     QuadraticCost,
 )
+from pydrake.symbolic import Expression
 
 from drake_aigto.box.expressions import expression_terms
 from drake_aigto.box.functions import FunctionKind
 from drake_aigto.box.polynomial import BoxPolynomial, Factor, Term, TermBlock
 from drake_aigto.box.products import NoClosedFormError, from_terms, to_terms
 from drake_aigto.errors import UnsupportedTermError
+
+_Labelled = tuple[str, EvaluatorBase]  # how messages call it
 
 
 def compile_program(prog: MathematicalProgram, order: ArrayLike | None = None) -> BoxPolynomial:
@@ -42,16 +46,38 @@ def compile_program(prog: MathematicalProgram, order: ArrayLike | None = None) -
         UnsupportedTermError: A term has no closed-form mean here, or a cost has too many; the
             message names the cost and the term.
     """
-    sums: dict[tuple[str, tuple[tuple[int, ...], ...]], list[tuple[Term, ...]]] = {}
+    sums: dict[tuple[str, tuple[tuple[int, ...], ...]], list[_Labelled]] = {}
     for label, evaluator, copies in shared_evaluators(prog, prog.GetAllCosts()):
         alike = evaluator_name(evaluator), tuple(map(tuple, copies))
-        sums.setdefault(alike, []).append(_parse_cost(label, evaluator))
+        sums.setdefault(alike, []).append((label, evaluator))
     blocks = [
         block
-        for (name, copies), summands in sums.items()
-        for block in term_blocks(name, _merged(summands), copies)
+        for (name, copies), costs in sums.items()
+        for block in term_blocks(name, _merged(_parse_alike(costs)), copies)
     ]
     return BoxPolynomial(prog.num_vars(), tuple(blocks), order)
+
+
+def _parse_alike(costs: Sequence[_Labelled]) -> list[tuple[Term, ...]]:
+    """The terms of costs of the same variables, those of polynomials as one sum where it fits.
+
+    Where they share their monomials, as sums of squares do, that is most of the work saved.
+    """
+    parsed = []
+    polynomials: dict[tuple[int, ...], list[tuple[str, ExpressionCost]]] = {}
+    for label, cost in costs:
+        if isinstance(cost, ExpressionCost) and cost.expression().is_polynomial():
+            names = tuple(variable.get_id() for variable in cost.vars())
+            polynomials.setdefault(names, []).append((label, cost))
+        else:
+            parsed.append(_parse_cost(label, cost))
+    for alike in polynomials.values():
+        total = sum((cost.expression() for _, cost in alike), Expression(0.0))
+        try:
+            parsed.append(_expression_terms(alike[0][0], total, alike[0][1].vars()))
+        except UnsupportedTermError:  # Too many terms in all, or in one, which is to be named.
+            parsed += [_parse_cost(label, cost) for label, cost in alike]
+    return parsed
 
 
 def _merged(summands: Sequence[tuple[Term, ...]]) -> tuple[Term, ...]:
@@ -110,6 +136,8 @@ def _label(binding: Binding) -> str:
 
 def _repetition(variables: Sequence[int]) -> tuple[int, ...]:
     """For each place of a binding, the first place that holds the same variable."""
+    if len(set(variables)) == len(variables):
+        return tuple(range(len(variables)))
     first: dict[int, int] = {}
     return tuple(first.setdefault(variable, place) for place, variable in enumerate(variables))
 
@@ -139,8 +167,7 @@ def _parse_cost(label: str, cost: EvaluatorBase) -> tuple[Term, ...]:
     if isinstance(cost, QuadraticCost):
         return quadratic_terms(np.asarray(cost.Q()), cost.b(), cost.c())
     if isinstance(cost, ExpressionCost):
-        index = {v.get_id(): i for i, v in enumerate(cost.vars())}
-        return expression_terms(label, cost.expression(), lambda v: index[v.get_id()])
+        return _expression_terms(label, cost.expression(), cost.vars())
     # PolynomialCost has no Python class of its own.
     kind = "PolynomialCost" if type(cost) is Cost else type(cost).__name__
     raise UnsupportedTermError(
@@ -149,6 +176,14 @@ def _parse_cost(label: str, cost: EvaluatorBase) -> tuple[Term, ...]:
         expected="a LinearCost, a QuadraticCost or an ExpressionCost",
         remedy="Add it as `c = ExpressionCost(expression); prog.AddCost(c, vars=c.vars())`.",
     )
+
+
+def _expression_terms(
+    label: str, expression: Expression, variables: NDArray[Any]
+) -> tuple[Term, ...]:
+    """The terms of an expression, local variables counted as they stand."""
+    index = {variable.get_id(): i for i, variable in enumerate(variables)}
+    return expression_terms(label, expression, lambda v: index[v.get_id()])
 
 
 def affine_terms(a: ArrayLike, b: float) -> tuple[Term, ...]:

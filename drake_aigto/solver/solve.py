@@ -33,16 +33,19 @@ _POLISHED, _EVERY = 8, 2
 _POLISHED_RENEWALS = 10
 # The search at one of three weights gives up after this part of the patience.
 _PATIENCE_SHARE = 6
+# A sum of terms is off by no more than this part of the sum of their sizes.
+_ROUNDING = 1e-13
 # A point farther out than this, in a variable without bounds, is where a cost falls without end.
 _FAR = 1e8
 
 
 @dataclass(frozen=True, eq=False)
 class _Answer:
-    """A point, and what led to it."""
+    """A point, what led to it, and f multiplied out, which is off by its rounding at most."""
 
     x: npt.NDArray[np.float64]
     cost: float
+    rounding: float
     violation: float
     origin: str
 
@@ -78,6 +81,7 @@ class Solve:
         try:
             self._offer(self._first.center, "the middle of the first box")
             if np.all(np.isfinite(self._guess)):
+                self._offer(self._guess, "the guess")
                 self._polish(self._program.with_slacks(self._guess), " of the guess")
             self._search_all()
         except KeyboardInterrupt:
@@ -97,7 +101,7 @@ class Solve:
             first_half_width=self._first.half_width[:n],
             widths=tuple(self._widths),
         )
-        return best.x, best.cost, details
+        return best.x, self._program.cost(best.x), details
 
     def _judge(self, best: _Answer) -> AigoStatus:
         lower, upper = (bound[: best.x.size] for bound in self._bounds())
@@ -167,17 +171,30 @@ class Solve:
 
     def _offer(self, y: npt.NDArray[np.float64], origin: str) -> None:
         """Keeps a point, x or (x, s), if it is the best so far."""
-        n = self._guess.size
+        n, program = self._guess.size, self._program
         x = np.clip(y[:n], *(bound[:n] for bound in self._bounds()))
-        cost = self._program.cost(x)
+        padded = np.concatenate([x, np.zeros(program.nlp.num_variables - n)])
+        cost = program.costs(padded)
+        rounding = _ROUNDING * program.nlp.cost_magnitude(padded)
+        if not np.isfinite(cost + rounding):
+            cost, rounding = program.cost(x), 0.0
         if not np.isfinite(cost):
             return
-        answer = _Answer(x, cost, self._program.violation(x), origin)
-        if self._best is None or self._rank(answer) < self._rank(self._best):
+        answer = _Answer(x, cost, rounding, program.violation(x), origin)
+        if self._best is None or self._is_better(answer, self._best):
             self._best = answer
             for observer in self._observers:
                 observer(x, f"cost {cost:.9g}, violation {answer.violation:.1e}: {origin}")
 
-    def _rank(self, answer: _Answer) -> tuple[float, float]:
-        """Orders by violation beyond the tolerance, then by cost."""
-        return max(answer.violation, self._options.feasibility), answer.cost
+    def _is_better(self, answer: _Answer, best: _Answer) -> bool:
+        """Whether an answer violates less beyond the tolerance, or costs less.
+
+        Where rounding hides which costs less, the program's own formulas decide, which take long.
+        """
+        least = self._options.feasibility
+        violations = max(answer.violation, least), max(best.violation, least)
+        if violations[0] != violations[1]:
+            return violations[0] < violations[1]
+        if abs(answer.cost - best.cost) > answer.rounding + best.rounding:
+            return answer.cost < best.cost
+        return self._program.cost(answer.x) < self._program.cost(best.x)
