@@ -23,6 +23,7 @@ _TOLERANCE = 1e-9
 # Where Newton's method starts: how much longer each flight lasts than the one before, what part of
 # all time the first one lasts, and how much longer than by that rule the last one does.
 _RATIOS, _FIRST, _LAST = (0.5, 0.8, 1.0, 1.25, 2.0), (0.1, 0.25, 0.6), (0.3, 1.0, 2.0)
+_SLACKS = (0.1, 0.3, 0.6)  # how long a mass rests
 # Sequences that come to rest have up to so many touches.
 _MOST_WITH_REST = 3
 
@@ -93,7 +94,9 @@ class Line:
         goes up to `most_touches`.
         """
         best = min(self.solve(()), self._stay(), key=lambda motion: motion.cost)
-        for number in itertools.count(1):
+        number = 0
+        while True:
+            number += 1
             if self.gravity and number > most_touches:
                 return best
             sequences = [
@@ -105,7 +108,6 @@ class Line:
                 return best
             for walls, rests in sequences:
                 best = min(best, self.solve(walls, rests), key=lambda motion: motion.cost)
-        raise AssertionError("counting ended")
 
     def _sequences(self, number: int) -> Iterator[tuple[tuple[int, ...], int | None]]:
         """Yields the walls of so many touches, and after which one the mass rests, if it does."""
@@ -216,11 +218,15 @@ class _Sequence:
             times[0] = first
             # As in flights that start at rest, or hop.
             speeds = ways[:n] / times[:n] + abs(line.gravity) * times[:n] / 2
-            if self.rests is not None:
-                times *= 0.6
-                settling = line.settling(line.walls[self.walls[self.rests]])
-                speeds[self.rests] = min(speeds[self.rests], 0.2 / max(settling, 1e-9))
-            starts.append([*times[:n], *speeds, *([0.1] if self.slack else [])])
+            if self.rests is None:
+                starts.append([*times[:n], *speeds])
+                continue
+            settling = line.settling(line.walls[self.walls[self.rests]])
+            speeds[self.rests] = min(speeds[self.rests], 0.2 / max(settling, 1e-9))
+            # All flights, 0.2 at most to settle, and the rest's own time fill what there is.
+            for slack in _SLACKS if self.slack else (0.0,):
+                flights = (0.8 - slack) * times[:n]
+                starts.append([*flights, *speeds, *([slack] if self.slack else [])])
         return np.array(starts)
 
     def _first_times(self, way: float) -> list[float]:
