@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from several_walls import hold_still, make_line, make_task, make_wedge, shipped
 from drake_aigto.planning.compliance import calc_compliance_error
 from drake_aigto.planning.contacts import find_contacts, max_penetration
 from drake_aigto.planning.material import contact_delay, contact_delays
-from drake_aigto.planning.recording import Impact
+from drake_aigto.planning.recording import Impact, Recording, Rest
 from drake_aigto.planning.replay import Replay, replay_drake, replay_event_driven
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import World
@@ -140,7 +141,12 @@ def test_lateness_stays_lateness_through_later_bounces(bounces: int, part: float
     g, speed, tau = 9.81, 2.0, contact_delay(world)
     hop = 2 * speed / g
     impacts = [Impact(n * hop, 0, speed, -g, 2.0, 2.0) for n in range(bounces)]
-    error = calc_compliance_error(world, np.ones(1), impacts, (bounces - 1 + part) * hop)
+    end = (bounces - 1 + part) * hop
+    recording = Recording([0.0, end], [np.zeros(1), np.ones(1)], impacts=impacts)
+    error = calc_compliance_error(world, np.ones(1), recording)
+    # Whatever comes before rest is over with it.
+    at_rest = dataclasses.replace(recording, rests=[Rest(impacts[-1].time + 1e-3, 0)])
+    assert calc_compliance_error(world, np.ones(1), at_rest) == pytest.approx(0.0, abs=1e-15)
     last = speed * abs(1 - 2 * part)
     assert 0 <= error - bounces * last * tau < bounces**2 * 4e-5 * 3 * speed * hop
     times = np.linspace(0.0, (bounces - 0.5 + part) * hop, 201)

@@ -11,7 +11,7 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorC
 
 from drake_aigto.planning.contact_motion import Clearance, ContactMotion, calc_time_to_wall
 from drake_aigto.planning.material import calc_dissipation, contact_delays, set_dissipation
-from drake_aigto.planning.recording import Impact, Recording
+from drake_aigto.planning.recording import Impact, Recording, Rest
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -123,11 +123,14 @@ class _Matching:
         self._delays = delays
         self.speeds: list[float] = []
 
-    def match(self, near: Clearance, push: float) -> None:
-        """Sets the dissipation for the speed of an approach; one of rest, if that is slower."""
+    def match(self, near: Clearance, push: float, slowest: float) -> None:
+        """Sets the dissipation for the speed of an approach, or a speed of rest, if that is more.
+
+        Dissipation grows without bound as the speed falls, and so would the number of steps.
+        """
         e = self._restitutions[near.contact]
         speed = math.sqrt(max(near.rate**2 - 2 * push * near.distance, 0.0))
-        speed = max(speed, abs(push) * self._delays[near.contact])
+        speed = max(speed, slowest, abs(push) * self._delays[near.contact])
         if e < 1 and speed > 0:
             set_dissipation(self._world, self._root, near.contact, calc_dissipation(e, speed))
             self.speeds.append(speed)
@@ -187,7 +190,7 @@ class _SolidPace:
                 return stretch, stretch
             self._touched, self._is_slow = time, -near.rate <= _SLOW * self._fastest
         if near.rate < 0 and not self._is_matched:
-            self._matching.match(near, push)
+            self._matching.match(near, push, _SLOW * self._fastest)
             self._is_matched = True
         if self._is_slow or time - self._touched > _SETTLED * self._delay:
             return _COARSE_STEP * self._delay, _COARSE_STEP * self._delay
@@ -256,8 +259,12 @@ class _Trace:
                 )
                 rows += [(row.time, row.x) for row in (touch, deepest, release)]
                 impact = self._calc_impact(self._face(solid, first), touch, release)
-                recording.impacts += [impact] if impact else []
+                if impact is not None:
+                    recording.impacts.append(impact)
+                elif touch.push < 0:
+                    recording.rests.append(Rest(touch.time, self._face(solid, first)))
         recording.impacts.sort(key=lambda impact: impact.time)
+        recording.rests.sort(key=lambda rest: rest.time)
         for time, x in sorted(rows, key=lambda row: row[0]):
             recording.add(time, *np.split(x, 2))
         return recording

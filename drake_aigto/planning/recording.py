@@ -21,6 +21,13 @@ class Impact(NamedTuple):
     energy_after: float  # kinetic, when it was left [J]
 
 
+class Rest(NamedTuple):
+    """A contact that is pressed together so slowly that it stays, or nearly."""
+
+    time: float  # when it began [s]
+    contact: int  # which of the world's contacts
+
+
 @dataclass
 class Recording:
     """Filled while a simulation runs; the last row is its end.
@@ -30,6 +37,7 @@ class Recording:
         positions: q for each time, shape (nq,) [m].
         velocities: v for each time, shape (nv,) [m/s].
         impacts: in order of time.
+        rests: in order of time, on compliant walls.
         max_penetration: the deepest −φ, at least 0 [m].
         matched_speeds: for which dissipation was set, on compliant walls [m/s].
     """
@@ -38,6 +46,7 @@ class Recording:
     positions: list[npt.NDArray[np.float64]] = field(default_factory=list)
     velocities: list[npt.NDArray[np.float64]] = field(default_factory=list)
     impacts: list[Impact] = field(default_factory=list)
+    rests: list[Rest] = field(default_factory=list)
     max_penetration: float = 0.0
     matched_speeds: list[float] = field(default_factory=list)
 

@@ -143,7 +143,7 @@ def replay_drake(
     start = scenario.initial_position, scenario.initial_velocity
     restitutions = world.restitutions(scenario)
     recording = simulate_compliant_wall(world, start, times, controls, restitutions)
-    error = calc_compliance_error(world, restitutions, recording.impacts, times[-1])
+    error = calc_compliance_error(world, restitutions, recording)
     return _summarize("drake", scenario, times, controls, recording, error)
 
 
