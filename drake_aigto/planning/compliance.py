@@ -48,8 +48,8 @@ def calc_compliance_error(
 
         |δφ| ≤ 0.07 (1 − e) v τ_i,    |δφ̇| ≤ (1 − e) |φ̈| τ_i + ((1e-3 − e)₊ + 4e-5) v
 
-    No more than three hundredths of the path is explained this way: where a touch is almost a graze,
-    first order says nothing.
+    No more than three hundredths of the path is explained this way: where a touch is almost a
+    graze, first order says nothing.
 
     Args:
         world: its stiffness and its contacts.

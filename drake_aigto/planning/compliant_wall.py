@@ -36,6 +36,9 @@ _SETTLED = 3.0
 # … or as slow as this part of the fastest approach so far. Then they may be so long.
 _SLOW = 1e-2
 _COARSE_STEP = 10.0
+# Dissipation is matched to no speed below this part of the fastest approach so far: it grows as
+# speeds fall, and with it the number of steps that bodies take which are pressed together.
+_SLOWEST_MATCH = 5e-2
 
 
 def simulate_compliant_wall(
@@ -124,10 +127,7 @@ class _Matching:
         self.speeds: list[float] = []
 
     def match(self, near: Clearance, push: float, slowest: float) -> None:
-        """Sets the dissipation for the speed of an approach, or a speed of rest, if that is more.
-
-        Dissipation grows without bound as the speed falls, and so would the number of steps.
-        """
+        """Sets the dissipation for the speed of an approach, or of rest, or the slowest."""
         e = self._restitutions[near.contact]
         speed = math.sqrt(max(near.rate**2 - 2 * push * near.distance, 0.0))
         speed = max(speed, slowest, abs(push) * self._delays[near.contact])
@@ -190,7 +190,7 @@ class _SolidPace:
                 return stretch, stretch
             self._touched, self._is_slow = time, -near.rate <= _SLOW * self._fastest
         if near.rate < 0 and not self._is_matched:
-            self._matching.match(near, push, _SLOW * self._fastest)
+            self._matching.match(near, push, _SLOWEST_MATCH * self._fastest)
             self._is_matched = True
         if self._is_slow or time - self._touched > _SETTLED * self._delay:
             return _COARSE_STEP * self._delay, _COARSE_STEP * self._delay

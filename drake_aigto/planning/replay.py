@@ -40,8 +40,9 @@ class Replay(ArrayRecord):
             `calc_compliance_error`.
         compliance_cost: what of the cost this explains at most.
         matched_speeds: "drake" only, restitution < 1 only: the speeds, in the order of time, for
-            which the dissipation was set to give each impact its restitution [m/s]. The slowest are
-            of balls that come to rest, and no bounces. Empty: the model's own dissipation.
+            which the dissipation was set to give each impact its restitution [m/s]. Impacts below a
+            twentieth of the fastest count as that, and return more. Empty: the model's own
+            dissipation.
         times: shape (K,): the knots, and where contacts begin and end [s]. Never decreasing; a
             rigid impact has two rows of equal time.
         positions: shape (K, nq) [m].
