@@ -34,14 +34,14 @@ def world(request: pytest.FixtureRequest) -> World:
 
 def test_directions_hold_every_contact_and_tangents_none(world: World) -> None:
     ways = ImpulseDirections.of(world)
-    inverse = np.linalg.inv(world.mass_matrix_values)
     # What no direction holds and no tangent sees would be an impulse out of nowhere.
-    assert np.linalg.matrix_rank(np.vstack([ways.readers, ways.tangents.T])) == len(inverse)
+    assert np.linalg.matrix_rank(np.vstack([ways.readers, ways.tangents.T])) == world.num_velocities
     np.testing.assert_allclose(ways.jacobians @ ways.tangents, 0.0, atol=1e-14)
     assert np.all(np.any(ways.shares != 0, axis=0))
     np.testing.assert_allclose(ways.shares, ways.readers @ ways.jacobians.T, atol=1e-12)
-    sizes = [d @ inverse @ d * m for d, m in zip(ways.directions, ways.masses, strict=True)]
-    np.testing.assert_allclose(sizes, 1.0)
+    M = world.mass_matrix_values
+    np.testing.assert_allclose(ways.masses, [rho @ M @ rho for rho in ways.readers])
+    np.testing.assert_allclose(np.max(np.abs(ways.shares), axis=1), 1.0)
     if ways.are_independent:
         assert np.all(np.sum(ways.shares != 0, axis=0) == 1)
 

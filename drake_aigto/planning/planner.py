@@ -159,6 +159,7 @@ class Planner:
                 if progress:
                     progress(f"AIGO {number} of {len(ladder)}: {options.describe(rung)}")
                 search.add_rung(rung)
+            search.branch()
             for number, sequence in enumerate(search.finalists()[: options.finalists], 1):
                 if progress:
                     progress(f"{len(search.by_sequence)} candidates; improving number {number}")

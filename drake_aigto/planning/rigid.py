@@ -4,25 +4,28 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable
-from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from drake_aigto.aigo import AigoResult
+from drake_aigto.errors import OptionsError, UnsupportedTermError
 from drake_aigto.local import compile_nlp
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.plan import Candidate
 from drake_aigto.planning.problem import PlanningProblem
 from drake_aigto.planning.search import Clock, Search
-from drake_aigto.planning.touches import are_near, is_same, read_sequences
+from drake_aigto.planning.touches import are_near, is_same, neighbors, read_sequences, swapped
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch, TouchSequence
 from drake_aigto.transcription.facings import find_facings
 from drake_aigto.transcription.touch import joint_times
 
 if TYPE_CHECKING:
     import numpy.typing as npt
+
+# Times (K,) [s] and positions (K, nq) [m].
+Path = tuple["npt.NDArray[np.float64]", "npt.NDArray[np.float64]"]
 
 # Parts of the duration by which the times of two sequences of the same contacts differ at most, if
 # their polish is expected to end in one optimum, and if it has.
@@ -31,8 +34,14 @@ _SAME_START, _SAME_END = 0.05, 1e-3
 _MARGIN = 1e-6
 # Of a sequence that grows by bounces which its replay has and it lacks.
 _MOST_TOUCHES = 8
-# In a candidate's origin, if its sequence grew.
+# Another time step than the scenario's is worth this part of the cost.
+_STEPS_PRICE = 1e-2
+# In a candidate's origin, if its sequence grew, or was changed a little.
 _SEEN = "; with bounces seen in its replay"
+_NEAR = "; a touch dropped or added"
+_SWAPPED = "; touches swapped"
+# A candidate that costs no more than so many times the best may become the best.
+_PROMISING = 20.0
 
 
 class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
@@ -62,33 +71,38 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
         return all(_MARGIN * T < t < (1 - _MARGIN) * T for t in joints)
 
     def polish(
-        self,
-        center: npt.NDArray[np.float64],
-        sequence: TouchSequence,
-        num_steps: int | None = None,
+        self, center: npt.NDArray[np.float64], sequence: TouchSequence
     ) -> tuple[PhaseTranscription, npt.NDArray[np.float64]]:
         """Returns the multi-phase problem of a contact sequence, and its local optimum.
 
-        Of AIGO's box center only the sequence, and where along the wall it is touched, are kept.
+        Of AIGO's box center only the sequence, where the walls are touched, and on which side
+        blocks are passed, are kept.
+        """
+        path = self.transcription.split(center)[0]
+        return self.polish_along((self.transcription.GetSampleTimes(), path), sequence)
+
+    def polish_along(
+        self, path: Path, sequence: TouchSequence, num_steps: int | None = None
+    ) -> tuple[PhaseTranscription, npt.NDArray[np.float64]]:
+        """Returns the same, for a contact sequence along another path than a box center's.
 
         Args:
-            center: AIGO's box center.
+            path: times and positions.
             sequence: the contacts.
             num_steps: of all phases together; this problem's if None.
+
+        Raises:
+            OptionsError, UnsupportedTermError: touches that no motion has.
         """
-        coarse = self.transcription
+        coarse, (times, positions) = self.transcription, path
         scenario = coarse.scenario
         if num_steps is not None:
             scenario = dataclasses.replace(scenario, time_step=scenario.duration / num_steps)
-        path, knots, joints = (
-            coarse.split(center)[0],
-            coarse.GetSampleTimes(),
-            joint_times(sequence),
-        )
-        facings = find_facings(coarse.world, knots, path, sequence)
+        facings = find_facings(coarse.world, times, positions, sequence)
         phases = PhaseTranscription(coarse.world, scenario, sequence, facings)
         phases.add_what_was_added_to(coarse)
-        guess = phases.guess(np.column_stack([np.interp(joints, knots, q) for q in path.T]))
+        joints = joint_times(sequence)
+        guess = phases.guess(np.column_stack([np.interp(joints, times, q) for q in positions.T]))
         prog = phases.prog()
         x = self.solve_program(
             prog, phases.vector(guess), lambda: compile_nlp(prog, phases.elimination_order())
@@ -112,17 +126,51 @@ class RigidSearch(Search[TouchSequence]):
         """Starts with no candidate; finalists are polished with so many time steps."""
         super().__init__(problem, clock)
         self._fits = problem.fits
-        self._polish_again = partial(problem.polish, num_steps=num_steps)
+        self._polish_along = problem.polish_along
         self._num_steps = num_steps
         self._duration = problem.transcription.scenario.duration
+        self._refused: list[TouchSequence] = []
 
-    def add(self, origin: str, center: npt.NDArray[np.float64], sequence: TouchSequence) -> None:
-        """Adds the candidate of a sequence, and if its replay bounces more often, that one's."""
-        super().add(origin, center, sequence)
-        if not self.by_sequence[sequence].is_confirmed:
+    def add(
+        self,
+        origin: str,
+        center: npt.NDArray[np.float64],
+        sequence: TouchSequence,
+        path: Path | None = None,
+    ) -> None:
+        """Adds the candidate of a sequence, and if its replay bounces more often, that one's.
+
+        Args:
+            origin: how it came about.
+            center: of the box that led to it.
+            sequence: the contacts.
+            path: near which they are; the box center's if None.
+        """
+        along = path and (lambda _, touches: self._polish_along(path, touches))
+        try:
+            self.solve(origin, center, sequence, along or self.problem.polish)
+        except (OptionsError, UnsupportedTermError):
+            # Boxes may see touches that no motion has, such as of opposite walls at once.
+            self._refused.append(sequence)
+            return
+        candidate = self.by_sequence[sequence]
+        self._add_swapped(sequence)
+        if not candidate.is_confirmed:
+            seen_path = candidate.replay.times, candidate.replay.positions
             for seen in self._with_unplanned_bounce(sequence):
                 if len(seen) <= _MOST_TOUCHES and not self.is_known(seen):
-                    self.add(f"{origin.removesuffix(_SEEN)}{_SEEN}", center, seen)
+                    self.add(f"{origin.removesuffix(_SEEN)}{_SEEN}", center, seen, seen_path)
+
+    def _add_swapped(self, sequence: TouchSequence) -> None:
+        """Adds a promising candidate's sequence with touches swapped that became one moment."""
+        candidate, (phases, x) = self.by_sequence[sequence], self.solved[sequence]
+        least = min(other.replay.cost for other in self.by_sequence.values())
+        if candidate.is_feasible and candidate.replay.cost <= _PROMISING * least:
+            for other in swapped(phases.contact_sequence(x), _SAME_END * self._duration):
+                if not self.is_known(other):
+                    origin = candidate.origin.removesuffix(_SWAPPED)
+                    path = phases.sample_times(x), phases.split(x)[0]
+                    self.add(f"{origin}{_SWAPPED}", self.centers[sequence], other, path)
 
     def _with_unplanned_bounce(self, sequence: TouchSequence) -> list[TouchSequence]:
         """Returns a sequence up to the first bounce of its replay that it lacks, and all of it."""
@@ -138,13 +186,33 @@ class RigidSearch(Search[TouchSequence]):
                 return [sequence for sequence in (seen, longer) if self._fits(sequence)]
         return []
 
+    def branch(self) -> None:
+        """Adds neighbours of the best sequence (`neighbors`), while that makes a better one."""
+        best = None
+        while best is not (best := min(self.by_sequence, key=self._rank_of)):
+            phases, x = self.solved[best]
+            for sequence in neighbors(phases.contact_sequence(x), phases.grazes(x)):
+                if not self.is_known(sequence):
+                    origin = self.by_sequence[best].origin.removesuffix(_NEAR)
+                    path = phases.sample_times(x), phases.split(x)[0]
+                    self.add(f"{origin}{_NEAR}", self.centers[best], sequence, path)
+
+    def _rank_of(self, sequence: TouchSequence) -> tuple[float, ...]:
+        return self.rank(self.by_sequence[sequence])
+
     def improve(self, sequence: TouchSequence) -> None:
         """Polishes a candidate with the scenario's time step, in its place."""
         coarse, optimum = self.by_sequence[sequence], self._optimum(sequence)
         num_phases = 1 + len(joint_times(optimum))
         if self._num_steps == len(coarse.trajectory.controls) or self._num_steps < num_phases:
             return
-        self.solve(coarse.origin, self.centers[sequence], optimum, self._polish_again)
+        path = coarse.trajectory.times, coarse.trajectory.positions
+        self.solve(
+            coarse.origin,
+            self.centers[sequence],
+            optimum,
+            lambda _, touches: self._polish_along(path, touches, self._num_steps),
+        )
         fine = self.by_sequence[optimum]
         if (fine.is_feasible, fine.is_confirmed) < (coarse.is_feasible, coarse.is_confirmed):
             self.by_sequence[sequence] = coarse
@@ -154,22 +222,27 @@ class RigidSearch(Search[TouchSequence]):
     def finalists(self) -> list[TouchSequence]:
         """Returns the sequences by rank, one of each optimum."""
         kept: list[TouchSequence] = []
-        for sequence in sorted(self.by_sequence, key=lambda s: self.rank(self.by_sequence[s])):
+        for sequence in sorted(self.by_sequence, key=self._rank_of):
             optima = map(self._optimum, kept)
             if not self._is_among(self._optimum(sequence), optima, _SAME_END):
                 kept.append(sequence)
         return kept
 
     def is_known(self, sequence: TouchSequence) -> bool:
-        """Returns whether nearly this sequence has been polished, or was what came out."""
+        """Returns whether nearly this sequence has been polished or refused, or came out."""
         optima = map(self._optimum, self.by_sequence)
-        return self._is_among(sequence, chain(self.by_sequence, optima), _SAME_START)
+        known = chain(self.by_sequence, optima, self._refused)
+        return self._is_among(sequence, known, _SAME_START)
 
     def rank(self, candidate: Candidate) -> tuple[float, ...]:
-        """Orders by feasibility, what the event-driven replay confirms, time step, and its cost."""
+        """Orders by feasibility, what the event-driven replay confirms, time step, and its cost.
+
+        Where the scenario's time step would do, another one only costs a little more.
+        """
         has_other_steps = len(candidate.trajectory.controls) != self._num_steps
-        is_bad = not candidate.is_feasible, not candidate.is_confirmed
-        return *is_bad, has_other_steps, candidate.replay.cost
+        needs_more = has_other_steps and self._num_steps <= len(candidate.contacts)
+        price = candidate.replay.cost * (1 + _STEPS_PRICE * has_other_steps)
+        return not candidate.is_feasible, not candidate.is_confirmed, needs_more, price
 
     def _optimum(self, sequence: TouchSequence) -> TouchSequence:
         """Returns what the polish made of a sequence's times."""

@@ -77,6 +77,9 @@ class Search(ABC, Generic[Sequence]):
     def is_known(self, sequence: Sequence) -> bool:
         """Returns whether there is a candidate of nearly this sequence."""
 
+    def branch(self) -> None:
+        """Adds candidates near the best one in the space of sequences, where there is a way to."""
+
     @abstractmethod
     def finalists(self) -> list[Sequence]:
         """Returns the sequences that are worth improving, the best first."""

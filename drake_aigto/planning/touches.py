@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -18,6 +19,9 @@ _SHARE = 0.05
 # Impulses that follow each other sooner than this part of the duration are one contact: boxes smear
 # a bounce over several knots.
 _GAP = 0.1
+# Bounces off two walls at one knot are this part of the duration apart: which is first, and whether
+# they are at once, is for the polish.
+_APART = 1e-3
 # So many knots in a row that the wall pushes at may be a contact that lasts.
 _LASTING = 4
 
@@ -68,7 +72,44 @@ def read_sequences(
         first, last = map(float, longest.times[[0, -1]])
         others = [touch for touch in bounces if touch.contact != longest.contact]
         sequences.append([*others, Touch(first, last, longest.contact)])
-    return [tuple(sorted(sequence, key=lambda touch: touch.start)) for sequence in sequences]
+    return [_in_order(sequence, _APART * T) for sequence in sequences]
+
+
+def neighbors(sequence: TouchSequence, grazes: Iterable[Touch]) -> list[TouchSequence]:
+    """Returns the sequences that boxes may well have taken for this one.
+
+    That are those without a wall's last touch, for each wall: boxes are widest at the end, where
+    they do not tell n bounces from n + 1. And those with a bounce where a wall is grazed.
+
+    Args:
+        sequence: as polished.
+        grazes: bounces to try.
+    """
+    last = {touch.contact: place for place, touch in enumerate(sequence)}
+    found = [
+        (*sequence[:place], *sequence[place + 1 :]) for place in sorted(last.values(), reverse=True)
+    ]
+    return found + [
+        tuple(sorted((*sequence, graze), key=lambda touch: touch.start)) for graze in grazes
+    ]
+
+
+def swapped(sequence: TouchSequence, near: float) -> list[TouchSequence]:
+    """Returns the sequences in which bounces off two walls at one moment change places.
+
+    The polish can't change their order, and ends there if the other one is better.
+
+    Args:
+        sequence: as polished.
+        near: bounces no farther apart are one moment [s].
+    """
+    found = []
+    for place, (one, other) in enumerate(pairwise(sequence)):
+        at_once = other.start - one.start <= near and not one.lasts and not other.lasts
+        if at_once and one.contact != other.contact:
+            pair = Touch.bounce(one.start, other.contact), Touch.bounce(other.start, one.contact)
+            found.append((*sequence[:place], *pair, *sequence[place + 2 :]))
+    return found
 
 
 def is_same(one: TouchSequence, other: TouchSequence, near: float) -> bool:
@@ -82,6 +123,17 @@ def is_same(one: TouchSequence, other: TouchSequence, near: float) -> bool:
 def are_near(one: float, other: float, near: float) -> bool:
     """Returns whether times differ by at most `near`, and soon after the start by a quarter [s]."""
     return abs(one - other) <= min(near, max(one, other) / 4)
+
+
+def _in_order(touches: list[Touch], least: float) -> TouchSequence:
+    """Returns touches by their starts, bounces later by so much that none are at once [s]."""
+    found: list[Touch] = []
+    for touch in sorted(touches, key=lambda touch: touch.start):
+        earliest = found[-1].start + least if found else 0.0
+        if touch.start < earliest and not touch.lasts:
+            touch = Touch.bounce(earliest, touch.contact)
+        found.append(touch)
+    return tuple(found)
 
 
 def _kinds(sequence: TouchSequence) -> list[tuple[int, bool]]:

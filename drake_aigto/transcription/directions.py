@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -18,30 +19,34 @@ if TYPE_CHECKING:
 # Jacobians are parallel, or directions dependent, within this.
 _PARALLEL = 1e-9
 # How much a push from afar counts against one from nearby, where impulses could be either's.
-_AFAR = 1e-3
+_AFAR = 0.3
 
 
 @dataclass(frozen=True, eq=False)
 class ImpulseDirections:
-    """What of a net impulse p = Σ_i J_iᵀ λ_i each direction holds: π = R p = G λ.
+    """What of a net impulse p = Σ_i J_iᵀ λ_i readings show: π = R p = G λ.
 
-    Contacts whose Jacobians are parallel share a direction d_a; two opposite walls for one. If
-    the directions are independent, R = (D M⁻¹ Dᵀ)⁻¹ D M⁻¹ for the rows D of all d_a, so that a
-    contact shows in its own direction only. If not, as for two bodies between two walls, which push
-    in three ways on two coordinates, directions are the coordinates, R = I, and a contact between
-    bodies shows in both of theirs. Either way a direction holds few contacts, and the law λ_i φ_i =
-    dt ε leaves
+    Contacts whose Jacobians are parallel share a direction d_a; two opposite walls for one. A
+    reading ρ·p is blind to as many independent directions as it can be, so it shows few contacts:
+
+    - of independent directions each has its own reading, R = (D M⁻¹ Dᵀ)⁻¹ D M⁻¹ for the rows D of
+      all d_a;
+    - of others, such as those of two bodies between two walls, which push in three ways on two
+      coordinates, there is a reading for each set of directions that leaves only one free: what
+      the first body gets, what the second one gets, and what both get.
+
+    The law λ_i φ_i = dt ε then leaves, for each reading,
 
         π_a ∏_i φ_i = dt ε Σ_i G_ai ∏_{l≠i} φ_l        over the contacts i with G_ai ≠ 0
 
-    without any λ.
+    without any λ, and whatever walls are touched, some reading does not see them.
 
     Attributes:
         jacobians: J, shape (m, nv), constant.
         directions: D, shape (r, nv).
-        readers: R, shape (r, nv).
-        shares: G = R Jᵀ, shape (r, m).
-        masses: (d_a M⁻¹ d_aᵀ)⁻¹, shape (r,) [kg].
+        readers: R, shape (R, nv); R = r if the directions are independent.
+        shares: G = R Jᵀ, shape (R, m), the largest of each reading 1.
+        masses: ρ M ρᵀ, shape (R,) [kg].
         tangents: basis of the velocities along all walls, J t = 0, shape (nv, nv − rank J).
         are_independent: whether no direction is a combination of others.
     """
@@ -71,10 +76,10 @@ class ImpulseDirections:
         if are_independent:
             R = np.asarray(np.linalg.solve(D @ inverse @ D.T, D @ inverse), dtype=np.float64)
         else:
-            D = R = np.eye(J.shape[1])[np.any(np.abs(J) > _PARALLEL, axis=0)]
+            R = _readers(D, np.asarray(inverse, dtype=np.float64), rank)
         shares = R @ J.T
         shares[np.abs(shares) < _PARALLEL] = 0.0
-        masses = np.array([1 / float(d @ inverse @ d) for d in D])
+        masses = np.array([float(rho @ world.mass_matrix_values @ rho) for rho in R])
         return cls(J, D, R, shares, masses, basis[rank:].T, are_independent)
 
     def contact_impulses(
@@ -119,6 +124,25 @@ class ImpulseDirections:
         prices = _AFAR * np.abs(distances) / max(np.max(np.abs(distances)), 1e-300)
         matrix = np.vstack([self.jacobians.T, np.diag(prices)]) * in_force
         return nnls(matrix, np.append(impulse, np.zeros(len(prices))))[0]
+
+
+def _readers(
+    directions: npt.NDArray[np.float64], inverse: npt.NDArray[np.float64], rank: int
+) -> npt.NDArray[np.float64]:
+    """Returns ρ = M⁻¹ Dᵀ c, each blind to rank − 1 independent directions, once."""
+    span = np.linalg.svd(directions @ inverse)[2][:rank].T
+    found: list[npt.NDArray[np.float64]] = []
+    for hidden in itertools.combinations(directions @ span, rank - 1):
+        _, sizes, basis = np.linalg.svd(np.reshape(hidden, (rank - 1, rank)))
+        if rank > 1 and sizes[-1] < _PARALLEL * sizes[0]:
+            continue
+        reader = span @ basis[-1]
+        seen = directions @ reader
+        reader = reader / seen[np.argmax(np.abs(seen))]
+        reader[np.abs(reader) < _PARALLEL * np.max(np.abs(reader))] = 0.0
+        if not any(np.allclose(reader, other, atol=_PARALLEL) for other in found):
+            found.append(reader)
+    return np.array(found)
 
 
 def _distinct(jacobians: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:

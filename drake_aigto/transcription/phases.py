@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 # come right after the start. Contacts that last: what is shorter is a bounce, and without a bound
 # the solver would chase a contact that wants to vanish.
 _SHORTEST_FLIGHT, _SHORTEST_CONTACT = 1e-7, 1e-3
+# A wall is grazed where it is nearer than this part of the length scale.
+_GRAZE = 1e-5
 
 
 class PhaseTranscription(ImpactTranscription):
@@ -225,6 +227,20 @@ class PhaseTranscription(ImpactTranscription):
         elapsed = np.cumsum(self._values(x, self._steps))
         return np.append(0.0, self.scenario.duration * (elapsed / elapsed[-1]))
 
+    def grazes(self, x: npt.NDArray[np.float64]) -> list[Touch]:
+        """Returns bounces where the motion keeps off a wall at φ = 0 by its control alone.
+
+        There a touch that the sequence lacks may pay. One for each run of such knots.
+        """
+        times, length = self.sample_times(x), self.length_scale()
+        near = self.timeline.apart & (self.signed_distances(x) < _GRAZE * length)
+        found = []
+        for contact, knots in enumerate(near[1:-1].T):
+            where = np.flatnonzero(knots) + 1
+            runs = np.split(where, np.flatnonzero(np.diff(where) > 1) + 1) if where.size else []
+            found += [Touch.bounce(float(np.mean(times[run])), contact) for run in runs]
+        return found
+
     def contact_sequence(self, x: npt.NDArray[np.float64]) -> TouchSequence:
         """Returns the sequence with its times at x."""
         t = self.sample_times(x)
@@ -279,7 +295,9 @@ class PhaseTranscription(ImpactTranscription):
         return x
 
     def guess(self, through: npt.ArrayLike | None = None) -> Trajectory:
-        """Returns a guess that flies straight from stop to stop without control.
+        """Returns a guess that flies from stop to stop without control, bent as gravity bends it.
+
+        Contacts that last go straight.
 
         Args:
             through: where the ball is at each of the `joint_times`, shape (J, nq) [m]; if None, on
@@ -293,6 +311,15 @@ class PhaseTranscription(ImpactTranscription):
         v = np.vstack(
             [self.scenario.initial_velocity, np.diff(q, axis=0) / np.diff(t)[:, np.newaxis]]
         )
+        still = np.zeros(self.world.num_velocities), np.zeros(self.world.num_actuators)
+        for phase in line.phases:
+            if not phase.rests:
+                inside = slice(phase.first, phase.last + 1)
+                since, left = t[inside] - t[phase.first], t[phase.last] - t[inside]
+                middle = (q[phase.first] + q[phase.last]) / 2
+                pull = self.world.calc_acceleration(middle, *still)
+                q[inside] -= np.outer(since * left / 2, pull)
+                v[inside][1:] += np.outer((since - left)[1:] / 2, pull)
         zeros = np.zeros(line.held.shape)
         return Trajectory(t, q, v, np.zeros(self._u.shape), zeros, zeros[1:])
 

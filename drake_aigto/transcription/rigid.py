@@ -37,8 +37,8 @@ class RigidTranscription(ImpactTranscription):
 
         p_k = M (v_{k+1} − v_k) − dt (B u_k − h̄_k),   h̄_k = h((q_k + q_{k+1})/2, (q_{k+1} − q_k)/dt)
 
-    Its part in the direction a that walls push in (`ImpulseDirections`) is π_ak, with the mass m_a,
-    and v⁺_k = v_{k+1} − dt M⁻¹ (B u_k − h̄_k) is the velocity after it:
+    What a reading a shows of it (`ImpulseDirections`) is π_ak, with the mass m_a, and the velocity
+    after it is v⁺_k = v_{k+1} − dt M⁻¹ (B u_k − h̄_k):
 
         q_{k+1} = q_k + dt v_{k+1} − (dt²/2) M⁻¹ (B u_k − h̄_k)                             "flight"
         tᵀ p_k = 0 for all t along all walls, J t = 0                                    "dynamics"
@@ -46,7 +46,7 @@ class RigidTranscription(ImpactTranscription):
         π_ak (d_a v⁺_k + e d_a v_k) = 0, k ≥ 1                                        "restitution"
         φ_i(q_k) ≥ 0, k ≥ 1                                                         "nonpenetration"
 
-    Products and sums are over the contacts i that show in direction a: for one wall the contact row
+    Products and sums are over the contacts i that show in a reading: for one wall the contact row
     is φ λ = dt ε, for two that face each other λ = λ_0 − λ_1 and φ_0 φ_1 λ = dt ε (φ_1 − φ_0). So
     rows stay polynomials, and their number linear in N. Where directions depend on each other, two
     bodies between two walls for one, restitution is the one row p_kᵀ (v⁺_k + e v_k) = 0. Walls of
