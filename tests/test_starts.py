@@ -100,3 +100,14 @@ def test_impulses_of_each_wall_are_clusters_of_their_own() -> None:
     normals = [tuple(jacobians[touch.contact].round(6).tolist()) for touch in read]
     assert normals == [(1.0, 0.0), (0.0, 1.0), (-1.0, 0.0)]
     assert [touch.start for touch in read] == pytest.approx([10.75 * dt, 12 * dt, 30 * dt])
+
+
+def test_bounces_of_two_walls_at_one_knot_come_one_after_the_other() -> None:
+    transcription = problem_of("room/two_walls").transcription
+    N, dt = transcription.scenario.num_steps, transcription.time_step()
+    q, v, u = np.full((N + 1, 2), 0.5), np.ones((N + 1, 2)), np.zeros((N, 2))
+    u[20] = -2.0 / dt
+    (first, second) = read_sequences(transcription, transcription.vector_of(q, v, u))[0]
+    assert first.start == pytest.approx(20 * dt)
+    assert 0 < second.start - first.start < dt / 10
+    assert first.contact != second.contact

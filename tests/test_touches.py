@@ -16,7 +16,7 @@ from rigid_worlds import Array, make_motion, physics_of
 
 from drake_aigto import World
 from drake_aigto.planning.contacts import find_contacts
-from drake_aigto.planning.touches import is_same, read_sequences
+from drake_aigto.planning.touches import is_same, neighbors, read_sequences, swapped
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import RigidTranscription, Touch, TouchSequence
 
@@ -42,6 +42,33 @@ def kick(
 
 def times(sequence: TouchSequence) -> list[float]:
     return [touch.start for touch in sequence]
+
+
+# Sequences near one.
+
+
+def contacts(sequence: TouchSequence) -> list[int]:
+    return [touch.contact for touch in sequence]
+
+
+def test_neighbors_lack_a_walls_last_touch_or_have_a_graze_more() -> None:
+    sequence = tuple(map(Touch.bounce, (0.1, 0.2, 0.3, 0.4), (0, 1, 0, 2)))
+    found = neighbors(sequence, [Touch.bounce(0.25, 3)])
+    assert sorted(map(contacts, found)) == [[0, 0, 2], [0, 1, 0], [0, 1, 2], [0, 1, 3, 0, 2]]
+    assert all(list(each) == sorted(each, key=lambda touch: touch.start) for each in found)
+    assert neighbors((), []) == []
+    assert neighbors((), [Touch.bounce(0.5)]) == [(Touch.bounce(0.5),)]
+
+
+def test_bounces_at_one_moment_change_places() -> None:
+    sequence = tuple(map(Touch.bounce, (0.1, 0.2, 0.2001, 0.4), (0, 1, 0, 1)))
+    (other,) = swapped(sequence, 1e-3)
+    assert contacts(other) == [0, 0, 1, 1]
+    assert times(other) == times(sequence)
+    assert swapped(sequence, 1e-5) == []
+    # Of one wall there is nothing to swap, and what lasts stays.
+    assert swapped((Touch.bounce(0.2), Touch.bounce(0.2001)), 1e-3) == []
+    assert swapped((Touch(0.2, 0.3, 1), Touch.bounce(0.2001)), 1e-3) == []
 
 
 # Sequences that boxes propose.

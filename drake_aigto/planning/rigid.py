@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drake_aigto.aigo import AigoResult
-from drake_aigto.errors import OptionsError, UnsupportedTermError
+from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
 from drake_aigto.local import compile_nlp
+from drake_aigto.planning.contact_motion import calc_time_to_wall
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.plan import Candidate
 from drake_aigto.planning.problem import PlanningProblem
@@ -40,6 +41,10 @@ _STEPS_PRICE = 1e-2
 _SEEN = "; with bounces seen in its replay"
 _NEAR = "; a touch dropped or added"
 _SWAPPED = "; touches swapped"
+# Neighbours are tried of at most so many candidates, of those that cost at most so many times the
+# best; a touch is one near the end if it would be within this part of the duration after it, and is
+# then this part before it.
+_MOST_BRANCHES, _GOOD, _SOON, _LAST = 6, 3.0, 0.25, 0.03
 # A candidate that costs no more than so many times the best may become the best.
 _PROMISING = 20.0
 
@@ -92,7 +97,7 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
             num_steps: of all phases together; this problem's if None.
 
         Raises:
-            OptionsError, UnsupportedTermError: touches that no motion has.
+            OptionsError, TrajectoryError, UnsupportedTermError: touches that no motion has.
         """
         coarse, (times, positions) = self.transcription, path
         scenario = coarse.scenario
@@ -149,7 +154,7 @@ class RigidSearch(Search[TouchSequence]):
         along = path and (lambda _, touches: self._polish_along(path, touches))
         try:
             self.solve(origin, center, sequence, along or self.problem.polish)
-        except (OptionsError, UnsupportedTermError):
+        except (OptionsError, TrajectoryError, UnsupportedTermError):
             # Boxes may see touches that no motion has, such as of opposite walls at once.
             self._refused.append(sequence)
             return
@@ -187,15 +192,46 @@ class RigidSearch(Search[TouchSequence]):
         return []
 
     def branch(self) -> None:
-        """Adds neighbours of the best sequence (`neighbors`), while that makes a better one."""
-        best = None
-        while best is not (best := min(self.by_sequence, key=self._rank_of)):
-            phases, x = self.solved[best]
-            for sequence in neighbors(phases.contact_sequence(x), phases.grazes(x)):
-                if not self.is_known(sequence):
-                    origin = self.by_sequence[best].origin.removesuffix(_NEAR)
-                    path = phases.sample_times(x), phases.split(x)[0]
-                    self.add(f"{origin}{_NEAR}", self.centers[best], sequence, path)
+        """Adds neighbours (`neighbors`) of good sequences, the best first, of each once."""
+        branched: set[TouchSequence] = set()
+        while len(branched) < _MOST_BRANCHES:
+            least = min(candidate.replay.cost for candidate in self.by_sequence.values())
+            good = [
+                sequence
+                for sequence, candidate in self.by_sequence.items()
+                if sequence not in branched
+                and candidate.is_feasible
+                and candidate.replay.cost <= _GOOD * least
+            ]
+            if not good:
+                break
+            best = min(good, key=self._rank_of)
+            branched.add(best)
+            self._branch(best)
+
+    def _branch(self, sequence: TouchSequence) -> None:
+        """Adds the neighbours of a sequence."""
+        phases, x = self.solved[sequence]
+        origin = self.by_sequence[sequence].origin.removesuffix(_NEAR)
+        path = phases.sample_times(x), phases.split(x)[0]
+        more = [*phases.grazes(x), *self._next_touches(phases, x)]
+        for other in neighbors(phases.contact_sequence(x), more):
+            if not self.is_known(other) and len(other) <= _MOST_TOUCHES:
+                self.add(f"{origin}{_NEAR}", self.centers[sequence], other, path)
+
+    def _next_touches(self, phases: PhaseTranscription, x: npt.NDArray[np.float64]) -> list[Touch]:
+        """Returns a bounce just before the end, off the wall that is touched soon after it."""
+        world, T = phases.world, self._duration
+        q, v = (part[-1] for part in phases.split(x)[:2])
+        pushes = world.calc_contact_jacobian(q) @ world.calc_acceleration(
+            q, v, np.zeros(world.num_actuators)
+        )
+        rates = world.calc_contact_jacobian(q) @ v
+        distances = np.maximum(world.calc_signed_distance(q), 0.0)
+        waits = list(map(calc_time_to_wall, distances, rates, pushes))
+        contact = int(np.argmin(waits))
+        soon = waits[contact] <= _SOON * T and world.is_on_face(q)[contact]
+        return [Touch.bounce((1 - _LAST) * T, contact)] if soon else []
 
     def _rank_of(self, sequence: TouchSequence) -> tuple[float, ...]:
         return self.rank(self.by_sequence[sequence])

@@ -1,0 +1,165 @@
+"""Whole plans in worlds of several contacts, against their optima; the steps that lead there."""
+
+from __future__ import annotations
+
+import dataclasses
+from contextlib import nullcontext
+from functools import cache
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from drake_aigto import PlanOptions, Scenario, World, plan
+from drake_aigto.planning.planner import make_problem
+from drake_aigto.planning.rigid import RigidProblem, RigidSearch
+from drake_aigto.study import walls_optimum
+from drake_aigto.study.world_scenarios import WORLDS
+from drake_aigto.transcription import PhaseTranscription, Touch
+from drake_aigto.world.scenario import scenario_names
+
+QUICK = PlanOptions(confirm=False)
+NEW = [name for name in scenario_names() if not name.startswith("table1")]
+
+
+@cache
+def world_of(model: str) -> World:
+    (scenario,) = WORLDS[model].draw(1, seed=0)
+    return World.from_scenario(scenario)
+
+
+@pytest.mark.parametrize("name", NEW)
+def test_shipped_scenarios_have_plans_that_drake_confirms(name: str) -> None:
+    scenario = Scenario.named(name)
+    found = plan(scenario)
+    assert found.holds
+    replay = found.replay.event_driven
+    assert replay.max_penetration < 1e-9
+    assert replay.energy_ratio is None or replay.energy_ratio < 1 + 1e-9
+    planned = [contact.contact for contact in found.best.contacts]
+    assert len(planned) == len(replay.bounce_contacts)
+    assert sorted(planned) == sorted(replay.bounce_contacts)
+
+
+@pytest.mark.parametrize("model", ["corridor", "floor", "room"])
+def test_plans_are_optimal(model: str) -> None:
+    world = world_of(model)
+    for scenario in WORLDS[model].draw(3, seed=40):
+        found = plan(scenario, QUICK, world)
+        optimum = walls_optimum(world, scenario)
+        assert found.replay.event_driven.cost <= 1.01 * optimum.cost + 1e-7
+        assert found.cost >= (1 - 1e-6) * optimum.cost - 1e-9
+
+
+def test_plans_between_mirrored_walls_are_mirrored() -> None:
+    world = world_of("corridor")
+    (scenario,) = WORLDS["corridor"].draw(1, seed=41)
+    mirrored = dataclasses.replace(
+        scenario,
+        initial_position=1 - scenario.initial_position,
+        initial_velocity=-scenario.initial_velocity,
+        goal_position=1 - scenario.goal_position,
+    )
+    one, other = (plan(each, QUICK, world) for each in (scenario, mirrored))
+    assert one.cost == pytest.approx(other.cost, rel=1e-5, abs=1e-9)
+    assert [c.contact for c in one.best.contacts] == [1 - c.contact for c in other.best.contacts]
+
+
+def test_the_same_scenario_gives_the_same_bits() -> None:
+    world = world_of("room")
+    (scenario,) = WORLDS["room"].draw(1, seed=42)
+    one, other = (plan(scenario, QUICK, world) for _ in range(2))
+    assert one.trajectory.positions.tobytes() == other.trajectory.positions.tobytes()
+
+
+def search_of(name: str, **changes: float) -> RigidSearch:
+    scenario = dataclasses.replace(Scenario.named(name), **changes)  # type: ignore[arg-type]
+    problem = make_problem(World.from_scenario(scenario), scenario, QUICK)
+    assert isinstance(problem, RigidProblem)
+    return RigidSearch(problem, lambda part: nullcontext(), scenario.num_steps)
+
+
+def test_touches_that_no_motion_has_are_refused_once_and_stop_nothing() -> None:
+    search = search_of("corridor/three_bounces")
+    center = search.problem.box.center
+    at_once = (Touch.bounce(0.5, 0), Touch.bounce(0.5, 1))
+    search.add("by hand", center, at_once)
+    assert not search.by_sequence
+    assert search.is_known(at_once)
+    search.add("by hand", center, (Touch.bounce(0.5, 1),))
+    assert search.by_sequence
+
+
+def test_a_touch_too_many_is_dropped() -> None:
+    scenario = Scenario.named("corridor/three_bounces")
+    optimum = walls_optimum(World.from_scenario(scenario), scenario)
+    search = search_of("corridor/three_bounces")
+    times = np.linspace(0, scenario.duration, len(optimum.contacts) + 3)[1:-1]
+    more = (*optimum.contacts, 1 - optimum.contacts[-1])
+    search.add("by hand", search.problem.box.center, tuple(map(Touch.bounce, times, more)))
+    search.branch()
+    best = search.ranked()[0]
+    assert [contact.contact for contact in best.contacts] == list(optimum.contacts)
+    assert best.replay.cost <= 1.01 * optimum.cost + 1e-7
+    assert best.origin == "by hand; a touch dropped or added"
+
+
+def test_bounces_in_the_wrong_order_change_places() -> None:
+    scenario = Scenario.named("room/two_walls")
+    optimum = walls_optimum(World.from_scenario(scenario), scenario)
+    touches = [Touch.bounce(touch.start, touch.contact) for touch in optimum.touches]
+    J = World.from_scenario(scenario).calc_contact_jacobian(np.full(2, 0.5))
+    place = next(
+        k
+        for k, (one, other) in enumerate(pairwise(touches))
+        if J[one.contact] @ J[other.contact] == 0
+    )
+    first, second = touches[place : place + 2]
+    touches[place : place + 2] = [
+        Touch.bounce(first.start, second.contact),
+        Touch.bounce(second.start, first.contact),
+    ]
+    search = search_of("room/two_walls")
+    search.add("by hand", search.problem.box.center, tuple(touches))
+    best = search.ranked()[0]
+    assert [contact.contact for contact in best.contacts] == list(optimum.contacts)
+    assert best.replay.cost <= 1.01 * optimum.cost + 1e-7
+
+
+def test_a_guess_falls_from_stop_to_stop_as_gravity_has_it() -> None:
+    scenario = Scenario.named("floor/rebound")
+    world = World.from_scenario(scenario)
+    phases = PhaseTranscription(world, scenario, [Touch.bounce(0.4 * scenario.duration)])
+    guess = phases.guess()
+    t, q, v = guess.times, guess.positions[:, 0], guess.velocities[:, 0]
+    g = -float(world.calc_acceleration(np.zeros(1), np.zeros(1), np.zeros(1))[0])
+    knot = int(np.argmin(np.abs(t - 0.4 * scenario.duration)))
+    assert q[0] == scenario.initial_position[0]
+    assert q[knot] == pytest.approx(0.0, abs=1e-12)
+    assert q[-1] == pytest.approx(scenario.goal_position[0])
+    for part in (slice(0, knot + 1), slice(knot, None)):
+        s = t[part] - t[part][0]
+        launch = (q[part][-1] - q[part][0]) / s[-1] + g * s[-1] / 2
+        np.testing.assert_allclose(q[part], q[part][0] + launch * s - g * s**2 / 2, atol=1e-12)
+        np.testing.assert_allclose(v[part][1:], launch - g * s[1:], atol=1e-12)
+
+
+def test_a_motion_that_keeps_off_a_wall_by_control_grazes_it() -> None:
+    scenario = dataclasses.replace(
+        Scenario.named("corridor/three_bounces"),
+        initial_position=0.3,
+        initial_velocity=-2.0,
+        goal_position=0.4,
+        time_step=0.025,
+    )
+    world = World.from_scenario(scenario)
+    problem = make_problem(world, scenario, QUICK)
+    assert isinstance(problem, RigidProblem)
+    phases, x = problem.polish(problem.box.center, ())
+    (graze,) = phases.grazes(x)
+    assert graze.contact == 0
+    nearest = np.argmin(phases.signed_distances(x)[:, 0])
+    assert graze.start == pytest.approx(phases.sample_times(x)[nearest], abs=0.1)
+    # Where it bounces, it does not keep off.
+    phases, x = problem.polish(problem.box.center, (graze,))
+    assert [other.contact for other in phases.grazes(x)] in ([], [1])
