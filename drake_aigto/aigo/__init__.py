@@ -3,6 +3,7 @@
 from drake_aigto.aigo.algorithm import AigoResult, Algorithm, Box, Iterate, Status, minimize
 from drake_aigto.aigo.alternating import Alternating
 from drake_aigto.aigo.annealing import Annealing
+from drake_aigto.aigo.bounded_annealing import BoundedAnnealing
 from drake_aigto.aigo.box_search import BoxSearch, Candidate, SearchResult
 from drake_aigto.aigo.continuation import PenaltyContinuation
 from drake_aigto.aigo.face_flow import FaceFlow, Pace
@@ -13,6 +14,7 @@ __all__ = [
     "Algorithm",
     "Alternating",
     "Annealing",
+    "BoundedAnnealing",
     "Box",
     "BoxSearch",
     "Candidate",

@@ -112,12 +112,17 @@ class SmoothedObjective(Objective):
 
     def evaluate(self, y: Floats) -> NewtonSystem:
         """Returns the objective and its derivatives."""
+        value, gradient, band = self._parts(y)
+        self._held.remove(gradient, band)
+        return NewtonSystem(value, gradient, band)
+
+    def _parts(self, y: Floats) -> tuple[float, Floats, Floats]:
+        """Returns value, gradient and Hessian, as if nothing were held."""
         center, log_half_width = self._f.to_variables(y)
         system = self._f.newton_system(center, np.exp(log_half_width))
         system.gradient[1::2] -= self._mu
-        self._held.remove(system.gradient, system.band)
         entropy = float(np.sum(y[1::2][self._free]))
-        return NewtonSystem(system.value - self._mu * entropy, system.gradient, system.band)
+        return system.value - self._mu * entropy, system.gradient, system.band
 
     def scale(self, y: Floats, system: NewtonSystem) -> Floats:
         """Returns μ (3/w², 2), a separable cost's Hessian where w ∂f̄/∂w = μ; 1 where held."""

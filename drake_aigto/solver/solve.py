@@ -34,7 +34,7 @@ _POLISHED_RENEWALS = 10
 # The search at one of three weights gives up after this part of the patience.
 _PATIENCE_SHARE = 6
 # A sum of terms is off by no more than this part of the sum of their sizes.
-_ROUNDING = 1e-13
+_ROUNDING = 1e-14
 # A point farther out than this, in a variable without bounds, is where a cost falls without end.
 _FAR = 1e8
 
