@@ -28,7 +28,7 @@ FINE, NOTHING_HOLDS, BAD_INPUT, INTERRUPTED, UNREAD = 0, 1, 2, 130, 141
 _VECTORS = ("initial_position", "initial_velocity", "goal_position")
 # Numeric plan option → its type, and what it is.
 _NUMBERS: dict[str, tuple[Callable[[str], float], str]] = {
-    "relaxation": (float, "rigid: how much the wall pushes from afar while boxes shrink"),
+    "relaxation": (float, "rigid: how much walls push from afar while boxes shrink"),
     "aigo_steps": (int, "rigid: the most time steps that boxes have"),
     "finalists": (int, "how many of the best candidates are improved"),
 }
@@ -37,7 +37,7 @@ _NUMBERS: dict[str, tuple[Callable[[str], float], str]] = {
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs a command and returns its exit status.
 
-    0: fine. 1: no plan was found that holds on a rigid wall. 2: bad input. 130: interrupted.
+    0: fine. 1: no plan was found that holds on rigid walls. 2: bad input. 130: interrupted.
     141: nobody read on.
     """
     options = _parser().parse_args(arguments)
@@ -91,7 +91,8 @@ def _plan(options: argparse.Namespace) -> int:
 
 
 def _answer_plan(options: argparse.Namespace, plan: Plan, planner: Planner) -> int:
-    return _answer(options, plan, format_plan(plan, planner.options, _delay(plan, planner)))
+    delay = _delay(plan, planner)
+    return _answer(options, plan, format_plan(plan, planner.world, planner.options, delay))
 
 
 def _replay(options: argparse.Namespace) -> int:
@@ -99,7 +100,8 @@ def _replay(options: argparse.Namespace) -> int:
     plan = Plan.load(options.plan)
     planner = Planner(plan.scenario, PlanOptions(confirm=options.confirm))
     replayed = dataclasses.replace(plan, replay=planner.simulate(plan.trajectory))
-    return _answer(options, replayed, format_replays(replayed, _delay(replayed, planner)))
+    delay = _delay(replayed, planner)
+    return _answer(options, replayed, format_replays(replayed, planner.world, delay))
 
 
 def _play(options: argparse.Namespace) -> int:
@@ -140,7 +142,7 @@ def _answer(options: argparse.Namespace, plan: Plan, text: str) -> int:
 
 
 def _delay(plan: Plan, planner: Planner) -> float | None:
-    """Returns by how much the wall in Drake is late [s], if the plan was replayed there."""
+    """Returns by how much walls in Drake are late at most [s], if the plan was replayed there."""
     return None if plan.replay.drake is None else contact_delay(planner.world)
 
 
@@ -166,7 +168,7 @@ def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="drake-aigto",
         description="Global trajectory optimization through contact, on Drake.",
-        epilog="Exit status: 0 fine, 1 nothing found that holds on a rigid wall, 2 bad input.",
+        epilog="Exit status: 0 fine, 1 nothing found that holds on rigid walls, 2 bad input.",
     )
     commands = parser.add_subparsers(required=True, metavar="COMMAND")
     _add_table1(commands)

@@ -14,7 +14,7 @@ from drake_aigto.planning.contacts import PlannedContact
 from drake_aigto.show.plans import format_plan, format_replays
 from drake_aigto.show.tables import format_table1
 from drake_aigto.study import Cell, Entry, Method, RigidCell, RigidOptimum, Table1
-from drake_aigto.world import Scenario
+from drake_aigto.world import Scenario, World
 
 OPTIONS = PlanOptions()
 WIDTH = 100
@@ -24,6 +24,11 @@ WIDTH = 100
 def plan() -> Plan:
     scenario = dataclasses.replace(Scenario.named("table1/1"), time_step=0.02)
     return Planner(scenario, OPTIONS).plan()
+
+
+@pytest.fixture(scope="module")
+def world(plan: Plan) -> World:
+    return World.from_scenario(plan.scenario)
 
 
 def with_best(plan: Plan, best: Candidate) -> Plan:
@@ -97,8 +102,10 @@ def test_no_line_of_the_table_is_too_long(plan: Plan, optimum: float) -> None:
     assert max(map(len, text.splitlines())) <= WIDTH
 
 
-def test_a_plan_begins_with_its_verdict_and_the_costs_that_it_rests_on(plan: Plan) -> None:
-    verdict, costs = format_plan(plan, OPTIONS, 1e-4).splitlines()[:2]
+def test_a_plan_begins_with_its_verdict_and_the_costs_that_it_rests_on(
+    plan: Plan, world: World
+) -> None:
+    verdict, costs = format_plan(plan, world, OPTIONS, 1e-4).splitlines()[:2]
     assert verdict == (
         "verdict     holds: the control alone keeps the plan's promise on a rigid wall and on "
         "Drake's plant"
@@ -119,47 +126,53 @@ def test_a_plan_begins_with_its_verdict_and_the_costs_that_it_rests_on(plan: Pla
     ],
 )
 def test_a_failing_verdict_names_the_simulation(
-    plan: Plan, wrong: tuple[bool, bool], where: str
+    plan: Plan, world: World, wrong: tuple[bool, bool], where: str
 ) -> None:
     def spoil(replay: Replay, is_wrong: bool) -> Replay:
         return dataclasses.replace(replay, cost=1.0) if is_wrong else replay
 
     replays = Replays(*(spoil(*pair) for pair in zip(plan.replay, wrong, strict=True)))
-    text = format_plan(dataclasses.replace(plan, replay=replays), OPTIONS)
+    text = format_plan(dataclasses.replace(plan, replay=replays), world, OPTIONS)
     assert text.startswith("verdict     fails: ")
     assert f" the control alone misses the plan's promise {where}\n" in text
 
 
-def test_what_is_not_known_is_left_out(plan: Plan) -> None:
-    assert "ms late" in format_replays(plan, 1e-4)
-    assert "ms late" not in format_replays(plan)
+def test_what_is_not_known_is_left_out(plan: Plan, world: World) -> None:
+    assert "ms late" in format_replays(plan, world, 1e-4)
+    assert "ms late" not in format_replays(plan, world)
     alone = dataclasses.replace(plan, replay=Replays(plan.replay.event_driven, None))
-    assert "Drake" not in format_plan(alone, OPTIONS, 1e-4)
-    still = with_replays(plan, bounce_times=(), energies_before=(), energies_after=())
-    assert format_replays(still, 1e-4).count("no bounce") == 2
-    assert "ms late" not in format_replays(still, 1e-4)
+    assert "Drake" not in format_plan(alone, world, OPTIONS, 1e-4)
+    still = with_replays(
+        plan, bounce_times=(), bounce_contacts=(), energies_before=(), energies_after=()
+    )
+    assert format_replays(still, world, 1e-4).count("no bounce") == 2
+    assert "ms late" not in format_replays(still, world, 1e-4)
 
 
-def test_a_matched_dissipation_says_for_which_impacts(plan: Plan) -> None:
+def test_a_matched_dissipation_says_for_which_impacts(plan: Plan, world: World) -> None:
     matched = with_replays(plan, matched_speeds=(1.234, 0.98765))
-    assert "restitution matched for impacts at 1.23, 0.99 m/s" in format_plan(matched, OPTIONS)
+    assert "restitution matched for impacts at 1.23, 0.99 m/s" in format_plan(
+        matched, world, OPTIONS
+    )
 
 
-def test_what_compliance_explains_is_told(plan: Plan) -> None:
-    told = format_replays(with_replays(plan, compliance_error=0.0034))
+def test_what_compliance_explains_is_told(plan: Plan, world: World) -> None:
+    told = format_replays(with_replays(plan, compliance_error=0.0034), world)
     assert told.count(" off the goal (its compliance explains 3.4 mm)") == 2
-    assert "compliance" not in format_replays(with_replays(plan, compliance_error=0.0))
+    assert "compliance" not in format_replays(with_replays(plan, compliance_error=0.0), world)
 
 
-def test_contacts_that_last_show_when_they_end(plan: Plan) -> None:
+def test_contacts_that_last_show_when_they_end(plan: Plan, world: World) -> None:
     contacts = (PlannedContact(0.25, 0.5, 3.0, 0.0), PlannedContact(0.75, 0.75, 1.5, 0.64))
-    text = format_plan(with_best(plan, dataclasses.replace(plan.best, contacts=contacts)), OPTIONS)
+    text = format_plan(
+        with_best(plan, dataclasses.replace(plan.best, contacts=contacts)), world, OPTIONS
+    )
     assert "\ncontacts    0.250–0.500 s (Δv 3.00 m/s), 0.750 s (Δv 1.50 m/s), " in text
     assert re.search(r" mm  0\.250–0\.500, 0\.750 s\n", text)
 
 
 @pytest.mark.parametrize("transcription", ["rigid", "literal"])
-def test_no_line_of_a_plan_is_too_long(plan: Plan, transcription: str) -> None:
+def test_no_line_of_a_plan_is_too_long(plan: Plan, world: World, transcription: str) -> None:
     contacts = tuple(PlannedContact(t, t + 0.01, 1e3, 1e9) for t in np.linspace(0, 99, 40))
     crowded = dataclasses.replace(
         plan.best,
@@ -169,7 +182,65 @@ def test_no_line_of_a_plan_is_too_long(plan: Plan, transcription: str) -> None:
         defects={"a kind of row with a long name": 1e-300, **plan.best.defects},
     )
     busy = dataclasses.replace(plan, transcription=transcription, candidates=(crowded,) * 12)
-    text = format_plan(with_replays(busy, bounce_times=tuple(range(1000, 1400))), OPTIONS, 1e-4)
+    bounces = {"bounce_times": tuple(range(1000, 1400)), "bounce_contacts": (0,) * 400}
+    text = format_plan(with_replays(busy, **bounces), world, OPTIONS, 1e-4)
     assert max(map(len, text.splitlines())) <= WIDTH
     assert "and 4 more" in text
-    assert "and 396 times more" in text
+    assert "and 394 times more" in text
+
+
+@pytest.fixture(scope="module")
+def corridor() -> World:
+    return World.from_scenario(Scenario.named("corridor/three_bounces"))
+
+
+def between_walls(plan: Plan) -> Plan:
+    """Returns the plan as if it had three bounces between two walls."""
+    contacts = tuple(
+        PlannedContact(time, time, 4.0, 1.0, contact)
+        for time, contact in ((0.15, 0), (0.66, 1), (1.18, 0))
+    )
+    bounces = {"bounce_times": (0.15, 0.66, 1.18), "bounce_contacts": (0, 1, 0)}
+    told = with_replays(plan, **bounces, energies_before=(1.0,) * 3, energies_after=(1.0,) * 3)
+    return with_best(told, dataclasses.replace(plan.best, contacts=contacts))
+
+
+def test_contacts_between_several_walls_say_which(plan: Plan, corridor: World) -> None:
+    text = format_plan(between_walls(plan), corridor, OPTIONS, 1e-4)
+    assert text.startswith(
+        "verdict     holds: the control alone keeps the plan's promise on rigid w"
+    )
+    for told in (
+        "\npairs       a ball against left wall, b ball against right wall\n",
+        "\ncontacts    ball against left wall at 0.150 s (Δv 4.00 m/s),",
+        "\n            ball against right wall at 0.660 s (Δv 4.00 m/s),",
+        "bounces at a 0.1500, b 0.6600, a 1.1800 s",
+        "  aba at 0.150, 0.660, 1.180 s\n",
+        "each up to 0.10 ms late",
+    ):
+        assert told in text, f"{told} in\n{text}"
+    assert max(map(len, text.splitlines())) <= WIDTH
+
+
+def test_one_wall_needs_no_letters(plan: Plan, world: World) -> None:
+    text = format_plan(plan, world, OPTIONS, 1e-4)
+    assert "pairs" not in text and "ball" not in text
+
+
+def test_a_models_own_restitution_is_told(plan: Plan, corridor: World) -> None:
+    left, right = corridor.contacts
+    dull = dataclasses.replace(
+        corridor, contacts=(dataclasses.replace(left, restitution=0.5), right)
+    )
+    text = format_replays(between_walls(plan), dull)
+    assert (
+        "\npairs       a ball against left wall (restitution 0.5), b ball against right wall\n"
+        in text
+    )
+
+
+def test_letters_do_not_run_out(plan: Plan, corridor: World) -> None:
+    many = dataclasses.replace(corridor, contacts=corridor.contacts * 14)
+    last = dataclasses.replace(plan.best, contacts=(PlannedContact(0.5, 0.5, 1.0, 1.0, 27),))
+    text = format_plan(with_best(plan, last), many, OPTIONS)
+    assert "b1 ball against right wall" in text and "  b1 at 0.500 s\n" in text

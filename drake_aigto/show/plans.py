@@ -3,49 +3,66 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from string import ascii_lowercase
 
 from drake_aigto.planning import Candidate, Plan, PlanOptions, Replay, confirms
 from drake_aigto.planning.contacts import PlannedContact
-from drake_aigto.show.text import WIDTH, energy_text, length_text, task_items, time_text
+from drake_aigto.show.text import (
+    WIDTH,
+    contact_names,
+    energy_text,
+    length_text,
+    task_items,
+    time_text,
+)
 from drake_aigto.transcription.rigid_contact import DYNAMICS, RESTITUTION
+from drake_aigto.world import World
 
 _LABEL = 12  # Columns of the labels at the left.
 _COLUMNS = (9, 8, 9, 8, 10, 10)  # Of the table of candidates, before their contacts.
 _MOST_CANDIDATES = 8
-_MOST_BOUNCES = 4
+_MOST_BOUNCES = 6
 
 
-def format_plan(plan: Plan, options: PlanOptions, contact_delay: float | None = None) -> str:
+def format_plan(
+    plan: Plan, world: World, options: PlanOptions, contact_delay: float | None = None
+) -> str:
     """Returns a plan with its verdict, its replays and its rivals, as text.
+
+    Of several contacts, each has its letter.
 
     Args:
         plan: to show.
+        world: that of its scenario.
         options: that it was made with.
-        contact_delay: by how much Drake's wall is late [s]; None leaves that out.
+        contact_delay: by how much Drake's walls are late at most [s]; None leaves that out.
     """
-    return "\n".join([*_answer(plan, contact_delay), *_search(plan, options)])
+    names = contact_names(world)
+    return "\n".join([*_answer(plan, world, contact_delay), *_search(plan, options, names)])
 
 
-def format_replays(plan: Plan, contact_delay: float | None = None) -> str:
+def format_replays(plan: Plan, world: World, contact_delay: float | None = None) -> str:
     """Returns what simulations of a plan's control say, as text.
 
     Args:
         plan: with its replays.
-        contact_delay: by how much Drake's wall is late [s]; None leaves that out.
+        world: that of its scenario.
+        contact_delay: by how much Drake's walls are late at most [s]; None leaves that out.
     """
-    return "\n".join(_answer(plan, contact_delay))
+    return "\n".join(_answer(plan, world, contact_delay))
 
 
-def _answer(plan: Plan, contact_delay: float | None) -> Iterator[str]:
-    best, scenario = plan.best, plan.scenario
-    yield from _row("verdict", [_verdict(plan)])
-    costs = [f"{_simulator(replay)} {replay.cost:.3e}" for replay in plan.replay]
+def _answer(plan: Plan, world: World, contact_delay: float | None) -> Iterator[str]:
+    best, scenario, names = plan.best, plan.scenario, contact_names(world)
+    yield from _row("verdict", [_verdict(plan, names)])
+    costs = [f"{_simulator(replay, names)} {replay.cost:.3e}" for replay in plan.replay]
     yield from _row("", [f"cost {plan.cost:.3e}", *costs])
     mass = [] if scenario.mass is None else [f"mass {scenario.mass:g} kg"]
     span = f"T = {scenario.duration:g} s in {scenario.num_steps} steps"
     restitution = f"restitution {scenario.restitution:g}"
     yield from _row("scenario", [*task_items(scenario), *mass, restitution, span])
+    yield from _row("pairs", _pairs(world, names))
     literal = [f"ε = {scenario.epsilon:g} J", f"δ = {scenario.delta:g} m"]
     yield from _row(
         "plan",
@@ -58,23 +75,32 @@ def _answer(plan: Plan, contact_delay: float | None) -> Iterator[str]:
         ],
     )
     yield from _row("defects", _defects(best))
-    yield from _row("contacts", _contacts(best))
+    yield from _row("contacts", _contacts(best, names))
     for replay in plan.replay:
-        yield from _row("simulated", _simulation(replay, contact_delay))
+        yield from _row("simulated", _simulation(replay, contact_delay, names))
 
 
-def _verdict(plan: Plan) -> str:
+def _verdict(plan: Plan, names: Sequence[str]) -> str:
     against = [
         replay for replay in plan.replay if not confirms(plan.cost, replay, plan.best.goal_error)
     ]
-    where = " and ".join(map(_simulator, against or plan.replay))
+    where = " and ".join(_simulator(replay, names) for replay in against or plan.replay)
     if against:
         return f"fails: the control alone misses the plan's promise {where}"
     return f"holds: the control alone keeps the plan's promise {where}"
 
 
-def _simulation(replay: Replay, contact_delay: float | None) -> Iterator[str]:
-    yield f"{_simulator(replay)}: cost {replay.cost:.3e}"
+def _pairs(world: World, names: Sequence[str]) -> Iterator[str]:
+    """Yields the letters of several contacts, each with its restitution if the model has one."""
+    if len(names) == 1:
+        return
+    for index, (name, contact) in enumerate(zip(names, world.contacts, strict=True)):
+        own = "" if contact.restitution is None else f" (restitution {contact.restitution:g})"
+        yield f"{_letter(index)} {name}{own}"
+
+
+def _simulation(replay: Replay, contact_delay: float | None, names: Sequence[str]) -> Iterator[str]:
+    yield f"{_simulator(replay, names)}: cost {replay.cost:.3e}"
     explained = f" (its compliance explains {length_text(replay.compliance_error)})"
     known = explained if replay.compliance_error else ""
     yield f"ends {length_text(replay.goal_error)} off the goal{known}"
@@ -83,17 +109,25 @@ def _simulation(replay: Replay, contact_delay: float | None) -> Iterator[str]:
         yield "no bounce"
         return
     yield f"energy ratio {energy_text(replay.energy_ratio)}"
-    more = len(replay.bounce_times) - _MOST_BOUNCES
-    times = ", ".join(f"{time:.4f}" for time in replay.bounce_times[:_MOST_BOUNCES])
-    yield f"bounces at {times} s" + (f" and {more} times more" if more > 0 else "")
+    yield _bounces(replay, names)
     if replay.matched_speeds:
         speeds = ", ".join(f"{speed:.2f}" for speed in replay.matched_speeds[:_MOST_BOUNCES])
         yield f"restitution matched for impacts at {speeds} m/s"
     if replay.simulator == "drake" and contact_delay is not None:
-        yield f"each {time_text(contact_delay)} late (π √(m / k))"
+        most = "up to " if len(names) > 1 else ""
+        yield f"each {most}{time_text(contact_delay)} late (π √(m / k))"
 
 
-def _search(plan: Plan, options: PlanOptions) -> Iterator[str]:
+def _bounces(replay: Replay, names: Sequence[str]) -> str:
+    """Returns when the first bounces are; of several contacts, with their letters."""
+    letters = [f"{_letter(i)} " if len(names) > 1 else "" for i in replay.bounce_contacts]
+    bounces = list(zip(letters, replay.bounce_times, strict=True))
+    more = len(bounces) - _MOST_BOUNCES
+    times = ", ".join(f"{letter}{time:.4f}" for letter, time in bounces[:_MOST_BOUNCES])
+    return f"bounces at {times} s" + (f" and {more} times more" if more > 0 else "")
+
+
+def _search(plan: Plan, options: PlanOptions, names: Sequence[str]) -> Iterator[str]:
     steps = plan.scenario.num_steps
     boxes = [f"boxes of {steps} steps"]
     if plan.transcription == "rigid":
@@ -113,15 +147,17 @@ def _search(plan: Plan, options: PlanOptions) -> Iterator[str]:
     )
     yield _line("cost", "defect", "in wall", "energy", "replayed", "off goal", "contacts")
     for candidate in plan.candidates[:_MOST_CANDIDATES]:
-        yield _candidate_line(candidate)
+        yield _candidate_line(candidate, names)
     more = len(plan.candidates) - _MOST_CANDIDATES
     if more > 0:
         yield from _row("", [f"and {more} more"])
     yield from _row("seconds", [f"{part} {s:.2f}" for part, s in plan.stats.seconds.items()])
 
 
-def _candidate_line(candidate: Candidate) -> str:
+def _candidate_line(candidate: Candidate, names: Sequence[str]) -> str:
     times = ", ".join(map(_when, candidate.contacts))
+    if len(names) > 1:
+        times = " at ".join(["".join(_letter(c.contact) for c in candidate.contacts), times])
     return _line(
         f"{candidate.cost:.2e}",
         f"{candidate.max_defect:.0e}{'' if candidate.is_feasible else '*'}",
@@ -129,7 +165,7 @@ def _candidate_line(candidate: Candidate) -> str:
         energy_text(candidate.energy_ratio),
         f"{candidate.replay.cost:.2e}",
         length_text(candidate.replay.goal_error),
-        f"{times} s" if times else "none",
+        f"{times} s" if candidate.contacts else "none",
     )
 
 
@@ -142,9 +178,11 @@ def _line(*texts: str) -> str:
 
 
 def _row(label: str, items: Iterable[str]) -> list[str]:
-    """Returns a label and items; lines break between items."""
+    """Returns a label and items, or nothing without items; lines break between items."""
     # Lines do not break at no-break spaces.
     text = ", ".join(item.replace(" ", "\u00a0") for item in items)
+    if not text:
+        return []
     lines = textwrap.wrap(
         text,
         WIDTH,
@@ -155,8 +193,10 @@ def _row(label: str, items: Iterable[str]) -> list[str]:
     return [line.replace("\u00a0", " ") for line in lines]
 
 
-def _simulator(replay: Replay) -> str:
-    return "on a rigid wall" if replay.simulator == "event-driven" else "on Drake's plant"
+def _simulator(replay: Replay, names: Sequence[str]) -> str:
+    if replay.simulator == "drake":
+        return "on Drake's plant"
+    return "on a rigid wall" if len(names) == 1 else "on rigid walls"
 
 
 def _defects(candidate: Candidate) -> Iterator[str]:
@@ -165,13 +205,20 @@ def _defects(candidate: Candidate) -> Iterator[str]:
         yield f"{name} {defect:.0e} {unit}" if defect else f"{name} 0 {unit}"
 
 
-def _contacts(candidate: Candidate) -> Iterator[str]:
+def _contacts(candidate: Candidate, names: Sequence[str]) -> Iterator[str]:
     if not candidate.contacts:
         yield "none"
         return
     for contact in candidate.contacts:
-        yield f"{_when(contact)} s (Δv {contact.velocity_change:.2f} m/s)"
+        where = f"{names[contact.contact]} at " if len(names) > 1 else ""
+        yield f"{where}{_when(contact)} s (Δv {contact.velocity_change:.2f} m/s)"
     yield f"kinetic energy after / before {energy_text(candidate.energy_ratio)}"
+
+
+def _letter(contact: int) -> str:
+    """Returns the letter of a contact, with a number after the alphabet is used up."""
+    again, index = divmod(contact, len(ascii_lowercase))
+    return f"{ascii_lowercase[index]}{again or ''}"
 
 
 def _when(contact: PlannedContact) -> str:

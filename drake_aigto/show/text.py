@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from drake_aigto.world import Scenario
+from drake_aigto.world import Scenario, World
 
 WIDTH = 100
+_AGAINST = " against "
 
 
 def task_items(scenario: Scenario) -> list[str]:
@@ -16,6 +17,18 @@ def task_items(scenario: Scenario) -> list[str]:
         f"v(0) = {_numbers(scenario.initial_velocity)} m/s",
         f"goal {_numbers(scenario.goal_position)} m",
     ]
+
+
+def contact_names(world: World) -> list[str]:
+    """Returns what touches what, such as "ball against left wall", for each contact."""
+    return [contact.name.replace("_", " ").replace(",", "") for contact in world.contacts]
+
+
+def wall_names(world: World) -> list[str]:
+    """Returns what is touched, such as "left wall"; and what by, where several bodies touch."""
+    names = contact_names(world)
+    pairs = [name.split(_AGAINST) for name in names]
+    return [wall for _, wall in pairs] if len({ball for ball, _ in pairs}) == 1 else names
 
 
 def length_text(metres: float) -> str:
