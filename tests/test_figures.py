@@ -13,18 +13,21 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.colors import to_hex
 from matplotlib.figure import Figure
+from matplotlib.patches import Polygon
 
-from drake_aigto import Scenario, World
+from drake_aigto import ModelError, Scenario, World
 from drake_aigto.aigo import Box, Iterate
+from drake_aigto.show.coordinates import coordinate_names
 from drake_aigto.show.figures import (
     plot_boxes,
     plot_controls,
     plot_motions,
+    plot_path,
     plot_positions,
     plot_velocities,
 )
 from drake_aigto.show.motion import PALETTE, Motion
-from drake_aigto.transcription import LiteralTranscription, RigidTranscription
+from drake_aigto.transcription import LiteralTranscription, RigidTranscription, Touch
 
 TIMES = np.array([0.0, 0.5, 0.5, 1.0])
 PLAN = Motion(
@@ -40,7 +43,7 @@ TOUCHES = dataclasses.replace(
     control_times=np.array([0.0, 0.5, 0.6, 0.8, 1.0]),
     controls=np.array([[0.0], [-3.0], [-5.0], [0.3]]),
     forces=np.array([[0.0], [3.0], [5.0], [0.0]]),
-    contacts=((0.25, 0.25), (0.5, 0.8)),
+    touches=(Touch.bounce(0.25), Touch(0.5, 0.8)),
 )
 SIMULATION = Motion("simulation", TIMES, PLAN.positions * 0.9, PLAN.velocities * 0.9)
 
@@ -83,14 +86,14 @@ def test_lines_are_the_motions(axes: Axes, world: World, scenario: Scenario) -> 
     assert labels(axes) == ["plan (not a simulation)", "simulation", "goal", "wall"]
 
 
-def test_an_impact_is_a_vertical_line_of_the_velocity(axes: Axes) -> None:
-    plot_velocities(axes, [PLAN])
+def test_an_impact_is_a_vertical_line_of_the_velocity(axes: Axes, world: World) -> None:
+    plot_velocities(axes, [PLAN], world)
     np.testing.assert_array_equal(line(axes, PLAN.label).get_ydata(), PLAN.velocities[:, 0])
     assert axes.get_ylabel() == "velocity v [m/s]"
 
 
-def test_a_control_is_held_between_knots(axes: Axes) -> None:
-    plot_controls(axes, [PLAN, SIMULATION])
+def test_a_control_is_held_between_knots(axes: Axes, world: World) -> None:
+    plot_controls(axes, [PLAN, SIMULATION], world)
     control, *_ = axes.lines
     assert control.get_drawstyle() == "steps-post"
     np.testing.assert_array_equal(control.get_xydata(), [[0.0, 0.3], [0.4, -0.2], [1.0, -0.2]])
@@ -124,8 +127,10 @@ def test_planned_contacts_are_marked_in_all_axes_and_named_once(
     assert labels(axes[0]).count("planned contact") == 1
 
 
-def test_the_force_of_a_contact_that_lasts_is_shaded_where_it_acts(axes: Axes) -> None:
-    plot_controls(axes, [TOUCHES])
+def test_the_force_of_a_contact_that_lasts_is_shaded_where_it_acts(
+    axes: Axes, world: World
+) -> None:
+    plot_controls(axes, [TOUCHES], world)
     (shade,) = axes.collections
     assert shade.get_label() == "force of the wall λ [N]" in labels(axes)
     (path,) = shade.get_paths()
@@ -134,8 +139,8 @@ def test_the_force_of_a_contact_that_lasts_is_shaded_where_it_acts(axes: Axes) -
         assert inside.tolist() == [force > 0, False]
 
 
-def test_no_force_no_legend(axes: Axes) -> None:
-    plot_controls(axes, [dataclasses.replace(PLAN, forces=np.zeros((2, 1)))])
+def test_no_force_no_legend(axes: Axes, world: World) -> None:
+    plot_controls(axes, [dataclasses.replace(PLAN, forces=np.zeros((2, 1)))], world)
     assert not axes.collections and axes.get_legend() is None
 
 
@@ -156,21 +161,15 @@ def test_the_wall_is_shaded_where_the_distance_is_negative(
     assert world.calc_signed_distance(np.array([low]))[0] < 0
 
 
-def test_a_wall_above_is_shaded_above(axes: Axes, scenario: Scenario) -> None:
-    class Mirrored:
-        num_positions = 1
-
-        def calc_signed_distance(self, q: np.ndarray) -> np.ndarray:
-            return 3 - 2 * q
-
-        def calc_contact_jacobian(self, q: np.ndarray) -> np.ndarray:
-            return np.array([[-2.0]])
-
-    world: Any = Mirrored()
-    plot_positions(axes, [PLAN], world, scenario)
-    low, high = wall_edges(axes)
-    assert low == pytest.approx(1.5)
-    assert high > axes.get_ylim()[1] > 1.55
+def test_walls_on_both_sides_are_shaded_on_both_sides(axes: Axes) -> None:
+    scenario = Scenario.named("corridor/three_bounces")
+    plot_positions(axes, [PLAN], World.from_scenario(scenario), scenario)
+    boxes = [patch.get_extents().transformed(axes.transData.inverted()) for patch in axes.patches]
+    left, right = ((box.y0, box.y1) for box in boxes)
+    low, high = axes.get_ylim()
+    assert left[0] < low < -0.05 < left[1] == pytest.approx(0)
+    assert right[1] > high > 1.05 > right[0] == pytest.approx(1)
+    assert labels(axes)[-1] == "walls"
 
 
 def test_axes_that_share_a_scale_show_all_of_it_and_the_wall(
@@ -214,14 +213,101 @@ def test_boxes_are_bands_of_center_and_half_width(
     assert axes.get_xlabel() == "time t [s]"
 
 
-def test_two_coordinates_look_different_and_have_one_label(axes: Axes) -> None:
-    positions = np.column_stack([PLAN.positions, PLAN.positions])
-    plot_velocities(axes, [Motion("plane", TIMES, positions, positions)])
-    lines: list[Any] = axes.lines[:2]
-    first, second = lines
-    assert first.get_alpha() > second.get_alpha()
-    # Matplotlib leaves labels that begin with an underscore out of legends.
-    assert first.get_label() == "plane" and second.get_label().startswith("_")
+# A quarter of a room, with a bounce at its right wall and one at its front wall.
+PLANE = Motion(
+    "plan",
+    np.array([0.0, 0.4, 0.4, 0.7, 0.7, 1.0]),
+    np.array([[0.6, 0.7], [1.0, 0.3], [1.0, 0.3], [0.7, 0.0], [0.7, 0.0], [0.4, 0.3]]),
+    np.array([[1.0, -1.0]] * 2 + [[-1.0, -1.0]] * 2 + [[-1.0, 1.0]] * 2),
+    np.array([0.0, 0.5, 1.0]),
+    np.array([[0.1, 0.2], [0.3, 0.4]]),
+    touches=(Touch.bounce(0.4, 1), Touch.bounce(0.7, 2)),
+)
+
+
+@pytest.fixture(scope="module")
+def room() -> Scenario:
+    return Scenario.named("room/two_walls")
+
+
+def test_each_coordinate_has_its_column(room: Scenario) -> None:
+    world = World.from_scenario(room)
+    grid = Figure().subplots(3, 2)
+    plot_motions(grid, [PLANE], world, room)
+    for i, (name, column) in enumerate(zip("xy", grid.T, strict=True)):
+        assert [axes.get_ylabel() for axes in column] == [
+            f"{name} position [m]",
+            f"{name} velocity [m/s]",
+            f"{name} control [N]",
+        ]
+        top, middle, bottom = column
+        np.testing.assert_array_equal(line(top, "plan").get_ydata(), PLANE.positions[:, i])
+        np.testing.assert_array_equal(line(middle, "plan").get_ydata(), PLANE.velocities[:, i])
+        assert PLANE.controls is not None
+        np.testing.assert_array_equal(bottom.lines[0].get_ydata()[:-1], PLANE.controls[:, i])
+        goals = [drawn.get_ydata() for drawn in top.lines if drawn.get_marker() == "*"]
+        assert goals[0] == room.goal_position[i]
+    assert [axes.get_legend() is None for axes in grid[0]] == [False, True]
+
+
+def test_only_touches_that_push_a_coordinate_are_in_its_column_by_name(room: Scenario) -> None:
+    grid = Figure().subplots(3, 2)
+    plot_motions(grid, [PLANE], World.from_scenario(room), room)
+    for column, time, name in zip(grid.T, (0.4, 0.7), ("right wall", "front wall"), strict=True):
+        assert [text.get_text() for text in column[0].texts] == [name]
+        for axes in column:
+            dotted = [drawn.get_xdata()[0] for drawn in axes.lines if len(drawn.get_xdata()) == 2]
+            assert time in dotted and {0.4, 0.7} - {time} != set(dotted) & {0.4, 0.7}
+
+
+def test_too_few_axes_are_refused(room: Scenario) -> None:
+    with pytest.raises(ModelError, match=r"axes: got \(3, 1\), expected \(3, 2\)"):
+        plot_motions(Figure().subplots(3, 1), [PLANE], World.from_scenario(room), room)
+
+
+def test_joints_on_one_line_are_told_by_their_names() -> None:
+    world = World.from_scenario(Scenario.named("two_masses/apart"))
+    assert coordinate_names(world) == ["left slider", "right slider"]
+
+
+def solids(axes: Axes) -> list[np.ndarray]:
+    """Returns the corners of what is shaded."""
+    return [np.asarray(patch.get_xy())[:-1] for patch in axes.patches if isinstance(patch, Polygon)]
+
+
+def test_a_path_has_its_start_goal_and_bounces(axes: Axes, room: Scenario) -> None:
+    plot_path(axes, [PLANE], World.from_scenario(room), room)
+    np.testing.assert_array_equal(line(axes, "plan").get_xydata(), PLANE.positions)
+    bounces = line(axes, "planned contact").get_xydata()
+    np.testing.assert_array_equal(bounces, [[1.0, 0.3], [0.7, 0.0]])
+    np.testing.assert_array_equal(line(axes, "start").get_xydata(), [room.initial_position])
+    stars: list[Any] = [drawn for drawn in axes.lines if drawn.get_marker() == "*"]
+    np.testing.assert_array_equal(stars[0].get_xydata(), [room.goal_position])
+    assert axes.get_aspect() == 1
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("x position [m]", "y position [m]")
+
+
+def test_solids_are_where_the_ball_can_not_be(axes: Axes) -> None:
+    scenario = Scenario.named("room_with_block/around")
+    plot_path(axes, [PLANE], World.from_scenario(scenario), scenario)
+    *walls, block = solids(axes)
+    assert len(walls) == 4
+    square = [(x, y) for x in (0.4, 0.6) for y in (0.4, 0.6)]
+    assert sorted(map(tuple, np.round(block, 12).tolist())) == square
+    assert axes.get_xlim() == axes.get_ylim() == pytest.approx((-0.05, 1.05))
+
+
+def test_two_masses_on_a_line_can_not_change_places(axes: Axes) -> None:
+    scenario = Scenario.named("two_masses/apart")
+    plot_path(axes, [PLANE], World.from_scenario(scenario), scenario)
+    _, beyond, _ = solids(axes)
+    assert np.all(beyond[:, 0] >= beyond[:, 1] - 1e-12)
+    assert np.any(beyond[:, 0] > beyond[:, 1] + 0.1)
+
+
+def test_one_coordinate_has_no_path(axes: Axes, world: World, scenario: Scenario) -> None:
+    with pytest.raises(ModelError, match=r"got one coordinate, expected two\. Use plot_positions"):
+        plot_path(axes, [PLAN], world, scenario)
 
 
 def test_importing_figures_chooses_no_backend() -> None:

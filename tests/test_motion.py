@@ -99,9 +99,9 @@ def test_phases_are_drawn_as_a_rigid_wall_plays_them(world: World) -> None:
         (jump,) = np.flatnonzero(np.abs(np.diff(v)) > 1e-9)
         assert t[jump] == pytest.approx(0.3) and t[jump + 1] - t[jump] < 1e-12
         np.testing.assert_allclose(v, np.where(np.arange(len(v)) <= jump, -2.0, 1.0))
-    ((start, end),) = drawn.contacts
-    assert start == end == pytest.approx(0.3)
-    assert not np.any(drawn.forces) and played.contacts == () and played.forces is None
+    (touch,) = drawn.touches
+    assert touch.start == touch.end == pytest.approx(0.3)
+    assert not np.any(drawn.forces) and played.touches == () and played.forces is None
 
 
 def test_a_contact_that_lasts_stays_at_the_wall_and_has_a_force(world: World) -> None:
@@ -122,7 +122,7 @@ def test_a_contact_that_lasts_stays_at_the_wall_and_has_a_force(world: World) ->
     np.testing.assert_allclose(
         motion.positions[leaving, 0], 5 * (motion.times[leaving] - 0.9) ** 2, atol=1e-12
     )
-    assert motion.contacts == ((0.5, 0.9),)
+    assert motion.touches == (Touch(0.5, 0.9),)
     np.testing.assert_array_equal(motion.forces, rest.forces)
 
 
@@ -142,8 +142,8 @@ def test_a_plan_is_shown_with_its_simulations_each_labelled(
     motions = motions_of_plan(plan, world)
     assert [motion.label for motion in motions] == [
         "plan (not a simulation)",
-        "simulation: exactly rigid wall",
-        "simulation: Drake, compliant wall",
+        "simulation: rigid contact",
+        "simulation: Drake, compliant contact",
     ]
     for motion in motions:
         q = np.interp([0.25, 0.75], motion.times, motion.positions[:, 0])

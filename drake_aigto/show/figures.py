@@ -7,9 +7,12 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 from matplotlib import colormaps
-from matplotlib.patches import Rectangle
+from matplotlib.patches import Polygon, Rectangle
 
+from drake_aigto.errors import ModelError
+from drake_aigto.show.coordinates import coordinate_names, solid_regions, wall_places
 from drake_aigto.show.motion import Motion, color_of, motions_of_plan
+from drake_aigto.show.text import touch_names, wall_names
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -17,7 +20,7 @@ if TYPE_CHECKING:
 
     from drake_aigto.aigo import Iterate
     from drake_aigto.planning import Plan
-    from drake_aigto.transcription import Transcription
+    from drake_aigto.transcription import Touch, Transcription
     from drake_aigto.world import Scenario, World
 
 # Motions differ in colour, and so that where they agree all are seen, in width and dashes.
@@ -32,30 +35,30 @@ _THINNER = 0.5
 # Planned contacts, behind everything: a bounce, one that lasts, and the wall's force meanwhile.
 _BOUNCE: dict[str, Any] = {"linestyle": (0, (1, 2)), "linewidth": 1.4, "zorder": 0.5}
 _CONTACT: dict[str, Any] = {"alpha": 0.15, "linewidth": 0, "zorder": 0.5}
+_NAME: dict[str, Any] = {"rotation": 90, "fontsize": "x-small", "ha": "right"}
+_NAME |= {"textcoords": "offset points", "xytext": (-2, 0)}
+_HOLLOW: dict[str, Any] = {"markerfacecolor": "white", "markersize": 7, "zorder": 4}
 _FORCE: dict[str, Any] = {"facecolor": "none", "hatch": "///", "linewidth": 0}
-# The coordinates of one motion, from the first on, fade.
-_FADING = 0.5
 _WALL_COLOR = "#8a8f98"
 # In ranges of what is drawn: how much of the wall is seen at least, and how far it reaches.
 _WALL_SEEN, _WALL_DEPTH = 0.05, 100
+_SOLID: dict[str, Any] = {"facecolor": _WALL_COLOR, "hatch": "//", "edgecolor": "white"}
+_SOLID |= {"alpha": 0.5, "zorder": 0}
+_GOAL: dict[str, Any] = {"color": "black", "markersize": 11, "clip_on": False, "zorder": 5}
 _BOX_COLORMAP = "viridis"
 
 Quantity = Literal["position", "velocity", "control"]
 
 # In the order of `Transcription.split`.
+_SYMBOLS: dict[Quantity, str] = {"position": "q", "velocity": "v", "control": "u"}
 _UNITS: dict[Quantity, str] = {"position": "m", "velocity": "m/s", "control": "N"}
-_AXIS_LABELS: dict[Quantity, str] = {
-    "position": "position q [m]",
-    "velocity": "velocity v [m/s]",
-    "control": "control u [N]",
-}
 
 
-def plot_plan(axes: Sequence[Axes], plan: Plan, world: World) -> None:
+def plot_plan(axes: Sequence[Any] | npt.NDArray[Any], plan: Plan, world: World) -> None:
     """Draws a plan against what simulations made of its control.
 
     Args:
-        axes: three, as `plot_motions` takes them.
+        axes: as `plot_motions` takes them.
         plan: the plan.
         world: that of its scenario.
     """
@@ -63,74 +66,134 @@ def plot_plan(axes: Sequence[Axes], plan: Plan, world: World) -> None:
 
 
 def plot_motions(
-    axes: Sequence[Axes], motions: Sequence[Motion], world: World, scenario: Scenario
+    axes: Sequence[Any] | npt.NDArray[Any],
+    motions: Sequence[Motion],
+    world: World,
+    scenario: Scenario,
 ) -> None:
     """Draws positions, velocities and controls over time, as AIGTO Fig. 2 has them.
 
-    Planned contacts are dotted lines across all three, or bands where they last.
+    Planned contacts that push a coordinate are dotted lines across all three, or bands where they
+    last; between several walls, each has its name.
 
     Args:
-        axes: three, for positions [m], velocities [m/s], and controls [N].
+        axes: for positions [m], velocities [m/s], and controls [N], shape (3,), or (3, nq): a
+            column for each coordinate, the legend over the first.
         motions: of this world; those without a control are left out of the third.
-        world: has the wall.
+        world: has the walls.
         scenario: has the goal.
+
+    Raises:
+        ModelError: the axes are of another shape.
     """
-    top, middle, bottom = axes
-    plot_positions(top, motions, world, scenario)
-    plot_velocities(middle, motions)
-    plot_controls(bottom, motions)
-    for upper in (top, middle):
-        upper.set_xlabel("")
+    grid = np.array(axes, dtype=object)
+    grid = grid[:, np.newaxis] if grid.ndim == 1 else grid
+    if grid.shape != (3, world.num_positions):
+        raise ModelError("axes", got=grid.shape, expected=f"(3, {world.num_positions})")
+    for i, (top, middle, bottom) in enumerate(grid.T):
+        plot_positions(top, motions, world, scenario, i)
+        plot_velocities(middle, motions, world, i)
+        plot_controls(bottom, motions, world, i)
+        for upper in (top, middle):
+            upper.set_xlabel("")
+        if i > 0:
+            top.get_legend().remove()
 
 
-def plot_positions(axes: Axes, motions: Sequence[Motion], world: World, scenario: Scenario) -> None:
-    """Draws q(t), the goal, and the wall where q is one coordinate.
+def plot_positions(
+    axes: Axes, motions: Sequence[Motion], world: World, scenario: Scenario, coordinate: int = 0
+) -> None:
+    """Draws one coordinate of q(t), the goal, and the walls across it.
 
     Args:
         axes: to draw in.
         motions: of this world.
-        world: has the wall.
+        world: has the walls.
         scenario: has the goal, a star at T.
+        coordinate: which one.
     """
-    _plot_rows(axes, motions, [motion.positions for motion in motions])
-    _mark_contacts(axes, motions)
-    for goal in scenario.goal_position:
-        axes.plot(
-            scenario.duration, goal, "*", color="black", markersize=11, clip_on=False, zorder=5
-        )
+    _plot_column(axes, motions, [motion.positions for motion in motions], coordinate)
+    _mark_touches(axes, motions, world, coordinate, named=True)
+    axes.plot(scenario.duration, scenario.goal_position[coordinate], "*", **_GOAL)
     axes.plot([], [], "*", color="black", markersize=9, label="goal")
-    _shade_wall(axes, world)
-    axes.set_ylabel(_AXIS_LABELS["position"])
+    _shade_walls(axes, world, coordinate)
+    axes.set_ylabel(_label("position", world, coordinate))
     # Above the axes, where it hides nothing.
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, fontsize="small")
 
 
-def plot_velocities(axes: Axes, motions: Sequence[Motion]) -> None:
-    """Draws v(t); impacts are jumps."""
-    _plot_rows(axes, motions, [motion.velocities for motion in motions])
-    _mark_contacts(axes, motions)
+def plot_velocities(
+    axes: Axes, motions: Sequence[Motion], world: World, coordinate: int = 0
+) -> None:
+    """Draws one coordinate of v(t); impacts are jumps."""
+    _plot_column(axes, motions, [motion.velocities for motion in motions], coordinate)
+    _mark_touches(axes, motions, world, coordinate)
     axes.axhline(0, color="black", linewidth=0.5)
-    axes.set_ylabel(_AXIS_LABELS["velocity"])
+    axes.set_ylabel(_label("velocity", world, coordinate))
 
 
-def plot_controls(axes: Axes, motions: Sequence[Motion]) -> None:
-    """Draws u(t), held between knots, of the motions that have it.
+def plot_controls(axes: Axes, motions: Sequence[Motion], world: World, coordinate: int = 0) -> None:
+    """Draws the controls u(t) of one coordinate's actuators, of the motions that have them.
 
-    Where a planned contact lasts, the wall's force λ(t) is shaded, in the same unit.
+    They are held between knots. Where a planned contact lasts, the wall's force λ(t) is shaded, in
+    the same unit.
     """
     for index, motion in enumerate(motions):
         if motion.controls is None or motion.control_times is None:
             continue
-        held = np.vstack([motion.controls, motion.controls[-1:]])
-        for i, control in enumerate(held.T):
-            look = {**_line(index, i), **_SHARP}
-            look["linewidth"] *= _THINNER
-            axes.step(motion.control_times, control, where="post", **look)
-        if motion.forces is not None and np.any(motion.forces):
-            _shade_forces(axes, motion.control_times, motion.forces, color_of(index))
-    _mark_contacts(axes, motions)
+        held = np.vstack([motion.controls, motion.controls[-1:]])[:, _actuators(world, coordinate)]
+        look = {**_line(index), **_SHARP}
+        look["linewidth"] *= _THINNER
+        axes.step(motion.control_times, held, where="post", **look)
+        if motion.forces is not None:
+            _shade_forces(axes, motion, world, coordinate, color_of(index))
+    _mark_touches(axes, motions, world, coordinate)
     axes.axhline(0, color="black", linewidth=0.5)
-    axes.set(xlabel="time t [s]", ylabel=_AXIS_LABELS["control"])
+    axes.set(xlabel="time t [s]", ylabel=_label("control", world, coordinate))
+
+
+def plot_path(
+    axes: Axes,
+    motions: Sequence[Motion],
+    world: World,
+    scenario: Scenario,
+    coordinates: tuple[int, int] = (0, 1),
+) -> None:
+    """Draws one coordinate against another: in a room, the way of the ball's centre.
+
+    Walls and blocks are shaded where this centre can't be. Start, goal and planned bounces are
+    marked.
+
+    Args:
+        axes: to draw in; gets one scale for both axes.
+        motions: of this world.
+        world: has the walls.
+        scenario: has start and goal.
+        coordinates: to the right, and up.
+
+    Raises:
+        ModelError: the world has one coordinate only.
+    """
+    if world.num_positions < 2:
+        raise ModelError("path", got="one coordinate", expected="two", remedy="Use plot_positions.")
+    pair = list(coordinates)
+    for index, motion in enumerate(motions):
+        axes.plot(*motion.positions[:, pair].T, label=motion.label, **_line(index))
+    for index, motion in enumerate(motions):
+        starts = [touch.start for touch in motion.touches]
+        # Of the two rows of an impact either will do: positions do not jump.
+        at = motion.positions[np.searchsorted(motion.times, starts)][:, pair]
+        label = "" if any(earlier.touches for earlier in motions[:index]) else "planned contact"
+        label = label if motion.touches else ""
+        axes.plot(*at.T, "o", label=label, markeredgecolor=color_of(index), **_HOLLOW)
+    start, goal = (q[pair] for q in (scenario.initial_position, scenario.goal_position))
+    axes.plot(*start, "s", color="black", markersize=6, zorder=5, label="start")
+    axes.plot(*goal, "*", **_GOAL)
+    axes.plot([], [], "*", color="black", markersize=9, label="goal")
+    _shade_solids(axes, world, coordinates)
+    xlabel, ylabel = (_label("position", world, i) for i in pair)
+    axes.set(xlabel=xlabel, ylabel=ylabel, aspect="equal")
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize="small")
 
 
 def plot_boxes(
@@ -138,6 +201,7 @@ def plot_boxes(
     transcription: Transcription,
     iterates: Sequence[Iterate],
     quantity: Quantity = "position",
+    coordinate: int = 0,
 ) -> None:
     """Draws the boxes around a quantity, center ± half width over time, as AIGO shrinks them.
 
@@ -145,80 +209,138 @@ def plot_boxes(
 
     Args:
         axes: to draw in.
-        transcription: knows which variables are which, and the wall.
+        transcription: knows which variables are which, and the walls.
         iterates: some of `AigoResult.history`, the first at the back.
         quantity: "position", "velocity" or "control".
+        coordinate: which one, or whose actuators.
     """
-    times = transcription.GetSampleTimes()
-    part = list(_AXIS_LABELS).index(quantity)
+    times, world = transcription.GetSampleTimes(), transcription.world
+    part = list(_UNITS).index(quantity)
+    columns = _actuators(world, coordinate) if quantity == "control" else [coordinate]
     colors = colormaps[_BOX_COLORMAP](np.linspace(0.85, 0.0, len(iterates)))
     for iterate, color in zip(iterates, colors, strict=True):
-        box = iterate.box
-        center, half_width = (transcription.split(y)[part] for y in (box.center, box.half_width))
-        label = f"within ±{np.max(half_width):.2g} {_UNITS[quantity]}"
-        for i, (c, w) in enumerate(zip(center.T, half_width.T, strict=True)):
+        centers, half_widths = (
+            transcription.split(y)[part][:, columns]
+            for y in (iterate.box.center, iterate.box.half_width)
+        )
+        label = f"within ±{np.max(half_widths):.2g} {_UNITS[quantity]}"
+        for c, w in zip(centers.T, half_widths.T, strict=True):
             t = times[: len(c)]  # A control has no value at the last knot.
             axes.fill_between(t, c - w, c + w, color=color, alpha=0.3, linewidth=0)
-            axes.plot(t, c, color=color, label=label if i == 0 else "")
+            axes.plot(t, c, color=color, label=label)
+            label = ""
     if quantity == "position":
-        _shade_wall(axes, transcription.world)
-    axes.set(xlabel="time t [s]", ylabel=_AXIS_LABELS[quantity])
+        _shade_walls(axes, world, coordinate)
+    axes.set(xlabel="time t [s]", ylabel=_label(quantity, world, coordinate))
     axes.legend(loc="best", fontsize="small")
 
 
-def _plot_rows(
-    axes: Axes, motions: Sequence[Motion], rows: Sequence[npt.NDArray[np.float64]]
+def _plot_column(
+    axes: Axes,
+    motions: Sequence[Motion],
+    rows: Sequence[npt.NDArray[np.float64]],
+    coordinate: int,
 ) -> None:
-    """Draws each motion's rows (K, n) over its times, a line a coordinate, the first labelled."""
+    """Draws one column of each motion's rows (K, n) over its times, labelled."""
     for index, (motion, values) in enumerate(zip(motions, rows, strict=True)):
-        for i, column in enumerate(values.T):
-            label = motion.label if i == 0 else ""
-            axes.plot(motion.times, column, label=label, **_line(index, i))
+        axes.plot(motion.times, values[:, coordinate], label=motion.label, **_line(index))
     axes.set_xlabel("time t [s]")
 
 
-def _mark_contacts(axes: Axes, motions: Sequence[Motion]) -> None:
-    """Marks when the motions plan to be at the wall; the first is labelled."""
+def _mark_touches(
+    axes: Axes, motions: Sequence[Motion], world: World, coordinate: int, named: bool = False
+) -> None:
+    """Marks when the motions plan to touch what pushes a coordinate; the first is labelled."""
     label = "planned contact"
+    names = touch_names(world)
     for index, motion in enumerate(motions):
-        for start, end in motion.contacts:
-            if end > start:
-                axes.axvspan(start, end, color=color_of(index), label=label, **_CONTACT)
+        color = color_of(index)
+        for touch in motion.touches:
+            if not _pushes(world, touch.contact, coordinate):
+                continue
+            if touch.lasts:
+                axes.axvspan(touch.start, touch.end, color=color, label=label, **_CONTACT)
             else:
-                axes.axvline(start, color=color_of(index), label=label, **_BOUNCE)
+                axes.axvline(touch.start, color=color, label=label, **_BOUNCE)
+            if named and len(names) > 1:
+                _write_name(axes, touch, names[touch.contact], color, world, coordinate)
             label = ""
 
 
-def _shade_forces(
-    axes: Axes, times: npt.NDArray[np.float64], forces: npt.NDArray[np.float64], color: str
+def _write_name(
+    axes: Axes, touch: Touch, name: str, color: str, world: World, coordinate: int
 ) -> None:
-    """Shades from 0 to the wall's forces (N, m), held between knots, and says what that is."""
-    for i, force in enumerate(np.vstack([forces, forces[-1:]]).T):
-        label = "force of the wall λ [N]" if i == 0 else ""
-        axes.fill_between(times, force, step="post", edgecolor=color, label=label, **_FORCE)
-    axes.legend(loc="best", fontsize="small")
+    """Writes what is touched beside its line, where a motion that bounces there is not."""
+    slope = world.calc_contact_jacobian(np.zeros(world.num_positions))[touch.contact, coordinate]
+    height, side = (0.97, "top") if slope > 0 else (0.03, "bottom")
+    places = axes.get_xaxis_transform()
+    axes.annotate(name, (touch.start, height), xycoords=places, color=color, va=side, **_NAME)
 
 
-def _line(motion: int, coordinate: int) -> dict[str, Any]:
-    """Returns how a motion's coordinate is drawn, the same in every figure."""
-    look = _LINES[min(motion, len(_LINES) - 1)]
-    return {"color": color_of(motion), "alpha": _FADING**coordinate, **look}
+def _pushes(world: World, contact: int, coordinate: int) -> bool:
+    """Returns whether a contact's force acts on a coordinate."""
+    return not world.contacts[contact].jacobian[coordinate].EqualTo(0.0)
 
 
-def _shade_wall(axes: Axes, world: World) -> None:
-    """Shades where φ(q) < 0, if q is one coordinate: otherwise the wall is no place on an axis."""
-    if world.num_positions != 1:
+def _shade_forces(axes: Axes, motion: Motion, world: World, coordinate: int, color: str) -> None:
+    """Shades from 0 to the held forces (N, m) of the walls that push a coordinate, with names."""
+    assert motion.control_times is not None and motion.forces is not None
+    for contact, force in enumerate(np.vstack([motion.forces, motion.forces[-1:]]).T):
+        if not (np.any(force) and _pushes(world, contact, coordinate)):
+            continue
+        label = f"force of the {touch_names(world)[contact]} λ [N]"
+        look = {"step": "post", "edgecolor": color, "label": label, **_FORCE}
+        axes.fill_between(motion.control_times, force, **look)
+        axes.legend(loc="best", fontsize="small")
+
+
+def _actuators(world: World, coordinate: int) -> list[int]:
+    """Returns which controls act on a coordinate."""
+    return [int(i) for i in np.flatnonzero(world.actuation[coordinate])]
+
+
+def _line(motion: int) -> dict[str, Any]:
+    """Returns how a motion is drawn, the same in every figure."""
+    return {"color": color_of(motion), **_LINES[min(motion, len(_LINES) - 1)]}
+
+
+def _label(quantity: Quantity, world: World, coordinate: int) -> str:
+    """Returns a name for an axis, with the coordinate where there are several."""
+    unit = _UNITS[quantity]
+    if world.num_positions == 1:
+        return f"{quantity} {_SYMBOLS[quantity]} [{unit}]"
+    return f"{coordinate_names(world)[coordinate]} {quantity} [{unit}]"
+
+
+def _shade_walls(axes: Axes, world: World, coordinate: int) -> None:
+    """Shades the walls across a coordinate: others have no place on an axis."""
+    walls = wall_places(world, coordinate)
+    if not walls:
         return
-    at_zero = float(world.calc_signed_distance(np.zeros(1))[0])
-    slope = float(world.calc_contact_jacobian(np.zeros(1))[0, 0])  # One joint slides: φ is affine.
-    face, outwards = -at_zero / slope, np.sign(slope)
+    places = [place for _, place, _ in walls]
     low, high = axes.get_ylim()
-    size = max(high, face) - min(low, face)
-    deep = face - outwards * _WALL_DEPTH * size
-    # Added as an artist, it is no data: limits stay as they are, free to follow what comes later.
-    wall = Rectangle((0, deep), 1, face - deep, transform=axes.get_yaxis_transform(), zorder=0)
-    wall.set(facecolor=_WALL_COLOR, alpha=0.5, hatch="//", edgecolor="white")
-    axes.add_artist(wall)
-    axes.update_datalim([(0, face - outwards * _WALL_SEEN * size)], updatex=False)
+    size = max(high, *places) - min(low, *places)
+    for _, place, side in walls:
+        deep = place - side * _WALL_DEPTH * size
+        # Added as an artist, it is no data: limits stay as they are, free to follow what comes.
+        wall = Rectangle((0, deep), 1, place - deep, transform=axes.get_yaxis_transform(), **_SOLID)
+        axes.add_artist(wall)
+        axes.update_datalim([(0, place - side * _WALL_SEEN * size)], updatex=False)
     axes.autoscale_view()
-    axes.plot([], [], color=_WALL_COLOR, linewidth=6, alpha=0.5, label="wall")
+    name = wall_names(world)[walls[0][0]] if len(walls) == 1 else "walls"
+    axes.plot([], [], color=_WALL_COLOR, linewidth=6, alpha=0.5, label=name)
+
+
+def _shade_solids(axes: Axes, world: World, coordinates: tuple[int, int]) -> None:
+    """Shades all that is solid in the plane of two coordinates, and shows some of each wall."""
+    seen = np.vstack([line.get_xydata() for line in axes.lines])
+    low, high = np.nanmin(seen, axis=0), np.nanmax(seen, axis=0)
+    for side, coordinate in enumerate(coordinates):
+        places = [place for _, place, _ in wall_places(world, coordinate)]
+        low[side], high[side] = min([low[side], *places]), max([high[side], *places])
+    margin = _WALL_SEEN * np.max(high - low)
+    window = np.array([low - margin, high + margin])
+    for corners in solid_regions(world, coordinates, window):
+        axes.add_artist(Polygon(corners, **_SOLID))
+    axes.set(xlim=window[:, 0], ylim=window[:, 1])
+    axes.plot([], [], color=_WALL_COLOR, linewidth=6, alpha=0.5, label="solid")

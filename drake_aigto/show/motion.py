@@ -10,6 +10,7 @@ import numpy as np
 
 from drake_aigto.planning.contacts import find_contacts
 from drake_aigto.trajectory import read_only
+from drake_aigto.transcription import Touch
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -23,8 +24,8 @@ PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 
 PLAN_LABEL = "plan (not a simulation)"
 SIMULATION_LABELS = {
-    "event-driven": "simulation: exactly rigid wall",
-    "drake": "simulation: Drake, compliant wall",
+    "event-driven": "simulation: rigid contact",
+    "drake": "simulation: Drake, compliant contact",
 }
 
 # Between rows farther apart than this a motion is filled in [s].
@@ -44,8 +45,9 @@ class Motion:
         velocities: shape (K, nv) [m/s].
         control_times: knots of the control, shape (N+1,) [s], or None.
         controls: held between them, shape (N, nu) [N], or None.
-        forces: of the wall where a planned contact lasts, held likewise, shape (N, m) [N], or None.
-        contacts: when each planned contact begins and ends, which for a bounce is the same [s].
+        forces: of the walls where a planned contact lasts, held likewise, shape (N, m) [N], or
+            None.
+        touches: the planned contacts, in the order of time.
     """
 
     label: str
@@ -55,7 +57,7 @@ class Motion:
     control_times: npt.NDArray[np.float64] | None = None
     controls: npt.NDArray[np.float64] | None = None
     forces: npt.NDArray[np.float64] | None = None
-    contacts: tuple[tuple[float, float], ...] = ()
+    touches: tuple[Touch, ...] = ()
 
     def __post_init__(self) -> None:
         """Locks the arrays."""
@@ -88,7 +90,7 @@ class Motion:
             trajectory.times,
             trajectory.controls,
             trajectory.forces,
-            tuple((c.time, c.last_time) for c in find_contacts(world, trajectory)),
+            tuple(Touch(c.time, c.last_time, c.contact) for c in find_contacts(world, trajectory)),
         )
 
     @classmethod

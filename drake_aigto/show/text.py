@@ -25,10 +25,14 @@ def contact_names(world: World) -> list[str]:
 
 
 def wall_names(world: World) -> list[str]:
-    """Returns what is touched, such as "left wall"; and what by, where several bodies touch."""
+    """Returns what is touched, such as "left wall", for each contact."""
+    return [name.split(_AGAINST)[1] for name in contact_names(world)]
+
+
+def touch_names(world: World) -> list[str]:
+    """Returns what is touched; and what by, if that is not always the same."""
     names = contact_names(world)
-    pairs = [name.split(_AGAINST) for name in names]
-    return [wall for _, wall in pairs] if len({ball for ball, _ in pairs}) == 1 else names
+    return wall_names(world) if len({name.split(_AGAINST)[0] for name in names}) == 1 else names
 
 
 def length_text(metres: float) -> str:

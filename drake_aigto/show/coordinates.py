@@ -1,0 +1,101 @@
+"""What the coordinates of a world are called, and where its walls are in them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydrake.multibody.tree import PrismaticJoint
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from drake_aigto.world import World
+
+
+def coordinate_names(world: World) -> list[str]:
+    """Returns a name for each coordinate: its axis where axes tell them apart, or its joint's."""
+    plant = world.plant
+    context = plant.CreateDefaultContext()
+    joints = [plant.get_joint(index) for index in plant.GetJointIndices()]
+    moving = sorted(
+        (joint for joint in joints if joint.num_positions()), key=lambda j: j.position_start()
+    )
+    axes = [
+        joint.frame_on_parent().CalcPoseInWorld(context).rotation() @ joint.translation_axis()
+        for joint in moving
+        if isinstance(joint, PrismaticJoint)
+    ]
+    letters = [
+        name
+        for axis in axes
+        for name, e in zip("xyz", np.eye(3), strict=True)
+        if axis @ e > 1 - 1e-9
+    ]
+    if len(set(letters)) == len(moving):
+        return letters
+    return [joint.name().replace("_", " ") for joint in moving]
+
+
+def solid_regions(
+    world: World, coordinates: tuple[int, int], window: npt.NDArray[np.float64]
+) -> list[npt.NDArray[np.float64]]:
+    """Returns where solids are in the plane of two coordinates, as polygons.
+
+    There the sphere would be inside: φ(q) < 0 for all faces of the solid. Solids that other
+    coordinates matter to have no place in this plane, and are left out.
+
+    Args:
+        world: φ is affine.
+        coordinates: i and j.
+        window: opposite corners of the part of the plane to look at, shape (2, 2) [m].
+
+    Returns:
+        for each solid that is there, its corners in order, shape (k, 2) [m].
+    """
+    zero = np.zeros(world.num_positions)
+    distances, slopes = world.calc_signed_distance(zero), world.calc_contact_jacobian(zero)
+    solids = np.array([contact.solid for contact in world.contacts])
+    others = np.setdiff1d(np.arange(world.num_positions), coordinates)
+    regions = []
+    for solid in range(world.num_solids):
+        faces = np.flatnonzero(solids == solid)
+        if np.any(slopes[np.ix_(faces, others)]):
+            continue
+        (x0, y0), (x1, y1) = window
+        corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
+        for face in faces:
+            corners = _cut(corners, distances[face], slopes[face, list(coordinates)])
+        if len(corners):
+            regions.append(corners)
+    return regions
+
+
+def wall_places(world: World, coordinate: int) -> list[tuple[int, float, float]]:
+    """Returns the walls across one coordinate: contact, place [m], and the side it faces, ±1.
+
+    Of solids with one face only: those with several end somewhere along other coordinates.
+    """
+    zero = np.zeros(world.num_positions)
+    distances, slopes = world.calc_signed_distance(zero), world.calc_contact_jacobian(zero)
+    solids = [contact.solid for contact in world.contacts]
+    return [
+        (i, -distances[i] / slope[coordinate], float(np.sign(slope[coordinate])))
+        for i, slope in enumerate(slopes)
+        if slope[coordinate] and np.count_nonzero(slope) == 1 and solids.count(solids[i]) == 1
+    ]
+
+
+def _cut(
+    corners: npt.NDArray[np.float64], distance: float, slope: npt.NDArray[np.float64]
+) -> npt.NDArray[np.float64]:
+    """Returns the part of a convex polygon where distance + slope · corner ≤ 0."""
+    kept: list[npt.NDArray[np.float64]] = []
+    heights = distance + corners @ slope
+    for i, (corner, height) in enumerate(zip(corners, heights, strict=True)):
+        if height <= 0:
+            kept.append(corner)
+        after, later = corners[(i + 1) % len(corners)], heights[(i + 1) % len(corners)]
+        if height * later < 0:
+            kept.append(corner + height / (height - later) * (after - corner))
+    return np.array(kept).reshape(-1, 2)
