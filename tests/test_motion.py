@@ -142,8 +142,8 @@ def test_a_plan_is_shown_with_its_simulations_each_labelled(
     motions = motions_of_plan(plan, world)
     assert [motion.label for motion in motions] == [
         "plan (not a simulation)",
-        "simulation: rigid contact",
-        "simulation: Drake, compliant contact",
+        "simulation: exactly rigid",
+        "simulation: compliant (Drake)",
     ]
     for motion in motions:
         q = np.interp([0.25, 0.75], motion.times, motion.positions[:, 0])

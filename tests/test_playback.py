@@ -14,15 +14,18 @@ import msgpack
 import numpy as np
 import pytest
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 from matplotlib.text import Text
 from pydrake.geometry import Meshcat
 
 from drake_aigto import OutputFileError, Scenario, World
+from drake_aigto.show.board import Board
 from drake_aigto.show.motion import PALETTE, Motion
 from drake_aigto.show.playback import ROOT, play, publish, save_html
 from drake_aigto.show.stage import Stage
 from drake_aigto.show.track import Track
 from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription import Touch
 from drake_aigto.world.files import models_directory
 
 RADIUS = 0.05  # of the shipped ball [m]
@@ -36,10 +39,6 @@ DIRECTIONS: dict[str, tuple[dict[str, str], list[list[float]]]] = {
     "against x": (
         {AXIS: "<xyz>-1 0 0</xyz>", FACE: "<pose>0.05 0 0 0 0 3.141592653589793</pose>"},
         [[-1, 0, 0], [0, -1, 0], [0, 0, 1]],
-    ),
-    "up": (
-        {AXIS: "<xyz>0 0 1</xyz>", FACE: "<pose>0 0 -0.05 0 -1.5707963267948966 0</pose>"},
-        [[0, 0, 1], [1, 0, 0], [0, 1, 0]],
     ),
 }
 
@@ -216,7 +215,9 @@ def test_the_track_follows_the_joint_and_counts_its_positions(name: str, tmp_pat
     ends: dict[str, Any] = {"initial_position": 1.0, "initial_velocity": 0.0, "goal_position": 0.7}
     stage = Stage(World.from_scenario(Scenario(model=str(model), **ends)), np.array([[1.0], [0.7]]))
     np.testing.assert_allclose(stage.X_WT.rotation().matrix().T, axes, atol=1e-12)
-    assert stage.along(np.array([0.3])) == pytest.approx(0.3)
+    ((wall, side),) = stage.walls()
+    assert stage.is_line and (wall, side) == pytest.approx((0, 1))
+    assert stage.places(stage.movers[0], np.array([[0.3]]))[0, 0] == pytest.approx(0.3)
     assert (stage.lowest, stage.highest) == pytest.approx((0.7, 1.0))
 
 
@@ -238,6 +239,113 @@ def test_the_camera_sees_all_lanes(
         rise = np.arctan(ray @ up / np.linalg.norm(up) / (ray @ ahead))
         assert abs(np.rad2deg(rise)) < camera["fov"] / 2
         assert ray @ ahead < camera["far"]
+
+
+# World → which of T's axes are which of the world's.
+PLANES = {
+    "room/two_walls": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],  # from above
+    "floor/rebound": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],  # from the front
+}
+
+
+@pytest.mark.parametrize("name", PLANES)
+def test_a_plane_is_looked_at_with_its_way_up(name: str) -> None:
+    scenario = Scenario.named(name)
+    stage = Stage(World.from_scenario(scenario), np.array([scenario.initial_position]))
+    assert not stage.is_line
+    np.testing.assert_allclose(stage.X_WT.rotation().matrix().T, PLANES[name], atol=1e-12)
+    height = stage.places(stage.movers[0], np.array([scenario.goal_position]))[0, :2]
+    np.testing.assert_allclose(height[-scenario.goal_position.size :], scenario.goal_position)
+
+
+def room_motion(label: str) -> Motion:
+    """Returns a motion in a room, off its right wall."""
+    q = np.array([[0.2, 0.3], [1.0, 0.5], [1.0, 0.5], [0.8, 0.6]])
+    times = np.array([0.0, 0.6, 0.6, 1.0])
+    return Motion(label, times, q, np.zeros((4, 2)), touches=(Touch.bounce(0.6, 1),))
+
+
+def test_each_motion_in_a_plane_has_a_world_of_its_own(meshcat: Meshcat) -> None:
+    scenario = Scenario.named("room/two_walls")
+    motions = [room_motion(label) for label in ("plan", "rigid", "Drake")]
+    publish(motions, meshcat, World.from_scenario(scenario), scenario)
+    recorded = clips(meshcat)
+    asides = []
+    for i, motion in enumerate(motions, 1):
+        _, places = recorded[f"{ROOT}/motions/{i}/room/ball/ball_visual"]
+        wall = position(meshcat, f"{ROOT}/worlds/{i}/room/right_wall/right_wall_visual")
+        aside = places[0, 0] - 0.2
+        asides.append(aside)
+        np.testing.assert_allclose(places[0], [0.2 + aside, 0.3, 0], atol=1e-12)
+        # The wall's face is 0.02 m off the middle of the ball that touches it.
+        assert wall[0] - 0.02 == pytest.approx(np.max(places[:, 0]) + 0.02)
+        assert np.ptp(places[:, 0] - aside) == pytest.approx(np.ptp(motion.positions[:, 0]))
+    assert asides[1] == pytest.approx(0)
+    assert np.all(np.diff(asides) > 1.12)  # The room is as wide with its walls.
+
+
+def test_two_masses_have_two_goals(meshcat: Meshcat, monkeypatch: pytest.MonkeyPatch) -> None:
+    marks: list[Any] = []
+    paint = Track.paint
+
+    def remember(track: Track) -> Figure:
+        marks.append(track.marks)
+        return paint(track)
+
+    monkeypatch.setattr(Track, "paint", remember)
+    scenario = Scenario.named("two_masses/handed_on")
+    q = np.array([scenario.initial_position, scenario.goal_position])
+    motion = Motion("plan", np.array([0.0, 1.0]), q, np.zeros((2, 2)))
+    publish([motion], meshcat, World.from_scenario(scenario), scenario)
+    # The right ball's middle is at q₂ + 1/8 m.
+    expected = {"left start": 0.2, "right start": 0.625, "left goal": 0.5, "right goal": 1.025}
+    assert marks[0] == pytest.approx(expected)
+    assert {path.split("/")[-1] for path in clips(meshcat)} == {
+        "left_ball_visual",
+        "right_ball_visual",
+    }
+
+
+def make_board() -> Board:
+    """Returns a board of two rooms, with a bounce in the first."""
+    corner, ways = np.zeros(2), [[np.array([[0.2, 0.3], [1.0, 0.5], [0.8, 0.6]])]] * 2
+    return Board(
+        labels=["plan (not a simulation)", "simulation: compliant (Drake)"],
+        low=corner,
+        high=corner + 1,
+        depth=0.1,
+        radius=0.02,
+        starts=np.array([[0.2, 0.3]]),
+        goals=np.array([[0.8, 0.6]]),
+        ways=ways,
+        touches=[np.array([[1.0, 0.5]]), np.empty((0, 2))],
+    )
+
+
+def test_a_board_has_the_way_and_the_marks_of_each_panel() -> None:
+    board = make_board()
+    (axes,) = board.paint().axes
+    for i in range(2):
+        aside = board.offset(i)[:2]
+        drawn = [np.asarray(line.get_xydata()) for line in axes.lines]
+        for expected in (board.ways[i][0], board.starts, board.goals):
+            found = [line for line in drawn if line.shape == expected.shape]
+            assert any(np.allclose(line, expected + aside) for line in found)
+    circles = [line.get_xydata() for line in axes.lines if line.get_marker() == "o"]
+    assert [len(np.asarray(each)) for each in circles] == [1, 0]
+    written = [text.get_text() for text in axes.texts]
+    assert {"plan\n(not a simulation)", "simulation:\ncompliant (Drake)"} <= set(written)
+    assert written.count("start") == written.count("goal") == written.count("0.5 m") == 2
+
+
+def test_all_that_is_written_fits_on_the_board() -> None:
+    board = make_board()
+    figure = board.paint()
+    (axes,) = figure.axes
+    low, high = board.corners
+    for text in axes.texts:
+        box = text.get_window_extent().transformed(axes.transData.inverted())
+        assert np.all(box.min >= low) and np.all(box.max <= high), text
 
 
 def test_shapes_for_contact_are_shown_where_none_are_for_show(tmp_path: Path) -> None:
@@ -264,7 +372,7 @@ def texts(track: Track) -> dict[str, Text]:
 
 
 def test_lanes_are_labelled_in_order_and_ends_are_marked() -> None:
-    labels = ["plan (not a simulation)", "simulation: Drake, compliant wall"]
+    labels = ["plan (not a simulation)", "simulation: compliant (Drake)"]
     track = Track(labels, start=-0.05, end=1.1, lane_width=0.2, marks={"start": 1.0, "goal": 0.73})
     written = texts(track)
     for lane, label in enumerate(labels):
@@ -293,9 +401,16 @@ def test_labels_can_be_read_on_every_lane() -> None:
         assert (light + 0.05) / (dark + 0.05) > 4.5, label  # WCAG's least contrast of text
 
 
-def test_names_of_marks_that_would_overlap_are_written_as_one() -> None:
-    track = Track(["plan"], start=0, end=1, lane_width=0.2, marks={"start": 0.5, "goal": 0.52})
-    assert "start, goal" in texts(track) and "goal" not in texts(track)
+def test_names_of_marks_do_not_overlap() -> None:
+    marks = {"left start": 0.5, "left goal": 0.52, "right start": 0.6, "right goal": 0.9}
+    track = Track(["plan"], start=0, end=1.2, lane_width=0.2, marks=marks)
+    figure = track.paint()
+    (axes,) = figure.axes
+    boxes = [text.get_window_extent() for text in axes.texts if text.get_text() in marks]
+    assert len(boxes) == 4
+    assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
+    top = max(box.transformed(axes.transData.inverted()).y1 for box in boxes)
+    assert top <= track.half_width + track.margin
 
 
 def test_the_top_of_the_picture_is_the_far_side_of_the_track() -> None:
@@ -319,7 +434,7 @@ def test_the_top_of_the_picture_is_the_far_side_of_the_track() -> None:
 
 @pytest.mark.parametrize("end", [1.0, 0.0])
 def test_all_that_is_written_fits_on_the_track(end: float) -> None:
-    labels = ["plan (not a simulation)", "simulation: Drake, compliant wall"]
+    labels = ["plan (not a simulation)", "simulation: compliant (Drake)"]
     marks = {"start": end, "goal": end}
     track = Track(labels, start=-0.05, end=1.05, lane_width=0.2, marks=marks)
     figure = track.paint()

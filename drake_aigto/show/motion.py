@@ -24,8 +24,8 @@ PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 
 PLAN_LABEL = "plan (not a simulation)"
 SIMULATION_LABELS = {
-    "event-driven": "simulation: rigid contact",
-    "drake": "simulation: Drake, compliant contact",
+    "event-driven": "simulation: exactly rigid",
+    "drake": "simulation: compliant (Drake)",
 }
 
 # Between rows farther apart than this a motion is filled in [s].

@@ -11,12 +11,15 @@ from matplotlib.colors import to_rgb
 from pydrake.geometry import Meshcat, MeshcatAnimation, Rgba
 from pydrake.math import RigidTransform
 
+from drake_aigto.show.board import Board
 from drake_aigto.show.motion import Motion, color_of, motions_of_plan, time_span
 from drake_aigto.show.stage import Stage
 from drake_aigto.show.track import Track
 from drake_aigto.world.files import write_text
 
 if TYPE_CHECKING:
+    import numpy.typing as npt
+
     from drake_aigto.planning import Plan
     from drake_aigto.world import Scenario, World
 
@@ -34,13 +37,19 @@ _LEAST_LENGTH = 5.5  # of the track, in widths of a lane, so that labels fit
 
 _FIELD_OF_VIEW = 30.0  # vertical [deg]
 _CAMERA_TILT = np.deg2rad(48.0)  # above the track
-# As parts of the track's length, level and upright: a window is wider than it is high.
-_CAMERA_DISTANCES = (1.9, 2.5)
+_CAMERA_DISTANCE = 1.9  # as a part of the track's length
+# Of boards: from afar, as walls hide less then; from aside by this; for a window of this width to
+# height; and so much farther back.
+_BOARD_FIELD_OF_VIEW = 12.0  # vertical [deg]
+_BOARD_TILT = np.deg2rad(12.0)
+_ASPECT_RATIO = 1.6
+_BOARD_SLACK = 1.08
+_LIFT = 0.1  # of a board from the ground, in radii of what moves
 _CAMERA_SLACK = 1.05  # How much farther back than all lanes need.
 
 
 def play(plan: Plan, meshcat: Meshcat, world: World) -> None:
-    """Shows a plan and what simulations made of its control, in lanes side by side.
+    """Shows a plan and what simulations made of its control, side by side.
 
     Args:
         plan: the plan; its trajectory is labelled as no simulation.
@@ -53,30 +62,41 @@ def play(plan: Plan, meshcat: Meshcat, world: World) -> None:
 def publish(motions: Sequence[Motion], meshcat: Meshcat, world: World, scenario: Scenario) -> None:
     """Publishes one recording, with a time slider, of several motions of the same world.
 
-    Each motion has a lane of its own, moved sideways, so that none hides another. What does not
-    move is shown once, where it is. Start and goal are marked, and the camera sees all of it.
+    Each motion has a place of its own, so that none hides another. Along a level line that is a
+    lane, beside walls that are shown once, where they are; in a plane, a copy of the world, with
+    the motion's way and planned contacts on a board. Start and goal are marked, and the camera sees
+    all of it.
 
     Args:
-        motions: at least one; the first gets the lane farthest from the camera.
+        motions: at least one; the first is at the back, or at the left.
         meshcat: where to show them, instead of what this function showed before.
         world: has the shapes.
         scenario: has start and goal.
     """
     ends = np.array([scenario.initial_position, scenario.goal_position])
     stage = Stage(world, np.vstack([ends, *(motion.positions for motion in motions)]))
-    track = _lay_track(stage, motions, scenario)
+    ground = (_lay_track if stage.is_line else _lay_board)(stage, motions, scenario)
     meshcat.Delete(ROOT)
     for path in ("/Background", "/Grid", "/Axes"):
         meshcat.SetProperty(path, "visible", False)
-    for actor in stage.actors:
-        if not actor.moves:
-            path = f"{ROOT}/world/{actor.name}"
-            meshcat.SetObject(path, actor.shape, actor.color)
-            meshcat.SetTransform(path, stage.pose(actor, ends[0]))
-    meshcat.SetObject(f"{ROOT}/track", track.mesh())
-    meshcat.SetTransform(f"{ROOT}/track", stage.X_WT)
-    meshcat.SetAnimation(_animate(stage, track, motions, meshcat))
-    _aim_camera(stage, track, meshcat)
+    copies = {"world": RigidTransform()}
+    if not stage.is_line:
+        copies = {f"worlds/{i}": each for i, each in enumerate(_find_places(stage, ground), 1)}
+    for name, aside in copies.items():
+        for actor in stage.actors:
+            if not actor.moves:
+                path = f"{ROOT}/{name}/{actor.name}"
+                meshcat.SetObject(path, actor.shape, actor.color)
+                meshcat.SetTransform(path, aside.multiply(stage.pose(actor, ends[0])))
+    meshcat.SetObject(f"{ROOT}/track", ground.mesh())
+    # Above ground that the model may have where the balls roll.
+    lift = 0.0 if stage.is_line else _LIFT * stage.radius
+    meshcat.SetTransform(f"{ROOT}/track", stage.X_WT.multiply(RigidTransform([0.0, 0.0, lift])))
+    meshcat.SetAnimation(_animate(stage, _find_places(stage, ground), motions, meshcat))
+    if isinstance(ground, Track):
+        _aim_camera(stage, ground, meshcat)
+    else:
+        _face_board(stage, ground, meshcat)
 
 
 def save_html(meshcat: Meshcat, path: str | os.PathLike[str]) -> None:
@@ -91,24 +111,74 @@ def save_html(meshcat: Meshcat, path: str | os.PathLike[str]) -> None:
 def _lay_track(stage: Stage, motions: Sequence[Motion], scenario: Scenario) -> Track:
     """Returns the track that the motions need."""
     lane_width = _LANE_WIDTH * stage.radius
-    start = stage.lowest - stage.radius
-    end = max(stage.highest + 2 * stage.radius, start + _LEAST_LENGTH * lane_width)
+    walls = stage.walls()
+    start = min([stage.lowest, *(x for x, side in walls if side > 0)]) - stage.radius
+    highest = max([stage.highest, *(x for x, side in walls if side < 0)])
+    end = max(highest + 2 * stage.radius, start + _LEAST_LENGTH * lane_width)
     ends = {"start": scenario.initial_position, "goal": scenario.goal_position}
-    marks = {name: stage.along(q) for name, q in ends.items()}
+    marks = {
+        f"{body}{end}": float(stage.places(mover, q[np.newaxis])[0, 0])
+        for end, q in ends.items()
+        for body, mover in zip(_name_bodies(stage), stage.movers, strict=True)
+    }
     return Track([motion.label for motion in motions], start, end, lane_width, marks)
 
 
+def _name_bodies(stage: Stage) -> list[str]:
+    """Returns what tells several bodies apart, without the last word where it is that of all."""
+    names = [mover.body.split("/")[-1].split("_") for mover in stage.movers]
+    if len(names) == 1:
+        return [""]
+    share = len({name[-1] for name in names}) == 1 and all(len(name) > 1 for name in names)
+    return [" ".join([*(name[:-1] if share else name), ""]) for name in names]
+
+
+def _lay_board(stage: Stage, motions: Sequence[Motion], scenario: Scenario) -> Board:
+    """Returns the board that the motions need."""
+    ends = np.array([scenario.initial_position, scenario.goal_position])
+    marks = np.array([stage.places(mover, ends)[:, :2] for mover in stage.movers])
+    low, high = stage.extent(np.vstack([ends, *(motion.positions for motion in motions)]))
+    ways = [
+        [stage.places(mover, motion.positions)[:, :2] for mover in stage.movers]
+        for motion in motions
+    ]
+    return Board(
+        labels=[motion.label for motion in motions],
+        low=low[:2],
+        high=high[:2],
+        depth=high[2],
+        radius=stage.radius,
+        starts=marks[:, 0],
+        goals=marks[:, 1],
+        ways=ways,
+        touches=[_find_touches(motion, each) for motion, each in zip(motions, ways, strict=True)],
+    )
+
+
+def _find_touches(
+    motion: Motion, ways: Sequence[npt.NDArray[np.float64]]
+) -> npt.NDArray[np.float64]:
+    """Returns where on the ways of its bodies a motion plans to touch something, shape (t, 2)."""
+    rows = np.searchsorted(motion.times, [touch.start for touch in motion.touches])
+    return np.vstack([way[rows] for way in ways])
+
+
+def _find_places(stage: Stage, ground: Track | Board) -> list[RigidTransform]:
+    """Returns by what each motion is moved in the world."""
+    offsets = map(ground.offset, range(len(ground.labels)))
+    return [RigidTransform(stage.X_WT.rotation() @ offset) for offset in offsets]
+
+
 def _animate(
-    stage: Stage, track: Track, motions: Sequence[Motion], meshcat: Meshcat
+    stage: Stage, places: Sequence[RigidTransform], motions: Sequence[Motion], meshcat: Meshcat
 ) -> MeshcatAnimation:
-    """Puts the moving shapes into their lanes, and returns how they move there."""
+    """Puts the moving shapes into their places, and returns how they move there."""
     begin, end = time_span(motions)
     last_frame = round((end + _HOLD - begin) * FRAMES_PER_SECOND)
     animation = MeshcatAnimation(FRAMES_PER_SECOND)
     animation.set_loop_mode(MeshcatAnimation.LoopMode.kLoopRepeat)
     animation.set_repetitions(_REPETITIONS)
-    for lane, motion in enumerate(motions):
-        aside = RigidTransform(track.lane_center(lane) * stage.X_WT.rotation().matrix()[:, 1])
+    for lane, (motion, aside) in enumerate(zip(motions, places, strict=True)):
         # Of several rows in one frame the last one counts.
         frames = np.rint((motion.times - begin) * FRAMES_PER_SECOND).astype(int).tolist()
         rows = {
@@ -130,15 +200,28 @@ def _aim_camera(stage: Stage, track: Track, meshcat: Meshcat) -> None:
     """Looks at the middle of the track from its near side, and from above."""
     # A little before the middle, as the wall stands there.
     middle = np.array([0.54 * track.start + 0.46 * track.end, 0.0, 0.0])
-    steepness = abs(stage.X_WT.rotation().matrix()[2, 0])
     # From here the track's near side is at the window's lower edge.
     side = track.half_width + track.margin
     clear = np.sin(_CAMERA_TILT) / np.tan(np.deg2rad(_FIELD_OF_VIEW) / 2) + np.cos(_CAMERA_TILT)
-    distance = max(
-        np.interp(steepness, [0, 1], _CAMERA_DISTANCES) * track.length, _CAMERA_SLACK * clear * side
-    )
+    distance = max(_CAMERA_DISTANCE * track.length, _CAMERA_SLACK * clear * side)
     back = np.array([0.0, -np.cos(_CAMERA_TILT), np.sin(_CAMERA_TILT)])
     meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=_FIELD_OF_VIEW))
+    meshcat.SetCameraPose(
+        stage.X_WT.multiply(middle + distance * back), stage.X_WT.multiply(middle)
+    )
+
+
+def _face_board(stage: Stage, board: Board, meshcat: Meshcat) -> None:
+    """Looks at the middle of the board, from a little below a level one or above an upright one."""
+    low, high = board.corners
+    middle = np.append((low + high) / 2, 0.0)
+    half_width, half_height = (high - low) / 2
+    distance = _BOARD_SLACK * max(half_height, half_width / _ASPECT_RATIO)
+    distance /= np.tan(np.deg2rad(_BOARD_FIELD_OF_VIEW) / 2)
+    is_level = abs(stage.X_WT.rotation().matrix()[2, 2]) > 0.5
+    tilt = -_BOARD_TILT if is_level else _BOARD_TILT
+    back = np.array([0.0, np.sin(tilt), np.cos(tilt)])
+    meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=_BOARD_FIELD_OF_VIEW))
     meshcat.SetCameraPose(
         stage.X_WT.multiply(middle + distance * back), stage.X_WT.multiply(middle)
     )

@@ -1,7 +1,8 @@
-"""What a scene shows of a world: its shapes, and the track that they move along."""
+"""What a scene shows of a world: its shapes, and the frame that their motion is watched in."""
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -18,6 +19,8 @@ from pydrake.geometry import (
 )
 from pydrake.math import RigidTransform, RotationMatrix
 
+from drake_aigto.show.coordinates import wall_places
+
 if TYPE_CHECKING:
     import numpy.typing as npt
 
@@ -26,8 +29,10 @@ if TYPE_CHECKING:
 _GRAY = Rgba(0.6, 0.6, 0.6)
 # Meshcat draws no half spaces; this much of one is drawn as a slab [m].
 _SLAB = (2.0, 2.0, 0.05)
-# Closer to the vertical than this a direction has no level side.
+# Closer than this to the vertical, or to a line, counts as that.
 _UPRIGHT = 1e-3
+_SIGNS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+_UP, _FORWARDS, _SIDE = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]), np.array([1.0, 0, 0])
 
 
 @dataclass(frozen=True)
@@ -40,8 +45,9 @@ class Actor:
         shape: what to draw for it.
         X_GS: the drawn shape's pose in the geometry's frame.
         color: its own.
-        moves: whether it is on a body that moves.
-        radius: half of its longest side [m].
+        body: the name of its body, unique.
+        moves: whether this body moves.
+        corners: of a box around the drawn shape, in its frame, shape (8, 3) [m].
     """
 
     name: str
@@ -49,23 +55,32 @@ class Actor:
     shape: Shape
     X_GS: RigidTransform
     color: Rgba
+    body: str
     moves: bool
-    radius: float
+    corners: npt.NDArray[np.float64]
+
+    @property
+    def radius(self) -> float:
+        """Half of its longest side [m]."""
+        return float(np.max(np.ptp(self.corners, axis=0))) / 2
 
 
 class Stage:
     """A world's shapes, and a frame T to watch their motion in.
 
-    T's x axis is the direction in which they move most, with the sign of the positions, and its
-    y axis is level. Its origin is below the first moving shape at q = 0, so that where one joint
-    slides, x is its position.
+    Where all that moves keeps to one level line, T's x axis is its direction, with the sign of the
+    positions, and y is level. Otherwise x and y are to the right and up in the plane of motion, as
+    seen from above or from the front. The origin is below, or behind, the first moving shape at
+    q = 0, so that where one joint slides, x, or up y, is its position.
 
     Attributes:
         actors: all shapes.
+        movers: the first moving shape of each body that moves.
+        is_line: whether the motion is along a level line.
         X_WT: T's pose in the world.
         radius: of the first moving shape, half of its longest side [m].
-        lowest: the first moving shape's least x in T over the motions [m].
-        highest: its largest [m].
+        lowest: the least x of a moving shape's middle in T over the motions [m].
+        highest: the largest [m].
     """
 
     def __init__(self, world: World, positions: npt.NDArray[np.float64]) -> None:
@@ -74,17 +89,20 @@ class Stage:
         self._root = world.create_context()
         self.actors = _read_actors(world)
         # There is one: a world has a shape that moves to its wall.
-        self._lead = lead = next(actor for actor in self.actors if actor.moves)
+        self.movers = list({a.body: a for a in reversed(self.actors) if a.moves}.values())[::-1]
+        lead = self.movers[0]
         self.radius = lead.radius
-        path = np.array([self.pose(lead, q).translation() for q in positions])
-        zero, one = (
-            self.pose(lead, np.full(world.num_positions, value)).translation()
-            for value in (0.0, 1.0)
-        )
-        R_WT = _face(path - path.mean(axis=0), one - zero)
-        self.X_WT = RigidTransform(R_WT, zero - self.radius * R_WT.matrix()[:, 2])
-        places = [self.along(q) for q in positions]
-        self.lowest, self.highest = min(places), max(places)
+        zero = np.zeros(world.num_positions)
+        origin = self.pose(lead, zero).translation()
+        ways = [
+            self.pose(mover, q).translation() - self.pose(mover, zero).translation()
+            for mover in self.movers
+            for q in np.eye(world.num_positions)
+        ]
+        self.is_line, R_WT = _face(np.array(ways))
+        self.X_WT = RigidTransform(R_WT, origin - self.radius * R_WT.matrix()[:, 2])
+        along = [self.places(mover, positions)[:, 0] for mover in self.movers]
+        self.lowest, self.highest = float(np.min(along)), float(np.max(along))
 
     def pose(self, actor: Actor, q: npt.NDArray[np.float64]) -> RigidTransform:
         """Returns the pose of an actor's drawn shape in the world, at q of shape (nq,) [m]."""
@@ -95,9 +113,32 @@ class Stage:
         )
         return query.GetPoseInWorld(actor.geometry).multiply(actor.X_GS)
 
-    def along(self, q: npt.NDArray[np.float64]) -> float:
-        """Returns where along T's x axis the first moving shape is at q, shape (nq,) [m]."""
-        return float(self.X_WT.inverse().multiply(self.pose(self._lead, q).translation())[0])
+    def places(self, actor: Actor, positions: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Returns where in T an actor's middle is, shape (K, 3), at positions of shape (K, nq)."""
+        X_TW = self.X_WT.inverse()
+        return np.array([X_TW.multiply(self.pose(actor, q).translation()) for q in positions])
+
+    def extent(self, positions: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Returns opposite corners in T of all shapes over positions, shape (2, 3) [m]."""
+        found = []
+        for actor in self.actors:
+            for q in positions if actor.moves else positions[:1]:
+                X_TS = self.X_WT.inverse().multiply(self.pose(actor, q))
+                found.append(X_TS.multiply(actor.corners.T).T)
+        corners = np.vstack(found)
+        return np.array([corners.min(axis=0), corners.max(axis=0)])
+
+    def walls(self) -> list[tuple[float, float]]:
+        """Returns where in T's x walls stop the middles of shapes, and the side that each faces."""
+        found = []
+        eye = np.eye(self._world.num_positions)
+        for i, direction in enumerate(eye):
+            for _, place, side in wall_places(self._world, i):
+                for mover in self.movers:
+                    zero, one, there = self.places(mover, np.outer([0, 1, place], direction))[:, 0]
+                    if one != zero:
+                        found.append((float(there), side * float(np.sign(one - zero))))
+        return found
 
 
 def _read_actors(world: World) -> list[Actor]:
@@ -117,24 +158,40 @@ def _read_actor(world: World, inspector: SceneGraphInspector, geometry: Geometry
     shape, X_GS = inspector.GetShape(geometry), RigidTransform()
     if isinstance(shape, HalfSpace):
         shape, X_GS = Box(*_SLAB), RigidTransform([0.0, 0.0, -_SLAB[2] / 2])
-        radius = max(_SLAB) / 2
+        X_SB, half_widths = RigidTransform(), np.array(_SLAB) / 2
     else:
-        radius = float(max(inspector.GetObbInGeometryFrame(geometry).half_width()))
+        box = inspector.GetObbInGeometryFrame(geometry)
+        X_SB, half_widths = box.pose(), box.half_width()
     properties = inspector.GetIllustrationProperties(geometry)
     color = properties.GetPropertyOrDefault("phong", "diffuse", _GRAY) if properties else _GRAY
     body = world.plant.GetBodyFromFrameId(inspector.GetFrameId(geometry))
     moves = not world.plant.IsAnchored(body)
     model = world.plant.GetModelInstanceName(body.model_instance())
-    name = f"{model}/{body.name()}/{inspector.GetName(geometry).split('::')[-1]}"
-    return Actor(name, geometry, shape, X_GS, color, moves, radius)
+    name = f"{model}/{body.name()}"
+    shape_name = inspector.GetName(geometry).split("::")[-1]
+    path = f"{name}/{shape_name}"
+    corners = X_SB.multiply((_SIGNS * half_widths).T).T
+    return Actor(path, geometry, shape, X_GS, color, name, moves, corners)
 
 
-def _face(path: npt.NDArray[np.float64], forwards: npt.NDArray[np.float64]) -> RotationMatrix:
-    """Returns R_WT for a path about its mean, shape (K, 3), and the way that positions count."""
-    x = np.linalg.svd(path, full_matrices=False)[2][0]
-    x = -x if x @ forwards < 0 else x
-    level = np.cross([0.0, 0.0, 1.0], x)
-    if np.linalg.norm(level) < _UPRIGHT:
-        level = np.cross([0.0, 1.0, 0.0], x)
-    y = level / np.linalg.norm(level)
-    return RotationMatrix(np.column_stack([x, y, np.cross(x, y)]))
+def _face(ways: npt.NDArray[np.float64]) -> tuple[bool, RotationMatrix]:
+    """Returns whether shapes move along a level line, and R_WT, for the ways that they can move.
+
+    Args:
+        ways: of each shape with each coordinate, shape (k, 3) [m].
+    """
+    _, sizes, directions = np.linalg.svd(ways)
+    first = directions[0] if directions[0] @ ways.sum(axis=0) >= 0 else -directions[0]
+    upright = bool(np.hypot(*first[:2]) < _UPRIGHT)
+    if sizes[1:].max(initial=0.0) < _UPRIGHT * sizes[0] and not upright:
+        y = np.cross(_UP, first)
+        y /= np.linalg.norm(y)
+        return True, RotationMatrix(np.column_stack([first, y, np.cross(first, y)]))
+    # Towards who looks on: the plane's normal, up if it can be, or against the world's y axis.
+    normal = directions[2] if sizes[1:].max(initial=0.0) >= _UPRIGHT * sizes[0] else -_FORWARDS
+    level = abs(normal @ _UP) > 1 - _UPRIGHT
+    normal = normal if normal @ (_UP if level else -_FORWARDS - 1e-6 * _SIDE) >= 0 else -normal
+    y = _FORWARDS if level else _UP
+    y = y - (y @ normal) * normal
+    y /= np.linalg.norm(y)
+    return False, RotationMatrix(np.column_stack([np.cross(y, normal), y, normal]))

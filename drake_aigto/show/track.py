@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import base64
-import io
-import json
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.colors import to_rgb
@@ -14,16 +12,16 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
-from pydrake.common import MemoryFile
-from pydrake.geometry import InMemoryMesh, Mesh
 
 from drake_aigto.show.motion import color_of
+from drake_aigto.show.picture import make_mesh
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     import numpy.typing as npt
     from matplotlib.axes import Axes
+    from pydrake.geometry import Mesh
 
 _PIXELS = 2048  # along the track
 _INCHES = 10.0  # of figure for each metre of track, so that lines have usual widths
@@ -35,6 +33,7 @@ _TINT, _SHADE = 0.2, 0.6
 _LABEL_HEIGHT, _LABEL_INSET, _LABEL_RISE = 0.25, 0.5, 0.1
 # … the size of the scale's numbers, and the strip for them along either side.
 _SCALE_HEIGHT, _MARGIN = 0.22, 0.7
+_ROW_HEIGHT = 0.27  # of names, where several rows are needed
 _BOLD_WIDTH = 0.67  # of a letter on average, as a part of the font's size
 
 
@@ -71,20 +70,20 @@ class Track:
     @property
     def margin(self) -> float:
         """Width of the strips on both sides, for scale and marks [m]."""
-        return _MARGIN * self.lane_width
+        return (_MARGIN + _ROW_HEIGHT * (len(self._rows) - 1)) * self.lane_width
 
     def lane_center(self, lane: int) -> float:
         """Returns the y of a lane's middle [m]."""
         return self.half_width - (lane + 0.5) * self.lane_width
 
+    def offset(self, lane: int) -> npt.NDArray[np.float64]:
+        """Returns where a lane's motion is moved to, x, y and z, shape (3,) [m]."""
+        return np.array([0.0, self.lane_center(lane), 0.0])
+
     def mesh(self) -> Mesh:
         """Returns a flat shape with `paint` on it, in the track's frame."""
         side = self.half_width + self.margin
-        corners = [(self.start, -side), (self.end, -side), (self.end, side), (self.start, side)]
-        picture = io.BytesIO()
-        self.paint().savefig(picture, format="png")
-        gltf = _textured_quad(np.array(corners), picture.getvalue())
-        return Mesh(InMemoryMesh(mesh_file=MemoryFile(json.dumps(gltf), ".gltf", "track")))
+        return make_mesh(self.paint(), (self.start, -side), (self.end, side))
 
     def paint(self) -> Figure:
         """Returns the picture, in metres of the track's frame."""
@@ -120,26 +119,45 @@ class Track:
         for x in MaxNLocator(nbins=7, steps=[1, 2, 5, 10]).tick_values(self.start, self.end):
             text = f"{x:.12g} m"
             if x == self._move_inside(x, text):  # Numbers are whole, and in place, or not there.
-                axes.plot([x, x], [edge, edge - 0.12 * self.margin], color=_INK, linewidth=3)
-                self._write(axes, x, edge - 0.2 * self.margin, text, va="top")
+                axes.plot([x, x], [edge, edge - 0.08 * self.lane_width], color=_INK, linewidth=3)
+                self._write(axes, x, edge - 0.14 * self.lane_width, text, va="top")
 
     def _paint_marks(self, axes: Axes) -> None:
         """Draws lines across all lanes, and their names far enough off to stand clear of a ball."""
-        edge = self.half_width + 0.45 * self.margin
-        names: dict[float, str] = {}
-        for name, x in self.marks.items():
+        edge = self.half_width + 0.45 * _MARGIN * self.lane_width
+        for x in self.marks.values():
             axes.plot([x, x], [-self.half_width, edge], "--", color=_INK, linewidth=3)
-            # Names that would overlap are written as one.
-            place = next((other for other in names if abs(other - x) < self.lane_width), x)
-            names[place] = f"{names[place]}, {name}" if place in names else name
-        for x, name in names.items():
-            x = self._move_inside(x, name)
-            self._write(axes, x, edge + 0.1 * self.margin, name, va="bottom")
+        for row, names in enumerate(self._rows):
+            y = edge + (0.07 + row * _ROW_HEIGHT) * self.lane_width
+            for name, x in names.items():
+                self._write(axes, self._move_inside(x, name), y, name, va="bottom")
+
+    @cached_property
+    def _rows(self) -> list[dict[str, float]]:
+        """The marks, in as many rows as it takes for no name to overlap another."""
+        rows: list[dict[str, float]] = []
+        for name, x in self.marks.items():
+            free = (row for row in rows if all(self._are_apart((name, x), o) for o in row.items()))
+            row = next(free, None)
+            if row is None:
+                rows.append(row := {})
+            row[name] = x
+        return rows
+
+    def _are_apart(self, *marks: tuple[str, float]) -> bool:
+        """Returns whether two names over their places do not overlap."""
+        first, second = (self._move_inside(x, name) for name, x in marks)
+        widths = [self._text_width(name) for name, _ in marks]
+        return abs(first - second) > sum(widths) / 2
 
     def _move_inside(self, x: float, text: str) -> float:
         """Returns the nearest place to x where a text over it is whole."""
-        half_width = len(text) * _BOLD_WIDTH * _SCALE_HEIGHT * self.lane_width / 2
+        half_width = self._text_width(text) / 2
         return min(max(x, self.start + half_width), self.end - half_width)
+
+    def _text_width(self, text: str) -> float:
+        """Returns how wide a text is at most, of the scale or a mark [m]."""
+        return len(text) * _BOLD_WIDTH * _SCALE_HEIGHT * self.lane_width
 
     def _write(self, axes: Axes, x: float, y: float, text: str, va: str) -> None:
         """Writes a text over x, below or above y."""
@@ -158,67 +176,3 @@ class Track:
     def _font_size(self, height: float) -> float:
         """Returns the size in points for a height as a part of a lane's width."""
         return 72 * _INCHES * height * self.lane_width
-
-
-def _textured_quad(corners: npt.NDArray[np.float64], png: bytes) -> dict[str, Any]:
-    """Returns a glTF of a quad with a picture on it, which no light shades.
-
-    Args:
-        corners: x and y, counter-clockwise from the picture's lower left, shape (4, 2) [m].
-        png: the picture.
-    """
-    # glTF is y-up, which Drake turns to z-up: (x, y, z) → (x, −z, y).
-    positions = np.column_stack([corners[:, 0], np.zeros(4), -corners[:, 1]]).astype(np.float32)
-    texture = np.array([[0, 1], [1, 1], [1, 0], [0, 0]], dtype=np.float32)
-    triangles = np.array([0, 1, 2, 0, 2, 3], dtype=np.uint16)
-    parts = [array.tobytes() for array in (positions, texture, triangles)]
-    starts = np.cumsum([0, *map(len, parts)]).tolist()
-    bounds = {"min": positions.min(axis=0).tolist(), "max": positions.max(axis=0).tolist()}
-    float_type, short_type = 5126, 5123
-    return {
-        "asset": {"version": "2.0"},
-        "extensionsUsed": ["KHR_materials_unlit"],
-        "scene": 0,
-        "scenes": [{"nodes": [0]}],
-        "nodes": [{"mesh": 0}],
-        "meshes": [
-            {
-                "primitives": [
-                    {
-                        "attributes": {"POSITION": 0, "TEXCOORD_0": 1},
-                        "indices": 2,
-                        "material": 0,
-                    }
-                ]
-            }
-        ],
-        "materials": [
-            {
-                "pbrMetallicRoughness": {"baseColorTexture": {"index": 0}, "metallicFactor": 0},
-                "alphaMode": "BLEND",
-                "doubleSided": True,
-                "extensions": {"KHR_materials_unlit": {}},
-            }
-        ],
-        "textures": [{"source": 0}],
-        "images": [{"uri": _data_uri("image/png", png)}],
-        "buffers": [
-            {
-                "uri": _data_uri("application/octet-stream", b"".join(parts)),
-                "byteLength": starts[-1],
-            }
-        ],
-        "bufferViews": [
-            {"buffer": 0, "byteOffset": start, "byteLength": len(part)}
-            for start, part in zip(starts, parts, strict=False)
-        ],
-        "accessors": [
-            {"bufferView": 0, "componentType": float_type, "count": 4, "type": "VEC3", **bounds},
-            {"bufferView": 1, "componentType": float_type, "count": 4, "type": "VEC2"},
-            {"bufferView": 2, "componentType": short_type, "count": 6, "type": "SCALAR"},
-        ],
-    }
-
-
-def _data_uri(kind: str, content: bytes) -> str:
-    return f"data:{kind};base64,{base64.b64encode(content).decode('ascii')}"

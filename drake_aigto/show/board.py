@@ -1,0 +1,166 @@
+"""The boards behind bodies that move in a plane: side by side, with label, way, start and goal."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import MaxNLocator
+
+from drake_aigto.show.motion import color_of
+from drake_aigto.show.picture import make_mesh
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import numpy.typing as npt
+    from matplotlib.axes import Axes
+    from pydrake.geometry import Mesh
+
+    _Array = npt.NDArray[np.float64]
+
+_PIXELS = 3072  # of the longer side
+_INCHES = 6.0  # of figure for a panel's size, so that lines have usual widths
+_INK = "#222222"
+# Of a panel's color: as a tint on white for the panel, and darkened for its label.
+_TINT, _SHADE = 0.15, 0.6
+
+# As parts of a panel's size: between panels, the size of letters, how far they are from what
+# they name, strips above and below, the least width.
+_GAP, _LETTER, _SPACE = 0.06, 0.058, 0.012
+_TOP, _BOTTOM = 0.19, 0.09
+_NARROWEST = 0.62
+# What is this part of its depth below what stands in front is hidden, up to this part of the size.
+_HIDDEN, _MOST_HIDDEN = 0.5, 0.06
+_LETTERS = 18  # that are as wide as a panel, of a font as large as that
+
+
+@dataclass(frozen=True, eq=False)
+class Board:
+    """Panels side by side, one for each motion, in a plane that is looked at from the front.
+
+    In the board's frame x is to the right and y up. A motion's place in it is that of the world,
+    moved aside by its panel's offset.
+
+    Attributes:
+        labels: one for each panel.
+        low: lower left corner of all that is shown of the world, shape (2,) [m].
+        high: upper right corner [m].
+        depth: how far shapes reach towards who looks on [m].
+        radius: of what moves [m].
+        starts: where bodies start, shape (k, 2) [m].
+        goals: where they should end [m].
+        ways: of each panel, the ways of its bodies, each of shape (K, 2) [m].
+        touches: of each panel, where they touch something, shape (t, 2) [m].
+    """
+
+    labels: Sequence[str]
+    low: _Array
+    high: _Array
+    depth: float
+    radius: float
+    starts: _Array
+    goals: _Array
+    ways: Sequence[Sequence[_Array]]
+    touches: Sequence[_Array]
+
+    @property
+    def size(self) -> float:
+        """The longer side of what is shown of the world [m]."""
+        return float(np.max(self.high - self.low))
+
+    @property
+    def space(self) -> float:
+        """Between texts and what they name [m]."""
+        return _SPACE * self.size
+
+    @cached_property
+    def panel(self) -> tuple[_Array, _Array]:
+        """Corners of the panel without offset, lower left and upper right, shape (2,) each [m]."""
+        width = (self.high - self.low)[0]
+        wider = np.array([max(0.0, _NARROWEST * self.size - width) / 2, 0.0])
+        return self.low - wider, self.high + wider
+
+    @property
+    def corners(self) -> tuple[_Array, _Array]:
+        """Corners of all panels with their labels and scales, shape (2,) each [m]."""
+        low, high = self.panel
+        first, last = self.offset(0)[:2], self.offset(len(self.labels) - 1)[:2]
+        around = _GAP * self.size
+        return (
+            low + first - (around, _BOTTOM * self.size),
+            high + last + (around, _TOP * self.size),
+        )
+
+    def offset(self, index: int) -> _Array:
+        """Returns where a panel's motion is moved to, x, y and z, shape (3,) [m]."""
+        low, high = self.panel
+        pitch = (high - low)[0] + _GAP * self.size
+        return np.array([(index - (len(self.labels) - 1) / 2) * pitch, 0.0, 0.0])
+
+    def mesh(self) -> Mesh:
+        """Returns a flat shape with `paint` on it, in the board's frame."""
+        return make_mesh(self.paint(), *self.corners)
+
+    def paint(self) -> Figure:
+        """Returns the picture, in metres of the board's frame."""
+        low, high = self.corners
+        width, height = (_INCHES * (high - low) / self.size).tolist()
+        dpi = _PIXELS / max(width, height)
+        figure = Figure(figsize=(width, height), dpi=dpi, facecolor="none")
+        axes = figure.add_axes((0, 0, 1, 1), xlim=(low[0], high[0]), ylim=(low[1], high[1]))
+        axes.set_axis_off()
+        for index in range(len(self.labels)):
+            self._paint_panel(axes, index)
+        return figure
+
+    def _paint_panel(self, axes: Axes, index: int) -> None:
+        aside = self.offset(index)[:2]
+        low, high = (corner + aside for corner in self.panel)
+        color = np.array(to_rgb(color_of(index)))
+        (left, bottom), (width, height) = low.tolist(), (high - low).tolist()
+        tint = 1 - _TINT * (1 - color)
+        axes.add_patch(Rectangle((left, bottom), width, height, facecolor=tint))
+        lines = self.labels[index].replace(": ", ":\n")
+        lines = lines if "\n" in lines else lines.replace(" (", "\n(")
+        rise = min(_HIDDEN * self.depth, _MOST_HIDDEN * self.size) + self.space
+        middle = left + width / 2
+        look: dict[str, Any] = {"color": _SHADE * color, "ha": "center", "va": "bottom"}
+        self._write(axes, middle, high[1] + rise, lines, **look)
+        for way in self.ways[index]:
+            axes.plot(*(way + aside).T, color=color, linewidth=3, alpha=0.7, zorder=2)
+        self._paint_marks(axes, aside, middle)
+        look = {"color": color, "markerfacecolor": "white", "markeredgewidth": 2.5}
+        touches = self.touches[index] + aside
+        axes.plot(*touches.T, "o", markersize=12, zorder=4, **look)
+        self._paint_scale(axes, low, high, aside)
+
+    def _paint_marks(self, axes: Axes, aside: _Array, middle: float) -> None:
+        """Draws starts and goals, with their names on the side that has more room."""
+        for name, places, look in (("start", self.starts, "s"), ("goal", self.goals, "*")):
+            for x, y in places + aside:
+                axes.plot(x, y, look, color=_INK, markersize=22 if look == "*" else 10, zorder=3)
+                side = -1 if x > middle + self.space else 1
+                beside = x + side * (self.radius + self.space)
+                ha = "left" if side > 0 else "right"
+                self._write(axes, beside, y, name, color=_INK, ha=ha, va="center", zorder=4)
+
+    def _paint_scale(self, axes: Axes, low: _Array, high: _Array, aside: _Array) -> None:
+        """Draws ticks in metres below a panel."""
+        ends = low[0] - aside[0], high[0] - aside[0]
+        for x in MaxNLocator(nbins=4, steps=[1, 2, 5, 10]).tick_values(*ends):
+            if ends[0] <= x <= ends[1]:
+                at = x + aside[0]
+                axes.plot([at, at], [low[1], low[1] - self.space], color=_INK, linewidth=2)
+                look = {"color": _INK, "ha": "center", "va": "top"}
+                self._write(axes, at, low[1] - 1.5 * self.space, f"{x:.12g} m", **look)
+
+    def _write(self, axes: Axes, x: float, y: float, text: str, **look: Any) -> None:
+        low, high = self.panel
+        height = min(_LETTER, (high - low)[0] / self.size / _LETTERS)
+        axes.text(x, y, text, size=72 * _INCHES * height, weight="bold", linespacing=1.0, **look)
