@@ -1,6 +1,8 @@
-"""Draws the picture of README: row 1 of the paper's Table I, planned in three ways and simulated.
+"""Draws the pictures of README into a folder.
 
-python docs/make_picture.py [docs/images/table1_row1.png]
+Row 1 of the paper's Table I, planned in three ways and simulated; and ways between several walls.
+
+python docs/make_picture.py [docs/images]
 """
 
 from __future__ import annotations
@@ -15,13 +17,19 @@ import matplotlib as mpl
 from drake_aigto import Planner, PlanOptions, Scenario, World
 from drake_aigto.baselines import gradient_from_zero
 from drake_aigto.planning import Candidate, LiteralProblem
-from drake_aigto.show.figures import plot_motions
+from drake_aigto.show.figures import plot_motions, plot_path
 from drake_aigto.show.motion import Motion
 from drake_aigto.transcription import LiteralTranscription
 
 mpl.use("Agg")
 
 import matplotlib.pyplot as plt
+
+_WAYS = {
+    "room/two_walls": "off two walls of a room",
+    "room_with_block/off_the_block": "off a block in a room",
+    "two_masses/handed_on": "two masses on a line",
+}
 
 
 def make_runs(world: World, scenario: Scenario) -> Iterator[tuple[str, Candidate]]:
@@ -37,8 +45,8 @@ def make_runs(world: World, scenario: Scenario) -> Iterator[tuple[str, Candidate
     yield "with impulses at knots: holds", Planner(scenario, world=world).plan().best
 
 
-def main(path: Path) -> None:
-    """Writes the picture."""
+def draw_row(path: Path) -> None:
+    """Writes the picture of the paper's row."""
     scenario = Scenario.named("table1/1")
     world = World.from_scenario(scenario)
     figure, grid = plt.subplots(
@@ -60,6 +68,26 @@ def main(path: Path) -> None:
     figure.savefig(path, dpi=100)
 
 
+def draw_ways(path: Path) -> None:
+    """Writes the picture of ways between walls."""
+    figure, row = plt.subplots(1, len(_WAYS), figsize=(10, 3.7), layout="constrained")
+    for axes, (name, title) in zip(row, _WAYS.items(), strict=True):
+        scenario = Scenario.named(name)
+        world = World.from_scenario(scenario)
+        run = Planner(scenario, world=world).plan().best
+        motions = [
+            Motion.from_trajectory(run.trajectory, world),
+            Motion.from_replay(run.replay, "simulation of its control on rigid walls"),
+        ]
+        plot_path(axes, motions, world, scenario)
+        axes.get_legend().remove()  # One for all.
+        axes.set_title(title, fontsize="medium")
+    handles, labels = row[0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=6, fontsize="small")
+    figure.savefig(path, dpi=100)
+
+
 if __name__ == "__main__":
-    default = Path(__file__).parent / "images" / "table1_row1.png"
-    main(Path(sys.argv[1]) if len(sys.argv) > 1 else default)
+    folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "images"
+    draw_row(folder / "table1_row1.png")
+    draw_ways(folder / "ways_between_walls.png")
