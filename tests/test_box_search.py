@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drake_aigto.aigo import Box, BoxSearch, Candidate, FaceFlow, box_search
+from drake_aigto.aigo import Annealing, Box, BoxSearch, Candidate, FaceFlow, Iterate, box_search
 from drake_aigto.aigo.newton import BoundedPointObjective, newton
 from drake_aigto.box import BoxPolynomial, Factor, FunctionKind, Term, TermBlock
 from drake_aigto.errors import OptionsError
@@ -144,6 +144,33 @@ def test_ctrl_c_returns_the_best_so_far() -> None:
 
     result = BoxSearch().run(f, Box(np.zeros(6), np.full(6, 2.2)), callback=interrupt)
     assert result.best is seen[-1]
+    assert result.was_interrupted
+
+
+def test_ctrl_c_within_a_box_ends_the_search_not_only_that_box(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    f, _, _ = sextic_chain(6, 1)
+    calls: list[int] = []
+
+    def interrupted_step(self: FaceFlow, f: BoxPolynomial, iterate: Iterate) -> Iterate:
+        calls.append(1)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(FaceFlow, "step", interrupted_step)
+    box = Box(np.zeros(6), np.full(6, 2.2))
+    assert BoxSearch().run(f, box).was_interrupted
+    assert len(calls) == 1
+    assert not BoxSearch(first=(Annealing(),), rounds=0).run(f, box).was_interrupted
+
+
+def test_rounds_that_cost_much_are_fewer(monkeypatch: pytest.MonkeyPatch) -> None:
+    f, _, _ = sextic_chain(6, 1)
+    box = Box(np.zeros(6), np.full(6, 2.2))
+    many = BoxSearch().run(f, box)
+    monkeypatch.setattr("drake_aigto.aigo.box_search._MOST_TERMS", many.num_steps * f.num_terms / 2)
+    few = BoxSearch().run(f, box)
+    assert 0 < few.num_rounds < many.num_rounds
 
 
 def test_a_box_without_free_variables_is_its_own_answer() -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from pydrake.solvers import (
 from pydrake.symbolic import cos, exp, sin
 
 from drake_aigto import UnsupportedTermError
+from drake_aigto.aigo import BoxSearch
 from drake_aigto.errors import OptionsError
 from drake_aigto.solver import AigoDetails, AigoOptions, AigoSolver, AigoStatus
 from drake_aigto.study.random_programs import random_program
@@ -361,3 +363,22 @@ def test_where_rounding_hides_which_point_is_better_the_formula_decides() -> Non
     result = AigoSolver(AigoOptions(rounds=5)).Solve(prog, [1000.0])
     assert result.get_optimal_cost() == (result.GetSolution(x) - 1000) ** 6
     assert result.get_optimal_cost() <= 1e-12
+
+
+def test_ctrl_c_ends_all_penalties_and_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(2, "x")
+    prog.AddBoundingBoxConstraint(-2, 2, x)
+    add_cost(prog, (x[0] - 1) ** 4 + x[1] ** 2)
+    prog.AddConstraint(x[0] * x[1] == 0.25)
+    stages: list[int] = []
+    run = BoxSearch.run
+
+    def interrupted(self: BoxSearch, *arguments: Any, **named: Any) -> Any:
+        stages.append(1)
+        return dataclasses.replace(run(self, *arguments, **named), was_interrupted=True)
+
+    monkeypatch.setattr(BoxSearch, "run", interrupted)
+    details = AigoSolver().Solve(prog).get_solver_details()
+    assert details.status is AigoStatus.INTERRUPTED
+    assert len(stages) == 1

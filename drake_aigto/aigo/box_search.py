@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_aigto.aigo.algorithm import Algorithm, Box, as_positive, minimize
+from drake_aigto.aigo.algorithm import AigoResult, Algorithm, Box, Status, as_positive, minimize
 from drake_aigto.aigo.bounded_annealing import BoundedAnnealing
 from drake_aigto.aigo.coupling import CouplingGraph
 from drake_aigto.aigo.face_flow import FaceFlow, Pace
@@ -33,6 +33,7 @@ _FIRST = (
 _RENEWAL = FaceFlow(share=0.5, least_shrink=0.1, final_width=0.2)
 _TRIAL_STEPS = 20  # Newton steps of a renewal, before it has to be lower than the best for more
 _BOLD_STEPS = 12  # Newton steps of many clusters at once; those that need more are left
+_MOST_TERMS = 2e8  # terms evaluated in all that end the search: some five seconds
 _IDLE_TERMS = 2e7  # terms evaluated in rounds without a lower f that end the search: half a second
 _ROUNDING = 1e-9  # an f that is lower by this part of itself or less does not count as lower
 _LONGEST_REST = 7  # turns that a size of clusters is left out after it has failed
@@ -67,6 +68,7 @@ class SearchResult:
         num_steps: steps of the flow and of Newton's method in all of them.
         num_rounds: rounds of renewal.
         widths: geometric-mean half widths of the first box as it shrank, for each first algorithm.
+        was_interrupted: whether Ctrl-C ended it.
     """
 
     best: Candidate
@@ -76,6 +78,7 @@ class SearchResult:
     num_steps: int
     num_rounds: int
     widths: tuple[tuple[float, ...], ...] = field(repr=False)
+    was_interrupted: bool = False
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -175,14 +178,14 @@ class _Search:
 
     def run(self) -> SearchResult:
         """Runs the first algorithms, the rounds, and polishes what they lead to."""
-        widths = []
+        widths, was_interrupted = [], False
         try:
             for algorithm in self._options.first:
                 widths.append(self._shrink_first(algorithm))
             self._renew()
         except KeyboardInterrupt:
-            pass
-        if self._num_rounds and self._polish is not None:
+            was_interrupted = True
+        if self._num_rounds and self._polish is not None and not was_interrupted:
             self._offer(
                 self._polish(self._best.x), f"polish of: {self._best.origin}", is_polished=True
             )
@@ -194,11 +197,18 @@ class _Search:
             self._num_steps,
             self._num_rounds,
             tuple(widths),
+            was_interrupted,
         )
+
+    def _minimize(self, box: Box, algorithm: Algorithm) -> AigoResult:
+        result = minimize(self._f, box, algorithm)
+        if result.status is Status.INTERRUPTED:
+            raise KeyboardInterrupt
+        return result
 
     def _shrink_first(self, algorithm: Algorithm) -> tuple[float, ...]:
         """Shrinks the first box; returns its mean half widths."""
-        result = minimize(self._f, self._box, algorithm)
+        result = self._minimize(self._box, algorithm)
         self._num_boxes += 1
         self._num_steps += result.num_inner_steps
         name = f"{type(algorithm).__name__} from the first box"
@@ -223,13 +233,15 @@ class _Search:
             idle_terms = (self._num_steps - since) * self._f.num_terms
             if idle >= self._options.patience or idle_terms >= _IDLE_TERMS:
                 return
+            if self._num_steps * self._f.num_terms >= _MOST_TERMS:
+                return
 
     def _round(self, size: int, number: int) -> bool:
         """Renews the boxes of clusters of a size; returns whether that lowered f."""
         x, free = self._best.x, self._box.free
         labels = self._graph.clusters(size, free, self._rng)
         opened = labels >= 0
-        result = minimize(self._f, self._random_box(x, opened), self._options.renewal)
+        result = self._minimize(self._random_box(x, opened), self._options.renewal)
         self._num_boxes += int(labels.max()) + 1
         self._num_steps += result.num_inner_steps
         y = self._descend(result.box.center, opened, together=labels.max() == 0)

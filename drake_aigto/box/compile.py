@@ -188,7 +188,8 @@ def _expression_terms(
 
 def affine_terms(a: ArrayLike, b: float) -> tuple[Term, ...]:
     """The terms of aᵀx + b."""
-    linear = (Term(float(a_i), (_power(i, 1),)) for i, a_i in enumerate(np.asarray(a)) if a_i)
+    a = np.asarray(a, dtype=float)
+    linear = (Term(float(a[i]), (_power(i, 1),)) for i in np.flatnonzero(a).tolist())
     return (*linear, *_constant_term(b))
 
 

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -18,7 +18,7 @@ from pydrake.solvers import (
 )
 from pydrake.symbolic import Expression
 
-from drake_aigto.box import FunctionKind, Term, TermBlock, compile_program
+from drake_aigto.box import Factor, FunctionKind, Term, TermBlock, compile_program
 from drake_aigto.box.compile import (
     affine_terms,
     evaluator_name,
@@ -80,34 +80,40 @@ def compile_nlp(prog: MathematicalProgram, order: ArrayLike | None = None) -> Po
     lower, upper = np.full(prog.num_vars(), -np.inf), np.full(prog.num_vars(), np.inf)
     rows: list[TermBlock] = []
     for label, evaluator, copies in shared_evaluators(prog, prog.GetAllConstraints()):
-        for row in parse_rows(label, evaluator):
+        for row, variables in parse_rows(label, evaluator, copies):
             if np.isneginf(row.lower) and np.isposinf(row.upper):
                 continue
             bound = as_bound(row)
             if bound is not None:
                 local, low, high = bound
-                index = np.array([variables[local] for variables in copies], dtype=np.int64)
-                np.maximum.at(lower, index, low)
-                np.minimum.at(upper, index, high)
+                np.maximum.at(lower, variables[:, local], low)
+                np.minimum.at(upper, variables[:, local], high)
             else:
                 terms = _equality_terms(label, row)
-                rows.extend(term_blocks(evaluator_name(evaluator), terms, copies))
+                rows.extend(term_blocks(evaluator_name(evaluator), terms, variables.tolist()))
     _check_bounds(prog, lower, upper)
     return PolynomialNlp(prog.num_vars(), costs, tuple(rows), lower, upper, order)
 
 
-def parse_rows(label: str, constraint: EvaluatorBase) -> Iterator[ConstraintRow]:
-    """The rows of one constraint over its own variables 0 … L−1.
+def parse_rows(
+    label: str, constraint: EvaluatorBase, copies: Sequence[Sequence[int]]
+) -> Iterator[tuple[ConstraintRow, NDArray[np.int64]]]:
+    """The rows of one constraint, each over the variables 0 … L−1 that it reads.
 
     Args:
         label: How messages call it.
         constraint: Linear, quadratic, or an `ExpressionConstraint` of sums of products of powers,
             sin, cos and exp of affine functions.
+        copies: Which variables of the program it is bound to, K times.
+
+    Yields:
+        A row, and the program's variables that each copy of it reads, shape (K, L).
 
     Raises:
         UnsupportedTermError: It is another one, or a number is NaN.
     """
     sums = _row_sums(label, constraint)
+    bound_to = np.array(copies, dtype=np.int64)
     is_symbolic = isinstance(constraint, ExpressionConstraint)
     formulas = constraint.expressions() if is_symbolic else [None] * len(sums)
     bounds = constraint.lower_bound(), constraint.upper_bound()
@@ -121,13 +127,30 @@ def parse_rows(label: str, constraint: EvaluatorBase) -> Iterator[ConstraintRow]
                 expected="finite coefficients",
                 remedy="Look for a parameter that was not set.",
             )
-        yield row
+        read = sorted({factor.variable for term in terms for factor in term.factors})
+        yield replace(row, terms=_renumbered(terms, read)), bound_to[:, read]
+
+
+def _renumbered(terms: tuple[Term, ...], read: Sequence[int]) -> tuple[Term, ...]:
+    """The terms over the variables that they read, counted anew."""
+    number = {variable: i for i, variable in enumerate(read)}
+    if len(read) == max(read, default=-1) + 1:
+        return terms
+    return tuple(
+        Term(
+            term.coefficient,
+            tuple(replace(factor, variable=number[factor.variable]) for factor in term.factors),
+        )
+        for term in terms
+    )
 
 
 def _row_sums(label: str, constraint: EvaluatorBase) -> list[tuple[Term, ...]]:
     """The terms of each row."""
     if isinstance(constraint, BoundingBoxConstraint):
-        return [affine_terms(a, 0.0) for a in np.eye(constraint.num_vars())]
+        return [
+            (Term(1.0, (Factor(i, FunctionKind.POWER),)),) for i in range(constraint.num_vars())
+        ]
     if isinstance(constraint, LinearConstraint):  # equalities among them
         return [affine_terms(a, 0.0) for a in constraint.GetDenseA()]
     if isinstance(constraint, QuadraticConstraint):

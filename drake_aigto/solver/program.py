@@ -114,8 +114,8 @@ def read_program(prog: MathematicalProgram) -> AigoProgram:
     _check_variables(prog)
     rows = _Rows(prog)
     for label, evaluator, copies in shared_evaluators(prog, prog.GetAllConstraints()):
-        for row in parse_rows(label, evaluator):
-            rows.add(label, evaluator_name(evaluator), row, copies)
+        for row, variables in parse_rows(label, evaluator, copies):
+            rows.add(label, evaluator_name(evaluator), row, variables.tolist())
     return rows.finish()
 
 

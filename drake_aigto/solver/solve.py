@@ -151,6 +151,8 @@ class Solve:
         self._boxes += found.num_boxes
         self._iterations += found.num_steps
         self._widths.append(found.widths)
+        if found.was_interrupted:
+            raise KeyboardInterrupt
         return found
 
     def _polish(self, y: npt.NDArray[np.float64], name: str) -> npt.NDArray[np.float64]:
