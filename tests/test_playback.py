@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import dataclasses
 import json
 import re
 from collections.abc import Iterator
@@ -338,14 +339,17 @@ def test_a_board_has_the_way_and_the_marks_of_each_panel() -> None:
     assert written.count("start") == written.count("goal") == written.count("0.5 m") == 2
 
 
-def test_all_that_is_written_fits_on_the_board() -> None:
-    board = make_board()
+@pytest.mark.parametrize("goal", [[0.8, 0.6], [0.2, 0.3], [0.2, 0.32], [0.22, 0.28]])
+def test_all_that_is_written_fits_on_the_board(goal: list[float]) -> None:
+    board = dataclasses.replace(make_board(), goals=np.array([goal]), low=np.array([-1.0, 0.0]))
     figure = board.paint()
     (axes,) = figure.axes
     low, high = board.corners
     for text in axes.texts:
         box = text.get_window_extent().transformed(axes.transData.inverted())
         assert np.all(box.min >= low) and np.all(box.max <= high), text
+    boxes = [text.get_window_extent() for text in axes.texts]
+    assert not any(a.overlaps(b) for i, a in enumerate(boxes) for b in boxes[:i])
 
 
 def test_shapes_for_contact_are_shown_where_none_are_for_show(tmp_path: Path) -> None:

@@ -167,7 +167,7 @@ def test_contacts_that_last_show_when_they_end(plan: Plan, world: World) -> None
     text = format_plan(
         with_best(plan, dataclasses.replace(plan.best, contacts=contacts)), world, OPTIONS
     )
-    assert "\ncontacts    0.250–0.500 s (Δv 3.00 m/s), 0.750 s (Δv 1.50 m/s), " in text
+    assert "\ncontacts    0.250–0.500 s (Δv 3.00 m/s), 0.750 s (Δv 1.50 m/s),\n" in text
     assert re.search(r" mm  0\.250–0\.500, 0\.750 s\n", text)
 
 
@@ -216,6 +216,8 @@ def test_contacts_between_several_walls_say_which(plan: Plan, corridor: World) -
         "\n            ball against right wall at 0.660 s (Δv 4.00 m/s),",
         "bounces at a 0.1500, b 0.6600, a 1.1800 s",
         "  aba at 0.150, 0.660, 1.180 s\n",
+        "kinetic energy after / before 1 in all\n",
+        "energy ratio 1 a bounce,",
         "each up to 0.10 ms late",
     ):
         assert told in text, f"{told} in\n{text}"

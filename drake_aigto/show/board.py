@@ -37,7 +37,8 @@ _TOP, _BOTTOM = 0.19, 0.09
 _NARROWEST = 0.62
 # What is this part of its depth below what stands in front is hidden, up to this part of the size.
 _HIDDEN, _MOST_HIDDEN = 0.5, 0.06
-_LETTERS = 18  # that are as wide as a panel, of a font as large as that
+_LETTERS = 18  # of a font's size that are as wide as a panel
+_BOLD_WIDTH = 0.67  # of a letter on average, as a part of the font's size
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,25 +143,35 @@ class Board:
 
     def _paint_marks(self, axes: Axes, aside: _Array, middle: float) -> None:
         """Draws starts and goals, with their names on the side that has more room."""
-        for name, places, look in (("start", self.starts, "s"), ("goal", self.goals, "*")):
-            for x, y in places + aside:
-                axes.plot(x, y, look, color=_INK, markersize=22 if look == "*" else 10, zorder=3)
-                side = -1 if x > middle + self.space else 1
+        for start, goal in zip(self.starts + aside, self.goals + aside, strict=True):
+            axes.plot(*start, "s", color=_INK, markersize=10, zorder=3)
+            axes.plot(*goal, "*", color=_INK, markersize=22, zorder=3)
+            # The upper one's name is above, so that names do not overlap where places are near.
+            up = 1 if start[1] >= goal[1] else -1
+            for name, (x, y), above in (("start", start, up), ("goal", goal, -up)):
+                side, ha = (-1, "right") if x > middle + self.space else (1, "left")
                 beside = x + side * (self.radius + self.space)
-                ha = "left" if side > 0 else "right"
-                self._write(axes, beside, y, name, color=_INK, ha=ha, va="center", zorder=4)
+                va, y = "bottom" if above > 0 else "top", y + above * self.space / 4
+                self._write(axes, beside, y, name, color=_INK, ha=ha, va=va, zorder=4)
 
     def _paint_scale(self, axes: Axes, low: _Array, high: _Array, aside: _Array) -> None:
-        """Draws ticks in metres below a panel."""
+        """Draws ticks in metres below a panel; numbers are whole, or not there."""
         ends = low[0] - aside[0], high[0] - aside[0]
+        look = {"color": _INK, "ha": "center", "va": "top"}
         for x in MaxNLocator(nbins=4, steps=[1, 2, 5, 10]).tick_values(*ends):
-            if ends[0] <= x <= ends[1]:
-                at = x + aside[0]
+            at, text = x + aside[0], f"{x:.12g} m"
+            half = len(text) * self.letter * _BOLD_WIDTH / 2
+            room = min(at - low[0], high[0] - at)  # Half of the gap to the next panel is its own.
+            if room >= 0 and room + _GAP * self.size / 2 >= half:
                 axes.plot([at, at], [low[1], low[1] - self.space], color=_INK, linewidth=2)
-                look = {"color": _INK, "ha": "center", "va": "top"}
-                self._write(axes, at, low[1] - 1.5 * self.space, f"{x:.12g} m", **look)
+                self._write(axes, at, low[1] - 1.5 * self.space, text, **look)
+
+    @property
+    def letter(self) -> float:
+        """The height of letters [m]."""
+        low, high = self.panel
+        return min(_LETTER * self.size, (high - low)[0] / _LETTERS)
 
     def _write(self, axes: Axes, x: float, y: float, text: str, **look: Any) -> None:
-        low, high = self.panel
-        height = min(_LETTER, (high - low)[0] / self.size / _LETTERS)
-        axes.text(x, y, text, size=72 * _INCHES * height, weight="bold", linespacing=1.0, **look)
+        size = 72 * _INCHES * self.letter / self.size
+        axes.text(x, y, text, size=size, weight="bold", linespacing=1.0, **look)

@@ -108,7 +108,8 @@ def _simulation(replay: Replay, contact_delay: float | None, names: Sequence[str
     if not replay.bounce_times:
         yield "no bounce"
         return
-    yield f"energy ratio {energy_text(replay.energy_ratio)}"
+    each = " a bounce" if len(replay.bounce_times) > 1 else ""
+    yield f"energy ratio {energy_text(replay.energy_ratio)}{each}"
     yield _bounces(replay, names)
     if replay.matched_speeds:
         speeds = ", ".join(f"{speed:.2f}" for speed in replay.matched_speeds[:_MOST_BOUNCES])
@@ -212,7 +213,8 @@ def _contacts(candidate: Candidate, names: Sequence[str]) -> Iterator[str]:
     for contact in candidate.contacts:
         where = f"{names[contact.contact]} at " if len(names) > 1 else ""
         yield f"{where}{_when(contact)} s (Δv {contact.velocity_change:.2f} m/s)"
-    yield f"kinetic energy after / before {energy_text(candidate.energy_ratio)}"
+    all_of_them = " in all" if len(candidate.contacts) > 1 else ""
+    yield f"kinetic energy after / before {energy_text(candidate.energy_ratio)}{all_of_them}"
 
 
 def _letter(contact: int) -> str:
