@@ -319,7 +319,8 @@ def make_board() -> Board:
         starts=np.array([[0.2, 0.3]]),
         goals=np.array([[0.8, 0.6]]),
         ways=ways,
-        touches=[np.array([[1.0, 0.5]]), np.empty((0, 2))],
+        touches=[np.array([[1.0, 0.5]] * 2), np.empty((0, 2))],
+        touch_names=[["right wall, 0.60 s", "right wall, 0.61 s"], []],
     )
 
 
@@ -333,13 +334,15 @@ def test_a_board_has_the_way_and_the_marks_of_each_panel() -> None:
             found = [line for line in drawn if line.shape == expected.shape]
             assert any(np.allclose(line, expected + aside) for line in found)
     circles = [line.get_xydata() for line in axes.lines if line.get_marker() == "o"]
-    assert [len(np.asarray(each)) for each in circles] == [1, 0]
+    assert [len(np.asarray(each)) for each in circles] == [2, 0]
     written = [text.get_text() for text in axes.texts]
     assert {"plan\n(not a simulation)", "simulation:\ncompliant (Drake)"} <= set(written)
+    # Names of touches at one place would cover each other.
+    assert "right wall, 0.60 s" in written and "right wall, 0.61 s" not in written
     assert written.count("start") == written.count("goal") == written.count("0.5 m") == 2
 
 
-@pytest.mark.parametrize("goal", [[0.8, 0.6], [0.2, 0.3], [0.2, 0.32], [0.22, 0.28]])
+@pytest.mark.parametrize("goal", [[0.8, 0.7], [0.2, 0.3], [0.2, 0.32], [0.22, 0.28]])
 def test_all_that_is_written_fits_on_the_board(goal: list[float]) -> None:
     board = dataclasses.replace(make_board(), goals=np.array([goal]), low=np.array([-1.0, 0.0]))
     figure = board.paint()

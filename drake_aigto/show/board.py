@@ -57,7 +57,8 @@ class Board:
         starts: where bodies start, shape (k, 2) [m].
         goals: where they should end [m].
         ways: of each panel, the ways of its bodies, each of shape (K, 2) [m].
-        touches: of each panel, where they touch something, shape (t, 2) [m].
+        touches: of each panel, where they plan to touch something, shape (t, 2) [m].
+        touch_names: of each of these, what and when.
     """
 
     labels: Sequence[str]
@@ -69,6 +70,7 @@ class Board:
     goals: _Array
     ways: Sequence[Sequence[_Array]]
     touches: Sequence[_Array]
+    touch_names: Sequence[Sequence[str]]
 
     @property
     def size(self) -> float:
@@ -136,9 +138,7 @@ class Board:
         for way in self.ways[index]:
             axes.plot(*(way + aside).T, color=color, linewidth=3, alpha=0.7, zorder=2)
         self._paint_marks(axes, aside, middle)
-        look = {"color": color, "markerfacecolor": "white", "markeredgewidth": 2.5}
-        touches = self.touches[index] + aside
-        axes.plot(*touches.T, "o", markersize=12, zorder=4, **look)
+        self._paint_touches(axes, index, middle)
         self._paint_scale(axes, low, high, aside)
 
     def _paint_marks(self, axes: Axes, aside: _Array, middle: float) -> None:
@@ -153,6 +153,22 @@ class Board:
                 beside = x + side * (self.radius + self.space)
                 va, y = "bottom" if above > 0 else "top", y + above * self.space / 4
                 self._write(axes, beside, y, name, color=_INK, ha=ha, va=va, zorder=4)
+
+    def _paint_touches(self, axes: Axes, index: int, middle: float) -> None:
+        """Draws where bodies touch something, with names that do not cover each other."""
+        named: list[_Array] = []
+        touches = self.touches[index] + self.offset(index)[:2]
+        color = np.array(to_rgb(color_of(index)))
+        look: dict[str, Any] = {"color": color, "markerfacecolor": "white", "markeredgewidth": 2.5}
+        axes.plot(*touches.T, "o", markersize=12, zorder=4, **look)
+        apart = np.array([self.panel[1][0] - self.panel[0][0], 2.5 * self.letter]) / 2
+        for place, name in zip(touches, self.touch_names[index], strict=True):
+            if any(np.all(np.abs(place - other) < apart) for other in named):
+                continue
+            named.append(place)
+            side, ha = (-1, "right") if place[0] > middle + self.space else (1, "left")
+            x, y = place[0] + side * (self.radius + self.space), place[1] + self.letter
+            self._write(axes, x, y, name, color=_SHADE * color, ha=ha, va="center", zorder=4)
 
     def _paint_scale(self, axes: Axes, low: _Array, high: _Array, aside: _Array) -> None:
         """Draws ticks in metres below a panel; numbers are whole, or not there."""

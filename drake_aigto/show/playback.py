@@ -14,6 +14,7 @@ from pydrake.math import RigidTransform
 from drake_aigto.show.board import Board
 from drake_aigto.show.motion import Motion, color_of, motions_of_plan, time_span
 from drake_aigto.show.stage import Stage
+from drake_aigto.show.text import wall_names
 from drake_aigto.show.track import Track
 from drake_aigto.world.files import write_text
 
@@ -75,7 +76,11 @@ def publish(motions: Sequence[Motion], meshcat: Meshcat, world: World, scenario:
     """
     ends = np.array([scenario.initial_position, scenario.goal_position])
     stage = Stage(world, np.vstack([ends, *(motion.positions for motion in motions)]))
-    ground = (_lay_track if stage.is_line else _lay_board)(stage, motions, scenario)
+    ground: Track | Board
+    if stage.is_line:
+        ground = _lay_track(stage, motions, scenario)
+    else:
+        ground = _lay_board(stage, motions, scenario, wall_names(world))
     meshcat.Delete(ROOT)
     for path in ("/Background", "/Grid", "/Axes"):
         meshcat.SetProperty(path, "visible", False)
@@ -133,9 +138,12 @@ def _name_bodies(stage: Stage) -> list[str]:
     return [" ".join([*(name[:-1] if share else name), ""]) for name in names]
 
 
-def _lay_board(stage: Stage, motions: Sequence[Motion], scenario: Scenario) -> Board:
-    """Returns the board that the motions need."""
+def _lay_board(
+    stage: Stage, motions: Sequence[Motion], scenario: Scenario, walls: Sequence[str]
+) -> Board:
+    """Returns the board that the motions need; walls have names."""
     ends = np.array([scenario.initial_position, scenario.goal_position])
+    bodies = len(stage.movers)
     marks = np.array([stage.places(mover, ends)[:, :2] for mover in stage.movers])
     low, high = stage.extent(np.vstack([ends, *(motion.positions for motion in motions)]))
     ways = [
@@ -152,6 +160,10 @@ def _lay_board(stage: Stage, motions: Sequence[Motion], scenario: Scenario) -> B
         goals=marks[:, 1],
         ways=ways,
         touches=[_find_touches(motion, each) for motion, each in zip(motions, ways, strict=True)],
+        touch_names=[
+            [f"{walls[touch.contact]}, {touch.start:.2f} s" for touch in motion.touches] * bodies
+            for motion in motions
+        ],
     )
 
 
