@@ -21,6 +21,7 @@ from rest_solutions import least_rest
 from drake_aigto import Scenario, World
 from drake_aigto.local import LocalStatus
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch, TouchSequence
+from drake_aigto.transcription.phases import straight_path
 
 # Free flight.
 
@@ -202,6 +203,9 @@ def test_a_guess_goes_straight_from_stop_to_stop() -> None:
     phases = PhaseTranscription(world, scenario, (Touch.bounce(0.2), Touch(0.5, 0.9)))
     stops = np.array([[0.3, 0.6], [0.1, -0.1], [-0.5, 0.4], [0.2, -0.2], [0.73, 0.73]])
     guess = phases.guess(stops[1:-1])
+    _, stops = straight_path(world, scenario, phases.sequence, stops[1:-1])
+    on_wall = [world.calc_signed_distance(stop)[0] for stop in stops[1:-1]]
+    np.testing.assert_allclose(on_wall, 0.0, atol=1e-15)
     for time, stop in zip([0.0, 0.2, 0.5, 0.9, 1.0], stops, strict=True):
         (k,) = np.flatnonzero(np.isclose(guess.times, time))
         np.testing.assert_allclose(guess.positions[k], stop, atol=1e-15)

@@ -331,6 +331,6 @@ def test_nothing_that_holds_is_an_error_that_says_what_was_tried(
 
 
 def test_a_polish_that_fails_is_an_error_too(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(RigidProblem, "solve_program", lambda self, prog, guess, nlp: guess)
+    monkeypatch.setattr(RigidProblem, "solve_program", lambda self, prog, guess, *_: guess)
     with pytest.raises(PlanningError, match=r"no candidate meets the .* from 5 rungs, the small"):
         plan(table1(1, **COARSE))

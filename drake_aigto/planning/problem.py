@@ -138,6 +138,7 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
         prog: MathematicalProgram,
         guess: npt.NDArray[np.float64],
         compiled: Callable[[], PolynomialNlp] | None = None,
+        max_iterations: int | None = None,
     ) -> npt.NDArray[np.float64]:
         """Returns what the local solver makes of a guess for any program.
 
@@ -146,15 +147,16 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
             guess: all its decision variables.
             compiled: gives it compiled, if there is a better way than `compile_nlp`; called where
                 the local solver is ours.
+            max_iterations: of our local solver, which then only runs once.
         """
         if self.options.local_solver != "newton":
             return solve_with_drake(prog, guess, self.options.local_solver).x
         nlp = compiled() if compiled else compile_nlp(prog)
+        most = max_iterations or _MAX_ITERATIONS
         for factor in self._cost_units:
             unit = factor * self.transcription.cost_scale()
-            solver = InteriorPoint(max_iterations=_MAX_ITERATIONS, cost_unit=unit)
-            result = solver.solve(nlp, guess)
-            if result.is_success:
+            result = InteriorPoint(max_iterations=most, cost_unit=unit).solve(nlp, guess)
+            if result.is_success or max_iterations:
                 break
         return result.x
 

@@ -12,14 +12,15 @@ import numpy as np
 from drake_aigto.aigo import AigoResult
 from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
 from drake_aigto.local import compile_nlp
-from drake_aigto.planning.contact_motion import calc_time_to_wall
+from drake_aigto.planning.insertions import find_insertions
 from drake_aigto.planning.options import Rung
-from drake_aigto.planning.plan import Candidate
+from drake_aigto.planning.plan import LARGEST_DEFECT, Candidate
 from drake_aigto.planning.problem import PlanningProblem
 from drake_aigto.planning.search import Clock, Search
 from drake_aigto.planning.touches import are_near, is_same, neighbors, read_sequences, swapped
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch, TouchSequence
 from drake_aigto.transcription.facings import find_facings
+from drake_aigto.transcription.phases import straight_path
 from drake_aigto.transcription.touch import joint_times
 
 if TYPE_CHECKING:
@@ -42,9 +43,9 @@ _SEEN = "; with bounces seen in its replay"
 _NEAR = "; a touch dropped or added"
 _SWAPPED = "; touches swapped"
 # Neighbours are tried of at most so many candidates, of those that cost at most so many times the
-# best; a touch is one near the end if it would be within this part of the duration after it, and is
-# then this part before it.
-_MOST_BRANCHES, _GOOD, _SOON, _LAST = 6, 3.0, 0.25, 0.03
+# best, with so few time steps and iterations of the local solver: most are hopeless, or no motion
+# has them, which takes the solver longest to find out.
+_MOST_BRANCHES, _GOOD, _TRIAL_STEPS, _TRIAL_ITERATIONS = 3, 3.0, 20, 30
 # A candidate that costs no more than so many times the best may become the best.
 _PROMISING = 20.0
 
@@ -87,7 +88,11 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
         return self.polish_along((self.transcription.GetSampleTimes(), path), sequence)
 
     def polish_along(
-        self, path: Path, sequence: TouchSequence, num_steps: int | None = None
+        self,
+        path: Path,
+        sequence: TouchSequence,
+        num_steps: int | None = None,
+        max_iterations: int | None = None,
     ) -> tuple[PhaseTranscription, npt.NDArray[np.float64]]:
         """Returns the same, for a contact sequence along another path than a box center's.
 
@@ -95,6 +100,7 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
             path: times and positions.
             sequence: the contacts.
             num_steps: of all phases together; this problem's if None.
+            max_iterations: of a single run of the local solver, rather than as many as it takes.
 
         Raises:
             OptionsError, TrajectoryError, UnsupportedTermError: touches that no motion has.
@@ -103,14 +109,21 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
         scenario = coarse.scenario
         if num_steps is not None:
             scenario = dataclasses.replace(scenario, time_step=scenario.duration / num_steps)
-        facings = find_facings(coarse.world, times, positions, sequence)
+        joints = joint_times(sequence)
+        through = np.column_stack([np.interp(joints, times, q) for q in positions.T])
+        # Box centers miss the goal, and neighbours the walls: on which side of it a block is passed
+        # is to be seen on a path that does not.
+        bent = _bend(path, *straight_path(coarse.world, scenario, sequence, through))
+        facings = find_facings(coarse.world, *bent, sequence)
         phases = PhaseTranscription(coarse.world, scenario, sequence, facings)
         phases.add_what_was_added_to(coarse)
-        joints = joint_times(sequence)
-        guess = phases.guess(np.column_stack([np.interp(joints, times, q) for q in positions.T]))
+        guess = phases.guess(through)
         prog = phases.prog()
         x = self.solve_program(
-            prog, phases.vector(guess), lambda: compile_nlp(prog, phases.elimination_order())
+            prog,
+            phases.vector(guess),
+            lambda: compile_nlp(prog, phases.elimination_order()),
+            max_iterations,
         )
         return phases, x
 
@@ -210,28 +223,28 @@ class RigidSearch(Search[TouchSequence]):
             self._branch(best)
 
     def _branch(self, sequence: TouchSequence) -> None:
-        """Adds the neighbours of a sequence."""
+        """Adds those neighbours of a sequence that a trial finds good."""
         phases, x = self.solved[sequence]
         origin = self.by_sequence[sequence].origin.removesuffix(_NEAR)
         path = phases.sample_times(x), phases.split(x)[0]
-        more = [*phases.grazes(x), *self._next_touches(phases, x)]
+        more = [*phases.grazes(x), *find_insertions(phases, x)]
         for other in neighbors(phases.contact_sequence(x), more):
-            if not self.is_known(other) and len(other) <= _MOST_TOUCHES:
-                self.add(f"{origin}{_NEAR}", self.centers[sequence], other, path)
+            if len(other) <= _MOST_TOUCHES and not self.is_known(other):
+                if self._is_good(other, path):
+                    self.add(f"{origin}{_NEAR}", self.centers[sequence], other, path)
+                else:
+                    self._refused.append(other)
 
-    def _next_touches(self, phases: PhaseTranscription, x: npt.NDArray[np.float64]) -> list[Touch]:
-        """Returns a bounce just before the end, off the wall that is touched soon after it."""
-        world, T = phases.world, self._duration
-        q, v = (part[-1] for part in phases.split(x)[:2])
-        pushes = world.calc_contact_jacobian(q) @ world.calc_acceleration(
-            q, v, np.zeros(world.num_actuators)
-        )
-        rates = world.calc_contact_jacobian(q) @ v
-        distances = np.maximum(world.calc_signed_distance(q), 0.0)
-        waits = list(map(calc_time_to_wall, distances, rates, pushes))
-        contact = int(np.argmin(waits))
-        soon = waits[contact] <= _SOON * T and world.is_on_face(q)[contact]
-        return [Touch.bounce((1 - _LAST) * T, contact)] if soon else []
+    def _is_good(self, sequence: TouchSequence, path: Path) -> bool:
+        """Returns whether a trial polish meets the rows, and costs little more than the best."""
+        least = min(candidate.replay.cost for candidate in self.by_sequence.values())
+        try:
+            with self._clock("polish"):
+                phases, x = self._polish_along(path, sequence, _TRIAL_STEPS, _TRIAL_ITERATIONS)
+        except (OptionsError, TrajectoryError, UnsupportedTermError):
+            return False
+        is_feasible = max(phases.defects(x).values()) <= LARGEST_DEFECT
+        return is_feasible and phases.scenario_cost(x) <= _GOOD * least
 
     def _rank_of(self, sequence: TouchSequence) -> tuple[float, ...]:
         return self.rank(self.by_sequence[sequence])
@@ -289,3 +302,20 @@ class RigidSearch(Search[TouchSequence]):
         self, sequence: TouchSequence, others: Iterable[TouchSequence], share: float
     ) -> bool:
         return any(is_same(sequence, other, share * self._duration) for other in others)
+
+
+def _bend(path: Path, times: npt.NDArray[np.float64], stops: npt.NDArray[np.float64]) -> Path:
+    """Returns a path moved to where it has to be at some times, and between them in proportion.
+
+    Args:
+        path: times and positions.
+        times: from the path's first to its last, shape (K,) [s].
+        stops: shape (K, nq) [m].
+    """
+    grid = np.unique([*path[0], *times])
+    columns = [
+        (at := np.interp(grid, path[0], q))
+        + np.interp(grid, times, stop - np.interp(times, grid, at))
+        for q, stop in zip(path[1].T, stops.T, strict=True)
+    ]
+    return grid, np.column_stack(columns)

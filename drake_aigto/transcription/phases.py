@@ -301,7 +301,7 @@ class PhaseTranscription(ImpactTranscription):
 
         Args:
             through: where the ball is at each of the `joint_times`, shape (J, nq) [m]; if None, on
-                the straight way to the goal, moved to the walls that are touched.
+                the straight way to the goal. Moved to the walls that are touched.
         """
         line, N = self.timeline, len(self._u)
         times, stops = straight_path(self.world, self.scenario, self.sequence, through)
@@ -337,14 +337,13 @@ def straight_path(
         scenario: the task.
         sequence: the contacts; there is a stop at each of its `joint_times`.
         through: the stops, shape (J, nq) [m]; if None, those of the straight way from start to
-            goal, each moved to the walls that are touched then.
+            goal. Each is moved to the walls that are touched then.
     """
     times = np.array([0.0, *joint_times(sequence), scenario.duration])
     ends = scenario.initial_position, scenario.goal_position
-    if through is not None:
-        inner = np.reshape(through, (len(times) - 2, world.num_positions))
-        return times, np.vstack([ends[0], inner, ends[1]])
     stops = ends[0] + np.outer(times / times[-1], ends[1] - ends[0])
+    if through is not None:
+        stops[1:-1] = np.reshape(through, (len(times) - 2, world.num_positions))
     for stop, time in zip(stops[1:-1], times[1:-1], strict=True):
         touched = [touch.contact for touch in sequence if touch.start <= time <= touch.end]
         J = world.calc_contact_jacobian(stop)[touched]

@@ -1,0 +1,78 @@
+"""Bounces that a motion might have once more, and the plans that need them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+import pytest
+from several_walls import make_task, shipped
+
+from drake_aigto import PlanOptions, World, plan
+from drake_aigto.planning import RigidProblem, make_problem
+from drake_aigto.planning.insertions import find_insertions
+from drake_aigto.study import masses_optimum
+from drake_aigto.study.world_scenarios import WORLDS
+from drake_aigto.transcription import PhaseTranscription, Touch
+
+QUICK = PlanOptions(confirm=False)
+
+
+def insertions(model: str, q: Sequence[float], touches: Sequence[Touch]) -> list[tuple[float, int]]:
+    """Returns time and contact of what is proposed for a guess, which is a motion for this."""
+    scenario = dataclasses.replace(make_task(model, q, np.zeros(len(q))), time_step=0.02)
+    phases = PhaseTranscription(shipped(model), scenario, touches)
+    found = find_insertions(phases, phases.vector(phases.guess()))
+    return [(touch.start, touch.contact) for touch in found]
+
+
+def test_a_free_flight_may_touch_every_wall_where_it_is_nearest() -> None:
+    found = insertions("corridor", [0.8], ())  # down to 0.3
+    assert [contact for _, contact in found] == [0, 1]
+    (to_lower, _), (to_upper, _) = found
+    assert 0.75 < to_lower < 0.8
+    assert 0.2 < to_upper < 0.25
+
+
+def test_no_wall_is_touched_twice_in_a_row_where_nothing_pulls() -> None:
+    found = insertions("corridor", [0.8], [Touch.bounce(0.5, 0)])
+    assert [(time > 0.5, contact) for time, contact in found] == [(False, 1), (True, 1)]
+
+
+def test_gravity_pulls_back_to_the_floor() -> None:
+    found = insertions("floor", [0.8], [Touch.bounce(0.5, 0)])
+    assert [(time > 0.5, contact) for time, contact in found] == [(False, 0), (True, 0)]
+
+
+def test_contacts_that_do_not_feel_each_other_share_no_gaps() -> None:
+    names = [contact.name for contact in shipped("two_masses").contacts]
+    (between,) = (i for i, name in enumerate(names) if "wall" not in name)
+    walls = [i for i in range(3) if i != between]
+    touches = list(map(Touch.bounce, (0.3, 0.6), walls))
+    # A wall does not feel the other one, and is next to itself; the masses touch in three gaps.
+    found = insertions("two_masses", [0.3, 0.7], touches)
+    assert [contact for _, contact in found] == [between] * 3
+
+
+def test_a_bounce_that_no_box_shows_is_inserted() -> None:
+    (*_, scenario) = WORLDS["two_masses"].draw(9, seed=21)
+    world = World.from_scenario(scenario)
+    found = plan(scenario, QUICK, world)
+    optimum = masses_optimum(world, scenario)
+    assert [contact.contact for contact in found.best.contacts] == [2]
+    assert found.replay.event_driven.cost <= 1.01 * optimum.cost
+
+
+def test_a_polish_passes_the_block_on_the_way_to_the_goal_where_the_box_center_misses_it() -> None:
+    (*_, scenario) = WORLDS["room_with_block"].draw(5, seed=21)
+    problem = make_problem(World.from_scenario(scenario), scenario, QUICK)
+    assert isinstance(problem, RigidProblem)
+    rung = next(rung for rung in QUICK.rungs if rung.start == "coast")
+    result = problem.run_aigo(rung)
+    sequence = problem.find_sequences(result, rung)[0]
+    center = problem.transcription.split(result.box.center)[0]
+    assert np.linalg.norm(center[-1] - scenario.goal_position) > 0.3
+    phases, x = problem.polish(result.box.center, sequence)
+    # The best known (`study.block_optimum`).
+    assert phases.scenario_cost(x) == pytest.approx(3.9686e-4, rel=0.01)
