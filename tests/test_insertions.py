@@ -4,17 +4,20 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 from several_walls import make_task, shipped
 
-from drake_aigto import PlanOptions, World, plan
+from drake_aigto import PlanOptions, Scenario, World, plan
 from drake_aigto.planning import RigidProblem, make_problem
 from drake_aigto.planning.insertions import find_insertions
+from drake_aigto.planning.rigid import RigidSearch
+from drake_aigto.planning.touches import kinds
 from drake_aigto.study import masses_optimum
 from drake_aigto.study.world_scenarios import WORLDS
-from drake_aigto.transcription import PhaseTranscription, Touch
+from drake_aigto.transcription import PhaseTranscription, Touch, TouchSequence
 
 QUICK = PlanOptions(confirm=False)
 
@@ -76,3 +79,25 @@ def test_a_polish_passes_the_block_on_the_way_to_the_goal_where_the_box_center_m
     phases, x = problem.polish(result.box.center, sequence)
     # The best known (`study.block_optimum`).
     assert phases.scenario_cost(x) == pytest.approx(3.9686e-4, rel=0.01)
+
+
+def test_no_neighbour_is_tried_whose_contacts_a_plan_has_that_holds(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    scenario = Scenario.named("corridor/three_bounces")
+    problem = make_problem(World.from_scenario(scenario), scenario, QUICK)
+    assert isinstance(problem, RigidProblem)
+    search = RigidSearch(problem, lambda part: nullcontext(), scenario.num_steps)
+    for rung in QUICK.rungs:
+        search.add_rung(rung)
+    held = [kinds(each) for each, it in search.by_sequence.items() if it.is_confirmed]
+    tried: list[list[tuple[int, bool]]] = []
+
+    def is_good(self: RigidSearch, other: TouchSequence, path: object) -> bool:
+        tried.append(kinds(other))
+        return False
+
+    monkeypatch.setattr(RigidSearch, "_is_good", is_good)
+    search.branch()
+    assert tried
+    assert not [each for each in tried if each in held]

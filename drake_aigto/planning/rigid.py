@@ -17,7 +17,14 @@ from drake_aigto.planning.options import Rung
 from drake_aigto.planning.plan import LARGEST_DEFECT, Candidate
 from drake_aigto.planning.problem import PlanningProblem
 from drake_aigto.planning.search import Clock, Search
-from drake_aigto.planning.touches import are_near, is_same, neighbors, read_sequences, swapped
+from drake_aigto.planning.touches import (
+    are_near,
+    is_same,
+    kinds,
+    neighbors,
+    read_sequences,
+    swapped,
+)
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch, TouchSequence
 from drake_aigto.transcription.facings import find_facings
 from drake_aigto.transcription.phases import straight_path
@@ -229,7 +236,10 @@ class RigidSearch(Search[TouchSequence]):
         path = phases.sample_times(x), phases.split(x)[0]
         more = [*phases.grazes(x), *find_insertions(phases, x)]
         for other in neighbors(phases.contact_sequence(x), more):
-            if len(other) <= _MOST_TOUCHES and not self.is_known(other):
+            # Where a plan holds, its times are the best ones; of others they may not be.
+            held = [kinds(each) for each, it in self.by_sequence.items() if it.is_confirmed]
+            is_new = kinds(other) not in held and not self.is_known(other)
+            if is_new and len(other) <= _MOST_TOUCHES:
                 if self._is_good(other, path):
                     self.add(f"{origin}{_NEAR}", self.centers[sequence], other, path)
                 else:

@@ -112,9 +112,14 @@ def swapped(sequence: TouchSequence, near: float) -> list[TouchSequence]:
     return found
 
 
+def kinds(sequence: TouchSequence) -> list[tuple[int, bool]]:
+    """Returns of each touch which contact it is of, and whether it lasts."""
+    return [(touch.contact, touch.lasts) for touch in sequence]
+
+
 def is_same(one: TouchSequence, other: TouchSequence, near: float) -> bool:
     """Returns whether both have the same contacts, at times that `are_near` [s]."""
-    return _kinds(one) == _kinds(other) and all(
+    return kinds(one) == kinds(other) and all(
         are_near(mine.start, yours.start, near) and are_near(mine.end, yours.end, near)
         for mine, yours in zip(one, other, strict=True)
     )
@@ -134,10 +139,6 @@ def _in_order(touches: list[Touch], least: float) -> TouchSequence:
             touch = Touch.bounce(earliest, touch.contact)
         found.append(touch)
     return tuple(found)
-
-
-def _kinds(sequence: TouchSequence) -> list[tuple[int, bool]]:
-    return [(touch.contact, touch.lasts) for touch in sequence]
 
 
 def _read_impulses(transcription: RigidTranscription, x: npt.NDArray[np.float64]) -> list[_Pushes]:
