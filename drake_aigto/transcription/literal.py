@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydrake.symbolic import Expression
 
-from drake_aigto.transcription.shared import as_expression, only_contact, shared_constraint
+from drake_aigto.errors import ModelError
+from drake_aigto.transcription.shared import as_expression, shared_constraint
 from drake_aigto.transcription.transcription import NONPENETRATION, Transcription
 from drake_aigto.world import Scenario, World
 
@@ -42,7 +43,14 @@ class LiteralTranscription(Transcription):
         Raises:
             ModelError: the world has several contacts.
         """
-        only_contact(world, "the literal transcription")
+        if world.num_contacts > 1:
+            raise ModelError(
+                "the literal transcription is for one contact",
+                got=", ".join(contact.name for contact in world.contacts),
+                expected="one of them",
+                remedy="Use the rigid transcription, or exclude pairs of shapes with a "
+                "<drake:collision_filter_group>.",
+            )
         self.nonpenetration = nonpenetration
         super().__init__(world, scenario)
 

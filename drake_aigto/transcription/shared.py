@@ -18,32 +18,8 @@ from pydrake.solvers import (
 )
 from pydrake.symbolic import Expression, Polynomial, Variable
 
-from drake_aigto.errors import ModelError
-
 if TYPE_CHECKING:
     import numpy.typing as npt
-
-    from drake_aigto.world import Contact, World
-
-
-def only_contact(world: World, user: str) -> Contact:
-    """Returns the contact of a world that has but one.
-
-    Args:
-        world: the world.
-        user: who can't do with more, such as "the replay".
-
-    Raises:
-        ModelError: there are several.
-    """
-    if world.num_contacts > 1:
-        raise ModelError(
-            f"{user} is for one contact",
-            got=", ".join(contact.name for contact in world.contacts),
-            expected="one of them",
-            remedy="Remove the others, or exclude them with a <drake:collision_filter_group>.",
-        )
-    return world.contacts[0]
 
 
 @dataclass(frozen=True)
