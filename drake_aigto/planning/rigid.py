@@ -179,6 +179,8 @@ class RigidSearch(Search[TouchSequence]):
             self._refused.append(sequence)
             return
         candidate = self.by_sequence[sequence]
+        if not self._is_promising(candidate):
+            return
         self._add_swapped(sequence)
         if not candidate.is_confirmed:
             seen_path = candidate.replay.times, candidate.replay.positions
@@ -186,11 +188,15 @@ class RigidSearch(Search[TouchSequence]):
                 if len(seen) <= _MOST_TOUCHES and not self.is_known(seen):
                     self.add(f"{origin.removesuffix(_SEEN)}{_SEEN}", center, seen, seen_path)
 
+    def _is_promising(self, candidate: Candidate) -> bool:
+        """Returns whether a candidate costs little enough for those near it to become the best."""
+        costs = (other.replay.cost for other in self.by_sequence.values() if other.is_confirmed)
+        return candidate.cost <= _PROMISING * min(costs, default=np.inf)
+
     def _add_swapped(self, sequence: TouchSequence) -> None:
-        """Adds a promising candidate's sequence with touches swapped that became one moment."""
+        """Adds a candidate's sequence with touches swapped that became one moment."""
         candidate, (phases, x) = self.by_sequence[sequence], self.solved[sequence]
-        least = min(other.replay.cost for other in self.by_sequence.values())
-        if candidate.is_feasible and candidate.replay.cost <= _PROMISING * least:
+        if candidate.is_feasible:
             for other in swapped(phases.contact_sequence(x), _SAME_END * self._duration):
                 if not self.is_known(other):
                     origin = candidate.origin.removesuffix(_SWAPPED)
