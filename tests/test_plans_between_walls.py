@@ -163,3 +163,14 @@ def test_a_motion_that_keeps_off_a_wall_by_control_grazes_it() -> None:
     # Where it bounces, it does not keep off.
     phases, x = problem.polish(problem.box.center, (graze,))
     assert [other.contact for other in phases.grazes(x)] in ([], [1])
+
+
+def test_a_wall_that_is_touched_again_at_once_is_not_touched_more_often() -> None:
+    search = search_of("corridor/three_bounces")
+    center = search.problem.box.center
+    search.add("by hand", center, (Touch.bounce(0.5, 1), Touch.bounce(0.502, 1)))
+    (candidate,) = search.ranked()
+    starts = [contact.time for contact in candidate.contacts]
+    assert max(starts) - min(starts) < 0.02 * search.problem.transcription.scenario.duration
+    # What else its replay touches is left alone.
+    assert len(candidate.replay.bounce_times) > 0

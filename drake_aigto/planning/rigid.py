@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable
-from itertools import chain
+from itertools import chain, combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,6 +43,8 @@ _SAME_START, _SAME_END = 0.05, 1e-3
 _MARGIN = 1e-6
 # Of a sequence that grows by bounces which its replay has and it lacks.
 _MOST_TOUCHES = 8
+# Touches of one wall that are nearer than this part of the duration are chatter.
+_CHATTER = 0.02
 # Another time step than the scenario's is worth this part of the cost.
 _STEPS_PRICE = 1e-2
 # In a candidate's origin, if its sequence grew, or was changed a little.
@@ -179,7 +181,7 @@ class RigidSearch(Search[TouchSequence]):
             self._refused.append(sequence)
             return
         candidate = self.by_sequence[sequence]
-        if not self._is_promising(candidate):
+        if not self._is_promising(candidate) or self._chatters(sequence):
             return
         self._add_swapped(sequence)
         if not candidate.is_confirmed:
@@ -192,6 +194,14 @@ class RigidSearch(Search[TouchSequence]):
         """Returns whether a candidate costs little enough for those near it to become the best."""
         costs = (other.replay.cost for other in self.by_sequence.values() if other.is_confirmed)
         return candidate.cost <= _PROMISING * min(costs, default=np.inf)
+
+    def _chatters(self, sequence: TouchSequence) -> bool:
+        """Returns whether a wall is touched again at once: more touches make it no better."""
+        optimum, near = self._optimum(sequence), _CHATTER * self._duration
+        return any(
+            later.contact == touch.contact and later.start - touch.end < near
+            for touch, later in combinations(optimum, 2)
+        )
 
     def _add_swapped(self, sequence: TouchSequence) -> None:
         """Adds a candidate's sequence with touches swapped that became one moment."""
