@@ -39,6 +39,12 @@ def test_shipped_scenarios_have_plans_that_drake_confirms(name: str) -> None:
     planned = [contact.contact for contact in found.best.contacts]
     assert len(planned) == len(replay.bounce_contacts)
     assert sorted(planned) == sorted(replay.bounce_contacts)
+    # The search does not follow chatter, touch after touch.
+    for candidate in found.candidates:
+        touches = [(c.contact, c.time) for c in candidate.contacts]
+        for contact, time in touches:
+            at_once = [t for i, t in touches if i == contact and 0 <= t - time < 0.02]
+            assert len(at_once) <= 3
 
 
 @pytest.mark.parametrize("model", ["corridor", "floor", "room"])
@@ -163,14 +169,3 @@ def test_a_motion_that_keeps_off_a_wall_by_control_grazes_it() -> None:
     # Where it bounces, it does not keep off.
     phases, x = problem.polish(problem.box.center, (graze,))
     assert [other.contact for other in phases.grazes(x)] in ([], [1])
-
-
-def test_a_wall_that_is_touched_again_at_once_is_not_touched_more_often() -> None:
-    search = search_of("corridor/three_bounces")
-    center = search.problem.box.center
-    search.add("by hand", center, (Touch.bounce(0.5, 1), Touch.bounce(0.502, 1)))
-    (candidate,) = search.ranked()
-    starts = [contact.time for contact in candidate.contacts]
-    assert max(starts) - min(starts) < 0.02 * search.problem.transcription.scenario.duration
-    # What else its replay touches is left alone.
-    assert len(candidate.replay.bounce_times) > 0
