@@ -74,7 +74,7 @@ def newton(objective: Objective, y: Floats, max_steps: int, damping: float) -> N
     steps, residual = 0, np.inf
     for steps in range(max_steps + 1):
         scale = objective.scale(y, system)
-        residual = float(np.sqrt(np.sum(system.gradient**2 / scale)))
+        residual = _residual(system, scale)
         if steps == max_steps or residual <= objective.largest_residual:
             break
         accepted, damping = _descend(objective, y, system, scale, damping)
@@ -82,6 +82,12 @@ def newton(objective: Objective, y: Floats, max_steps: int, damping: float) -> N
             break  # Rounding hides any further descent.
         y, system = accepted
     return NewtonResult(y, system.value, steps, residual, damping)
+
+
+def _residual(system: NewtonSystem, scale: Floats) -> float:
+    """Returns √(Σ g²/D); infinity where that is too large for a number."""
+    with np.errstate(over="ignore"):
+        return float(np.sqrt(np.sum(system.gradient**2 / scale)))
 
 
 def _descend(
@@ -206,7 +212,7 @@ def bold_newton(objective: Objective, y: Floats, max_steps: int) -> tuple[Floats
     """
     for steps in range(max_steps):
         system = objective.evaluate(y)
-        residual = np.sqrt(np.sum(system.gradient**2 / objective.scale(y, system)))
+        residual = _residual(system, objective.scale(y, system))
         if not residual > objective.largest_residual:
             return y, steps
         factor, info = dpbtrf(system.band, lower=1)
