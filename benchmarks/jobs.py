@@ -37,7 +37,8 @@ def run_jobs(
 ) -> Iterator[tuple[int, Future[Any]]]:
     """Starts jobs in this order and yields each one's number as it ends, with result or exception.
 
-    Jobs that were not begun when time is up are not yielded.
+    Jobs that have not ended when time is up are not yielded: nobody knows what would have come of
+    them.
     """
     os.environ.update(ONE_THREAD)
     deadline = time.monotonic() + 60.0 * minutes
@@ -52,10 +53,10 @@ def run_jobs(
         done, _ = wait(running, left, FIRST_COMPLETED)
         if not done:
             print(f"TIME IS UP: {len(waiting)} jobs not begun, {len(running)} ended", flush=True)
-            waiting.clear()
-            deadline = math.inf
             for process in active_children():
                 process.kill()
+            idle += [worker for _, worker in running.values()]
+            break
         for future in done:
             number, worker = running.pop(future)
             if isinstance(future.exception(), BrokenProcessPool):

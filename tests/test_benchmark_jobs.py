@@ -1,4 +1,4 @@
-"""A job that fails takes no other with it."""
+"""A job that fails takes no other with it, and one that time ends has not failed."""
 
 from __future__ import annotations
 
@@ -47,11 +47,9 @@ def test_a_job_that_dies_or_raises_is_named_and_the_others_end(jobs: Any) -> Non
     }
 
 
-def test_when_time_is_up_what_is_done_was_yielded(
+def test_when_time_is_up_what_is_done_was_yielded_and_what_was_ended_is_no_outcome(
     jobs: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:
     ended = dict(jobs.run_jobs(work, ["a", "sleeps", "b"], workers=1, minutes=4.0 / 60.0))
-    assert ended[0].result() == "a"
-    assert isinstance(ended[1].exception(), BrokenProcessPool)
-    assert 2 not in ended
+    assert {number: future.result() for number, future in ended.items()} == {0: "a"}
     assert "1 jobs not begun, 1 ended" in capsys.readouterr().out
