@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drake_aigto.aigo import Annealing, Box, BoxSearch, Candidate, FaceFlow, Iterate, box_search
-from drake_aigto.aigo.newton import BoundedPointObjective, Objective, bold_newton, newton
+from drake_aigto.aigo.newton import Objective, PointObjective, bold_newton, newton
 from drake_aigto.box import BoxPolynomial, Factor, FunctionKind, NewtonSystem, Term, TermBlock
 from drake_aigto.errors import OptionsError
 
@@ -210,7 +210,7 @@ def test_several_first_algorithms_each_leave_their_widths() -> None:
 def test_newton_ends_on_a_bound_that_is_in_the_way() -> None:
     # The minimum of Rosenbrock's function over x ≤ 0.5 is where that bound is, on the valley.
     lower, upper = np.array([-2.0, -2.0]), np.array([0.5, 2.0])
-    objective = BoundedPointObjective(rosenbrock_pair(), np.ones(2, bool), lower, upper, 1e-8)
+    objective = PointObjective(rosenbrock_pair(), np.ones(2, bool), 1e-8, (lower, upper))
     f = rosenbrock_pair()
     start = np.array([-1.2, 1.0])
     (x,) = f.to_variables(newton(objective, start[f.order], 200, 0.0).y)

@@ -64,15 +64,20 @@ class Annealing:
 
     def step(self, f: BoxPolynomial, iterate: Iterate) -> Iterate:
         """Minimises at the temperature, then lowers it; the memory is Newton's damping."""
-        mu = iterate.temperature
-        objective = SmoothedObjective(f, iterate.box.free, mu, self.tolerance)
+        objective = SmoothedObjective(f, iterate.box.free, iterate.temperature, self.tolerance)
+        return self._cool(f, iterate, objective, iterate.memory)
+
+    def _cool(
+        self, f: BoxPolynomial, iterate: Iterate, objective: SmoothedObjective, damping: float
+    ) -> Iterate:
+        """Returns the objective's minimiser at the next temperature; its memory is the damping."""
         y = objective.unknowns(iterate.box)
-        result = newton(objective, y, self.max_newton_steps, damping=iterate.memory)
+        result = newton(objective, y, self.max_newton_steps, damping)
         box = objective.box(result.y)
         return Iterate(
             box,
             f.mean(box.center, box.half_width),
-            mu * self.cooling,
+            iterate.temperature * self.cooling,
             result.steps,
             result.residual,
             result.damping,
@@ -84,18 +89,42 @@ class Annealing:
 
 
 class SmoothedObjective(Objective):
-    """f̄(c, e^z) − μ Σ z over y = (c_i, z_i) side by side in elimination order."""
+    """f̄(c, e^z) − μ Σ z over y = (c_i, z_i) side by side in elimination order.
+
+    Args:
+        f: the cost.
+        free: which variables are not held.
+        temperature: μ.
+        tolerance: stationary at √(mean g²/(μD)) ≤ tolerance.
+        first: a box whose c ± w are bounds of c, and w those of the half width, if given.
+    """
 
     def __init__(
-        self, f: BoxPolynomial, free: NDArray[np.bool_], temperature: float, tolerance: float
+        self,
+        f: BoxPolynomial,
+        free: NDArray[np.bool_],
+        temperature: float,
+        tolerance: float,
+        first: Box | None = None,
     ) -> None:
-        """Prepares for one temperature; stationary at √(mean g²/(μD)) ≤ tolerance."""
+        """Prepares for one temperature."""
         self._f, self._mu = f, temperature
         self._free = free[f.order]
-        held = 2 * np.flatnonzero(~self._free)
-        both = np.sort(np.concatenate([held, held + 1]))
-        self._held = HeldUnknowns(both, 2 * f.bandwidth + 1)
+        bounds = None if first is None else self._bounds(first)
+        self._held = HeldUnknowns(np.repeat(~self._free, 2), 2 * f.bandwidth + 1, bounds)
         self.largest_residual = tolerance * np.sqrt(2 * np.count_nonzero(free) * temperature)
+
+    def _bounds(self, first: Box) -> tuple[Floats, Floats]:
+        """Returns lower and upper bounds of y."""
+        lower, upper = np.full((2, 2 * self._f.num_variables), [[-np.inf], [np.inf]])
+        center, half_width = first.center[self._f.order], first.half_width[self._f.order]
+        lower[0::2], upper[0::2] = center - half_width, center + half_width
+        upper[1::2] = self.unknowns(first)[1::2]
+        return lower, upper
+
+    def move(self, y: Floats, step: Floats) -> tuple[Floats, Floats]:
+        """Returns the nearest y within bounds to where the step leads."""
+        return self._held.move(y, step)
 
     def unknowns(self, box: Box) -> Floats:
         """Returns y of a box; z = −∞ where a variable is held."""
@@ -112,17 +141,12 @@ class SmoothedObjective(Objective):
 
     def evaluate(self, y: Floats) -> NewtonSystem:
         """Returns the objective and its derivatives."""
-        value, gradient, band = self._parts(y)
-        self._held.remove(gradient, band)
-        return NewtonSystem(value, gradient, band)
-
-    def _parts(self, y: Floats) -> tuple[float, Floats, Floats]:
-        """Returns value, gradient and Hessian, as if nothing were held."""
         center, log_half_width = self._f.to_variables(y)
         system = self._f.newton_system(center, np.exp(log_half_width))
         system.gradient[1::2] -= self._mu
+        self._held.remove(y, system.gradient, system.band)
         entropy = float(np.sum(y[1::2][self._free]))
-        return system.value - self._mu * entropy, system.gradient, system.band
+        return NewtonSystem(system.value - self._mu * entropy, system.gradient, system.band)
 
     def scale(self, y: Floats, system: NewtonSystem) -> Floats:
         """Returns μ (3/w², 2), a separable cost's Hessian where w ∂f̄/∂w = μ; 1 where held."""

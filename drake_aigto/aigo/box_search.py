@@ -12,7 +12,7 @@ from drake_aigto.aigo.algorithm import AigoResult, Algorithm, Box, Status, as_po
 from drake_aigto.aigo.bounded_annealing import BoundedAnnealing
 from drake_aigto.aigo.coupling import CouplingGraph
 from drake_aigto.aigo.face_flow import FaceFlow, Pace
-from drake_aigto.aigo.newton import BoundedPointObjective, bold_newton, newton
+from drake_aigto.aigo.newton import PointObjective, bold_newton, newton
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
 
@@ -272,7 +272,7 @@ class _Search:
     def _descend(self, x: Floats, free: NDArray[np.bool_], together: bool = True) -> Floats:
         """Returns a local minimum in the first box, nearly; or of each cluster for itself."""
         f = self._f
-        objective = BoundedPointObjective(f, free, self._lower, self._upper, 1e-6)
+        objective = PointObjective(f, free, 1e-6, (self._lower, self._upper))
         start = np.clip(x, self._lower, self._upper)[f.order]
         if together:
             y, steps = self._descend_together(objective, start)
@@ -282,9 +282,7 @@ class _Search:
         (y,) = f.to_variables(y)
         return y
 
-    def _descend_together(
-        self, objective: BoundedPointObjective, start: Floats
-    ) -> tuple[Floats, int]:
+    def _descend_together(self, objective: PointObjective, start: Floats) -> tuple[Floats, int]:
         """Returns the end of Newton's method and its steps: a few, and more where that pays."""
         most = self._options.newton_steps
         few = most if not self._num_rounds else min(_TRIAL_STEPS, most)

@@ -122,83 +122,100 @@ def _try_step(
 
 
 class HeldUnknowns:
-    """Takes unknowns out of a banded system by making their rows and columns the identity's."""
+    """Unknowns that a banded system leaves out: their rows and columns become the identity's.
 
-    def __init__(self, indices: NDArray[np.int64], bandwidth: int) -> None:
-        """Finds the band entries of these rows and columns once."""
-        offsets = np.arange(1, bandwidth + 1)
-        rows, columns = np.meshgrid(offsets, indices, indexing="ij")
+    These are the ones that are held for good and, within bounds, those at a bound which the
+    gradient pushes out of it.
+
+    Args:
+        is_held: for good, in elimination order.
+        bandwidth: of the system.
+        bounds: lower and upper bounds in elimination order, if there are any.
+    """
+
+    def __init__(
+        self,
+        is_held: NDArray[np.bool_],
+        bandwidth: int,
+        bounds: tuple[Floats, Floats] | None = None,
+    ) -> None:
+        """Finds the band entries of those that are held for good."""
+        self._always, self._bandwidth, self._bounds = is_held, bandwidth, bounds
+        self._find(is_held)
+
+    def _find(self, is_held: NDArray[np.bool_]) -> None:
+        """Finds the band entries of these rows and columns."""
+        self._now = is_held
+        self._indices = np.flatnonzero(is_held)
+        offsets = np.arange(1, self._bandwidth + 1)
+        rows, columns = np.meshgrid(offsets, self._indices, indexing="ij")
         before = columns - rows
         inside = before >= 0
-        self._indices = indices
         self._row_entries = rows[inside], before[inside]
 
-    def remove(self, gradient: Floats, band: Floats) -> None:
-        """Changes gradient and band in place."""
+    def remove(self, y: Floats, gradient: Floats, band: Floats) -> None:
+        """Changes gradient and band at y in place."""
+        if self._bounds is not None:
+            lower, upper = self._bounds
+            held = (y <= lower) & (gradient > 0)
+            held |= (y >= upper) & (gradient < 0)
+            held |= self._always
+            if not np.array_equal(held, self._now):
+                self._find(held)
         gradient[self._indices] = 0.0
         band[:, self._indices] = 0.0
         band[self._row_entries] = 0.0
         band[0, self._indices] = 1.0
 
+    def move(self, y: Floats, step: Floats) -> tuple[Floats, Floats]:
+        """Returns the nearest point within bounds to where a step leads, and the part taken."""
+        if self._bounds is None:
+            return y + step, step
+        moved = np.where(self._always, y, np.clip(y + step, *self._bounds))
+        taken = np.zeros_like(step)
+        np.subtract(moved, y, out=taken, where=~self._always)  # what is held may be −∞
+        return moved, taken
+
 
 class PointObjective(Objective):
-    """f(c) itself: every box has shrunk to its center."""
+    """f(c) itself: every box has shrunk to its center.
 
-    def __init__(self, f: BoxPolynomial, free: NDArray[np.bool_], tolerance: float) -> None:
-        """Prepares; stationary once √(gᵀ diag(H)⁻¹ g) ≤ tolerance."""
+    Args:
+        f: the cost.
+        free: which variables are not held.
+        tolerance: stationary once √(gᵀ diag(H)⁻¹ g) is no more than this.
+        bounds: lower and upper bounds (n,) of the variables, where steps are cut off.
+    """
+
+    def __init__(
+        self,
+        f: BoxPolynomial,
+        free: NDArray[np.bool_],
+        tolerance: float,
+        bounds: tuple[Floats, Floats] | None = None,
+    ) -> None:
+        """Brings all in elimination order."""
         self._f = f
-        held = np.flatnonzero(~free[f.order])
-        self._held = HeldUnknowns(held, f.bandwidth)
+        within = None if bounds is None else (bounds[0][f.order], bounds[1][f.order])
+        self._held = HeldUnknowns(~free[f.order], f.bandwidth, within)
         self.largest_residual = tolerance
+
+    def move(self, y: Floats, step: Floats) -> tuple[Floats, Floats]:
+        """Returns the point within bounds that is nearest to where the step leads."""
+        return self._held.move(y, step)
 
     def evaluate(self, y: Floats) -> NewtonSystem:
         """Returns f and its derivatives."""
         f = self._f
         (center,) = f.to_variables(y)
         system = f.newton_system(center, 0.0, centers_only=True)
-        self._held.remove(system.gradient, system.band)
+        self._held.remove(y, system.gradient, system.band)
         return system
 
     def scale(self, y: Floats, system: NewtonSystem) -> Floats:
         """Returns |diag H|, kept off zero."""
         diagonal = np.abs(system.band[0])
         return diagonal + 1e-12 * diagonal.max(initial=0.0) + np.finfo(float).tiny
-
-
-class BoundedPointObjective(PointObjective):
-    """f(c) within a box: steps are cut off at its faces, where variables are held that push out."""
-
-    def __init__(
-        self,
-        f: BoxPolynomial,
-        free: NDArray[np.bool_],
-        lower: Floats,
-        upper: Floats,
-        tolerance: float,
-    ) -> None:
-        """Prepares; the bounds (n,) are in the order of the variables."""
-        super().__init__(f, free, tolerance)
-        self._is_held = self._now_held = ~free[f.order]
-        self._lower, self._upper = lower[f.order], upper[f.order]
-
-    def move(self, y: Floats, step: Floats) -> tuple[Floats, Floats]:
-        """Returns the point of the box that is nearest to where the step leads."""
-        moved = np.clip(y + step, self._lower, self._upper)
-        return moved, moved - y
-
-    def evaluate(self, y: Floats) -> NewtonSystem:
-        """Returns f and its derivatives; 0 where a bound holds a variable."""
-        f = self._f
-        (center,) = f.to_variables(y)
-        system = f.newton_system(center, 0.0, centers_only=True)
-        outward = (y <= self._lower) & (system.gradient > 0)
-        outward |= (y >= self._upper) & (system.gradient < 0)
-        outward |= self._is_held
-        if not np.array_equal(outward, self._now_held):
-            self._now_held = outward
-            self._held = HeldUnknowns(np.flatnonzero(outward), f.bandwidth)
-        self._held.remove(system.gradient, system.band)
-        return system
 
 
 def bold_newton(objective: Objective, y: Floats, max_steps: int) -> tuple[Floats, int]:
