@@ -58,6 +58,14 @@ class PlanFileError(AigtoError, ValueError):
     """A plan file that is cut short, damaged, or from another version."""
 
 
+class ResultsFileError(AigtoError, ValueError):
+    """A file of results that is damaged, of another study, or there already."""
+
+
+class StudyError(AigtoError, RuntimeError):
+    """A study that can't go on; what was done is kept."""
+
+
 class TrajectoryError(AigtoError, ValueError):
     """A trajectory, or a control to replay, whose numbers do not fit together."""
 
@@ -68,3 +76,26 @@ class OutputFileError(AigtoError, OSError):
 
 class OptionsError(AigtoError, ValueError):
     """A numerical option outside its range."""
+
+
+class MissingExtraError(AigtoError, ImportError):
+    """A library that only an extra of this package installs.
+
+    Attributes:
+        module: the library.
+        extra: which installs it.
+    """
+
+    def __init__(self, what: str, module: str, extra: str) -> None:
+        """Says what needs the library, and how to install it."""
+        super().__init__(
+            what,
+            got=f"no module {module!r}",
+            expected="it to be installed",
+            remedy=f"Install the extra: pip install 'drake_aigto[{extra}]'.",
+        )
+        self.module, self.extra = module, extra
+
+    def __reduce__(self) -> tuple[type[MissingExtraError], tuple[str, str, str]]:
+        """Pickles through this constructor, so that the error survives worker processes."""
+        return type(self), (self.what, self.module, self.extra)

@@ -6,8 +6,10 @@ from drake_aigto.aigo.annealing import Annealing
 from drake_aigto.aigo.bounded_annealing import BoundedAnnealing
 from drake_aigto.aigo.box_search import BoxSearch, Candidate, SearchResult
 from drake_aigto.aigo.continuation import PenaltyContinuation
+from drake_aigto.aigo.equal_widths import EqualWidths
 from drake_aigto.aigo.face_flow import FaceFlow, Pace
 from drake_aigto.aigo.full_gradient import FullGradient
+from drake_aigto.aigo.slow_motion import SlowMotion
 
 __all__ = [
     "AigoResult",
@@ -18,12 +20,14 @@ __all__ = [
     "Box",
     "BoxSearch",
     "Candidate",
+    "EqualWidths",
     "FaceFlow",
     "FullGradient",
     "Iterate",
     "Pace",
     "PenaltyContinuation",
     "SearchResult",
+    "SlowMotion",
     "Status",
     "minimize",
 ]

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 from numpy.typing import NDArray
-from scipy.optimize import Bounds, minimize
 
 from drake_aigto.aigo.algorithm import Box, Iterate
 from drake_aigto.aigo.size_penalty import LEAST_LOG_WIDTH, SizePenalty
@@ -120,12 +120,12 @@ class Alternating(SizePenalty):
             return mean + penalty, gradient_z[free] + slope
 
         upper = np.maximum(start, np.log(np.maximum(room, np.exp(LEAST_LOG_WIDTH))))
-        found = minimize(
+        found = scipy.optimize.minimize(
             penalized,
             start,
             jac=True,
             method="L-BFGS-B",
-            bounds=Bounds(np.full(free.size, LEAST_LOG_WIDTH), upper),
+            bounds=scipy.optimize.Bounds(np.full(free.size, LEAST_LOG_WIDTH), upper),
             options={"maxiter": self.width_steps},
         )
         half_width[free] = np.exp(found.x)

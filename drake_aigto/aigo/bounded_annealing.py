@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from drake_aigto.aigo.algorithm import Box, Iterate
-from drake_aigto.aigo.annealing import Annealing, SmoothedObjective
+from drake_aigto.aigo.annealing import Annealing, AnnealingMemory
+from drake_aigto.aigo.newton import SmoothedObjective
 from drake_aigto.box import BoxPolynomial
 
 
@@ -36,18 +37,20 @@ class BoundedAnnealing(Annealing):
     max_newton_steps: int = 20
 
     def init(self, f: BoxPolynomial, box: Box) -> Iterate:
-        """Returns the first box; the memory is it, the unit of μ, and Newton's damping."""
+        """Returns the first box; the memory is it, the unit of μ, and the annealing's."""
         mean, _, slopes = f.gradient(box.center, box.half_width)
         unit = float(np.mean(np.abs(slopes[box.free]))) if np.any(box.free) else 0.0
         # Where no mean changes with a width, any unit does.
         unit = unit if unit > 0.0 else 1.0
-        return Iterate(box, mean, self.initial_temperature * unit, memory=(box, unit, 1e-2))
+        start = self.initial_temperature * unit
+        memory = AnnealingMemory(start)
+        return Iterate(box, mean, start, memory=(box, unit, memory))
 
     def step(self, f: BoxPolynomial, iterate: Iterate) -> Iterate:
         """Minimises at the temperature, then lowers it."""
-        first, unit, damping = iterate.memory
+        first, unit, memory = iterate.memory
         objective = SmoothedObjective(f, first.free, iterate.temperature, self.tolerance, first)
-        cooled = self._cool(f, iterate, objective, damping)
+        cooled = self._cool(iterate, objective, memory)
         return replace(cooled, memory=(first, unit, cooled.memory))
 
     def terminate(self, f: BoxPolynomial, iterate: Iterate) -> bool:

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 from numpy.typing import NDArray
-from scipy.optimize import Bounds, minimize
 
 from drake_aigto.aigo.algorithm import Box, Iterate
 from drake_aigto.aigo.size_penalty import LEAST_LOG_WIDTH, SizePenalty
@@ -93,9 +93,9 @@ class FullGradient(SizePenalty):
             return mean + penalty, np.concatenate([gradient_c[free], gradient_z[free] + slope])
 
         start = np.concatenate([center[free], np.log(half_width[free])])
-        bounds = Bounds(np.repeat([-np.inf, LEAST_LOG_WIDTH], n), np.inf)
+        bounds = scipy.optimize.Bounds(np.repeat([-np.inf, LEAST_LOG_WIDTH], n), np.inf)
         options = {"maxiter": self.inner_steps, "maxcor": 20}
-        found = minimize(
+        found = scipy.optimize.minimize(
             penalized, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options
         )
         center[free], half_width[free] = found.x[:n], np.exp(found.x[n:])

@@ -36,10 +36,10 @@ def compile_program(prog: MathematicalProgram, order: ArrayLike | None = None) -
     first (`transcription.penalize`).
 
     Args:
-        prog: Costs may be linear, quadratic, or `ExpressionCost`s: sums of products of powers, sin,
-            cos and exp of affine functions, but not of exp and sin or cos of the same variable;
-            a·max(0, y)²; and −a·log y with a > 0 (y affine in one variable, a constant). Products
-            and powers are multiplied out.
+        prog: Costs may be linear, quadratic, or `ExpressionCost` of sums of products of powers,
+            sin, cos and exp of affine functions, but not of exp and sin or cos of the same
+            variable; a·max(0, y)²; and −a·log y with a > 0 (y affine in one variable, a constant).
+            Products and powers are multiplied out.
         order: Elimination order of the decision variables, see `BoxPolynomial`.
 
     Raises:

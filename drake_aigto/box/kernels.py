@@ -1,14 +1,15 @@
 """The hot loops: means of stacked sums over boxes, with their derivatives in (c, z = log w).
 
-A copy of weight 0 is off: it adds nothing, also where its own mean is infinite. Derivatives come
-from the product rule on a_m ∏_f μ_f, by products of what stands before and behind a factor: to
-divide by μ_f would fail where it is 0. At a half width of 0 means are values.
+Copies of sums run their common tape side by side, each in a lane of rows (rows, lanes): innermost
+loops are over lanes, for the compiler to turn into vector instructions.
 
-Shape letters as in `StackedTerms`, and n variables. A symmetric matrix is kept in LAPACK's lower
-band storage, transposed to be of one type for Numba however few diagonals there are: entry (i, j),
-i ≥ j, at [j, i − j].
+A copy of weight 0 is off: it adds nothing, also where its own mean is infinite. At a half width of
+0 means are values.
 
-Helpers that take arrays are inlined: to call one takes as long as a short term.
+Shape letters: C copies, n variables. A symmetric matrix is kept in LAPACK's lower band storage,
+transposed to be of one type for Numba however few diagonals there are: entry (i, j), i ≥ j, at
+[j, i − j].
+
 Numba's cache of this file does not see edits of `functions`: delete `__pycache__` after one.
 """
 
@@ -16,179 +17,204 @@ from __future__ import annotations
 
 import numpy as np
 
-from drake_aigto.box.functions import (
-    D_C,
-    D_CC,
-    D_CZ,
-    D_Z,
-    D_ZZ,
-    VALUE,
-    FunctionKind,
-    factor_mean,
-)
-from drake_aigto.box.tables import Floats, Ints, Records, StackedTerms
+from drake_aigto.box.functions import factor_mean
+from drake_aigto.box.lanes import Lanes
+from drake_aigto.box.tables import Floats, Ints, Records
+from drake_aigto.box.tapes import MEAN, ONES
 from drake_aigto.jit import njit
 
-_POWER = int(FunctionKind.POWER)
+_PARTS = 6  # of a factor's mean: value and derivatives
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _fill_rows(
-    copy: np.record,
+@njit(cache=True, nogil=True, error_model="numpy")
+def _choose(
+    lanes: Records, weights: Floats, at: int, last: int, chosen: Records
+) -> tuple[int, int]:
+    """Fill chosen with lanes from place `at` on, up to `last`, that are not off.
+
+    Returns:
+        How many they are, and the place to go on from.
+    """
+    count = 0
+    while count < chosen.size and at < last:
+        if weights[lanes[at].copy] != 0.0:
+            chosen[count] = lanes[at]
+            count += 1
+        at += 1
+    return count, at
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _load_boxes(
+    lanes: Records,
     copy_variables: Ints,
-    sums: Records,
-    factors: Records,
+    arguments: Records,
+    functions: Records,
     center: Floats,
     half_width: Floats,
     rows: Floats,
-    variables: Ints,
-) -> int:
-    """Evaluate a copy's factors into rows (most_factors, 6), and look up their variables.
-
-    Returns:
-        How many they are.
-    """
-    first = sums[copy.sum_index].first_factor
-    count = sums[copy.sum_index + 1].first_factor - first
-    for f in range(count):
-        factor = factors[first + f]
-        i = copy_variables[copy.first_variable + factor.variable]
-        variables[f] = i
-        scale = factor.scale
-        y, reach = scale * center[i] + factor.offset, scale * half_width[i]
-        # The most common functions by hand: a fifth of the time.
-        if factor.kind == _POWER and factor.exponent == 1:
-            rows[f, VALUE], rows[f, D_C], rows[f, D_CC] = y, scale, 0.0
-            rows[f, D_Z], rows[f, D_CZ], rows[f, D_ZZ] = 0.0, 0.0, 0.0
-        elif factor.kind == _POWER and factor.exponent == 2:
-            variance = reach * reach / 3.0
-            rows[f, VALUE], rows[f, D_C], rows[f, D_CC] = (
-                y * y + variance,
-                2 * y * scale,
-                2 * scale**2,
-            )
-            rows[f, D_Z], rows[f, D_CZ], rows[f, D_ZZ] = 2 * variance, 0.0, 4 * variance
-        else:
+) -> None:
+    """Set the rows (rows, lanes) of a tape's arguments, and then of its functions."""
+    single = np.empty(_PARTS)
+    for k in range(lanes.size):
+        for a in range(arguments.size):
+            argument = arguments[a]
+            i = copy_variables[lanes[k].first_variable + argument.variable]
+            reach = argument.scale * half_width[i]
+            rows[2 * a, k] = argument.scale * center[i] + argument.offset
+            rows[2 * a + 1, k] = reach * reach
+        for f in range(functions.size):
+            it, row = functions[f], 2 * arguments.size + _PARTS * f
+            i = copy_variables[lanes[k].first_variable + it.variable]
             box = center[i], half_width[i]
-            factor_mean(factor.kind, factor.exponent, scale, factor.offset, *box, rows[f])
-    return count
+            factor_mean(it.kind, it.exponent, it.scale, it.offset, *box, single)
+            for part in range(_PARTS):
+                rows[row + part, k] = single[part]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _multiply(
-    coefficient: float,
-    members: Ints,
-    first: int,
-    last: int,
+@njit(cache=True, nogil=True, error_model="numpy")
+def _load_coefficients(lanes: Records, weights: Floats, coefficients: Floats, rows: Floats) -> None:
+    """Set the rows (terms, lanes) of a tape's coefficients, times their copies' weights."""
+    first, last = lanes[0].first_coefficient, lanes[lanes.size - 1].first_coefficient
+    factors = np.empty(lanes.size)
+    for k in range(lanes.size):
+        factors[k] = weights[lanes[k].copy]
+    for m in range(rows.shape[0]):
+        if first == last:  # Copies of one sum, as lanes are in the order of sums.
+            for k in range(lanes.size):
+                rows[m, k] = factors[k] * coefficients[first + m]
+        else:
+            for k in range(lanes.size):
+                rows[m, k] = factors[k] * coefficients[lanes[k].first_coefficient + m]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _run(operations: Records, count: int, rows: Floats) -> None:
+    """Run a tape in the first lanes of rows (rows, lanes)."""
+    for o in range(operations.size):
+        operation = operations[o]
+        to, a, b, factor = operation.to, operation.a, operation.b, operation.factor
+        if operation.adds:
+            for k in range(count):
+                rows[to, k] += factor * rows[a, k] * rows[b, k]
+        else:
+            for k in range(count):
+                rows[to, k] = factor * rows[a, k] * rows[b, k]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _evaluate(
+    tables: Lanes,
+    t: int,
+    chosen: Records,
+    weights: Floats,
+    center: Floats,
+    half_width: Floats,
     rows: Floats,
-    before: Floats,
-    partials: Floats,
-) -> float:
-    """The term coefficient · ∏ μ of members[first:last]; adds its derivative by each μ to partials.
-
-    before[0], before[1], … become the coefficient times the μ that stand before each of them.
-    """
-    product = coefficient
-    for a in range(first, last):
-        before[a - first] = product
-        product *= rows[members[a], VALUE]
-    behind = 1.0
-    for a in range(last - 1, first - 1, -1):
-        partials[members[a]] += before[a - first] * behind
-        behind *= rows[members[a], VALUE]
-    return product
+) -> None:
+    """Run tape t for chosen lanes, from their boxes to all that it computes in rows."""
+    _, copy_variables, coefficients, tapes, operations, arguments, functions = tables[:7]
+    tape, after, count = tapes[t], tapes[t + 1], chosen.size
+    rows[ONES, :count] = 1.0
+    first = MEAN + 1
+    arguments = arguments[tape.first_argument : after.first_argument]
+    functions = functions[tape.first_function : after.first_function]
+    boxes = center, half_width
+    _load_boxes(chosen, copy_variables, arguments, functions, *boxes, rows[first:])
+    first += 2 * arguments.size + _PARTS * functions.size
+    _load_coefficients(chosen, weights, coefficients, rows[first : first + tape.num_terms])
+    _run(operations[tape.first_operation : after.first_operation], count, rows)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_means(
-    stacked: StackedTerms,
+    tables: Lanes,
     weights: Floats,
     center: Floats,
     half_width: Floats,
     values: Floats,
-    gradient_c: Floats,
-    gradient_z: Floats,
+    gradient: Floats,
 ) -> float:
     """Weighted means of the copies; returns their sum, and adds its gradient.
 
     Args:
-        stacked: The sums.
+        tables: The sums, for order MEAN or GRADIENT.
         weights: Factor of each copy (C,).
         center: Box center of every variable (n,).
         half_width: Box half width of every variable (n,), ≥ 0.
         values: Filled with weight · mean of every copy (C,).
-        gradient_c: Added to (n,); empty for the means alone.
-        gradient_z: Added to (n,); empty for the means alone.
+        gradient: By c, and by z, added to (2, n); not used for order MEAN.
     """
-    # Unpacked, as Numba counts references at every use of an array within a tuple.
-    copies, copy_variables, sums, factors, terms, members, most_factors, longest_term = stacked
-    rows, variables = np.empty((most_factors, 6)), np.empty(most_factors, np.int64)
-    partials, before = np.empty(most_factors), np.empty(longest_term)
-    with_gradient = gradient_c.size > 0
+    lanes, copy_variables, _, tapes, _, _, _, slopes = tables[:8]
+    rows = np.empty((tables.most_rows, tables.most_lanes))
+    chosen = np.empty(tables.most_lanes, lanes.dtype)
+    values[:] = 0.0
     total = 0.0
-    for copy in range(copies.size):
-        values[copy] = 0.0
-        if weights[copy] == 0.0:
-            continue
-        num_factors = _fill_rows(
-            copies[copy], copy_variables, sums, factors, center, half_width, rows, variables
-        )
-        for f in range(num_factors):
-            partials[f] = 0.0
-        value = 0.0
-        for m in range(
-            sums[copies[copy].sum_index].first_term, sums[copies[copy].sum_index + 1].first_term
-        ):
-            first, last = terms[m].first_member, terms[m + 1].first_member
-            coefficient = weights[copy] * terms[m].coefficient
-            if with_gradient:
-                value += _multiply(coefficient, members, first, last, rows, before, partials)
-            else:
-                for a in range(first, last):
-                    coefficient *= rows[members[a], VALUE]
-                value += coefficient
-        if with_gradient:
-            for f in range(num_factors):
-                gradient_c[variables[f]] += partials[f] * rows[f, D_C]
-                gradient_z[variables[f]] += partials[f] * rows[f, D_Z]
-        values[copy] = value
-        total += value
+    for t in range(tapes.size - 1):
+        at, last = tapes[t].first_lane, tapes[t + 1].first_lane
+        while at < last:
+            count, at = _choose(lanes, weights, at, last, chosen)
+            if count == 0:
+                continue
+            _evaluate(tables, t, chosen[:count], weights, center, half_width, rows)
+            for k in range(count):
+                values[chosen[k].copy] = rows[MEAN, k]
+                total += rows[MEAN, k]
+            for s in range(tapes[t].first_slope, tapes[t + 1].first_slope):
+                slope = slopes[s]
+                for k in range(count):
+                    i = copy_variables[chosen[k].first_variable + slope.variable]
+                    gradient[slope.unknown, i] += rows[slope.row, k]
     return total
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _add(band: Floats, i: int, j: int, value: float) -> None:
-    """Add to entry (i, j) = (j, i) of a symmetric matrix."""
-    if i >= j:
-        band[j, i - j] += value
-    else:
-        band[i, j - i] += value
-
-
-@njit(cache=True, nogil=True, error_model="numpy", forceinline=True)
-def _add_pair(
-    band: Floats, stride: int, i: int, j: int, others: float, row_i: Floats, row_j: Floats
+def _add_slopes(
+    places: Ints, unknown: int, values: Floats, rows: Ints, gradient: Floats, band: Floats
 ) -> None:
-    """Add the Hessian of others · μ_i μ_j between two variables at places i and j, if both ≥ 0."""
-    if i < 0 or j < 0:
-        return
-    _add(band, i, j, others * row_i[D_C] * row_j[D_C])
-    if stride == 2:
-        _add(band, i, j + 1, others * row_i[D_C] * row_j[D_Z])
-        _add(band, i + 1, j, others * row_i[D_Z] * row_j[D_C])
-        _add(band, i + 1, j + 1, others * row_i[D_Z] * row_j[D_Z])
+    """Add each lane's derivative by an unknown to the gradient, or to A.
+
+    Args:
+        places: Place of the variable's first unknown, −1 where it is held (lanes,).
+        unknown: Which of its unknowns.
+        values: The derivatives (lanes,).
+        rows: Place of each lane's row of A, −1 where it has none (lanes,).
+        gradient: Added to (size,).
+        band: Added to (size, number of diagonals).
+    """
+    for k in range(places.size):
+        if places[k] < 0:
+            continue
+        i, row = places[k] + unknown, rows[k]
+        if row < 0:
+            gradient[i] += values[k]
+        else:
+            band[min(i, row), abs(i - row)] += values[k]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _find_entries(
+    places: Ints, unknown: int, others: Ints, other_unknown: int, width: int, entries: Ints
+) -> None:
+    """Set entries to where in a flat band of this width each lane's two unknowns meet.
+
+    They are −1 where one of the variables, whose first unknowns have these places, is held.
+    """
+    for k in range(places.size):
+        i, j = places[k] + unknown, others[k] + other_unknown
+        is_free = min(places[k], others[k]) >= 0
+        entries[k] = min(i, j) * (width - 1) + max(i, j) if is_free else -1
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def add_newton_system(
-    stacked: StackedTerms,
+    tables: Lanes,
     weights: Floats,
     multipliers: Floats,
     center: Floats,
     half_width: Floats,
     variable_places: Ints,
     copy_places: Ints,
-    stride: int,
     gradient: Floats,
     band: Floats,
 ) -> float:
@@ -197,7 +223,8 @@ def add_newton_system(
         W = Σ multiplier · weight · ∇²mean,      A's row of a copy: weight · ∇mean
 
     Args:
-        stacked: The sums.
+        tables: The sums, for order CENTERS, with unknowns c_i, or for order BOXES, with unknowns
+            (c_i, z_i) next to each other.
         weights: Factor of each copy (C,).
         multipliers: Factor of each copy's Hessian (C,).
         center: Box center of every variable (n,).
@@ -205,58 +232,43 @@ def add_newton_system(
         variable_places: Place of each variable's first unknown in the matrix, −1 for a variable
             that is held (n,).
         copy_places: Place of each copy that is one of A's rows, −1 for one that is not (C,).
-        stride: 2 for unknowns (c_i, z_i), which stand next to each other, or 1 for c_i alone.
         gradient: weight · ∇mean of the copies of place −1 is added (size,).
         band: Added to (size, number of diagonals).
 
     Returns:
         The sum of weight · mean over all copies.
     """
-    # Unpacked, as Numba counts references at every use of an array within a tuple.
-    copies, copy_variables, sums, factors, terms, members, most_factors, longest_term = stacked
-    rows, variables = np.empty((most_factors, 6)), np.empty(most_factors, np.int64)
-    places = np.empty(most_factors, np.int64)
-    partials, before = np.empty(most_factors), np.empty(longest_term)
+    lanes, copy_variables, _, tapes, _, _, _, slopes, curvatures = tables[:9]
+    rows = np.empty((tables.most_rows, tables.most_lanes))
+    chosen = np.empty(tables.most_lanes, lanes.dtype)
+    places = np.empty((tables.most_variables, tables.most_lanes), np.int64)
+    factors, copy_rows = np.empty(tables.most_lanes), np.empty(tables.most_lanes, np.int64)
+    entries, flat = np.empty(tables.most_lanes, np.int64), band.reshape(-1)
     total = 0.0
-    for copy in range(copies.size):
-        if weights[copy] == 0.0:
-            continue
-        num_factors = _fill_rows(
-            copies[copy], copy_variables, sums, factors, center, half_width, rows, variables
-        )
-        for f in range(num_factors):
-            partials[f] = 0.0
-            places[f] = variable_places[variables[f]]
-        value = 0.0
-        for m in range(
-            sums[copies[copy].sum_index].first_term, sums[copies[copy].sum_index + 1].first_term
-        ):
-            first, last = terms[m].first_member, terms[m + 1].first_member
-            coefficient = weights[copy] * terms[m].coefficient
-            value += _multiply(coefficient, members, first, last, rows, before, partials)
-            behind = multipliers[copy]
-            for a in range(last - 1, first, -1):
-                f = members[a]
-                between = behind
-                for b in range(a - 1, first - 1, -1):
-                    g = members[b]
-                    pair = before[b - first] * between
-                    _add_pair(band, stride, places[f], places[g], pair, rows[f], rows[g])
-                    between *= rows[g, VALUE]
-                behind *= rows[f, VALUE]
-        total += value
-        for f in range(num_factors):
-            i, curvature = places[f], multipliers[copy] * partials[f]
-            if i < 0:
+    for t in range(tapes.size - 1):
+        at, last = tapes[t].first_lane, tapes[t + 1].first_lane
+        while at < last:
+            count, at = _choose(lanes, weights, at, last, chosen)
+            if count == 0:
                 continue
-            band[i, 0] += curvature * rows[f, D_CC]
-            if stride == 2:
-                band[i, 1] += curvature * rows[f, D_CZ]
-                band[i + 1, 0] += curvature * rows[f, D_ZZ]
-            for part in range(stride):
-                slope = partials[f] * rows[f, D_C + part]
-                if copy_places[copy] < 0:
-                    gradient[i + part] += slope
-                else:
-                    _add(band, copy_places[copy], i + part, slope)
+            _evaluate(tables, t, chosen[:count], weights, center, half_width, rows)
+            for k in range(count):
+                total += rows[MEAN, k]
+                copy, first_variable = chosen[k].copy, chosen[k].first_variable
+                factors[k], copy_rows[k] = multipliers[copy], copy_places[copy]
+                for v in range(tapes[t].num_variables):
+                    places[v, k] = variable_places[copy_variables[first_variable + v]]
+            for slope in slopes[tapes[t].first_slope : tapes[t + 1].first_slope]:
+                at_c, values = places[slope.variable], rows[slope.row]
+                _add_slopes(at_c[:count], slope.unknown, values, copy_rows, gradient, band)
+            for it in curvatures[tapes[t].first_curvature : tapes[t + 1].first_curvature]:
+                at_c, other_c = places[it.variable], places[it.other_variable]
+                _find_entries(
+                    *(at_c[:count], it.unknown, other_c, it.other_unknown),
+                    *(band.shape[1], entries),
+                )
+                values = rows[it.row]
+                for k in range(count):
+                    if entries[k] >= 0:
+                        flat[entries[k]] += factors[k] * values[k]
     return total

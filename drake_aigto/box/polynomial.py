@@ -13,10 +13,10 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from drake_aigto.box.functions import WAVES, FunctionKind
 from drake_aigto.box.kernels import add_means, add_newton_system
+from drake_aigto.box.lanes import Lanes, make_lanes
 from drake_aigto.box.tables import Floats, Ints, stack_terms
+from drake_aigto.box.tapes import Order
 from drake_aigto.errors import OptionsError, UnsupportedTermError
-
-_NO_GRADIENT = np.empty(0)
 
 
 @dataclass(frozen=True)
@@ -202,6 +202,9 @@ class BoxPolynomial:
             Cuthill-McKee on the coupling graph.
 
     Attributes:
+        order: The elimination order (n,), read-only.
+        position: Place of each variable in it (n,).
+        copy_weights: Weight of each copy, block after block.
         bandwidth: Largest distance, in that order, of two variables that appear in one term.
 
     Raises:
@@ -218,17 +221,18 @@ class BoxPolynomial:
         self.num_variables = num_variables
         self.blocks = tuple(blocks)
         self._terms = stack_terms(self.blocks)
-        self._weights = self._copy_weights()
+        self._lanes: dict[Order, Lanes] = {}
+        self.copy_weights = self._make_copy_weights()
         rows, columns = self.couplings().T
         if order is None and rows.size:
             graph = coo_array((np.ones(rows.size), (rows, columns)), shape=(num_variables,) * 2)
             order = reverse_cuthill_mckee(graph.tocsr(), symmetric_mode=True)
         self.order = as_order(range(num_variables) if order is None else order, num_variables)
-        self._position = np.argsort(self.order)
-        distance = np.abs(self._position[rows] - self._position[columns])
+        self.position = np.argsort(self.order)
+        distance = np.abs(self.position[rows] - self.position[columns])
         self.bandwidth = int(np.max(distance, initial=0))
 
-    def _copy_weights(self) -> Floats:
+    def _make_copy_weights(self) -> Floats:
         """Weight of each copy, in the kernels' order."""
         copies = [block.variables.shape[0] for block in self.blocks]
         return np.repeat(np.array([block.weight for block in self.blocks], dtype=float), copies)
@@ -265,12 +269,12 @@ class BoxPolynomial:
         other.blocks = tuple(
             b.with_weight(weights[b.name]) if b.name in weights else b for b in self.blocks
         )
-        other._weights = other._copy_weights()
+        other.copy_weights = other._make_copy_weights()
         return other
 
     def mean(self, center: ArrayLike, half_width: ArrayLike) -> float:
         """f̄(c, w); f(c) at w = 0."""
-        return self._add_means(center, half_width, self._weights, _NO_GRADIENT, _NO_GRADIENT)[0]
+        return self._add_means(center, half_width, self.copy_weights, Order.MEAN)[0]
 
     def __call__(self, x: ArrayLike) -> float:
         """f(x)."""
@@ -278,8 +282,8 @@ class BoxPolynomial:
 
     def mean_by_block(self, center: ArrayLike, half_width: ArrayLike) -> dict[str, float]:
         """Each block's share of f̄, divided by its weight."""
-        ones = np.ones_like(self._weights)
-        _, means = self._add_means(center, half_width, ones, _NO_GRADIENT, _NO_GRADIENT)
+        ones = np.ones_like(self.copy_weights)
+        _, means, _ = self._add_means(center, half_width, ones, Order.MEAN)
         shares = dict.fromkeys(self.weights, 0.0)
         first = 0
         for block in self.blocks:
@@ -290,23 +294,25 @@ class BoxPolynomial:
 
     def gradient(self, center: ArrayLike, half_width: ArrayLike) -> tuple[float, Floats, Floats]:
         """f̄, ∂f̄/∂c (n,) and ∂f̄/∂z (n,), z = log w."""
-        gradient_c, gradient_z = np.zeros(self.num_variables), np.zeros(self.num_variables)
-        value, _ = self._add_means(center, half_width, self._weights, gradient_c, gradient_z)
-        return value, gradient_c, gradient_z
+        value, _, (by_c, by_z) = self._add_means(
+            center, half_width, self.copy_weights, Order.GRADIENT
+        )
+        return value, by_c, by_z
 
     def _add_means(
-        self,
-        center: ArrayLike,
-        half_width: ArrayLike,
-        weights: Floats,
-        gradient_c: Floats,
-        gradient_z: Floats,
-    ) -> tuple[float, Floats]:
-        """The weighted mean, and its parts by copy; adds its gradient."""
+        self, center: ArrayLike, half_width: ArrayLike, weights: Floats, order: Order
+    ) -> tuple[float, Floats, Floats]:
+        """The weighted mean, its parts by copy, and its gradient (2, n), 0 for order MEAN."""
         c, w = self._box(center, half_width)
-        means = np.empty(weights.size)
-        value = add_means(self._terms, weights, c, w, means, gradient_c, gradient_z)
-        return value, means
+        means, gradient = np.empty(weights.size), np.zeros((2, self.num_variables))
+        value = add_means(self.lanes(order), weights, c, w, means, gradient)
+        return value, means, gradient
+
+    def lanes(self, order: Order) -> Lanes:
+        """The kernels' tables for derivatives of an order, made when they are first asked for."""
+        if order not in self._lanes:
+            self._lanes[order] = make_lanes(self._terms, order)
+        return self._lanes[order]
 
     def newton_system(
         self, center: ArrayLike, half_width: ArrayLike, centers_only: bool = False
@@ -321,14 +327,13 @@ class BoxPolynomial:
         gradient = np.zeros(size)
         band = np.zeros((size, stride * self.bandwidth + stride))
         value = add_newton_system(
-            self._terms,
-            self._weights,
-            np.ones_like(self._weights),
+            self.lanes(Order.CENTERS if centers_only else Order.BOXES),
+            self.copy_weights,
+            np.ones_like(self.copy_weights),
             c,
             w,
-            stride * self._position,
-            np.full(self._weights.size, -1),
-            stride,
+            stride * self.position,
+            np.full(self.copy_weights.size, -1),
             gradient,
             band,
         )
@@ -337,7 +342,7 @@ class BoxPolynomial:
     def to_variables(self, ordered: Floats) -> Iterator[Floats]:
         """Split a vector in elimination order into its parts, c and then z, in variable order."""
         stride = ordered.size // self.num_variables
-        return (ordered[part::stride][self._position] for part in range(stride))
+        return (ordered[part::stride][self.position] for part in range(stride))
 
     def _box(self, center: ArrayLike, half_width: ArrayLike) -> tuple[Floats, Floats]:
         # Copied, as Numba would compile once more for arrays that are read-only or strided.

@@ -47,7 +47,6 @@ class StackedTerms(NamedTuple):
         terms: Coefficient of each term, and its first place in members (M + 1,).
         members: Factors of the terms, counted from their sum's first.
         most_factors: Largest number of different factors that a sum has.
-        longest_term: Largest number of factors that a term has.
     """
 
     copies: Records
@@ -57,7 +56,6 @@ class StackedTerms(NamedTuple):
     terms: Records
     members: Ints
     most_factors: int
-    longest_term: int
 
     def couplings(self) -> tuple[Ints, Ints]:
         """Pairs of variables that a term of a copy reads, each once and with itself.
@@ -92,13 +90,12 @@ def stack_terms(blocks: Sequence[TermBlock]) -> StackedTerms:
     terms: list[tuple[float, int]] = []
     members: list[int] = []
     sums = [(0, 0)]
-    most_factors = longest_term = 0
+    most_factors = 0
     for sum_ in place_of:
         places: dict[Factor, int] = {}
         for term in sum_:
             terms.append((term.coefficient, len(members)))
             members += [places.setdefault(factor, len(places)) for factor in term.factors]
-            longest_term = max(longest_term, len(term.factors))
         factors += [(f.variable, f.kind, f.exponent, f.scale, f.offset) for f in places]
         sums.append((len(factors), len(terms)))
         most_factors = max(most_factors, len(places))
@@ -119,7 +116,7 @@ def stack_terms(blocks: Sequence[TermBlock]) -> StackedTerms:
     )
     for array in arrays:
         array.setflags(write=False)
-    return StackedTerms(*arrays, most_factors, longest_term)
+    return StackedTerms(*arrays, most_factors)
 
 
 def _ranges(lengths: Ints) -> tuple[Ints, Ints]:

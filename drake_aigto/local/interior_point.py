@@ -227,6 +227,9 @@ class _Solve:
         A gradient beyond the tolerance is overlooked where Newton's step changes φ by less than its
         rounding, unless it is the shift that makes the step short.
         """
+        # A step that corrects what rounding leaves of the rows changes φ at the multipliers' price.
+        of_rows = self._problem.row_roundings(self._point.y)
+        rounding += float(np.abs(self._duals.rows) @ of_rows)
         complementarity = max_norm(optimality.products) / optimality.bound_scale
         is_solution = self._is_solution or (
             not step.is_distorted

@@ -29,7 +29,7 @@ def fill_magnitudes(
     stacked: StackedTerms, weights: Floats, x: Floats, first: int, magnitudes: Floats
 ) -> None:
     """Fill magnitudes (K,) with Σ |weight · term| at x (n,), of K copies from the first one on."""
-    copies, copy_variables, sums, factors, terms, members, most_factors, _ = stacked
+    copies, copy_variables, sums, factors, terms, members, most_factors = stacked
     sizes, row = np.empty(most_factors), np.empty(6)
     for copy in range(first, first + magnitudes.size):
         number, first_variable = copies[copy].sum_index, copies[copy].first_variable

@@ -10,6 +10,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from drake_aigto.box.kernels import add_newton_system
+from drake_aigto.box.lanes import make_lanes
+from drake_aigto.box.tapes import Order
 from drake_aigto.local.kernels import erase_couplings
 
 if TYPE_CHECKING:
@@ -17,6 +19,8 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
+
+_FEW = 40  # unknowns
 
 
 class KktStructure:
@@ -27,7 +31,7 @@ class KktStructure:
 
     Variables and rows are interleaved: by reverse Cuthill-McKee, or variables in the problem's
     elimination order with each row in the middle of those it reads, whichever has the smaller
-    bandwidth.
+    bandwidth. Of few unknowns, finding an order takes longer than it spares: they stay in theirs.
 
     Attributes:
         free: Variables that are not held (nf,).
@@ -40,7 +44,7 @@ class KktStructure:
 
     def __init__(self, nlp: PolynomialNlp) -> None:
         """Order the unknowns; variables with equal bounds are held."""
-        self._nlp = nlp
+        self._nlp, self._lanes = nlp, make_lanes(nlp.terms, Order.CENTERS)
         self.free = np.flatnonzero(nlp.lower != nlp.upper)
         position = np.full(nlp.num_variables, -1)
         position[self.free] = range(self.free.size)
@@ -49,11 +53,7 @@ class KktStructure:
         self.size = self.free.size + self.rows.size
         incidence = np.vstack([self.free.size + row_numbers, variables_read])
         edges = np.hstack([couplings, incidence])
-        candidates = [self._cuthill_mckee(edges)]
-        if nlp.order is not None:
-            kept = position[nlp.order]
-            candidates.append(self._by_stages(kept[kept >= 0], incidence))
-        places = min(candidates, key=lambda candidate: _bandwidth(candidate, edges))
+        places = self._order(position, edges, incidence)
         self.bandwidth = _bandwidth(places, edges)
         self.variable_places, self.row_places = np.split(places, [self.free.size])
         self._place_of_variable = np.full(nlp.num_variables, -1)
@@ -77,9 +77,19 @@ class KktStructure:
         is_read = (rows >= 0) & (found[0] == found[1])
         return rows[is_read], found[0, is_read], found
 
+    def _order(self, position: Ints, edges: Ints, incidence: Ints) -> Ints:
+        """The place of every unknown."""
+        order, are_few = self._nlp.order, self.size <= _FEW
+        if order is None and not are_few:
+            return self._cuthill_mckee(edges)
+        kept = position if order is None else position[order]
+        by_stages = self._by_stages(kept[kept >= 0], incidence)
+        if are_few:
+            return by_stages
+        candidates = self._cuthill_mckee(edges), by_stages
+        return min(candidates, key=lambda candidate: _bandwidth(candidate, edges))
+
     def _cuthill_mckee(self, edges: Ints) -> Ints:
-        if self.size == 0:
-            return np.arange(0)
         graph = coo_array((np.ones(edges.shape[1]), tuple(edges)), shape=(self.size, self.size))
         order = reverse_cuthill_mckee((graph + graph.T).tocsr(), symmetric_mode=True)
         return np.argsort(order)
@@ -106,14 +116,13 @@ class KktStructure:
         factors = np.ones(nlp.num_costs + nlp.num_rows)
         factors[nlp.num_costs + self.rows] = multipliers
         add_newton_system(
-            nlp.terms,
+            self._lanes,
             scales * nlp.copy_weights,
             factors,
             x,
             np.zeros_like(x),
             self._place_of_variable,
             self._place_of_copy,
-            1,
             gradient,
             band,
         )

@@ -20,6 +20,7 @@ _DELTA, _S_THETA, _S_PHI = 1.0, 1.1, 2.3  # switching condition
 _ETA_PHI = 1e-8  # Armijo condition
 _GAMMA_ALPHA = 0.05  # shortest step
 _LEAST_FAR_LENGTH = 1e-4  # ours
+_SHORTEST = 1e-16  # ours: at θ = 0 the others are 0, and no length is shorter than that
 _KAPPA_SOC, _CORRECTIONS = 0.99, 4
 
 
@@ -136,4 +137,4 @@ class LineSearch:
         if slope < 0:
             least = min(least, _GAMMA_PHI * violation / -slope)
             least = min(least, _DELTA * violation**_S_THETA / (-slope) ** _S_PHI)
-        return _GAMMA_ALPHA * least
+        return max(_SHORTEST, _GAMMA_ALPHA * least)

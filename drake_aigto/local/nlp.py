@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -28,8 +28,10 @@ from drake_aigto.box.compile import (
 )
 from drake_aigto.box.expressions import expression_terms
 from drake_aigto.box.kernels import add_means
+from drake_aigto.box.lanes import Lanes, make_lanes
 from drake_aigto.box.polynomial import as_order
 from drake_aigto.box.tables import stack_terms
+from drake_aigto.box.tapes import Order
 from drake_aigto.errors import OptionsError, UnsupportedTermError
 from drake_aigto.local.kernels import fill_magnitudes
 from drake_aigto.local.kkt import KktStructure
@@ -41,7 +43,7 @@ _LONGEST_SHOWN = 300  # characters of a row in a message
 
 @dataclass(frozen=True)
 class ConstraintRow:
-    """lower ≤ Σ terms ≤ upper over an evaluator's own variables.
+    """lower ≤ Σ terms ≤ upper, over the variables that the row reads.
 
     Attributes:
         terms: The sum's terms.
@@ -91,7 +93,7 @@ def compile_nlp(prog: MathematicalProgram, order: ArrayLike | None = None) -> Po
             else:
                 terms = _equality_terms(label, row)
                 rows.extend(term_blocks(evaluator_name(evaluator), terms, variables.tolist()))
-    _check_bounds(prog, lower, upper)
+    check_bounds(lower, upper, lambda i: str(prog.decision_variable(i)))
     return PolynomialNlp(prog.num_vars(), costs, tuple(rows), lower, upper, order)
 
 
@@ -195,12 +197,17 @@ def _equality_terms(label: str, row: ConstraintRow) -> tuple[Term, ...]:
     return (*row.terms, *affine_terms((), -row.lower))
 
 
-def _check_bounds(prog: MathematicalProgram, lower: Floats, upper: Floats) -> None:
+def check_bounds(lower: Floats, upper: Floats, name: Callable[[int], str]) -> None:
+    """Refuse bounds (n,) that contradict each other; messages call a variable by its name.
+
+    Raises:
+        UnsupportedTermError: A variable has no value.
+    """
     bad = np.flatnonzero((lower > upper) | np.isposinf(lower) | np.isneginf(upper))
     if bad.size:
-        i = bad[0]
+        i = int(bad[0])
         raise UnsupportedTermError(
-            f"the bounds of {prog.decision_variable(i)} leave it no value",
+            f"the bounds of {name(i)} leave it no value",
             got=f"[{lower[i]:g}, {upper[i]:g}]",
             expected="lower ≤ upper",
             remedy="Relax one of the constraints on it.",
@@ -258,6 +265,10 @@ class PolynomialNlp:
         """Where its unknowns stand in KKT matrices, found once."""
         return KktStructure(self)
 
+    @cached_property
+    def _lanes(self) -> Lanes:
+        return make_lanes(self.terms, Order.MEAN)
+
     @property
     def num_rows(self) -> int:
         """Number of equality rows m."""
@@ -266,8 +277,9 @@ class PolynomialNlp:
     def evaluate(self, x: ArrayLike) -> tuple[float, Floats]:
         """f(x) and c(x) (m,)."""
         x, weights = self._checked(x), self.copy_weights.copy()
-        values, no_gradient = np.empty_like(weights), np.empty(0)
-        add_means(self.terms, weights, x, np.zeros_like(x), values, no_gradient, no_gradient)
+        values = np.empty_like(weights)
+        box = x, np.zeros_like(x)
+        add_means(self._lanes, weights, *box, values, np.empty((0, 0)))
         return float(np.sum(values[: self.num_costs])), values[self.num_costs :]
 
     def cost_magnitude(self, x: ArrayLike) -> float:

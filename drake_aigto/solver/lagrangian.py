@@ -63,7 +63,8 @@ class AugmentedLagrangian:
     def update(self, factor: float, y: npt.NDArray[np.float64]) -> None:
         """Moves the multipliers, y (n,) being a minimiser of the function of this factor."""
         _, residuals = self._nlp.evaluate(y)
-        moved = self._multipliers + 2 * factor * self._unit * residuals
+        with np.errstate(invalid="ignore"):  # Rows that overflow move nothing.
+            moved = self._multipliers + 2 * factor * self._unit * residuals
         if np.all(np.isfinite(moved)):
             self._multipliers = moved
 

@@ -6,22 +6,22 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from drake_aigto.box import Factor, FunctionKind, Term
+from drake_aigto.jit import njit
 
 if TYPE_CHECKING:
+    import numpy as np
     import numpy.typing as npt
 
 # Exponentials of wide boxes overflow: their range ends here.
 LARGEST = 1e15
 
-_Range = tuple[float, float]
+Range = tuple[float, float]
 
 
 def sum_range(
     terms: Sequence[Term], low: npt.NDArray[np.float64], high: npt.NDArray[np.float64]
-) -> _Range:
+) -> Range:
     """Returns bounds of a sum over low ≤ x ≤ high, term by term; at most 1e15 in size.
 
     Args:
@@ -34,40 +34,60 @@ def sum_range(
         ends = term.coefficient, term.coefficient
         for factor in term.factors:
             interval = float(low[factor.variable]), float(high[factor.variable])
-            ends = _product(ends, _factor_range(factor, interval))
+            ends = _clamped(product(*ends, *_factor_range(factor, interval)))
         least, most = least + min(ends), most + max(ends)
     return max(least, -LARGEST), min(most, LARGEST)
 
 
-def _product(a: _Range, b: _Range) -> _Range:
-    products = [x * y for x in a for y in b]
-    return max(min(products), -LARGEST), min(max(products), LARGEST)
+@njit(cache=True, error_model="numpy")
+def affine(scale: float, offset: float, low: float, high: float) -> Range:
+    """Returns the range of scale · x + offset over x in [low, high]."""
+    a, b = scale * low + offset, scale * high + offset
+    return min(a, b), max(a, b)
 
 
-def _factor_range(factor: Factor, x: _Range) -> _Range:
-    y = sorted(factor.scale * end + factor.offset for end in x)
+@njit(cache=True, error_model="numpy")
+def product(a: float, b: float, c: float, d: float) -> Range:
+    """Returns the range of x y over x in [a, b], y in [c, d], with 0 · ∞ = 0."""
+    products = _times(a, c), _times(a, d), _times(b, c), _times(b, d)
+    return min(products), max(products)
+
+
+@njit(cache=True, error_model="numpy")
+def _times(a: float, b: float) -> float:
+    return 0.0 if a == 0.0 or b == 0.0 else a * b
+
+
+@njit(cache=True, error_model="numpy")
+def power_range(low: float, high: float, exponent: int) -> Range:
+    """Returns the range of y^p over y in [low, high]."""
+    a, b = low**exponent, high**exponent
+    if exponent % 2 == 1 or exponent == 0:
+        return a, b
+    return (0.0 if low <= 0.0 <= high else min(a, b)), max(a, b)
+
+
+def _clamped(ends: Range) -> Range:
+    return max(ends[0], -LARGEST), min(ends[1], LARGEST)
+
+
+def _factor_range(factor: Factor, x: Range) -> Range:
+    y = affine(factor.scale, factor.offset, *x)
     if factor.kind == FunctionKind.POWER:
-        return _power_range(factor.exponent, (y[0], y[1]))
+        return _clamped(power_range(*y, factor.exponent))
     if factor.kind == FunctionKind.EXPONENTIAL:
         wave = _exponential(y[0]), _exponential(y[1])
     else:
         quarter = math.pi / 2 if factor.kind == FunctionKind.SINE else 0.0
         wave = _cosine_range(y[0] - quarter, y[1] - quarter)  # sin y = cos(y − π/2)
-    return _product(_power_range(factor.exponent, x), wave)
-
-
-def _power_range(exponent: int, y: _Range) -> _Range:
-    powers = [min(max(float(np.float64(end) ** exponent), -LARGEST), LARGEST) for end in y]
-    if exponent % 2 == 0 and exponent > 0 and y[0] < 0.0 < y[1]:
-        powers.append(0.0)
-    return min(powers), max(powers)
+    return _clamped(product(*_clamped(power_range(*x, factor.exponent)), *wave))
 
 
 def _exponential(y: float) -> float:
     return math.exp(min(y, math.log(LARGEST)))
 
 
-def _cosine_range(first: float, last: float) -> _Range:
+def _cosine_range(first: float, last: float) -> Range:
     """Returns the least and largest cosine between two angles."""
     ends = math.cos(first), math.cos(last)
     has_top = math.floor(last / (2 * math.pi)) >= math.ceil(first / (2 * math.pi))

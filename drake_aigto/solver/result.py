@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -72,9 +72,9 @@ class AigoDetails:
     iterations: int
     polishes: int
     origin: str
-    first_center: npt.NDArray[np.float64]
-    first_half_width: npt.NDArray[np.float64]
-    widths: tuple[tuple[tuple[float, ...], ...], ...]
+    first_center: npt.NDArray[np.float64] = field(repr=False)
+    first_half_width: npt.NDArray[np.float64] = field(repr=False)
+    widths: tuple[tuple[tuple[float, ...], ...], ...] = field(repr=False)
 
     @classmethod
     def of_nothing(cls, status: AigoStatus, x: npt.NDArray[np.float64]) -> AigoDetails:

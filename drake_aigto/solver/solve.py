@@ -35,8 +35,9 @@ _POLISHED_RENEWALS = 10
 _PATIENCE_SHARE = 6
 # A sum of terms is off by no more than this part of the sum of their sizes.
 _ROUNDING = 1e-14
-# A point farther out than this, in a variable without bounds, is where a cost falls without end.
-_FAR = 1e8
+# A point farther out than this, in a variable without bounds, is where a cost falls without end;
+# and one that is lower than this, which exponentials are well before they are far out.
+_FAR, _LOW = 1e8, -1e20
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +109,8 @@ class Solve:
         is_open = np.isinf(lower) | np.isinf(upper)
         if best.violation > self._options.feasibility:
             return AigoStatus.NO_FEASIBLE_POINT
-        if np.any(np.abs(best.x[is_open]) > _FAR):
+        is_low = np.any(is_open) and best.cost < _LOW
+        if is_low or np.any(np.abs(best.x[is_open]) > _FAR):
             return AigoStatus.FALLS_WITHOUT_END
         return AigoStatus.SOLVED
 

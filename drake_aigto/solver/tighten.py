@@ -1,4 +1,7 @@
-"""Bounds that equality rows leave: where no feasible point is, no box need search."""
+"""Bounds that equality rows leave: where no feasible point is, no box need search.
+
+Numba's cache of this file does not see edits of `ranges`: delete ``__pycache__`` after one.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,7 @@ from numpy.typing import NDArray
 from drake_aigto.box import FunctionKind
 from drake_aigto.box.tables import stack_terms
 from drake_aigto.jit import njit
-from drake_aigto.solver.ranges import LARGEST
+from drake_aigto.solver.ranges import LARGEST, Range, affine, power_range, product
 
 if TYPE_CHECKING:
     from drake_aigto.box.tables import StackedTerms
@@ -19,7 +22,6 @@ if TYPE_CHECKING:
 
 Floats = NDArray[np.float64]
 Bounds = tuple[Floats, Floats]
-_Range = tuple[float, float]
 
 _POWER, _EXPONENTIAL = int(FunctionKind.POWER), int(FunctionKind.EXPONENTIAL)
 _SINE, _COSINE = int(FunctionKind.SINE), int(FunctionKind.COSINE)
@@ -56,7 +58,7 @@ def _sweep(stacked: StackedTerms, lower: Floats, upper: Floats) -> float:
 
     Returns the largest part that was cut off a range; below 0 if a row leaves no point.
     """
-    copies, copy_variables, sums, factors, terms, members, _, _ = stacked
+    copies, copy_variables, sums, factors, terms, members, _ = stacked
     low, high = np.empty(terms.size), np.empty(terms.size)
     behind_low, behind_high = np.empty(terms.size), np.empty(terms.size)
     most = 0.0
@@ -70,7 +72,7 @@ def _sweep(stacked: StackedTerms, lower: Floats, upper: Floats) -> float:
             for member in members[terms[m].first_member : terms[m + 1].first_member]:
                 i = places[table[member].variable]
                 a, b = _factor_range(table[member], lower[i], upper[i])
-                low[m], high[m] = _product(low[m], high[m], a, b)
+                low[m], high[m] = product(low[m], high[m], a, b)
         behind_low[last - 1] = behind_high[last - 1] = 0.0
         for m in range(last - 1, first, -1):
             behind_low[m - 1] = behind_low[m] + low[m]
@@ -112,12 +114,12 @@ def _tighten_factors(
             if j != k:
                 v = places[table[other].variable]
                 p, q = _factor_range(table[other], lower[v], upper[v])
-                a, b = _product(a, b, p, q)
+                a, b = product(a, b, p, q)
         if a <= 0.0 <= b:
             continue
         i = places[factor.variable]
-        a, b = _product(least, largest, 1.0 / b, 1.0 / a)
-        y_low, y_high = _affine(factor, lower[i], upper[i])
+        a, b = product(least, largest, 1.0 / b, 1.0 / a)
+        y_low, y_high = affine(factor.scale, factor.offset, lower[i], upper[i])
         a, b = _root_range(a, b, factor.exponent, y_low, y_high)
         if not a <= b:
             return -1.0
@@ -138,49 +140,21 @@ def _tighten_factors(
 
 
 @njit(cache=True, error_model="numpy")
-def _affine(factor: Any, low: float, high: float) -> _Range:
-    """Returns the range of scale · x + offset."""
-    a, b = factor.scale * low + factor.offset, factor.scale * high + factor.offset
-    return min(a, b), max(a, b)
-
-
-@njit(cache=True, error_model="numpy")
-def _factor_range(factor: Any, low: float, high: float) -> _Range:
+def _factor_range(factor: Any, low: float, high: float) -> Range:
     """Returns bounds of a factor over x in [low, high]; of a wave, those of its full swing."""
-    y_low, y_high = _affine(factor, low, high)
+    y_low, y_high = affine(factor.scale, factor.offset, low, high)
     if factor.kind == _POWER:
-        return _power_range(y_low, y_high, factor.exponent)
-    a, b = _power_range(low, high, factor.exponent)
+        return power_range(y_low, y_high, factor.exponent)
+    a, b = power_range(low, high, factor.exponent)
     if factor.kind == _EXPONENTIAL:
-        return _product(a, b, math.exp(y_low), math.exp(y_high))
+        return product(a, b, math.exp(y_low), math.exp(y_high))
     if factor.kind == _SINE or factor.kind == _COSINE:
-        return _product(a, b, -1.0, 1.0)
+        return product(a, b, -1.0, 1.0)
     return -np.inf, np.inf
 
 
 @njit(cache=True, error_model="numpy")
-def _product(a: float, b: float, c: float, d: float) -> _Range:
-    """Returns the range of x y over x in [a, b], y in [c, d], with 0 · ∞ = 0."""
-    products = _times(a, c), _times(a, d), _times(b, c), _times(b, d)
-    return min(products), max(products)
-
-
-@njit(cache=True, error_model="numpy")
-def _times(a: float, b: float) -> float:
-    return 0.0 if a == 0.0 or b == 0.0 else a * b
-
-
-@njit(cache=True, error_model="numpy")
-def _power_range(low: float, high: float, exponent: int) -> _Range:
-    """Returns the range of y^p over y in [low, high]."""
-    a, b = low**exponent, high**exponent
-    if exponent % 2 == 1 or exponent == 0:
-        return a, b
-    return (0.0 if low <= 0.0 <= high else min(a, b)), max(a, b)
-
-
-@njit(cache=True, error_model="numpy")
-def _root_range(a: float, b: float, exponent: int, low: float, high: float) -> _Range:
+def _root_range(a: float, b: float, exponent: int, low: float, high: float) -> Range:
     """Returns bounds of the y in [low, high] with y^p in [a, b]; upside down if there is none."""
     if exponent == 0:
         return -np.inf, np.inf

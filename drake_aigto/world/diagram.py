@@ -5,10 +5,11 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydrake.geometry import SceneGraph
+from pydrake.geometry import CollisionFilterDeclaration, GeometryId, GeometrySet, SceneGraph
+from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import Joint
@@ -16,6 +17,9 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 
 from drake_aigto.errors import ModelError
 from drake_aigto.world.files import find_model, package_map
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
 
 
 def build_diagram(model: str) -> Diagram:
@@ -103,6 +107,39 @@ def find_joint(plant: MultibodyPlant, position_index: int) -> Joint:
         if 0 <= position_index - joint.position_start() < joint.num_positions():
             return joint
     raise IndexError(position_index)
+
+
+def move_shape(
+    diagram: Diagram, shape: GeometryId, translation: npt.NDArray[np.float64]
+) -> Diagram:
+    """Returns a copy of a diagram with one shape elsewhere on its body.
+
+    Args:
+        diagram: with one plant and its scene graph.
+        shape: what moves, in all of its roles.
+        translation: by how much, in the frame of its body, shape (3,) [m].
+
+    Raises:
+        ModelError: a system in the diagram can't be copied.
+    """
+    try:
+        copy = diagram.Clone()
+    except RuntimeError as error:
+        raise ModelError(
+            "a wall can't be moved, as the diagram can't be copied",
+            got=error,
+            remedy="Make it of systems that Drake can clone.",
+        ) from error
+    plant, scene_graph = find_plant(copy)
+    inspector = scene_graph.model_inspector()
+    X_BG = RigidTransform(translation) @ inspector.GetPoseInFrame(shape)
+    before = inspector.GetCollisionCandidates()
+    scene_graph.ChangeShape(plant.get_source_id(), shape, inspector.GetShape(shape), X_BG)
+    # Drake forgets the collision filters of a shape that it changes.
+    for pair in inspector.GetCollisionCandidates() - before:
+        filtered = CollisionFilterDeclaration().ExcludeBetween(*map(GeometrySet, pair))
+        scene_graph.collision_filter_manager().Apply(filtered)
+    return copy
 
 
 @contextmanager

@@ -72,18 +72,23 @@ def find_model(model: str) -> Path:
 
 
 def write_text(path: str | os.PathLike[str], text: str) -> None:
+    """Writes a text file whole or not at all (`write_bytes`)."""
+    write_bytes(path, text.encode())
+
+
+def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
     """Writes a file whole or not at all: to a neighbour first, which then takes its name.
 
     Raises:
         OutputFileError: it can't be written.
     """
     path = Path(path)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary = _temporary(path)
     try:
-        temporary.write_text(text, encoding="utf-8")
+        temporary.write_bytes(data)
         temporary.replace(path)
     except OSError as error:
-        raise _refuse_output(path, error) from error
+        raise _refuse_output(path, error.strerror or error) from error
     finally:
         temporary.unlink(missing_ok=True)
 
@@ -101,8 +106,16 @@ def check_writable(path: str | os.PathLike[str] | None) -> None:
         raise _refuse_output(path, "a folder")
     if not path.parent.is_dir():
         raise _refuse_output(path, f"no folder {path.parent}")
-    if not os.access(path.parent, os.W_OK):
-        raise _refuse_output(path, f"a folder that is read-only, {path.parent}")
+    temporary = _temporary(path)
+    try:
+        temporary.touch()
+        temporary.unlink()
+    except OSError as error:
+        raise _refuse_output(path, error.strerror or error) from error
+
+
+def _temporary(path: Path) -> Path:
+    return path.with_name(f".{path.name}.{os.getpid()}.tmp")
 
 
 def _refuse_output(path: Path, reason: object) -> OutputFileError:

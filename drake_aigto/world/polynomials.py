@@ -91,7 +91,7 @@ class PolynomialMap:
         self._slope = self.coefficients @ (self.exponents * (degrees == 1)[:, np.newaxis])
 
     def __call__(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Returns f(x), shape (m,), for x of shape (n,)."""
+        """Returns f(x), shape (…, m), for x of shape (…, n)."""
         if self._is_affine:
-            return self._slope @ x + self._constant
-        return self.coefficients @ (x**self.exponents).prod(axis=1)
+            return x @ self._slope.T + self._constant
+        return (x[..., np.newaxis, :] ** self.exponents).prod(axis=-1) @ self.coefficients.T

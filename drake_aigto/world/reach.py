@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from pydrake.geometry import SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.tree import RigidBody
 from pydrake.symbolic import Expression
 
 from drake_aigto.errors import ModelError
@@ -66,6 +68,28 @@ def find_reachable_faces(
             remedy="Add <collision> shapes to both links.",
         )
     return found
+
+
+def find_sphere_body(plant: MultibodyPlant, reachable: Sequence[ReachableFace]) -> RigidBody:
+    """Returns the only body with spheres that touch, whose mass a scenario may replace."""
+    bodies = {each.face.sphere_body.index(): each.face.sphere_body for each in reachable}
+    if len(bodies) > 1:
+        raise ModelError(
+            "mass",
+            got=f"links {', '.join(repr(body.name()) for body in bodies.values())}, which all "
+            "carry spheres that touch",
+            expected="one such link",
+            remedy="Edit the masses in the model instead.",
+        )
+    (body,) = bodies.values()
+    if plant.IsAnchored(body):
+        raise ModelError(
+            "mass",
+            got=f"link {body.name()!r}, which carries the contact's sphere and does not move",
+            expected="the sphere on a moving link",
+            remedy="Edit the mass in the model instead.",
+        )
+    return body
 
 
 def _choose(

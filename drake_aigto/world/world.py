@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -10,7 +9,6 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydrake.geometry import GeometryId, SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
-from pydrake.multibody.tree import RigidBody
 from pydrake.symbolic import MakeVectorVariable
 from pydrake.systems.framework import Context, Diagram
 
@@ -21,10 +19,11 @@ from drake_aigto.world.diagram import (
     check_plant,
     find_plant,
     hide_half_space_warning,
+    move_shape,
 )
 from drake_aigto.world.fields import as_number
 from drake_aigto.world.polynomials import PolynomialMap, evaluate_constants
-from drake_aigto.world.reach import ReachableFace, find_reachable_faces
+from drake_aigto.world.reach import ReachableFace, find_reachable_faces, find_sphere_body
 from drake_aigto.world.scenario import Scenario
 from drake_aigto.world.symbolic_plant import SymbolicPlant
 
@@ -117,7 +116,7 @@ class World:
         reachable = tuple(find_reachable_faces(plant, scene_graph, symbolic_plant))
         if mass is not None:
             mass = as_number("mass", mass, above=0.0, unit="kg")
-            symbolic_plant.set_mass(_find_sphere_body(plant, reachable), mass)
+            symbolic_plant.set_mass(find_sphere_body(plant, reachable), mass)
         return cls(
             diagram=diagram,
             plant=plant,
@@ -156,7 +155,15 @@ class World:
     @property
     def num_solids(self) -> int:
         """The number of solids, S."""
-        return self.contacts[-1].solid + 1
+        return len(self.solids)
+
+    @cached_property
+    def solids(self) -> tuple[tuple[int, ...], ...]:
+        """The contacts of each solid, S of them."""
+        found: dict[int, list[int]] = {}
+        for i, contact in enumerate(self.contacts):
+            found.setdefault(contact.solid, []).append(i)
+        return tuple(map(tuple, found.values()))
 
     @property
     def shapes(self) -> tuple[tuple[GeometryId, GeometryId], ...]:
@@ -168,18 +175,24 @@ class World:
         """M as floats, shape (nv, nv) [kg]; it is constant."""
         return evaluate_constants(self.mass_matrix)
 
+    @cached_property
+    def has_constant_bias(self) -> bool:
+        """Whether h depends on neither q nor v, so that a held control flies parabolas."""
+        return all(expression.GetVariables().empty() for expression in self.bias)
+
     def calc_signed_distance(self, q: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Returns φ(q), shape (m,) [m], at q of shape (nq,) [m]."""
+        """Returns φ(q), shape (…, m) [m], at q of shape (…, nq) [m]."""
         return self._signed_distance_map(q)
 
     def calc_clearance(self, q: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Returns how far the sphere is outside each solid, shape (S,) [m], at q of shape (nq,).
+        """Returns how far the sphere is outside each solid, (…, S) [m], at q of shape (…, nq).
 
         The largest φ_i of the solid's faces: at least 0 outside, and the distance itself where the
         sphere's centre projects onto a face. Past an edge or a corner the distance is larger: the
         corner counts as sharp though the sphere would round it.
         """
-        return np.maximum.reduceat(self.calc_signed_distance(q), self._first_of_solid)
+        firsts = [faces[0] for faces in self.solids]
+        return np.maximum.reduceat(self.calc_signed_distance(q), firsts, axis=-1)
 
     def is_on_face(self, q: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
         """Returns whether the sphere's centre projects onto each face, shape (m,)."""
@@ -215,15 +228,15 @@ class World:
         v: npt.NDArray[np.float64],
         u: npt.NDArray[np.float64],
     ) -> npt.NDArray[np.float64]:
-        """Returns v̇ = M⁻¹ (B u − h(q, v)), without contact, shape (nv,) [m/s²].
+        """Returns v̇ = M⁻¹ (B u − h(q, v)), without contact, shape (…, nv) [m/s²].
 
         Args:
-            q: positions, shape (nq,) [m].
-            v: velocities, shape (nv,) [m/s].
-            u: controls, shape (nu,) [N].
+            q: positions, shape (…, nq) [m].
+            v: velocities, shape (…, nv) [m/s].
+            u: controls, shape (…, nu) [N].
         """
-        h = self._bias_map(np.concatenate([q, v]))
-        return self._inverse_mass @ (self.actuation @ u - h)
+        h = self._bias_map(np.concatenate([q, v], axis=-1))
+        return (u @ self.actuation.T - h) @ self._inverse_mass.T
 
     def create_context(self) -> Context:
         """Returns a new root context of the diagram, at defaults, with the mass replaced."""
@@ -231,8 +244,41 @@ class World:
             root = self.diagram.CreateDefaultContext()
         if self.mass is not None:
             context = self.plant.GetMyMutableContextFromRoot(root)
-            _find_sphere_body(self.plant, self._reachable).SetMass(context, self.mass)
+            find_sphere_body(self.plant, self._reachable).SetMass(context, self.mass)
         return root
+
+    @property
+    def sphere_mass(self) -> float:
+        """The mass that a scenario's replaces: of the only body with spheres that touch [kg].
+
+        Raises:
+            ModelError: several bodies have such spheres, or the one that has does not move.
+        """
+        body = find_sphere_body(self.plant, self._reachable)
+        return body.default_mass() if self.mass is None else self.mass
+
+    def with_wall_moved(self, contact: int, distance: float) -> World:
+        """Returns a copy of this world with the shape that contact i touches elsewhere.
+
+        Its diagram is a copy, too, so that Drake simulates what is read here. What is only drawn
+        stays where it is.
+
+        Args:
+            contact: i; its shape moves with all of its faces.
+            distance: by how much, along the face's outward normal, so that φ_i falls by it [m].
+
+        Raises:
+            ModelError: the shape is on a link that moves, or the diagram can't be copied.
+        """
+        face = self._reachable[contact].face
+        if not self.plant.IsAnchored(face.face_body):
+            raise ModelError(
+                f"the wall of {face.pair}",
+                got=f"a shape on link {face.face_body.name()!r}, which moves",
+                expected="one that stands still",
+            )
+        translation = distance * face.X_BF.rotation().col(2)
+        return World.from_diagram(move_shape(self.diagram, face.shapes[1], translation), self.mass)
 
     def check(self, scenario: Scenario) -> None:
         """Checks that a scenario can be asked of this world.
@@ -254,14 +300,12 @@ class World:
 
     def _check_place(self, name: str, q: npt.NDArray[np.float64]) -> None:
         """Refuses a position inside or against a solid, or beside the one face that it has."""
-        ends = np.append(self._first_of_solid, self.num_contacts)
-        for solid, distance in enumerate(self.calc_clearance(q)):
-            first, faces = ends[solid], ends[solid + 1] - ends[solid]
-            face = self._reachable[first].face
+        for faces, distance in zip(self.solids, self.calc_clearance(q), strict=True):
+            face = self._reachable[faces[0]].face
             if distance <= 0:
-                raise _refuse_inside(name, face, distance, faces, self.plant)
-            if faces == 1 and not self.is_on_face(q)[first]:
-                off = self._lateral_map(q).reshape(-1, 2)[first]
+                raise _refuse_inside(name, face, distance, len(faces), self.plant)
+            if len(faces) == 1 and not self.is_on_face(q)[faces[0]]:
+                off = self._lateral_map(q).reshape(-1, 2)[faces[0]]
                 raise _refuse_beside(name, face, off)
 
     @cached_property
@@ -273,11 +317,6 @@ class World:
     def _signed_distance_map(self) -> PolynomialMap:
         distances = np.array([contact.signed_distance for contact in self.contacts])
         return PolynomialMap(distances, self.positions)
-
-    @cached_property
-    def _first_of_solid(self) -> npt.NDArray[np.intp]:
-        """Index of the first contact of each solid, shape (S,)."""
-        return np.unique([contact.solid for contact in self.contacts], return_index=True)[1]
 
     @cached_property
     def _lateral_map(self) -> PolynomialMap:
@@ -295,28 +334,6 @@ class World:
     @cached_property
     def _inverse_mass(self) -> npt.NDArray[np.floating]:
         return np.linalg.inv(self.mass_matrix_values)
-
-
-def _find_sphere_body(plant: MultibodyPlant, reachable: Sequence[ReachableFace]) -> RigidBody:
-    """Returns the only body with spheres that touch, whose mass a scenario may replace."""
-    bodies = {each.face.sphere_body.index(): each.face.sphere_body for each in reachable}
-    if len(bodies) > 1:
-        raise ModelError(
-            "mass",
-            got=f"links {', '.join(repr(body.name()) for body in bodies.values())}, which all "
-            "carry spheres that touch",
-            expected="one such link",
-            remedy="Edit the masses in the model instead.",
-        )
-    (body,) = bodies.values()
-    if plant.IsAnchored(body):
-        raise ModelError(
-            "mass",
-            got=f"link {body.name()!r}, which carries the contact's sphere and does not move",
-            expected="the sphere on a moving link",
-            remedy="Edit the mass in the model instead.",
-        )
-    return body
 
 
 def _refuse_inside(

@@ -1,0 +1,281 @@
+"""The hot loop of Newton's method on means over boxes: evaluate, factorise, solve, compare.
+
+Shape letters: n variables of u unknowns each, (c_i, z_i = log w_i) or c_i alone; size = u n.
+Unknowns are in elimination order, those of one variable next to each other.
+
+Numba's cache of this file does not see edits of `banded` or `kernels`, nor of what `kernels` calls:
+delete `__pycache__` after one.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_aigto.aigo.banded import factorise, solve
+from drake_aigto.box.kernels import add_newton_system
+from drake_aigto.box.lanes import Lanes
+from drake_aigto.jit import njit
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+_ARMIJO = 1e-4  # share of the linear decrease that a step must reach
+_HARDER, _SOFTER = 4.0, 0.25  # factors on the damping after a failed and an immediate success
+_LEAST_DAMPING, _FIRST_DAMPING = 1e-8, 1e-3
+_MAX_TRIALS = 40  # of the damping, in one step: 4⁴⁰ is past any scale
+_LARGEST_LOG_STEP = 1.0  # A half width changes by no more than a factor e in one Newton step.
+_SMALLEST_SCALE = float(np.finfo(float).tiny)
+
+
+class Problem(NamedTuple):
+    """What is minimised: f̄(c, w) over c, or f̄(c, e^z) − μ Σ z over c and z.
+
+    Attributes:
+        lanes: the sums, for CENTERS or BOXES.
+        weights: factor of each copy (C,).
+        multipliers: ones (C,).
+        copy_places: no places (C,).
+        places: of each variable's first unknown (n,).
+        free_places: the same, −1 for a variable that is held (n,).
+        half_width: w (n,) where the unknowns are c alone.
+        lower: lower bounds of the unknowns (size,), or none at all (0,).
+        upper: upper bounds.
+        temperature: μ; 0 where the unknowns are c alone.
+        num_diagonals: of the Hessian, which is stored as a lower band.
+    """
+
+    lanes: Lanes
+    weights: Floats
+    multipliers: Floats
+    copy_places: Ints
+    places: Ints
+    free_places: Ints
+    half_width: Floats
+    lower: Floats
+    upper: Floats
+    temperature: float
+    num_diagonals: int
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _evaluate(
+    problem: Problem,
+    y: Floats,
+    center: Floats,
+    half_width: Floats,
+    gradient: Floats,
+    band: Floats,
+) -> tuple[float, float]:
+    """Fill center and half width (n,), gradient (size,) and Hessian (size, diagonals) at y.
+
+    Returns:
+        The objective, and the mean f̄.
+    """
+    places, free_places, mu = problem.places, problem.free_places, problem.temperature
+    with_z = y.size > center.size
+    for i in range(center.size):
+        center[i] = y[places[i]]
+        half_width[i] = math.exp(y[places[i] + 1]) if with_z else problem.half_width[i]
+    gradient[:] = 0.0
+    band[:] = 0.0
+    mean = add_newton_system(
+        *(problem.lanes, problem.weights, problem.multipliers, center, half_width),
+        *(free_places, problem.copy_places, gradient, band),
+    )
+    entropy = 0.0
+    for i in range(center.size):
+        if with_z and free_places[i] >= 0:
+            gradient[places[i] + 1] -= mu
+            entropy += y[places[i] + 1]
+        elif free_places[i] < 0:
+            for unknown in range(places[i], places[i] + (2 if with_z else 1)):
+                band[unknown, 0] = 1.0
+    lower, upper = problem.lower, problem.upper
+    for k in range(lower.size):
+        if (y[k] <= lower[k] and gradient[k] > 0.0) or (y[k] >= upper[k] and gradient[k] < 0.0):
+            leave_out(k, gradient, band)
+    return mean - mu * entropy, mean
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _copy(band: Floats, copy: Floats) -> None:
+    """Copy a matrix: slices take Numba seconds to compile, for the sake of their messages."""
+    for k in range(band.shape[0]):
+        for d in range(band.shape[1]):
+            copy[k, d] = band[k, d]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def leave_out(k: int, gradient: Floats, band: Floats) -> None:
+    """Make the row and column of an unknown the identity's, and its slope 0."""
+    gradient[k] = 0.0
+    band[k, :] = 0.0
+    band[k, 0] = 1.0
+    for d in range(1, min(k + 1, band.shape[1])):
+        band[k - d, d] = 0.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fill_scale(problem: Problem, half_width: Floats, band: Floats, scale: Floats) -> None:
+    """Fill the diagonal D > 0 (size,) that the damping λD and the residual are measured in.
+
+    For boxes that is the Hessian μ (3/w², 2) of a separable cost where w ∂f̄/∂w = μ; for centers
+    alone, |diag H|, kept off zero.
+    """
+    free_places, mu = problem.free_places, problem.temperature
+    if scale.size == half_width.size:
+        largest = 0.0
+        for k in range(scale.size):
+            largest = max(largest, abs(band[k, 0]))
+        for k in range(scale.size):
+            scale[k] = abs(band[k, 0]) + 1e-12 * largest + _SMALLEST_SCALE
+        return
+    scale[:] = 1.0
+    for i in range(half_width.size):
+        if free_places[i] >= 0:
+            scale[free_places[i]] = 3.0 * mu / (half_width[i] * half_width[i])
+            scale[free_places[i] + 1] = 2.0 * mu
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _residual(gradient: Floats, scale: Floats) -> float:
+    """Return √(Σ g²/D); infinity where that is too large for a number."""
+    total = 0.0
+    for k in range(gradient.size):
+        total += gradient[k] * gradient[k] / scale[k]
+    return math.sqrt(total)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _move(problem: Problem, y: Floats, step: Floats, moved: Floats) -> None:
+    """Fill moved with where a step leads, within bounds; the step becomes what was taken of it."""
+    lower, upper = problem.lower, problem.upper
+    for k in range(y.size):
+        moved[k] = y[k] + step[k]
+    if lower.size == 0:
+        return
+    for k in range(y.size):
+        if step[k] != 0.0:
+            moved[k] = min(max(moved[k], lower[k]), upper[k])
+            step[k] = moved[k] - y[k]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _shorten(step: Floats, with_z: bool) -> None:
+    """Cut a step down so that no half width changes by more than a factor e."""
+    if not with_z:
+        return
+    largest = 0.0
+    for k in range(1, step.size, 2):
+        largest = max(largest, abs(step[k]))
+    if largest > _LARGEST_LOG_STEP:
+        for k in range(step.size):
+            step[k] *= _LARGEST_LOG_STEP / largest
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def descend(
+    problem: Problem, y: Floats, largest_residual: float, max_steps: int, damping: float
+) -> tuple[float, float, int, float, float]:
+    """Minimise from y, which is overwritten, by steps (H + λD) s = −g.
+
+    λ is raised until H + λD is positive definite and s descends (Armijo), and lowered after a step
+    that did so at once.
+
+    Returns:
+        The objective, the mean, the number of steps, the residual √(Σ g²/D), and λ.
+    """
+    n = problem.places.size
+    center, half_width = np.empty(n), np.empty(n)
+    gradient, new_gradient = np.empty(y.size), np.empty(y.size)
+    scale, step, moved = np.empty(y.size), np.empty(y.size), np.empty(y.size)
+    shape = y.size, problem.num_diagonals
+    band, new_band, factors = np.empty(shape), np.empty(shape), np.empty(shape)
+    value, mean = _evaluate(problem, y, center, half_width, gradient, band)
+    steps, residual = 0, math.inf
+    while True:
+        _fill_scale(problem, half_width, band, scale)
+        residual = _residual(gradient, scale)
+        if steps == max_steps or residual <= largest_residual:
+            break
+        accepted = False
+        for trial in range(_MAX_TRIALS):
+            _copy(band, factors)
+            for k in range(y.size):
+                factors[k, 0] += damping * scale[k]
+                step[k] = -gradient[k]
+            if factorise(factors):
+                solve(factors, step)
+                _shorten(step, y.size > n)
+                _move(problem, y, step, moved)
+                decrease = 0.0
+                for k in range(y.size):
+                    decrease += gradient[k] * step[k]
+                found = _evaluate(problem, moved, center, half_width, new_gradient, new_band)
+                accepted = found[0] <= value + _ARMIJO * decrease
+            if accepted:
+                value, mean = found
+                for k in range(y.size):
+                    y[k] = moved[k]
+                gradient, new_gradient = new_gradient, gradient
+                band, new_band = new_band, band
+                if trial == 0:
+                    damping = max(_SOFTER * damping, _LEAST_DAMPING)
+                break
+            damping = max(_HARDER * damping, _FIRST_DAMPING)
+        if not accepted:
+            break  # Rounding hides any further descent.
+        steps += 1
+    return value, mean, steps, residual, damping
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def descend_boldly(problem: Problem, y: Floats, largest_residual: float, max_steps: int) -> int:
+    """Take Newton steps of many problems at once, that are not coupled, without looking back.
+
+    Where the Hessian is not positive definite, its diagonal is raised until it dominates. No step
+    is damped, as damping would bind the problems together: the caller judges each problem's end.
+
+    Returns:
+        The number of steps; y is overwritten.
+    """
+    n = problem.places.size
+    center, half_width = np.empty(n), np.empty(n)
+    gradient, scale, moved = np.empty(y.size), np.empty(y.size), np.empty(y.size)
+    shape = y.size, problem.num_diagonals
+    band, factors = np.empty(shape), np.empty(shape)
+    for steps in range(max_steps):
+        _evaluate(problem, y, center, half_width, gradient, band)
+        _fill_scale(problem, half_width, band, scale)
+        if not _residual(gradient, scale) > largest_residual:
+            return steps
+        _copy(band, factors)
+        if not factorise(factors):
+            _dominate(band, factors)
+            if not factorise(factors):
+                return steps  # The gradient is flat, or not finite.
+        for k in range(y.size):
+            gradient[k] = -gradient[k]
+        solve(factors, gradient)
+        _move(problem, y, gradient, moved)
+        for k in range(y.size):
+            y[k] = moved[k]
+    return max_steps
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _dominate(band: Floats, raised: Floats) -> None:
+    """Fill raised with the band, and H_ii raised to 1.1 Σ_j≠i |H_ij|, or to |H_ii| if more."""
+    size, width = band.shape
+    beside = np.zeros(size)
+    for j in range(size):
+        for d in range(1, min(width, size - j)):
+            beside[j] += abs(band[j, d])
+            beside[j + d] += abs(band[j, d])
+    _copy(band, raised)
+    for j in range(size):
+        raised[j, 0] = max(abs(band[j, 0]), 1.1 * beside[j])

@@ -1,0 +1,140 @@
+"""The tapes of many sums, and which copies run them side by side, as one set of flat arrays."""
+
+from __future__ import annotations
+
+import itertools
+from typing import NamedTuple
+
+import numpy as np
+
+from drake_aigto.box.tables import FACTOR, Floats, Ints, Records, StackedTerms
+from drake_aigto.box.tapes import OPERATION, Order, Tape, make_tape
+
+# Records, so that kernels have few arrays to take and read one place in memory for each.
+LANE = np.dtype(
+    [("copy", np.int64), ("first_variable", np.int64), ("first_coefficient", np.int64)], align=True
+)
+ARGUMENT = np.dtype(
+    [("variable", np.int64), ("scale", np.float64), ("offset", np.float64)], align=True
+)
+SLOPE = np.dtype([("row", np.int64), ("variable", np.int64), ("unknown", np.int64)], align=True)
+CURVATURE = np.dtype(
+    [
+        (name, np.int64)
+        for name in ("row", "variable", "unknown", "other_variable", "other_unknown")
+    ],
+    align=True,
+)
+TAPE = np.dtype(
+    [
+        (name, np.int64)
+        for name in (
+            *("first_lane", "first_operation", "first_slope", "first_curvature"),
+            *("first_argument", "first_function", "num_variables", "num_terms"),
+        )
+    ],
+    align=True,
+)
+
+# Copies that run a tape side by side at most: enough for a processor's vector units, few enough for
+# its caches. Tapes of very many rows have fewer, so that all of them stay near so many numbers.
+_MOST_LANES = 64
+_MOST_NUMBERS = 2**17
+
+
+class Lanes(NamedTuple):
+    """What kernels read: for each tape its copies, each of which is a lane.
+
+    What belongs to a tape ends where that of the next one starts, for which a last entry stands at
+    the end. All arrays are read-only.
+
+    Attributes:
+        lanes: The copies in the order of their tapes, with first variable and coefficient (C,).
+        copy_variables: Variables of the copies, as in `StackedTerms`.
+        coefficients: Of the terms, one sum after the other (M + 1,).
+        tapes: First entry of each tape in the arrays here, and its numbers, see `Tape`.
+        operations: See `tapes`.
+        arguments: See `Tape`.
+        functions: See `Tape`.
+        slopes: See `Tape`.
+        curvatures: See `Tape`.
+        most_lanes: How many lanes run side by side at most.
+        most_rows: Largest number of rows that a tape has.
+        most_variables: Largest number of local variables that a tape has.
+    """
+
+    lanes: Records
+    copy_variables: Ints
+    coefficients: Floats
+    tapes: Records
+    operations: Records
+    arguments: Records
+    functions: Records
+    slopes: Records
+    curvatures: Records
+    most_lanes: int
+    most_rows: int
+    most_variables: int
+
+
+def make_lanes(stacked: StackedTerms, order: Order) -> Lanes:
+    """The lanes of some sums, for derivatives of an order."""
+    number_of: dict[Tape, int] = {}
+    sum_tapes = np.array(
+        [number_of.setdefault(tape, len(number_of)) for tape in _sum_tapes(stacked, order)],
+        dtype=np.int64,
+    )
+    sums = stacked.copies["sum_index"]
+    copies = np.lexsort((sums, sum_tapes[sums]))
+    lanes = np.empty(copies.size, dtype=LANE)
+    lanes["copy"] = copies
+    lanes["first_variable"] = stacked.copies["first_variable"][copies]
+    lanes["first_coefficient"] = stacked.sums["first_term"][sums[copies]]
+    counts = np.bincount(sum_tapes[sums], minlength=len(number_of))
+    most_rows = max((tape.num_rows for tape in number_of), default=1)
+    most_lanes = min(_MOST_LANES, _MOST_NUMBERS // most_rows, int(np.max(counts, initial=1)))
+    coefficients = np.ascontiguousarray(stacked.terms["coefficient"])
+    stacks = _stack(tuple(number_of), counts)
+    for array in (lanes, coefficients, *stacks):
+        array.setflags(write=False)
+    return Lanes(
+        *(lanes, stacked.copy_variables, coefficients, *stacks),
+        max(1, most_lanes),
+        most_rows,
+        max((tape.num_variables for tape in number_of), default=0),
+    )
+
+
+def _sum_tapes(stacked: StackedTerms, order: Order) -> list[Tape]:
+    """The tape of each sum."""
+    factors, members = stacked.factors.tolist(), stacked.members.tolist()
+    starts = stacked.terms["first_member"].tolist()
+    sums = stacked.sums.tolist()
+    tapes = []
+    for (factor, term), (last_factor, last_term) in itertools.pairwise(sums):
+        terms = zip(starts[term:last_term], starts[term + 1 : last_term + 1], strict=True)
+        groups = tuple(tuple(members[start:end]) for start, end in terms)
+        tapes.append(make_tape(tuple(factors[factor:last_factor]), groups, order))
+    return tapes
+
+
+def _stack(
+    tapes: tuple[Tape, ...], counts: Ints
+) -> tuple[Records, Records, Records, Records, Records, Records]:
+    """The tapes, operations, arguments, functions, slopes and curvatures."""
+    starts = np.zeros(6, dtype=np.int64)
+    records = []
+    for tape, count in zip(tapes, counts.tolist(), strict=True):
+        records.append((*starts.tolist(), tape.num_variables, tape.num_terms))
+        parts = tape.operations, tape.slopes, tape.curvatures, tape.arguments, tape.functions
+        starts += [count, *(len(part) for part in parts)]
+    records.append((*starts.tolist(), 0, 0))
+    operations = [np.empty(0, dtype=OPERATION), *(tape.operations for tape in tapes)]
+    return (
+        np.array(records, dtype=TAPE),
+        np.concatenate(operations),
+        np.array([entry for tape in tapes for entry in tape.arguments], dtype=ARGUMENT),
+        np.array([entry for tape in tapes for entry in tape.functions], dtype=FACTOR),
+        np.array([entry for tape in tapes for entry in tape.slopes], dtype=SLOPE),
+        np.array([entry for tape in tapes for entry in tape.curvatures], dtype=CURVATURE),
+    )

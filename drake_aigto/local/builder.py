@@ -1,0 +1,121 @@
+"""A `PolynomialNlp` put together from numbers, without a MathematicalProgram."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import cache
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from drake_aigto.box import Factor, FunctionKind, Term, TermBlock
+from drake_aigto.local.nlp import PolynomialNlp, check_bounds
+
+Floats = NDArray[np.float64]
+Ints = NDArray[np.int64]
+
+# A coefficient, and the variables that it is multiplied by; one that is there twice is squared.
+Monomial = tuple[float, tuple[int, ...]]
+
+
+class NlpBuilder:
+    """Collects variables with bounds, costs and rows that are sums of monomials.
+
+    Letters: K copies of a sum that has L variables of its own.
+    """
+
+    def __init__(self) -> None:
+        """Starts empty."""
+        self._size = 0
+        self._bounds: list[tuple[Ints | int, ArrayLike, ArrayLike]] = []
+        self._costs: list[TermBlock] = []
+        self._rows: list[TermBlock] = []
+        # Variables that stand for an affine sum: variable, coefficients, variables, offset.
+        self._sums: list[tuple[int, Floats, Ints, float]] = []
+
+    def new(self, *shape: int) -> Ints:
+        """New variables without bounds: their indices, of this shape."""
+        first, self._size = self._size, self._size + int(np.prod(shape))
+        return np.arange(first, self._size).reshape(shape)
+
+    def bound(self, variables: Ints | int, lower: ArrayLike, upper: ArrayLike) -> None:
+        """Add lower ≤ x ≤ upper; the tightest of a variable's bounds count."""
+        self._bounds.append((variables, lower, upper))
+
+    def add_cost(self, name: str, monomials: Iterable[Monomial], copies: ArrayLike) -> None:
+        """Add a cost over local variables 0 … L−1, once for each row of `copies` (K, L)."""
+        self._costs.append(TermBlock(name, _terms(monomials), copies))
+
+    def add_row(self, name: str, monomials: Iterable[Monomial], copies: ArrayLike) -> None:
+        """Add rows sum = 0 over local variables 0 … L−1, one for each row of `copies` (K, L)."""
+        self._rows.append(TermBlock(name, _terms(monomials), copies))
+
+    def bound_sum(
+        self,
+        name: str,
+        coefficients: Floats,
+        variables: Ints,
+        lower: float,
+        upper: float,
+        offset: float = 0.0,
+    ) -> None:
+        """Add lower ≤ coefficients · x + offset ≤ upper: of one variable bounds, of several a row.
+
+        An inequality of several has a variable for the sum.
+        """
+        used = np.flatnonzero(coefficients)
+        scales, read = coefficients[used], variables[used]
+        if used.size == 1:
+            limits = np.array([lower - offset, upper - offset]) / scales[0]
+            self.bound(read[0], *np.sort(limits))
+        elif lower == upper:
+            self.add_row(name, [*_affine(scales), (offset - lower, ())], read)
+        else:
+            self.bound(self.new_sum(name, scales, read, offset), lower, upper)
+
+    def new_sum(self, name: str, coefficients: Floats, variables: Ints, offset: float = 0.0) -> int:
+        """A new variable that equals coefficients · x + offset."""
+        (total,) = self.new(1).tolist()
+        self._sums.append((total, coefficients, variables, offset))
+        row = [*_affine(coefficients), (offset, ()), (-1.0, (variables.size,))]
+        self.add_row(name, row, np.append(variables, total))
+        return int(total)
+
+    def complete(self, x: Floats) -> Floats:
+        """A point (n,) whose other variables are given, with the sums that have a variable."""
+        complete = np.append(x, np.zeros(self._size - x.size))
+        for total, coefficients, variables, offset in self._sums:
+            complete[total] = coefficients @ complete[variables] + offset
+        return complete
+
+    def build(self) -> PolynomialNlp:
+        """The problem, to be eliminated in the order in which variables were made if it is small.
+
+        Raises:
+            UnsupportedTermError: Bounds contradict each other.
+        """
+        lower, upper = np.full(self._size, -np.inf), np.full(self._size, np.inf)
+        for variables, low, high in self._bounds:
+            lower[variables] = np.maximum(lower[variables], low)
+            upper[variables] = np.minimum(upper[variables], high)
+        check_bounds(lower, upper, "unknown {}".format)
+        return PolynomialNlp(self._size, tuple(self._costs), tuple(self._rows), lower, upper)
+
+
+def _affine(coefficients: Floats) -> list[Monomial]:
+    return [(scale, (i,)) for i, scale in enumerate(coefficients.tolist())]
+
+
+def _terms(monomials: Iterable[Monomial]) -> tuple[Term, ...]:
+    """The monomials that are not zero."""
+    return tuple(
+        Term(float(coefficient), _factors(variables))
+        for coefficient, variables in monomials
+        if coefficient
+    )
+
+
+@cache
+def _factors(variables: tuple[int, ...]) -> tuple[Factor, ...]:
+    powers = {variable: variables.count(variable) for variable in variables}
+    return tuple(Factor(i, FunctionKind.POWER, power) for i, power in powers.items())
