@@ -7,9 +7,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.optimize import nnls
+import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 
-from drake_aigto.transcription.rigid_contact import RigidContact
+from drake_aigto.transcription.rigid_contact import rigid_contacts
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -66,7 +66,7 @@ class ImpulseDirections:
         Raises:
             ModelError: some φ is not affine in q.
         """
-        contacts = [RigidContact.of(world, i) for i in range(world.num_contacts)]
+        contacts = rigid_contacts(world)
         J = np.array([contact.jacobian for contact in contacts])
         inverse = np.linalg.inv(world.mass_matrix_values)
         D = _distinct(J)
@@ -123,7 +123,7 @@ class ImpulseDirections:
         """Returns λ ≥ 0 of one net impulse, shape (m,)."""
         prices = _AFAR * np.abs(distances) / max(np.max(np.abs(distances)), 1e-300)
         matrix = np.vstack([self.jacobians.T, np.diag(prices)]) * in_force
-        return nnls(matrix, np.append(impulse, np.zeros(len(prices))))[0]
+        return scipy.optimize.nnls(matrix, np.append(impulse, np.zeros(len(prices))))[0]
 
 
 def _readers(

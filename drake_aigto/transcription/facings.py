@@ -107,18 +107,15 @@ def find_facings(
         path: shape (K, nq) [m]; straight between its points.
         sequence: touches; at their times the touched face is the one.
     """
-    boxes: dict[int, list[int]] = {}
-    for i, contact in enumerate(world.contacts):
-        boxes.setdefault(contact.solid, []).append(i)
-    boxes = {solid: faces for solid, faces in boxes.items() if len(faces) > 1}
+    boxes = [faces for faces in world.solids if len(faces) > 1]
     if not boxes:
         return ()
     joints = {time for touch in sequence for time in touch.joints}
     grid = np.unique([*np.linspace(times[0], times[-1], _GRID + 1), *times, *joints])
     points = np.column_stack([np.interp(grid, times, column) for column in path.T])
-    distances = np.array([world.calc_signed_distance(q) for q in points])
+    distances = world.calc_signed_distance(points)
     found: list[Facing] = []
-    for faces in boxes.values():
+    for faces in boxes:
         phi = distances[:, faces]
         fits = (phi >= 0) | (phi == np.max(phi, axis=1, keepdims=True))
         for touch in sequence:

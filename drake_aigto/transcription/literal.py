@@ -8,6 +8,7 @@ import numpy as np
 from pydrake.symbolic import Expression
 
 from drake_aigto.errors import ModelError
+from drake_aigto.transcription.contact_law import PolynomialLaw
 from drake_aigto.transcription.shared import as_expression, shared_constraint
 from drake_aigto.transcription.transcription import NONPENETRATION, Transcription
 from drake_aigto.world import Scenario, World
@@ -35,9 +36,16 @@ class LiteralTranscription(Transcription):
         world: the plant, read.
         scenario: the task, with its ε and δ.
         nonpenetration: whether φ(q_k) ≥ 0 is asked for. The paper's figures need it off.
+        law: λ(φ) instead of ε/(φ + δ), so that nothing has to be multiplied out.
     """
 
-    def __init__(self, world: World, scenario: Scenario, nonpenetration: bool = True) -> None:
+    def __init__(
+        self,
+        world: World,
+        scenario: Scenario,
+        nonpenetration: bool = True,
+        law: PolynomialLaw | None = None,
+    ) -> None:
         """Makes the program.
 
         Raises:
@@ -51,14 +59,16 @@ class LiteralTranscription(Transcription):
                 remedy="Use the rigid transcription, or exclude pairs of shapes with a "
                 "<drake:collision_filter_group>.",
             )
-        self.nonpenetration = nonpenetration
+        self.nonpenetration, self.law = nonpenetration, law
         super().__init__(world, scenario)
+
+    def _is_bounded(self) -> npt.NDArray[np.bool_]:
+        return np.full(self.world.num_contacts, self.nonpenetration)
 
     def _add_rows(self) -> None:
         for row in self._kinematics_rows():
             self._bind_stages(shared_constraint(row, KINEMATICS))
-        for row in self._dynamics_rows():
-            self._bind_stages(shared_constraint(row, DYNAMICS))
+        self._add_dynamics_rows()
         if self.nonpenetration:
             self._bound_distances(
                 np.ones((self.num_samples(), self.world.num_contacts), dtype=bool)
@@ -67,14 +77,25 @@ class LiteralTranscription(Transcription):
     def _kinematics_rows(self) -> npt.NDArray[np.object_]:
         return self._next_q - self.world.positions - self._dt * self.world.velocities
 
-    def _dynamics_rows(self) -> list[Expression]:
-        """Returns M Δv − dt (B u − h) − Σ_i dt ε J_i/(φ_i + δ), times the denominators it has."""
-        world, dt, epsilon = self.world, self._dt, self.scenario.epsilon
+    def _add_dynamics_rows(self) -> None:
+        for row in self._dynamics_rows():
+            self._bind_stages(shared_constraint(row, DYNAMICS))
+
+    def _momentum(self) -> npt.NDArray[np.object_]:
+        """Returns what contact has to explain, M Δv − dt (B u − h) [N s]."""
+        world = self.world
         force = world.actuation @ world.controls - world.bias
-        momentum = world.mass_matrix @ (self._next_v - world.velocities) - dt * force
+        return world.mass_matrix @ (self._next_v - world.velocities) - self._dt * force
+
+    def _dynamics_rows(self) -> list[Expression]:
+        """Returns the momentum − Σ_i dt ε J_i/(φ_i + δ), times the denominators it has."""
+        world, dt, epsilon = self.world, self._dt, self.scenario.epsilon
+        if self.law is not None:
+            pushes = [dt * self.law(c.signed_distance) * c.jacobian for c in world.contacts]
+            return list(map(as_expression, self._momentum() - sum(pushes)))
         gaps = [contact.signed_distance + self.scenario.delta for contact in world.contacts]
         rows = []
-        for j, row in enumerate(momentum):
+        for j, row in enumerate(self._momentum()):
             acting = [i for i, c in enumerate(world.contacts) if not _is_zero(c.jacobian[j])]
             row = row * _product([gaps[i] for i in acting])
             for i in acting:
@@ -86,7 +107,7 @@ class LiteralTranscription(Transcription):
     def defects(self, x: npt.NDArray[np.float64]) -> dict[str, float]:
         """Returns the largest of each kind: kinematics [m], dynamics [m/s], nonpenetration [m].
 
-        The dynamics are measured with λ = ε/(φ + δ) itself, not with the row multiplied out, which
+        The dynamics are measured with λ(φ) itself, not with the row multiplied out, which
         is blind near the wall.
         """
         q, v, _ = self.split(x)
@@ -118,9 +139,13 @@ class LiteralTranscription(Transcription):
         return defects
 
     def impulses(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Returns dt ε/(φ(q_k) + δ), shape (N+1, m) [N s]; 0 at the last knot: no step follows."""
-        gaps = self.signed_distances(x) + self.scenario.delta
-        impulses = self._dt * self.scenario.epsilon / gaps
+        """Returns dt λ(φ(q_k)), shape (N+1, m) [N s]; 0 at the last knot: no step follows."""
+        distances, scenario = self.signed_distances(x), self.scenario
+        if self.law is not None:
+            forces = self.law(distances)
+        else:
+            forces = scenario.epsilon / (distances + scenario.delta)
+        impulses = np.broadcast_to(self._dt * forces, distances.shape).copy()
         impulses[-1] = 0.0
         return impulses
 

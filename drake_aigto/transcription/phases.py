@@ -20,7 +20,7 @@ from drake_aigto.transcription.rigid_contact import (
     bias_at,
 )
 from drake_aigto.transcription.shared import SharedEvaluator, as_expression, shared_constraint
-from drake_aigto.transcription.timeline import check_sequence, make_timeline
+from drake_aigto.transcription.timeline import Phase, check_sequence, make_timeline
 from drake_aigto.transcription.touch import Touch, TouchSequence, joint_times
 from drake_aigto.world import Scenario, World
 
@@ -68,6 +68,12 @@ class PhaseTranscription(ImpactTranscription):
         sequence: the contacts in the order of time; () is a free flight.
         facings: which faces of boxes keep the motion out; if None, those of a straight guess.
 
+    Attributes:
+        sequence: as given.
+        timeline: what it says about every knot.
+        impacts: knot → what the contacts that are struck there do.
+        restitutions: e of each contact, shape (m,).
+
     Raises:
         OptionsError: times out of order or outside of the duration, contacts that there are not,
             more phases than steps, or facings that leave out a box or what is touched.
@@ -87,30 +93,36 @@ class PhaseTranscription(ImpactTranscription):
             facings = find_facings(world, *straight_path(world, scenario, sequence), sequence)
         self.timeline = make_timeline(world, scenario, self.sequence, facings)
         self._facing_contacts = tuple(facing.contact for facing in facings)
-        self._restitutions = world.restitutions(scenario)
+        self.restitutions = world.restitutions(scenario)
         super().__init__(world, scenario)
 
-    def _make_variables(self) -> None:
-        super()._make_variables()
-        N, m = self.scenario.num_steps, self.world.num_contacts
-        new = self._prog.NewContinuousVariables
-        self._steps, self._times = np.empty(0, dtype=object), np.empty(0, dtype=object)
+    def _is_bounded(self) -> npt.NDArray[np.bool_]:
+        line = self.timeline
+        return np.any((line.apart | line.beside | line.held)[1:], axis=0)
+
+    def _lay_out(self) -> None:
+        super()._lay_out()
+        N, line = self.scenario.num_steps, self.timeline
+        new, scatter = self._layout.new, self._layout.scatter
+        self._steps, self._times = np.empty((2, 0), dtype=np.int64)
+        if self._has_clock:
+            self._steps, self._times = new("h", N), new("t", N + 1)
+        knots = np.flatnonzero(line.struck.any(axis=1)).tolist()
+        self.impacts = {k: self._impact(line.struck[k]) for k in knots}
+        self._is_coupled = np.zeros_like(line.struck)
+        for k, impact in self.impacts.items():
+            self._is_coupled[k, line.struck[k]] = impact.coupled
+        self._closing = scatter("closing", line.starts)
+        self._push = scatter("push", self._is_coupled)
+        self._forces = scatter("f", line.rests)
+
+    def _make_placeholders(self) -> None:
+        super()._make_placeholders()
         self._step = MakeVectorVariable(2, "h")  # of this stage and the next
         self._clock = MakeVectorVariable(2, "t")
+        self._force = MakeVectorVariable(self.world.num_contacts, "f")
         if self._has_clock:
-            self._steps, self._times = new(N, "h"), new(N + 1, "t")
             self._duration = Expression(self._step[0])
-        line = self.timeline
-        knots = np.flatnonzero(line.struck.any(axis=1)).tolist()
-        self._impacts = {k: self._impact(line.struck[k]) for k in knots}
-        self._is_coupled = np.zeros_like(line.struck)
-        for k, impact in self._impacts.items():
-            self._is_coupled[k, line.struck[k]] = impact.coupled
-        # Variables stand where the masks of the same shape are True.
-        self._closing = _scatter(new(int(np.sum(line.starts)), "closing"), line.starts)
-        self._push = _scatter(new(int(np.sum(self._is_coupled)), "push"), self._is_coupled)
-        self._force = MakeVectorVariable(m, "f")
-        self._forces = _scatter(new(int(np.sum(line.rests)), "f"), line.rests)
 
     @property
     def _has_clock(self) -> bool:
@@ -118,7 +130,7 @@ class PhaseTranscription(ImpactTranscription):
 
     def _impact(self, struck: npt.NDArray[np.bool_]) -> JointImpact:
         contacts = [self._contacts[i] for i in np.flatnonzero(struck)]
-        return JointImpact.of(contacts, self._restitutions[struck])
+        return JointImpact.of(contacts, self.restitutions[struck])
 
     def _add_rows(self) -> None:
         if self._has_clock:
@@ -142,36 +154,48 @@ class PhaseTranscription(ImpactTranscription):
         same = shared_constraint(self._step[1] - self._step[0], "clock")
         add = shared_constraint(self._clock[1] - self._clock[0] - self._step[0], "clock")
         for phase in self.timeline.phases:
-            least = T * (_SHORTEST_CONTACT if phase.rests else _SHORTEST_FLIGHT)
-            steps = self._steps[phase.first : phase.last]
-            self._prog.AddBoundingBoxConstraint(least / len(steps), T, steps)
+            steps = self._variables_at(self._steps[phase.first : phase.last])
+            self._prog.AddBoundingBoxConstraint(self.least_step(phase), T, steps)
             self._bind_each(same, range(phase.first, phase.last - 1))
         self._bind_stages(add)
-        ends = self._times[[0, -1]]
+        ends = self._variables_at(self._times[[0, -1]])
         self._prog.AddBoundingBoxConstraint([0, T], [0, T], ends).evaluator().set_description(
             "duration"
         )
+
+    def least_step(self, phase: Phase) -> float:
+        """Returns the lower bound of a phase's steps [s]."""
+        least = _SHORTEST_CONTACT if phase.rests else _SHORTEST_FLIGHT
+        return least * self.scenario.duration / (phase.last - phase.first)
 
     def _add_touches(self) -> None:
         """Adds how the ball comes to walls, and that no wall pulls."""
         line = self.timeline
         for k, i in np.argwhere(line.starts).tolist():
-            self._add_speed(self._closing[k, i], self._contacts[i].jacobian, k)
-            # Only a ball that does not rebound can stay.
-            stays = k < len(line.rests) and line.rests[k, i] and self._restitutions[i] > 0
-            self._prog.AddBoundingBoxConstraint(0.0 if stays else -np.inf, 0.0, self._closing[k, i])
-        for k, impact in self._impacts.items():
-            for push, row in zip(
-                self._push[k, self._is_coupled[k]], impact.impulses[impact.coupled], strict=True
-            ):
+            closing = self._variables_at(self._closing[k, i])
+            self._add_speed(closing, self._contacts[i].jacobian, k)
+            least = 0.0 if self.stays(k, i) else -np.inf
+            self._prog.AddBoundingBoxConstraint(least, 0.0, closing)
+        for k, impact in self.impacts.items():
+            pushes = self._variables_at(self._push[k, self._is_coupled[k]])
+            for push, row in zip(pushes, impact.impulses[impact.coupled], strict=True):
                 self._add_speed(push, row, k)
         for unilateral in (self._push[self._is_coupled], self._forces[line.rests]):
             if unilateral.size:
-                self._prog.AddBoundingBoxConstraint(0.0, np.inf, unilateral)
+                variables = self._variables_at(unilateral)
+                self._prog.AddBoundingBoxConstraint(0.0, np.inf, variables)
+
+    def stays(self, k: int, contact: int) -> bool:
+        """Returns whether a contact that is touched at knot k must be at rest already.
+
+        Only a ball that does not rebound can stay.
+        """
+        rests = self.timeline.rests
+        return k < len(rests) and bool(rests[k, contact]) and self.restitutions[contact] > 0
 
     def _add_speed(self, variable: Variable, row: npt.NDArray[np.float64], k: int) -> None:
         """Adds the variable's definition, row · v_k."""
-        variables = np.append(variable, self._v[k])
+        variables = np.append(variable, self._variables_at(self._v[k]))
         coefficients = np.append(-1.0, row)[np.newaxis]
         self._prog.AddLinearEqualityConstraint(
             coefficients, [0.0], variables
@@ -181,8 +205,8 @@ class PhaseTranscription(ImpactTranscription):
         """Returns the flight and dynamics rows of stages like the k-th."""
         world, h = self.world, self._duration
         start = world.velocities
-        if k in self._impacts:
-            start = self._impacts[k].velocities @ start
+        if k in self.impacts:
+            start = self.impacts[k].velocities @ start
         mean = (start + self._next_v) / 2
         force = world.actuation @ world.controls - bias_at(
             world, (world.positions + self._next_q) / 2, mean
@@ -199,17 +223,17 @@ class PhaseTranscription(ImpactTranscription):
     def _stage(self, k: int) -> list[tuple[npt.NDArray[Any], npt.NDArray[Any]]]:
         pairs = super()._stage(k)
         if k < len(self._steps):
-            next_step = self._steps[min(k + 1, len(self._steps) - 1)]
+            steps = self._steps[[k, min(k + 1, len(self._steps) - 1)]]
             pairs += [
-                (self._step, np.array([self._steps[k], next_step])),
-                (self._clock, self._times[k : k + 2]),
+                (self._step, self._variables_at(steps)),
+                (self._clock, self._variables_at(self._times[k : k + 2])),
             ]
         if k < len(self._u):
             rests = self.timeline.rests[k]
-            pairs.append((self._force[rests], self._forces[k, rests]))
+            pairs.append((self._force[rests], self._variables_at(self._forces[k, rests])))
         return pairs
 
-    def _stage_variables(self, k: int) -> npt.NDArray[Any]:
+    def _stage_indices(self, k: int) -> npt.NDArray[np.int64]:
         line = self.timeline
         of_knot = [
             self._closing[k, line.starts[k]],
@@ -218,13 +242,13 @@ class PhaseTranscription(ImpactTranscription):
             self._steps[k : k + 1],
         ]
         of_step = [self._forces[k, line.rests[k]]] if k < len(self._u) else []
-        return np.concatenate([super()._stage_variables(k), *of_knot, *of_step])
+        return np.concatenate([super()._stage_indices(k), *of_knot, *of_step])
 
     def sample_times(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns the knots' times at x, shape (N+1,) [s]; they increase at any x within bounds."""
         if not self._has_clock:
             return self.GetSampleTimes()
-        elapsed = np.cumsum(self._values(x, self._steps))
+        elapsed = np.cumsum(x[self._steps])
         return np.append(0.0, self.scenario.duration * (elapsed / elapsed[-1]))
 
     def grazes(self, x: npt.NDArray[np.float64]) -> list[Touch]:
@@ -261,14 +285,14 @@ class PhaseTranscription(ImpactTranscription):
         """Returns P v_k (`JointImpact`) where contacts are touched, shape (N+1, m) [N s]."""
         velocities = self.split(x)[1]
         impulses = np.zeros(self.timeline.struck.shape)
-        for k, impact in self._impacts.items():
+        for k, impact in self.impacts.items():
             impulses[k, self.timeline.struck[k]] = impact.impulses @ velocities[k]
         return impulses
 
     def forces(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns λ_k, shape (N, m) [N]."""
         forces, rests = super().forces(x), self.timeline.rests
-        forces[rests] = self._values(x, self._forces[rests])
+        forces[rests] = x[self._forces[rests]]
         return forces
 
     def vector(self, trajectory: Trajectory) -> npt.NDArray[np.float64]:
@@ -276,22 +300,12 @@ class PhaseTranscription(ImpactTranscription):
         x = self.vector_of(trajectory.positions, trajectory.velocities, trajectory.controls)
         line, v = self.timeline, trajectory.velocities
         J = np.array([contact.jacobian for contact in self._contacts])
-        pushes = np.zeros(line.struck.shape)
-        for k, impact in self._impacts.items():
-            pushes[k, line.struck[k]] = impact.impulses @ v[k]
-        groups = [
-            (self._closing, line.starts, v @ J.T),
-            (self._push, self._is_coupled, pushes),
-            (self._forces, line.rests, trajectory.forces),
-        ]
-        for variables, mask, values in groups:
-            x[self._prog.FindDecisionVariableIndices(variables[mask])] = values[mask]
+        x[self._closing[line.starts]] = (v @ J.T)[line.starts]
+        for k, impact in self.impacts.items():
+            x[self._push[k, self._is_coupled[k]]] = impact.impulses[impact.coupled] @ v[k]
+        x[self._forces[line.rests]] = trajectory.forces[line.rests]
         if self._has_clock:
-            for variables, values in (
-                (self._steps, np.diff(trajectory.times)),
-                (self._times, trajectory.times),
-            ):
-                x[self._prog.FindDecisionVariableIndices(variables)] = values
+            x[self._steps], x[self._times] = np.diff(trajectory.times), trajectory.times
         return x
 
     def guess(self, through: npt.ArrayLike | None = None) -> Trajectory:
@@ -349,10 +363,3 @@ def straight_path(
         J = world.calc_contact_jacobian(stop)[touched]
         stop -= np.linalg.pinv(J) @ world.calc_signed_distance(stop)[touched]
     return times, stops
-
-
-def _scatter(variables: npt.NDArray[Any], mask: npt.NDArray[np.bool_]) -> npt.NDArray[Any]:
-    """Returns an array of the mask's shape with the variables where it is True."""
-    places = np.full(mask.shape, None, dtype=object)
-    places[mask] = variables
-    return places

@@ -87,17 +87,18 @@ class RigidTranscription(ImpactTranscription):
         self._fronts = _find_fronts(world, scenario, path)
         super().__init__(world, scenario)
 
+    def along(self, path: npt.NDArray[np.float64]) -> RigidTranscription:
+        """Returns the same, with what users added, for boxes around another path."""
+        other = RigidTranscription(self.world, self.scenario, self.relaxation, path)
+        other.add_what_was_added_to(self)
+        return other
+
+    def _is_bounded(self) -> npt.NDArray[np.bool_]:
+        return np.any(self._fronts[1:], axis=0)
+
     def _add_rows(self) -> None:
-        world, dt, ways = self.world, self._dt, self.impulse_directions
-        L, T = self.length_scale(), self.scenario.duration
-        inverse = np.linalg.inv(world.mass_matrix_values)
-        mean_velocity = (self._next_q - world.positions) / dt
-        bias = bias_at(world, (world.positions + self._next_q) / 2, mean_velocity)
-        kick = dt * inverse @ (world.actuation @ world.controls - bias)  # of control and bias
-        after = self._next_v - kick
-        impulse = world.mass_matrix_values @ (after - world.velocities)
-        for row in self._next_q - world.positions - dt * (self._next_v - kick / 2):
-            self._bind_stages(shared_constraint(as_expression(row / L), FLIGHT))
+        ways, (L, T) = self.impulse_directions, self._units()
+        after, impulse = self._add_flight_rows()
         for row in ways.tangents.T @ impulse:
             row = row / np.max(ways.masses) * T / L
             self._bind_stages(shared_constraint(as_expression(row), DYNAMICS))
@@ -111,6 +112,22 @@ class RigidTranscription(ImpactTranscription):
             returned = shared_constraint(as_expression(row * (T / L) ** 2), RESTITUTION)
             self._bind_each(returned, range(1, len(self._u)))
         self._bound_distances(self._fronts)
+
+    def _add_flight_rows(self) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+        """Adds flight; returns v⁺_k and p_k of a stage, what flight leaves unexplained."""
+        world, dt = self.world, self._dt
+        inverse = np.linalg.inv(world.mass_matrix_values)
+        mean_velocity = (self._next_q - world.positions) / dt
+        bias = bias_at(world, (world.positions + self._next_q) / 2, mean_velocity)
+        kick = dt * inverse @ (world.actuation @ world.controls - bias)  # of control and bias
+        after = self._next_v - kick
+        for row in self._next_q - world.positions - dt * (self._next_v - kick / 2):
+            self._bind_stages(shared_constraint(as_expression(row / self.length_scale()), FLIGHT))
+        return after, world.mass_matrix_values @ (after - world.velocities)
+
+    def _units(self) -> tuple[float, float]:
+        """Returns what lengths [m] and times [s] in rows are divided by."""
+        return self.length_scale(), self.scenario.duration
 
     def _knots_by_members(self, direction: int) -> dict[tuple[int, ...], list[int]]:
         """Returns the contacts in force that show in a direction → at which knots 1 … N−1."""
@@ -180,10 +197,10 @@ class RigidTranscription(ImpactTranscription):
     def impulses(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns λ_k, shape (N+1, m) [N s]; 0 at the last knot: no step follows."""
         q, v, u = self.split(x)
-        means = zip((q[:-1] + q[1:]) / 2, np.diff(q, axis=0) / self._dt, u, strict=True)
-        free = np.array([self.world.calc_acceleration(*stage) for stage in means])
+        means = (q[:-1] + q[1:]) / 2, np.diff(q, axis=0) / self._dt
+        free = self.world.calc_acceleration(*means, u)
         net = (np.diff(v, axis=0) - self._dt * free) @ self.world.mass_matrix_values
-        distances = self._distances(q[:-1])
+        distances = self.world.calc_signed_distance(q[:-1])
         found = self.impulse_directions.contact_impulses(net, distances, self._fronts[:-1])
         return np.vstack([found, np.zeros((1, self.world.num_contacts))])
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
+from weakref import WeakKeyDictionary
 
 import numpy as np
 
@@ -62,6 +63,22 @@ class RigidContact:
         return cls(J, mass * kick, mass)
 
 
+# Of the worlds that are still there.
+_CONTACTS: WeakKeyDictionary[World, tuple[RigidContact, ...]] = WeakKeyDictionary()
+
+
+def rigid_contacts(world: World) -> tuple[RigidContact, ...]:
+    """Returns all contacts of a world, which are read once.
+
+    Raises:
+        ModelError: φ of one is not affine in q.
+    """
+    if world not in _CONTACTS:
+        contacts = (RigidContact.of(world, i) for i in range(world.num_contacts))
+        _CONTACTS[world] = tuple(contacts)
+    return _CONTACTS[world]
+
+
 @dataclass(frozen=True, eq=False)
 class JointImpact:
     """What contacts that are struck together do: Newton's law for all of them at once.
@@ -116,7 +133,7 @@ class ImpactTranscription(Transcription):
 
     def __init__(self, world: World, scenario: Scenario) -> None:
         """Reads the contacts, then makes the program."""
-        self._contacts = tuple(RigidContact.of(world, i) for i in range(world.num_contacts))
+        self._contacts = rigid_contacts(world)
         super().__init__(world, scenario)
 
     def defects(self, x: npt.NDArray[np.float64]) -> dict[str, float]:
@@ -157,7 +174,7 @@ def rigid_defects(
         restitution: e of every contact, shape (m,), or of all.
         trajectory: the motion.
     """
-    contacts = [RigidContact.of(world, i) for i in range(world.num_contacts)]
+    contacts = rigid_contacts(world)
     J = np.array([contact.jacobian for contact in contacts])
     kicks = np.array([contact.lift / contact.mass for contact in contacts])
     masses = np.array([contact.mass for contact in contacts])
@@ -166,9 +183,8 @@ def rigid_defects(
     jumps, pushes = trajectory.impulses / masses, tau * trajectory.forces / masses
     after = v + trajectory.impulses @ kicks
     q_mean, v_mean = (q[:-1] + q[1:]) / 2, (after[:-1] + v[1:]) / 2
-    stages = zip(q_mean, v_mean, u, strict=True)
-    free = np.array([world.calc_acceleration(*stage) for stage in stages])
-    gaps = np.abs([world.calc_signed_distance(p) for p in q])
+    free = world.calc_acceleration(q_mean, v_mean, u)
+    gaps = np.abs(world.calc_signed_distance(q))
     reach = np.vstack([tau, tau[-1]]) * np.abs(jumps)
     missed = np.abs(after @ J.T + np.asarray(restitution) * (v @ J.T))
     held = np.where(trajectory.forces != 0, np.maximum(gaps[:-1], gaps[1:]), 0.0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from abc import ABC, abstractmethod
+from abc import abstractmethod
 from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +11,7 @@ from pydrake.solvers import MathematicalProgram, MathematicalProgramResult
 from pydrake.symbolic import Expression, Formula, MakeVectorVariable, Variable
 from pydrake.trajectories import PiecewisePolynomial
 
-from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription.knots import Knots
 from drake_aigto.transcription.penalties import InequalityPenalty, cut_to_bounds, penalize
 from drake_aigto.transcription.shared import (
     SharedEvaluator,
@@ -32,7 +32,7 @@ CLEARANCE = "clearance"
 _LEAST_GROWN = 1e-2
 
 
-class Transcription(ABC):
+class Transcription(Knots):
     """A contact problem as a MathematicalProgram over knots k = 0 … N (AIGTO Sec. III-B, IV).
 
         minimise over q_k, v_k, u_k    Σ_{k<N} dt g(x_k, u_k) + g_N(x_N),     x = [q, v]
@@ -43,21 +43,55 @@ class Transcription(ABC):
     eliminates them.
 
     The decision variables are q, v and u, then, for contacts whose φ reads several coordinates,
-    clearances s_k = φ(q_k): bounds and penalties need an inequality in one variable.
+    clearances s_k = φ(q_k): bounds and penalties need an inequality in one variable. The program is
+    made when it is first asked for.
 
     Shape letters: N time steps, nq positions, nv = nq velocities, nu controls, m contacts.
     """
 
     def __init__(self, world: World, scenario: Scenario) -> None:
-        """Makes variables, initial state, the scenario's costs, then the subclass's rows."""
-        self.world = world
-        self.scenario = scenario
-        self._dt = scenario.time_step
-        self._prog = MathematicalProgram()
+        """Lays out the variables, and makes placeholders for those of a stage."""
         # What users add: applied again to the phases of a contact sequence.
         self._additions: list[Callable[[Transcription], None]] = []
-        self._make_variables()
+        self._made: MathematicalProgram | None = None
+        # Placeholder id → decision variable, of each stage that something was bound to.
+        self._chosen: dict[int, dict[int, Variable]] = {}
+        super().__init__(world, scenario)
+        self._make_placeholders()
 
+    @property
+    def has_additions(self) -> bool:
+        """Whether users added costs or constraints, other than to the program itself."""
+        return bool(self._additions)
+
+    @property
+    def is_as_made(self) -> bool:
+        """Whether the program is what the class says, as nobody has asked for it yet."""
+        return self._made is None
+
+    @property
+    def _prog(self) -> MathematicalProgram:
+        if self._made is None:
+            self._made = MathematicalProgram()
+            self._layout.add_to(self._made)
+            self._variables = self._made.decision_variables()
+            self._add_scenario()
+        return self._made
+
+    def _num_variables(self) -> int:
+        return super()._num_variables() if self._made is None else self._made.num_vars()
+
+    def _make_placeholders(self) -> None:
+        """Makes the variables of a stage; its start and control are the world's own."""
+        world = self.world
+        self._next_q = MakeVectorVariable(world.num_positions, "q_next")
+        self._next_v = MakeVectorVariable(world.num_velocities, "v_next")
+        self._clearance = MakeVectorVariable(len(self._clearance_contacts), "s")
+        self._duration = Expression(self._dt)
+
+    def _add_scenario(self) -> None:
+        """Adds the initial state, the scenario's costs, then the subclass's rows."""
+        world, scenario = self.world, self.scenario
         start = np.concatenate([scenario.initial_position, scenario.initial_velocity])
         self._prog.AddBoundingBoxConstraint(
             start, start, self.state(0)
@@ -68,24 +102,9 @@ class Transcription(ABC):
             error = world.positions - scenario.goal_position
             self._add_running_cost(scenario.control_weight * u.dot(u), "control effort")
             self._add_final_cost(scenario.goal_weight * error.dot(error), "goal")
+            for column, contact in enumerate(self._clearance_contacts):
+                self._add_clearance(column, contact)
             self._add_rows()
-
-    def _make_variables(self) -> None:
-        """Makes the decision variables, and placeholders for those of a stage."""
-        N, world = self.scenario.num_steps, self.world
-        self._q = self._prog.NewContinuousVariables(N + 1, world.num_positions, "q")
-        self._v = self._prog.NewContinuousVariables(N + 1, world.num_velocities, "v")
-        self._u = self._prog.NewContinuousVariables(N, world.num_actuators, "u")
-        # A stage's start and control are the world's own variables; this is its end.
-        self._next_q = MakeVectorVariable(world.num_positions, "q_next")
-        self._next_v = MakeVectorVariable(world.num_velocities, "v_next")
-        self._duration = Expression(self._dt)
-        # Column by column, of those contacts whose φ reads several coordinates.
-        self._clearances = np.empty((N + 1, 0), dtype=object)
-        self._clearance = np.empty(0, dtype=object)
-        self._clearance_contacts: list[int] = []
-        # Placeholder id → decision variable, of each stage that something was bound to.
-        self._chosen: dict[int, dict[int, Variable]] = {}
 
     @abstractmethod
     def _add_rows(self) -> None:
@@ -105,70 +124,35 @@ class Transcription(ABC):
                 self._bind_each(row, (np.flatnonzero(knots) + 1).tolist())
 
     def _distance(self, contact: int) -> Expression:
-        """Returns φ of a contact in placeholders, as its clearance if it reads several positions.
-
-        Such a clearance is added the first time: variables s_k with rows s_k = φ(q_k).
-        """
-        distance = self.world.contacts[contact].signed_distance
-        if len(distance.GetVariables()) <= 1:
-            return distance
+        """Returns φ of a contact in placeholders: its clearance if it reads several positions."""
         if contact not in self._clearance_contacts:
-            self._add_clearance(contact)
+            return self.world.contacts[contact].signed_distance
         return Expression(self._clearance[self._clearance_contacts.index(contact)])
 
-    def _add_clearance(self, contact: int) -> None:
-        name = f"s{contact}"
-        variables = self._prog.NewContinuousVariables(len(self._q), 1, name)
-        self._clearances = np.hstack([self._clearances, variables])
-        self._clearance_contacts.append(contact)
-        self._clearance = np.append(self._clearance, MakeVectorVariable(1, name))
-        self._chosen.clear()
+    def _add_clearance(self, column: int, contact: int) -> None:
+        """Adds rows s_k = φ(q_k)."""
         distance = self.world.contacts[contact].signed_distance
-        row = shared_constraint(Expression(self._clearance[-1]) - distance, CLEARANCE)
+        row = shared_constraint(Expression(self._clearance[column]) - distance, CLEARANCE)
         self._bind_each(row, range(len(self._q)))
-
-    @abstractmethod
-    def defects(self, x: npt.NDArray[np.float64]) -> dict[str, float]:
-        """Returns the largest violation of each kind of row at x, in that row's unit (m, m/s)."""
-
-    @abstractmethod
-    def impulses(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Returns the contact impulses that x implies, shape (N+1, m) [N s]."""
-
-    def forces(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Returns the contact forces that are held over each step, shape (N, m) [N]."""
-        return np.zeros((len(self._u), self.world.num_contacts))
-
-    def close_rows(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Returns x with the rounding that a solver left in the rows taken out, where it can be."""
-        return x
-
-    def _depth(self, x: npt.NDArray[np.float64]) -> float:
-        """Returns how deep inside of solids the knots are after the start, 0 outside [m]."""
-        clearances = [self.world.calc_clearance(q) for q in self.split(x)[0][1:]]
-        return max(0.0, -float(np.min(clearances)))
 
     def prog(self) -> MathematicalProgram:
         """Returns the constrained program; add costs and constraints until it is solved."""
         return self._prog
 
-    def num_samples(self) -> int:
-        """Returns the number of knots, N + 1."""
-        return len(self._q)
-
-    def time_step(self, k: int = 0) -> float:
-        """Returns the length of step k [s]; all are equal."""
-        return self._dt
-
     def state(self, k: int | None = None) -> npt.NDArray[Any]:
         """Returns x_k = [q_k, v_k], shape (nq + nv,); without k, placeholders for it."""
         if k is None:
             return np.concatenate([self.world.positions, self.world.velocities])
-        return np.concatenate([self._q[k], self._v[k]])
+        return self._variables_at(np.concatenate([self._q[k], self._v[k]]))
 
     def input(self, k: int | None = None) -> npt.NDArray[Any]:
         """Returns u_k, shape (nu,), 0 ≤ k < N; without k, placeholders for it."""
-        return self.world.controls if k is None else self._u[k]
+        return self.world.controls if k is None else self._variables_at(self._u[k])
+
+    def _variables_at(self, indices: npt.NDArray[np.int64]) -> npt.NDArray[Any]:
+        """Returns the program's variables of these indices, in an array of their shape."""
+        self.prog()
+        return self._variables[indices]
 
     def initial_state(self) -> npt.NDArray[Any]:
         """Returns x_0."""
@@ -233,27 +217,21 @@ class Transcription(ABC):
         times = self.GetSampleTimes()
         states = np.array([traj_init_x.value(t).ravel() for t in times])
         nq = self.world.num_positions
-        self._prog.SetInitialGuess(self._q, states[:, :nq])
-        self._prog.SetInitialGuess(self._v, states[:, nq:])
-        self._prog.SetInitialGuess(
-            self._u, np.array([traj_init_u.value(t).ravel() for t in times[:-1]])
-        )
-
-    def GetSampleTimes(self) -> npt.NDArray[np.float64]:
-        """Returns the knots' times, shape (N+1,) [s]."""
-        return np.arange(self.num_samples()) * np.float64(self._dt)
-
-    def sample_times(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Returns the knots' times at x, shape (N+1,) [s]."""
-        return self.GetSampleTimes()
+        controls = np.array([traj_init_u.value(t).ravel() for t in times[:-1]])
+        for indices, values in (
+            (self._q, states[:, :nq]),
+            (self._v, states[:, nq:]),
+            (self._u, controls),
+        ):
+            self._prog.SetInitialGuess(self._variables_at(indices), values)
 
     def GetInputSamples(self, result: MathematicalProgramResult) -> npt.NDArray[np.float64]:
         """Returns the controls, shape (nu, N), a column a knot as in Drake."""
-        return result.GetSolution(self._u).reshape(self._u.shape).T
+        return self.split(result.get_x_val())[2].T
 
     def GetStateSamples(self, result: MathematicalProgramResult) -> npt.NDArray[np.float64]:
         """Returns the states, shape (nq + nv, N+1), a column a knot as in Drake."""
-        q, v = (result.GetSolution(part).reshape(part.shape) for part in (self._q, self._v))
+        q, v, _ = self.split(result.get_x_val())
         return np.hstack([q, v]).T
 
     def ReconstructInputTrajectory(self, result: MathematicalProgramResult) -> PiecewisePolynomial:
@@ -263,70 +241,6 @@ class Transcription(ABC):
     def ReconstructStateTrajectory(self, result: MathematicalProgramResult) -> PiecewisePolynomial:
         """Returns the state [q, v] over time."""
         return self.trajectory(result.get_x_val()).to_piecewise()[0]
-
-    def trajectory(self, x: npt.NDArray[np.float64]) -> Trajectory:
-        """Returns the trajectory that a vector of all decision variables stands for."""
-        q, v, u = self.split(x)
-        return Trajectory(self.sample_times(x), q, v, u, self.impulses(x), self.forces(x))
-
-    def vector(self, trajectory: Trajectory) -> npt.NDArray[np.float64]:
-        """Returns all decision variables of a trajectory at these knots; undoes `trajectory`."""
-        return self.vector_of(trajectory.positions, trajectory.velocities, trajectory.controls)
-
-    def vector_of(
-        self,
-        positions: npt.NDArray[np.float64],
-        velocities: npt.NDArray[np.float64],
-        controls: npt.NDArray[np.float64],
-    ) -> npt.NDArray[np.float64]:
-        """Returns all decision variables, for arrays as `split` returns them."""
-        clearances = self._distances(positions)[:, self._clearance_contacts]
-        return self._join(positions, velocities, controls, clearances)
-
-    def _join(self, *parts: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Returns q, v, u and clearances in the program's order; other variables are 0."""
-        x = np.zeros(self._prog.num_vars())
-        for variables, values in zip(
-            (self._q, self._v, self._u, self._clearances), parts, strict=True
-        ):
-            x[self._prog.FindDecisionVariableIndices(variables.ravel())] = values.ravel()
-        return x
-
-    def split(self, x: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
-        """Returns q (N+1, nq), v (N+1, nv) and u (N, nu) out of all decision variables."""
-        return [self._values(x, variables) for variables in (self._q, self._v, self._u)]
-
-    def _values(
-        self, x: npt.NDArray[np.float64], variables: npt.NDArray[Any]
-    ) -> npt.NDArray[np.float64]:
-        """Returns what x gives an array of decision variables, of the same shape."""
-        # Drake counts the variables of a matrix column by column.
-        indices = self._prog.FindDecisionVariableIndices(variables.ravel())
-        return x[indices].reshape(variables.shape)
-
-    def signed_distances(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Returns φ at the knots, shape (N+1, m) [m]."""
-        return self._distances(self.split(x)[0])
-
-    def _distances(self, positions: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        return np.array([self.world.calc_signed_distance(q) for q in positions])
-
-    def scenario_cost(self, x: npt.NDArray[np.float64]) -> float:
-        """Returns J = w_u Σ dt ‖u_k‖² + w_f ‖q_N − goal‖², without penalties or added costs."""
-        q, _, u = self.split(x)
-        durations = np.diff(self.sample_times(x))
-        effort = self.scenario.control_weight * durations @ np.sum(u**2, axis=1)
-        miss = self.scenario.goal_weight * np.sum((q[-1] - self.scenario.goal_position) ** 2)
-        return float(effort + miss)
-
-    def elimination_order(self) -> npt.NDArray[np.int64]:
-        """Returns all decision variables' indices by stage: Newton systems are banded then."""
-        stages = [self._stage_variables(k) for k in range(self.num_samples())]
-        return np.array(self._prog.FindDecisionVariableIndices(np.concatenate(stages)))
-
-    def _stage_variables(self, k: int) -> npt.NDArray[Any]:
-        """Returns the decision variables of knot k and of the step after it."""
-        return np.concatenate([self.state(k), self._clearances[k], *self._u[k : k + 1]])
 
     def initial_box(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
         """Returns center and half width, over all decision variables, of AIGO's first box.
@@ -381,24 +295,6 @@ class Transcription(ABC):
         )
         return cut_to_bounds(self._prog, center, half_width)
 
-    def length_scale(self) -> float:
-        """Returns the longest of the ways to the goal and, from both ends, to the wall [m]."""
-        q0, goal = self.scenario.initial_position, self.scenario.goal_position
-        # A joint askew to the wall has to go farther than φ.
-        steepness = np.linalg.norm(self.world.calc_contact_jacobian(q0), axis=1)
-        ways = self._distances(np.array([q0, goal])) / steepness
-        return float(max(np.max(np.abs(goal - q0)), np.max(ways)))
-
-    def inertia(self) -> float:
-        """Returns the largest entry of B⁺ M: control per acceleration [kg]."""
-        return float(
-            np.max(np.abs(np.linalg.pinv(self.world.actuation) @ self.world.mass_matrix_values))
-        )
-
-    def cost_scale(self) -> float:
-        """Returns the unit of penalty weights and temperatures."""
-        return 1.0
-
     def penalized(self, inequality: InequalityPenalty = "squared hinge") -> MathematicalProgram:
         """Returns `prog` with constraints as costs, each row r_k as r_k²/dt.
 
@@ -422,11 +318,12 @@ class Transcription(ABC):
 
     def _stage(self, k: int) -> list[tuple[npt.NDArray[Any], npt.NDArray[Any]]]:
         """Returns pairs of placeholders and what they stand for at knot k."""
-        pairs = [(self.state(), self.state(k)), (self._clearance, self._clearances[k])]
+        clearances = self._variables_at(self._clearances[k])
+        pairs = [(self.state(), self.state(k)), (self._clearance, clearances)]
         if k < len(self._u):
             pairs += [
                 (self.input(), self.input(k)),
-                (self._next_q, self._q[k + 1]),
-                (self._next_v, self._v[k + 1]),
+                (self._next_q, self._variables_at(self._q[k + 1])),
+                (self._next_v, self._variables_at(self._v[k + 1])),
             ]
         return pairs

@@ -1,0 +1,194 @@
+"""The decision variables over knots k = 0 … N, and the motion that their values stand for."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydrake.solvers import MathematicalProgram
+
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.world import Scenario, World
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+
+class Layout:
+    """Which decision variable is which, before there is a program that has them.
+
+    Attributes:
+        size: how many variables there are.
+    """
+
+    def __init__(self) -> None:
+        """Starts without variables."""
+        self.size = 0
+        self._groups: list[tuple[str, tuple[int, ...]]] = []
+
+    def new(self, name: str, *shape: int) -> npt.NDArray[np.int64]:
+        """Returns the indices of new variables, of this shape."""
+        self._groups.append((name, shape))
+        first, self.size = self.size, self.size + int(np.prod(shape))
+        # Drake counts the variables of a matrix column by column. In C's order, as motions are: the
+        # rounding of products depends on it.
+        return np.ascontiguousarray(np.arange(first, self.size).reshape(shape, order="F"))
+
+    def scatter(self, name: str, mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+        """Returns new variables where the mask is True, in an array of its shape; −1 elsewhere."""
+        places = np.full(mask.shape, -1)
+        places[mask] = self.new(name, int(np.sum(mask)))
+        return places
+
+    def add_to(self, prog: MathematicalProgram) -> None:
+        """Adds the variables to an empty program."""
+        for name, shape in self._groups:
+            prog.NewContinuousVariables(*shape, name)
+
+
+class Knots(ABC):
+    """The numbers of a transcription: from a vector of all decision variables to a motion and back.
+
+    They are q, v and u, then, for contacts whose φ reads several coordinates, clearances
+    s_k = φ(q_k), and what the subclass adds.
+
+    Shape letters: N time steps, nq positions, nv = nq velocities, nu controls, m contacts.
+    """
+
+    def __init__(self, world: World, scenario: Scenario) -> None:
+        """Lays out the variables."""
+        self.world = world
+        self.scenario = scenario
+        self._dt = scenario.time_step
+        self._layout = Layout()
+        self._lay_out()
+
+    def _lay_out(self) -> None:
+        """Makes the arrays of indices."""
+        N, world, new = self.scenario.num_steps, self.world, self._layout.new
+        self._q = new("q", N + 1, world.num_positions)
+        self._v = new("v", N + 1, world.num_velocities)
+        self._u = new("u", N, world.num_actuators)
+        self._clearance_contacts = [
+            i
+            for i in np.flatnonzero(self._is_bounded()).tolist()
+            if len(world.contacts[i].signed_distance.GetVariables()) > 1
+        ]
+        columns = [new(f"s{i}", N + 1, 1) for i in self._clearance_contacts]
+        self._clearances = np.hstack([np.empty((N + 1, 0), dtype=np.int64), *columns])
+
+    @abstractmethod
+    def _is_bounded(self) -> npt.NDArray[np.bool_]:
+        """Returns which contacts have bounds on φ at knots k ≥ 1, shape (m,)."""
+
+    def _num_variables(self) -> int:
+        return self._layout.size
+
+    @abstractmethod
+    def defects(self, x: npt.NDArray[np.float64]) -> dict[str, float]:
+        """Returns the largest violation of each kind of row at x, in that row's unit (m, m/s)."""
+
+    @abstractmethod
+    def impulses(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Returns the contact impulses that x implies, shape (N+1, m) [N s]."""
+
+    def forces(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Returns the contact forces that are held over each step, shape (N, m) [N]."""
+        return np.zeros((len(self._u), self.world.num_contacts))
+
+    def close_rows(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Returns x with the rounding that a solver left in the rows taken out, where it can be."""
+        return x
+
+    def _depth(self, x: npt.NDArray[np.float64]) -> float:
+        """Returns how deep inside of solids the knots are after the start, 0 outside [m]."""
+        clearances = self.world.calc_clearance(self.split(x)[0][1:])
+        return max(0.0, -float(np.min(clearances)))
+
+    def num_samples(self) -> int:
+        """Returns the number of knots, N + 1."""
+        return len(self._q)
+
+    def time_step(self, k: int = 0) -> float:
+        """Returns the length of step k [s]; all are equal."""
+        return self._dt
+
+    def GetSampleTimes(self) -> npt.NDArray[np.float64]:
+        """Returns the knots' times, shape (N+1,) [s]."""
+        return np.arange(self.num_samples()) * np.float64(self._dt)
+
+    def sample_times(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Returns the knots' times at x, shape (N+1,) [s]."""
+        return self.GetSampleTimes()
+
+    def trajectory(self, x: npt.NDArray[np.float64]) -> Trajectory:
+        """Returns the trajectory that a vector of all decision variables stands for."""
+        q, v, u = self.split(x)
+        return Trajectory(self.sample_times(x), q, v, u, self.impulses(x), self.forces(x))
+
+    def vector(self, trajectory: Trajectory) -> npt.NDArray[np.float64]:
+        """Returns all decision variables of a trajectory at these knots; undoes `trajectory`."""
+        return self.vector_of(trajectory.positions, trajectory.velocities, trajectory.controls)
+
+    def vector_of(
+        self,
+        positions: npt.NDArray[np.float64],
+        velocities: npt.NDArray[np.float64],
+        controls: npt.NDArray[np.float64],
+    ) -> npt.NDArray[np.float64]:
+        """Returns all decision variables, for arrays as `split` returns them."""
+        clearances = self.world.calc_signed_distance(positions)[:, self._clearance_contacts]
+        return self._join(positions, velocities, controls, clearances)
+
+    def _join(self, *parts: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Returns q, v, u and clearances in the program's order; other variables are 0."""
+        x = np.zeros(self._num_variables())
+        for indices, values in zip(
+            (self._q, self._v, self._u, self._clearances), parts, strict=True
+        ):
+            x[indices] = values
+        return x
+
+    def split(self, x: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
+        """Returns q (N+1, nq), v (N+1, nv) and u (N, nu) out of all decision variables."""
+        return [x[indices] for indices in (self._q, self._v, self._u)]
+
+    def signed_distances(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Returns φ at the knots, shape (N+1, m) [m]."""
+        return self.world.calc_signed_distance(self.split(x)[0])
+
+    def scenario_cost(self, x: npt.NDArray[np.float64]) -> float:
+        """Returns J = w_u Σ dt ‖u_k‖² + w_f ‖q_N − goal‖², without penalties or added costs."""
+        q, _, u = self.split(x)
+        durations = np.diff(self.sample_times(x))
+        effort = self.scenario.control_weight * durations @ np.sum(u**2, axis=1)
+        miss = self.scenario.goal_weight * np.sum((q[-1] - self.scenario.goal_position) ** 2)
+        return float(effort + miss)
+
+    def elimination_order(self) -> npt.NDArray[np.int64]:
+        """Returns all decision variables' indices by stage: Newton systems are banded then."""
+        return np.concatenate([self._stage_indices(k) for k in range(self.num_samples())])
+
+    def _stage_indices(self, k: int) -> npt.NDArray[np.int64]:
+        """Returns the decision variables of knot k and of the step after it."""
+        rows = self._q[k], self._v[k], self._clearances[k], *self._u[k : k + 1]
+        return np.concatenate(rows)
+
+    def length_scale(self) -> float:
+        """Returns the longest of the ways to the goal and, from both ends, to the wall [m]."""
+        q0, goal = self.scenario.initial_position, self.scenario.goal_position
+        # A joint askew to the wall has to go farther than φ.
+        steepness = np.linalg.norm(self.world.calc_contact_jacobian(q0), axis=1)
+        ways = self.world.calc_signed_distance(np.array([q0, goal])) / steepness
+        return float(max(np.max(np.abs(goal - q0)), np.max(ways)))
+
+    def inertia(self) -> float:
+        """Returns the largest entry of B⁺ M: control per acceleration [kg]."""
+        return float(
+            np.max(np.abs(np.linalg.pinv(self.world.actuation) @ self.world.mass_matrix_values))
+        )
+
+    def cost_scale(self) -> float:
+        """Returns the unit of penalty weights and temperatures."""
+        return 1.0

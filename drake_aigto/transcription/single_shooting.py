@@ -1,0 +1,281 @@
+"""Controls as the only variables, states as polynomials of them: what AIGTO Sec. III-B rejects."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from contextlib import suppress
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydrake.solvers import MathematicalProgram
+from pydrake.symbolic import (
+    Expression,
+    MakeMatrixContinuousVariable,
+    Polynomial,
+    Variable,
+    Variables,
+)
+
+from drake_aigto.errors import UnsupportedTermError
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription.contact_law import PolynomialLaw
+from drake_aigto.transcription.knots import Layout
+from drake_aigto.transcription.literal import LiteralTranscription
+from drake_aigto.transcription.shared import as_expression, shared_cost
+from drake_aigto.world import Scenario, World
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+# The next state but one has about the square of a state's terms: soon no memory holds them.
+MAX_TERMS = 25_000
+_NO_CONTACT = PolynomialLaw((0.0,))
+
+
+class SingleShooting:
+    """A contact problem as a polynomial of its controls alone (AIGTO Sec. III-B).
+
+        minimise over u_k    Σ_{k<N} dt w_u ‖u_k‖² + w_f ‖q_N(u) − goal‖²
+        q_{k+1} = q_k + dt v_k,    v_{k+1} = v_k + dt M⁻¹ (B u_k − h(q_k, v_k) + J_kᵀ λ(φ_k))
+
+    There are no rows: each state is substituted, as a polynomial, into the next. What comes of that
+    depends on the contact:
+
+    - Without one, and with an affine h, states are affine and the cost is quadratic, of about N²/2
+      terms. The paper's objection does not hold there.
+    - λ = ε/(φ + δ) makes states nested fractions, whose means have no closed form. To multiply the
+      denominators out, as `LiteralTranscription` does, takes rows, and so states as variables.
+    - A `PolynomialLaw` of degree d keeps states polynomials, whose degree grows d-fold with every
+      other step and whose terms are squared (`count_terms`). One can plan eight steps with d = 2,
+      and no law of so low a degree is near the paper's (`PolynomialLaw.fit`).
+
+    Impulses as variables beside the controls would keep states affine, but bring rows that couple
+    each step with all before it, and the trouble of `RigidWithForces`. φ ≥ 0 is an inequality of
+    many variables here, whose penalty has no mean in closed form: only the law keeps the ball off.
+
+    The words are those of `Transcription`, but that `state(k)` returns expressions.
+
+    Args:
+        world: the plant, read.
+        scenario: the task; its ε and δ act through the law alone.
+        law: of the contact force; walls are not felt if None.
+        max_terms: the most that a state or a cost may have.
+
+    Attributes:
+        multiple_shooting: the same problem with states as variables: equal optima.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        scenario: Scenario,
+        law: PolynomialLaw | None = None,
+        max_terms: int = MAX_TERMS,
+    ) -> None:
+        """Substitutes, and adds the scenario's costs.
+
+        Raises:
+            ModelError: the world has several contacts.
+            UnsupportedTermError: there would be too many terms; says how many, and at which step.
+        """
+        law = law or _NO_CONTACT
+        self.multiple_shooting = LiteralTranscription(world, scenario, False, law)
+        self.world, self.scenario, self.law = world, scenario, law
+        self._max_terms = max_terms
+        self._prog, layout = MathematicalProgram(), Layout()
+        self._places = layout.new("u", scenario.num_steps, world.num_actuators)
+        layout.add_to(self._prog)
+        self._u = self._prog.decision_variables()[self._places]
+        self._states = list(_states(world, scenario, law, self._u, max_terms))
+        # NumPy takes Drake's boxed constants for invalid numbers, and warns.
+        with np.errstate(invalid="ignore"):
+            u = world.controls
+            error = world.positions - scenario.goal_position
+            self.AddRunningCost(scenario.control_weight * u.dot(u), "control effort")
+            self.AddFinalCost(scenario.goal_weight * error.dot(error), "goal")
+
+    def prog(self) -> MathematicalProgram:
+        """Returns the program: costs, and no rows to penalise."""
+        return self._prog
+
+    def num_samples(self) -> int:
+        """Returns the number of knots, N + 1."""
+        return len(self._states)
+
+    def time_step(self, k: int = 0) -> float:
+        """Returns the length of step k [s]; all are equal."""
+        return self.scenario.time_step
+
+    def state(self, k: int | None = None) -> npt.NDArray[Any]:
+        """Returns x_k = [q_k, v_k] as expressions in u; without k, placeholders for it."""
+        if k is None:
+            return self.multiple_shooting.state()
+        return np.array([part.ToExpression() for part in self._states[k]])
+
+    def input(self, k: int | None = None) -> npt.NDArray[Any]:
+        """Returns u_k, shape (nu,), 0 ≤ k < N; without k, placeholders for it."""
+        return self.multiple_shooting.input() if k is None else self._u[k]
+
+    def num_terms(self, k: int) -> int:
+        """Returns how many terms an entry of x_k has at most."""
+        return max(map(_count, self._states[k]))
+
+    def AddRunningCost(self, g: Any, description: str = "running cost") -> None:
+        """Adds Σ_{k<N} dt g(x_k, u_k), polynomial in the placeholders `state()` and `input()`."""
+        for k in range(len(self._u)):
+            self._add_cost(self.time_step() * as_expression(g), k, description)
+
+    def AddFinalCost(self, e: Any, description: str = "final cost") -> None:
+        """Adds e(x_N), polynomial in the placeholders `state()`.
+
+        Raises:
+            UnsupportedTermError: it would have too many terms; says how many.
+        """
+        self._add_cost(as_expression(e), len(self._u), description)
+
+    def _add_cost(self, cost: Expression, k: int, description: str) -> None:
+        values = _table(self.state(), self._states[k])
+        if k < len(self._u):
+            values |= _table(self.input(), map(_polynomial, self._u[k]))
+        label = f"the cost '{description}' of {len(self._u)} steps"
+        polynomial = _substitute(label, cost, values, self._max_terms)
+        shared = shared_cost(polynomial.ToExpression(), description)
+        shared.bind(self._prog, {u.get_id(): u for u in self._u.ravel()})
+
+    def GetSampleTimes(self) -> npt.NDArray[np.float64]:
+        """Returns the knots' times, shape (N+1,) [s]."""
+        return self.multiple_shooting.GetSampleTimes()
+
+    def initial_box(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Returns center and half width of AIGO's first box: `multiple_shooting`'s, of controls."""
+        center, half_width = self.multiple_shooting.initial_box()
+        return self._controls(center), self._controls(half_width)
+
+    def _controls(self, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Returns the controls' part of the other program's variables, in this one's order."""
+        controls = self.multiple_shooting.split(values)[2]
+        found = np.empty(controls.size)
+        found[self._places] = controls
+        return found
+
+    def vector(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Returns all decision variables of `multiple_shooting`: x, and the states it leads to."""
+        world, scenario, dt = self.world, self.scenario, self.time_step()
+        controls = x[self._places]
+        q, v = [scenario.initial_position], [scenario.initial_velocity]
+        for u in controls:
+            push = dt * np.broadcast_to(self.law(world.calc_signed_distance(q[-1])), (1,))
+            kick = dt * world.calc_acceleration(q[-1], v[-1], u)
+            kick = kick + world.calc_velocity_change(q[-1], push)
+            q, v = [*q, q[-1] + dt * v[-1]], [*v, v[-1] + kick]
+        return self.multiple_shooting.vector_of(np.array(q), np.array(v), controls)
+
+    def trajectory(self, x: npt.NDArray[np.float64]) -> Trajectory:
+        """Returns the trajectory that controls x lead to."""
+        return self.multiple_shooting.trajectory(self.vector(x))
+
+    def scenario_cost(self, x: npt.NDArray[np.float64]) -> float:
+        """Returns J = w_u Σ dt ‖u_k‖² + w_f ‖q_N − goal‖², without added costs."""
+        return self.multiple_shooting.scenario_cost(self.vector(x))
+
+
+def count_terms(
+    world: World, scenario: Scenario, law: PolynomialLaw | None = None, max_terms: int = MAX_TERMS
+) -> list[int]:
+    """Returns how many terms a state has after 1, 2, … steps: as far as `max_terms` and T allow.
+
+    With one coordinate and a law of degree 2: 2, 3, 5, 8, 16, 32, 88, 240, 968. A cost has more.
+    """
+    shape = scenario.num_steps, world.num_actuators
+    controls = MakeMatrixContinuousVariable(*shape, "u")
+    counts = []
+    with suppress(UnsupportedTermError):
+        for state in _states(world, scenario, law or _NO_CONTACT, controls, max_terms):
+            counts.append(max(map(_count, state)))
+    return counts[1:]
+
+
+def _states(
+    world: World,
+    scenario: Scenario,
+    law: PolynomialLaw,
+    controls: npt.NDArray[Any],
+    max_terms: int,
+) -> Iterator[list[Polynomial]]:
+    """Yields x_0, x_1, … as polynomials of the controls, shape (nq + nv,) each."""
+    names, step = _euler_step(world, scenario.time_step, law)
+    start = np.concatenate([scenario.initial_position, scenario.initial_velocity])
+    state = [Polynomial(Expression(value)) for value in start]
+    yield state
+    for k, u_k in enumerate(controls, 1):
+        values = _table(names, state) | _table(world.controls, map(_polynomial, u_k))
+        label = f"the state after {k} of {len(controls)} steps"
+        state = [_substitute(label, part, values, max_terms) for part in step]
+        yield state
+
+
+# NumPy takes Drake's boxed constants for invalid numbers, and warns.
+@np.errstate(invalid="ignore")
+def _euler_step(
+    world: World, dt: float, law: PolynomialLaw
+) -> tuple[npt.NDArray[Any], list[Expression]]:
+    """Returns the placeholders of x, and what x is a step later."""
+    names = np.concatenate([world.positions, world.velocities])
+    force = world.actuation @ world.controls - world.bias
+    for contact in world.contacts:
+        force = force + contact.jacobian * law(contact.signed_distance)
+    acceleration = np.linalg.inv(world.mass_matrix_values) @ force
+    slope = np.concatenate([world.velocities, acceleration])
+    return names, [as_expression(part).Expand() for part in names + dt * slope]
+
+
+def _table(names: Any, values: Any) -> dict[Variable, Polynomial]:
+    return dict(zip(names, values, strict=True))
+
+
+def _polynomial(variable: Variable) -> Polynomial:
+    return Polynomial(Expression(variable))
+
+
+def _count(polynomial: Polynomial) -> int:
+    return len(polynomial.monomial_to_coefficient_map())
+
+
+def _substitute(
+    label: str, expression: Expression, values: Mapping[Variable, Polynomial], max_terms: int
+) -> Polynomial:
+    """Returns an expression with polynomials in place of its variables, multiplied out.
+
+    Raises:
+        UnsupportedTermError: that would have more terms than `max_terms`.
+    """
+    outer = Polynomial(expression, Variables(np.array(list(values))))
+    # A variable as a key is only found by itself, not by an equal one.
+    by_id = {variable.get_id(): value for variable, value in values.items()}
+    largest = sum(_most_terms(monomial, by_id) for monomial in outer.monomial_to_coefficient_map())
+    if largest > max_terms:
+        counts = sorted((_count(value) for value in values.values()), reverse=True)
+        raise UnsupportedTermError(
+            f"{label} has too many terms for single shooting",
+            got=f"up to {largest:,}, products of states of {counts[0]:,} terms",
+            expected=f"at most {max_terms:,}",
+            remedy="Take fewer steps or a law of lower degree; or LiteralTranscription, whose "
+            "states are variables and whose terms grow like N.",
+        )
+    return outer.SubstituteAndExpand(dict(values))
+
+
+def _most_terms(monomial: Any, values: Mapping[int, Polynomial]) -> int:
+    """Returns the most terms that a monomial of polynomials can have.
+
+    A power p of a sum of n terms has no more than there are multisets of p out of n; and nothing
+    has more than there are monomials of its degree in its variables.
+    """
+    product, degree, names = 1, 0, Variables()
+    for variable, power in monomial.get_powers().items():
+        value = values[variable.get_id()]
+        product *= math.comb(_count(value) + power - 1, power)
+        degree += power * value.TotalDegree()
+        names += value.indeterminates()
+    return min(product, math.comb(len(names) + degree, degree))
