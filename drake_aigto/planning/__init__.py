@@ -8,10 +8,17 @@ from drake_aigto.planning.problem import PlanningProblem
 from drake_aigto.planning.replay import (
     Replay,
     confirms,
+    replay_costs,
     replay_drake,
     replay_event_driven,
 )
 from drake_aigto.planning.rigid import RigidProblem
+from drake_aigto.planning.tracking import (
+    Tracked,
+    TrackingController,
+    track_drake,
+    track_event_driven,
+)
 
 __all__ = [
     "Candidate",
@@ -26,9 +33,14 @@ __all__ = [
     "Replays",
     "RigidProblem",
     "Rung",
+    "Tracked",
+    "TrackingController",
     "confirms",
     "make_problem",
     "plan",
+    "replay_costs",
     "replay_drake",
     "replay_event_driven",
+    "track_drake",
+    "track_event_driven",
 ]

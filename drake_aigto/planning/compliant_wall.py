@@ -10,6 +10,7 @@ import numpy as np
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 
 from drake_aigto.planning.contact_motion import Clearance, ContactMotion, calc_time_to_wall
+from drake_aigto.planning.controller import Controller, Held
 from drake_aigto.planning.material import calc_dissipation, contact_delays, set_dissipation
 from drake_aigto.planning.recording import Impact, Recording, Rest
 
@@ -44,25 +45,27 @@ _SLOWEST_MATCH = 5e-2
 def simulate_compliant_wall(
     world: World,
     state: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]],
-    times: npt.NDArray[np.float64],
-    controls: npt.NDArray[np.float64],
+    controller: Controller,
     restitutions: npt.NDArray[np.float64],
 ) -> Recording:
-    """Runs a held control on the world's own plant, by Radau's implicit rule.
+    """Runs a controller on the world's own plant, by Radau's implicit rule.
 
     A contact of restitution 1 keeps the model's dissipation. Any other gets, just before each
     impact, the Hunt-Crossley dissipation that makes its restitution at the speed that is coming.
     The plant and its scene graph stay as they are: it goes into the context alone.
 
+    A controller that feels contact is asked again when one ends. While one goes on it is not, for
+    no plan says how fast the ball should be inside a wall; unless it lasts so long that it is rest.
+
     Args:
         world: its diagram is simulated, its stiffness decides where steps must be fine.
         state: the start, (q, v).
-        times: of the knots, shape (N+1,) [s].
-        controls: held between them, shape (N, nu).
+        controller: decides the control, open or closed loop.
         restitutions: e of each contact, in [0, 1], shape (m,).
 
     Returns:
-        The states at all knots, and where each contact begins, is deepest, and ends.
+        The states whenever the controller is asked, at the end, and where each contact begins, is
+        deepest, and ends.
 
     Raises:
         ModelError: a shape has no stiffness.
@@ -70,30 +73,33 @@ def simulate_compliant_wall(
     root = world.create_context()
     context = world.plant.GetMyMutableContextFromRoot(root)
     world.plant.SetPositionsAndVelocities(context, np.concatenate(state))
-    root.SetTime(times[0])
+    root.SetTime(controller.start)
     simulator = Simulator(world.diagram, root)
     config = SimulatorConfig(integration_scheme=_SCHEME, accuracy=_ACCURACY, use_error_control=True)
     ApplySimulatorConfig(config, simulator)
     delays, motion = contact_delays(world), ContactMotion(world)
     matching = _Matching(world, root, restitutions, delays)
-    pace = _Pace(world, motion, delays, times, matching)
+    pace = _Pace(world, motion, delays, controller, matching)
     trace = _Trace(world, motion, delays)
     simulator.set_monitor(
         lambda _: trace.add(context.get_time(), world.plant.GetPositionsAndVelocities(context))
     )
     longest_step = math.inf
-    for knot, control in zip(times[1:].tolist(), controls, strict=True):
-        world.plant.get_actuation_input_port().FixValue(context, control)
-        trace.control = control
-        while context.get_time() < knot:
-            x = world.plant.GetPositionsAndVelocities(context)
-            stretch, step = pace.plan(context.get_time(), x, control)
-            if step > longest_step:
-                _forget(simulator)
-            longest_step = step
-            simulator.get_mutable_integrator().set_maximum_step_size(step)
-            simulator.AdvanceTo(min(context.get_time() + stretch, knot))
-    recording = trace.read(times)
+    held: Held | None = None
+    while (now := context.get_time()) < controller.end:
+        x = world.plant.GetPositionsAndVelocities(context)
+        if held is None or trace.is_due(now, held, controller):
+            held = controller.sample(now, x, trace.bounces)
+            trace.hold(now, held.control)
+            world.plant.get_actuation_input_port().FixValue(context, held.control)
+        stretch, step = pace.plan(now, x, held.control)
+        if step > longest_step:
+            _forget(simulator)
+        longest_step = step
+        simulator.get_mutable_integrator().set_maximum_step_size(step)
+        until = held.until if held.until > now else controller.end
+        simulator.AdvanceTo(min(now + stretch, until))
+    recording = trace.read(controller.end)
     recording.matched_speeds = matching.speeds
     return recording
 
@@ -144,12 +150,12 @@ class _Pace:
         world: World,
         motion: ContactMotion,
         delays: list[float],
-        times: npt.NDArray[np.float64],
+        controller: Controller,
         matching: _Matching,
     ) -> None:
         self._world = world
         self._motion = motion
-        start, flight = float(times[0]), _FLIGHT * float(times[-1] - times[0])
+        start, flight = controller.start, _FLIGHT * (controller.end - controller.start)
         shortest = [min(delays[i] for i in faces) for faces in motion.solids]
         self._solids = [_SolidPace(delay, flight, start, matching) for delay in shortest]
 
@@ -236,18 +242,43 @@ class _Trace:
         self._motion = motion
         self._delays = delays
         self._samples: list[_Sample] = []
-        self.control = np.zeros(world.num_actuators)
+        self._control = np.zeros(world.num_actuators)
+        self._recording = Recording()
+        # Of each solid that is touched: since when [s], and which face.
+        self._touched: dict[int, tuple[float, int]] = {}
+        self.bounces: list[int] = []  # the contact of each touch that has ended
+        self._known = 0  # of them when the controller was asked
 
     def add(self, time: float, x: npt.NDArray[np.float64]) -> None:
         """Appends a step's end."""
         clearances = self._motion.calc_clearances(x)
-        self._samples.append(_Sample(time, x, self.control, clearances))
+        self._samples.append(_Sample(time, x, self._control, clearances))
+        for solid, near in enumerate(clearances):
+            if near.distance <= 0:
+                self._touched.setdefault(solid, (time, near.contact))
+            elif solid in self._touched:
+                self.bounces.append(self._touched.pop(solid)[1])
 
-    def read(self, knots: npt.NDArray[np.float64]) -> Recording:
-        """Returns the states at knots and about contacts, and the impacts."""
-        at_knots = set(knots.tolist())
-        rows = [(sample.time, sample.x) for sample in self._samples if sample.time in at_knots]
-        recording = Recording()
+    def hold(self, time: float, control: npt.NDArray[np.float64]) -> None:
+        """Appends a control, held from now on."""
+        self._recording.hold(time, control)
+        self._control, self._known = control, len(self.bounces)
+
+    def is_due(self, time: float, held: Held, controller: Controller) -> bool:
+        """Returns whether the controller is to be asked again."""
+        if controller.feels_contact:
+            if len(self.bounces) > self._known:
+                return True
+            touches = self._touched.values()
+            if any(time - since < _SETTLED * self._delays[contact] for since, contact in touches):
+                return False
+        return time >= held.until
+
+    def read(self, end: float) -> Recording:
+        """Returns the states at samples and about contacts, and the impacts."""
+        recording = self._recording
+        at_samples = {*recording.control_times, end}
+        rows = [(sample.time, sample.x) for sample in self._samples if sample.time in at_samples]
         for solid in range(len(self._motion.solids)):
             depth = self._calc_depth(solid)
             recording.max_penetration = max(recording.max_penetration, depth)

@@ -3,19 +3,25 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from scipy.optimize import nnls
+import numpy.typing as npt
+
+from drake_aigto.jit import njit
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    import numpy.typing as npt
-
     from drake_aigto.world import World
 
-    _Array = npt.NDArray[np.float64]
+_Array = npt.NDArray[np.float64]
+
+# What has one caller in compiled code is inlined by Numba: on its own, LLVM would optimise it once
+# more within each of its callers, which takes half as long again, and runs at half the speed.
+inlined = njit(cache=True, nogil=True, error_model="numpy", inline="always")
+
+# Rates of several contacts at once below this are rounding, relative to the largest among them.
+_ROUNDING = 1e-13
 
 
 class Clearance(NamedTuple):
@@ -24,6 +30,15 @@ class Clearance(NamedTuple):
     contact: int  # the face
     distance: float  # φ of that face [m]; at most 0 is inside
     rate: float  # φ̇ [m/s]
+
+
+class Walls(NamedTuple):
+    """What compiled code knows of a world's contacts; letters as in `ContactMotion`, S solids."""
+
+    jacobian: _Array  # J, shape (m, nv)
+    offset: _Array  # φ(0), shape (m,) [m]
+    lifts: _Array  # shape (m, nv)
+    firsts: npt.NDArray[np.int64]  # the first contact of each solid, and m, shape (S+1,)
 
 
 class ContactMotion:
@@ -43,8 +58,9 @@ class ContactMotion:
         lifts: M⁻¹ J_iᵀ / A_ii, shape (m, nv): how an impulse at contact i changes v when it changes
             φ̇_i by one.
         masses: what each contact feels, 1 / A_ii, shape (m,) [kg].
-        solids: the contacts of each solid.
+        solids: the contacts of each solid (`World.solids`).
         solid_of: the solid of each contact.
+        walls: all of it, for compiled code.
     """
 
     def __init__(self, world: World) -> None:
@@ -53,21 +69,27 @@ class ContactMotion:
         self._offset = world.calc_signed_distance(origin)
         self._num_contacts = world.num_contacts
         self._mass_matrix = world.mass_matrix_values
-        # M = C Cᵀ; columns of C⁻¹ Jᵀ are what impulses do, in units where kinetic energy is ½ ‖·‖².
-        self._cholesky = np.linalg.cholesky(self._mass_matrix)
         self.jacobian = world.calc_contact_jacobian(origin)
         # (φ, φ̇) = rows x + (φ(0), 0).
         self._rows = np.kron(np.eye(2), self.jacobian)
         self._origin = np.concatenate([self._offset, np.zeros(self._num_contacts)])
-        self._columns = np.linalg.solve(self._cholesky, self.jacobian.T)
-        inertias = np.sum(self._columns**2, axis=0)
+        kicks = np.linalg.solve(self._mass_matrix, self.jacobian.T).T
+        inertias = np.sum(self.jacobian * kicks, axis=1)
         self.masses = 1 / inertias
-        self.lifts = np.linalg.solve(self._mass_matrix, self.jacobian.T).T / inertias[:, np.newaxis]
+        self.lifts = kicks / inertias[:, np.newaxis]
         self.solid_of = [contact.solid for contact in world.contacts]
-        self.solids = [
-            [i for i, solid in enumerate(self.solid_of) if solid == s]
-            for s in range(max(self.solid_of) + 1)
-        ]
+        self.solids = world.solids
+        # Copies: Numba compiles once more for arrays that are read-only, or in another order.
+        self.walls = Walls(
+            np.array(self.jacobian, order="C"),
+            np.array(self._offset),
+            np.array(self.lifts, order="C"),
+            np.array([*(faces[0] for faces in self.solids), self._num_contacts]),
+        )
+
+    def faces_beside(self, contact: int) -> tuple[int, ...]:
+        """Returns all contacts of that one's solid, itself among them."""
+        return self.solids[self.solid_of[contact]]
 
     def calc_distances(self, x: _Array) -> tuple[list[float], list[float]]:
         """Returns φ [m] and φ̇ [m/s] of each contact."""
@@ -90,13 +112,14 @@ class ContactMotion:
             positions: q of K moments, shape (K, nq) [m].
         """
         distances = np.asarray(positions) @ self.jacobian.T + self._offset
-        return max(0.0, -min(float(np.min(distances[:, s].max(axis=1))) for s in self.solids))
+        outside = np.maximum.reduceat(distances, self.walls.firsts[:-1], axis=1)
+        return max(0.0, -float(np.min(outside)))
 
     def calc_pushes(self, acceleration: _Array) -> list[float]:
         """Returns φ̈ of each contact [m/s²]; negative is into the wall."""
         return (self.jacobian @ acceleration).tolist()
 
-    def calc_supported(self, rates: _Array, contacts: Sequence[int]) -> _Array:
+    def calc_supported(self, rates: _Array, contacts: Iterable[int]) -> _Array:
         """Returns the nearest rates of change of v, or of q, that enter none of these contacts.
 
             minimize ½ (x − r)ᵀ M (x − r)   subject to   J_C x ≥ 0
@@ -109,32 +132,156 @@ class ContactMotion:
             rates: r, shape (nv,).
             contacts: C.
         """
-        if not contacts:
+        held = np.zeros(self._num_contacts, dtype=bool)
+        held[list(contacts)] = True
+        if not held.any():
             return rates
-        if len(contacts) == 1:
-            (i,) = contacts
-            return rates - min(float(self.jacobian[i] @ rates), 0.0) * self.lifts[i]
-        # λ ≥ 0 of least ‖C⁻¹ J_Cᵀ λ + Cᵀ r‖.
-        columns = self._columns[:, list(contacts)]
-        forces, _ = nnls(columns, -self._cholesky.T @ rates)
-        return rates + np.linalg.solve(self._cholesky.T, columns @ forces)
+        x = np.empty_like(rates)
+        support(self.walls, held, rates, x)
+        return x
 
     def calc_kinetic_energy(self, v: _Array) -> float:
         """Returns ½ vᵀ M v [J]."""
         return float(v @ self._mass_matrix @ v) / 2
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def dot(matrix: _Array, row: int, x: _Array) -> float:
+    """Return the product of a matrix's row and x."""
+    total = 0.0
+    for k in range(x.size):
+        total += matrix[row, k] * x[k]
+    return total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def find_size(x: _Array) -> float:
+    """Return the largest |x_i|, but at least 1."""
+    size = 1.0
+    for i in range(x.size):
+        size = max(size, abs(x[i]))
+    return size
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
 def calc_time_to_wall(distance: float, rate: float, push: float) -> float:
-    """Returns the first t ≥ 0 at which φ + φ̇ t + φ̈ t²/2 = 0 [s]; infinity if there is none.
+    """Return the first t ≥ 0 at which φ + φ̇ t + φ̈ t²/2 falls to 0 [s]; infinity if there is none.
 
     Args:
-        distance: φ ≥ 0 [m].
+        distance: φ ≥ 0, or below 0 where φ̇ > 0 [m].
         rate: φ̇ [m/s].
         push: φ̈, taken for constant [m/s²].
     """
-    discriminant = rate**2 - 2 * push * distance
+    discriminant = rate * rate - 2 * push * distance
     if discriminant < 0:
         return math.inf
     if rate < 0:
         return 2 * distance / (math.sqrt(discriminant) - rate)
     return (math.sqrt(discriminant) + rate) / -push if push < 0 else math.inf
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def support(walls: Walls, held: npt.NDArray[np.bool_], free: _Array, rates: _Array) -> None:
+    """Write the nearest rates to free ones that enter none of the held contacts.
+
+    `ContactMotion.calc_supported` has the problem. With multipliers μ_i = A_ii λ_i it is
+
+        x = r + Σ μ_i lift_i,    0 ≤ μ ⊥ J_C x ≥ 0
+
+    solved by growing the set of contacts that push (C. L. Lawson and R. J. Hanson, "Solving Least
+    Squares Problems", ch. 23).
+
+    Args:
+        walls: the contacts.
+        held: which of them must not be entered, shape (m,).
+        free: r, shape (nv,).
+        rates: becomes x, shape (nv,).
+    """
+    m, n = walls.lifts.shape
+    for k in range(n):
+        rates[k] = free[k]
+    count = 0
+    for i in range(m):
+        if held[i]:
+            count += 1
+            last = i
+    if count == 1:
+        add(rates, -min(dot(walls.jacobian, last, rates), 0.0), walls.lifts, last)
+    if count <= 1:
+        return
+    before, multipliers = np.empty(m), np.zeros(m)
+    tolerance = 0.0
+    for i in range(m):
+        before[i] = dot(walls.jacobian, i, free)
+        if held[i]:
+            tolerance = max(tolerance, _ROUNDING * abs(before[i]))
+    pushes = np.zeros(m, np.bool_)
+    # Rounding could make it go round in circles: so often is enough for Lawson and Hanson.
+    for _ in range(3 * count):
+        worst, least = -1, -tolerance
+        for i in range(m):
+            rate = dot(walls.jacobian, i, rates)
+            if held[i] and not pushes[i] and rate < least:
+                worst, least = i, rate
+        if worst < 0:
+            return
+        pushes[worst] = True
+        _balance(walls, before, pushes, multipliers)
+        for k in range(n):
+            rates[k] = free[k]
+        for i in range(m):
+            add(rates, multipliers[i], walls.lifts, i)
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def add(x: _Array, factor: float, matrix: _Array, row: int) -> None:
+    """Add a matrix's row times a factor to x."""
+    for k in range(x.size):
+        x[k] += factor * matrix[row, k]
+
+
+@inlined
+def _balance(
+    walls: Walls, before: _Array, pushes: npt.NDArray[np.bool_], multipliers: _Array
+) -> None:
+    """Move multipliers to where the contacts that push are still; those that reach 0 let go."""
+    m = pushes.size
+    system = np.empty((m, m + 1))
+    ends = 0
+    while ends >= 0:
+        for i in range(m):
+            for j in range(m):
+                system[i, j] = 1.0 if i == j else 0.0
+                if pushes[i] and pushes[j]:
+                    system[i, j] = 0.0
+                    for k in range(walls.lifts.shape[1]):
+                        system[i, j] += walls.jacobian[i, k] * walls.lifts[j, k]
+            system[i, m] = -before[i] if pushes[i] else 0.0
+        _eliminate(system)
+        part, ends = 1.0, -1
+        for i in range(m):
+            aim, now = system[i, m], multipliers[i]
+            if aim < 0 and now <= part * (now - aim):
+                part, ends = now / (now - aim), i
+        for i in range(m):
+            multipliers[i] += part * (system[i, m] - multipliers[i])
+        if ends >= 0:
+            multipliers[ends] = 0.0
+            pushes[ends] = False
+
+
+@inlined
+def _eliminate(system: _Array) -> None:
+    """Solve G x = b of the rows (G, b); x is in the last column.
+
+    Without a choice of pivots, as G is a positive definite matrix whose columns are scaled.
+    """
+    m = system.shape[0]
+    for pivot in range(m):
+        for j in range(m, pivot - 1, -1):
+            system[pivot, j] /= system[pivot, pivot]
+        for i in range(m):
+            if i != pivot:
+                factor = system[i, pivot]
+                for j in range(pivot, m + 1):
+                    system[i, j] -= factor * system[pivot, j]

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
+import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 from pydrake.geometry import GeometryId, ProximityProperties, RoleAssign
-from scipy.optimize import brentq
 
 from drake_aigto.errors import ModelError
 from drake_aigto.planning.contact_motion import ContactMotion
@@ -70,7 +70,7 @@ def calc_dissipation(restitution: float, speed: float) -> float:
         y = -math.expm1(-z) / e
         return y - math.log1p(y) + e * y - z
 
-    z = brentq(excess, _NEARLY_ELASTIC / 10, 2 / e + 2, xtol=1e-15)
+    z = scipy.optimize.brentq(excess, _NEARLY_ELASTIC / 10, 2 / e + 2, xtol=1e-15)
     return -math.expm1(-z) / e / speed
 
 

@@ -6,22 +6,23 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, get_args
 
-from drake_aigto.aigo import Algorithm, Annealing, FullGradient
+from drake_aigto.aigo import Algorithm, Alternating, Annealing, EqualWidths, FullGradient
 from drake_aigto.errors import OptionsError
 from drake_aigto.transcription import NONPENETRATION
 from drake_aigto.transcription.literal import DYNAMICS, KINEMATICS
 from drake_aigto.transcription.rigid_contact import CONTACT, FLIGHT, RESTITUTION
+from drake_aigto.transcription.with_forces import PUSH
 
-AlgorithmName = Literal["annealing", "full gradient"]
+AlgorithmName = Literal["annealing", "full gradient", "alternating", "equal widths", "no boxes"]
 LocalSolverName = Literal["newton", "ipopt", "snopt"]
 StartName = Literal["line", "coast"]
 TranscriptionName = Literal["rigid", "literal"]
 
 # Option → what it may be.
 CHOICES: dict[str, tuple[str, ...]] = {
-    "transcription": ("rigid", "literal"),
-    "algorithm": ("annealing", "full gradient"),
-    "local_solver": ("newton", "ipopt", "snopt"),
+    "transcription": get_args(TranscriptionName),
+    "algorithm": get_args(AlgorithmName),
+    "local_solver": get_args(LocalSolverName),
 }
 
 
@@ -32,7 +33,7 @@ class Rung:
     Weights and temperature are in units of the transcription's `cost_scale`.
 
     Attributes:
-        temperature: first temperature μ of the annealing (not used by the full gradient).
+        temperature: first temperature μ of the annealing; other algorithms have none.
         weights: constraint name → weight of its penalty r²/dt.
         others: weight of rows that have no name there, such as those that users add.
         start: what the first box is around: "line", the straight line from start to goal, as far
@@ -92,8 +93,18 @@ RIGID_LADDER = (
     _rigid_rung(1.0, 5.0, "coast"),
 )
 
-# A rigid anneal ends at this part of its first temperature: no sequence changed below.
-_COOLED = 1e-7
+# How far a rigid anneal cools down. Which contacts a plan has, boxes show long before they are
+# stationary: a loose tolerance at few temperatures reads as many sequences right as careful ones.
+# Fewer Newton steps than that takes are too few around the straight line, where bounces get lost.
+_COOLED = 5e-5
+
+# Those that need no temperature.
+_ALGORITHMS: dict[AlgorithmName, Algorithm] = {
+    "full gradient": FullGradient(),
+    "alternating": Alternating(),
+    "equal widths": EqualWidths(),
+    "no boxes": EqualWidths(first_share=0.0, final_share=0.0, max_newton_steps=200),
+}
 
 _LADDERS = {"rigid": RIGID_LADDER, "literal": LITERAL_LADDER}
 
@@ -111,12 +122,19 @@ class PlanOptions:
             the contact sequence, and the last polish has the scenario's.
         nonpenetration: whether the literal transcription asks for φ(q_k) ≥ 0. The paper's figures
             need it off.
-        algorithm: "annealing", or "full gradient" for the paper's Algorithm 1.
+        algorithm: "annealing"; or, to compare with, "full gradient", the paper's Algorithm 1,
+            "alternating", the one before it, "equal widths", whose boxes keep the shape of the
+            first, and "no boxes", a local optimum of the penalised cost itself.
         ladder: the starts; candidates come out of each. None: the transcription's own.
         local_solver: polishes AIGO's results: "newton" (`local.InteriorPoint`), or "ipopt" or
             "snopt" through Drake.
+        pull: rigid: whether contact sequences are read off box centers that a penalty continuation
+            has pulled towards the rows.
+        force_variables: whether contact impulses are decision variables too while boxes shrink
+            (`RigidWithForces`, `LiteralWithForces`), which AIGTO Sec. III-B advises against.
+        branches: rigid: of how many candidates neighbours are tried, with a bounce more or less.
         finalists: how many of the best candidates are improved: by a polish with the scenario's
-            time step (rigid), or by moving their contacts (literal).
+            time step, where theirs is another (rigid), or by moving their contacts (literal).
         knot_steps: by how many knots a literal candidate's contacts are moved to and fro, in turn.
         confirm: whether the plan is also replayed on Drake's plant; the event-driven replay is
             always run.
@@ -129,6 +147,9 @@ class PlanOptions:
     algorithm: AlgorithmName = "annealing"
     ladder: tuple[Rung, ...] | None = field(default=None, repr=False)
     local_solver: LocalSolverName = "newton"
+    pull: bool = False
+    force_variables: bool = False
+    branches: int = 3
     finalists: int = 2
     knot_steps: tuple[int, ...] = (16, 8, 4, 2, 1)
     confirm: bool = True
@@ -138,14 +159,15 @@ class PlanOptions:
         for name, known in CHOICES.items():
             if (got := getattr(self, name)) not in known:
                 raise OptionsError(name, got=repr(got), expected=f"one of {', '.join(known)}")
-        for name in ("aigo_steps", "finalists"):
-            if (count := getattr(self, name)) < 1:
-                raise OptionsError(name, got=count, expected="1 or more")
+        for name, least in {"aigo_steps": 1, "finalists": 1, "branches": 0}.items():
+            if (count := getattr(self, name)) < least:
+                raise OptionsError(name, got=count, expected=f"{least} or more")
         if not 0 <= self.relaxation < float("inf"):
             raise OptionsError("relaxation", got=self.relaxation, expected="a number, 0 or more")
         if not self.rungs:
             raise OptionsError("ladder", got="no rung", expected="at least one")
-        names = _LADDERS[self.transcription][0].weights
+        names = [*_LADDERS[self.transcription][0].weights]
+        names += [name for name in (CONTACT, PUSH) if self.force_variables and name not in names]
         for rung in self.rungs:
             for name in rung.weights:
                 if name not in names:
@@ -164,7 +186,7 @@ class PlanOptions:
         """Returns how tables and plan files name a start of AIGO."""
         if self.algorithm == "annealing":
             return f"annealing from temperature {rung.temperature:g}; {rung}"
-        return f"full gradient; {rung}"
+        return f"{self.algorithm}; {rung}"
 
     def make_algorithm(self, rung: Rung, unit: float = 1.0) -> Algorithm:
         """Returns AIGO's algorithm for a rung, whose temperature is in this unit."""
@@ -172,5 +194,11 @@ class PlanOptions:
             start = rung.temperature * unit
             if self.transcription == "literal":
                 return Annealing(initial_temperature=start)
-            return Annealing(initial_temperature=start, final_temperature=_COOLED * start)
-        return FullGradient()
+            return Annealing(
+                initial_temperature=start,
+                final_temperature=_COOLED * start,
+                cooling=0.1,
+                tolerance=0.1,
+                narrowing=0.5,
+            )
+        return _ALGORITHMS[self.algorithm]

@@ -95,6 +95,11 @@ class Candidate:
         ratios = [contact.energy_ratio for contact in self.contacts]
         return math.prod(ratios) if ratios else None
 
+    def describe_contacts(self) -> str:
+        """Returns its contact sequence in words."""
+        times = ", ".join(f"{contact.time:.3f} s" for contact in self.contacts)
+        return f"contact at {times}" if times else "free flight"
+
     def holds(self, replays: Replays) -> bool:
         """Returns whether all replays of this candidate's control confirm it."""
         return all(confirms(self.cost, replay, self.goal_error) for replay in replays)
@@ -133,11 +138,17 @@ class PlanStats:
         aigo_steps: inner iterations of AIGO, all candidates.
         polished: how many candidates the polish made feasible.
         seconds: wall time by part of the road.
+        box_contacts: how many contacts the last box of each rung shows, before any polish.
     """
 
     aigo_steps: int
     polished: int
     seconds: Mapping[str, float]
+    box_contacts: tuple[int, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Converts lists to tuples."""
+        object.__setattr__(self, "box_contacts", tuple(self.box_contacts))
 
 
 @dataclass(frozen=True)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 import math
 import time
 from collections import defaultdict
@@ -21,11 +22,18 @@ from drake_aigto.planning.replay import Replay, replay_drake, replay_event_drive
 from drake_aigto.planning.rigid import RigidProblem, RigidSearch
 from drake_aigto.planning.search import Search
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import LiteralTranscription, RigidTranscription
+from drake_aigto.transcription import (
+    LiteralTranscription,
+    LiteralWithForces,
+    RigidTranscription,
+    RigidWithForces,
+)
 from drake_aigto.world import Scenario, World
 
 if TYPE_CHECKING:
     import numpy.typing as npt
+
+_LOG = logging.getLogger(__name__)
 
 # AIGO's boxes tell a bounce from the start's own push if so many steps lead to the wall.
 _STEPS_TO_WALL = 3
@@ -49,12 +57,15 @@ def make_problem(
     The rigid transcription has time steps of its own (`PlanOptions.aigo_steps`), but more, up to
     the scenario's, if a wall would be touched in less than three of them.
     """
+    _LOG.info("transcribing (%s)", options.transcription)
     if options.transcription == "literal":
-        literal = LiteralTranscription(world, scenario, options.nonpenetration)
-        return LiteralProblem(literal, options)
+        make_literal = LiteralWithForces if options.force_variables else LiteralTranscription
+        return LiteralProblem(make_literal(world, scenario, options.nonpenetration), options)
     steps = max(options.aigo_steps, min(_count_steps(world, scenario), scenario.num_steps))
     coarse = dataclasses.replace(scenario, time_step=scenario.duration / steps)
-    return RigidProblem(RigidTranscription(world, coarse, options.relaxation), options)
+    make_rigid = RigidWithForces if options.force_variables else RigidTranscription
+    rigid = make_rigid(world, coarse, options.relaxation)
+    return RigidProblem(rigid, options, scenario.num_steps)
 
 
 def _count_steps(world: World, scenario: Scenario) -> int:
@@ -90,7 +101,7 @@ class Planner:
         options: PlanOptions | None = None,
         world: World | None = None,
     ) -> None:
-        """Builds the world and checks the scenario against it."""
+        """Builds the world, checks the scenario against it, and compiles its program."""
         self.scenario = scenario
         self.options = options or PlanOptions()
         self.world = world or World.from_scenario(scenario)
@@ -98,6 +109,9 @@ class Planner:
         if self.options.confirm:
             contact_delay(self.world)  # A wall without stiffness is refused before long work.
         self._seconds: defaultdict[str, float] = defaultdict(float)
+        with self._clock("build"):
+            self._problem = make_problem(self.world, scenario, self.options)
+        self._build_seconds = self._seconds["build"]
 
     def plan(
         self,
@@ -106,7 +120,7 @@ class Planner:
         goal_position: npt.ArrayLike | None = None,
         progress: Callable[[str], None] | None = None,
     ) -> Plan:
-        """Plans, with the scenario's ends or with changed ones.
+        """Plans, with the scenario's ends or with changed ones, whose program is compiled anew.
 
         Ctrl-C ends the search; the best candidate so far is returned.
 
@@ -143,7 +157,11 @@ class Planner:
             )
         best, replays = self._choose(feasible, scenario)
         rest = [candidate for candidate in search.ranked() if candidate is not best]
-        stats = PlanStats(search.aigo_steps, len(feasible), dict(self._seconds))
+        stats = PlanStats(
+            search.aigo_steps, len(feasible), dict(self._seconds), tuple(search.box_contacts)
+        )
+        took = ", ".join(f"{part} {seconds:.2f}" for part, seconds in self._seconds.items())
+        _LOG.info("%d inner steps of AIGO; seconds: %s", search.aigo_steps, took)
         found = Plan(scenario, self.options.transcription, (best, *rest), replays, stats)
         if self.options.transcription == "rigid" and not found.holds:
             raise _nothing_holds(found, len(self.options.rungs))
@@ -152,28 +170,37 @@ class Planner:
     def _search(self, scenario: Scenario, progress: Callable[[str], None] | None) -> Search[Any]:
         """Returns a finished search."""
         options, ladder = self.options, self.options.rungs
-        with self._clock("build"):
-            search = self._start_search(scenario)
+
+        def tell(line: str) -> None:
+            _LOG.info("%s", line)
+            if progress:
+                progress(line)
+
+        search = self._start_search(scenario)
         try:
             for number, rung in enumerate(ladder, 1):
-                if progress:
-                    progress(f"AIGO {number} of {len(ladder)}: {options.describe(rung)}")
+                tell(f"AIGO {number} of {len(ladder)}: {options.describe(rung)}")
                 search.add_rung(rung)
+            tell(f"{len(search.by_sequence)} candidates; looking for others near the best")
             search.branch()
             for number, sequence in enumerate(search.finalists()[: options.finalists], 1):
-                if progress:
-                    progress(f"{len(search.by_sequence)} candidates; improving number {number}")
+                tell(f"{len(search.by_sequence)} candidates; improving number {number}")
                 search.improve(sequence)
         except KeyboardInterrupt:
             if not search.by_sequence:
                 raise
+            _LOG.info("interrupted: going on with what was found")
         return search
 
     def _start_search(self, scenario: Scenario) -> Search[Any]:
-        problem = make_problem(self.world, scenario, self.options)
+        if scenario is self.scenario:
+            problem, self._seconds["build"] = self._problem, self._build_seconds
+        else:
+            with self._clock("build"):
+                problem = make_problem(self.world, scenario, self.options)
         if isinstance(problem, LiteralProblem):
             return LiteralSearch(problem, self._clock)
-        return RigidSearch(problem, self._clock, scenario.num_steps)
+        return RigidSearch(problem, self._clock)
 
     def _choose(self, feasible: list[Candidate], scenario: Scenario) -> tuple[Candidate, Replays]:
         """Returns the first candidate that all replays confirm, or else the first, with replays.
@@ -181,6 +208,7 @@ class Planner:
         Literal plans are taken at their word, as the paper does: always the first.
         """
         first, *others = feasible
+        _LOG.info("replaying the best of %d candidates", len(feasible))
         replays = self._confirm(first, scenario)
         if self.options.transcription == "rigid" and not first.holds(replays):
             for other in (other for other in others if other.is_confirmed):
@@ -222,7 +250,8 @@ class Planner:
 def _nothing_holds(found: Plan, num_rungs: int) -> PlanningError:
     """Returns the error of a search whose every candidate a replay contradicts."""
     tried = [
-        f"{_describe(candidate)} for {candidate.cost:.2e}, replayed {candidate.replay.cost:.2e}"
+        f"{candidate.describe_contacts()} for {candidate.cost:.2e}, "
+        f"replayed {candidate.replay.cost:.2e}"
         for candidate in found.candidates
     ]
     drake = found.replay.drake
@@ -236,9 +265,3 @@ def _nothing_holds(found: Plan, num_rungs: int) -> PlanningError:
     )
     error.plan = found
     return error
-
-
-def _describe(candidate: Candidate) -> str:
-    """Returns a candidate's contact sequence in words."""
-    times = ", ".join(f"{contact.time:.3f} s" for contact in candidate.contacts)
-    return f"contact at {times}" if times else "free flight"

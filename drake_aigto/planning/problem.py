@@ -6,14 +6,14 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 import numpy as np
 from pydrake.solvers import MathematicalProgram
 
-from drake_aigto.aigo import AigoResult, Box, PenaltyContinuation, minimize
+from drake_aigto.aigo import AigoResult, Algorithm, Box, PenaltyContinuation, minimize
 from drake_aigto.box import BoxPolynomial, compile_program
-from drake_aigto.local import InteriorPoint, PolynomialNlp, compile_nlp
+from drake_aigto.local import InteriorPoint, LocalResult, PolynomialNlp, compile_nlp
 from drake_aigto.local.drake_solvers import solve_with_drake
 from drake_aigto.planning.contacts import find_contacts, max_penetration
 from drake_aigto.planning.options import PlanOptions, Rung, StartName
@@ -24,13 +24,15 @@ from drake_aigto.transcription import Transcription
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-Sequence = TypeVar("Sequence")
+Sequence = TypeVar("Sequence", bound=tuple[Any, ...])
 TranscriptionT = TypeVar("TranscriptionT", bound=Transcription)
 
 # Of the local solver; a candidate that needs more is one whose phases vanish.
 _MAX_ITERATIONS = 200
 # A box around the motion without control has this part of the first box's size at the end.
 _COAST_SHARE = 0.2
+# An impact this part of the duration before a knot is on it, but for rounding.
+_ON_KNOT = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,8 +58,7 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
 
     Attributes:
         transcription: the constrained program.
-        polynomial: its penalised cost, for AIGO.
-        box: where AIGO starts, around the straight line from start to goal.
+        options: numerics.
     """
 
     # Of the local solver's cost, in `cost_scale`, in turn until it converges.
@@ -72,8 +73,17 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
         self.transcription = transcription
         self.options = options or PlanOptions()
         first = Start(transcription, _compile(transcription), Box(*transcription.initial_box()))
-        self.polynomial, self.box = first.polynomial, first.box
         self._starts: dict[StartName, Start[TranscriptionT]] = {"line": first}
+
+    @property
+    def polynomial(self) -> BoxPolynomial:
+        """The penalised cost, for AIGO."""
+        return self._starts["line"].polynomial
+
+    @property
+    def box(self) -> Box:
+        """Where AIGO starts, around the straight line from start to goal."""
+        return self._starts["line"].box
 
     def start(self, name: StartName) -> Start[TranscriptionT]:
         """Returns where a rung of this start begins."""
@@ -87,8 +97,8 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
         world, scenario = self.transcription.world, self.transcription.scenario
         controls = np.zeros((len(times) - 1, world.num_actuators))
         coast = replay_event_driven(world, scenario, times, controls)
-        # Of the two rows of an impact on a knot, the first: velocities before impulses.
-        rows = np.searchsorted(coast.times, times)
+        # Of the rows of an impact on a knot, the first: velocities before impulses.
+        rows = np.searchsorted(coast.times, times - _ON_KNOT * times[-1])
         q, v = coast.positions[rows], coast.velocities[rows]
         around = self._transcribe_around(q)
         polynomial = self.polynomial if around is self.transcription else _compile(around)
@@ -102,17 +112,26 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
     def _nlp(self) -> PolynomialNlp:
         return compile_nlp(self.transcription.prog())
 
-    def run_aigo(self, rung: Rung) -> AigoResult:
-        """Returns what AIGO makes of the rung's first box under its weights."""
-        algorithm = self.options.make_algorithm(rung, self.transcription.cost_scale())
+    def run_aigo(self, rung: Rung, algorithm: Algorithm | None = None) -> AigoResult:
+        """Returns what AIGO makes of the rung's first box under its weights.
+
+        Args:
+            rung: where to start.
+            algorithm: how to shrink boxes; the options' own (`make_algorithm`) if None.
+        """
+        algorithm = algorithm or self.make_algorithm(rung)
         start = self.start(rung.start)
         return minimize(start.polynomial.with_weights(self._weights(rung)), start.box, algorithm)
 
+    def make_algorithm(self, rung: Rung) -> Algorithm:
+        """Returns the options' algorithm for a rung, with temperatures in the cost's unit."""
+        return self.options.make_algorithm(rung, self._cost_scale)
+
     def pull(self, center: npt.NDArray[np.float64], rung: Rung) -> npt.NDArray[np.float64]:
         """Returns a box center pulled towards the constraints by raising the rung's penalties."""
-        return PenaltyContinuation().run(
-            self._weighted(rung), self._weights(rung), center, self.box.free
-        )
+        start, weights = self.start(rung.start), self._weights(rung)
+        weighted = start.polynomial.with_weights(weights)
+        return PenaltyContinuation().run(weighted, weights, center, start.box.free)
 
     @abstractmethod
     def find_sequences(self, result: AigoResult, rung: Rung) -> list[Sequence]:
@@ -152,13 +171,26 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
         if self.options.local_solver != "newton":
             return solve_with_drake(prog, guess, self.options.local_solver).x
         nlp = compiled() if compiled else compile_nlp(prog)
-        most = max_iterations or _MAX_ITERATIONS
         for factor in self._cost_units:
-            unit = factor * self.transcription.cost_scale()
-            result = InteriorPoint(max_iterations=most, cost_unit=unit).solve(nlp, guess)
+            result = self._minimise(nlp, guess, max_iterations or _MAX_ITERATIONS, factor)
             if result.is_success or max_iterations:
                 break
         return result.x
+
+    def _minimise(
+        self,
+        nlp: PolynomialNlp,
+        guess: npt.NDArray[np.float64],
+        max_iterations: int,
+        factor: float = 1.0,
+    ) -> LocalResult:
+        """Returns the result of one run of our local solver, costs in so many `cost_scale`."""
+        unit = factor * self._cost_scale
+        return InteriorPoint(max_iterations=max_iterations, cost_unit=unit).solve(nlp, guess)
+
+    @cached_property
+    def _cost_scale(self) -> float:
+        return self.transcription.cost_scale()
 
     def judge(
         self,
@@ -192,13 +224,15 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
 
     def _weights(self, rung: Rung) -> dict[str, float]:
         """Returns the rung's weights of the rows that this problem has."""
-        unit = self.transcription.cost_scale()
-        rows = self.transcription.prog().GetAllConstraints()
-        names = {row.evaluator().get_description() for row in rows} & set(self.polynomial.weights)
-        return {name: unit * rung.weights.get(name, rung.others) for name in sorted(names)}
+        unit = self._cost_scale
+        return {name: unit * rung.weights.get(name, rung.others) for name in self._row_names}
 
-    def _weighted(self, rung: Rung) -> BoxPolynomial:
-        return self.polynomial.with_weights(self._weights(rung))
+    @cached_property
+    def _row_names(self) -> list[str]:
+        """Names of the rows that penalties stand for."""
+        rows = self.transcription.prog().GetAllConstraints()
+        named = {row.evaluator().get_description() for row in rows}
+        return sorted(named & set(self.polynomial.weights))
 
 
 def _compile(transcription: Transcription) -> BoxPolynomial:

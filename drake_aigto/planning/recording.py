@@ -5,8 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, NamedTuple
 
+import numpy as np
+
+from drake_aigto.planning.impacts import CONTACT, PUSH, SPEED, STATE, TIME
+
 if TYPE_CHECKING:
-    import numpy as np
     import numpy.typing as npt
 
 
@@ -40,6 +43,8 @@ class Recording:
         rests: in order of time, on compliant walls.
         max_penetration: the deepest −φ, at least 0 [m].
         matched_speeds: for which dissipation was set, on compliant walls [m/s].
+        control_times: from when each control was held [s].
+        controls: u of each of them, shape (nu,) [N].
     """
 
     times: list[float] = field(default_factory=list)
@@ -49,9 +54,47 @@ class Recording:
     rests: list[Rest] = field(default_factory=list)
     max_penetration: float = 0.0
     matched_speeds: list[float] = field(default_factory=list)
+    control_times: list[float] = field(default_factory=list)
+    controls: list[npt.NDArray[np.float64]] = field(default_factory=list)
+
+    @property
+    def bounces(self) -> list[int]:
+        """The contact of each impact so far."""
+        return [impact.contact for impact in self.impacts]
 
     def add(self, time: float, q: npt.NDArray[np.float64], v: npt.NDArray[np.float64]) -> None:
         """Appends a state."""
         self.times.append(time)
         self.positions.append(q)
         self.velocities.append(v)
+
+    def hold(self, time: float, control: npt.NDArray[np.float64]) -> None:
+        """Appends a control."""
+        self.control_times.append(time)
+        self.controls.append(control)
+
+    def add_impacts(
+        self, log: npt.NDArray[np.float64], mass_matrix: npt.NDArray[np.float64]
+    ) -> None:
+        """Appends impacts that take no time, and the states before and after each.
+
+        Args:
+            log: one row for each, as `impacts.make_log` has it.
+            mass_matrix: M, shape (nv, nv) [kg].
+        """
+        self.impacts += list_impacts(log, mass_matrix)
+        for row in log:
+            q, before, after = row[STATE:].reshape(3, -1).copy()
+            self.add(float(row[TIME]), q, before)
+            self.add(float(row[TIME]), q, after)
+
+
+def list_impacts(
+    log: npt.NDArray[np.float64], mass_matrix: npt.NDArray[np.float64]
+) -> list[Impact]:
+    """Returns the impacts of a log (`impacts.make_log`), by a mass matrix M (nv, nv) [kg]."""
+    _, *velocities = np.split(log[:, STATE:], 3, axis=1)
+    energies = [np.einsum("bi,ij,bj->b", v, mass_matrix, v) / 2 for v in velocities]
+    rows = np.column_stack([log[:, TIME], log[:, SPEED : PUSH + 1], *energies]).tolist()
+    contacts = log[:, CONTACT].astype(int).tolist()
+    return [Impact(row[0], i, *row[1:]) for i, row in zip(contacts, rows, strict=True)]

@@ -10,8 +10,10 @@ import numpy as np
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.planning.compliance import calc_compliance_error
 from drake_aigto.planning.compliant_wall import simulate_compliant_wall
+from drake_aigto.planning.controller import HeldControl
 from drake_aigto.planning.recording import Recording
 from drake_aigto.planning.rigid_wall import simulate_rigid_wall
+from drake_aigto.planning.rollout import Parabolas
 from drake_aigto.trajectory import ArrayRecord, check_control, read_only
 
 if TYPE_CHECKING:
@@ -99,9 +101,10 @@ def replay_event_driven(
 ) -> Replay:
     """Replays a held control on exactly rigid walls (`RigidWall` has their equations).
 
-    The judge of plans, for any restitution in [0, 1]. Exact but for rounding under constant
-    acceleration, with two exceptions that `RigidWall` states: hops too short to follow become rest,
-    and touches shorter than a millionth of the duration may not be noticed.
+    The judge of plans, for any restitution in [0, 1]. Where flight under a held control is a
+    parabola (`World.has_constant_bias`) it is exact but for rounding, by roots alone (`Parabolas`);
+    only hops too short to follow become rest. Elsewhere Drake's Simulator integrates, and touches
+    shorter than a millionth of the duration may not be noticed.
 
     Args:
         world: its dynamics and its contacts.
@@ -113,9 +116,43 @@ def replay_event_driven(
         TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
     """
     times, controls = _check_control(world, times, controls)
-    start = scenario.initial_position, scenario.initial_velocity
-    recording = simulate_rigid_wall(world, world.restitutions(scenario), start, times, controls)
-    return _summarize("event-driven", scenario, times, controls, recording)
+    recording = _simulate_rigidly(world, scenario, times, controls)
+    return summarize("event-driven", scenario, times, controls, recording)
+
+
+def replay_costs(
+    world: World, scenario: Scenario, times: npt.ArrayLike, controls: npt.ArrayLike
+) -> npt.NDArray[np.float64]:
+    """Returns what many held controls cost on exactly rigid walls, shape (C,).
+
+    The costs of `replay_event_driven` to the last bit, without its records: where flight is a
+    parabola, compiled code runs them one after the other.
+
+    Args:
+        world: its dynamics and its contacts.
+        scenario: start, goal, weights and restitution; it has to fit the world (`World.check`).
+        times: of the knots, shape (N+1,), the same for all [s].
+        controls: C of them, held over each interval, shape (C, N, nu) [N].
+
+    Raises:
+        TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
+    """
+    u = np.asarray(controls, dtype=float)
+    if u.ndim != 3:
+        raise TrajectoryError("controls", got=f"shape {u.shape}", expected="(C, N, nu)")
+    if not len(u):
+        return np.empty(0)
+    # As one control of many columns: the same checks, of all at once.
+    columns = u.transpose(1, 0, 2).reshape(u.shape[1], -1)
+    t, _ = check_control(times, columns)
+    _check_columns(world, u)
+    if world.has_constant_bias:
+        ends = _roll_out(world, scenario, t).find_ends(u)
+    else:
+        runs = (_simulate_rigidly(world, scenario, t, control) for control in u)
+        ends = np.array([run.positions[-1] for run in runs])
+    pairs = zip(u, ends, strict=True)
+    return np.array([_calc_cost(scenario, t, control, end)[0] for control, end in pairs])
 
 
 def replay_drake(
@@ -143,9 +180,9 @@ def replay_drake(
     times, controls = _check_control(world, times, controls)
     start = scenario.initial_position, scenario.initial_velocity
     restitutions = world.restitutions(scenario)
-    recording = simulate_compliant_wall(world, start, times, controls, restitutions)
+    recording = simulate_compliant_wall(world, start, HeldControl(times, controls), restitutions)
     error = calc_compliance_error(world, restitutions, recording)
-    return _summarize("drake", scenario, times, controls, recording, error)
+    return summarize("drake", scenario, times, controls, recording, error)
 
 
 def confirms(
@@ -188,16 +225,52 @@ def _check_control(
 ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
     """Returns times and controls as arrays that fit each other and the world."""
     t, u = check_control(times, controls)
-    if u.shape[1] != world.num_actuators:
-        raise TrajectoryError(
-            "controls",
-            got=f"shape {u.shape}",
-            expected=f"{world.num_actuators} columns, one for each actuator",
-        )
+    _check_columns(world, u)
     return t, u
 
 
-def _summarize(
+def _check_columns(world: World, controls: npt.NDArray[np.float64]) -> None:
+    """Refuses controls whose last axis is not the actuators."""
+    if controls.shape[-1] != world.num_actuators:
+        raise TrajectoryError(
+            "controls",
+            got=f"shape {controls.shape}",
+            expected=f"{world.num_actuators} columns, one for each actuator",
+        )
+
+
+def _simulate_rigidly(
+    world: World,
+    scenario: Scenario,
+    times: npt.NDArray[np.float64],
+    controls: npt.NDArray[np.float64],
+) -> Recording:
+    """Returns what a control does on exactly rigid walls, by the quickest road."""
+    if world.has_constant_bias:
+        return _roll_out(world, scenario, times).record(controls)
+    start = scenario.initial_position, scenario.initial_velocity
+    controller = HeldControl(times, controls)
+    return simulate_rigid_wall(world, world.restitutions(scenario), start, controller)
+
+
+def _roll_out(world: World, scenario: Scenario, times: npt.NDArray[np.float64]) -> Parabolas:
+    start = scenario.initial_position, scenario.initial_velocity
+    return Parabolas(world, world.restitutions(scenario), start, times)
+
+
+def _calc_cost(
+    scenario: Scenario,
+    times: npt.NDArray[np.float64],
+    control: npt.NDArray[np.float64],
+    end: npt.NDArray[np.float64],
+) -> tuple[float, float]:
+    """Returns the cost of a control that ends there, and how far from the goal that is [m]."""
+    effort = float(np.diff(times) @ np.sum(control**2, axis=1))
+    goal_error = float(np.linalg.norm(end - scenario.goal_position))
+    return scenario.control_weight * effort + scenario.goal_weight * goal_error**2, goal_error
+
+
+def summarize(
     simulator: str,
     scenario: Scenario,
     times: npt.NDArray[np.float64],
@@ -205,13 +278,21 @@ def _summarize(
     recording: Recording,
     compliance_error: float = 0.0,
 ) -> Replay:
-    """Returns the replay that a recording shows."""
-    effort = float(np.diff(times) @ np.sum(controls**2, axis=1))
-    goal_error = float(np.linalg.norm(recording.positions[-1] - scenario.goal_position))
+    """Returns the replay that a recording shows.
+
+    Args:
+        simulator: its name.
+        scenario: goal and weights.
+        times: of the control's knots, shape (N+1,) [s].
+        controls: held between them, shape (N, nu) [N].
+        recording: the simulation.
+        compliance_error: how far off the end is at most, as walls are compliant [m].
+    """
+    cost, goal_error = _calc_cost(scenario, times, controls, recording.positions[-1])
     unexplained = max(0.0, goal_error - compliance_error)
     return Replay(
         simulator=simulator,
-        cost=scenario.control_weight * effort + scenario.goal_weight * goal_error**2,
+        cost=cost,
         goal_error=goal_error,
         max_penetration=recording.max_penetration,
         bounce_times=tuple(impact.time for impact in recording.impacts),

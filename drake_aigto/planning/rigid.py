@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterable
+from functools import cached_property
 from itertools import chain, combinations
 from typing import TYPE_CHECKING
 
@@ -12,8 +13,9 @@ import numpy as np
 from drake_aigto.aigo import AigoResult
 from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
 from drake_aigto.local import compile_nlp
+from drake_aigto.planning.arcs import solve_in_arcs
 from drake_aigto.planning.insertions import find_insertions
-from drake_aigto.planning.options import Rung
+from drake_aigto.planning.options import PlanOptions, Rung
 from drake_aigto.planning.plan import LARGEST_DEFECT, Candidate
 from drake_aigto.planning.problem import PlanningProblem
 from drake_aigto.planning.search import Clock, Search
@@ -26,7 +28,7 @@ from drake_aigto.planning.touches import (
     swapped,
 )
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch, TouchSequence
-from drake_aigto.transcription.facings import find_facings
+from drake_aigto.transcription.facings import Facing, find_facings
 from drake_aigto.transcription.phases import straight_path
 from drake_aigto.transcription.touch import joint_times
 
@@ -35,6 +37,8 @@ if TYPE_CHECKING:
 
 # Times (K,) [s] and positions (K, nq) [m].
 Path = tuple["npt.NDArray[np.float64]", "npt.NDArray[np.float64]"]
+# A multi-phase problem, and its decision variables.
+Solved = tuple[PhaseTranscription, "npt.NDArray[np.float64]"]
 
 # Parts of the duration by which the times of two sequences of the same contacts differ at most, if
 # their polish is expected to end in one optimum, and if it has.
@@ -51,10 +55,12 @@ _STEPS_PRICE = 1e-2
 _SEEN = "; with bounces seen in its replay"
 _NEAR = "; a touch dropped or added"
 _SWAPPED = "; touches swapped"
-# Neighbours are tried of at most so many candidates, of those that cost at most so many times the
-# best, with so few time steps and iterations of the local solver: most are hopeless, or no motion
-# has them, which takes the solver longest to find out.
-_MOST_BRANCHES, _GOOD, _TRIAL_STEPS, _TRIAL_ITERATIONS = 3, 3.0, 20, 30
+# Neighbours are tried of candidates that cost at most so many times the best, with so few time
+# steps and iterations of the local solver: most are hopeless, or no motion has them, which takes
+# the solver longest to find out.
+_GOOD, _TRIAL_STEPS, _TRIAL_ITERATIONS = 3.0, 20, 30
+# Of the local solver on arcs: what takes more is left to the general way.
+_ARC_ITERATIONS = 60
 # A candidate that costs no more than so many times the best may become the best.
 _PROMISING = 20.0
 
@@ -65,9 +71,28 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
     # Gravity and springs may cost far more than the way does.
     _cost_units = (1.0, 1e2, 1e4)
 
+    def __init__(
+        self,
+        transcription: RigidTranscription,
+        options: PlanOptions | None = None,
+        num_steps: int | None = None,
+    ) -> None:
+        """Compiles.
+
+        Args:
+            transcription: for AIGO.
+            options: numerics.
+            num_steps: time steps that plans are to have; the transcription's if None.
+        """
+        super().__init__(transcription, options)
+        self.num_steps = num_steps or transcription.scenario.num_steps
+
     def find_sequences(self, result: AigoResult, rung: Rung) -> list[TouchSequence]:
         """Returns the contact sequences that AIGO proposes (`read_sequences`) and that fit."""
-        read = read_sequences(self.start(rung.start).transcription, result.box.center)
+        center = result.box.center
+        if self.options.pull:
+            center = self.pull(center, rung)
+        read = read_sequences(self.start(rung.start).transcription, center)
         return list(filter(self.fits, read))
 
     def _transcribe_around(self, positions: npt.NDArray[np.float64]) -> RigidTranscription:
@@ -75,9 +100,7 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
         first = self.transcription
         if first.world.num_solids == first.world.num_contacts:
             return first
-        around = RigidTranscription(first.world, first.scenario, first.relaxation, positions)
-        around.add_what_was_added_to(first)
-        return around
+        return first.along(positions)
 
     def fits(self, sequence: TouchSequence) -> bool:
         """Returns whether all touches are within the duration."""
@@ -105,56 +128,72 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
     ) -> tuple[PhaseTranscription, npt.NDArray[np.float64]]:
         """Returns the same, for a contact sequence along another path than a box center's.
 
+        Arcs, where they lead to the optimum, have the last polish's steps at once: their number
+        makes no difference.
+
         Args:
             path: times and positions.
             sequence: the contacts.
-            num_steps: of all phases together; this problem's if None.
+            num_steps: of all phases together, where there are no arcs; this problem's if None.
             max_iterations: of a single run of the local solver, rather than as many as it takes.
 
         Raises:
             OptionsError, TrajectoryError, UnsupportedTermError: touches that no motion has.
         """
-        coarse, (times, positions) = self.transcription, path
-        scenario = coarse.scenario
-        if num_steps is not None:
-            scenario = dataclasses.replace(scenario, time_step=scenario.duration / num_steps)
+        world, (times, positions) = self.transcription.world, path
         joints = joint_times(sequence)
         through = np.column_stack([np.interp(joints, times, q) for q in positions.T])
         # Box centers miss the goal, and neighbours the walls: on which side of it a block is passed
         # is to be seen on a path that does not.
-        bent = _bend(path, *straight_path(coarse.world, scenario, sequence, through))
-        facings = find_facings(coarse.world, *bent, sequence)
-        phases = PhaseTranscription(coarse.world, scenario, sequence, facings)
-        phases.add_what_was_added_to(coarse)
-        guess = phases.guess(through)
-        prog = phases.prog()
-        x = self.solve_program(
-            prog,
-            phases.vector(guess),
-            lambda: compile_nlp(prog, phases.elimination_order()),
-            max_iterations,
-        )
+        stops = straight_path(world, self.transcription.scenario, sequence, through)
+        facings = find_facings(world, *_bend(path, *stops), sequence)
+        if self._has_arcs:
+            turns = (facing.start for facing in facings)
+            fits = len({0.0, *joints, *turns}) <= self.num_steps
+            phases = self._phases(sequence, facings, self.num_steps if fits else None)
+            most = min(_ARC_ITERATIONS, max_iterations or _ARC_ITERATIONS)
+            x = solve_in_arcs(
+                phases, phases.guess(through), lambda nlp, start: self._minimise(nlp, start, most)
+            )
+            if x is not None:
+                return phases, x
+        phases = self._phases(sequence, facings, num_steps)
+        prog, guess = phases.prog(), phases.vector(phases.guess(through))
+        order = phases.elimination_order()
+        x = self.solve_program(prog, guess, lambda: compile_nlp(prog, order), max_iterations)
         return phases, x
+
+    @cached_property
+    def _has_arcs(self) -> bool:
+        is_ours = self.options.local_solver == "newton" and not self.transcription.has_additions
+        return is_ours and self.transcription.world.has_constant_bias
+
+    def _phases(
+        self, sequence: TouchSequence, facings: Iterable[Facing], num_steps: int | None
+    ) -> PhaseTranscription:
+        """Returns the multi-phase problem, with so many steps or this problem's."""
+        coarse = self.transcription
+        scenario = coarse.scenario
+        if num_steps is not None:
+            scenario = dataclasses.replace(scenario, time_step=scenario.duration / num_steps)
+        phases = PhaseTranscription(coarse.world, scenario, sequence, tuple(facings))
+        phases.add_what_was_added_to(coarse)
+        return phases
 
 
 class RigidSearch(Search[TouchSequence]):
-    """AIGO proposes touches, polished with its coarse knots; the best are polished again.
+    """AIGO proposes touches, which are polished; the best again if the first polish was coarse.
 
     If a candidate's replay bounces where its plan does not, the plan with that bounce is another
     candidate: knots may step over a short contact, and AIGO's do over one right after the start.
     """
 
-    def __init__(
-        self,
-        problem: RigidProblem,
-        clock: Clock,
-        num_steps: int,
-    ) -> None:
-        """Starts with no candidate; finalists are polished with so many time steps."""
+    def __init__(self, problem: RigidProblem, clock: Clock) -> None:
+        """Starts with no candidate."""
         super().__init__(problem, clock)
         self._fits = problem.fits
-        self._polish_along = problem.polish_along
-        self._num_steps = num_steps
+        self._polish, self._polish_along = problem.polish, problem.polish_along
+        self._num_steps = problem.num_steps
         self._duration = problem.transcription.scenario.duration
         self._refused: list[TouchSequence] = []
 
@@ -164,6 +203,7 @@ class RigidSearch(Search[TouchSequence]):
         center: npt.NDArray[np.float64],
         sequence: TouchSequence,
         path: Path | None = None,
+        solved: Solved | None = None,
     ) -> None:
         """Adds the candidate of a sequence, and if its replay bounces more often, that one's.
 
@@ -172,10 +212,16 @@ class RigidSearch(Search[TouchSequence]):
             center: of the box that led to it.
             sequence: the contacts.
             path: near which they are; the box center's if None.
+            solved: the polish, if that is done.
         """
-        along = path and (lambda _, touches: self._polish_along(path, touches))
+
+        def polish(center: npt.NDArray[np.float64], touches: TouchSequence) -> Solved:
+            if solved or path is None:
+                return solved or self._polish(center, touches)
+            return self._polish_along(path, touches)
+
         try:
-            self.solve(origin, center, sequence, along or self.problem.polish)
+            self.solve(origin, center, sequence, polish)
         except (OptionsError, TrajectoryError, UnsupportedTermError):
             # Boxes may see touches that no motion has, such as of opposite walls at once.
             self._refused.append(sequence)
@@ -230,7 +276,7 @@ class RigidSearch(Search[TouchSequence]):
     def branch(self) -> None:
         """Adds neighbours (`neighbors`) of good sequences, the best first, of each once."""
         branched: set[TouchSequence] = set()
-        while len(branched) < _MOST_BRANCHES:
+        while len(branched) < self.problem.options.branches:
             least = min(candidate.replay.cost for candidate in self.by_sequence.values())
             good = [
                 sequence
@@ -256,21 +302,23 @@ class RigidSearch(Search[TouchSequence]):
             held = [kinds(each) for each, it in self.by_sequence.items() if it.is_confirmed]
             is_new = kinds(other) not in held and not self.is_known(other)
             if is_new and len(other) <= _MOST_TOUCHES:
-                if self._is_good(other, path):
-                    self.add(f"{origin}{_NEAR}", self.centers[sequence], other, path)
+                if tried := self._try(other, path):
+                    # Where arcs did without the program, the trial was the polish.
+                    solved = tried if tried[0].is_as_made else None
+                    self.add(f"{origin}{_NEAR}", self.centers[sequence], other, path, solved)
                 else:
                     self._refused.append(other)
 
-    def _is_good(self, sequence: TouchSequence, path: Path) -> bool:
-        """Returns whether a trial polish meets the rows, and costs little more than the best."""
+    def _try(self, sequence: TouchSequence, path: Path) -> Solved | None:
+        """Returns a trial polish, if it meets the rows, and costs little more than the best."""
         least = min(candidate.replay.cost for candidate in self.by_sequence.values())
         try:
             with self._clock("polish"):
                 phases, x = self._polish_along(path, sequence, _TRIAL_STEPS, _TRIAL_ITERATIONS)
         except (OptionsError, TrajectoryError, UnsupportedTermError):
-            return False
+            return None
         is_feasible = max(phases.defects(x).values()) <= LARGEST_DEFECT
-        return is_feasible and phases.scenario_cost(x) <= _GOOD * least
+        return (phases, x) if is_feasible and phases.scenario_cost(x) <= _GOOD * least else None
 
     def _rank_of(self, sequence: TouchSequence) -> tuple[float, ...]:
         return self.rank(self.by_sequence[sequence])

@@ -17,8 +17,10 @@ from pydrake.systems.framework import (
     WitnessFunctionDirection,
 )
 
-from drake_aigto.planning.contact_motion import Clearance, ContactMotion
-from drake_aigto.planning.impacts import Impacts, Phase
+from drake_aigto.planning import impacts
+from drake_aigto.planning.contact_motion import Clearance, ContactMotion, calc_time_to_wall
+from drake_aigto.planning.controller import Controller
+from drake_aigto.planning.impacts import Phase, Rules
 from drake_aigto.planning.recording import Recording
 
 if TYPE_CHECKING:
@@ -39,8 +41,6 @@ _LAG = 2.0347e-7
 _WINDOW = 2e-7
 # A ball inside the wall came in no longer ago than this, at whatever speed and push.
 _LATEST = 2 * _LAG + 2 * _WINDOW
-# The sum of forces on a contact at rest that is not surely a pull, relative to the accelerations.
-_PULLED = 1e-13
 # What rises faster than this has turned round [m/s]. Not 0, which velocities do reach on knots.
 _RISING = 1.7e-10
 # Local error of an integration step.
@@ -54,7 +54,7 @@ class RigidWall(LeafSystem):
         impact    v⁺ = v⁻ − (1 + e_i) M⁻¹ J_iᵀ (J_i M⁻¹ J_iᵀ)⁻¹ J_i v⁻    when φ_i = 0, J_i v⁻ < 0
         rest      M v̇ + h(q, v) = B u + J_Rᵀ λ,  0 ≤ λ ⊥ J_R v̇ ≥ 0      on the contacts R
 
-    Impacts at the same time happen one after the other until none is approached (`Impacts.run`). A
+    Impacts at the same time happen one after the other until none is approached (`impacts.run`). A
     contact that is rested on is one of them if another impact drives the ball into it.
 
     With e < 1 a constant push makes infinitely many impacts in finite time. So the n-th impact at
@@ -92,10 +92,12 @@ class RigidWall(LeafSystem):
         # v̇ = gain u + drift, if the drift is constant.
         origin = np.zeros(self._nq)
         drift = world.calc_acceleration(origin, origin, np.zeros(world.num_actuators))
-        self._drift = drift if _is_constant(world.bias) else None
+        self._drift = drift if world.has_constant_bias else None
         self._gain = np.linalg.solve(world.mass_matrix_values, world.actuation)
         self._motion = ContactMotion(world)
-        self._impacts = Impacts(self._motion, restitutions, duration, recording)
+        self._rules = Rules(restitutions, duration)
+        self._log = impacts.make_log(impacts.MOST_IMPACTS, self._nq)
+        self._recording = recording
         self._duration = duration
         self._longest_step = longest_step
         self.DeclareContinuousState(world.num_positions, world.num_velocities, 0)
@@ -136,7 +138,7 @@ class RigidWall(LeafSystem):
         """Writes (q̇, v̇)."""
         x = _get_state(context)
         acceleration = self._calc_acceleration(context, x)
-        acceleration = self._impacts.support(acceleration, self._get_resting(context))
+        acceleration = self._motion.calc_supported(acceleration, self._get_resting(context))
         rates = np.concatenate([x[self._nq :], acceleration])
         derivatives.get_mutable_vector().SetFromVector(rates)
 
@@ -208,8 +210,21 @@ class RigidWall(LeafSystem):
             if near.contact not in resting
         ):
             return math.inf
-        acceleration = self._impacts.support(self._calc_acceleration(context, x), resting)
-        return self._impacts.find_touch(x, acceleration, resting).wait
+        free = self._calc_acceleration(context, x)
+        phase = self._read(context, x, resting)
+        acceleration = self._motion.calc_supported(free, resting)
+        walls, curves = self._motion.walls, np.empty((len(phase.resting), 3))
+        impacts.calc_curves(walls, phase.q, phase.v, acceleration, curves)
+        still = impacts.STILL * max(1.0, float(np.max(np.abs(phase.v))))
+        wait, contact, _ = impacts.find_event(walls.firsts, phase.resting, curves, still, horizon)
+        return wait if contact >= 0 else math.inf
+
+    def _read(self, context: Context, x: _Array, resting: set[int]) -> Phase:
+        """Returns the state as compiled code has it."""
+        held = np.zeros(self._world.num_contacts, dtype=bool)
+        held[list(resting)] = True
+        counts = context.get_discrete_state(self._counts).get_value().copy()
+        return Phase(x[: self._nq].copy(), x[self._nq :].copy(), held, counts)
 
     def _update(self, context: Context, state: State) -> EventStatus:
         """Lets go of walls, or bounces off them, when it is time to."""
@@ -217,95 +232,116 @@ class RigidWall(LeafSystem):
         clearances = self._motion.calc_clearances(x)
         status = EventStatus.DidNothing()
         if resting or min(near.distance for near in clearances) <= 0:
-            counts = context.get_discrete_state(self._counts).get_value().tolist()
-            phase = Phase(x, resting, counts)
-            if self._advance(context, phase, clearances):
+            phase = self._read(context, x, resting)
+            if self._advance(context, x, phase, clearances):
                 self._write(state, phase)
                 status = EventStatus.Succeeded()
-                clearances = self._motion.calc_clearances(phase.x)
+                clearances = self._motion.calc_clearances(np.concatenate([phase.q, phase.v]))
         rising = self._find_rising(clearances)
         if rising != self._get_set(context, self._rising):
             state.get_mutable_discrete_state(self._rising).SetAtIndex(0, rising)
             status = EventStatus.Succeeded()
         return status
 
-    def _advance(self, context: Context, phase: Phase, clearances: list[Clearance]) -> bool:
+    def _advance(
+        self, context: Context, x: _Array, phase: Phase, clearances: list[Clearance]
+    ) -> bool:
         """Returns whether something happened, after which the phase is another."""
-        acceleration = self._calc_acceleration(context, phase.x)
-        before = set(phase.resting)
-        self._let_go(phase, acceleration)
-        if phase.resting == before and all(
-            near.distance > 0 or not before.isdisjoint(self._faces(near)) for near in clearances
-        ):
+        acceleration = self._calc_acceleration(context, x)
+        before = phase.resting.copy()
+        # Over an edge the ball is in front of another face.
+        held = {near.contact for near in clearances}
+        phase.resting[[i for i in range(len(before)) if i not in held]] = False
+        supported = self._motion.calc_supported(acceleration, np.flatnonzero(phase.resting))
+        pulled = impacts.PULLED * max(1.0, float(np.max(np.abs(acceleration))))
+        phase.resting[np.array(self._motion.calc_pushes(supported)) > pulled] = False
+        entered = [
+            near
+            for near in clearances
+            if near.distance <= 0 and not np.any(phase.resting[[*self._beside(near)]])
+        ]
+        if np.array_equal(phase.resting, before) and not entered:
             return False
-        self._bounce(context.get_time(), phase, acceleration)
+        self._bounce(context.get_time(), x, phase, acceleration, entered)
         return True
 
+    def _beside(self, near: Clearance) -> tuple[int, ...]:
+        return self._motion.faces_beside(near.contact)
+
     def _write(self, state: State, phase: Phase) -> None:
-        state.get_mutable_continuous_state().SetFromVector(phase.x)
-        bits = sum(1 << i for i in phase.resting)
+        state.get_mutable_continuous_state().SetFromVector(np.concatenate([phase.q, phase.v]))
+        bits = sum(1 << int(i) for i in np.flatnonzero(phase.resting))
         state.get_mutable_discrete_state(self._rest).SetAtIndex(0, bits)
         state.get_mutable_discrete_state(self._counts).SetFromVector(phase.counts)
 
-    def _faces(self, clearance: Clearance) -> list[int]:
-        """Returns all faces of the solid."""
-        return self._motion.solids[self._motion.solid_of[clearance.contact]]
-
-    def _let_go(self, phase: Phase, acceleration: _Array) -> None:
-        """Ends rest where the ball is pulled off, or has slid over an edge."""
-        if not phase.resting:
-            return
-        pushes = self._motion.calc_pushes(self._impacts.support(acceleration, phase.resting))
-        still = _PULLED * max(1.0, float(np.max(np.abs(acceleration))))
-        held = {near.contact for near in self._motion.calc_clearances(phase.x)}
-        phase.resting = {i for i in phase.resting & held if pushes[i] <= still}
-
-    def _bounce(self, time: float, phase: Phase, acceleration: _Array) -> None:
+    def _bounce(
+        self,
+        time: float,
+        x: _Array,
+        phase: Phase,
+        acceleration: _Array,
+        entered: list[Clearance],
+    ) -> None:
         """Replays what happened since the earliest of the touches that are not old."""
-        supported = self._impacts.support(acceleration, phase.resting)
-        touches = [
-            self._impacts.trace_back(phase.x, supported, near)
-            for near in self._motion.calc_clearances(phase.x)
-            if near.distance <= 0 and phase.resting.isdisjoint(self._faces(near))
-        ]
+        walls = self._motion.walls
+        supported = self._motion.calc_supported(acceleration, np.flatnonzero(phase.resting))
+        touches = [self._trace_back(x, supported, near) for near in entered]
         # What is older starts at the wall and leaves it. Exactly at 0 its return would not be seen.
-        fresh = [touch for touch in touches if touch.wait <= _LATEST * self._duration]
-        if fresh:
-            first = max(fresh, key=lambda touch: touch.wait)
-            self._impacts.run(time, phase, acceleration, first)
-        else:
-            self._impacts.settle(phase)
+        fresh = [touch for touch in touches if touch[0] <= _LATEST * self._duration]
+        if not fresh:
+            impacts.settle(walls, phase.q, phase.v, phase.resting)
+            return
+        left, first = max(fresh, key=lambda touch: touch[0])
+        impacts.fly(phase.q, phase.v, supported, -left)
+        count = impacts.run(
+            walls, self._rules, phase, acceleration, time, left, first, self._log, 0
+        )
+        self._recording.add_impacts(self._log[:count], self._world.mass_matrix_values)
+
+    def _trace_back(
+        self, x: _Array, acceleration: _Array, clearance: Clearance
+    ) -> tuple[float, int]:
+        """Returns how long ago the ball came in where its clearance is at most 0, and the face.
+
+        It came in through the face that it was in front of last.
+        """
+        distances, rates = self._motion.calc_distances(x)
+        pushes = self._motion.calc_pushes(acceleration)
+        touches = []
+        for i in self._beside(clearance):
+            # Back in time, from inside, the wall is ahead: both signs turn.
+            came_in = distances[i] < 0 or rates[i] < 0
+            age = calc_time_to_wall(-distances[i], rates[i], -pushes[i]) if came_in else math.inf
+            touches.append((age, i))
+        return min(touches)
 
 
 def simulate_rigid_wall(
     world: World,
     restitutions: npt.NDArray[np.float64],
     state: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]],
-    times: npt.NDArray[np.float64],
-    controls: npt.NDArray[np.float64],
+    controller: Controller,
 ) -> Recording:
-    """Runs a held control against exactly rigid walls.
+    """Runs a controller against exactly rigid walls.
 
     Args:
         world: its dynamics and its contacts.
         restitutions: e of each contact, in [0, 1], shape (m,).
         state: the start, (q, v).
-        times: of the knots, shape (N+1,) [s].
-        controls: held between them, shape (N, nu).
+        controller: decides the control, open or closed loop.
 
     Returns:
-        The states at all knots, and before and after each impact.
+        The states whenever the controller is asked, at the end, and before and after each impact.
     """
-    longest_step = float(np.max(np.diff(times)))
-    duration = float(times[-1] - times[0])
+    duration = controller.end - controller.start
     recording = Recording()
-    wall = RigidWall(world, restitutions, duration, longest_step, recording)
+    wall = RigidWall(world, restitutions, duration, controller.longest_hold, recording)
     simulator = Simulator(wall)
-    varies = not _is_constant(world.bias)
+    varies = not world.has_constant_bias
     config = SimulatorConfig(
         # Second order is exact for constant acceleration; fifth takes few steps for any other.
         integration_scheme="runge_kutta5" if varies else "runge_kutta2",
-        max_step_size=longest_step,
+        max_step_size=controller.longest_hold,
         accuracy=_ACCURACY,
         use_error_control=varies,
     )
@@ -313,17 +349,21 @@ def simulate_rigid_wall(
     context = simulator.get_mutable_context()
     # Drake's isolation window is a hundredth of the context's accuracy, in seconds.
     context.SetAccuracy(100 * _WINDOW * duration)
-    context.SetTime(times[0])
+    context.SetTime(controller.start)
     context.SetContinuousState(np.concatenate(state))
-    recording.add(float(times[0]), *state)
-    for time, control in zip(times[1:].tolist(), controls, strict=True):
-        wall.GetInputPort("control").FixValue(context, control)
-        while (now := context.get_time()) < time:
-            stop = _plan_stop(now, wall.predict_impact(context, time - now), duration)
-            simulator.AdvanceTo(min(stop, time))
+    recording.add(controller.start, *state)
+    while (now := context.get_time()) < controller.end:
+        held = controller.sample(now, _get_state(context), recording.bounces)
+        recording.hold(now, held.control)
+        wall.GetInputPort("control").FixValue(context, held.control)
+        known = len(recording.impacts)
+        while (now := context.get_time()) < held.until:
+            stop = _plan_stop(now, wall.predict_impact(context, held.until - now), duration)
+            simulator.AdvanceTo(min(stop, held.until))
+            if controller.feels_contact and len(recording.impacts) > known:
+                break
         wall.ExecuteForcedEvents(context, publish=False)
-        x = _get_state(context)
-        recording.add(time, x[: world.num_positions], x[world.num_positions :])
+        recording.add(context.get_time(), *np.split(_get_state(context), 2))
     recording.max_penetration = ContactMotion(world).calc_depth(recording.positions)
     return recording
 
@@ -342,7 +382,3 @@ def _plan_stop(time: float, wait: float, duration: float) -> float:
 def _get_state(context: Context) -> npt.NDArray[np.float64]:
     """Returns (q, v)."""
     return context.get_continuous_state_vector().CopyToVector()
-
-
-def _is_constant(expressions: npt.NDArray[Any]) -> bool:
-    return all(expression.GetVariables().empty() for expression in expressions)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -16,6 +17,8 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
+_LOG = logging.getLogger(__name__)
+
 Clock = Callable[[str], AbstractContextManager[None]]
 Polish = Callable[..., tuple[Any, Any]]
 
@@ -29,6 +32,7 @@ class Search(ABC, Generic[Sequence]):
         centers: of the boxes that each sequence was read off.
         solved: the transcription that each polish solved, and its decision variables.
         aigo_steps: inner iterations of AIGO so far.
+        box_contacts: how many contacts the last box of each rung shows.
     """
 
     def __init__(self, problem: PlanningProblem[Any, Sequence], clock: Clock) -> None:
@@ -38,6 +42,7 @@ class Search(ABC, Generic[Sequence]):
         self.centers: dict[Sequence, npt.NDArray[np.float64]] = {}
         self.solved: dict[Sequence, tuple[Any, npt.NDArray[np.float64]]] = {}
         self.aigo_steps = 0
+        self.box_contacts: list[int] = []
 
     def add_rung(self, rung: Rung) -> None:
         """Adds the candidates of AIGO's sequences under this rung, unless they are there.
@@ -49,6 +54,13 @@ class Search(ABC, Generic[Sequence]):
             result = self.problem.run_aigo(rung)
             sequences = self.problem.find_sequences(result, rung)
         self.aigo_steps += result.num_inner_steps
+        _LOG.info(
+            "  %s after %d inner steps; contact sequences: %d",
+            result.status.name.lower(),
+            result.num_inner_steps,
+            len(sequences),
+        )
+        self.box_contacts.append(len(sequences[0]) if sequences else 0)
         for sequence in sequences:
             if not self.is_known(sequence):
                 self.add(self.problem.options.describe(rung), result.box.center, sequence)
@@ -66,7 +78,16 @@ class Search(ABC, Generic[Sequence]):
         with self._clock("polish"):
             self.solved[sequence] = solved, x = polish(center, sequence)
         with self._clock("replay"):
-            self.by_sequence[sequence] = self.problem.judge(origin, center, solved, x)
+            candidate = self.problem.judge(origin, center, solved, x)
+        self.by_sequence[sequence] = candidate
+        _LOG.info(
+            "  %s: cost %.3e, replayed %.3e, largest defect %.0e, in %d steps",
+            candidate.describe_contacts(),
+            candidate.cost,
+            candidate.replay.cost,
+            candidate.max_defect,
+            len(candidate.trajectory.controls),
+        )
         self.centers[sequence] = center
 
     def ranked(self) -> list[Candidate]:

@@ -1,0 +1,68 @@
+"""What decides a control while a simulation runs."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+
+class Held(NamedTuple):
+    """A control that is held for a while."""
+
+    control: npt.NDArray[np.float64]  # u, shape (nu,) [N]
+    until: float  # when the controller is asked again, at the latest [s]
+
+
+class Controller(ABC):
+    """A digital controller: it samples the state and holds its control until the next sample.
+
+    Attributes:
+        start: of its time [s].
+        end: of its time [s].
+        longest_hold: the longest that a control is held [s].
+        feels_contact: whether it is asked again as soon as a contact has ended, and not while one
+            goes on.
+    """
+
+    start: float
+    end: float
+    longest_hold: float
+    feels_contact: bool
+
+    @abstractmethod
+    def sample(self, time: float, x: npt.NDArray[np.float64], bounces: Sequence[int]) -> Held:
+        """Returns the control from now on.
+
+        Args:
+            time: now, in [start, end) [s].
+            x: (q, v), shape (nq + nv,).
+            bounces: the contact of each bounce so far.
+        """
+
+
+class HeldControl(Controller):
+    """A control that was decided before: open loop."""
+
+    feels_contact = False
+
+    def __init__(self, times: npt.NDArray[np.float64], controls: npt.NDArray[np.float64]) -> None:
+        """Keeps it.
+
+        Args:
+            times: of the knots, shape (N+1,), strictly increasing [s].
+            controls: held between them, shape (N, nu) [N].
+        """
+        self._times, self._controls = times, controls
+        self.start, self.end = float(times[0]), float(times[-1])
+        self.longest_hold = float(np.max(np.diff(times)))
+
+    def sample(self, time: float, x: npt.NDArray[np.float64], bounces: Sequence[int]) -> Held:
+        """Returns the control of this interval."""
+        k = int(np.searchsorted(self._times, time, side="right"))
+        return Held(self._controls[k - 1], float(self._times[k]))

@@ -1,0 +1,194 @@
+"""Held controls on exactly rigid walls where flight is a parabola: one, or thousands at once."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from drake_aigto.jit import njit
+from drake_aigto.planning.contact_motion import ContactMotion, Walls
+from drake_aigto.planning.impacts import (
+    STATE,
+    TIME,
+    Phase,
+    Rules,
+    calc_curves,
+    fly,
+    make_log,
+    may_touch,
+    run,
+)
+from drake_aigto.planning.recording import Recording, list_impacts
+
+if TYPE_CHECKING:
+    from drake_aigto.world import World
+
+_Array = npt.NDArray[np.float64]
+_Ints = npt.NDArray[np.int64]
+
+# Of the first log; what has more impacts runs a second time.
+_USUAL_IMPACTS = 64
+
+
+class Parabolas:
+    """Rolls out held controls by roots alone, without integration (`RigidWall` has the equations).
+
+    If the bias h is constant, v̇ = M⁻¹ (B u − h) is so between events under a held control, and
+
+        φ(t) = φ + φ̇ t + ½ φ̈ t²
+
+    Each event of an interval is the root of such a parabola (`impacts.run`): nothing is missed, and
+    what is found is exact but for rounding.
+    """
+
+    def __init__(
+        self, world: World, restitutions: _Array, state: tuple[_Array, _Array], times: _Array
+    ) -> None:
+        """Reads what is constant.
+
+        Args:
+            world: its bias has to be constant (`World.has_constant_bias`).
+            restitutions: e of each contact, in [0, 1], shape (m,).
+            state: the start, (q, v).
+            times: of the knots, shape (N+1,) [s].
+        """
+        self._motion = ContactMotion(world)
+        self._mass_matrix = world.mass_matrix_values
+        self._rules = Rules(restitutions, float(times[-1] - times[0]))
+        # A copy: Numba compiles once more for arrays that are read-only.
+        self._times = np.array(times)
+        self._start = np.array(state)
+        origin = np.zeros(world.num_positions)
+        self._drift = world.calc_acceleration(origin, origin, np.zeros(world.num_actuators))
+        self._gain = np.linalg.solve(self._mass_matrix, world.actuation)
+
+    def record(self, controls: _Array) -> Recording:
+        """Returns the states at all knots, and before and after each impact.
+
+        Args:
+            controls: held between the knots, shape (N, nu).
+        """
+        knots, n = self._times.size, self._start.shape[1]
+        states, impacts_until = np.empty((knots, 2, n)), np.zeros(knots, dtype=np.int64)
+        accelerations = controls @ self._gain.T + self._drift
+        log, count = make_log(_USUAL_IMPACTS, n), 0
+        while (count := self._roll_out(accelerations, states, impacts_until, log)) > len(log):
+            log = make_log(count, n)
+        log = log[:count]
+        # A knot's row stands behind two for each impact until then.
+        at_knots = np.arange(knots) + 2 * impacts_until
+        at_impacts = np.setdiff1d(np.arange(knots + 2 * count), at_knots, assume_unique=True)
+        times, rows = np.empty(knots + 2 * count), np.empty((knots + 2 * count, 2, n))
+        times[at_knots], rows[at_knots] = self._times, states
+        q, before, after = np.split(log[:, STATE:], 3, axis=1)
+        for part, v in enumerate((before, after)):
+            rows[at_impacts[part::2]] = np.stack([q, v], axis=1)
+            times[at_impacts[part::2]] = log[:, TIME]
+        return Recording(
+            times=times.tolist(),
+            positions=list(rows[:, 0]),
+            velocities=list(rows[:, 1]),
+            control_times=self._times[:-1].tolist(),
+            controls=list(controls),
+            impacts=list_impacts(log, self._mass_matrix),
+            max_penetration=self._motion.calc_depth(rows[:, 0]),
+        )
+
+    def _roll_out(
+        self, accelerations: _Array, states: _Array, impacts_until: _Ints, log: _Array
+    ) -> int:
+        walls, start = self._motion.walls, self._start
+        return roll_out(
+            walls, self._rules, start, self._times, accelerations, states, impacts_until, log
+        )
+
+    def find_ends(self, controls: _Array, times: _Array | None = None) -> _Array:
+        """Returns the positions that many controls lead to, shape (C, nq) [m].
+
+        Args:
+            controls: C of them, held between the knots, shape (C, N, nu).
+            times: of the knots of each, shape (C, N+1), from 0 to T; None: those of all [s].
+        """
+        times = np.broadcast_to(
+            self._times if times is None else times, (len(controls), self._times.size)
+        )
+        accelerations = controls @ self._gain.T + self._drift
+        ends = np.empty((len(controls), self._start.shape[1]))
+        log = make_log(0, ends.shape[1])
+        knots = np.ascontiguousarray(times)
+        roll_out_many(self._motion.walls, self._rules, self._start, knots, accelerations, ends, log)
+        return ends
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def roll_out(
+    walls: Walls,
+    rules: Rules,
+    start: _Array,
+    times: _Array,
+    accelerations: _Array,
+    states: _Array,
+    impacts_until: _Ints,
+    log: _Array,
+) -> int:
+    """Write the motion from a start, under the acceleration of each interval.
+
+    Args:
+        walls: the contacts.
+        rules: of impacts.
+        start: (q, v), shape (2, nq).
+        times: of the knots, shape (N+1,) [s].
+        accelerations: v̇ without contact, shape (N, nv) [m/s²].
+        states: becomes (q, v) at each knot, shape (N+1, 2, nq).
+        impacts_until: becomes how many impacts there were until each knot, shape (N+1,).
+        log: one row for each impact, as many as it has.
+
+    Returns:
+        How many impacts there were.
+    """
+    m, n = walls.lifts.shape
+    q, v, resting = start[0].copy(), start[1].copy(), np.zeros(m, np.bool_)
+    phase = Phase(q, v, resting, np.zeros(m))
+    curves, logged = np.empty((m, 3)), 0
+    for k in range(times.size):
+        if k > 0:
+            acceleration, left = accelerations[k - 1], times[k] - times[k - 1]
+            calc_curves(walls, q, v, acceleration, curves)
+            if may_touch(walls.firsts, resting, curves, left):
+                logged = run(walls, rules, phase, acceleration, times[k], left, -1, log, logged)
+            else:
+                fly(q, v, acceleration, left)
+        impacts_until[k] = logged
+        for i in range(n):
+            states[k, 0, i], states[k, 1, i] = q[i], v[i]
+    return logged
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def roll_out_many(
+    walls: Walls,
+    rules: Rules,
+    start: _Array,
+    times: _Array,
+    accelerations: _Array,
+    ends: _Array,
+    log: _Array,
+) -> None:
+    """Write the last position of each of C motions from a start (`roll_out`).
+
+    Args:
+        walls: the contacts.
+        rules: of impacts.
+        start: (q, v), shape (2, nq).
+        times: of the knots, shape (C, N+1) [s].
+        accelerations: v̇ without contact, shape (C, N, nv) [m/s²].
+        ends: becomes q at the last knots, shape (C, nq).
+        log: has no row.
+    """
+    states = np.empty((times.shape[1], 2, start.shape[1]))
+    impacts_until = np.zeros(times.shape[1], np.int64)
+    for c in range(len(ends)):
+        roll_out(walls, rules, start, times[c], accelerations[c], states, impacts_until, log)
+        ends[c] = states[-1, 0]
