@@ -1,5 +1,17 @@
 """What people would use instead, on the same scenarios and under the same verdict."""
 
+from drake_aigto.baselines.baseline import Baseline, BaselineRun, Improvement, Recorder
 from drake_aigto.baselines.gradient import gradient_from_random, gradient_from_zero
+from drake_aigto.baselines.registry import BASELINES, check_baselines, run_baseline
 
-__all__ = ["gradient_from_random", "gradient_from_zero"]
+__all__ = [
+    "BASELINES",
+    "Baseline",
+    "BaselineRun",
+    "Improvement",
+    "Recorder",
+    "check_baselines",
+    "gradient_from_random",
+    "gradient_from_zero",
+    "run_baseline",
+]

@@ -8,10 +8,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import Polynomial
+from numpy.typing import ArrayLike, NDArray
 
 from drake_aigto.errors import ModelError
 from drake_aigto.world import Scenario, World
@@ -93,6 +94,37 @@ def rigid_optimum(world: World, scenario: Scenario) -> RigidOptimum:
     return RigidOptimum(price * best.cost, (best.time * T,), (best.velocity / T,), flight_cost)
 
 
+def bounce_costs(
+    world: World, scenario: Scenario, times: ArrayLike, speeds: ArrayLike
+) -> NDArray[np.float64]:
+    """Returns the least cost of motions that touch a rigid wall once, at a time and a speed.
+
+    In the units of `rigid_optimum`, the cubic to the touch (s, V), and the best flight after it:
+
+        3(p + v₀s)²/s³ + 4(V + (3p + v₀s)/(2s))²/s + k(1 − s) (g + e (1 − s) V)²
+
+    Args:
+        world: one coordinate, no bias, φ affine in q.
+        scenario: start, goal, duration, weights and restitution; it has to fit the world.
+        times: of the touch, in (0, T) [s]; shapes of times and speeds broadcast.
+        speeds: −φ̇ > 0 before it [m/s].
+
+    Returns:
+        J, of that shape; NaN where the cubic would go through the wall before.
+
+    Raises:
+        ModelError: another kind of world.
+        ScenarioError: the scenario does not fit the world (`World.check`).
+    """
+    world.check(scenario)
+    _check_world(world)
+    task, price = _make_task(world, scenario)
+    s, speed = np.broadcast_arrays(np.asarray(times) / scenario.duration, speeds)
+    impact = -speed * scenario.duration
+    costs = price * task.calc_bounce_cost(s, impact)
+    return np.where(task.way_is_clear(s, impact), costs, np.nan)
+
+
 class _Bounce(NamedTuple):
     """A motion that touches once; all in units of `_Task`."""
 
@@ -155,8 +187,27 @@ class _Task:
         free = -(3 * p + v * s) / (2 * s)  # velocity at the wall if it costs nothing
         price = _calc_goal_price(self.weight, left)
         impact = (4 * free - price * s * e * left * g) / (4 + price * s * (e * left) ** 2)
+        return _Bounce(self.calc_bounce_cost(s, impact), s, impact)
+
+    def calc_bounce_cost(self, s: Any, impact: Any) -> Any:
+        """Returns the least cost of touching at time s with velocity V; numbers or arrays."""
+        p, v, g, e = self.position, self.velocity, self.goal, self.restitution
+        left = 1 - s
+        free = -(3 * p + v * s) / (2 * s)
         effort = 3 * (p + v * s) ** 2 / s**3 + 4 * (impact - free) ** 2 / s
-        return _Bounce(effort + price * (g + e * left * impact) ** 2, s, impact)
+        return effort + _calc_goal_price(self.weight, left) * (g + e * left * impact) ** 2
+
+    def way_is_clear(self, s: NDArray[np.float64], impact: NDArray[np.float64]) -> Any:
+        """Returns whether the cubic to the touch stays off the wall.
+
+        With t in units of s it is (1 − t)(p + (p + v₀s) t − (2p + v₀s + V s) t²).
+        """
+        p, turn = self.position, -(2 * self.position + self.velocity * s + impact * s)
+        slope = p + self.velocity * s
+        with np.errstate(divide="ignore", invalid="ignore"):
+            bottom = -slope / (2 * turn)
+            dips = (turn > 0) & (bottom > 0) & (bottom < 1) & (p < slope**2 / (4 * turn))
+        return ~dips
 
     def _make_slope(self) -> Polynomial:
         """Returns the slope of the least cost over s, times something positive.
@@ -174,7 +225,7 @@ class _Task:
         return after - (p + v * s) * (3 * p + v * s) * Q**2
 
 
-def _calc_goal_price(weight: float, left: float) -> float:
+def _calc_goal_price(weight: float, left: Any) -> Any:
     """Returns k in k D²: the least of effort and goal, a ballistic path missing the goal by D."""
     return 3 * weight / (3 + weight * left**3)
 

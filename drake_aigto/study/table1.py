@@ -3,19 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-import os
+import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, ProcessPoolExecutor, as_completed
-from contextlib import contextmanager
+from concurrent.futures import Executor, Future, as_completed
 from dataclasses import dataclass
 from functools import partial
-from multiprocessing import get_context
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from drake_aigto.baselines import gradient_from_random, gradient_from_zero
+from drake_aigto.count import Count
 from drake_aigto.planning import (
     Candidate,
     LiteralProblem,
@@ -28,8 +27,11 @@ from drake_aigto.planning import (
 from drake_aigto.planning.material import contact_delay
 from drake_aigto.planning.options import AlgorithmName, LocalSolverName
 from drake_aigto.study.rigid_optimum import RigidOptimum, rigid_optimum
+from drake_aigto.study.workers import Workers
 from drake_aigto.transcription import LiteralTranscription
 from drake_aigto.world import Scenario
+
+_LOG = logging.getLogger(__name__)
 
 ROWS = (1, 2, 3, 4)
 # Through Drake.
@@ -42,7 +44,6 @@ ALGORITHMS: dict[str, AlgorithmName] = {
     "AIGTO, annealing": "annealing",
 }
 RIGID_METHOD = "AIGTO, rigid"
-_BLAS_THREADS = "OPENBLAS_NUM_THREADS"  # read by NumPy's and SciPy's wheels as they are loaded
 
 
 class PaperCosts(NamedTuple):
@@ -264,15 +265,17 @@ def run_table1(
         num_guesses: random guesses of the gradient solvers.
         seed: of the guesses.
         confirm: whether the plans are also replayed on Drake's plant.
-        executor: where cells run; a pool of processes if None.
+        executor: where cells run; processes of one thread, one a core, if None.
         progress: called with a line of text after each cell.
 
     Returns:
         The table. Ctrl-C leaves those cells that were done.
     """
     if executor is None:
-        with _process_pool() as pool:
-            return run_table1(rows, num_guesses, seed, confirm, pool, progress)
+        with Workers() as pool:
+            table = run_table1(rows, num_guesses, seed, confirm, pool, progress)
+            pool.kill()  # After Ctrl-C, cells that nobody waits for are still worked on.
+            return table
     literal = [
         executor.submit(run_cell, row, nonpenetration, num_guesses, seed, confirm)
         for nonpenetration in (False, True)
@@ -283,10 +286,12 @@ def run_table1(
     done = set()
     try:
         for job in as_completed(jobs):
-            job.result()
+            cell = job.result()
+            took = "; ".join(f"{each.name} {each.seconds:.1f} s" for each in cell.methods)
+            _LOG.info("row %d: %s", cell.row, took)
             done.add(job)
             if progress:
-                progress(f"{len(done)} of {len(jobs)} cells of Table I done")
+                progress(Count(len(done), len(jobs), "cells of Table I done"))
     except KeyboardInterrupt:
         for job in jobs:
             job.cancel()
@@ -296,22 +301,6 @@ def run_table1(
         tuple(job.result() for job in literal if job in done),
         tuple(job.result() for job in rigid if job in done),
     )
-
-
-@contextmanager
-def _process_pool() -> Iterator[Executor]:
-    """Yields a pool of one process a core, each with one BLAS thread, lest they fight for cores."""
-    before = os.environ.get(_BLAS_THREADS)
-    os.environ[_BLAS_THREADS] = "1"
-    try:
-        # Forking a process whose libraries have threads is not safe.
-        with ProcessPoolExecutor(mp_context=get_context("spawn")) as pool:
-            yield pool
-    finally:
-        if before is None:
-            del os.environ[_BLAS_THREADS]
-        else:
-            os.environ[_BLAS_THREADS] = before
 
 
 def _gradient_methods(

@@ -1,0 +1,196 @@
+"""A rival of the planner: it offers controls, which the rigid wall judges, until time is up."""
+
+from __future__ import annotations
+
+import math
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from drake_aigto.errors import OptionsError
+from drake_aigto.planning.replay import replay_event_driven
+from drake_aigto.trajectory import read_only
+from drake_aigto.world import Scenario, World
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+
+@dataclass(frozen=True)
+class Improvement:
+    """A moment at which a run had found something cheaper.
+
+    Attributes:
+        seconds: of one core since the run began.
+        cost: J.
+    """
+
+    seconds: float
+    cost: float
+
+
+@dataclass(frozen=True, eq=False)
+class BaselineRun:
+    """What a baseline found on one scenario, and when.
+
+    Attributes:
+        method: the baseline's name.
+        improvements: by event-driven replay, each cheaper than the one before.
+        claims: costs that the method's own model promised, each less than the one before. Empty
+            where that model is the rigid wall itself.
+        seconds: of one core that the run took. The last step of a run may end late: what it found
+            then is among the improvements, with its time.
+        evaluations: how many controls were offered.
+        times: knots of the best control, shape (N+1,) [s]; None if nothing was offered.
+        controls: the best, shape (N, nu) [N]; None if nothing was offered.
+    """
+
+    method: str
+    improvements: tuple[Improvement, ...]
+    claims: tuple[Improvement, ...]
+    seconds: float
+    evaluations: int
+    times: npt.NDArray[np.float64] | None
+    controls: npt.NDArray[np.float64] | None
+
+    @property
+    def cost(self) -> float:
+        """The least cost of an event-driven replay; infinity if nothing was offered."""
+        return self.improvements[-1].cost if self.improvements else math.inf
+
+    def cost_within(self, seconds: float) -> float:
+        """Returns the least cost that was found in so many seconds; infinity if there was none."""
+        found = [each.cost for each in self.improvements if each.seconds <= seconds]
+        return found[-1] if found else math.inf
+
+
+class Recorder:
+    """Takes a baseline's offers, replays them on the rigid wall, and says when it is over.
+
+    Time is the CPU time of this process, "seconds of one core": cores may be shared. It counts from
+    the recorder's making, replays included. Code that Numba compiles, or loads, at a process's
+    first run counts too: let a method run once before it is measured.
+
+    Attributes:
+        world: that controls act in.
+        scenario: the question.
+        improvements, claims, evaluations, times, controls: see `BaselineRun`.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        scenario: Scenario,
+        seconds: float,
+        good_enough: float = -math.inf,
+        clock: Callable[[], float] = time.process_time,
+    ) -> None:
+        """Checks, and starts the clock.
+
+        Args:
+            world: that the scenario fits.
+            scenario: the question.
+            seconds: of one core, after which it is over.
+            good_enough: a cost that needs no improvement: it is over then, too.
+            clock: returns seconds.
+
+        Raises:
+            OptionsError: seconds are no positive number.
+            ScenarioError: the scenario does not fit the world.
+        """
+        if not 0 < seconds < math.inf:
+            raise OptionsError("seconds", got=seconds, expected="a finite number above 0")
+        world.check(scenario)
+        self.world, self.scenario = world, scenario
+        self.improvements: list[Improvement] = []
+        self.claims: list[Improvement] = []
+        self.evaluations = 0
+        self.times: npt.NDArray[np.float64] | None = None
+        self.controls: npt.NDArray[np.float64] | None = None
+        self._seconds, self._good_enough = seconds, good_enough
+        self._clock, self._began = clock, clock()
+
+    @property
+    def seconds(self) -> float:
+        """Seconds since the start."""
+        return self._clock() - self._began
+
+    @property
+    def seconds_left(self) -> float:
+        """Seconds until time is up; negative after."""
+        return self._seconds - self.seconds
+
+    @property
+    def cost(self) -> float:
+        """The least cost so far; infinity before the first offer."""
+        return self.improvements[-1].cost if self.improvements else math.inf
+
+    @property
+    def is_over(self) -> bool:
+        """Whether time is up, or the best so far is good enough."""
+        return self.cost <= self._good_enough or self.seconds_left <= 0
+
+    def offer(
+        self, times: npt.ArrayLike, controls: npt.ArrayLike, claim: float = math.inf
+    ) -> float:
+        """Replays a held control, keeps it if none was cheaper, and returns its cost.
+
+        Args:
+            times: of the knots, shape (N+1,) [s].
+            controls: held over each interval, shape (N, nu) [N].
+            claim: the cost that the method's own model promises, if that is not the rigid wall.
+
+        Raises:
+            TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
+        """
+        cost = replay_event_driven(self.world, self.scenario, times, controls).cost
+        self.evaluations += 1
+        seconds = self.seconds
+        if cost < self.cost:
+            self.improvements.append(Improvement(seconds, cost))
+            self.times, self.controls = read_only(times), read_only(controls)
+        if claim < (self.claims[-1].cost if self.claims else math.inf):
+            self.claims.append(Improvement(seconds, claim))
+        return cost
+
+    def finish(self, method: str) -> BaselineRun:
+        """Returns what was recorded under a method's name."""
+        return BaselineRun(
+            method=method,
+            improvements=tuple(self.improvements),
+            claims=tuple(self.claims),
+            seconds=self.seconds,
+            evaluations=self.evaluations,
+            times=self.times,
+            controls=self.controls,
+        )
+
+
+class Baseline(ABC):
+    """A way to solve scenarios that is not ours.
+
+    Attributes:
+        name: in `BASELINES` and in tables.
+        modules: of other people's libraries that it needs, from the extra ``bench``.
+    """
+
+    name: str
+    modules: tuple[str, ...] = ()
+
+    @abstractmethod
+    def search(self, recorder: Recorder, generator: np.random.Generator) -> None:
+        """Offers controls to the recorder until `Recorder.is_over`, or until nothing is left.
+
+        The clock only ends the search: how it goes on must not depend on the time that is left, so
+        that the same seed makes the same offers, more of them in more time.
+
+        Args:
+            recorder: the question, and where controls go.
+            generator: the source of all chance.
+
+        Raises:
+            ModelError: a world that this method can't treat.
+        """

@@ -1,0 +1,53 @@
+"""Contact sequences listed by hand, each polished as ours are: what `plan` never does."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drake_aigto.baselines.baseline import Baseline, Recorder
+from drake_aigto.baselines.polish import make_rigid_problem, offer_polished
+from drake_aigto.transcription import Touch, TouchSequence
+
+if TYPE_CHECKING:
+    from drake_aigto.world import World
+
+_MOST_BOUNCES = 6
+# At even parts s of the duration bounces are at T s^p: evenly, towards the start, towards the end.
+_POWERS = (1.0, 2.0, 0.5)
+
+
+class Enumeration(Baseline):
+    """Every sequence of up to six bounces, at a few sets of times, polished as the planner's are.
+
+    Polishes move the times, so that a few sets are enough. Contacts that last are not listed.
+    """
+
+    name = "enumeration"
+
+    def search(self, recorder: Recorder, generator: np.random.Generator) -> None:
+        """Goes through the list, which ends; there is no chance in it."""
+        problem = make_rigid_problem(recorder)
+        sequences = list_sequences(recorder.world, recorder.scenario.duration)
+        offer_polished(recorder, problem, sequences, problem.box.center)
+
+
+def list_sequences(world: World, duration: float) -> Iterator[TouchSequence]:
+    """Yields all bounces in all orders; none follows itself where there are several contacts.
+
+    Evenly spread ones come first, of them the shorter ones.
+
+    Args:
+        world: whose contacts these are.
+        duration: T, within which they are [s].
+    """
+    yield ()
+    for power, number in itertools.product(_POWERS, range(1, _MOST_BOUNCES + 1)):
+        times = duration * (np.arange(1, number + 1) / (number + 1)) ** power
+        for contacts in itertools.product(range(world.num_contacts), repeat=number):
+            repeats = any(one == other for one, other in itertools.pairwise(contacts))
+            if world.num_contacts == 1 or not repeats:
+                yield tuple(map(Touch.bounce, times.tolist(), contacts))

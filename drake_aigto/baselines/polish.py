@@ -1,0 +1,63 @@
+"""The planner's own polish, for what others propose."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from drake_aigto.baselines.baseline import Recorder
+from drake_aigto.errors import AigtoError
+from drake_aigto.planning.options import PlanOptions
+from drake_aigto.planning.planner import make_problem
+from drake_aigto.planning.rigid import RigidProblem
+from drake_aigto.transcription import TouchSequence
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+
+def make_rigid_problem(recorder: Recorder, relaxation: float | None = None) -> RigidProblem:
+    """Returns the problem that the planner makes of a recorder's question.
+
+    Args:
+        recorder: of the question.
+        relaxation: of contact (`RigidTranscription`); the planner's if None.
+    """
+    options = PlanOptions() if relaxation is None else PlanOptions(relaxation=relaxation)
+    problem = make_problem(recorder.world, recorder.scenario, options)
+    assert isinstance(problem, RigidProblem)
+    return problem
+
+
+def offer_polished(
+    recorder: Recorder,
+    problem: RigidProblem,
+    sequences: Iterable[TouchSequence],
+    x: npt.NDArray[np.float64],
+) -> None:
+    """Polishes sequence after sequence until it is over, and offers the controls.
+
+    As plans are polished: with the time steps of AIGO's boxes, and once more with the scenario's
+    what is cheaper than all before.
+
+    Args:
+        recorder: of the question.
+        problem: that the planner makes of it.
+        sequences: of contacts.
+        x: the problem's decision variables; where its path goes is where polishes start.
+    """
+    start = problem.transcription.GetSampleTimes(), problem.transcription.split(x)[0]
+    for sequence in filter(problem.fits, sequences):
+        if recorder.is_over:
+            return
+        cost, path = recorder.cost, start
+        try:
+            for num_steps in (None, recorder.scenario.num_steps):
+                phases, y = problem.polish_along(path, sequence, num_steps)
+                found = phases.trajectory(y)
+                if recorder.offer(found.times, found.controls) >= cost:
+                    break
+                path, sequence = (found.times, found.positions), phases.contact_sequence(y)
+        except AigtoError:
+            continue  # Touches that no motion has.

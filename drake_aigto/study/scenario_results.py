@@ -1,0 +1,240 @@
+"""What methods made of random scenarios, as numbers and as a file."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+from drake_aigto.errors import ResultsFileError
+from drake_aigto.study.results_file import read_results, refuse_damaged, round_to
+from drake_aigto.study.scenario_question import PLANNER, ScenarioQuestion
+from drake_aigto.world import Scenario
+from drake_aigto.world.files import write_text
+
+# A method succeeds with a cost of at most so much more than the optimum: relative and absolute.
+RELATIVE, ABSOLUTE = 0.01, 1e-7
+DIED = "its process died"
+# Significant digits in files: of costs so that ratios near 1 are still told apart.
+COST_DIGITS, _SECONDS_DIGITS = 7, 4
+
+
+def calc_good_enough(optimum: float) -> float:
+    """Returns the cost that counts as success, 1.01 J* + 1e-7."""
+    return (1.0 + RELATIVE) * optimum + ABSOLUTE
+
+
+@dataclass(frozen=True)
+class MethodRun:
+    """What one method did on one scenario.
+
+    Attributes:
+        improvements: seconds of one core since it began, and the cost then, by event-driven replay
+            on the rigid wall; each cheaper than the one before. Only those that were the best when
+            a budget ended, and the last.
+        seconds: of one core, that it took.
+        evaluations: how many controls were replayed; of the planner, how many candidates it had.
+        error: what it failed with, if it did.
+        boxes: of the planner, if the question asks: the number of contacts in the last box of each
+            rung, before any polish.
+    """
+
+    improvements: tuple[tuple[float, float], ...]
+    seconds: float
+    evaluations: int = 0
+    error: str | None = None
+    boxes: tuple[int, ...] = ()
+
+    @property
+    def cost(self) -> float:
+        """The best; infinity if nothing was found."""
+        return self.cost_within(math.inf)
+
+    def cost_within(self, seconds: float) -> float:
+        """Returns the best after so many seconds, infinity if there was none."""
+        return min((cost for at, cost in self.improvements if at <= seconds), default=math.inf)
+
+    def thinned(self, ends: Iterable[float]) -> MethodRun:
+        """Returns this run as files have it: what was best at these times, and in the end.
+
+        Times are rounded down, so that what was in time still is.
+        """
+        kept = {}
+        for end in (*ends, math.inf):
+            for at, cost in [each for each in self.improvements if each[0] <= end][-1:]:
+                kept[round_to(at, _SECONDS_DIGITS, down=True)] = round_to(cost, COST_DIGITS)
+        seconds = round_to(self.seconds, _SECONDS_DIGITS)
+        return MethodRun(
+            tuple(sorted(kept.items())), seconds, self.evaluations, self.error, self.boxes
+        )
+
+    def to_dict(self) -> dict[str, Any]:
+        """Returns plain JSON values."""
+        values: dict[str, Any] = {
+            "improvements": [list(each) for each in self.improvements],
+            "seconds": self.seconds,
+            "evaluations": self.evaluations,
+        }
+        if self.error is not None:
+            values["error"] = self.error
+        return {**values, "boxes": list(self.boxes)} if self.boxes else values
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> MethodRun:
+        """Returns the run that `to_dict` gave."""
+        return cls(
+            tuple((float(at), float(cost)) for at, cost in data["improvements"]),
+            float(data["seconds"]),
+            int(data["evaluations"]),
+            data.get("error"),
+            tuple(data.get("boxes", ())),
+        )
+
+
+@dataclass(frozen=True)
+class ScenarioResult:
+    """One scenario, its exact optimum, and what the methods made of it.
+
+    Attributes:
+        number: of the scenario in its study.
+        scenario: the task.
+        optimum: J*, by `rigid_optimum`, which no method knows.
+        contacts: of the optimum: 0 for a flight, 1 for a bounce.
+        runs: by method; those that are done.
+    """
+
+    number: int
+    scenario: Scenario
+    optimum: float
+    contacts: int
+    runs: Mapping[str, MethodRun] = field(default_factory=dict)
+
+    @property
+    def good_enough(self) -> float:
+        """The cost that counts as success."""
+        return calc_good_enough(self.optimum)
+
+    @property
+    def planner_seconds(self) -> float | None:
+        """What the planner took [s]; None while it is not done."""
+        run = self.runs.get(PLANNER)
+        return None if run is None or run.error == DIED else run.seconds
+
+    def to_dict(self) -> dict[str, Any]:
+        """Returns plain JSON values."""
+        scenario = self.scenario
+        task = {
+            "start": scenario.initial_position[0],
+            "velocity": scenario.initial_velocity[0],
+            "goal": scenario.goal_position[0],
+            "restitution": scenario.restitution,
+            "mass": scenario.mass,
+            "duration": scenario.duration,
+        }
+        return {
+            "number": self.number,
+            **{name: round_to(float(value), COST_DIGITS) for name, value in task.items()},
+            "optimum": self.optimum,
+            "contacts": self.contacts,
+            "runs": {method: run.to_dict() for method, run in self.runs.items()},
+        }
+
+
+@dataclass(frozen=True)
+class ScenarioStudy:
+    """A question, and the answers so far.
+
+    Attributes:
+        question: which scenarios and methods.
+        results: of the scenarios that any method is done with, by number.
+    """
+
+    question: ScenarioQuestion
+    results: tuple[ScenarioResult, ...] = ()
+
+    @property
+    def is_complete(self) -> bool:
+        """Whether every method is done with every scenario."""
+        asked = self.question.count * len(self.question.methods)
+        return sum(len(result.runs) for result in self.results) == asked
+
+    def unit(self, result: ScenarioResult) -> float | None:
+        """Returns the unit of time on a scenario [s]; None while the planner is not done."""
+        return self.question.seconds_per_unit or result.planner_seconds
+
+    def cost(self, result: ScenarioResult, method: str, budget: float) -> float:
+        """Returns the best cost of a method after so many units of time.
+
+        The planner's is what it ends with: its budget is what it takes.
+        """
+        run, unit = result.runs[method], self.unit(result)
+        return run.cost if method == PLANNER or unit is None else run.cost_within(budget * unit)
+
+    def succeeds(self, result: ScenarioResult, method: str, budget: float) -> bool:
+        """Returns whether a method has the optimum after so many units of time."""
+        return self.cost(result, method, budget) <= result.good_enough
+
+    def of_method(self, method: str) -> Iterator[ScenarioResult]:
+        """Yields the results of scenarios that a method is done with."""
+        return (result for result in self.results if method in result.runs)
+
+    def groups(self) -> dict[str, tuple[ScenarioResult, ...]]:
+        """Returns the results by restitution, if that is listed; else all in one group."""
+        spread = self.question.restitution
+        if spread.is_range:
+            return {f"e = {spread}": self.results}
+        return {
+            f"e = {value:g}": tuple(
+                each for each in self.results if each.scenario.restitution == value
+            )
+            for value in dict.fromkeys(spread.values)
+        }
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes a file that `load` reads, whole or not at all, a line for each scenario.
+
+        Raises:
+            OutputFileError: it can't be written.
+        """
+        head = {"kind": self.question.kind, "question": self.question.to_dict()}
+        lines = ",\n".join(json.dumps(result.to_dict()) for result in self.results)
+        text = json.dumps(head, indent=1).removesuffix("\n}")
+        write_text(path, f'{text},\n "results": [\n{lines}\n]}}\n')
+
+    @classmethod
+    def load(
+        cls, path: str | os.PathLike[str], question_type: type[ScenarioQuestion] = ScenarioQuestion
+    ) -> ScenarioStudy:
+        """Reads the file that `save` wrote.
+
+        Args:
+            path: of the file.
+            question_type: that it has to be of.
+
+        Raises:
+            ResultsFileError: no such file, damaged, or of other scenarios than are drawn now.
+        """
+        data = read_results(path, question_type.kind)
+        with refuse_damaged(path):
+            question = question_type.from_dict(data["question"])
+            results = tuple(_read_result(question, each) for each in data["results"])
+        for result, each in zip(results, data["results"], strict=True):
+            if {**each, **result.to_dict()} != each:
+                raise ResultsFileError(
+                    f"results file {path}",
+                    got=f"other numbers for scenario {result.number} than are drawn now",
+                    remedy="Another version of this package wrote it.",
+                )
+        return cls(question, results)
+
+
+def _read_result(question: ScenarioQuestion, data: Mapping[str, Any]) -> ScenarioResult:
+    """Returns a result with its scenario as it is drawn: a file has rounded numbers."""
+    number = int(data["number"])
+    runs = {method: MethodRun.from_dict(run) for method, run in data["runs"].items()}
+    return ScenarioResult(
+        number, question.scenario(number), float(data["optimum"]), int(data["contacts"]), runs
+    )

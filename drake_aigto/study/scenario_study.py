@@ -1,0 +1,230 @@
+"""How often, and how fast, methods find the global optimum of random scenarios."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import os
+import time
+from collections.abc import Callable, Iterable
+from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
+from queue import SimpleQueue
+from typing import TypeAlias
+
+from drake_aigto.count import Count
+from drake_aigto.errors import StudyError
+from drake_aigto.study.results_file import (
+    check_results_file,
+    check_same_question,
+    round_to,
+)
+from drake_aigto.study.scenario_jobs import Job, find_optimum, run_job
+from drake_aigto.study.scenario_question import PLANNER, ScenarioQuestion
+from drake_aigto.study.scenario_results import (
+    COST_DIGITS,
+    DIED,
+    MethodRun,
+    ScenarioResult,
+    ScenarioStudy,
+)
+from drake_aigto.study.workers import Workers
+
+_LOG = logging.getLogger(__name__)
+
+_Answer: TypeAlias = Future[MethodRun]
+
+# A job whose process dies may have been in the way of something else: it is tried so often.
+_ATTEMPTS = 2
+_SECONDS_BETWEEN_SAVES = 5.0
+
+
+def run_scenario_study(
+    question: ScenarioQuestion,
+    path: str | os.PathLike[str] | None = None,
+    *,
+    resume: bool = False,
+    executor: Executor | None = None,
+    workers: int | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> ScenarioStudy:
+    """Runs all methods on all scenarios.
+
+    The planner goes first on each scenario, as its time is the unit of the others' budgets. What is
+    done is written every few seconds, and at the end, whatever that is: Ctrl-C, a crash, a pool
+    that broke.
+
+    Args:
+        question: what to run.
+        path: of the results; None keeps them in memory only.
+        resume: go on from the results that are there. Theirs may be of fewer scenarios and methods;
+            all else has to be the same. Jobs whose process died are tried again.
+        executor: where jobs run; `Workers` if None. Any will do that pickles, such as Dask's
+            ``client.get_executor()``; its processes should have one thread each.
+        workers: processes, if no executor is given; None: one a core.
+        progress: called with a line of text after each job.
+
+    Raises:
+        OptionsError, MissingExtraError, ScenarioError: from `ScenarioQuestion.check`.
+        OutputFileError: the results can't be written.
+        ResultsFileError: there are results and they are not to be gone on from; or they are damaged
+            or another study's.
+        StudyError: the executor that was given broke.
+    """
+    question.check()
+    known = _load(question, path) if path and check_results_file(path, resume) else ()
+    sweep = _Sweep(question, path, known, progress)
+    if executor is None:
+        with Workers(workers) as pool:
+            return sweep.run(pool)
+    return sweep.run(executor)
+
+
+def _load(question: ScenarioQuestion, path: str | os.PathLike[str]) -> tuple[ScenarioResult, ...]:
+    """Returns the results in a file, if they are of this question or of a part of it."""
+    study = ScenarioStudy.load(path, type(question))
+    here, there = question.to_dict(), study.question.to_dict()
+    if study.question.count <= question.count:
+        there["count"] = here["count"]
+    if set(study.question.methods) <= set(question.methods):
+        there["methods"] = here["methods"]
+    check_same_question(path, there, here)
+    return study.results
+
+
+class _Sweep:
+    """One run of a study: which jobs are done, which are under way, which come next."""
+
+    def __init__(
+        self,
+        question: ScenarioQuestion,
+        path: str | os.PathLike[str] | None,
+        known: Iterable[ScenarioResult],
+        progress: Callable[[str], None] | None,
+    ) -> None:
+        self._question, self._path, self._progress = question, path, progress
+        self._results = {result.number: result for result in known}
+        self._under_way: dict[_Answer, tuple[Job, int]] = {}  # and at which attempt
+        self._ended: SimpleQueue[_Answer] = SimpleQueue()
+        self._saved = time.monotonic()
+
+    def run(self, executor: Executor) -> ScenarioStudy:
+        """Runs what is not done, and returns all."""
+        try:
+            for number in range(self._question.count):
+                self._submit(executor, number, self._ready_methods(number))
+            while self._under_way:
+                self._take(executor, self._ended.get())
+        except BrokenExecutor as error:
+            raise StudyError(
+                "the pool of workers broke",
+                got=error,
+                remedy="Go on from what was done (--resume)." if self._path else None,
+            ) from error
+        finally:
+            for future in self._under_way:
+                future.cancel()
+            self._save()
+        return self._study()
+
+    def _ready_methods(self, number: int) -> tuple[str, ...]:
+        """Returns the methods whose time on a scenario is known."""
+        if self._question.runner is not None:
+            return self._question.methods
+        others = tuple(name for name in self._question.methods if name != PLANNER)
+        asks_planner = PLANNER in self._question.methods
+        return (PLANNER,) * asks_planner + others * (self._unit(number) is not None)
+
+    def _unit(self, number: int) -> float | None:
+        result = self._results.get(number)
+        return self._question.seconds_per_unit or (result.planner_seconds if result else None)
+
+    def _submit(self, executor: Executor, number: int, methods: Iterable[str]) -> None:
+        """Has those of the methods run that are not done."""
+        result = self._results.get(number)
+        for method in methods:
+            run = result.runs.get(method) if result else None
+            if run is None or run.error == DIED:
+                self._start(executor, self._make_job(number, method))
+
+    def _make_job(self, number: int, method: str) -> Job:
+        question = self._question
+        scenario = question.scenario(number)
+        if question.runner is not None:
+            return Job(number, scenario, method, runner=question.runner)
+        if method == PLANNER:
+            return Job(number, scenario, method, reads_boxes=question.reads_boxes)
+        return Job(
+            number,
+            scenario,
+            method,
+            seconds=question.budgets[-1] * (self._unit(number) or 0.0),
+            good_enough=self._result(number).good_enough,
+            seed=question.method_seed(number),
+        )
+
+    def _start(self, executor: Executor, job: Job, attempt: int = 1) -> None:
+        future = executor.submit(run_job, job)
+        self._under_way[future] = job, attempt
+        future.add_done_callback(self._ended.put)
+
+    def _take(self, executor: Executor, future: _Answer) -> None:
+        """Keeps what came of a job, and starts what waited for it."""
+        job, attempt = self._under_way.pop(future)
+        try:
+            run = future.result()
+        except (BrokenExecutor, CancelledError):
+            if attempt < _ATTEMPTS:
+                self._start(executor, job, attempt + 1)
+                return
+            run = MethodRun((), 0.0, error=DIED)
+        self._keep(job, run)
+        if job.method == PLANNER and self._question.seconds_per_unit is None:
+            waiting = [name for name in self._ready_methods(job.number) if name != PLANNER]
+            self._submit(executor, job.number, waiting)
+
+    def _keep(self, job: Job, run: MethodRun) -> None:
+        result = self._result(job.number)
+        unit = self._unit(job.number) or 0.0
+        thinned = run.thinned(budget * unit for budget in self._question.budgets)
+        runs = {**result.runs, job.method: thinned}
+        in_order = {name: runs[name] for name in self._question.methods if name in runs}
+        self._results[job.number] = dataclasses.replace(result, runs=in_order)
+        if time.monotonic() - self._saved > _SECONDS_BETWEEN_SAVES:
+            self._save()
+        outcome = run.error or f"{run.seconds:.2f} s"
+        _LOG.info("scenario %d, %s: %s", job.number, job.method, outcome)
+        if self._progress:
+            self._progress(describe_progress(self._study()))
+
+    def _result(self, number: int) -> ScenarioResult:
+        """Returns what there is of a scenario; at first, its exact optimum."""
+        if number not in self._results:
+            scenario = self._question.scenario(number)
+            exact = find_optimum(scenario)
+            self._results[number] = ScenarioResult(
+                number, scenario, round_to(exact.cost, COST_DIGITS), len(exact.bounce_times)
+            )
+        return self._results[number]
+
+    def _study(self) -> ScenarioStudy:
+        return ScenarioStudy(
+            self._question, tuple(self._results[number] for number in sorted(self._results))
+        )
+
+    def _save(self) -> None:
+        if self._path is not None and self._results:
+            self._study().save(self._path)
+            self._saved = time.monotonic()
+
+
+def describe_progress(study: ScenarioStudy) -> Count:
+    """Returns in a line how much is done, and how often each method has found the optimum."""
+    question = study.question
+    counts = []
+    for method in question.methods:
+        done = list(study.of_method(method))
+        solved = sum(study.succeeds(result, method, question.budgets[-1]) for result in done)
+        counts.append(f"{method} {solved}/{len(done)}")
+    runs = sum(len(result.runs) for result in study.results)
+    total = question.count * len(question.methods)
+    return Count(runs, total, f"runs; optimal: {', '.join(counts)}")
