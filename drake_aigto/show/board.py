@@ -14,6 +14,7 @@ from matplotlib.ticker import MaxNLocator
 
 from drake_aigto.show.motion import color_of
 from drake_aigto.show.picture import make_mesh
+from drake_aigto.show.track import wrap_notes
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,6 +39,7 @@ _NARROWEST = 0.62
 # What is this part of its depth below what stands in front is hidden, up to this part of the size.
 _HIDDEN, _MOST_HIDDEN = 0.5, 0.06
 _LETTERS = 18  # of a font's size that are as wide as a panel
+_LINE = 1.3  # from line to line of the notes, in heights of letters
 _BOLD_WIDTH = 0.67  # of a letter on average, as a part of the font's size
 
 
@@ -57,8 +59,10 @@ class Board:
         starts: where bodies start, shape (k, 2) [m].
         goals: where they should end [m].
         ways: of each panel, the ways of its bodies, each of shape (K, 2) [m].
+        dots: of each panel, where its bodies are every few moments, shape (d, 2) [m].
         touches: of each panel, where they plan to touch something, shape (t, 2) [m].
         touch_names: of each of these, what and when.
+        notes: that explain what is to be seen.
     """
 
     labels: Sequence[str]
@@ -69,8 +73,10 @@ class Board:
     starts: _Array
     goals: _Array
     ways: Sequence[Sequence[_Array]]
+    dots: Sequence[_Array]
     touches: Sequence[_Array]
     touch_names: Sequence[Sequence[str]]
+    notes: Sequence[str] = ()
 
     @property
     def size(self) -> float:
@@ -95,9 +101,10 @@ class Board:
         low, high = self.panel
         first, last = self.offset(0)[:2], self.offset(len(self.labels) - 1)[:2]
         around = _GAP * self.size
+        top = _TOP * self.size + _LINE * self.letter * len(self._note_lines) + self.space
         return (
             low + first - (around, _BOTTOM * self.size),
-            high + last + (around, _TOP * self.size),
+            high + last + (around, top),
         )
 
     def offset(self, index: int) -> _Array:
@@ -120,7 +127,18 @@ class Board:
         axes.set_axis_off()
         for index in range(len(self.labels)):
             self._paint_panel(axes, index)
+        left = self.offset(0)[0] + self.panel[0][0]
+        for row, line in enumerate(self._note_lines):
+            y = high[1] - self.space - _LINE * self.letter * row
+            self._write(axes, left, y, line, color=_INK, va="top", weight="normal")
         return figure
+
+    @cached_property
+    def _note_lines(self) -> list[str]:
+        """The notes, broken so that they fit above all panels, where nothing hides them."""
+        (left, _), (right, _) = self.panel
+        width = right - left + self.offset(len(self.labels) - 1)[0] - self.offset(0)[0]
+        return wrap_notes(self.notes, int(width / (_BOLD_WIDTH * self.letter)))
 
     def _paint_panel(self, axes: Axes, index: int) -> None:
         aside = self.offset(index)[:2]
@@ -129,14 +147,17 @@ class Board:
         (left, bottom), (width, height) = low.tolist(), (high - low).tolist()
         tint = 1 - _TINT * (1 - color)
         axes.add_patch(Rectangle((left, bottom), width, height, facecolor=tint))
-        lines = self.labels[index].replace(": ", ":\n")
+        lines = self.labels[index].replace(": ", ":\n", 1)
         lines = lines if "\n" in lines else lines.replace(" (", "\n(")
         rise = min(_HIDDEN * self.depth, _MOST_HIDDEN * self.size) + self.space
         middle = left + width / 2
+        fitting = width / (_BOLD_WIDTH * max(map(len, lines.split("\n"))))
         look: dict[str, Any] = {"color": _SHADE * color, "ha": "center", "va": "bottom"}
+        look["size"] = self._font_size(min(self.letter, fitting))
         self._write(axes, middle, high[1] + rise, lines, **look)
         for way in self.ways[index]:
             axes.plot(*(way + aside).T, color=color, linewidth=3, alpha=0.7, zorder=2)
+        axes.plot(*(self.dots[index] + aside).T, "o", color=color, markersize=7, zorder=2)
         self._paint_marks(axes, aside, middle)
         self._paint_touches(axes, index, middle)
         self._paint_scale(axes, low, high, aside)
@@ -189,5 +210,9 @@ class Board:
         return min(_LETTER * self.size, (high - low)[0] / _LETTERS)
 
     def _write(self, axes: Axes, x: float, y: float, text: str, **look: Any) -> None:
-        size = 72 * _INCHES * self.letter / self.size
-        axes.text(x, y, text, size=size, weight="bold", linespacing=1.0, **look)
+        size = self._font_size(self.letter)
+        axes.text(x, y, text, **{"size": size, "weight": "bold", "linespacing": 1.0, **look})
+
+    def _font_size(self, height: float) -> float:
+        """Returns the size in points of letters of a height [m]."""
+        return 72 * _INCHES * height / self.size

@@ -42,8 +42,8 @@ _FORCE: dict[str, Any] = {"facecolor": "none", "hatch": "///", "linewidth": 0}
 _WALL_COLOR = "#8a8f98"
 # In ranges of what is drawn: how much of the wall is seen at least, and how far it reaches.
 _WALL_SEEN, _WALL_DEPTH = 0.05, 100
-_SOLID: dict[str, Any] = {"facecolor": _WALL_COLOR, "hatch": "//", "edgecolor": "white"}
-_SOLID |= {"alpha": 0.5, "zorder": 0}
+SOLID_LOOK: dict[str, Any] = {"facecolor": _WALL_COLOR, "hatch": "//", "edgecolor": "white"}
+SOLID_LOOK |= {"alpha": 0.5, "zorder": 0}
 _GOAL: dict[str, Any] = {"color": "black", "markersize": 11, "clip_on": False, "zorder": 5}
 _BOX_COLORMAP = "viridis"
 
@@ -142,7 +142,7 @@ def plot_controls(axes: Axes, motions: Sequence[Motion], world: World, coordinat
         if motion.controls is None or motion.control_times is None:
             continue
         held = np.vstack([motion.controls, motion.controls[-1:]])[:, _actuators(world, coordinate)]
-        look = {**_line(index), **_SHARP}
+        look = {**line_of(index), **_SHARP}
         look["linewidth"] *= _THINNER
         axes.step(motion.control_times, held, where="post", **look)
         if motion.forces is not None:
@@ -178,7 +178,7 @@ def plot_path(
         raise ModelError("path", got="one coordinate", expected="two", remedy="Use plot_positions.")
     pair = list(coordinates)
     for index, motion in enumerate(motions):
-        axes.plot(*motion.positions[:, pair].T, label=motion.label, **_line(index))
+        axes.plot(*motion.positions[:, pair].T, label=motion.label, **line_of(index))
     for index, motion in enumerate(motions):
         starts = [touch.start for touch in motion.touches]
         # Of the two rows of an impact either will do: positions do not jump.
@@ -205,7 +205,7 @@ def plot_boxes(
 ) -> None:
     """Draws the boxes around a quantity, center ± half width over time, as AIGO shrinks them.
 
-    Each is labelled with its largest half width.
+    Each is labelled with its temperature and its largest half width.
 
     Args:
         axes: to draw in.
@@ -223,7 +223,9 @@ def plot_boxes(
             transcription.split(y)[part][:, columns]
             for y in (iterate.box.center, iterate.box.half_width)
         )
-        label = f"within ±{np.max(half_widths):.2g} {_UNITS[quantity]}"
+        hot = 0 < iterate.temperature < np.inf
+        label = f"temperature {iterate.temperature:.1e}: " if hot else ""
+        label += f"within ±{np.max(half_widths):.2g} {_UNITS[quantity]}"
         for c, w in zip(centers.T, half_widths.T, strict=True):
             t = times[: len(c)]  # A control has no value at the last knot.
             axes.fill_between(t, c - w, c + w, color=color, alpha=0.3, linewidth=0)
@@ -243,7 +245,7 @@ def _plot_column(
 ) -> None:
     """Draws one column of each motion's rows (K, n) over its times, labelled."""
     for index, (motion, values) in enumerate(zip(motions, rows, strict=True)):
-        axes.plot(motion.times, values[:, coordinate], label=motion.label, **_line(index))
+        axes.plot(motion.times, values[:, coordinate], label=motion.label, **line_of(index))
     axes.set_xlabel("time t [s]")
 
 
@@ -299,7 +301,7 @@ def _actuators(world: World, coordinate: int) -> list[int]:
     return [int(i) for i in np.flatnonzero(world.actuation[coordinate])]
 
 
-def _line(motion: int) -> dict[str, Any]:
+def line_of(motion: int) -> dict[str, Any]:
     """Returns how a motion is drawn, the same in every figure."""
     return {"color": color_of(motion), **_LINES[min(motion, len(_LINES) - 1)]}
 
@@ -323,7 +325,9 @@ def _shade_walls(axes: Axes, world: World, coordinate: int) -> None:
     for _, place, side in walls:
         deep = place - side * _WALL_DEPTH * size
         # Added as an artist, it is no data: limits stay as they are, free to follow what comes.
-        wall = Rectangle((0, deep), 1, place - deep, transform=axes.get_yaxis_transform(), **_SOLID)
+        wall = Rectangle(
+            (0, deep), 1, place - deep, transform=axes.get_yaxis_transform(), **SOLID_LOOK
+        )
         axes.add_artist(wall)
         axes.update_datalim([(0, place - side * _WALL_SEEN * size)], updatex=False)
     axes.autoscale_view()
@@ -341,6 +345,6 @@ def _shade_solids(axes: Axes, world: World, coordinates: tuple[int, int]) -> Non
     margin = _WALL_SEEN * np.max(high - low)
     window = np.array([low - margin, high + margin])
     for corners in solid_regions(world, coordinates, window):
-        axes.add_artist(Polygon(corners, **_SOLID))
+        axes.add_artist(Polygon(corners, **SOLID_LOOK))
     axes.set(xlim=window[:, 0], ylim=window[:, 1])
     axes.plot([], [], color=_WALL_COLOR, linewidth=6, alpha=0.5, label="solid")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
@@ -48,6 +49,7 @@ class Motion:
         forces: of the walls where a planned contact lasts, held likewise, shape (N, m) [N], or
             None.
         touches: the planned contacts, in the order of time.
+        impacts: when what is touched, planned or simulated, in the order of time.
     """
 
     label: str
@@ -58,6 +60,7 @@ class Motion:
     controls: npt.NDArray[np.float64] | None = None
     forces: npt.NDArray[np.float64] | None = None
     touches: tuple[Touch, ...] = ()
+    impacts: tuple[Touch, ...] = ()
 
     def __post_init__(self) -> None:
         """Locks the arrays."""
@@ -79,6 +82,9 @@ class Motion:
         rows = zip(trajectory.positions, trajectory.impulses, strict=True)
         pushes = [world.calc_contact_jacobian(q).T @ p for q, p in rows]
         jumps = np.linalg.solve(world.mass_matrix_values, np.array(pushes).T).T
+        touches = tuple(
+            Touch(c.time, c.last_time, c.contact) for c in find_contacts(world, trajectory)
+        )
         before_and_after = np.stack([trajectory.velocities, trajectory.velocities + jumps], axis=1)
         return cls(
             label,
@@ -90,14 +96,21 @@ class Motion:
             trajectory.times,
             trajectory.controls,
             trajectory.forces,
-            tuple(Touch(c.time, c.last_time, c.contact) for c in find_contacts(world, trajectory)),
+            touches,
+            impacts=touches,
         )
 
     @classmethod
     def from_replay(cls, replay: Replay, label: str | None = None) -> Motion:
         """Returns a simulated motion; without a label, it names the simulator."""
         label = SIMULATION_LABELS[replay.simulator] if label is None else label
-        return cls(label, *_fill_in(replay.times, replay.positions, replay.velocities))
+        rows = _fill_in(replay.times, replay.positions, replay.velocities)
+        bounces = zip(replay.bounce_times, replay.bounce_contacts, strict=True)
+        return cls(label, *rows, impacts=tuple(Touch.bounce(*bounce) for bounce in bounces))
+
+    def under(self, times: npt.NDArray[np.float64], controls: npt.NDArray[np.float64]) -> Motion:
+        """Returns the same motion with the control that it is a simulation of."""
+        return dataclasses.replace(self, control_times=times, controls=controls)
 
 
 def motions_of_plan(plan: Plan, world: World) -> list[Motion]:

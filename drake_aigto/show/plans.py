@@ -80,6 +80,11 @@ def _answer(plan: Plan, world: World, contact_delay: float | None) -> Iterator[s
         yield from _row("simulated", _simulation(replay, contact_delay, names))
 
 
+def describe_verdict(plan: Plan, world: World) -> str:
+    """Returns whether simulations of a plan's control confirm it, and which do not."""
+    return _verdict(plan, contact_names(world))
+
+
 def _verdict(plan: Plan, names: Sequence[str]) -> str:
     against = [
         replay for replay in plan.replay if not confirms(plan.cost, replay, plan.best.goal_error)

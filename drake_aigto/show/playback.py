@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -11,18 +12,22 @@ from matplotlib.colors import to_rgb
 from pydrake.geometry import Meshcat, MeshcatAnimation, Rgba
 from pydrake.math import RigidTransform
 
+from drake_aigto.errors import OptionsError
+from drake_aigto.show import traces
 from drake_aigto.show.board import Board
+from drake_aigto.show.effects import Clock, Effects
 from drake_aigto.show.motion import Motion, color_of, motions_of_plan, time_span
 from drake_aigto.show.stage import Stage
 from drake_aigto.show.text import wall_names
 from drake_aigto.show.track import Track
+from drake_aigto.world import World
 from drake_aigto.world.files import write_text
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
     from drake_aigto.planning import Plan
-    from drake_aigto.world import Scenario, World
+    from drake_aigto.world import Scenario
 
 # All that is drawn lies below this path.
 ROOT = "/drake_aigto"
@@ -43,21 +48,65 @@ _CAMERA_DISTANCE = 1.9  # as a part of the track's length
 # height; and so much farther back.
 _BOARD_FIELD_OF_VIEW = 12.0  # vertical [deg]
 _BOARD_TILT = np.deg2rad(12.0)
-_ASPECT_RATIO = 1.6
+_ASPECT_RATIO = 1.4
 _BOARD_SLACK = 1.08
 _LIFT = 0.1  # of a board from the ground, in radii of what moves
 _CAMERA_SLACK = 1.05  # How much farther back than all lanes need.
 
+_PORTS = 1024, 65535  # That any user may listen at.
 
-def play(plan: Plan, meshcat: Meshcat, world: World) -> None:
+
+def open_meshcat(port: int | None = None) -> Meshcat:
+    """Returns a Meshcat that browsers of this machine can open (`Meshcat.web_url`).
+
+    Args:
+        port: where it listens: any free one if 0, the first free one from 7000 to 7999 if None.
+
+    Raises:
+        OptionsError: the port is in use, or no user may listen there.
+    """
+    # Drake ends the process below, and takes the port's last 16 bits above.
+    if port and not _PORTS[0] <= port <= _PORTS[1]:
+        raise _refuse_port(f"{port}")
+    try:
+        return Meshcat(port=port)
+    except RuntimeError as error:
+        got = "none of 7000 to 7999 that is free" if port is None else f"{port}, in use"
+        raise _refuse_port(got) from error
+
+
+def _refuse_port(got: str) -> OptionsError:
+    return OptionsError(
+        "Meshcat's port",
+        got=got,
+        expected=f"a free one, {_PORTS[0]} to {_PORTS[1]}",
+        remedy="Name another port, or 0 for any that is free.",
+    )
+
+
+def play(
+    plan: Plan, meshcat: Meshcat, world: World | None = None, beside: Sequence[Motion] = ()
+) -> None:
     """Shows a plan and what simulations made of its control, side by side.
 
     Args:
         plan: the plan; its trajectory is labelled as no simulation.
         meshcat: where to show it.
-        world: that of the plan's scenario.
+        world: that of the plan's scenario; built from its model if None.
+        beside: motions to compare with, of the same world, such as `gradient_motions` returns. Of
+            the plan's simulations the exactly rigid one is shown then.
+
+    Raises:
+        ModelError: the scenario's model can't be used.
     """
-    publish(motions_of_plan(plan, world), meshcat, world, plan.scenario)
+    world = world or World.from_scenario(plan.scenario)
+    planned, *simulated = motions_of_plan(plan, world)
+    control = plan.trajectory.times, plan.trajectory.controls
+    motions = [planned, *(motion.under(*control) for motion in simulated)]
+    if beside:
+        ours = [dataclasses.replace(each, label=f"AIGTO: {each.label}") for each in motions[:2]]
+        motions = [*ours, *beside]
+    publish(motions, meshcat, world, plan.scenario)
 
 
 def publish(motions: Sequence[Motion], meshcat: Meshcat, world: World, scenario: Scenario) -> None:
@@ -65,28 +114,30 @@ def publish(motions: Sequence[Motion], meshcat: Meshcat, world: World, scenario:
 
     Each motion has a place of its own, so that none hides another. Along a level line that is a
     lane, beside walls that are shown once, where they are; in a plane, a copy of the world, with
-    the motion's way and planned contacts on a board. Start and goal are marked, and the camera sees
-    all of it.
+    the motion's planned contacts on a board. Dots are where bodies were every so often, an arrow
+    is the control, a flash an impact. Start and goal are marked, and the camera sees all of it.
 
     Args:
         motions: at least one; the first is at the back, or at the left.
-        meshcat: where to show them, instead of what this function showed before.
+        meshcat: where to show them, instead of what was shown below `ROOT` before.
         world: has the shapes.
         scenario: has start and goal.
     """
     ends = np.array([scenario.initial_position, scenario.goal_position])
     stage = Stage(world, np.vstack([ends, *(motion.positions for motion in motions)]))
+    begin, end = time_span(motions)
+    clock = Clock(begin, end + _HOLD, FRAMES_PER_SECOND)
+    effects = Effects(stage, world, motions, clock)
     ground: Track | Board
     if stage.is_line:
-        ground = _lay_track(stage, motions, scenario)
+        ground = _lay_track(stage, motions, scenario, _explain(effects))
     else:
-        ground = _lay_board(stage, motions, scenario, wall_names(world))
-    meshcat.Delete(ROOT)
-    for path in ("/Background", "/Grid", "/Axes"):
-        meshcat.SetProperty(path, "visible", False)
+        ground = _lay_board(stage, motions, scenario, wall_names(world), _explain(effects))
+    clear(meshcat)
+    places = _find_places(stage, ground)
     copies = {"world": RigidTransform()}
     if not stage.is_line:
-        copies = {f"worlds/{i}": each for i, each in enumerate(_find_places(stage, ground), 1)}
+        copies = {f"worlds/{i}": each for i, each in enumerate(places, 1)}
     for name, aside in copies.items():
         for actor in stage.actors:
             if not actor.moves:
@@ -97,11 +148,26 @@ def publish(motions: Sequence[Motion], meshcat: Meshcat, world: World, scenario:
     # Above ground that the model may have where the balls roll.
     lift = 0.0 if stage.is_line else _LIFT * stage.radius
     meshcat.SetTransform(f"{ROOT}/track", stage.X_WT.multiply(RigidTransform([0.0, 0.0, lift])))
-    meshcat.SetAnimation(_animate(stage, _find_places(stage, ground), motions, meshcat))
+    meshcat.SetAnimation(_animate(stage, places, motions, effects, clock, meshcat))
     if isinstance(ground, Track):
         _aim_camera(stage, ground, meshcat)
     else:
         _face_board(stage, ground, meshcat)
+
+
+def clear(meshcat: Meshcat) -> None:
+    """Removes what was shown below `ROOT`, and hides Meshcat's own grid, axes and background."""
+    meshcat.Delete(ROOT)
+    for path in ("/Background", "/Grid", "/Axes"):
+        meshcat.SetProperty(path, "visible", False)
+
+
+def new_animation(frames_per_second: int) -> MeshcatAnimation:
+    """Returns an animation that plays again and again."""
+    animation = MeshcatAnimation(frames_per_second)
+    animation.set_loop_mode(MeshcatAnimation.LoopMode.kLoopRepeat)
+    animation.set_repetitions(_REPETITIONS)
+    return animation
 
 
 def save_html(meshcat: Meshcat, path: str | os.PathLike[str]) -> None:
@@ -113,7 +179,19 @@ def save_html(meshcat: Meshcat, path: str | os.PathLike[str]) -> None:
     write_text(path, meshcat.StaticHtml())
 
 
-def _lay_track(stage: Stage, motions: Sequence[Motion], scenario: Scenario) -> Track:
+def _explain(effects: Effects) -> list[str]:
+    """Returns what has to be said of what is shown."""
+    notes = [f"dots: every {traces.SECONDS:g} s"]
+    if effects.largest_force > 0:
+        notes.append(f"arrow: control, up to {effects.largest_force:.2g} N")
+    if effects.flashes:
+        notes.append("yellow flash: impact")
+    return notes
+
+
+def _lay_track(
+    stage: Stage, motions: Sequence[Motion], scenario: Scenario, notes: Sequence[str]
+) -> Track:
     """Returns the track that the motions need."""
     lane_width = _LANE_WIDTH * stage.radius
     walls = stage.walls()
@@ -126,7 +204,12 @@ def _lay_track(stage: Stage, motions: Sequence[Motion], scenario: Scenario) -> T
         for end, q in ends.items()
         for body, mover in zip(_name_bodies(stage), stage.movers, strict=True)
     }
-    return Track([motion.label for motion in motions], start, end, lane_width, marks)
+    legs = [
+        [[stage.places(mover, q)[:, 0] for q in traces.find_legs(motion)] for mover in stage.movers]
+        for motion in motions
+    ]
+    labels = [motion.label for motion in motions]
+    return Track(labels, start, end, lane_width, marks, legs, notes)
 
 
 def _name_bodies(stage: Stage) -> list[str]:
@@ -139,7 +222,11 @@ def _name_bodies(stage: Stage) -> list[str]:
 
 
 def _lay_board(
-    stage: Stage, motions: Sequence[Motion], scenario: Scenario, walls: Sequence[str]
+    stage: Stage,
+    motions: Sequence[Motion],
+    scenario: Scenario,
+    walls: Sequence[str],
+    notes: Sequence[str],
 ) -> Board:
     """Returns the board that the motions need; walls have names."""
     ends = np.array([scenario.initial_position, scenario.goal_position])
@@ -159,11 +246,16 @@ def _lay_board(
         starts=marks[:, 0],
         goals=marks[:, 1],
         ways=ways,
+        dots=[
+            np.vstack([stage.places(m, traces.find_dots(motion))[:, :2] for m in stage.movers])
+            for motion in motions
+        ],
         touches=[_find_touches(motion, each) for motion, each in zip(motions, ways, strict=True)],
         touch_names=[
             [f"{walls[touch.contact]}, {touch.start:.2f} s" for touch in motion.touches] * bodies
             for motion in motions
         ],
+        notes=notes,
     )
 
 
@@ -182,29 +274,29 @@ def _find_places(stage: Stage, ground: Track | Board) -> list[RigidTransform]:
 
 
 def _animate(
-    stage: Stage, places: Sequence[RigidTransform], motions: Sequence[Motion], meshcat: Meshcat
+    stage: Stage,
+    places: Sequence[RigidTransform],
+    motions: Sequence[Motion],
+    effects: Effects,
+    clock: Clock,
+    meshcat: Meshcat,
 ) -> MeshcatAnimation:
     """Puts the moving shapes into their places, and returns how they move there."""
-    begin, end = time_span(motions)
-    last_frame = round((end + _HOLD - begin) * FRAMES_PER_SECOND)
-    animation = MeshcatAnimation(FRAMES_PER_SECOND)
-    animation.set_loop_mode(MeshcatAnimation.LoopMode.kLoopRepeat)
-    animation.set_repetitions(_REPETITIONS)
+    animation = new_animation(FRAMES_PER_SECOND)
     for lane, (motion, aside) in enumerate(zip(motions, places, strict=True)):
         # Of several rows in one frame the last one counts.
-        frames = np.rint((motion.times - begin) * FRAMES_PER_SECOND).astype(int).tolist()
-        rows = {
-            **dict(zip(frames, motion.positions, strict=True)),
-            last_frame: motion.positions[-1],
-        }
+        rows = dict(zip(map(clock.frame, motion.times), motion.positions, strict=True))
+        rows[clock.last_frame] = motion.positions[-1]
+        folder = f"{ROOT}/motions/{lane + 1}"
         for actor in stage.actors:
             if not actor.moves:
                 continue
-            path = f"{ROOT}/motions/{lane + 1}/{actor.name}"
+            path = f"{folder}/{actor.name}"
             meshcat.SetObject(path, actor.shape, Rgba(*to_rgb(color_of(lane))))
             meshcat.SetTransform(path, aside.multiply(stage.pose(actor, motion.positions[0])))
             for frame, q in rows.items():
                 animation.SetTransform(frame, path, aside.multiply(stage.pose(actor, q)))
+        effects.add(motion, aside, folder, meshcat, animation)
     return animation
 
 

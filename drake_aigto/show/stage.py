@@ -76,6 +76,8 @@ class Stage:
     Attributes:
         actors: all shapes.
         movers: the first moving shape of each body that moves.
+        directions: by how much each mover moves in the world with each coordinate, shape
+            (movers, nq, 3) [m/m].
         is_line: whether the motion is along a level line.
         X_WT: T's pose in the world.
         radius: of the first moving shape, half of its longest side [m].
@@ -95,11 +97,14 @@ class Stage:
         zero = np.zeros(world.num_positions)
         origin = self.pose(lead, zero).translation()
         ways = [
-            self.pose(mover, q).translation() - self.pose(mover, zero).translation()
+            [
+                self.pose(mover, q).translation() - self.pose(mover, zero).translation()
+                for q in np.eye(world.num_positions)
+            ]
             for mover in self.movers
-            for q in np.eye(world.num_positions)
         ]
-        self.is_line, R_WT = _face(np.array(ways))
+        self.directions = np.array(ways)
+        self.is_line, R_WT = _face(self.directions.reshape(-1, 3))
         self.X_WT = RigidTransform(R_WT, origin - self.radius * R_WT.matrix()[:, 2])
         along = [self.places(mover, positions)[:, 0] for mover in self.movers]
         self.lowest, self.highest = float(np.min(along)), float(np.max(along))
@@ -112,6 +117,10 @@ class Stage:
             scene_graph.GetMyContextFromRoot(self._root)
         )
         return query.GetPoseInWorld(actor.geometry).multiply(actor.X_GS)
+
+    def rotation(self, actor: Actor) -> RotationMatrix:
+        """Returns R_WS of an actor's drawn shape: nothing turns as it moves."""
+        return self.pose(actor, np.zeros(self._world.num_positions)).rotation()
 
     def places(self, actor: Actor, positions: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns where in T an actor's middle is, shape (K, 3), at positions of shape (K, nq)."""

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import textwrap
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.colors import to_rgb
@@ -34,6 +35,10 @@ _LABEL_HEIGHT, _LABEL_INSET, _LABEL_RISE = 0.25, 0.5, 0.1
 # … the size of the scale's numbers, and the strip for them along either side.
 _SCALE_HEIGHT, _MARGIN = 0.22, 0.7
 _ROW_HEIGHT = 0.27  # of names, where several rows are needed
+_NOTE_HEIGHT, _NOTE_ROW = 0.18, 0.24  # of the notes' letters, and from line to line
+# … from the middle of a lane to the first leg of a trace, how far the next one is at most, and
+# what there is for all of them.
+_FIRST_LEG, _NEXT_LEG, _ALL_LEGS = 0.4, 0.2, 0.5
 _BOLD_WIDTH = 0.67  # of a letter on average, as a part of the font's size
 
 
@@ -49,6 +54,9 @@ class Track:
         end: where it ends, x [m].
         lane_width: [m].
         marks: name of a line across all lanes → its x [m].
+        traces: of each lane, its bodies' legs from impact to impact, each the x of a few moments
+            [m]. A later leg is drawn nearer to the viewer, as all are on one line.
+        notes: that explain what is to be seen.
     """
 
     labels: Sequence[str]
@@ -56,6 +64,8 @@ class Track:
     end: float
     lane_width: float
     marks: Mapping[str, float]
+    traces: Sequence[Sequence[Sequence[npt.NDArray[np.float64]]]] = ()
+    notes: Sequence[str] = ()
 
     @property
     def length(self) -> float:
@@ -69,8 +79,10 @@ class Track:
 
     @property
     def margin(self) -> float:
-        """Width of the strips on both sides, for scale and marks [m]."""
-        return (_MARGIN + _ROW_HEIGHT * (len(self._rows) - 1)) * self.lane_width
+        """Width of the strips on both sides, for scale, notes and marks [m]."""
+        far = _MARGIN + _ROW_HEIGHT * (len(self._rows) - 1)
+        near = _MARGIN + _NOTE_ROW * len(self._note_lines)
+        return max(far, near) * self.lane_width
 
     def lane_center(self, lane: int) -> float:
         """Returns the y of a lane's middle [m]."""
@@ -94,7 +106,11 @@ class Track:
         axes.set_axis_off()
         for lane, label in enumerate(self.labels):
             self._paint_lane(axes, lane, label)
+        for lane, bodies in enumerate(self.traces):
+            for legs in bodies:
+                self._paint_trace(axes, lane, legs)
         self._paint_scale(axes)
+        self._paint_notes(axes)
         self._paint_marks(axes)
         return figure
 
@@ -104,14 +120,28 @@ class Track:
         color = np.array(to_rgb(color_of(lane)))
         tint = 1 - _TINT * (1 - color)
         axes.add_patch(Rectangle(*strip, facecolor=tint, edgecolor="white", linewidth=6))
+        inset = _LABEL_INSET * self.lane_width
+        fitting = (self.length - inset) / (len(label) * _BOLD_WIDTH * self.lane_width)
         axes.text(
-            self.start + _LABEL_INSET * self.lane_width,
+            self.start + inset,
             low + _LABEL_RISE * self.lane_width,
             label,
             color=_SHADE * color,
-            size=self._font_size(_LABEL_HEIGHT),
+            size=self._font_size(min(_LABEL_HEIGHT, fitting)),
             weight="bold",
         )
+
+    def _paint_trace(self, axes: Axes, lane: int, legs: Sequence[npt.NDArray[np.float64]]) -> None:
+        """Draws where a body was, a dot for each moment, leg beside leg."""
+        apart = min(_NEXT_LEG, _ALL_LEGS / len(legs))
+        heights = self.lane_center(lane) + self.lane_width * (
+            _FIRST_LEG - apart * np.arange(len(legs))
+        )
+        x = np.concatenate(legs)
+        y = np.repeat(heights, [len(leg) for leg in legs])
+        color = color_of(lane)
+        axes.plot(x, y, "-", color=color, linewidth=3, alpha=0.6)
+        axes.plot(x, y, "o", color=color, markersize=11, markeredgewidth=0)
 
     def _paint_scale(self, axes: Axes) -> None:
         """Draws ticks in metres on the viewer's side."""
@@ -121,6 +151,23 @@ class Track:
             if x == self._move_inside(x, text):  # Numbers are whole, and in place, or not there.
                 axes.plot([x, x], [edge, edge - 0.08 * self.lane_width], color=_INK, linewidth=3)
                 self._write(axes, x, edge - 0.14 * self.lane_width, text, va="top")
+
+    def _paint_notes(self, axes: Axes) -> None:
+        """Writes the notes below the scale's numbers."""
+        top = -self.half_width - (0.14 + 1.6 * _SCALE_HEIGHT) * self.lane_width
+        size, inset = self._font_size(_NOTE_HEIGHT), _LABEL_INSET * self.lane_width
+        for row, line in enumerate(self._note_lines):
+            y = top - row * _NOTE_ROW * self.lane_width
+            outline = withStroke(foreground="white", linewidth=size / 5)  # Before a dark wall, too.
+            look: dict[str, Any] = {"color": _INK, "size": size, "path_effects": [outline]}
+            axes.text(self.start + inset, y, line, va="top", **look)
+
+    @cached_property
+    def _note_lines(self) -> list[str]:
+        """The notes, broken so that they fit."""
+        room = self.length - _LABEL_INSET * self.lane_width
+        width = int(room / (_BOLD_WIDTH * _NOTE_HEIGHT * self.lane_width))
+        return wrap_notes(self.notes, width)
 
     def _paint_marks(self, axes: Axes) -> None:
         """Draws lines across all lanes, and their names far enough off to stand clear of a ball."""
@@ -176,3 +223,10 @@ class Track:
     def _font_size(self, height: float) -> float:
         """Returns the size in points for a height as a part of a lane's width."""
         return 72 * _INCHES * height * self.lane_width
+
+
+def wrap_notes(notes: Sequence[str], width: int) -> list[str]:
+    """Returns notes in lines of so many letters, broken between notes where that is possible."""
+    text = "; ".join(note.replace(" ", "\u00a0") for note in notes)
+    lines = textwrap.wrap(text, width)
+    return [line.replace("\u00a0", " ").removesuffix(";") for line in lines]

@@ -1,0 +1,121 @@
+"""The paper's comparison: AIGTO, a gradient solver from its answer, and one from a random guess."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+
+from drake_aigto.baselines import gradient_from_random
+from drake_aigto.planning import Candidate, LiteralProblem, Planner, PlanOptions
+from drake_aigto.show.box_run import run_boxes
+from drake_aigto.show.figures import plot_motions
+from drake_aigto.show.motion import Motion, color_of
+from drake_aigto.show.text import energy_text, length_text
+from drake_aigto.transcription import LiteralTranscription
+from drake_aigto.world import Scenario, World
+
+AIGTO, FROM_AIGTO, FROM_RANDOM = "AIGTO", "gradient from AIGTO", "gradient from a random guess"
+
+_COLUMNS = ("cost", "defect", "in wall", "energy", "rigid")
+# Of an axes' width: where the columns end, and of its height: a line.
+_FIRST, _LINE, _TOP = 0.04, 0.25, 1.0
+# How far velocities are shown beyond those of AIGTO's plans, as a part of their range: a gradient
+# solver may end with a jump of 200 m/s at the last knot.
+_BEYOND = 0.5
+
+
+def paper_methods(
+    scenario: Scenario,
+    world: World | None = None,
+    nonpenetration: bool = False,
+    seed: int = 0,
+) -> dict[str, Candidate]:
+    """Runs the three methods of AIGTO Fig. 2 on the paper's transcription.
+
+    AIGTO is the center of its last box, pulled towards the rows by raising their penalties, which
+    are not quite met; the gradient solver that starts from it is the planner's local one, with the
+    contact moved to and fro; the one that starts from a random guess is SNOPT.
+
+    Args:
+        scenario: the question; a world with one wall.
+        world: built from the scenario's model if None.
+        nonpenetration: whether φ ≥ 0 is asked for at the knots; the paper's figures need it off.
+        seed: of the random guess.
+
+    Returns:
+        A run, replayed on the rigid wall, by the method's name, in that order.
+
+    Raises:
+        ModelError: the world has several contacts.
+        PlanningError: no candidate meets the transcription's rows.
+    """
+    world = world or World.from_scenario(scenario)
+    options = PlanOptions(transcription="literal", nonpenetration=nonpenetration, confirm=False)
+    plan = Planner(scenario, options, world).plan()
+    boxes = run_boxes(plan, world, options)
+    center = boxes.problem.pull(boxes.result.box.center, boxes.rung)
+    shrunk = boxes.problem.judge(AIGTO, center, boxes.transcription, center)
+    snopt = dataclasses.replace(options, local_solver="snopt")
+    problem = LiteralProblem(LiteralTranscription(world, scenario, nonpenetration), snopt)
+    random = gradient_from_random(problem, np.random.default_rng(seed))
+    return {AIGTO: shrunk, FROM_AIGTO: plan.best, FROM_RANDOM: random}
+
+
+def plot_methods(
+    axes: Sequence[Any] | npt.NDArray[Any],
+    runs: Mapping[str, Candidate],
+    world: World,
+    scenario: Scenario,
+) -> None:
+    """Draws plans of several methods over time, as AIGTO Fig. 2 and 3 have them.
+
+    These are plans: `write_numbers` says what simulations make of them. Velocities are cut off
+    where only the last method goes.
+
+    Args:
+        axes: for positions, velocities and controls, shape (3,) or (3, nq).
+        runs: plans, by the method's name.
+        world: of the scenario.
+        scenario: has the goal.
+    """
+    motions = [Motion.from_trajectory(run.trajectory, world, name) for name, run in runs.items()]
+    plot_motions(axes, motions, world, scenario)
+    for i, middle in enumerate(np.atleast_1d(np.asarray(axes, dtype=object)[1])):
+        v = np.concatenate([motion.velocities[:, i] for motion in motions[:2]])
+        beyond = _BEYOND * np.ptp(v)
+        bottom, top = middle.get_ylim()
+        middle.set_ylim(max(bottom, v.min() - beyond), min(top, v.max() + beyond))
+
+
+def write_numbers(axes: Axes, runs: Mapping[str, Candidate]) -> None:
+    """Writes what each plan costs, and what has to be known before that is believed.
+
+    Its cost J, largest dynamics defect [m or m/s], deepest penetration, kinetic energy after /
+    before its contacts, and J of its control alone on a rigid wall.
+
+    Args:
+        axes: that has nothing else; its frame is taken off.
+        runs: plans, by the method's name, in the colors of `plot_methods`.
+    """
+    axes.set_axis_off()
+    ends = np.linspace(_FIRST, 1, len(_COLUMNS) + 1)[1:]
+    look: dict[str, Any] = {"transform": axes.transAxes, "va": "top", "fontsize": 7.5}
+    for x, name in zip(ends, _COLUMNS, strict=True):
+        axes.text(x, _TOP, name, ha="right", **look)
+    for i, run in enumerate(runs.values()):
+        y = _TOP - (i + 1) * _LINE
+        axes.text(0, y, "■", color=color_of(i), **look)
+        cells = (
+            f"{run.cost:.1e}",
+            f"{run.max_defect:.0e}",
+            length_text(run.max_penetration),
+            energy_text(run.energy_ratio),
+            f"{run.replay.cost:.1e}",
+        )
+        for x, cell in zip(ends, cells, strict=True):
+            axes.text(x, y, cell, ha="right", **look)

@@ -1,0 +1,100 @@
+"""One self-contained HTML page: headings, tables, figures, and recordings, all inside of it."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from importlib import resources
+from typing import TYPE_CHECKING, Any
+
+import matplotlib as mpl
+
+from drake_aigto.show.embedding import embed_scenes
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+# The same figure gives the same bytes, and looks the same whatever fonts a reader has.
+_SVG: dict[Any, Any] = {"svg.hashsalt": "drake_aigto", "svg.fonttype": "path"}
+_DPI = 120  # of what is no lines: landscapes of many colors
+
+
+class Page:
+    """A page that grows from top to bottom. What is added is text, and is escaped here."""
+
+    def __init__(self, title: str) -> None:
+        """Begins with a title."""
+        self._title = title
+        self._parts = [f"<h1>{html.escape(title)}</h1>"]
+
+    def heading(self, text: str) -> None:
+        """Adds a heading of a part."""
+        self._parts.append(f"<h2>{html.escape(text)}</h2>")
+
+    def subheading(self, text: str) -> None:
+        """Adds a heading within a part."""
+        self._parts.append(f"<h3>{html.escape(text)}</h3>")
+
+    def paragraph(self, text: str) -> None:
+        """Adds a paragraph."""
+        self._parts.append(f"<p>{html.escape(text)}</p>")
+
+    def verdict(self, text: str, holds: bool) -> None:
+        """Adds the sentence that a reader must not miss."""
+        kind, sign = ("holds", "✓") if holds else ("fails", "✗")
+        self._parts.append(f'<p class="verdict {kind}">{sign} {html.escape(text)}</p>')
+
+    def code(self, text: str) -> None:
+        """Adds lines that keep their form."""
+        self._parts.append(f"<pre>{html.escape(text)}</pre>")
+
+    def table(self, header: Sequence[str], rows: Iterable[Sequence[str]]) -> None:
+        """Adds a table whose first column names its rows."""
+        head = "".join(f"<th>{html.escape(cell)}</th>" for cell in header)
+        body = "".join(
+            f"<tr><th>{html.escape(name)}</th>"
+            + "".join(f"<td>{html.escape(cell)}</td>" for cell in cells)
+            + "</tr>"
+            for name, *cells in rows
+        )
+        self._parts.append(
+            f'<div class="wide"><table><thead><tr>{head}</tr></thead>'
+            f"<tbody>{body}</tbody></table></div>"
+        )
+
+    def figure(self, figure: Figure, caption: str) -> None:
+        """Adds a figure as an inline SVG; the caption is its text for who can't see it, too."""
+        written = io.BytesIO()
+        with mpl.rc_context(_SVG):
+            figure.savefig(
+                written, format="svg", dpi=_DPI, metadata={"Date": None, "Creator": None}
+            )
+        content = base64.b64encode(written.getvalue()).decode("ascii")
+        text = html.escape(caption)
+        self._parts.append(
+            f'<figure><img alt="{text}" src="data:image/svg+xml;base64,{content}">'
+            f"<figcaption>{text}</figcaption></figure>"
+        )
+
+    def scenes(self, scenes: Mapping[str, str]) -> None:
+        """Adds Meshcat's recordings, title → `Meshcat.StaticHtml()`; once in a page."""
+        self._parts.append(embed_scenes(scenes))
+
+    def to_html(self) -> str:
+        """Returns the page. It needs no network, and may not use it."""
+        style = resources.files("drake_aigto.show").joinpath("page.css").read_text("utf-8")
+        policy = (
+            "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval' blob: data:; "
+            "style-src 'unsafe-inline'; img-src data: blob:; connect-src data: blob:; "
+            "worker-src blob: data:; font-src data:"
+        )
+        body = "\n".join(self._parts)
+        return (
+            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
+            f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
+            f"<title>{html.escape(self._title)}</title>\n<style>\n{style}</style>\n</head>\n"
+            f"<body>\n<main>\n{body}\n</main>\n</body>\n</html>\n"
+        )

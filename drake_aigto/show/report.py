@@ -1,0 +1,275 @@
+"""A plan as one HTML page: question, answer, verdict, recording, figures, and all numbers."""
+
+from __future__ import annotations
+
+import platform
+from collections.abc import Callable, Iterator
+from importlib import metadata
+
+import yaml
+from matplotlib.figure import Figure
+
+from drake_aigto import __version__
+from drake_aigto.errors import ModelError
+from drake_aigto.planning import Candidate, Plan, Replay, confirms
+from drake_aigto.planning.material import contact_delay
+from drake_aigto.show.box_playback import play_boxes
+from drake_aigto.show.box_run import BoxRun, run_boxes
+from drake_aigto.show.figures import plot_boxes, plot_path, plot_plan
+from drake_aigto.show.landscapes import plot_cost_history, plot_cost_landscape
+from drake_aigto.show.motion import SIMULATION_LABELS, motions_of_plan
+from drake_aigto.show.page import Page
+from drake_aigto.show.plans import describe_verdict, format_replays
+from drake_aigto.show.playback import open_meshcat, play
+from drake_aigto.show.portraits import plot_phase_portrait
+from drake_aigto.show.text import contact_names, energy_text, length_text, task_items
+from drake_aigto.world import Scenario, World
+
+_ANY_PORT = 0
+_MOST_CANDIDATES = 10
+_MOST_TOUCHES = 6
+_NO_COST = 1e-9  # Below it a cost is 0 but for rounding, and nothing is so many percent of it.
+
+NUMBERS = ("cost J", "dynamics defect", "off the goal", "deepest penetration", "energy ratio")
+PROBLEM = """\
+minimise over u   ∫₀ᵀ w_u ‖u(t)‖² dt + w_f ‖q(T) − q_goal‖²
+subject to        M v̇ + h(q, v) = B u + J(q)ᵀ λ,    0 ≤ φ(q) ⊥ λ ≥ 0,    q(0), v(0) given
+                  J v⁺ = −e J v⁻  where a wall is hit"""
+
+
+def report_plan(
+    plan: Plan, world: World | None = None, progress: Callable[[str], None] | None = None
+) -> str:
+    """Returns a page about a plan: self-contained, about 1.4 MB, for any browser since 2023.
+
+    No cost is there without the plan's largest dynamics defect, its deepest penetration, the
+    energy ratio over contact, and what simulations make of its control.
+
+    Args:
+        plan: the plan.
+        world: that of its scenario; built from its model if None.
+        progress: called with a line of text before each part that takes time.
+
+    Raises:
+        ModelError: the scenario's model can't be used.
+    """
+    say = progress or (lambda line: None)
+    world = world or World.from_scenario(plan.scenario)
+    say("running AIGO again, for its boxes")
+    run = run_boxes(plan, world)
+    start, _, goal = task_items(plan.scenario)
+    page = Page(f"Plan: {start}, {goal}")
+    add_verdict(page, plan, world)
+    add_question(page, plan.scenario, world)
+    _add_answer(page, plan, world)
+    say("recording the plan, its simulations, and the boxes")
+    page.heading("In motion")
+    page.scenes(_record(plan, world, run))
+    say("drawing figures")
+    page.heading("Figures")
+    for figure, caption in figures_of_plan(plan, world, run):
+        page.figure(figure, caption)
+    _add_candidates(page, plan)
+    page.heading("All numbers")
+    drake = plan.replay.drake
+    page.code(format_replays(plan, world, None if drake is None else contact_delay(world)))
+    _add_reproduction(page, plan)
+    return page.to_html()
+
+
+def add_verdict(page: Page, plan: Plan, world: World) -> None:
+    """Adds whether simulations confirm a plan, and how far they are from it."""
+    verdict = describe_verdict(plan, world)
+    page.verdict(f"{verdict[0].upper()}{verdict[1:]}.", plan.holds)
+    for replay in plan.replay:
+        confirmed = confirms(plan.cost, replay, plan.best.goal_error)
+        off = replay.cost - plan.cost
+        # Of plans that cost next to nothing, no number of percent tells anything.
+        comparable = plan.cost > max(_NO_COST, abs(off) / 10)
+        part = f", {100 * off / plan.cost:+.2f} % of it" if comparable else ""
+        label = SIMULATION_LABELS[replay.simulator]
+        page.paragraph(
+            f"{label[0].upper()}{label[1:]}: {'confirms' if confirmed else 'contradicts'} the "
+            f"plan. Its cost differs by {off:+.1e}{part}; it ends "
+            f"{length_text(replay.goal_error)} off the goal, the plan "
+            f"{length_text(plan.best.goal_error)}."
+        )
+
+
+def add_question(page: Page, scenario: Scenario, world: World) -> None:
+    """Adds what was asked."""
+    page.heading("The question")
+    page.code(PROBLEM)
+    rows = [
+        ("task", ", ".join(task_items(scenario))),
+        ("duration", f"{scenario.duration:g} s in {scenario.num_steps} steps"),
+        ("restitution e", f"{scenario.restitution:g}"),
+        ("weights", f"w_u = {scenario.control_weight:g}, w_f = {scenario.goal_weight:g}"),
+        ("contacts", ", ".join(contact_names(world))),
+        ("model", scenario.model),
+    ]
+    if scenario.mass is not None:
+        rows.append(("mass", f"{scenario.mass:g} kg"))
+    page.table(("", ""), rows)
+
+
+def _add_answer(page: Page, plan: Plan, world: World) -> None:
+    page.heading("The answer")
+    page.paragraph(describe_contacts(plan.best, world))
+    page.table(("", *NUMBERS, "touches"), _number_rows(plan))
+    page.paragraph(
+        "The plan is what the optimizer promises. The simulations run its control alone, from the "
+        "start: they know nothing else of it."
+    )
+
+
+def describe_contacts(best: Candidate, world: World) -> str:
+    """Returns which walls a plan touches, and when, as a sentence."""
+    names = contact_names(world)
+    if not best.contacts:
+        return "The plan touches nothing."
+    touches = [f"{names[c.contact]} at {c.time:.3f} s" for c in best.contacts]
+    count = "once" if len(touches) == 1 else f"{len(touches)} times"
+    return f"The plan touches {count}: {'; '.join(touches)}."
+
+
+def _number_rows(plan: Plan) -> Iterator[tuple[str, ...]]:
+    """Yields a plan's numbers and those of its simulations, as rows below `NUMBERS`."""
+    best = plan.best
+    touches = ", ".join(f"{c.time:.3f} s" for c in best.contacts) or "none"
+    yield (
+        "plan (no simulation)",
+        f"{best.cost:.3e}",
+        f"{best.max_defect:.0e}",
+        length_text(best.goal_error),
+        length_text(best.max_penetration),
+        energy_text(best.energy_ratio),
+        touches,
+    )
+    for replay in plan.replay:
+        yield _replay_row(replay)
+
+
+def _replay_row(replay: Replay) -> tuple[str, ...]:
+    times = [f"{time:.3f} s" for time in replay.bounce_times[:_MOST_TOUCHES]]
+    more = len(replay.bounce_times) - len(times)
+    return (
+        SIMULATION_LABELS[replay.simulator],
+        f"{replay.cost:.3e}",
+        "obeys them",
+        length_text(replay.goal_error),
+        length_text(replay.max_penetration),
+        energy_text(replay.energy_ratio),
+        (", ".join(times) or "none") + (f", {more} more" if more else ""),
+    )
+
+
+def _record(plan: Plan, world: World, run: BoxRun) -> dict[str, str]:
+    """Returns Meshcat's pages of the plan and of the boxes, by title."""
+    meshcat = open_meshcat(_ANY_PORT)
+    play(plan, meshcat, world)
+    scenes = {"Plan and simulations": meshcat.StaticHtml()}
+    play_boxes(plan, meshcat, world, run)
+    return {**scenes, "AIGO's boxes": meshcat.StaticHtml()}
+
+
+def figures_of_plan(plan: Plan, world: World, run: BoxRun) -> Iterator[tuple[Figure, str]]:
+    """Yields the figures of a report, each with its caption.
+
+    Args:
+        plan: the plan.
+        world: that of its scenario.
+        run: AIGO's boxes.
+    """
+    n = world.num_positions
+    figure = Figure(figsize=(4.5 * max(n, 2), 7), layout="constrained")
+    plot_plan(figure.subplots(3, n, sharex=True), plan, world)
+    yield figure, "Positions, velocities and controls: the plan, and simulations of its control."
+    yield _draw_states(plan, world)
+    figure = Figure(figsize=(9, 4.2), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    history = run.result.history
+    plot_boxes(left, run.transcription, [history[i] for i in run.pick(5, smallest=0.01)])
+    plot_cost_history(right, run)
+    yield (
+        figure,
+        "AIGO's boxes, center ± half width, as they shrink, and what that costs. The last center "
+        "only proposes a contact sequence; the plan is polished from it.",
+    )
+
+
+def _draw_states(plan: Plan, world: World) -> tuple[Figure, str]:
+    """Returns a figure of states against each other, and what a touch costs where that is known."""
+    motions = motions_of_plan(plan, world)
+    figure = Figure(figsize=(9, 4.6), layout="constrained")
+    left, right = figure.subplots(1, 2)
+    plot_phase_portrait(left, motions, world, plan.scenario)
+    if world.num_positions > 1:
+        plot_path(right, motions, world, plan.scenario)
+        return figure, "Velocity against position, and the way."
+    try:
+        plot_cost_landscape(right, world, plan.scenario, {"plan": plan.best})
+    except ModelError:  # No exact optimum is known for this world.
+        figure.delaxes(right)
+        return figure, "Velocity against position."
+    return figure, (
+        "Velocity against position; and what motions cost that touch the wall once, by when and "
+        "how fast, with the exact optimum, which the planner does not know."
+    )
+
+
+_CANDIDATE_HEADER = (
+    *("", "cost J", "dynamics defect", "deepest penetration", "energy ratio"),
+    *("J simulated, rigid", "off the goal there", "touches"),
+)
+
+
+def _add_candidates(page: Page, plan: Plan) -> None:
+    page.heading("Candidates")
+    page.paragraph(
+        f"There were {len(plan.candidates)} candidates, of which {plan.stats.polished} are "
+        "feasible; the first is the plan."
+    )
+    page.table(_CANDIDATE_HEADER, _candidate_rows(plan))
+
+
+def _candidate_rows(plan: Plan) -> Iterator[tuple[str, ...]]:
+    for number, run in enumerate(plan.candidates[:_MOST_CANDIDATES], 1):
+        yield (
+            str(number),
+            f"{run.cost:.2e}",
+            f"{run.max_defect:.0e}",
+            length_text(run.max_penetration),
+            energy_text(run.energy_ratio),
+            f"{run.replay.cost:.2e}",
+            length_text(run.replay.goal_error),
+            ", ".join(f"{contact.time:.3f} s" for contact in run.contacts) or "none",
+        )
+
+
+def _add_reproduction(page: Page, plan: Plan) -> None:
+    page.heading("How to reproduce it")
+    page.paragraph(
+        "Save these lines as scenario.yaml and plan again. Nothing in a search is random; if the "
+        "plan was made with options of its own, give the same ones."
+    )
+    page.code(yaml.safe_dump(plan.scenario.to_dict(), sort_keys=False, allow_unicode=True))
+    literal = " --transcription literal" if plan.transcription == "literal" else ""
+    page.code(
+        f"pip install drake_aigto=={__version__}\n"
+        f"drake-aigto plan scenario.yaml{literal} --json plan.json\n"
+        "drake-aigto report plan.json --html report.html"
+    )
+    seconds = sum(plan.stats.seconds.values())
+    page.paragraph(
+        f"Planned in {seconds:.1f} s, with {plan.stats.aigo_steps} iterations of AIGO. "
+        f"{describe_versions()}"
+    )
+
+
+def describe_versions() -> str:
+    """Returns what a page was made with, as a sentence."""
+    return (
+        f"This page was made by drake_aigto {__version__} on Drake {metadata.version('drake')}, "
+        f"Python {platform.python_version()}."
+    )

@@ -1,0 +1,169 @@
+"""The part of the results page on random scenarios."""
+
+from __future__ import annotations
+
+import math
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from drake_aigto.show.images import Images
+from drake_aigto.show.scenario_figures import plot_costs, plot_map, plot_success_over_time
+from drake_aigto.show.scenario_tables import describe_unit, markdown_study
+from drake_aigto.study.scenario_question import PLANNER, ScenarioQuestion
+from drake_aigto.study.scenario_results import ScenarioStudy
+
+_INTRODUCTION = """\
+## Random scenarios
+
+A point mass before a wall is to end at its goal, with little control. The exact optimum J* of each
+scenario is computed by algebra (`study.rigid_optimum`), which no method knows. A method succeeds if
+the control that it offers, replayed event-driven on a rigid wall, costs at most 1.01 J* + 10⁻⁷ J.
+Time is CPU time of one core, libraries and kernels loaded. Methods other than `aigto`, the planner,
+end as soon as they succeed, or with their last budget.
+"""
+# For a legend above or below all panels, in inches.
+_LEGEND_WIDTH = 8.7
+# Field of the question → flag.
+_FLAGS = {"num_steps": "steps", "reads_boxes": "read-boxes"}
+
+
+def write_scenarios(paths: Sequence[Path], images: Images) -> str:
+    """Returns Markdown on some studies of random scenarios, and draws their figures.
+
+    Args:
+        paths: of their files.
+        images: where the figures go.
+
+    Raises:
+        ResultsFileError: a file is damaged.
+    """
+    parts = [_INTRODUCTION]
+    for path in paths:
+        study = ScenarioStudy.load(path)
+        parts.extend(_study_parts(study, path.stem, images))
+    return "\n".join(parts)
+
+
+def _study_parts(study: ScenarioStudy, name: str, images: Images) -> Iterator[str]:
+    question = study.question
+    has_rivals = any(method != PLANNER for method in question.methods)
+    title = "The planner against others" if has_rivals else "The planner"
+    yield f"### {title}: {question.count:,} scenarios, seed {question.seed}\n"
+    yield f"    {command_of(question)}\n"
+    yield (
+        f"p₀ {_span(question, 'start')} m, v₀ {_span(question, 'velocity')} m/s, "
+        f"p_f {_span(question, 'goal')} m, e {_span(question, 'restitution')}, "
+        f"mass {_span(question, 'mass')} kg, T {_span(question, 'duration')} s, "
+        f"N = {question.num_steps}. The unit of time, 1×, is {describe_unit(study)}.\n"
+    )
+    yield f"{markdown_study(study)}\n"
+    if not study.is_complete:
+        yield "Not all of these scenarios are done with all methods.\n"
+    if has_rivals:
+        yield images.add(
+            f"{name}_success",
+            draw_success(study),
+            "Share of scenarios solved over time, a panel for each restitution",
+        )
+        yield images.add(
+            f"{name}_costs",
+            draw_costs(study),
+            "How far above the exact optimum each method ends: shares of scenarios, after each "
+            "budget",
+        )
+    yield images.add(
+        f"{name}_map",
+        draw_map(study),
+        "Scenarios over initial velocity and goal: which mode is optimal, and which are missed",
+    )
+
+
+def command_of(question: ScenarioQuestion, flags: Mapping[str, str] = _FLAGS) -> str:
+    """Returns the command line that asks a question.
+
+    Args:
+        question: of any kind.
+        flags: field → flag, where they differ.
+    """
+    words = [f"drake-aigto bench {question.kind}"]
+    asked, usual = question.to_dict(), type(question)().to_dict()
+    for name, value in asked.items():
+        if value == usual[name] and name not in ("count", "seed"):
+            continue
+        words.append(f"--{flags.get(name, name).replace('_', '-')}")
+        if isinstance(value, list):
+            words.extend(shlex.quote(f"{each:g}" if name == "budgets" else each) for each in value)
+        elif value is not True:
+            words.append(str(value))
+    return " ".join(words)
+
+
+def draw_success(study: ScenarioStudy) -> Figure:
+    """Returns success against time, a panel for each restitution."""
+    groups = study.groups()
+    figure = Figure(figsize=(3.1 * len(groups) + 2.2, 3.6), layout="constrained")
+    row: list[Axes] = list(figure.subplots(1, len(groups), sharey=True, squeeze=False)[0])
+    for axes, (name, results) in zip(row, groups.items(), strict=True):
+        plot_success_over_time(axes, study, results)
+        axes.set_title(f"{name} ({len(results)} scenarios)", fontsize="medium")
+    row[0].set_ylabel("scenarios solved")
+    figure.legend(*row[0].get_legend_handles_labels(), loc="outside right center", frameon=False)
+    return figure
+
+
+def draw_costs(study: ScenarioStudy) -> Figure:
+    """Returns bars of cost classes: a row for each restitution, a column for each budget."""
+    groups, budgets = study.groups(), study.question.budgets
+    height = 0.24 * len(study.question.methods) + 0.5
+    width = max(_LEGEND_WIDTH, 2.6 * len(budgets) + 1.8)
+    figure = Figure(figsize=(width, height * len(groups) + 0.6), layout="constrained")
+    grid = figure.subplots(len(groups), len(budgets), sharex=True, sharey=True, squeeze=False)
+    for row, (name, results) in zip(grid, groups.items(), strict=True):
+        for axes, budget in zip(row, budgets, strict=True):
+            plot_costs(axes, study, results, budget)
+            axes.set_title(f"{name}, {budget:g}×", fontsize="medium")
+    # Shared, the axis has been turned over once for each panel.
+    grid[0, 0].set_ylim(len(study.question.methods) - 0.5, -0.5)
+    labels = grid[0, 0].get_legend_handles_labels()
+    figure.legend(*labels, loc="outside lower center", ncols=len(labels[0]), frameon=False)
+    return figure
+
+
+def draw_map(study: ScenarioStudy) -> Figure:
+    """Returns maps over (v₀, p_f), one for each method; of one method, one for each restitution."""
+    methods, groups = study.question.methods, study.groups()
+    panels = (
+        [("", method, study.results) for method in methods]
+        if len(methods) > 1
+        else [(f"{name}, ", methods[0], results) for name, results in groups.items()]
+    )
+    columns = min(len(panels), 4 if len(panels) > 6 else 3)
+    rows = math.ceil(len(panels) / columns)
+    width = max(_LEGEND_WIDTH, 2.7 * columns + 0.6)
+    figure = Figure(figsize=(width, 2.5 * rows + 0.7), layout="constrained")
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    for axes, (prefix, method, results) in zip(grid.flat, panels, strict=False):
+        plot_map(axes, study, results, method)
+        axes.set_title(f"{prefix}{axes.get_title()}", fontsize="medium")
+    for axes in grid.flat[len(panels) :]:
+        axes.set_visible(False)
+    for axes in grid.flat[len(panels) - columns : len(panels)]:
+        axes.tick_params(labelbottom=True)  # Nothing is below.
+    figure.supxlabel("initial velocity v₀ [m/s]")
+    figure.supylabel("goal p_f [m]")
+    labels = figure.axes[0].get_legend_handles_labels()
+    figure.legend(*labels, loc="outside upper center", ncols=4, frameon=False)
+    return figure
+
+
+def _span(question: ScenarioQuestion, name: str) -> str:
+    """Returns a spread in words: of one value, of several, or of a range."""
+    spread = getattr(question, name)
+    values = [f"{value:g}".replace("-", "−") for value in spread.values]
+    if spread.is_range:
+        return f"∈ [{', '.join(values)}]"
+    return f"= {values[0]}" if len(values) == 1 else f"∈ {{{', '.join(values)}}}"
