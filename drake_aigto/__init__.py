@@ -11,7 +11,9 @@ if TYPE_CHECKING:
     from drake_aigto.errors import OptionsError as OptionsError
     from drake_aigto.errors import OutputFileError as OutputFileError
     from drake_aigto.errors import PlanFileError as PlanFileError
+    from drake_aigto.errors import ResultsFileError as ResultsFileError
     from drake_aigto.errors import ScenarioError as ScenarioError
+    from drake_aigto.errors import StudyError as StudyError
     from drake_aigto.errors import TrajectoryError as TrajectoryError
     from drake_aigto.errors import UnsupportedTermError as UnsupportedTermError
     from drake_aigto.planning import Candidate as Candidate
@@ -46,7 +48,9 @@ _EXPORTS = {
     "OptionsError": "drake_aigto.errors",
     "OutputFileError": "drake_aigto.errors",
     "PlanFileError": "drake_aigto.errors",
+    "ResultsFileError": "drake_aigto.errors",
     "ScenarioError": "drake_aigto.errors",
+    "StudyError": "drake_aigto.errors",
     "TrajectoryError": "drake_aigto.errors",
     "UnsupportedTermError": "drake_aigto.errors",
     "Candidate": "drake_aigto.planning",

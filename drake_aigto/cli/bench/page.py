@@ -1,0 +1,38 @@
+"""``drake-aigto bench page``."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from drake_aigto.cli.flags import add_command
+from drake_aigto.cli.progress import show_progress
+from drake_aigto.cli.status import FINE
+
+_EXAMPLES = """\
+drake-aigto bench page scenarios.json robustness.json --out results.md
+"""
+
+
+def add_page(commands: Any) -> None:
+    """Adds the command."""
+    text = "make the results page of saved results"
+    command = add_command(commands, "page", _page, text, _EXAMPLES)
+    command.add_argument(
+        "results", nargs="+", metavar="RESULTS.json", help="what benchmarks wrote with --json"
+    )
+    command.add_argument(
+        "--out",
+        metavar="PAGE.md",
+        default="docs/results.md",
+        help="the page; pictures go into a folder images beside it (default: %(default)s)",
+    )
+
+
+def _page(options: argparse.Namespace) -> int:
+    from drake_aigto.show.results_page import write_results_page  # Matplotlib takes its time.
+
+    with show_progress(options, "drawing"):
+        write_results_page(options.results, options.out)
+    print(f"wrote {options.out}")
+    return FINE

@@ -1,0 +1,49 @@
+"""How benchmarks are run that take long: in processes, into a file, and on from it."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from drake_aigto.cli.flags import add_json, positive
+from drake_aigto.cli.progress import show_progress
+
+_Study = TypeVar("_Study")
+
+
+def add_running(command: Any) -> None:
+    """Adds how it is run, and where its results go."""
+    command.add_argument(
+        "--workers", type=positive, metavar="N", help="processes at once (default: one a core)"
+    )
+    add_json(command, "write the results, again and again")
+    command.add_argument(
+        "--resume", action="store_true", help="go on from the results that are there"
+    )
+
+
+def run_study(options: argparse.Namespace, run: Callable[..., _Study], question: object) -> _Study:
+    """Runs a study as the flags of `add_running` ask, and shows how far it is.
+
+    After Ctrl-C it says how to go on, if results were kept.
+
+    Args:
+        options: the parsed ones.
+        run: `run_scenario_study`, or another that takes the same.
+        question: what to run.
+    """
+    try:
+        with show_progress(options) as progress:
+            return run(
+                question,
+                options.json,
+                resume=options.resume,
+                workers=options.workers,
+                progress=progress,
+            )
+    except KeyboardInterrupt:
+        if options.json:
+            print(f"drake-aigto: --resume goes on from {options.json}", file=sys.stderr)
+        raise

@@ -1,0 +1,96 @@
+"""``drake-aigto bench scenarios``."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from drake_aigto.baselines import BASELINES
+from drake_aigto.cli.bench.running import add_running, run_study
+from drake_aigto.cli.bench.scenario_flags import add_question, read_question
+from drake_aigto.cli.flags import add_command, share
+from drake_aigto.cli.status import FINE, NOTHING_HOLDS
+from drake_aigto.show.scenario_tables import format_study
+from drake_aigto.study.scenario_question import PLANNER, ScenarioQuestion
+from drake_aigto.study.scenario_study import run_scenario_study
+
+_ALL = "all"
+_EXAMPLES = """\
+drake-aigto bench scenarios --count 20                        # a first impression
+drake-aigto bench scenarios --count 500 --restitution 1 0.8 0.5 --json planner.json
+drake-aigto bench scenarios --count 500 --restitution 1 0.8 0.5 --json planner.json --resume
+drake-aigto bench scenarios --count 60 --restitution 0.5:1 --mass 0.5:2 --velocity -3:0 \\
+    --methods aigto snopt cma-es --budgets 1 10 100 --workers 8 --json rivals.json
+"""
+_NOTES = """\
+A spread X is a number, several numbers, which scenarios take in turn (in all combinations, if there
+are several such lists), or one range low:high, which they are drawn from evenly.
+
+The first scenarios of a seed are the same for any count. The results file is written every few
+seconds, so that Ctrl-C or a crash loses little: --resume goes on from it, also with a larger count
+or more methods. Exit status: 0 fine, 1 aigto succeeds less often than --require asks, 2 bad input.
+"""
+
+
+def add_scenarios(commands: Any) -> None:
+    """Adds the command."""
+    text = "how often methods find the optimum of random scenarios, and how fast"
+    command = add_command(commands, "scenarios", _scenarios, text, _EXAMPLES, _NOTES)
+    usual = ScenarioQuestion()
+    add_question(command, usual)
+    names = ", ".join(f"'{name}'" if " " in name else name for name in BASELINES)
+    command.add_argument(
+        "--methods",
+        nargs="+",
+        metavar="NAME",
+        default=[PLANNER],
+        help=f"{PLANNER}, the planner (default); {names}; or {_ALL}",
+    )
+    command.add_argument(
+        "--budgets",
+        type=float,
+        nargs="+",
+        metavar="B",
+        default=list(usual.budgets),
+        help="units of time at which the others are judged (default: 1 10 100)",
+    )
+    command.add_argument(
+        "--seconds-per-unit",
+        type=float,
+        metavar="S",
+        help=f"of one core (default: what {PLANNER} takes on the same scenario)",
+    )
+    command.add_argument(
+        "--read-boxes",
+        action="store_true",
+        help="also tell what boxes alone say, before any polish",
+    )
+    command.add_argument(
+        "--require",
+        type=share,
+        metavar="SHARE",
+        default=0.0,
+        help=f"of scenarios whose optimum {PLANNER} is to find, else exit with 1",
+    )
+    add_running(command)
+
+
+def _scenarios(options: argparse.Namespace) -> int:
+    question = _make_question(options)
+    study = run_study(options, run_scenario_study, question)
+    print(format_study(study), flush=True)
+    if PLANNER not in question.methods:
+        return FINE
+    solved = sum(study.succeeds(result, PLANNER, 1.0) for result in study.of_method(PLANNER))
+    return FINE if solved >= options.require * question.count else NOTHING_HOLDS
+
+
+def _make_question(options: argparse.Namespace) -> ScenarioQuestion:
+    methods = [PLANNER, *BASELINES] if options.methods == [_ALL] else options.methods
+    return ScenarioQuestion(
+        methods=tuple(methods),
+        budgets=tuple(options.budgets),
+        seconds_per_unit=options.seconds_per_unit,
+        reads_boxes=options.read_boxes,
+        **read_question(options),
+    )

@@ -1,0 +1,93 @@
+"""What several commands take."""
+
+from __future__ import annotations
+
+import argparse
+import textwrap
+from collections.abc import Callable
+from typing import Any
+
+
+def add_command(
+    commands: Any,
+    name: str,
+    run: Callable[..., int],
+    text: str,
+    examples: str,
+    notes: str = "",
+) -> Any:
+    """Adds a command to those of a parser, and returns its own.
+
+    Args:
+        commands: what `Parser.add_commands` returned.
+        name: of the command.
+        run: takes the parsed options and returns the exit status.
+        text: what the command does, without capital and full stop.
+        examples: command lines, as they are typed.
+        notes: what else there is to know, in lines of at most 100 columns.
+    """
+    command = commands.add_parser(
+        name,
+        help=text,
+        description=f"{text[0].upper()}{text[1:]}.",
+        epilog="\n".join(filter(None, [format_examples(examples), notes])),
+    )
+    add_common(command)
+    command.set_defaults(run=run)
+    return command
+
+
+def format_examples(examples: str) -> str:
+    """Returns command lines as help shows them."""
+    return f"examples:\n{textwrap.indent(examples, '  ')}"
+
+
+def add_common(parser: Any) -> None:
+    """Adds what may be given before a command, or after it."""
+    # A command's own default would undo what was given before it.
+    for name, letter, text in (
+        ("quiet", "q", "show no progress"),
+        ("verbose", "v", "tell each step, and where an error came from"),
+    ):
+        parser.add_argument(
+            f"-{letter}", f"--{name}", action="store_true", default=argparse.SUPPRESS, help=text
+        )
+
+
+def add_confirm(command: Any) -> None:
+    """Adds --no-confirm."""
+    command.add_argument(
+        "--no-confirm",
+        dest="confirm",
+        action="store_false",
+        help="leave out the replay on Drake's plant",
+    )
+
+
+def add_json(command: Any, text: str) -> None:
+    """Adds --json FILE; the text says what it has."""
+    command.add_argument("--json", metavar="FILE", help=text)
+
+
+def positive(text: str) -> int:
+    """Returns a whole number, 1 or more."""
+    return _at_least(1, int(text))
+
+
+def natural(text: str) -> int:
+    """Returns a whole number, 0 or more."""
+    return _at_least(0, int(text))
+
+
+def share(text: str) -> float:
+    """Returns a number from 0 to 1."""
+    value = float(text)
+    if not 0 <= value <= 1:
+        raise argparse.ArgumentTypeError(f"got {value:g}, expected 0 to 1")
+    return value
+
+
+def _at_least(least: int, value: int) -> int:
+    if value < least:
+        raise argparse.ArgumentTypeError(f"got {value}, expected {least} or more")
+    return value

@@ -1,0 +1,78 @@
+"""``drake-aigto play``."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import threading
+from typing import Any
+
+from drake_aigto.cli.flags import add_command
+from drake_aigto.cli.progress import show_progress
+from drake_aigto.cli.status import FINE
+from drake_aigto.planning import Plan
+from drake_aigto.world import World
+from drake_aigto.world.files import check_writable
+
+_ANY_PORT = 0
+
+_EXAMPLES = """\
+drake-aigto play plan.json                          # in a browser, until Enter is pressed
+drake-aigto play plan.json --port 7001
+drake-aigto play plan.json --html plan.html         # one page, to mail
+drake-aigto play plan.json --beside gradient        # what a gradient solver does
+drake-aigto play plan.json --optimization           # boxes that shrink
+"""
+
+
+def add_play(commands: Any) -> None:
+    """Adds the command."""
+    text = "watch a plan and its simulations in Meshcat"
+    play = add_command(commands, "play", _play, text, _EXAMPLES)
+    play.add_argument("plan", metavar="PLAN.json", help="a plan file")
+    play.add_argument("--html", metavar="FILE", help="write one self-contained page instead")
+    play.add_argument("--port", type=int, metavar="N", help="where Meshcat listens (0: anywhere)")
+    what = play.add_mutually_exclusive_group()
+    what.add_argument(
+        "--beside",
+        choices=["gradient"],
+        help="show what a gradient solver makes of the same scenario beside the plan",
+    )
+    what.add_argument(
+        "--optimization",
+        action="store_true",
+        help="show how AIGO's boxes shrink onto the plan instead",
+    )
+
+
+def _play(options: argparse.Namespace) -> int:
+    from drake_aigto.show import gradient_motions, open_meshcat, play, play_boxes, save_html
+
+    check_writable(options.html)
+    plan = Plan.load(options.plan)
+    world = World.from_scenario(plan.scenario)
+    # A page needs Meshcat, too, but nobody looks for it at a port.
+    meshcat = open_meshcat(_ANY_PORT if options.html and options.port is None else options.port)
+    if options.optimization:
+        with show_progress(options, "running AIGO again"):
+            play_boxes(plan, meshcat, world)
+    elif options.beside:
+        with show_progress(options, "running the gradient solver"):
+            play(plan, meshcat, world, gradient_motions(world, plan.scenario))
+    else:
+        with show_progress(options, "simulating"):
+            play(plan, meshcat, world)
+    if options.html:
+        save_html(meshcat, options.html)
+        print(f"wrote {options.html}")
+        return FINE
+    key = "Enter" if sys.stdin and sys.stdin.isatty() else "Ctrl-C"
+    print(f"Meshcat plays at {meshcat.web_url()}; press {key} to stop.", flush=True)
+    _wait()
+    return FINE
+
+
+def _wait() -> None:
+    """Waits for Enter; where nobody can press it, for a signal."""
+    if not (sys.stdin and sys.stdin.readline()):
+        threading.Event().wait()
