@@ -59,3 +59,13 @@ def evaluate(factor: Factor, center: float, half_width: float) -> npt.NDArray[np
         int(factor.kind), factor.exponent, factor.scale, factor.offset, center, half_width, row
     )
     return row
+
+
+def evaluate_in_a_program(
+    factor: Factor, center: float, half_width: float
+) -> npt.NDArray[np.float64]:
+    """Returns the same, from the Newton system of a cost that is this factor."""
+    f = BoxPolynomial(1, (TermBlock("f", (Term(1.0, (factor,)),), [[0]]),))
+    system = f.newton_system(np.array([center]), half_width)
+    (cc, zz), (cz, _) = system.band
+    return np.array([system.value, *system.gradient, cc, cz, zz])

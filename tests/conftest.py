@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import dataclasses
+import logging
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import settings
 from world_models import ModelWriter
+
+from drake_aigto import Planner, PlanOptions, Scenario
 
 # No deadlines: Numba compiles in whichever example comes first, and machines stall. The same
 # examples every time: a test that fails fails again.
@@ -17,3 +22,22 @@ settings.load_profile("drake_aigto")
 @pytest.fixture
 def write_model(tmp_path: Path) -> ModelWriter:
     return ModelWriter(tmp_path)
+
+
+@pytest.fixture(scope="session")
+def plan_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A quick plan, in a file."""
+    path = tmp_path_factory.mktemp("plans") / "plan.json"
+    scenario = dataclasses.replace(Scenario.named("table1/1"), time_step=0.05)
+    Planner(scenario, PlanOptions(aigo_steps=20, confirm=False)).plan().save(path)
+    return path
+
+
+@pytest.fixture
+def quiet_drake() -> Iterator[None]:
+    """Keeps Drake from logging that SNOPT ran out of iterations."""
+    logger = logging.getLogger("drake")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    yield
+    logger.setLevel(level)

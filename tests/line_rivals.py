@@ -11,8 +11,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from pydrake.solvers import MathematicalProgram
-from rigid_rivals import run_snopt
+from pydrake.solvers import MathematicalProgram, SnoptSolver, SolverOptions
 
 from drake_aigto.study.line_optimum import Bounce, Line
 
@@ -149,3 +148,18 @@ def set_guess(
         prog.SetInitialGuess(A[i], np.full(A.shape[1], 2 * (place - x - v * duration)))
         time, x = end, place
         v = 0.0 if wall is None else wall.side * wall.restitution * speed
+
+
+def run_snopt(prog: MathematicalProgram) -> float:
+    """Returns the cost at the end, infinite if a constraint is not met."""
+    options = SolverOptions()
+    for name, value in (
+        ("Major feasibility tolerance", 1e-9),
+        ("Major optimality tolerance", 1e-7),
+        ("Major iterations limit", 150),
+    ):
+        options.SetOption(SnoptSolver.id(), name, value)
+    result = SnoptSolver().Solve(prog, None, options)
+    x = result.get_x_val()
+    feasible = prog.CheckSatisfied(prog.GetAllConstraints(), x, 1e-8)
+    return float(result.get_optimal_cost()) if feasible else math.inf

@@ -158,3 +158,16 @@ def find_least(cost: Callable[[float], float], low: float, high: float) -> tuple
 def bouncing(e: float, N: int, q: float = 1.0, v: float = -2.0, goal: float = 0.73) -> Scenario:
     scenario = make_scenario(q, v, time_step=1 / N, restitution=e)
     return dataclasses.replace(scenario, goal_position=goal)
+
+
+def two_joints(e: float) -> Scenario:
+    """Returns a task for the ball on a carriage of `make_diagram(num_joints=2)`."""
+    return Scenario(
+        initial_position=[0.0, 0.5],
+        initial_velocity=[0.3, -0.5],
+        goal_position=[0.4, 0.3],
+        duration=2.0,
+        time_step=0.05,
+        goal_weight=100.0,
+        restitution=e,
+    )

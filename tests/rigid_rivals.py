@@ -5,16 +5,16 @@ All for a unit mass whose signed distance is its coordinate, and a duration of 1
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
+import line_rivals
 import numpy as np
 import numpy.typing as npt
-from pydrake.solvers import MathematicalProgram, SnoptSolver, SolverOptions
+from line_rivals import legs_of
 
 from drake_aigto.study import RigidOptimum
+from drake_aigto.study.line_optimum import Bounce, Line, Wall
 from drake_aigto.world import Scenario
 
 Array = npt.NDArray[np.float64]
@@ -96,87 +96,28 @@ def follow(scenario: Scenario, optimum: RigidOptimum) -> float:
     return float(motion.finish(end, left)[0])
 
 
+def line_of(scenario: Scenario) -> Line:
+    """Returns the same problem on a line with one wall, at a cost of 1 / w_u."""
+    return Line(
+        position=scenario.initial_position[0],
+        velocity=scenario.initial_velocity[0],
+        goal=scenario.goal_position[0],
+        weight=scenario.goal_weight / scenario.control_weight,
+        gravity=0.0,
+        walls=(Wall(0.0, 1, scenario.restitution),),
+    )
+
+
 def transcribe(scenario: Scenario, guess: Sequence[tuple[float, float]], K: int = 40) -> float:
     """Returns the cost that SNOPT ends with, infinite if it does not meet the constraints.
-
-    Forces are held over K intervals a phase, phases last as long as they like, and φ ≥ 0 at all
-    knots. In phase time, from 0 to 1, positions are linear in accelerations and start velocity.
 
     Args:
         scenario: the problem.
         guess: (time, speed) of each touch.
         K: the number of intervals a phase.
     """
-    prog = MathematicalProgram()
-    phases = len(guess) + 1
-    A = prog.NewContinuousVariables(phases, K, "a")
-    V = prog.NewContinuousVariables(phases, "v")
-    h = prog.NewContinuousVariables(phases, "h")
-    prog.AddBoundingBoxConstraint(1e-3, 1.0, h)
-    prog.AddLinearEqualityConstraint(np.ones((1, phases)), [1.0], h)
-    v0 = scenario.initial_velocity[0]
-    prog.AddLinearEqualityConstraint(np.array([[1.0, -v0]]), [0.0], [V[0], h[0]])
-    with np.errstate(invalid="ignore"):  # NumPy takes Drake's boxed constants for that.
-        cost = add_phases(prog, scenario, (A, V, h))
-    prog.AddCost(cost)
-    set_guess(prog, scenario, guess, (A, V, h))
-    return scenario.control_weight * run_snopt(prog)
-
-
-def add_phases(
-    prog: MathematicalProgram, scenario: Scenario, variables: tuple[Any, Any, Any]
-) -> Any:
-    """Adds the rows of each phase and of the touches between them; returns the cost / w_u."""
-    A, V, h = variables
-    phases, K = A.shape
-    k, j = np.arange(1, K + 1)[:, None], np.arange(K)[None, :]
-    displacement = np.hstack([np.where(j < k, k - j - 0.5, 0.0) / K**2, k / K])
-    end_velocity = np.append(np.full(K, 1 / K), 1.0)
-    cost, start = 0.0, scenario.initial_position[0]
-    for i in range(phases):
-        x = np.append(A[i], V[i])
-        prog.AddLinearConstraint(displacement, np.full(K, -start), np.full(K, np.inf), x)
-        cost += A[i] @ A[i] / K / h[i] ** 3
-        if i < phases - 1:
-            prog.AddLinearEqualityConstraint(displacement[-1:], [-start], x)
-            prog.AddLinearConstraint(end_velocity[None], [-np.inf], [0.0], x)
-            bounce = V[i + 1] * h[i] + scenario.restitution * (end_velocity @ x) * h[i + 1]
-            prog.AddConstraint(bounce == 0)
-            start = 0.0
-    miss = start + displacement[-1] @ x - scenario.goal_position[0]
-    return cost + scenario.goal_weight / scenario.control_weight * miss**2
-
-
-def set_guess(
-    prog: MathematicalProgram,
-    scenario: Scenario,
-    guess: Sequence[tuple[float, float]],
-    variables: tuple[Any, Any, Any],
-) -> None:
-    """Guesses held forces that lead from each touch to the next, but for their restitution."""
-    stops = [*((time, 0.0, -speed) for time, speed in guess), (1.0, scenario.goal_position[0], 0.0)]
-    time, x, v = 0.0, scenario.initial_position[0], scenario.initial_velocity[0]
-    for a_i, v_i, h_i, (end, x_end, v_end) in zip(*variables, stops, strict=True):
-        h = end - time
-        prog.SetInitialGuess(h_i, h)
-        prog.SetInitialGuess(v_i, v * h)
-        prog.SetInitialGuess(a_i, np.full(len(a_i), 2 * (x_end - x - v * h)))
-        time, x, v = end, x_end, -scenario.restitution * v_end
-
-
-def run_snopt(prog: MathematicalProgram) -> float:
-    """Returns the cost at the end, infinite if a constraint is not met."""
-    options = SolverOptions()
-    for name, value in (
-        ("Major feasibility tolerance", 1e-9),
-        ("Major optimality tolerance", 1e-7),
-        ("Major iterations limit", 150),
-    ):
-        options.SetOption(SnoptSolver.id(), name, value)
-    result = SnoptSolver().Solve(prog, None, options)
-    x = result.get_x_val()
-    feasible = prog.CheckSatisfied(prog.GetAllConstraints(), x, 1e-8)
-    return float(result.get_optimal_cost()) if feasible else math.inf
+    bounces = [Bounce(time, 0, speed) for time, speed in guess]
+    return scenario.control_weight * line_rivals.transcribe(line_of(scenario), bounces, K)
 
 
 def optimal_control(scenario: Scenario, optimum: RigidOptimum, K: int = 100) -> tuple[Array, Array]:
@@ -187,23 +128,12 @@ def optimal_control(scenario: Scenario, optimum: RigidOptimum, K: int = 100) -> 
         optimum: its optimum.
         K: the number of intervals a phase.
     """
-    time, x, v = 0.0, scenario.initial_position[0], scenario.initial_velocity[0]
-    goal = scenario.goal_position[0]
-    knots, controls = [np.zeros(1)], []
     touches = zip(optimum.bounce_times, optimum.impact_velocities, strict=True)
-    for end, impact in [*touches, (1.0, None)]:
-        h = end - time
-        offset = -x - v * h
-        if impact is None:
-            w = scenario.goal_weight / scenario.control_weight
-            force = 3 * w / (3 + w * h**3) * (goal + offset)
-            first, last = force * h, 0.0
-        else:
-            first = 6 * offset / h**2 - 2 * (impact - v) / h
-            last = 4 * (impact - v) / h - 6 * offset / h**2
-            x, v = 0.0, -scenario.restitution * impact
-        middles = (np.arange(K) + 0.5) / K
-        controls.append(first + (last - first) * middles)
-        knots.append(time + h * np.arange(1, K + 1) / K)
-        time = end
+    bounces = [Bounce(time, 0, -velocity) for time, velocity in touches]
+    time, parts = 0.0, (np.arange(K) + 0.5) / K
+    knots, controls = [np.zeros(1)], []
+    for leg in legs_of(line_of(scenario), bounces):
+        controls.append(leg.a + leg.b * leg.time * parts)
+        knots.append(time + leg.time * np.arange(1, K + 1) / K)
+        time += leg.time
     return np.concatenate(knots), np.concatenate(controls)[:, None]

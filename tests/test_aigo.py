@@ -15,15 +15,18 @@ from drake_aigto.aigo import (
     Alternating,
     Annealing,
     Box,
+    EqualWidths,
     FaceFlow,
     FullGradient,
     Iterate,
     PenaltyContinuation,
+    SlowMotion,
     Status,
     minimize,
 )
-from drake_aigto.aigo.annealing import SmoothedObjective
-from drake_aigto.aigo.newton import HeldUnknowns, PointObjective, newton
+from drake_aigto.aigo.banded import factorise, solve
+from drake_aigto.aigo.descent import leave_out
+from drake_aigto.aigo.newton import PointObjective, SmoothedObjective, newton
 from drake_aigto.box import BoxPolynomial, Factor, FunctionKind, Term, TermBlock
 from drake_aigto.errors import OptionsError
 
@@ -31,6 +34,7 @@ ALGORITHMS: dict[str, Algorithm] = {
     "annealing": Annealing(initial_temperature=10.0, final_temperature=1e-12),
     "full gradient": FullGradient(zeta=1.0),
     "alternating": Alternating(final_width=1e-5),
+    "equal widths": EqualWidths(final_share=1e-5),
     "face flow": FaceFlow(final_width=1e-5),
 }
 
@@ -128,6 +132,27 @@ def test_an_annealed_box_is_stationary() -> None:
     np.testing.assert_allclose(gradient_z, 0.3, rtol=1e-7)
 
 
+def test_equal_widths_keep_the_first_boxs_shape_and_end_in_a_minimum() -> None:
+    f, first = chain(6), Box(np.full(6, 0.5), np.linspace(1.0, 2.0, 6))
+    result = minimize(f, first, EqualWidths(final_share=1e-3, shrink=0.5))
+    assert result.is_converged
+    for share, iterate in zip(0.5 ** np.arange(10), result.history[1:], strict=True):
+        np.testing.assert_allclose(iterate.box.half_width, share * first.half_width, rtol=1e-12)
+        _, gradient, _ = f.gradient(iterate.box.center, iterate.box.half_width)
+        np.testing.assert_allclose(gradient, 0.0, atol=1e-4)
+
+
+def test_shares_of_zero_are_no_boxes_but_a_local_minimum() -> None:
+    # From the upper valley's slope there is no way to the lower one for points.
+    f, first = chain(6), Box(np.full(6, 0.5), np.full(6, 2.0))
+    points = minimize(f, first, EqualWidths(first_share=0.0, final_share=0.0))
+    boxes = minimize(f, first, EqualWidths())
+    assert len(points.history) == 2
+    np.testing.assert_array_equal(points.box.half_width, 0.0)
+    assert np.all(points.box.center > 0.9)
+    assert np.all(boxes.box.center < -0.9)
+
+
 def test_a_quadratics_boxes_follow_from_the_temperature() -> None:
     # f = a (x − 1)²: mean a ((c − 1)² + w²/3), stationary at w = √(3μ/(2a)).
     f = univariate(np.array([4.0, -8.0, 4.0]))
@@ -189,11 +214,16 @@ def test_running_out_of_steps_is_reported() -> None:
         (lambda: Annealing(max_newton_steps=0), "max_newton_steps: got 0, expected 1 or more"),
         (lambda: FullGradient(gamma=1.0), "gamma: got 1, expected a number above 1"),
         (lambda: FullGradient(beta=1.0), r"beta: got 1, expected a number in \[0, 1\)"),
+        (lambda: Annealing(narrowing=-0.5), "narrowing: got -0.5, expected a number, 0 or more"),
         (lambda: FullGradient(zeta=-1.0), "zeta: got -1, expected a number above 0"),
         (lambda: FullGradient(inner_steps=0), "inner_steps: got 0, expected 1 or more"),
         (lambda: Alternating(gamma=0.9), "gamma: got 0.9, expected a number above 1"),
         (lambda: Alternating(beta=1.0), r"beta: got 1, expected a number in \[0, 1\)"),
         (lambda: Alternating(width_steps=0), "width_steps: got 0, expected 1 or more"),
+        (lambda: EqualWidths(shrink=1.0), "shrink: got 1, expected a number above 0 and below 1"),
+        (lambda: EqualWidths(final_share=2.0), "final_share: got 2 with a first_share of 1"),
+        (lambda: EqualWidths(final_share=0.0), "final_share: got 0, expected a number above 0"),
+        (lambda: EqualWidths(max_newton_steps=0), "max_newton_steps: got 0, expected 1 or more"),
         (lambda: Box(np.zeros(2), np.array([1.0, -1.0])), "half_width: got -1, expected 0"),
         (lambda: Box(np.array([np.nan]), np.ones(1)), "box: got NaN or infinity"),
     ],
@@ -228,21 +258,45 @@ def dense(band: np.ndarray) -> np.ndarray:
 
 @settings(max_examples=30)
 @given(st.sets(st.integers(0, 11), min_size=1), st.integers(0, 5))
-def test_held_unknowns_leave_the_band_as_an_identity(held: set[int], bandwidth: int) -> None:
+def test_unknowns_at_a_bound_leave_the_band_as_an_identity(held: set[int], bandwidth: int) -> None:
     n = 12
-    band = np.random.default_rng(3).normal(size=(bandwidth + 1, n))
+    band = np.random.default_rng(3).normal(size=(n, bandwidth + 1))
     gradient = np.ones(n)
-    before = dense(band)
+    before = dense(band.T)
     index = np.array(sorted(held))
-    HeldUnknowns(np.isin(np.arange(gradient.size), index), bandwidth).remove(
-        gradient, gradient, band
-    )
-    after = dense(band)
+    for k in index:
+        leave_out(k, gradient, band)
+    after = dense(band.T)
     free = np.setdiff1d(np.arange(n), index)
     np.testing.assert_array_equal(after[np.ix_(free, free)], before[np.ix_(free, free)])
     np.testing.assert_array_equal(after[np.ix_(index, index)], np.eye(index.size))
     np.testing.assert_array_equal(after[np.ix_(free, index)], 0.0)
     np.testing.assert_array_equal(gradient[index], 0.0)
+
+
+@given(st.integers(1, 30), st.integers(0, 9), st.integers(0, 2**32 - 1))
+def test_band_factors_solve_what_is_positive_definite_and_tell_what_is_not(
+    size: int, bandwidth: int, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    bandwidth = min(bandwidth, size - 1)
+    lower = np.tril(np.triu(rng.normal(size=(size, size)), -bandwidth))
+    matrix = lower @ lower.T + 0.1 * np.eye(size)
+    band = np.zeros((size, bandwidth + 1))
+    for d in range(bandwidth + 1):
+        band[: size - d, d] = np.diag(matrix, -d)
+    x = rng.normal(size=size)
+    factors, solution = band.copy(), matrix @ x
+    assert factorise(factors)
+    solve(factors, solution)
+    np.testing.assert_allclose(solution, x, rtol=0, atol=1e-14 * np.linalg.cond(matrix) * size)
+    least = np.linalg.eigvalsh(matrix)[0]
+    for shift, is_definite in ((-0.9 * least, True), (-1.1 * least, False)):
+        shifted = band.copy()
+        shifted[:, 0] += shift
+        assert factorise(shifted) == is_definite
+    band[size // 2, 0] = np.nan
+    assert not factorise(band)
 
 
 def test_newton_on_a_quadratic_takes_one_step() -> None:
@@ -262,10 +316,38 @@ def test_newton_descends_from_an_indefinite_hessian() -> None:
 
 
 def test_a_step_never_changes_a_width_by_more_than_e() -> None:
-    objective = SmoothedObjective(chain(3), np.ones(3, dtype=bool), 1e-3, 1e-3)
-    step = np.array([5.0, -3.0, 1.0, 0.5, 0.0, 2.0])
-    assert np.max(np.abs(objective.limit(step) * step[1::2])) == pytest.approx(1.0)
-    assert objective.limit(step / 10) == 1.0
+    f, box = chain(3), Box(np.zeros(3), np.full(3, 2.0))
+    objective = SmoothedObjective(f, box.free, 1e3, 1e-3)
+    ends = [newton(objective, objective.unknowns(box), steps, 0.0).y[1::2] for steps in range(6)]
+    changes = np.max(np.abs(np.diff(ends, axis=0)), axis=1)
+    assert np.all(changes <= 1.0 + 1e-12)
+    assert changes[0] == pytest.approx(1.0), "the hot box is far larger than the first"
+
+
+def test_boxes_that_narrow_with_the_temperature_follow_a_quadratic_by_themselves() -> None:
+    f, box = univariate(np.array([0.0, -2.0, 1.0])), Box(np.zeros(1), np.ones(1))
+    steps = {}
+    for narrowing in (0.0, 0.5):
+        annealing = Annealing(cooling=0.1, tolerance=1e-6, narrowing=narrowing)
+        result = minimize(f, box, annealing)
+        steps[narrowing] = [iterate.inner_steps for iterate in result.history[2:]]
+        slow = minimize(f, box, SlowMotion(annealing))
+        assert result.is_converged and slow.is_converged
+        for end in (result, slow):
+            # (x − 1)² over a box: c = 1 and w ∂/∂w w²/3 = μ, at the last of the temperatures.
+            np.testing.assert_allclose(end.box.center, 1.0, atol=1e-9)
+            np.testing.assert_allclose(end.box.half_width, np.sqrt(1.5e-10), rtol=1e-5)
+    assert steps[0.5] == [0] * 7
+    assert min(steps[0.0]) > 1
+
+
+def test_slow_motion_ends_a_temperature_early_where_annealing_does() -> None:
+    f, box = chain(4), Box(np.zeros(4), np.full(4, 2.0))
+    annealing = Annealing(cooling=0.1, narrowing=0.5, tolerance=1e-9, max_newton_steps=3)
+    fast, slow = (minimize(f, box, algorithm) for algorithm in (annealing, SlowMotion(annealing)))
+    assert slow.is_converged and slow.num_inner_steps == fast.num_inner_steps
+    np.testing.assert_array_equal(slow.box.center, fast.box.center)
+    np.testing.assert_array_equal(slow.box.half_width, fast.box.half_width)
 
 
 def test_penalty_continuation_meets_the_constraint() -> None:

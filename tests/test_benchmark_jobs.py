@@ -15,13 +15,11 @@ FILE = Path(__file__).parents[1] / "benchmarks" / "jobs.py"
 
 
 @pytest.fixture(name="jobs")
-def load_jobs(monkeypatch: pytest.MonkeyPatch) -> Any:
+def load_jobs() -> Any:
     spec = importlib.util.spec_from_file_location("jobs", FILE)
     assert spec and spec.loader
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    for name in module.ONE_THREAD:  # what run_jobs sets is taken back
-        monkeypatch.setenv(name, "1")
     return module
 
 

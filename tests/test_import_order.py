@@ -15,6 +15,7 @@ import drake_aigto
 PACKAGE = Path(drake_aigto.__file__).parent
 ROAD = (
     "errors",
+    "count",
     "jit",
     "world",
     "trajectory",
@@ -93,6 +94,9 @@ def test_aigo_knows_nothing_of_drake() -> None:
     [
         ("import drake_aigto", ("pydrake", "numpy", "scipy", "numba", "matplotlib")),
         ("from drake_aigto import Scenario, World", ("pydrake.all", "numba", "matplotlib")),
+        ("from drake_aigto import Planner", ("pydrake.all", "matplotlib", "scipy.optimize")),
+        ("from drake_aigto.cli import main\nmain(['plan', 'nowhere'])", ("drake_aigto.study",)),
+        ("import drake_aigto.cli.bar", ("drake_aigto.study", "pydrake", "numpy")),
     ],
 )
 def test_importing_loads_only_what_is_used(statement: str, absent: tuple[str, ...]) -> None:

@@ -87,17 +87,16 @@ def test_no_neighbour_is_tried_whose_contacts_a_plan_has_that_holds(
     scenario = Scenario.named("corridor/three_bounces")
     problem = make_problem(World.from_scenario(scenario), scenario, QUICK)
     assert isinstance(problem, RigidProblem)
-    search = RigidSearch(problem, lambda part: nullcontext(), scenario.num_steps)
+    search = RigidSearch(problem, lambda part: nullcontext())
     for rung in QUICK.rungs:
         search.add_rung(rung)
     held = [kinds(each) for each, it in search.by_sequence.items() if it.is_confirmed]
     tried: list[list[tuple[int, bool]]] = []
 
-    def is_good(self: RigidSearch, other: TouchSequence, path: object) -> bool:
+    def refuse(self: RigidSearch, other: TouchSequence, path: object) -> None:
         tried.append(kinds(other))
-        return False
 
-    monkeypatch.setattr(RigidSearch, "_is_good", is_good)
+    monkeypatch.setattr(RigidSearch, "_try", refuse)
     search.branch()
     assert tried
     assert not [each for each in tried if each in held]

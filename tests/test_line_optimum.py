@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import itertools
-import logging
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 
 import numpy as np
 import pytest
@@ -180,16 +179,6 @@ def test_no_other_start_and_no_wall_twice_in_a_row_is_better(e: float) -> None:
 
 
 # A direct transcription, solved by SNOPT.
-
-
-@pytest.fixture
-def quiet_drake() -> Iterator[None]:
-    """Keeps Drake from logging that SNOPT ran out of iterations."""
-    logger = logging.getLogger("drake")
-    level = logger.level
-    logger.setLevel(logging.ERROR)
-    yield
-    logger.setLevel(level)
 
 
 def transcribed_cost(line: Line, motion: Motion, rng: np.random.Generator) -> float:

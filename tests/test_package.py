@@ -121,6 +121,16 @@ def test_installed_wheel_has_the_command(installed: Path) -> None:
     assert "table1/1" in result.stdout
 
 
+def test_pages_can_be_made_from_an_installed_wheel(installed: Path) -> None:
+    program = """
+from drake_aigto.show import Page
+page = Page("title")
+page.scenes({"scene": "<html></html>"})
+print(page.to_html().count("player-slider"))
+"""
+    assert int(run_python(program, installed)) > 1
+
+
 def test_every_module_imports_where_nothing_can_be_written(installed: Path) -> None:
     # Files where folders should be stop root too, whom permissions do not.
     blocker = installed / "blocker"

@@ -14,6 +14,7 @@ from phase_solutions import (
     one_bounce,
     optimise,
     solve,
+    two_joints,
 )
 from replay_worlds import make_diagram, make_scenario, shipped_world
 from rest_solutions import least_rest
@@ -172,16 +173,7 @@ TWO_JOINTS: list[tuple[float, TouchSequence]] = [
 @pytest.mark.parametrize(("e", "touches"), TWO_JOINTS)
 def test_two_joints_replay_as_planned(e: float, touches: TouchSequence) -> None:
     world = World.from_diagram(make_diagram(num_joints=2, gravity=3.0))
-    scenario = Scenario(
-        initial_position=[0.0, 0.5],
-        initial_velocity=[0.3, -0.5],
-        goal_position=[0.4, 0.3],
-        duration=2.0,
-        time_step=0.05,
-        goal_weight=100.0,
-        restitution=e,
-    )
-    found = optimise(world, scenario, *touches)
+    found = optimise(world, two_joints(e), *touches)
     replay = found.replay()
     assert replay.cost == pytest.approx(found.cost, rel=1e-7)
     motion = found.trajectory

@@ -82,7 +82,7 @@ def search_of(name: str, **changes: float) -> RigidSearch:
     scenario = dataclasses.replace(Scenario.named(name), **changes)  # type: ignore[arg-type]
     problem = make_problem(World.from_scenario(scenario), scenario, QUICK)
     assert isinstance(problem, RigidProblem)
-    return RigidSearch(problem, lambda part: nullcontext(), scenario.num_steps)
+    return RigidSearch(problem, lambda part: nullcontext())
 
 
 def test_touches_that_no_motion_has_are_refused_once_and_stop_nothing() -> None:

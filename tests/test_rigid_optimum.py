@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import dataclasses
-import logging
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -161,16 +160,6 @@ def transcribed_costs(
         tries = [guess_touches(scenario, touches, rng) for _ in range(count)]
         best.append(min(transcribe(scenario, guess, intervals) for guess in tries))
     return best
-
-
-@pytest.fixture
-def quiet_drake() -> Iterator[None]:
-    """Keeps Drake from logging that SNOPT ran out of iterations."""
-    logger = logging.getLogger("drake")
-    level = logger.level
-    logger.setLevel(logging.ERROR)
-    yield
-    logger.setLevel(level)
 
 
 @pytest.mark.slow

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable
-from concurrent.futures import Executor, Future
-from typing import Any
 
 import pytest
+from scenario_studies import Inline
 
 from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions, Replays
 from drake_aigto.study import ROWS, Cell, RigidCell, RigidOptimum, run_rigid_cell, run_table1
@@ -16,18 +14,6 @@ from drake_aigto.study import table1 as table1_module
 from drake_aigto.world import Scenario
 
 NOTHING = RigidOptimum(0.0, (), (), 0.0)
-
-
-class Here(Executor):
-    """Runs jobs where they are submitted; an interrupt is theirs."""
-
-    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
-        future: Future[Any] = Future()
-        try:
-            future.set_result(fn(*args, **kwargs))
-        except KeyboardInterrupt as interrupt:
-            future.set_exception(interrupt)
-        return future
 
 
 @pytest.mark.parametrize("row", ROWS)
@@ -90,7 +76,7 @@ def quick_cells(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     def run_rigid(row: int, confirm: bool) -> object:
         return make((row, "rigid"), RigidCell(row, 1.0, NOTHING, 1e-4, ()))
 
-    # Those of `Here` are all complete by then; in which order they come is up to their addresses.
+    # Those of `Inline` are all complete by then; in which order they come is up to their addresses.
     monkeypatch.setattr(table1_module, "as_completed", iter)
     monkeypatch.setattr(table1_module, "run_cell", run_cell)
     monkeypatch.setattr(table1_module, "run_rigid_cell", run_rigid)
@@ -99,7 +85,7 @@ def quick_cells(monkeypatch: pytest.MonkeyPatch) -> list[object]:
 
 def test_the_table_is_in_the_order_of_bounds_and_rows(quick_cells: list[object]) -> None:
     lines: list[str] = []
-    table = run_table1((2, 1), executor=Here(), progress=lines.append)
+    table = run_table1((2, 1), executor=Inline(), progress=lines.append)
     order = [(cell.nonpenetration, cell.row) for cell in table.literal]
     assert order == [(False, 2), (False, 1), (True, 2), (True, 1)]
     assert [cell.row for cell in table.rigid] == [2, 1]
@@ -109,7 +95,7 @@ def test_the_table_is_in_the_order_of_bounds_and_rows(quick_cells: list[object])
 def test_an_interrupt_leaves_what_was_done(quick_cells: list[object]) -> None:
     quick_cells.append((2, True))
     lines: list[str] = []
-    table = run_table1((1, 2), executor=Here(), progress=lines.append)
+    table = run_table1((1, 2), executor=Inline(), progress=lines.append)
     done = [(cell.row, cell.nonpenetration) for cell in table.literal]
     assert done == [(1, False), (2, False), (1, True)]
     assert not table.rigid
@@ -119,4 +105,4 @@ def test_an_interrupt_leaves_what_was_done(quick_cells: list[object]) -> None:
 def test_an_interrupt_before_anything_was_done_goes_on(quick_cells: list[object]) -> None:
     quick_cells.append((1, False))
     with pytest.raises(KeyboardInterrupt):
-        run_table1((1,), executor=Here())
+        run_table1((1,), executor=Inline())

@@ -1,0 +1,284 @@
+"""Variants of the planner: what each leaves out, what it finds then, and how it is told."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
+from refusals import check_refused
+from replay_worlds import shipped_world
+from scenario_studies import Inline, made_up_study
+
+from drake_aigto import OptionsError, PlanOptions, Scenario
+from drake_aigto.cli import BAD_INPUT, FINE, main
+from drake_aigto.errors import ResultsFileError
+from drake_aigto.planning.options import RIGID_LADDER, Rung
+from drake_aigto.show.ablation_figures import plot_variants
+from drake_aigto.show.ablation_tables import format_ablations
+from drake_aigto.show.text import WIDTH
+from drake_aigto.study import ablations, rigid_optimum, scenario_study
+from drake_aigto.study.ablations import (
+    VARIANTS,
+    AblationQuestion,
+    Variant,
+    count_lost_bounces,
+    run_variant,
+)
+from drake_aigto.study.scenario_jobs import OPTIONS, Job
+from drake_aigto.study.scenario_question import ScenarioQuestion
+from drake_aigto.study.scenario_results import (
+    MethodRun,
+    ScenarioStudy,
+    calc_good_enough,
+)
+from drake_aigto.study.scenario_study import run_scenario_study
+from drake_aigto.study.spread import Spread
+
+BARE = VARIANTS["bare"].options
+# A bounce is optimal, and the boxes of the default rungs find it.
+BOUNCE = dataclasses.replace(Scenario.named("table1/3"), time_step=0.02)
+# The last one of these has a bounce; coasting is optimal in the first.
+QUICK = AblationQuestion(count=2, methods=("default", "bare, no boxes"), num_steps=20)
+
+
+def differences(one: Variant, other: Variant) -> set[str]:
+    """Returns the names of what differs, options and all else."""
+    fields = {field.name for field in dataclasses.fields(PlanOptions)}
+    pairs = [(name, one.options, other.options) for name in fields]
+    pairs += [(name, one, other) for name in ("num_steps", "way")]  # type: ignore[misc]
+    return {name for name, mine, yours in pairs if getattr(mine, name) != getattr(yours, name)}
+
+
+@pytest.mark.parametrize("name", VARIANTS)
+def test_a_variant_changes_one_thing(name: str) -> None:
+    variant = VARIANTS[name]
+    base = Variant("", BARE) if name.startswith("bare,") else Variant("")
+    # What is not a change of its own, but what makes another change fair.
+    beside = {
+        "bare": {"branches"},
+        "bare, forces, light rows": {"ladder"},
+        "no polish, continued": {"pull"},
+    }.get(name, {"pull"} if name.endswith("no boxes, continued") else set())
+    changed = differences(variant, base)
+    assert beside <= changed
+    assert len(changed - beside) == (name != "default")
+    assert variant.options.confirm is False
+
+
+def test_no_two_variants_are_the_same() -> None:
+    variants = [dataclasses.replace(variant, group="") for variant in VARIANTS.values()]
+    assert all(one not in variants[:i] for i, one in enumerate(variants))
+
+
+def test_bare_variants_start_in_no_simulation_and_try_no_neighbours() -> None:
+    for name, variant in VARIANTS.items():
+        if name.startswith("bare"):
+            assert {rung.start for rung in variant.options.rungs} == {"line"}
+            assert variant.options.branches == 0
+    starts = [rung.start for name in ("line only", "coast only") for rung in _rungs(name)]
+    assert sorted(starts) == sorted(rung.start for rung in RIGID_LADDER)
+
+
+def _rungs(name: str) -> tuple[Rung, ...]:
+    return VARIANTS[name].options.rungs
+
+
+def run(name: str) -> tuple[bool, MethodRun]:
+    """Returns whether a variant finds the bounce, and its run."""
+    found = run_variant(shipped_world(), Job(0, BOUNCE, name))
+    exact = rigid_optimum(shipped_world(), BOUNCE)
+    assert len(exact.bounce_times) == 1
+    return found.cost <= calc_good_enough(exact.cost), found
+
+
+@pytest.mark.parametrize("name", ["default", "bare", "coast only", "listed, no AIGO"])
+def test_the_bounce_is_found_by_boxes_by_simulation_and_by_listing(name: str) -> None:
+    is_found, found = run(name)
+    assert is_found
+    assert len(found.boxes) == (0 if name.startswith("listed") else len(_rungs(name)))
+    assert found.seconds > 0
+
+
+@pytest.mark.parametrize("name", ["bare, no boxes", "bare, forces"])
+def test_the_bounce_is_lost_without_boxes_and_with_forces(name: str) -> None:
+    is_found, found = run(name)
+    assert not is_found
+    assert found.boxes == (0, 0, 0)
+    assert found.cost > rigid_optimum(shipped_world(), BOUNCE).cost
+
+
+def test_boxes_that_are_not_polished_have_the_contact_but_not_the_cost() -> None:
+    is_found, found = run("no polish")
+    assert 1 in found.boxes
+    assert not is_found
+    assert found.boxes == run("default")[1].boxes
+
+
+def test_time_steps_are_those_of_the_variant(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen: list[int] = []
+
+    def plan(world: object, scenario: Scenario, options: PlanOptions) -> tuple[float, tuple[int]]:
+        seen.append(scenario.num_steps)
+        return 1.0, (0,)
+
+    monkeypatch.setattr(ablations, "_WAYS", {"plan": plan})
+    for name in ("25 time steps", "default", "400 time steps"):
+        run_variant(shipped_world(), Job(0, BOUNCE, name))
+    assert seen == [25, BOUNCE.num_steps, 400]
+
+
+# The study.
+
+
+def make_study() -> ScenarioStudy:
+    """Returns a study of four scenarios, two of which have a bounce."""
+    question = AblationQuestion(count=4, methods=("default", "no boxes", "no polish"))
+    cheap, dear = ((0.5, 1.001),), ((0.5, 3.0),)
+    return made_up_study(
+        question,
+        [
+            {
+                "default": MethodRun(cheap, 0.5, boxes=(number % 2, 0)),
+                "no boxes": MethodRun(dear if number % 2 else cheap, 0.25, boxes=(0, 0)),
+                "no polish": MethodRun((), 0.1, error="ValueError: no"),
+            }
+            for number in range(4)
+        ],
+    )
+
+
+def test_a_study_survives_its_file_and_goes_on(tmp_path: Path) -> None:
+    path = tmp_path / "study.json"
+    executor = Inline()
+    first = dataclasses.replace(QUICK, count=1)
+    run_scenario_study(first, path, executor=executor)
+    study = run_scenario_study(QUICK, path, resume=True, executor=executor)
+    assert executor.num_jobs == 4
+    assert ScenarioStudy.load(path, AblationQuestion) == study
+    assert study.is_complete
+    for result in study.results:
+        assert study.succeeds(result, "default", 1.0)
+        assert len(result.runs["default"].boxes) == len(RIGID_LADDER)
+        assert result.scenario == ScenarioQuestion(num_steps=20).scenario(result.number)
+
+
+def test_results_of_another_kind_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "study.json"
+    make_study().save(path)
+    with pytest.raises(ResultsFileError, match="got kind 'ablations', expected kind 'scenarios'"):
+        ScenarioStudy.load(path)
+    other = dataclasses.replace(QUICK, seed=1)
+    message = "is of another study: got .*seed 0.*, expected .*seed 1"
+    with pytest.raises(ResultsFileError, match=message):
+        run_scenario_study(other, path, resume=True, executor=Inline())
+
+
+def test_unknown_variants_are_refused_with_those_that_there_are() -> None:
+    message = "variants: got 'no luck', expected some of 'default', 'no neighbours'"
+    with pytest.raises(OptionsError, match=message):
+        dataclasses.replace(QUICK, methods=("default", "no luck")).check()
+
+
+def test_lost_bounces_are_counted_over_all_boxes_where_one_is_optimal() -> None:
+    study = make_study()
+    assert count_lost_bounces(study.results, "default") == (2, 4)
+    assert count_lost_bounces(study.results, "no boxes") == (4, 4)
+    assert count_lost_bounces(study.results, "no polish") == (0, 0)
+
+
+# How it is told.
+
+
+def test_a_table_has_a_line_for_each_variant() -> None:
+    text = format_ablations(make_study())
+    assert max(map(len, text.splitlines())) <= WIDTH
+    rows = {line[:30].strip(): line[30:].split() for line in text.splitlines()}
+    assert rows["default"] == ["100", "%", "1.001000", "0.50", "100", "%", "100", "%", "50", "%"]
+    assert rows["no boxes"] == ["50", "%", "1.001000", "0.25", "50", "%", "50", "%", "100", "%"]
+    assert rows["no polish"] == ["0", "%", "none", "0.10", "-", "-", "-"]
+    assert "no polish failed: ValueError: no" in text
+    assert "4 scenarios, of which 2 have a bounce in the optimum" in text
+
+
+def test_names_and_numbers_of_all_variants_fit() -> None:
+    study = dataclasses.replace(make_study(), question=AblationQuestion(count=4))
+    text = format_ablations(study)
+    assert max(map(len, text.splitlines())) <= WIDTH
+    assert all(re.search(rf"^{re.escape(name)}  ", text, re.MULTILINE) for name in VARIANTS)
+    assert f"Not done: {4 * (len(VARIANTS) - 3)} runs." in text
+
+
+def test_bars_are_as_long_as_the_shares_they_stand_for() -> None:
+    axes = Figure().subplots()
+    plot_variants(axes, make_study())
+    bars = [patch for patch in axes.patches if isinstance(patch, Rectangle)]
+    assert [bar.get_width() for bar in bars] == [1.0, 0.5, 0.0]
+    assert [label.get_text() for label in axes.get_yticklabels()] == [
+        "default",
+        "no boxes",
+        "no polish",
+    ]
+    (marks,) = axes.collections
+    np.testing.assert_array_equal(np.asarray(marks.get_offsets())[:, 0], [1.0, 0.5])
+
+
+def test_the_page_has_the_table_the_figure_and_what_to_make_of_it(tmp_path: Path) -> None:
+    make_study().save(tmp_path / "parts.json")
+    page = tmp_path / "results.md"
+    assert main(["bench", "page", str(tmp_path / "parts.json"), "--out", str(page)]) == FINE
+    text = page.read_text(encoding="utf-8")
+    assert "| boxes | no boxes | 50 % | 1.001000 | 0.25 | 50 % | 50 % | 100 % |" in text
+    (link,) = re.findall(r"!\[.+\]\((.+)\)", text)
+    assert (tmp_path / link).read_bytes().startswith(b"\x89PNG")
+    (command,) = re.findall(r"^    (drake-aigto .+)$", text, re.MULTILINE)
+    assert shlex.split(command)[1:3] == ["bench", "ablations"]
+    assert "'no boxes'" in command
+
+
+def test_the_command_runs_what_it_is_asked_for(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(scenario_study, "Workers", Inline)
+    path = tmp_path / "study.json"
+    words = ["bench", "ablations", "--quiet", "--count", "1", "--seed", "3", "--steps", "20"]
+    words += ["--restitution", "0.5:1", "--variants", "no neighbours", "bare, no boxes"]
+    assert main([*words, "--json", str(path)]) == FINE
+    assert "no neighbours" in capsys.readouterr().out
+    question = ScenarioStudy.load(path, AblationQuestion).question
+    assert question == AblationQuestion(
+        count=1,
+        seed=3,
+        num_steps=20,
+        restitution=Spread((0.5, 1.0), is_range=True),
+        methods=("no neighbours", "bare, no boxes"),
+    )
+    assert main([*words, "--json", str(path)]) == BAD_INPUT
+    assert "Go on from it (--resume)" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--count", "0"], "count: got 0, expected a whole number, 1 or more"),
+        (["--variants", "luck"], "variants: got 'luck', expected some of 'default'"),
+        (["--goal", "-1:1"], "goal -1.0:1.0: goal_position is inside"),
+    ],
+)
+def test_bad_input_ends_it_before_any_work(
+    arguments: list[str],
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(scenario_study, "run_job", None)
+    check_refused(["bench", "ablations", *arguments], message, capsys)
+
+
+def test_options_of_variants_are_those_that_scenarios_are_measured_with() -> None:
+    assert VARIANTS["default"].options == OPTIONS

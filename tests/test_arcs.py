@@ -1,0 +1,145 @@
+"""Arcs: the multi-phase problem in a few unknowns has the optimum of the one with every knot."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from phase_solutions import MET, bouncing, solve, two_joints
+from replay_worlds import make_diagram, make_scenario, shipped_world
+from rigid_worlds import Array
+from several_walls import make_task, shipped
+
+from drake_aigto import Scenario, UnsupportedTermError, World
+from drake_aigto.local import InteriorPoint, LocalResult, PolynomialNlp
+from drake_aigto.planning.arcs import Arcs, solve_in_arcs
+from drake_aigto.transcription import Facing, PhaseTranscription, Touch, TouchSequence
+
+# Contacts of the room, and of the block in it.
+LEFT, FRONT_WALL = 0, 2
+BLOCK_RIGHT, BLOCK_LEFT, BACK, FRONT = 4, 5, 6, 7
+
+
+def solve_nlp(nlp: PolynomialNlp, x: Array) -> LocalResult:
+    return InteriorPoint(max_iterations=200).solve(nlp, x)
+
+
+def check_same(phases: PhaseTranscription, cost_within: float = 1e-8) -> Array:
+    """Solves in arcs, and compares with the program of all knots."""
+    x = solve_in_arcs(phases, phases.guess(), solve_nlp)
+    assert x is not None
+    assert phases.is_as_made
+    full = solve(phases)
+    prog = phases.prog()
+    assert prog.CheckSatisfied(prog.GetAllConstraints(), x, MET)
+    assert phases.scenario_cost(x) == pytest.approx(full.cost, rel=cost_within, abs=1e-9)
+    return x
+
+
+ROOM = make_task("room", [0.3, 0.7], [-1.5, -1.0], time_step=0.05)
+MASSES = make_task("two_masses", [0.3, 0.7], [-1.0, -0.5], time_step=0.05)
+TASKS: dict[str, tuple[World, Scenario, TouchSequence]] = {
+    "flight": (shipped_world(), make_scenario(time_step=0.05), ()),
+    "one step": (shipped_world(), make_scenario(time_step=1.0), ()),
+    "bounce": (shipped_world(3.0), bouncing(0.8, 20), (Touch.bounce(0.4),)),
+    "short phases": (shipped_world(), bouncing(0.8, 2), (Touch.bounce(0.4),)),
+    "floor": (
+        shipped("floor"),
+        make_task("floor", 0.5, -1.0, time_step=0.05, restitution=0.7),
+        (Touch.bounce(0.3),),
+    ),
+    "room": (shipped("room"), ROOM, (Touch.bounce(0.2, LEFT), Touch.bounce(0.6, FRONT_WALL))),
+    "two masses": (shipped("two_masses"), MASSES, (Touch.bounce(0.3, 0), Touch.bounce(0.5, 1))),
+    "askew": (
+        World.from_diagram(make_diagram(num_joints=2, gravity=3.0)),
+        two_joints(0.5),
+        (Touch.bounce(0.4), Touch.bounce(1.2)),
+    ),
+    "lasts": (
+        World.from_diagram(make_diagram(num_joints=2, gravity=3.0)),
+        two_joints(0.0),
+        (Touch(0.5, 1.4),),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", TASKS)
+def test_arcs_have_the_optimum_of_all_knots(name: str) -> None:
+    check_same(PhaseTranscription(*TASKS[name]))
+
+
+@pytest.mark.parametrize("name", ["bounce", "room", "askew", "lasts"])
+def test_it_does_not_matter_where_arcs_are_cut(name: str) -> None:
+    phases = PhaseTranscription(*TASKS[name])
+    rng = np.random.default_rng(3)
+    costs = []
+    for count in (0, 2, 7, phases.num_samples() - 1):
+        cuts = rng.choice(np.arange(1, phases.num_samples()), count, replace=False).tolist()
+        arcs = Arcs(phases, cuts)
+        result = solve_nlp(arcs.nlp, arcs.vector(phases.guess()))
+        assert result.is_success
+        costs.append(result.cost)
+    np.testing.assert_allclose(costs, costs[0], rtol=1e-8)
+
+
+def test_arcs_keep_out_of_walls_between_their_ends() -> None:
+    scenario = make_scenario(0.3, -3.0, time_step=0.02)
+    phases = PhaseTranscription(shipped_world(), scenario)
+    arcs = Arcs(phases)
+    through = arcs.trajectory(solve_nlp(arcs.nlp, arcs.vector(phases.guess())).x)
+    assert np.min(through.positions) < -0.05
+    x = check_same(phases, 1e-6)
+    assert np.min(phases.split(x)[0]) > -1e-11
+
+
+@pytest.mark.parametrize("side", [BACK, FRONT])
+def test_arcs_pass_a_block_on_the_side_that_was_asked_for(side: int) -> None:
+    scenario = make_task("room_with_block", [0.1, 0.5], [0.0, 0.0], time_step=0.05)
+    scenario = dataclasses.replace(scenario, goal_position=[0.9, 0.5])
+    facings = [Facing(0.0, BLOCK_LEFT), Facing(0.3, side), Facing(0.7, BLOCK_RIGHT)]
+    phases = PhaseTranscription(shipped("room_with_block"), scenario, (), facings)
+    x, y = phases.split(check_same(phases, 1e-6))[0].T
+    beside = y[(x > 0.4) & (x < 0.6)]
+    assert beside.size > 2
+    assert np.all(beside > 0.6 - MET if side == BACK else beside < 0.4 + MET)
+
+
+def test_a_motion_through_arcs_and_back_is_the_same() -> None:
+    phases = PhaseTranscription(*TASKS["lasts"])
+    arcs = Arcs(phases, [3, 4, 11])
+    motion = arcs.trajectory(solve_nlp(arcs.nlp, arcs.vector(phases.guess())).x)
+    again = arcs.trajectory(arcs.vector(motion))
+    for name in ("times", "positions", "velocities", "controls", "forces"):
+        np.testing.assert_allclose(getattr(again, name), getattr(motion, name), atol=1e-9)
+
+
+def test_springs_and_dampers_have_no_arcs() -> None:
+    assert World.from_diagram(make_diagram(gravity=3.0)).has_constant_bias
+    assert not World.from_diagram(make_diagram(spring=30.0)).has_constant_bias
+
+
+def test_no_arcs_where_the_solver_fails_or_walls_would_pull() -> None:
+    phases = PhaseTranscription(*TASKS["lasts"])
+
+    def stop_early(nlp: PolynomialNlp, x: Array) -> LocalResult:
+        return InteriorPoint(max_iterations=1).solve(nlp, x)
+
+    assert solve_in_arcs(phases, phases.guess(), stop_early) is None
+    arcs = Arcs(phases)
+    result = solve_nlp(arcs.nlp, arcs.vector(phases.guess()))
+    assert not arcs.would_pull(result)
+    # Were the cost tiny, what is left of the barrier would count.
+    result = InteriorPoint(tolerance=1e-2).solve(arcs.nlp, arcs.vector(phases.guess()))
+    assert arcs.would_pull(result)
+
+
+def test_walls_that_leave_no_place_are_refused() -> None:
+    scenario = make_task("room_with_block", [0.7, 0.7], [0.0, 0.0], time_step=0.05)
+    facings = [Facing(0.0, BLOCK_RIGHT)]
+    phases = PhaseTranscription(
+        shipped("room_with_block"), scenario, (Touch.bounce(0.5, LEFT),), facings
+    )
+    with pytest.raises(UnsupportedTermError) as error:
+        solve_in_arcs(phases, phases.guess(), solve_nlp)
+    assert "leave it no value: got [0.6, 0], expected lower ≤ upper." in str(error.value)

@@ -1,0 +1,144 @@
+"""`drake-aigto bench`: what it prints, keeps, and refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from refusals import check_refused
+from scenario_studies import TOYS, Inline
+
+from drake_aigto.baselines import registry
+from drake_aigto.cli import BAD_INPUT, FINE, INTERRUPTED, NOTHING_HOLDS, main
+from drake_aigto.cli.bench import scenarios
+from drake_aigto.errors import PlanFileError
+from drake_aigto.planning import Planner
+from drake_aigto.show.text import WIDTH
+from drake_aigto.study import scenario_jobs, scenario_study
+from drake_aigto.study.scenario_results import ScenarioStudy
+from drake_aigto.study.spread import Spread
+
+SCENARIOS = ["bench", "scenarios", "--quiet", "--steps", "20"]
+COASTING = ["--start", "1", "--velocity", "0.2", "--goal", "1.2", "0.5", "--count", "4"]
+TOY_METHODS = ["--methods", "coast", "crash", "--seconds-per-unit", "0.5"]
+
+
+@pytest.fixture(autouse=True)
+def toys(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registry, "BASELINES", TOYS)
+    monkeypatch.setattr(scenario_study, "Workers", Inline)
+    scenario_jobs._warm_up.cache_clear()
+
+
+def test_every_methods_success_is_printed_for_each_restitution(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    arguments = [*SCENARIOS, *COASTING, *TOY_METHODS, "--restitution", "1", "0.5"]
+    assert main(arguments) == FINE
+    printed = capsys.readouterr().out
+    assert max(map(len, printed.splitlines())) <= WIDTH
+    assert "e = 1: 2 scenarios" in printed
+    assert "e = 0.5: 2 scenarios" in printed
+    rows = [line.split() for line in printed.splitlines()]
+    # Restitutions and goals in all combinations: half of each coast to their goals.
+    assert [row[1:4] for row in rows if row[:1] == ["coast"]] == [["50.0", "%", "50.0"]] * 2
+    assert [row[7:9] for row in rows if row[:2] == ["crash", "0.0"]] == [["none", "none"]] * 2
+    assert "crash failed: ZeroDivisionError: no way at all\n" in printed
+    assert "× is one unit of time: 0.5 s\n" in printed
+
+
+def test_a_plan_that_misses_is_named_and_fails_what_was_required(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(planner: Planner) -> None:
+        raise PlanFileError("no plan today")
+
+    arguments = [*SCENARIOS, *COASTING, "--count", "2", "--restitution", "0.8"]
+    monkeypatch.setattr(Planner, "plan", fail)
+    assert main(arguments) == FINE
+    assert main([*arguments, "--require", "0.5"]) == NOTHING_HOLDS
+    printed = capsys.readouterr().out
+    missed = "aigto missed scenario 1: q(0) = 1 m, v(0) = 0.2 m/s, goal 0.5 m, e = 0.8; cost / J* "
+    assert f"{missed}none\n" in printed
+    assert "aigto failed: PlanFileError: no plan today.\n" in printed
+
+
+def test_what_boxes_say_is_printed_if_asked_for(capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = [*SCENARIOS, *COASTING, "--count", "1", "--read-boxes", "--require", "1"]
+    assert main(arguments) == FINE
+    printed = capsys.readouterr().out
+    assert "have the optimum's number of contacts in 1 of 1:\nby rung " in printed
+
+
+def test_results_are_kept_and_gone_on_from(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "study.json"
+    arguments = [*SCENARIOS, *COASTING, *TOY_METHODS, "--json", str(path)]
+    assert main(arguments) == FINE
+    first = capsys.readouterr().out
+    assert main(arguments) == BAD_INPUT
+    assert "study.json: got one that exists. Go on from it (--resume)" in capsys.readouterr().err
+    assert main([*arguments, "--resume"]) == FINE
+    assert capsys.readouterr().out == first
+
+
+def test_ctrl_c_says_how_to_go_on(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupt(*arguments: object, **options: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(scenario_study, "run_job", interrupt)
+    monkeypatch.setattr("drake_aigto.cli.bench.robustness.run_robustness", interrupt)
+    path = tmp_path / "study.json"
+    told = f"drake-aigto: --resume goes on from {path}\ndrake-aigto: interrupted\n"
+    for command in ([*SCENARIOS, *COASTING, *TOY_METHODS], ["bench", "robustness", "--quiet"]):
+        assert main([*command, "--json", str(path)]) == INTERRUPTED
+        assert capsys.readouterr().err == told
+
+
+def test_spreads_are_read_as_help_says(tmp_path: Path) -> None:
+    path = tmp_path / "study.json"
+    spreads = ["--velocity", "-3:0", "--mass", "0.5:2", "--restitution", "1", "0.8", "--goal", "1"]
+    assert main([*SCENARIOS, *TOY_METHODS, *spreads, "--count", "2", "--json", str(path)]) == FINE
+    question = ScenarioStudy.load(path).question
+    assert question.velocity == Spread((-3.0, 0.0), is_range=True)
+    assert question.mass == Spread((0.5, 2.0), is_range=True)
+    assert question.restitution == Spread((1.0, 0.8))
+    assert question.goal == Spread((1.0,))
+    assert main([*SCENARIOS, *TOY_METHODS, "--velocity", "-1", "-0.5", "--count", "1"]) == FINE
+
+
+def test_all_stands_for_every_method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(scenarios, "BASELINES", {"coast": TOYS["coast"]})
+    path = tmp_path / "study.json"
+    assert main([*SCENARIOS, "--methods", "all", "--count", "1", "--json", str(path)]) == FINE
+    assert ScenarioStudy.load(path).question.methods == ("aigto", "coast")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["--count", "0"], "count: got 0, expected a whole number, 1 or more"),
+        (["--start", "0:1"], "start 0.0:1.0: initial_position is inside, behind or against"),
+        (["--velocity", "-3:x"], "--velocity: got -3:x, expected a number, several (1 0.8 0.5)"),
+        (["--velocity", "0:-3"], "--velocity: got 0.0:-3.0, expected low:high"),
+        (
+            ["--methods", "aigto", "cost"],
+            "unknown baseline 'cost': expected aigto, the planner,",
+        ),
+        (["--methods", "aigto", "absent"], "no_such_library"),
+        (["--methods", "coast"], "seconds_per_unit: got none, expected seconds"),
+        (["--budgets", "0"], "budgets: got (0.0,), expected numbers above 0"),
+        (["--json", "no/folder/x.json"], "no/folder/x.json can't be written"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(
+    arguments: list[str],
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(scenario_study, "run_job", None)  # Before any work.
+    check_refused([*SCENARIOS, *arguments], message, capsys)

@@ -1,0 +1,67 @@
+"""`drake-aigto bench robustness`: what it prints, keeps, and refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+from refusals import check_refused
+from robustness_studies import make_result
+from scenario_studies import Inline
+
+from drake_aigto.cli import BAD_INPUT, FINE, main
+from drake_aigto.show.robustness import format_robustness
+from drake_aigto.study import robustness
+from drake_aigto.study.robustness import run_robustness
+from drake_aigto.study.robustness_question import RobustnessQuestion
+from drake_aigto.study.robustness_results import RobustnessStudy
+
+
+def test_the_command_prints_the_table_and_writes_the_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    seen: list[RobustnessQuestion] = []
+
+    def run(question: RobustnessQuestion, *args: Any, workers: int, **named: Any) -> Any:
+        assert workers == 1
+        seen.append(question)
+        return run_robustness(question, *args, executor=Inline(), **named)
+
+    monkeypatch.setattr("drake_aigto.cli.bench.robustness.run_robustness", run)
+    monkeypatch.setattr(robustness, "run_task", lambda task, _: make_result(task.name))
+    path = tmp_path / "results.json"
+    flags = "--rows 1 --restitutions 1 0.5 --percent 2 --samples 3 --seed 4 --no-confirm"
+    command = ["bench", "robustness", *flags.split(), "--workers", "1", "--json", str(path)]
+    assert main(command) == FINE
+    assert seen == [
+        RobustnessQuestion(
+            rows=(1,), restitutions=(1.0, 0.5), percent=2.0, samples=3, seed=4, confirm=False
+        )
+    ]
+    study = RobustnessStudy.load(path)
+    assert capsys.readouterr().out == f"{format_robustness(study)}\n"
+    assert main(command) == BAD_INPUT
+    assert "got one that exists" in capsys.readouterr().err
+    assert main([*command, "--resume"]) == FINE
+
+
+@pytest.mark.parametrize(
+    ("flags", "message"),
+    [
+        ("--percent 0", "drake-aigto: percent: got 0.0, expected a number above 0."),
+        ("--percent 60", "percent, for table1/1, e = 1: got 60, by which initial_position"),
+        ("--json no/such/folder", "no/such/folder can't be written: got no folder no/such."),
+    ],
+)
+def test_bad_input_is_one_clear_error(
+    flags: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    check_refused(["bench", "robustness", *flags.split()], message, capsys)
+
+
+def test_unknown_rows_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(["bench", "robustness", "--rows", "5"])
+    assert ended.value.code == BAD_INPUT
+    assert "invalid choice: 5 (choose from" in capsys.readouterr().err

@@ -1,0 +1,367 @@
+"""The command line on a terminal and in a pipe: help, progress, the log, and errors."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import logging
+import os
+import pty
+import re
+import shlex
+import subprocess
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any, NoReturn
+
+import pytest
+
+from drake_aigto.cli import BAD_INPUT, FAULT, FINE, INTERRUPTED, NOTHING_HOLDS, main
+from drake_aigto.cli.command_line import make_parser
+from drake_aigto.count import Count
+from drake_aigto.errors import AigtoError
+from drake_aigto.planning import Plan, Planner, PlanningError
+
+# Quick to plan: far from the wall.
+FLIGHT = [
+    *("plan", "table1/1", "--initial-position", "1.2", "--initial-velocity", "0"),
+    *("--goal-position", "1.3", "--time-step", "0.02", "--aigo-steps", "20"),
+]
+ESCAPE = "\033"
+
+
+class Terminal(io.StringIO):
+    """What a terminal would be sent."""
+
+    def isatty(self) -> bool:
+        return True
+
+    def shown(self) -> list[str]:
+        """Returns all lines that could be seen at some time, without colours."""
+        text = re.sub(r"\033\[[\d;]*m", "", self.getvalue())
+        return [re.sub(r"\033\[\d*[A-Z]", "", line) for line in re.split(r"[\r\n]+", text)]
+
+
+def open_terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
+    """Has standard error be a terminal of 60 columns; pytest would undo it in a fixture."""
+    stream = Terminal()
+    monkeypatch.setattr(sys, "stderr", stream)
+    for name, value in {"COLUMNS": "60", "LINES": "20", "TERM": "xterm"}.items():
+        monkeypatch.setenv(name, value)
+    for name in ("NO_COLOR", "FORCE_COLOR", "TTY_COMPATIBLE", "TTY_INTERACTIVE"):
+        monkeypatch.delenv(name, raising=False)
+    return stream
+
+
+@pytest.fixture(scope="module")
+def plan_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("plans") / "plan.json"
+    assert main([*FLIGHT, "--no-confirm", "--quiet", "--json", str(path)]) == FINE
+    return path
+
+
+@pytest.fixture
+def telling(monkeypatch: pytest.MonkeyPatch, plan_file: Path) -> Callable[..., None]:
+    """Has a planner tell some lines, and then find the plan of the file."""
+
+    def tell(*lines: str) -> None:
+        def plan(planner: Planner, progress: Callable[[str], None] | None = None) -> Plan:
+            for line in lines:
+                if progress:
+                    progress(line)
+            return Plan.load(plan_file)
+
+        monkeypatch.setattr(Planner, "plan", plan)
+
+    return tell
+
+
+def failing(monkeypatch: pytest.MonkeyPatch, error: BaseException) -> None:
+    """Has planning end with an error."""
+
+    def fail(planner: Planner, **keywords: Any) -> None:
+        raise error
+
+    monkeypatch.setattr(Planner, "plan", fail)
+
+
+def commands(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
+    """Yields a parser and those of all commands below it."""
+    yield parser
+    for action in parser._actions:
+        if isinstance(action, argparse._SubParsersAction):
+            for command in action.choices.values():
+                yield from commands(command)
+
+
+COMMANDS = {command.prog: command for command in commands(make_parser())}
+
+
+def test_the_commands_are_all_there() -> None:
+    names = ("table1", "plan", "replay", "play", "report", "bench", "bench scenarios")
+    assert {f"drake-aigto {name}" for name in names} < COMMANDS.keys()
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_help_fits_and_its_examples_are_understood(
+    name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("COLUMNS", "100")
+    with pytest.raises(SystemExit) as ended:
+        main([*name.split()[1:], "--help"])
+    assert ended.value.code == FINE
+    shown = capsys.readouterr().out
+    assert shown.startswith(f"usage: {name} ")
+    assert max(map(len, shown.splitlines())) <= 100
+    examples = shown.split("\nexamples:\n")[1].split("\n\n")[0].replace("\\\n", " ")
+    assert examples.strip()
+    for example in examples.strip().splitlines():
+        words = shlex.split(example.split(">")[0], comments=True)
+        assert words[0] == "drake-aigto"
+        if "--help" not in words:
+            make_parser().parse_args(words[1:])
+
+
+@pytest.mark.parametrize("name", [[], ["bench"], ["--quiet"]])
+def test_without_a_command_help_is_shown(
+    name: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(name) == BAD_INPUT
+    shown = capsys.readouterr()
+    assert not shown.out
+    assert shown.err.startswith("usage: drake-aigto") and "\nexamples:\n" in shown.err
+
+
+def test_every_flag_of_a_command_says_what_it_is() -> None:
+    for name, command in COMMANDS.items():
+        for action in command._actions:
+            assert action.help or isinstance(action, argparse._SubParsersAction), (name, action)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ["-v", "bench", "scenarios"],
+        ["bench", "-v", "scenarios"],
+        ["bench", "scenarios", "--verbose"],
+        ["-qv", "bench", "-q", "scenarios", "-v"],
+    ],
+)
+def test_what_all_commands_take_stands_before_or_after_them(words: list[str]) -> None:
+    unset = argparse.Namespace(quiet=False, verbose=False)
+    options = make_parser().parse_args(words, unset)
+    assert options.verbose
+    assert options.quiet == any("q" in word for word in words)
+
+
+def test_small_negative_numbers_are_no_flags() -> None:
+    options = make_parser().parse_args(["plan", "table1/1", "--initial-velocity", "-1e-3", "-.5"])
+    assert options.initial_velocity == [-1e-3, -0.5]
+
+
+def test_progress_is_one_line_of_the_terminals_width(
+    telling: Callable[..., None],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    terminal = open_terminal(monkeypatch)
+    telling("[bold]AIGO 1 of 5" + "x" * 300)
+    assert main(["plan", "table1/1"]) == FINE
+    shown = terminal.shown()
+    assert any("transcribing" in line for line in shown)
+    assert any("0:00:00 [bold]AIGO 1 of 5xxx" in line and "…" in line for line in shown)
+    assert max(map(len, shown)) <= 60
+    # Up to the line and clear it: nothing is left. And the cursor was never hidden.
+    assert terminal.getvalue().endswith("\033[1A\033[2K")
+    assert "\033[?25l" not in terminal.getvalue()
+    printed = capsys.readouterr().out
+    assert printed.startswith("verdict ") and ESCAPE not in printed
+
+
+def test_what_is_counted_has_a_bar(
+    telling: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal = open_terminal(monkeypatch)
+    telling("getting ready", Count(1, 4, "cells done"), Count(3, 4, "cells done"))
+    assert main(["plan", "table1/1"]) == FINE
+    last = terminal.getvalue().split("\r")[-2]
+    assert "3 of 4 cells done" in last
+    assert len(re.findall("[━╸╺]", last)) == 20
+    filled = re.search(r"\033\[91m(━+)", last)
+    assert filled and len(filled[1]) == 15
+    assert re.search(r"0:00:0\d ━.* left; 3 of 4", terminal.shown()[-2])
+
+
+def test_without_colour_there_is_none(
+    telling: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal = open_terminal(monkeypatch)
+    monkeypatch.setenv("NO_COLOR", "1")
+    telling(Count(1, 4, "cells done"))
+    assert main(["plan", "table1/1"]) == FINE
+    assert any("1 of 4 cells done" in line for line in terminal.shown())
+    assert not re.search(r"\033\[[\d;]*3\d", terminal.getvalue())
+
+
+def test_quiet_shows_no_progress(
+    telling: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal = open_terminal(monkeypatch)
+    telling("AIGO 1 of 5")
+    assert main(["--quiet", "plan", "table1/1"]) == FINE
+    assert not terminal.getvalue()
+
+
+def test_a_file_gets_no_progress(
+    telling: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    telling("AIGO 1 of 5")
+    assert main(["plan", "table1/1"]) == FINE
+    printed = capsys.readouterr()
+    assert not printed.err
+    assert ESCAPE not in printed.out
+
+
+def test_verbose_tells_what_the_planner_does(capsys: pytest.CaptureFixture[str]) -> None:
+    logger = logging.getLogger("drake_aigto")
+    before = logger.level, list(logger.handlers)
+    assert main([*FLIGHT, "-v"]) == FINE
+    assert (logger.level, logger.handlers) == before
+    printed = capsys.readouterr()
+    log = re.sub(r"^ +\d+\.\d\d s  ", "", printed.err, flags=re.MULTILINE)
+    assert log.startswith("transcribing (rigid)\nAIGO 1 of 5: annealing from temperature 3; ")
+    for told in (
+        r"\n  converged after \d+ inner steps; contact sequences: \d\n",
+        r"\n  free flight: cost \d\.\d{3}e.*, replayed .*, largest defect .*, in 50 steps\n",
+        r"\n\d candidates; improving number 1\n",
+        r"\n\d+ inner steps of AIGO; seconds: build .*, aigo .*, polish .*, replay \d+\.\d\d\n$",
+    ):
+        assert re.search(told, log), f"{told} in\n{log}"
+    assert main(FLIGHT) == FINE
+    quiet = capsys.readouterr()
+    assert not quiet.err
+
+    def without_seconds(text: str) -> str:
+        return re.sub(r"\nseconds .*", "", text)
+
+    assert without_seconds(quiet.out) == without_seconds(printed.out)
+
+
+def test_the_log_moves_progress_aside(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = open_terminal(monkeypatch)
+    assert main([*FLIGHT, "-v"]) == FINE
+    shown = terminal.shown()
+    assert any(re.match(r" +\d+\.\d\d s  transcribing \(rigid\)", line) for line in shown)
+    assert max(map(len, shown)) <= 60
+
+
+@pytest.mark.parametrize(
+    ("error", "status", "message"),
+    [
+        (AigtoError("the wall", got="rubber"), BAD_INPUT, "the wall: got rubber."),
+        (PlanningError("nothing holds"), NOTHING_HOLDS, "nothing holds."),
+        (MemoryError("Unable to allocate 45 GiB"), BAD_INPUT, "Unable to allocate 45 GiB."),
+        (
+            ZeroDivisionError("division by zero"),
+            FAULT,
+            "ZeroDivisionError: division by zero. This is a fault of drake-aigto, not yours: "
+            "please report it with what -v tells.",
+        ),
+    ],
+)
+def test_only_verbose_shows_where_an_error_came_from(
+    error: Exception,
+    status: int,
+    message: str,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    failing(monkeypatch, error)
+    assert main(["plan", "table1/1"]) == status
+    assert capsys.readouterr().err == f"drake-aigto: {message}\n"
+    assert main(["-v", "plan", "table1/1"]) == status
+    told = capsys.readouterr().err
+    assert "\nTraceback (most recent call last):\n" in f"\n{told}" and ", in fail\n" in told
+    assert told.endswith(f"\ndrake-aigto: {message}\n")
+
+
+def test_an_error_clears_progress_first(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = open_terminal(monkeypatch)
+    failing(monkeypatch, AigtoError("the wall"))
+    assert main(["plan", "table1/1"]) == BAD_INPUT
+    assert terminal.getvalue().endswith("\033[1A\033[2Kdrake-aigto: the wall.\n")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="Linux has it")
+def test_a_full_disk_is_told(
+    telling: Callable[..., None],
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    telling()
+    with open("/dev/full", "w", encoding="utf-8") as full:
+        monkeypatch.setattr(sys, "stdout", full)
+        assert main(["plan", "table1/1"]) == BAD_INPUT
+    assert capsys.readouterr().err == "drake-aigto: [Errno 28] No space left on device.\n"
+
+
+def test_a_folder_that_can_not_be_written_to_is_told_before_any_work(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(path: Path) -> NoReturn:
+        raise PermissionError(13, "Permission denied", str(path))
+
+    failing(monkeypatch, AssertionError("work was begun"))
+    monkeypatch.setattr(Path, "touch", refuse)  # Permissions do not stop root.
+    out = tmp_path / "plan.json"
+    assert main(["plan", "table1/1", "--json", str(out)]) == BAD_INPUT
+    assert f"drake-aigto: {out} can't be written: got Permission denied." in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
+
+
+def test_play_waits_for_ctrl_c_where_nobody_can_press_enter(
+    plan_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Interrupted(threading.Event):
+        def wait(self, timeout: float | None = None) -> bool:
+            raise KeyboardInterrupt
+
+    monkeypatch.setattr("sys.stdin", io.StringIO(""))
+    monkeypatch.setattr("drake_aigto.cli.play.threading.Event", Interrupted)
+    assert main(["play", str(plan_file), "--port", "0"]) == INTERRUPTED
+    printed = capsys.readouterr()
+    assert printed.out.endswith("; press Ctrl-C to stop.\n")
+    assert printed.err == "drake-aigto: interrupted\n"
+
+
+def test_ctrl_c_on_a_terminal_leaves_nothing_behind(tmp_path: Path) -> None:
+    out = tmp_path / "table.json"
+    code = "import sys; from drake_aigto.cli import main; sys.exit(main(sys.argv[1:]))"
+    command = [sys.executable, "-c", code, "table1", "--json", str(out)]
+    ours, theirs = pty.openpty()
+    with subprocess.Popen(
+        command, stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True
+    ) as process:
+        os.close(theirs)
+        shown = b""
+        while b"first cells" not in shown:
+            shown += os.read(ours, 1 << 16)
+        # The pseudoterminal is nobody's controlling one: what Ctrl-C would do there.
+        os.killpg(process.pid, 2)
+        while chunk := _read(ours):
+            shown += chunk
+    os.close(ours)
+    assert process.returncode == INTERRUPTED
+    assert shown.endswith(b"\x1b[1A\x1b[2Kdrake-aigto: interrupted\r\n")
+    assert b"\x1b[?25l" not in shown
+    assert not out.exists()
+
+
+def _read(descriptor: int) -> bytes:
+    """Returns what is there, or nothing once the other side is closed."""
+    try:
+        return os.read(descriptor, 1 << 16)
+    except OSError:
+        return b""

@@ -1,0 +1,150 @@
+"""Figures of costs and phase portraits draw what they say."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+import pytest
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from pydrake.solvers import ExpressionCost, MathematicalProgram
+
+from drake_aigto import ModelError, Planner, PlanOptions, Scenario, World
+from drake_aigto.box import compile_program
+from drake_aigto.show import (
+    Motion,
+    plot_cost_history,
+    plot_cost_landscape,
+    plot_integrated_product,
+    plot_phase_portrait,
+    run_boxes,
+)
+from drake_aigto.study import bounce_costs, rigid_optimum
+
+OPTIONS = PlanOptions(aigo_steps=20, confirm=False, finalists=1)
+
+
+@pytest.fixture
+def axes() -> Axes:
+    return Figure().add_subplot()
+
+
+@pytest.fixture(scope="module")
+def scenario() -> Scenario:
+    return dataclasses.replace(Scenario.named("table1/1"), time_step=0.05)
+
+
+@pytest.fixture(scope="module")
+def world(scenario: Scenario) -> World:
+    return World.from_scenario(scenario)
+
+
+@pytest.fixture(scope="module")
+def plan(scenario: Scenario, world: World) -> Any:
+    return Planner(scenario, OPTIONS, world).plan()
+
+
+@pytest.mark.parametrize("half_width", [0.0, 1.0, 2.5])
+def test_the_integrated_product_is_aigos_mean_of_the_penalty(axes: Axes, half_width: float) -> None:
+    plot_integrated_product(axes, half_width)
+    prog = MathematicalProgram()
+    x, y = prog.NewContinuousVariables(2)
+    prog.AddCost(ExpressionCost(x**2 * y**2), vars=np.array([x, y]))
+    f = compile_program(prog)
+    drawn: list[Any] = list(axes.collections)
+    (levels,) = {tuple(each.levels) for each in drawn if each.filled}
+    corner = f.mean(np.array([3.0, -3.0]), np.full(2, half_width))
+    assert levels[-1] == pytest.approx(corner)
+    lowest = [line for line in axes.lines if line.get_marker() == "o"]
+    assert len(lowest) == (half_width > 0)
+    assert axes.get_title() == ("mean over ±1" if half_width == 1 else axes.get_title())
+
+
+def test_cost_falls_over_iterations_and_defects_have_their_own_scale(axes: Axes, plan: Any) -> None:
+    run = run_boxes(plan, options=OPTIONS)
+    right = plot_cost_history(axes, run)
+    mean, cost = axes.lines
+    (defect,) = right.lines
+    history = run.result.history
+    np.testing.assert_array_equal(mean.get_ydata(), [iterate.mean for iterate in history])
+    assert np.asarray(mean.get_xdata())[-1] == run.result.num_inner_steps
+    center = history[-1].box.center
+    assert np.asarray(cost.get_ydata())[-1] == run.transcription.scenario_cost(center)
+    largest = max(run.transcription.defects(center).values())
+    assert np.asarray(defect.get_ydata())[-1] == largest
+    assert (axes.get_yscale(), right.get_yscale()) == ("log", "log")
+    legend = axes.get_legend()
+    assert legend is not None and "largest defect" in legend.get_texts()[-1].get_text()
+
+
+def test_bounces_cost_least_at_the_exact_optimum(world: World, scenario: Scenario) -> None:
+    optimum = rigid_optimum(world, scenario)
+    time, speed = optimum.bounce_times[0], -optimum.impact_velocities[0]
+    assert bounce_costs(world, scenario, time, speed) == pytest.approx(optimum.cost)
+    times, speeds = np.meshgrid(np.linspace(0.01, 0.99, 99), np.linspace(0.0, 4.0, 81))
+    costs = bounce_costs(world, scenario, times, speeds)
+    assert np.nanmin(costs) >= optimum.cost
+    assert np.nanmin(costs) == pytest.approx(optimum.cost, rel=0.3)
+
+
+def test_a_touch_that_only_comes_after_another_has_no_cost(world: World) -> None:
+    fast: dict[str, Any] = {"initial_velocity": -6.0, "time_step": 0.05}
+    scenario = dataclasses.replace(Scenario.named("table1/1"), **fast)
+    # At −6 m/s it is at the wall long before 0.9 s, unless it brakes, which an early end of the
+    # cubic can not: it dips below.
+    costs = bounce_costs(world, scenario, np.array([0.15, 0.9]), np.array([6.0, 0.1]))
+    assert np.isfinite(costs[0]) and np.isnan(costs[1])
+    s = np.linspace(0, 1, 1001)
+    hermite = (1 + 2 * s) * (1 - s) ** 2 - 6 * 0.9 * s * (1 - s) ** 2 + 0.1 * 0.9 * s**2 * (1 - s)
+    assert np.min(hermite) < 0
+
+
+def test_a_landscape_has_the_optimum_and_where_methods_end(
+    axes: Axes, world: World, scenario: Scenario, plan: Any
+) -> None:
+    flight = dataclasses.replace(plan.best, contacts=())
+    plot_cost_landscape(axes, world, scenario, {"AIGTO": plan.best, "other": flight})
+    star, ours, other = axes.lines
+    (contact,) = plan.best.contacts
+    assert np.asarray(ours.get_xdata())[0] == contact.time
+    at = np.asarray(star.get_xydata()), np.asarray(ours.get_xydata())
+    np.testing.assert_allclose(*at, atol=0.02)
+    assert np.all(np.isnan(np.asarray(other.get_xydata())))
+    assert [str(line.get_label()) for line in axes.lines] == [
+        "exact optimum",
+        "AIGTO: holds",
+        "other: holds, no contact",
+    ]
+
+
+def test_a_landscape_of_several_walls_is_refused(axes: Axes) -> None:
+    corridor = Scenario.named("room/two_walls")
+    with pytest.raises(ModelError, match="the exact optimum"):
+        plot_cost_landscape(axes, World.from_scenario(corridor), corridor, {})
+
+
+BOUNCE = Motion(
+    "bounce",
+    np.array([0.0, 0.5, 0.5, 1.0]),
+    np.array([[1.0], [0.0], [0.0], [0.8]]),
+    np.array([[-2.0], [-2.0], [1.6], [1.6]]),
+)
+
+
+def test_a_phase_portrait_is_velocity_against_position(
+    axes: Axes, world: World, scenario: Scenario
+) -> None:
+    plot_phase_portrait(axes, [BOUNCE], world, scenario)
+    way = next(line for line in axes.lines if line.get_label() == "bounce")
+    np.testing.assert_array_equal(
+        way.get_xydata(), np.hstack([BOUNCE.positions, BOUNCE.velocities])
+    )
+    start = next(line for line in axes.lines if line.get_label() == "start")
+    np.testing.assert_array_equal(start.get_xydata(), [[1.0, -2.0]])
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("position [m]", "velocity [m/s]")
+    (wall,) = axes.patches
+    low, high = axes.get_xlim()
+    box = wall.get_extents().transformed(axes.transData.inverted())
+    assert box.x0 < low < 0 == pytest.approx(box.x1, abs=1e-9) and high > 1

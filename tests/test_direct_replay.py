@@ -1,0 +1,200 @@
+"""The roll-out by roots alone: against Drake's Simulator, against itself, and many at once."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from replay_worlds import hold, make_diagram, make_scenario, shipped_world
+from several_walls import hold_still, make_task, shipped
+
+from drake_aigto import TrajectoryError
+from drake_aigto.planning import replay_costs, replay_event_driven
+from drake_aigto.planning.contact_motion import Walls, support
+from drake_aigto.planning.controller import HeldControl
+from drake_aigto.planning.recording import Recording
+from drake_aigto.planning.rigid_wall import simulate_rigid_wall
+from drake_aigto.planning.rollout import Parabolas
+from drake_aigto.world import World
+
+Array = npt.NDArray[np.float64]
+
+WORLDS = ["point mass", "floor", "corridor", "room", "room_with_block", "two_masses"]
+RESTITUTIONS = [1.0, 0.8, 0.5, 0.0]
+
+
+def world_of(name: str) -> World:
+    return shipped_world() if name == "point mass" else shipped(name)
+
+
+def draw_task(name: str, seed: int) -> tuple[tuple[Array, Array], Array, Array]:
+    """Returns a start outside of all solids, knots, and a control, all at random."""
+    rng, world = np.random.default_rng(seed), world_of(name)
+    q = np.sort(rng.uniform(0.05, 0.95, world.num_positions))
+    while np.any(world.calc_clearance(q) < 0.01):
+        q = np.sort(rng.uniform(0.05, 0.95, world.num_positions))
+    v = rng.uniform(-4, 4, world.num_velocities)
+    gaps = rng.uniform(0.01, 0.2, rng.integers(1, 12))
+    controls = rng.uniform(-20, 20, (len(gaps), world.num_actuators))
+    return (q, v), np.concatenate([[0.0], np.cumsum(gaps)]), controls
+
+
+def roll_out(
+    name: str, e: float, start: tuple[Array, Array], times: Array, controls: Array
+) -> Recording:
+    world = world_of(name)
+    restitutions = np.full(world.num_contacts, e)
+    return Parabolas(world, restitutions, start, times).record(controls)
+
+
+def follows_chatter(recording: Recording) -> bool:
+    """Whether impacts are so many or so slow that rounding decides how many there are."""
+    slow = any(impact.speed < 1e-3 for impact in recording.impacts)
+    return slow or len(recording.impacts) > 12
+
+
+# Against Drake's Simulator.
+
+
+@pytest.mark.parametrize("name", WORLDS)
+@settings(max_examples=15)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(RESTITUTIONS))
+def test_drakes_simulator_sees_the_same(name: str, seed: int, e: float) -> None:
+    start, times, controls = draw_task(name, seed)
+    direct = roll_out(name, e, start, times, controls)
+    assume(not follows_chatter(direct))
+    world = world_of(name)
+    held = HeldControl(times, controls)
+    oracle = simulate_rigid_wall(world, np.full(world.num_contacts, e), start, held)
+    assert [i.contact for i in direct.impacts] == [i.contact for i in oracle.impacts]
+    np.testing.assert_allclose(direct.times, oracle.times, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(direct.positions, oracle.positions, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(direct.velocities[-1], oracle.velocities[-1], rtol=0, atol=1e-8)
+    for ours, theirs in zip(direct.impacts, oracle.impacts, strict=True):
+        np.testing.assert_allclose(ours, theirs, rtol=1e-8, atol=1e-8)
+    assert direct.max_penetration <= 1e-12
+
+
+def test_the_road_is_chosen_by_what_the_world_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any) -> None:
+        raise AssertionError("simulated")
+
+    monkeypatch.setattr("drake_aigto.planning.replay.simulate_rigid_wall", refuse)
+    heavy = World.from_diagram(make_diagram(gravity=3.0))
+    springy = World.from_diagram(make_diagram(spring=3.0))
+    assert all(world_of(name).has_constant_bias for name in WORLDS)
+    assert heavy.has_constant_bias and not springy.has_constant_bias
+    assert replay_event_driven(heavy, make_scenario(), *hold(0.0)).bounce_times
+    with pytest.raises(AssertionError, match="simulated"):
+        replay_event_driven(springy, make_scenario(), *hold(0.0))
+
+
+# Against itself.
+
+
+@pytest.mark.parametrize("name", WORLDS)
+@settings(max_examples=40)
+@given(st.integers(0, 2**32 - 1), st.sampled_from(RESTITUTIONS), st.integers(2, 9))
+def test_an_interval_cut_in_parts_is_the_same(name: str, seed: int, e: float, parts: int) -> None:
+    # Of the block too: a parabola that passes one side far off and comes back onto another.
+    start, times, controls = draw_task(name, seed)
+    whole = roll_out(name, e, start, times, controls)
+    assume(not follows_chatter(whole))
+    steps = np.repeat(np.diff(times) / parts, parts)
+    fine = np.concatenate([[0.0], np.cumsum(steps)])
+    cut = roll_out(name, e, start, fine, np.repeat(controls, parts, axis=0))
+    assert [i.contact for i in whole.impacts] == [i.contact for i in cut.impacts]
+    np.testing.assert_allclose(cut.positions[-1], whole.positions[-1], rtol=0, atol=1e-9)
+    np.testing.assert_allclose(cut.velocities[-1], whole.velocities[-1], rtol=0, atol=1e-8)
+
+
+def test_a_parabola_over_a_block_comes_down_on_it() -> None:
+    # In front of its left side until it is above; x passes that side once, y its top twice.
+    world, e = shipped("room_with_block"), np.full(8, 1.0)
+    start = np.array([0.3, 0.55]), np.array([0.5, 1.5])
+    recording = Parabolas(world, e, start, np.array([0.0, 0.5])).record(np.array([[0.0, -6.0]]))
+    (impact,) = recording.impacts
+    assert world.contacts[impact.contact].name.endswith("+y face")
+    fall = 0.55 + 1.5 * impact.time - 3 * impact.time**2
+    assert fall == pytest.approx(0.6, abs=1e-14) and impact.speed > 0
+
+
+def test_the_edge_is_left_when_it_is_reached() -> None:
+    times, start = np.linspace(0.0, 0.6, 4), (np.array([0.45, 0.6]), np.array([0.5, 0.0]))
+    world, u = shipped("room_with_block"), np.tile([0.0, -5.0], (3, 1))
+    recording = Parabolas(world, np.zeros(8), start, times).record(u)
+    edge = (0.6 - 0.45) / 0.5
+    falls = np.maximum(times - edge, 0.0)
+    np.testing.assert_allclose(np.array(recording.positions)[:, 1], 0.6 - 2.5 * falls**2, atol=1e-6)
+    np.testing.assert_allclose(recording.velocities[-1], [0.5, -5 * falls[-1]], atol=1e-12)
+
+
+def test_hundreds_of_impacts_are_all_recorded() -> None:
+    times, u = hold_still(shipped("corridor"), 1.0, 7)
+    recording = roll_out("corridor", 1.0, (np.array([0.5]), np.array([-400.0])), times, u)
+    assert [i.contact for i in recording.impacts] == [0, 1] * 200
+    np.testing.assert_allclose(
+        [i.time for i in recording.impacts], (np.arange(400) + 0.5) / 400, rtol=1e-12
+    )
+    assert len(recording.times) == 8 + 2 * 400 and np.all(np.diff(recording.times) >= 0)
+
+
+# Many at once.
+
+
+@pytest.mark.parametrize("name", ["two_masses", "spring"])
+def test_costs_of_many_are_those_of_each(name: str) -> None:
+    if name == "spring":
+        world, scenario = World.from_diagram(make_diagram(spring=150.0)), make_scenario(0.4, 0.0)
+    else:
+        world = shipped(name)
+        scenario = make_task(name, [0.3, 0.7], [-1.0, 0.5], restitution=0.7)
+    times = np.linspace(0.0, 1.0, 11)
+    controls = np.random.default_rng(1).normal(0, 9, (6, 10, world.num_actuators))
+    each = [replay_event_driven(world, scenario, times, control).cost for control in controls]
+    assert replay_costs(world, scenario, times, controls).tolist() == each
+    assert replay_costs(world, scenario, times, controls[:0]).shape == (0,)
+
+
+@pytest.mark.parametrize(
+    ("controls", "message"),
+    [
+        (np.zeros((10, 1)), r"controls: got shape \(10, 1\), expected \(C, N, nu\)"),
+        (np.zeros((2, 9, 1)), r"controls: got shape \(9, 2\), expected 10 rows"),
+        (np.zeros((2, 10, 3)), r"controls: got shape \(2, 10, 3\), expected 1 columns, one for ea"),
+        (np.full((1, 10, 1), np.nan), r"controls: got nan at index \(0, 0\), expected finite"),
+    ],
+)
+def test_bad_batches_are_refused(controls: Array, message: str) -> None:
+    with pytest.raises(TrajectoryError, match=message):
+        replay_costs(shipped_world(), make_scenario(), np.linspace(0, 1, 11), controls)
+
+
+# The law of rest, of more contacts than a shipped world has at once.
+
+
+@settings(max_examples=200)
+@given(st.integers(0, 2**32 - 1), st.integers(1, 7), st.integers(1, 4))
+def test_support_is_the_nearest_point_of_a_cone(seed: int, m: int, n: int) -> None:
+    rng = np.random.default_rng(seed)
+    J, root, free = rng.normal(size=(m, n)), rng.normal(size=(n, n)), rng.normal(size=n)
+    M = root @ root.T + 0.1 * np.eye(n)
+    kicks = np.linalg.solve(M, J.T).T
+    lifts = np.divide(kicks, np.sum(J * kicks, axis=1)[:, np.newaxis], order="C")
+    walls, held = Walls(J, np.zeros(m), lifts, np.arange(m + 1)), rng.random(m) < 0.8
+    x = np.empty(n)
+    support(walls, held, free, x)
+    assert np.all(J[held] @ x >= -1e-9 * np.linalg.norm(free))
+    # Moreau's theorem: x is nearest if and only if the way there is square to it, …
+    way = M @ (x - free)
+    rounding = 1e-9 * float(np.linalg.norm(M) * (free @ free))
+    assert way @ x == pytest.approx(0, abs=rounding)
+    # … and no direction of the cone goes against it.
+    for _ in range(20):
+        direction = np.empty(n)
+        support(walls, held, rng.normal(size=n), direction)
+        assert way @ direction >= -rounding

@@ -1,0 +1,119 @@
+"""Arrows are the control, flashes are impacts, in what Meshcat sends to a browser."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from meshcat_pages import ball, clips, make_motion, recording
+from pydrake.common.eigen_geometry import Quaternion
+from pydrake.geometry import Meshcat
+from pydrake.math import RotationMatrix
+
+from drake_aigto import Scenario, World
+from drake_aigto.show.motion import Motion
+from drake_aigto.show.playback import ROOT, publish
+from drake_aigto.show.stage import Stage
+from drake_aigto.transcription import Touch
+
+GONE = 2e-3
+
+
+@pytest.fixture(scope="module")
+def meshcat() -> Meshcat:
+    return Meshcat()
+
+
+def along(meshcat: Meshcat, path: str) -> np.ndarray:
+    """Returns the direction of an arrow in each of its keys, shape (F, 3)."""
+    _, quaternions = clips(meshcat, "quaternion")[path]
+    rotations = [RotationMatrix(Quaternion(w, x, y, z)) for x, y, z, w in quaternions]
+    return np.array([rotation.matrix()[:, 2] for rotation in rotations])
+
+
+def scales(meshcat: Meshcat, path: str) -> tuple[np.ndarray, np.ndarray]:
+    """Returns the times and sizes of a shape's keys; all three directions have one scale."""
+    times, values = clips(meshcat, "scale")[path]
+    assert np.all(values == values[:, :1])
+    return times, values[:, 0]
+
+
+def test_an_arrow_has_the_size_and_the_direction_of_the_control(meshcat: Meshcat) -> None:
+    scenario = Scenario.named("table1/1")
+    times, controls = np.array([0.0, 0.2, 0.6, 1.0]), np.array([[2.0], [-4.0], [0.0]])
+    motion = make_motion("plan", 0.7).under(times, controls)
+    publish([motion], meshcat, World.from_scenario(scenario), scenario)
+    arrow = f"{ball(1)}/control"
+    keys, sizes = scales(meshcat, arrow)
+    np.testing.assert_allclose(keys, [0.0, 0.2, 0.6, 1.0, 1.5])
+    np.testing.assert_allclose(sizes[:2], [0.5, 1.0])
+    assert np.all(sizes[2:] < GONE)
+    np.testing.assert_allclose(along(meshcat, arrow)[:2], [[1, 0, 0], [-1, 0, 0]], atol=1e-12)
+
+
+def test_an_arrow_in_a_plane_is_the_sum_of_its_actuators(meshcat: Meshcat) -> None:
+    scenario = Scenario.named("room/two_walls")
+    q = np.array([[0.2, 0.3], [0.5, 0.5]])
+    motion = Motion("plan", np.array([0.0, 1.0]), q, np.zeros((2, 2)))
+    motion = motion.under(motion.times, np.array([[3.0, -4.0]]))
+    publish([motion], meshcat, World.from_scenario(scenario), scenario)
+    arrow = f"{ROOT}/motions/1/room/ball/ball_visual/control"
+    np.testing.assert_allclose(along(meshcat, arrow)[0], [0.6, -0.8, 0], atol=1e-12)
+
+
+def test_each_of_two_masses_has_its_own_arrow(meshcat: Meshcat) -> None:
+    scenario = Scenario.named("two_masses/apart")
+    q = np.array([scenario.initial_position] * 2)
+    motion = Motion("plan", np.array([0.0, 1.0]), q, np.zeros((2, 2)))
+    motion = motion.under(motion.times, np.array([[1.0, -0.5]]))
+    publish([motion], meshcat, World.from_scenario(scenario), scenario)
+    arrows = sorted(path for path in clips(meshcat) if path.endswith("/control"))
+    assert ["left" in path for path in arrows] == [True, False]
+    directions = [along(meshcat, path)[0, 0] for path in arrows]
+    assert directions == pytest.approx([1, -1])
+    assert [scales(meshcat, path)[1][0] for path in arrows] == pytest.approx([1, 0.5])
+
+
+def test_without_control_there_is_no_arrow(meshcat: Meshcat) -> None:
+    scenario = Scenario.named("table1/1")
+    still = make_motion("plan", 0.7).under(np.array([0.0, 1.0]), np.zeros((1, 1)))
+    publish([still, make_motion("rigid", 0.6)], meshcat, World.from_scenario(scenario), scenario)
+    assert not [path for path in clips(meshcat) if path.endswith("/control")]
+
+
+def test_a_flash_is_where_and_when_a_wall_is_touched(meshcat: Meshcat) -> None:
+    scenario = Scenario.named("corridor/three_bounces")
+    times = np.array([0.0, 0.4, 0.4, 0.9, 0.9, 1.4])
+    q = np.array([[0.5], [1.0], [1.0], [0.0], [0.0], [0.3]])
+    v = np.array([[1.0], [4.0], [-2.0], [-2.0], [1.0], [1.0]])
+    touches = Touch.bounce(0.4, 1), Touch.bounce(0.9, 0)
+    motion = Motion("plan", times, q, v, impacts=touches)
+    world = World.from_scenario(scenario)
+    publish([motion], meshcat, world, scenario)
+    stage = Stage(world, q)
+    sizes = {}
+    for touch, face in zip(touches, (1, -1), strict=True):
+        path = f"{ROOT}/motions/1/impacts/{touch.contact}"
+        keys, scale = scales(meshcat, path)
+        shown = scale > GONE
+        assert keys[shown] == pytest.approx([touch.start], abs=1e-3)
+        assert np.all(np.diff(keys) > 0) and keys[0] == 0
+        ball_places = clips(meshcat)[f"{ROOT}/motions/1/corridor/ball/ball_visual"]
+        there = ball_places[1][np.argmin(np.abs(ball_places[0] - touch.start)), 0]
+        assert clips(meshcat)[path][1][0, 0] == pytest.approx(there + face * stage.radius)
+        sizes[touch.start] = scale[shown][0]
+    # The faster impact is the larger flash.
+    assert sizes[0.4] == pytest.approx(1) and 0.4 < sizes[0.9] < 0.9
+
+
+def test_all_parts_have_one_length_so_that_they_repeat_together(meshcat: Meshcat) -> None:
+    scenario = Scenario.named("table1/1")
+    motion = dataclasses.replace(make_motion("plan", 0.7), impacts=(Touch.bounce(0.97),))
+    motion = motion.under(np.array([0.0, 1.0]), np.ones((1, 1)))
+    publish([motion], meshcat, World.from_scenario(scenario), scenario)
+    ends = [
+        max(key["time"] for track in each["clip"]["tracks"] for key in track["keys"])
+        for each in recording(meshcat)["animations"]
+    ]
+    assert len(ends) == 3 and set(ends) == {1500}

@@ -1,0 +1,128 @@
+"""A report in a real browser: it needs no network, and its 3-D scene moves as the numbers say."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from browser import Page, find_chromium, start_browser
+from numpy.typing import NDArray
+
+from drake_aigto import Plan, Planner, PlanOptions, Scenario
+from drake_aigto.show import report_plan
+
+pytestmark = pytest.mark.skipif(
+    find_chromium() is None,
+    reason="no Chromium: install Debian's chromium, or name one in $CHROMIUM",
+)
+
+FRAME, SLIDER, TOGGLE = "#player-frame", "#player-slider", "#player-toggle"
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    scenario = dataclasses.replace(Scenario.named("table1/1"), time_step=0.05)
+    return Planner(scenario, PlanOptions(aigo_steps=20, finalists=1)).plan()
+
+
+@pytest.fixture(scope="module")
+def page(plan: Plan, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Page]:
+    folder = tmp_path_factory.mktemp("report")
+    (folder / "report.html").write_text(report_plan(plan), encoding="utf-8")
+    with start_browser(folder / "profile") as page:
+        page.open(folder / "report.html")
+        page.wait_for(f"!document.querySelector('{SLIDER}').disabled")
+        yield page
+
+
+def show(page: Page, seconds: float) -> NDArray[np.float64]:
+    """Moves the slider as a user would, and returns what the scene shows then."""
+    page.evaluate(
+        f"(slider => {{ slider.value = {seconds}; slider.dispatchEvent(new Event('input')); }})"
+        f"(document.querySelector('{SLIDER}'))"
+    )
+    return page.take_picture(FRAME)
+
+
+def is_blue(picture: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Returns where the plan's color is, shape (height, width)."""
+    red, _, blue = np.moveaxis(picture, -1, 0)
+    return (blue > 0.5) & (blue - red > 0.35)
+
+
+def shown_time(page: Page) -> float:
+    return float(page.evaluate(f"Number(document.querySelector('{SLIDER}').value)"))
+
+
+def test_the_ball_is_where_the_plan_has_it(page: Page, plan: Plan) -> None:
+    bounce = plan.best.contacts[0].time
+    times = np.array([0.0, bounce / 2, bounce, (bounce + 1) / 2, 1.0])
+    blue = [is_blue(show(page, seconds)) for seconds in times]
+    still = np.logical_and.reduce(blue)
+    columns = np.arange(still.shape[1])
+    centers = np.array([np.average(columns, weights=(each & ~still).sum(axis=0)) for each in blue])
+    trajectory = plan.trajectory
+    q = np.interp(times, trajectory.times, trajectory.positions[:, 0])
+    # A lane is parallel to the window, so that pixels are linear in metres.
+    slope, offset = np.polyfit(q, centers, 1)
+    assert slope > 100
+    np.testing.assert_allclose(centers, slope * q + offset, atol=0.04 * slope)
+
+
+def is_yellow(picture: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Returns where an impact flashes, shape (height, width)."""
+    red, green, blue = np.moveaxis(picture, -1, 0)
+    return (red > 0.7) & (green > 0.6) & (blue < 0.4)
+
+
+def test_a_wall_is_drawn_and_an_impact_flashes_for_a_moment(page: Page, plan: Plan) -> None:
+    picture = show(page, plan.best.contacts[0].time + 0.02)
+    red, _, blue = np.moveaxis(picture, -1, 0)
+    wall = (np.abs(red - 0.3) < 0.15) & (blue - red > 0.08) & (blue < 0.6)
+    assert wall.sum() > 2000
+    assert is_yellow(picture).sum() > 10 * is_yellow(show(page, 1.0)).sum() + 100
+
+
+def test_the_recording_plays_and_pauses(page: Page) -> None:
+    before = show(page, 0.2)
+    page.evaluate(f"document.querySelector('{TOGGLE}').click()")
+    page.wait_for(f"Number(document.querySelector('{SLIDER}').value) != 0.2")
+    page.wait_for(f"document.querySelector('{TOGGLE}').textContent == '❚❚'")
+    page.evaluate(f"document.querySelector('{TOGGLE}').click()")
+    paused = shown_time(page)
+    picture = page.take_picture(FRAME)
+    assert np.mean(np.abs(picture - before) > 0.1) > 1e-3
+    time.sleep(0.3)
+    assert shown_time(page) == paused
+    np.testing.assert_array_equal(page.take_picture(FRAME), picture)
+
+
+def test_the_boxes_shrink(page: Page) -> None:
+    page.evaluate("document.querySelector('[data-scene=\"1\"]').click()")
+    page.wait_for(f"document.querySelector('{SLIDER}').disabled")
+    page.wait_for(f"!document.querySelector('{SLIDER}').disabled")
+    end = float(page.evaluate(f"Number(document.querySelector('{SLIDER}').max)"))
+    first, last = (int(is_blue(show(page, at)).sum()) for at in (0.0, end))
+    assert first > 3 * last > 0
+
+
+# Last: by now everything has been shown.
+def test_nothing_is_fetched_and_nothing_is_complained_of(page: Page) -> None:
+    assert page.complaints == []
+    schemes = {request.split(":", 1)[0] for request in page.requests}
+    assert schemes <= {"file", "data", "blob", "about"}
+    assert len([request for request in page.requests if request.startswith("file")]) == 1
+
+
+def test_figures_and_numbers_can_be_seen(page: Page, plan: Plan) -> None:
+    widths: Any = page.evaluate("[...document.images].map(image => image.naturalWidth)")
+    assert len(widths) == 3 and min(widths) > 300
+    wide = "document.documentElement.scrollWidth <= innerWidth"
+    assert page.evaluate(wide), "nothing is beside the window"
+    text = page.evaluate("document.body.innerText")
+    for number in (f"{plan.cost:.3e}", f"{plan.replay.event_driven.cost:.3e}", "0.1.0"):
+        assert number in text

@@ -1,0 +1,145 @@
+"""What a report says, and what is packed into it."""
+
+from __future__ import annotations
+
+import base64
+import dataclasses
+import gzip
+import html
+import re
+
+import pytest
+
+from drake_aigto import Plan, Planner, PlanOptions, Scenario, World, __version__
+from drake_aigto.planning import Replays
+from drake_aigto.show.embedding import embed_scenes, pack
+from drake_aigto.show.page import Page
+from drake_aigto.show.report import add_verdict, report_plan
+from drake_aigto.show.table_report import report_table1
+from drake_aigto.study import Entry, Method, RigidCell, RigidOptimum, Table1
+
+
+def unpack(packed: str) -> str:
+    """Returns what the page's script makes of it."""
+    content = gzip.decompress(base64.b64decode(packed))
+    pieces: list[str] = []
+    while content:
+        length = int.from_bytes(content[:4], "big")
+        piece, content = content[4 : 4 + length], content[4 + length :]
+        is_text = len(pieces) % 2 == 0
+        pieces.append(piece.decode() if is_text else base64.b64encode(piece).decode())
+    return "".join(pieces)
+
+
+CODE = base64.b64encode(bytes(range(256)) * 4).decode()
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "",
+        "short, and ünïcode ✓",
+        f'a "data:x;base64,{CODE}" b',
+        f"base64,{CODE} base64,{CODE}",
+        # No Base64 of any bytes: the last letter has bits to spare.
+        f"base64,{CODE[:-2]}ab==",
+        f"base64,{CODE[:-1]}",
+    ],
+)
+def test_what_is_packed_comes_out_again(text: str) -> None:
+    assert unpack(pack(text)) == text
+
+
+def test_base64_is_packed_as_its_bytes() -> None:
+    keys = "".join(f"time {i} value {i**2 % 997}; " for i in range(1000)).encode()
+    code = base64.b64encode(keys).decode()
+    assert len(pack(f"base64,{code}")) < 0.8 * len(pack(f"base32,{code}"))
+
+
+def scenes(text: str) -> list[str]:
+    """Returns the pages that a frame is given."""
+    packed = dict(re.findall(r'id="scene-(\w+)">([^<]*)<', text))
+    start, end = (unpack(packed.pop(name)) for name in ("start", "end"))
+    return [start + unpack(each) + end for each in packed.values()]
+
+
+@pytest.mark.parametrize("pages", [["<a>one</a>"], ["<a>one</a>", "<a>two</a>", "<a></a>"]])
+def test_pages_are_put_together_again(pages: list[str]) -> None:
+    text = embed_scenes({f"scene <{i}>": page for i, page in enumerate(pages)})
+    assert scenes(text) == pages
+    assert text.count("scene &lt;") == len(pages) and "scene <" not in text
+
+
+def test_what_pages_share_is_there_once() -> None:
+    library = "".join(f"function f{i}() {{ return {i * i}; }}\n" for i in range(3000))
+    one = len(embed_scenes({"a": f"{library}a"}))
+    two = len(embed_scenes({"a": f"{library}a", "b": f"{library}b"}))
+    assert two < one + 400
+
+
+@pytest.fixture(scope="module")
+def plan() -> Plan:
+    scenario = dataclasses.replace(Scenario.named("table1/1"), time_step=0.05)
+    return Planner(scenario, PlanOptions(aigo_steps=20, finalists=1)).plan()
+
+
+def words(page: str) -> str:
+    """Returns a page's text."""
+    body = re.sub(r"<(script|style).*?</\1>", "", page, flags=re.DOTALL)
+    return html.unescape(re.sub(r"<[^>]+>", " ", body))
+
+
+def test_a_report_has_question_answer_verdict_and_how_to_reproduce_it(plan: Plan) -> None:
+    lines: list[str] = []
+    page = report_plan(plan, progress=lines.append)
+    text = words(page)
+    assert "Holds: the control alone keeps the plan's promise" in text
+    for replay in plan.replay:
+        assert f"{replay.cost:.3e}" in text
+    # Whatever costs something comes with what it is worth.
+    for told in ("dynamics defect", "deepest penetration", "energy ratio", "J simulated, rigid"):
+        assert told in text
+    assert "simulation: exactly rigid" in text and "plan (no simulation)" in text
+    for command in ("drake-aigto plan scenario.yaml --json plan.json", f"=={__version__}"):
+        assert command in text
+    yaml = text[text.index("model: package") :]
+    assert "time_step: 0.05" in yaml and "goal_position:\n- 0.73" in yaml
+    assert len(page.encode()) < 1.8e6
+    assert not re.search(r'(src|href)="(?!data:)', page)
+    assert len(lines) == 3
+
+
+def test_a_plan_that_fails_is_said_to_fail(plan: Plan) -> None:
+    missed = dataclasses.replace(plan.replay.event_driven, cost=1.0, goal_error=0.9)
+    failing = dataclasses.replace(plan, replay=Replays(missed, None))
+    page = Page("report")
+    add_verdict(page, failing, World.from_scenario(plan.scenario))
+    text = words(page.to_html())
+    assert "✗ Fails: the control alone misses the plan's promise on a rigid wall." in text
+    assert "contradicts the plan. Its cost differs by +1.0e+00; it ends" in text
+    assert "ends 0.90 m off the goal" in text
+
+
+def test_what_is_added_is_text() -> None:
+    page = Page("<b>")
+    page.paragraph("a < b & c")
+    page.table(("<th>",), [("<td>", "<i>")])
+    page.code("<script>")
+    text = page.to_html()
+    assert "<title>&lt;b&gt;</title>" in text and "a &lt; b &amp; c" in text
+    assert "<script>" not in text and "<i>" not in text
+
+
+def test_table_1_has_a_row_for_each_plan_with_all_that_it_is_worth(plan: Plan) -> None:
+    entry = Entry("AIGTO, rigid", plan.best, plan.replay, plan.holds)
+    method = Method("AIGTO, rigid", (plan.cost,), 1, (entry,), 0.5)
+    optimum = RigidOptimum(2.18e-4, (0.55,), (-1.7,), 1.0)
+    table = Table1((), tuple(RigidCell(row, 1.0, optimum, 1e-4, (method,)) for row in (1, 3)))
+    page = report_table1(table)
+    text = words(page)
+    assert "2 of 2 plans of the rigid transcription hold in simulation." in text
+    assert "Row 1: q(0) = 1 m" in text and "Row 3: q(0) = 0.6 m" in text
+    assert "drake-aigto table1 --rows 1 3 --html table1.html" in text
+    assert len(scenes(page)) == 2
+    assert text.count(f"{plan.replay.event_driven.cost:.2e}") >= 2
+    assert "dynamics defect" in text

@@ -1,0 +1,307 @@
+"""A study of scenarios: its verdicts, and that nothing that was done is lost or done again."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+import signal
+from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, Future
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scenario_studies import TOYS, Inline
+
+from drake_aigto.baselines import registry
+from drake_aigto.errors import ResultsFileError, StudyError
+from drake_aigto.study import scenario_jobs, scenario_study
+from drake_aigto.study.scenario_jobs import Job
+from drake_aigto.study.scenario_question import ScenarioQuestion
+from drake_aigto.study.scenario_results import (
+    DIED,
+    MethodRun,
+    ScenarioStudy,
+    calc_good_enough,
+)
+from drake_aigto.study.scenario_study import run_scenario_study
+from drake_aigto.study.scenario_summary import count_right_boxes, summarize
+from drake_aigto.study.spread import Spread
+
+# Where coasting is optimal, and where it is not, in turn.
+QUICK = ScenarioQuestion(
+    count=4,
+    methods=("coast", "crash"),
+    seconds_per_unit=0.5,
+    start=Spread((1.0,)),
+    velocity=Spread((0.2,)),
+    goal=Spread((1.2, 0.5)),
+    restitution=Spread((0.8,)),
+    num_steps=20,
+)
+PLANNED = dataclasses.replace(
+    QUICK, count=2, methods=("aigto", "coast"), seconds_per_unit=None, budgets=(1.0, 100.0)
+)
+
+
+@pytest.fixture(autouse=True)
+def toys(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(registry, "BASELINES", TOYS)
+    scenario_jobs._warm_up.cache_clear()
+
+
+@pytest.fixture
+def path(tmp_path: Path) -> Path:
+    return tmp_path / "study.json"
+
+
+def test_a_method_succeeds_where_its_replay_costs_no_more_than_the_optimum() -> None:
+    study = run_scenario_study(QUICK, executor=Inline())
+    assert study.is_complete
+    easy, hard, *_ = study.results
+    assert easy.optimum == pytest.approx(0.0, abs=1e-12)
+    assert easy.good_enough == calc_good_enough(easy.optimum) == pytest.approx(1e-7)
+    assert easy.runs["coast"].evaluations == 2
+    assert study.succeeds(easy, "coast", 1.0)
+    # Coasting ends 0.7 m off the goal.
+    assert study.cost(hard, "coast", 100.0) == pytest.approx(0.49)
+    assert 0.0 < hard.optimum < 0.49
+    assert not study.succeeds(hard, "coast", 100.0)
+
+
+def test_a_method_that_fails_is_kept_with_its_error() -> None:
+    study = run_scenario_study(QUICK, executor=Inline())
+    for result in study.results:
+        assert result.runs["crash"].error == "ZeroDivisionError: no way\nat all"
+        assert result.runs["crash"].cost == math.inf
+        assert not study.succeeds(result, "crash", 100.0)
+
+
+def test_the_planner_goes_first_and_its_time_is_the_unit(monkeypatch: pytest.MonkeyPatch) -> None:
+    jobs: list[Job] = []
+
+    def run(job: Job) -> MethodRun:
+        jobs.append(job)
+        return scenario_jobs.run_job(job)
+
+    monkeypatch.setattr(scenario_study, "run_job", run)
+    study = run_scenario_study(PLANNED, executor=Inline())
+    first = [next(job.method for job in jobs if job.number == number) for number in (0, 1)]
+    assert first == ["aigto", "aigto"]
+    for job in jobs:
+        if job.method == "coast":
+            unit = study.results[job.number].runs["aigto"].seconds
+            assert job.seconds == 100.0 * unit
+            assert job.good_enough == study.results[job.number].good_enough
+    for result in study.results:
+        assert study.succeeds(result, "aigto", 1.0)
+        assert study.unit(result) == result.runs["aigto"].seconds > 0.0
+
+
+def test_boxes_alone_are_read_if_asked_for() -> None:
+    question = dataclasses.replace(PLANNED, count=1, methods=("aigto",), reads_boxes=True)
+    study = run_scenario_study(question, executor=Inline())
+    (result,) = study.results
+    each, either, count = count_right_boxes(study.results)
+    assert count == 1
+    assert len(each) == len(result.runs["aigto"].boxes) == len(scenario_jobs.OPTIONS.rungs)
+    assert either == (0 in result.runs["aigto"].boxes)  # The optimum is a flight.
+
+
+@pytest.mark.slow
+def test_workers_find_the_same_as_this_process(path: Path) -> None:
+    question = dataclasses.replace(PLANNED, methods=("aigto",))
+    here = run_scenario_study(question, executor=Inline())
+    there = run_scenario_study(question, path, workers=1)
+    assert [each.scenario for each in here.results] == [each.scenario for each in there.results]
+    assert [r.runs["aigto"].cost for r in here.results] == [
+        r.runs["aigto"].cost for r in there.results
+    ]
+    assert ScenarioStudy.load(path) == there
+
+
+@given(
+    st.lists(st.tuples(st.floats(1e-3, 1e3) | st.floats(1.0, 1.01), st.floats(1e-6, 1e6))),
+    st.lists(st.floats(1e-3, 1e3) | st.floats(1.0, 1.01), min_size=1, unique=True).map(sorted),
+)
+def test_thinning_loses_no_budgets_cost(
+    offers: list[tuple[float, float]], ends: list[float]
+) -> None:
+    best: list[tuple[float, float]] = []
+    for at, cost in sorted(offers):
+        if not best or cost < best[-1][1]:
+            best.append((at, cost))
+    whole = MethodRun(tuple(best), 1e3)
+    thinned = whole.thinned(ends)
+    assert len(thinned.improvements) <= len(ends) + 1
+    for end in (*ends, math.inf):
+        # Costs have seven digits; times four, rounded down.
+        assert thinned.cost_within(end) <= whole.cost_within(end) * (1 + 1e-6)
+        assert thinned.cost_within(end) >= whole.cost_within(end * 1.001) * (1 - 1e-6)
+
+
+def test_a_file_has_what_was_done(path: Path) -> None:
+    study = run_scenario_study(QUICK, path, executor=Inline())
+    assert ScenarioStudy.load(path) == study
+    data = json.loads(path.read_text(encoding="utf-8"))
+    assert data["kind"] == "scenarios"
+    assert [each["goal"] for each in data["results"]] == [1.2, 0.5, 1.2, 0.5]
+
+
+def test_an_existing_file_is_not_written_over(path: Path) -> None:
+    path.write_text("precious", encoding="utf-8")
+    with pytest.raises(ResultsFileError, match=r"got one that exists\. Go on from it"):
+        run_scenario_study(QUICK, path, executor=Inline())
+    assert path.read_text(encoding="utf-8") == "precious"
+
+
+def test_going_on_does_nothing_twice(path: Path) -> None:
+    executor = Inline()
+    study = run_scenario_study(QUICK, path, executor=executor)
+    assert executor.num_jobs == 8
+    again = run_scenario_study(QUICK, path, resume=True, executor=executor)
+    assert executor.num_jobs == 8
+    assert again == study
+
+
+def test_going_on_adds_scenarios_and_methods(path: Path) -> None:
+    fewer = dataclasses.replace(QUICK, count=2, methods=("coast",))
+    small = run_scenario_study(fewer, path, executor=Inline())
+    executor = Inline()
+    large = run_scenario_study(QUICK, path, resume=True, executor=executor)
+    assert executor.num_jobs == 8 - 2
+    assert large.is_complete
+    assert large.results[1].runs["coast"] == small.results[1].runs["coast"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "told"),
+    [
+        ({"seed": 7, "budgets": (1.0,)}, ["seed 0", "seed 7", "budgets [1.0, 10.0, 100.0]"]),
+        ({"count": 3}, ["count 4", "count 3"]),
+        ({"methods": ("crash",)}, ["methods ['coast', 'crash']", "methods ['crash']"]),
+        ({"goal": Spread((1.0,))}, ["goal 1.2 0.5", "goal 1.0"]),
+    ],
+)
+def test_another_studys_file_is_refused_with_what_differs(
+    path: Path, changes: dict[str, Any], told: list[str]
+) -> None:
+    run_scenario_study(QUICK, path, executor=Inline())
+    before = path.read_bytes()
+    with pytest.raises(ResultsFileError) as error:
+        run_scenario_study(
+            dataclasses.replace(QUICK, **changes), path, resume=True, executor=Inline()
+        )
+    for text in ("study.json is of another study: got ", *told):
+        assert text in str(error.value)
+    assert "velocity" not in str(error.value)
+    assert path.read_bytes() == before
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "message"),
+    [
+        ('"goal": 0.5', '"goal": 0.6', "got other numbers for scenario 1 than are drawn now"),
+        ('"optimum"', '"ideal"', "is damaged: got KeyError: 'optimum'"),
+        ('"mass": "1.0"', '"mass": "much"', "is damaged: got OptionsError: values: got much"),
+    ],
+)
+def test_a_damaged_file_is_refused(path: Path, old: str, new: str, message: str) -> None:
+    run_scenario_study(QUICK, path, executor=Inline())
+    text = path.read_text(encoding="utf-8")
+    assert old in text
+    path.write_text(text.replace(old, new), encoding="utf-8")
+    with pytest.raises(ResultsFileError, match=message):
+        ScenarioStudy.load(path)
+
+
+def test_ctrl_c_keeps_what_was_done(path: Path) -> None:
+    lines: list[str] = []
+
+    def interrupt(line: str) -> None:
+        lines.append(line)
+        if len(lines) == 3:
+            raise KeyboardInterrupt
+
+    with pytest.raises(KeyboardInterrupt):
+        run_scenario_study(QUICK, path, executor=Inline(), progress=interrupt)
+    assert lines[-1] == "3 of 8 runs; optimal: coast 1/2, crash 0/1"
+    kept = ScenarioStudy.load(path)
+    assert sum(len(result.runs) for result in kept.results) == 3
+    assert not kept.is_complete
+    executor = Inline()
+    assert run_scenario_study(QUICK, path, resume=True, executor=executor).is_complete
+    assert executor.num_jobs == 5
+
+
+class Broken(Inline):
+    """A pool that one dead worker takes down, as ProcessPoolExecutor is."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        if self.num_jobs < 8:
+            return super().submit(self.die if self.num_jobs > 3 else fn, *args, **kwargs)
+        raise BrokenExecutor("a child process terminated abruptly")
+
+    def die(self, job: Job) -> MethodRun:
+        raise BrokenExecutor("terminated")
+
+
+def test_a_pool_that_breaks_loses_nothing_that_was_done(path: Path) -> None:
+    with pytest.raises(StudyError, match=r"pool .* broke: got .*abruptly\. Go on .*\(--resume\)"):
+        run_scenario_study(QUICK, path, executor=Broken())
+    kept = ScenarioStudy.load(path)
+    assert sum(len(result.runs) for result in kept.results) == 4
+    assert run_scenario_study(QUICK, path, resume=True, executor=Inline()).is_complete
+
+
+def run_or_die(job: Job) -> MethodRun:
+    """Is killed on scenario 1 while there is no file "been", and always on scenario 2."""
+    been = Path(os.environ["AIGTO_TEST_BEEN"])
+    if job.number == 2 or (job.number == 1 and not been.exists()):
+        been.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return MethodRun(((0.1, 1e-9),), 0.1, 1)
+
+
+@pytest.mark.slow
+def test_a_killed_worker_costs_no_job_and_one_that_kills_it_is_told_apart(
+    path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("AIGTO_TEST_BEEN", str(path.with_name("been")))
+    monkeypatch.setattr(scenario_study, "run_job", run_or_die)
+    question = dataclasses.replace(QUICK, methods=("coast",))
+    study = run_scenario_study(question, path, workers=1)
+    errors = [result.runs["coast"].error for result in study.results]
+    assert errors == [None, None, DIED, None]
+    # It may have been the machine's fault: tried again, and nothing else is.
+    monkeypatch.setattr(scenario_study, "run_job", scenario_jobs.run_job)
+    executor = Inline()
+    again = run_scenario_study(question, path, resume=True, executor=executor)
+    assert executor.num_jobs == 1
+    assert again.results[2].runs["coast"].error is None
+
+
+def test_a_summary_counts_what_the_results_say() -> None:
+    study = run_scenario_study(QUICK, executor=Inline())
+    coast, crash = (summarize(study, study.results, name) for name in QUICK.methods)
+    assert coast.num_optimal == (2, 2, 2)
+    assert coast.num_scenarios == crash.num_scenarios == 4
+    hard = study.results[1]
+    # Ratios are of those whose optimum is above rounding.
+    assert coast.ratios == (hard.runs["coast"].cost / hard.optimum,) * 2
+    assert coast.median_ratio == coast.worst_ratio > 1.0
+    assert crash.worst_ratio == math.inf
+    assert crash.num_errors == 4
+    assert len(crash.errors) == 1
+    assert study.groups() == {"e = 0.8": study.results}
+
+
+def test_restitutions_of_a_range_are_one_group() -> None:
+    study = run_scenario_study(
+        dataclasses.replace(QUICK, restitution=Spread.parse("0.5:1")), executor=Inline()
+    )
+    assert study.groups() == {"e = 0.5:1.0": study.results}
