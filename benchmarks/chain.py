@@ -23,6 +23,7 @@ from pathlib import Path
 
 import numpy as np
 from figures import draw_gaps
+from measure import machine
 from peers import (
     OUR_NAMES,
     OURS,
@@ -31,7 +32,6 @@ from peers import (
     Target,
     add_arguments,
     collect,
-    machine,
     make_record,
     run_all,
     run_ours_only,

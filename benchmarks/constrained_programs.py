@@ -17,7 +17,8 @@ from collections.abc import Sequence
 from functools import cache, partial
 
 import numpy as np
-from peers import OURS, Record, add_arguments, collect, machine, make_record
+from measure import machine
+from peers import OURS, Record, add_arguments, collect, make_record
 from pydrake.solvers import SnoptSolver
 
 from drake_aigto.solver import AigoOptions, AigoSolver

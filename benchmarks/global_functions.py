@@ -25,6 +25,7 @@ from functools import cache, partial
 
 import numpy as np
 from figures import draw_shares
+from measure import machine
 from peers import (
     OUR_NAMES,
     OURS,
@@ -33,7 +34,6 @@ from peers import (
     Target,
     add_arguments,
     collect,
-    machine,
     run_all,
     run_ours_only,
     warm_up,

@@ -16,14 +16,11 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
-from functools import partial
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from pydrake.solvers import IpoptSolver, SnoptSolver, SolverOptions
+from local_peers import Floats, Solver, casadi, casadi_ipopt, drake_solver
 
 from drake_aigto.local import InteriorPoint, PolynomialNlp, compile_nlp
 from drake_aigto.planning import LiteralProblem, PlanOptions
@@ -31,19 +28,10 @@ from drake_aigto.planning.literal import ballistic_guess
 from drake_aigto.transcription import LiteralTranscription
 from drake_aigto.world import Scenario, World
 
-try:
-    import casadi
-except ModuleNotFoundError:
-    casadi = None
-
-Floats = NDArray[np.float64]
-# Start, and whether it is near a solution → x, the solver's word, iterations (0 if not told).
-Solver = Callable[[Floats, bool], tuple[Floats, bool, int]]
-
 HOLDS = 1e-8
 MAX_ITERATIONS = 500
 IPOPT_OPTIONS = {"tol": 1e-8, "constr_viol_tol": 1e-10, "max_iter": MAX_ITERATIONS}
-IPOPT_WARM = {"mu_init": 1e-6, "bound_push": 1e-9, "bound_frac": 1e-9}
+SNOPT_OPTIONS = {"Major iterations limit": MAX_ITERATIONS, "Major feasibility tolerance": 1e-10}
 
 
 @dataclass(frozen=True)
@@ -134,58 +122,11 @@ def make_solvers(transcription: LiteralTranscription, nlp: PolynomialNlp) -> dic
 
     solvers: dict[str, Solver] = {"ours": ours}
     if casadi is not None:
-        solvers["IPOPT, CasADi"] = casadi_ipopt(nlp)
-    solvers["IPOPT, Drake"] = partial(solve_in_drake, transcription, IpoptSolver())
-    solvers["SNOPT, Drake"] = partial(solve_in_drake, transcription, SnoptSolver())
+        solvers["IPOPT, CasADi"] = casadi_ipopt(nlp, IPOPT_OPTIONS)
+    for name in ("ipopt", "snopt"):
+        solver = drake_solver(transcription, name, IPOPT_OPTIONS, SNOPT_OPTIONS)
+        solvers[f"{name.upper()}, Drake"] = solver
     return solvers
-
-
-def casadi_ipopt(nlp: PolynomialNlp) -> Solver:
-    """IPOPT on the same polynomials, with exact derivatives in CasADi's virtual machine."""
-    x = casadi.SX.sym("x", nlp.num_variables)
-    sums = [
-        sum(
-            term.coefficient
-            * np.prod(
-                [
-                    (f.scale * x[int(copy[f.variable])] + f.offset) ** f.exponent
-                    for f in term.factors
-                ]
-            )
-            for term in block.terms
-        )
-        for block in nlp.blocks
-        for copy in block.variables
-    ]
-    problem = {"x": x, "f": sum(sums[: nlp.num_costs]), "g": casadi.vertcat(*sums[nlp.num_costs :])}
-    quiet = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
-
-    def compiled(options: dict[str, Any]) -> Any:
-        named = {f"ipopt.{name}": value for name, value in options.items()}
-        return casadi.nlpsol("ipopt", "ipopt", problem, {**quiet, **named})
-
-    cold, warm = compiled(IPOPT_OPTIONS), compiled(IPOPT_OPTIONS | IPOPT_WARM)
-
-    def solve(start: Floats, is_near: bool) -> tuple[Floats, bool, int]:
-        solver = warm if is_near else cold
-        found = solver(x0=start, lbx=nlp.lower, ubx=nlp.upper, lbg=0, ubg=0)
-        stats = solver.stats()
-        return np.asarray(found["x"]).ravel(), stats["success"], stats["iter_count"]
-
-    return solve
-
-
-def solve_in_drake(
-    transcription: LiteralTranscription, solver: Any, start: Floats, is_near: bool
-) -> tuple[Floats, bool, int]:
-    """IPOPT or SNOPT through Drake, which does not tell the iterations."""
-    options = SolverOptions()
-    for name, value in (IPOPT_OPTIONS | (IPOPT_WARM if is_near else {})).items():
-        options.SetOption(IpoptSolver.id(), name, value)
-    options.SetOption(SnoptSolver.id(), "Major iterations limit", MAX_ITERATIONS)
-    options.SetOption(SnoptSolver.id(), "Major feasibility tolerance", 1e-10)
-    result = solver.Solve(transcription.prog(), start, options)
-    return result.get_x_val(), result.is_success(), 0
 
 
 def holds(nlp: PolynomialNlp, x: Floats) -> bool:

@@ -7,21 +7,19 @@ least value that it saw. None is told where the optimum is.
 from __future__ import annotations
 
 import argparse
-import csv
 import itertools
-import platform
 import time
 import traceback
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import dataclass
 from functools import cache
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from compiled import compile_function
 from jobs import add_options, run_jobs
+from measure import read_rows, write_csv
 from pydrake.solvers import IpoptSolver, SnoptSolver, SolverOptions
 from scipy.optimize import differential_evolution, direct, dual_annealing, minimize, shgo
 
@@ -299,7 +297,6 @@ def collect(
     path = arguments.out / name
     if arguments.reread:
         return read_csv(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
     records: list[Record] = []
     order = sorted(range(len(jobs)), key=lambda number: -effort(jobs[number]))
     done: dict[int, list[Record]] = {}
@@ -310,40 +307,16 @@ def collect(
             continue
         done[order[number]] = future.result()
         records = [record for place in sorted(done) for record in done[place]]
-        write_csv(path, records, arguments.workers)
+        write_csv(path, records, f"{arguments.workers} runs at once, a core each")
         tell(future.result())
     print(f"{name}: {len(done)} of {len(jobs)} jobs done\n", flush=True)
     return records
 
 
-def write_csv(path: Path, records: Iterable[Record], workers: int) -> None:
-    """Writes all runs; the first lines, behind #, say on what and with what."""
-    packages = ("drake", "numpy", "scipy", "numba", *(("cma",) if cma else ()))
-    versions = ", ".join(f"{name} {version(name)}" for name in packages)
-    with path.open("w", newline="", encoding="utf-8") as file:
-        file.write(f"# {machine()}, {workers} runs at once, a core each\n")
-        file.write(f"# Python {platform.python_version()}, {versions}\n")
-        writer = csv.DictWriter(file, [field.name for field in fields(Record)])
-        writer.writeheader()
-        writer.writerows(asdict(record) for record in records)
-
-
 def read_csv(path: Path) -> list[Record]:
     """Reads what `write_csv` wrote."""
     kinds = {"variables": int, "seed": int, "problem": str, "solver": str}
-    with path.open(newline="", encoding="utf-8") as file:
-        lines = [line for line in file if not line.startswith("#")]
     return [
         Record(**{key: kinds.get(key, float)(value) for key, value in row.items()})
-        for row in csv.DictReader(lines)
+        for row in read_rows(path)
     ]
-
-
-def machine() -> str:
-    """The processor and the system."""
-    names = [platform.processor() or platform.machine()]
-    cpuinfo = Path("/proc/cpuinfo")
-    if cpuinfo.exists():
-        lines = cpuinfo.read_text(encoding="utf-8").splitlines()
-        names = [line.split(":", 1)[1].strip() for line in lines if "model name" in line] or names
-    return f"{names[0]}, {platform.system()}"

@@ -18,6 +18,8 @@ import sys
 import tempfile
 import time
 
+from measure import COMMAND
+
 from drake_aigto.planning import Planner
 from drake_aigto.planning.material import contact_delay
 from drake_aigto.study import ROWS, rigid_optimum
@@ -29,7 +31,6 @@ NEARLY_NOTHING = 1e-6  # where the optimum is 0
 DRAKE_RELATIVE, DRAKE_ABSOLUTE = 0.02, 1e-5
 SECONDS_A_PLAN, SECONDS_A_COMMAND = 1.0, 3.0
 REPEATS = 5
-COMMAND = "import sys; from drake_aigto.cli import main; sys.exit(main(sys.argv[1:]))"
 
 
 def check(row: int, restitution: float) -> bool:

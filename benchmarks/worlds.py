@@ -9,9 +9,10 @@ optimum of the study, which the planner does not know (with a block in the room:
 Shown apart: how often a sequence that AIGO's boxes propose, before any polish, has the optimum's
 contacts, in an order that makes no difference.
 
-Peers are given to the same polish and replay, without boxes: "listed", every sequence of 0 to 6
-bounces, the shorter ones first, evenly spread in time; "coasting", the bounces of a motion without
-control, and the first of them. A peer starts no polish after `--factor` times the plan's seconds.
+Peers are given to the same polish and replay, without boxes: "listed", the baseline "enumeration",
+every sequence of 0 to 6 bounces, the shorter ones first; "coasting", the bounces of a motion
+without control, and the first of them. A peer starts no polish after `--factor` times the plan's
+seconds.
 
 Exits with 1 if fewer succeed than is asked: a share, or with a block and for two masses, as many as
 with any peer. What costs less than J* is reported: then J* is not what it is said to be.
@@ -20,7 +21,6 @@ with any peer. What costs less than J* is reported: then J* is not what it is sa
 from __future__ import annotations
 
 import argparse
-import itertools
 import sys
 import time
 from collections import Counter
@@ -32,6 +32,9 @@ from typing import Any
 import numpy as np
 from jobs import add_options, run_jobs
 
+from drake_aigto.baselines import Recorder
+from drake_aigto.baselines.enumeration import list_sequences
+from drake_aigto.baselines.polish import offer_polished
 from drake_aigto.errors import AigtoError
 from drake_aigto.planning import Planner, PlanOptions, RigidProblem, make_problem
 from drake_aigto.planning.replay import replay_event_driven
@@ -43,7 +46,6 @@ from drake_aigto.world import Scenario, World
 # The least shares of optimal plans.
 ASKED = {"corridor": 0.9, "floor": 0.95, "room": 0.8}
 PEERS = ("listed", "coasting")
-MOST_LISTED = 6  # bounces
 RELATIVE, ABSOLUTE = 0.01, 1e-7
 OPTIONS = PlanOptions(confirm=False)
 
@@ -111,7 +113,8 @@ def run(job: Job) -> Outcome:
     problem = make_problem(world, scenario, OPTIONS)
     assert isinstance(problem, RigidProblem)
     read = read_boxes(problem, optimum)
-    peers = {name: run_peer(name, problem, job.factor * seconds) for name in job.peers}
+    budget = job.factor * seconds
+    peers = {name: run_peer(name, problem, scenario, budget) for name in job.peers}
     return Outcome(scenario, optimum, cost, seconds, read, peers)
 
 
@@ -147,39 +150,15 @@ def is_equivalent(world: World, one: Sequence[Touch], other: Sequence[Touch]) ->
     )
 
 
-def run_peer(name: str, problem: RigidProblem, seconds: float) -> tuple[float, float]:
+def run_peer(
+    name: str, problem: RigidProblem, scenario: Scenario, seconds: float
+) -> tuple[float, float]:
     """Returns the least replayed cost of a peer's sequences, and the seconds that it took."""
-    make = {"listed": list_sequences, "coasting": coasting_sequences}[name]
-    best, start = np.inf, time.perf_counter()
-    for sequence in make(problem):
-        if time.perf_counter() - start > seconds:
-            break
-        best = min(best, polish(problem, sequence))
-    return best, time.perf_counter() - start
-
-
-def polish(problem: RigidProblem, sequence: TouchSequence) -> float:
-    """Returns what a sequence's polish costs in the event-driven replay; infinity if it fails."""
-    if not problem.fits(sequence):
-        return np.inf
-    center = problem.box.center
-    try:
-        phases, x = problem.polish(center, sequence)
-        candidate = problem.judge("peer", center, phases, x)
-    except AigtoError:
-        return np.inf
-    return candidate.replay.cost if candidate.is_feasible and candidate.is_confirmed else np.inf
-
-
-def list_sequences(problem: RigidProblem) -> Iterator[TouchSequence]:
-    """Yields all bounces in all orders; none follows itself where there are several contacts."""
-    world, T = problem.transcription.world, problem.transcription.scenario.duration
-    for number in range(MOST_LISTED + 1):
-        times = T * np.arange(1, number + 1) / (number + 1)
-        for contacts in itertools.product(range(world.num_contacts), repeat=number):
-            repeats = any(one == other for one, other in itertools.pairwise(contacts))
-            if world.num_contacts == 1 or not repeats:
-                yield tuple(map(Touch.bounce, times, contacts))
+    recorder = Recorder(problem.transcription.world, scenario, seconds)
+    listed = list_sequences(recorder.world, scenario.duration)
+    sequences = listed if name == "listed" else coasting_sequences(problem)
+    offer_polished(recorder, problem, sequences, problem.box.center)
+    return recorder.cost, recorder.seconds
 
 
 def coasting_sequences(problem: RigidProblem) -> Iterator[TouchSequence]:

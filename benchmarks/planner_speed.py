@@ -1,0 +1,195 @@
+"""A whole plan against one cold solve of the local solvers that people would start instead.
+
+    python benchmarks/planner_speed.py [--scenarios 20] [--repeats 5] [--guesses 5] [--drake 2]
+
+On Table I's rows and on random scenarios at N = 200, one thread each, in turns: the planner with
+``confirm=False`` (ladder, polish, and the replays that rank its candidates; a `Planner` is made
+before each turn, with its program); IPOPT with CasADi's exact Hessian, from zero and from random
+guesses; Drake's IPOPT and SNOPT from zero. These solve the paper's literal transcription, contact
+rows multiplied out, δ = 1e-3 and q ≥ 0, built before; in Drake each kind of row is one constraint
+that all stages share, the fastest form there. Their options are their own defaults.
+
+Costs are what each method promises, and what a rigid wall makes of its control. Ratios are taken
+scenario by scenario, of medians over the turns; the figures are the medians over the scenarios.
+Writes planner_speed.csv; exits with 1 if a figure is missed, or CasADi is not installed.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import argparse
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+from local_peers import Solver, casadi, casadi_ipopt, drake_solver
+from measure import Spread, clock, is_met, write_csv
+
+from drake_aigto.baselines.gradient import random_guess
+from drake_aigto.local import compile_nlp
+from drake_aigto.planning import Planner, PlanOptions, replay_event_driven
+from drake_aigto.study import ROWS, ScenarioQuestion
+from drake_aigto.transcription import LiteralTranscription
+from drake_aigto.world import Scenario, World
+
+PLAN, CASADI, CASADI_RANDOM = "plan", "CasADi + IPOPT from zero", "CasADi + IPOPT from random"
+DRAKE_IPOPT, DRAKE_SNOPT = "Drake's IPOPT from zero", "Drake's SNOPT from zero"
+METHODS = (PLAN, CASADI, CASADI_RANDOM, DRAKE_IPOPT, DRAKE_SNOPT)
+# Of a plan's time, at the most.
+AGAINST_CASADI, AGAINST_DRAKE = 1.0, 0.3
+
+
+class Answer(NamedTuple):
+    """What a method found."""
+
+    cost: float  # that it promises
+    times: npt.ArrayLike
+    controls: npt.ArrayLike
+
+
+@dataclass(frozen=True)
+class Run:
+    """One turn of one method: a line of the CSV file."""
+
+    scenario: str
+    method: str
+    turn: int
+    wall_seconds: float
+    cpu_seconds: float
+    cost: float
+    replayed_cost: float
+
+
+def main() -> int:
+    """Measures, prints, writes and judges."""
+    arguments = _parse()
+    scenarios = {f"table1/{row}": Scenario.named(f"table1/{row}") for row in ROWS}
+    question = ScenarioQuestion(count=arguments.scenarios, seed=arguments.seed)
+    scenarios |= {f"random {i}": each for i, each in enumerate(question.scenarios())}
+    _warm_up(scenarios["table1/1"])
+    runs: list[Run] = []
+    for name, scenario in scenarios.items():
+        found = list(run_scenario(name, scenario, arguments))
+        runs += found
+        tell(name, found)
+        write_csv(arguments.out / "planner_speed.csv", runs, "one thread, in turns")
+    return 0 if judge(runs, arguments.clock) else 1
+
+
+def _parse() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--scenarios", type=int, default=20, help="random ones, besides Table I")
+    parser.add_argument("--repeats", type=int, default=5, help="turns of the planner and of CasADi")
+    parser.add_argument("--guesses", type=int, default=5, help="random guesses, in as many turns")
+    parser.add_argument("--drake", type=int, default=2, help="turns of Drake's solvers")
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--clock", choices=("wall", "cpu"), default="wall", help="of the ratios")
+    parser.add_argument("--out", type=Path, default=Path(), help="folder of the CSV")
+    return parser.parse_args()
+
+
+def _warm_up(scenario: Scenario) -> None:
+    """Loads compiled code and libraries."""
+    world = World.from_scenario(scenario)
+    Planner(scenario, PlanOptions(confirm=False), world).plan()
+    literal = LiteralTranscription(world, scenario)
+    for name in ("ipopt", "snopt"):
+        drake_solver(literal, name)(np.zeros(literal.prog().num_vars()), False)
+
+
+def run_scenario(name: str, scenario: Scenario, arguments: argparse.Namespace) -> Iterator[Run]:
+    """Yields all turns on one scenario."""
+    world = World.from_scenario(scenario)
+    literal = LiteralTranscription(world, scenario)
+    options = PlanOptions(confirm=False)
+    planners = [Planner(scenario, options, world) for _ in range(arguments.repeats)]
+    zero, generator = np.zeros(literal.prog().num_vars()), np.random.default_rng(arguments.seed)
+
+    def plan() -> Answer:
+        found = planners.pop().plan()
+        return Answer(found.cost, found.trajectory.times, found.trajectory.controls)
+
+    def solve(solver: Solver, guess: npt.NDArray[np.float64]) -> Answer:
+        x, _, _ = solver(guess, False)
+        return Answer(literal.scenario_cost(x), literal.GetSampleTimes(), literal.split(x)[2])
+
+    works: dict[str, tuple[int, Callable[[], Answer]]] = {PLAN: (arguments.repeats, plan)}
+    if casadi is not None:
+        exact = casadi_ipopt(compile_nlp(literal.prog()))
+        works[CASADI] = arguments.repeats, partial(solve, exact, zero)
+        works[CASADI_RANDOM] = (
+            arguments.guesses,
+            lambda: solve(exact, random_guess(literal, generator)),
+        )
+    for method, solver in ((DRAKE_IPOPT, "ipopt"), (DRAKE_SNOPT, "snopt")):
+        works[method] = arguments.drake, partial(solve, drake_solver(literal, solver), zero)
+    for turn in range(max(turns for turns, _ in works.values())):
+        for method, (turns, work) in works.items():
+            if turn < turns:
+                answer, seconds = clock(work)
+                replay = replay_event_driven(world, scenario, answer.times, answer.controls)
+                yield Run(name, method, turn, *seconds, answer.cost, replay.cost)
+
+
+def tell(name: str, runs: Sequence[Run]) -> None:
+    """Prints one line for each method."""
+    for method in METHODS:
+        found = [run for run in runs if run.method == method]
+        if not found:
+            continue
+        seconds = Spread.of(run.wall_seconds for run in found)
+        cost, replayed = (
+            float(np.median([getattr(run, field) for run in found]))
+            for field in ("cost", "replayed_cost")
+        )
+        print(
+            f"{name:12}{method:28}{seconds.show(1e-3, 1):>26} ms   cost {cost:.3e}, "
+            f"on a rigid wall {replayed:.3e}",
+            flush=True,
+        )
+
+
+def judge(runs: Sequence[Run], by: str) -> bool:
+    """Prints the ratios, and returns whether the figures are reached."""
+    print("\nA plan's time, as a multiple of")
+    ratios = {method: compare(runs, method, by) for method in METHODS[1:]}
+    for method, spread in ratios.items():
+        if spread is not None:
+            print(f"  {method:28}{spread.show()}")
+    against_casadi, against_drake = ratios[CASADI], ratios[DRAKE_IPOPT]
+    assert against_drake is not None
+    met = is_met("a plan / Drake's IPOPT", against_drake.median, AGAINST_DRAKE)
+    if against_casadi is None:
+        print("MISSED a plan / CasADi + IPOPT: CasADi is not installed (the extra `bench`)")
+        return False
+    return is_met("a plan / CasADi + IPOPT", against_casadi.median, AGAINST_CASADI) and met
+
+
+def compare(runs: Sequence[Run], method: str, by: str) -> Spread | None:
+    """Returns the planner's time over a method's, over the scenarios; None if it never ran."""
+    ratios = []
+    for scenario in dict.fromkeys(run.scenario for run in runs):
+        ours, theirs = (
+            [
+                getattr(run, f"{by}_seconds")
+                for run in runs
+                if (run.scenario, run.method) == (scenario, each)
+            ]
+            for each in (PLAN, method)
+        )
+        if theirs:
+            ratios.append(float(np.median(ours) / np.median(theirs)))
+    return Spread.of(ratios) if ratios else None
+
+
+if __name__ == "__main__":
+    sys.exit(main())

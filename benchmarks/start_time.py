@@ -1,0 +1,115 @@
+"""How long it takes to start: ``import drake_aigto``, and ``drake-aigto plan table1/1`` in all.
+
+    python benchmarks/start_time.py [--repeats 7] [--clock cpu]
+
+Each in a process of its own, in turns, with bytecode and compiled code cached, as where the package
+is installed; the command replays its plan in Drake, too. Beside them what no use of Drake and Numba
+can go below: an interpreter that imports the libraries that the command needs and does nothing.
+Then where the command's imports go. Writes start_time.csv; exits with 1 if the import takes more
+than 0.5 s, or the command more than 1.5 s.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import subprocess
+import sys
+import tempfile
+import time
+from collections import defaultdict
+from dataclasses import dataclass
+from pathlib import Path
+
+from measure import COMMAND, Spread, is_met, write_csv
+
+LIBRARIES = (
+    "import numba, scipy.sparse.csgraph, scipy.linalg, yaml, pydrake.multibody.plant, "
+    "pydrake.solvers, pydrake.systems.analysis, pydrake.geometry, pydrake.multibody.parsing"
+)
+IMPORT, PLAN, ALONE = "import drake_aigto", "drake-aigto plan table1/1", "libraries alone"
+PROGRAMS = {
+    IMPORT: ["import drake_aigto"],
+    PLAN: [COMMAND, "plan", "table1/1", "--quiet"],
+    ALONE: [LIBRARIES],
+}
+MOST = {IMPORT: 0.5, PLAN: 1.5}  # [s]
+
+
+@dataclass(frozen=True)
+class Start:
+    """One process: a line of the CSV file."""
+
+    what: str
+    turn: int
+    wall_seconds: float
+    cpu_seconds: float
+
+
+def main() -> int:
+    """Measures, prints, writes and judges."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("--repeats", type=int, default=7, help="turns")
+    parser.add_argument("--clock", choices=("wall", "cpu"), default="wall", help="of the figures")
+    parser.add_argument("--out", type=Path, default=Path(), help="folder of the CSV")
+    arguments = parser.parse_args()
+    with tempfile.TemporaryDirectory() as bytecode:
+        environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPYCACHEPREFIX": bytecode}
+        environment.pop("PYTHONDONTWRITEBYTECODE", None)
+        for program in PROGRAMS.values():
+            run(program, environment)  # Fills caches.
+        starts = [
+            Start(what, turn, *run(program, environment))
+            for turn in range(arguments.repeats)
+            for what, program in PROGRAMS.items()
+        ]
+        write_csv(arguments.out / "start_time.csv", starts, "a process each, in turns")
+        tell_imports(environment)
+    met = []
+    for what in PROGRAMS:
+        spreads = {
+            clock: Spread.of(
+                getattr(each, f"{clock}_seconds") for each in starts if each.what == what
+            )
+            for clock in ("wall", "cpu")
+        }
+        print(f"{what:28}{spreads['wall'].show()} s, of one core {spreads['cpu'].show()} s")
+        if what in MOST:
+            met.append(is_met(what, spreads[arguments.clock].median, MOST[what]))
+    return 0 if all(met) else 1
+
+
+def run(program: list[str], environment: dict[str, str]) -> tuple[float, float]:
+    """Returns wall and CPU seconds of a process."""
+    children = resource.getrusage(resource.RUSAGE_CHILDREN)
+    begin = time.perf_counter()
+    subprocess.run(
+        [sys.executable, "-c", *program],
+        check=True,
+        stdout=subprocess.DEVNULL,
+        env=environment,
+    )
+    seconds = time.perf_counter() - begin
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    cpu = after.ru_utime + after.ru_stime - children.ru_utime - children.ru_stime
+    return seconds, cpu
+
+
+def tell_imports(environment: dict[str, str]) -> None:
+    """Prints how much of the command's imports each library takes, its own modules alone."""
+    parse = "from drake_aigto.cli.command_line import make_parser; make_parser(['plan'])"
+    program = [sys.executable, "-X", "importtime", "-c", parse]
+    told = subprocess.run(program, check=True, capture_output=True, text=True, env=environment)
+    lines = told.stderr.splitlines()
+    totals: defaultdict[str, float] = defaultdict(float)
+    for line in lines:
+        own, _, name = line.removeprefix("import time:").split("|")
+        if own.strip().isdigit():
+            totals[name.strip().split(".")[0]] += float(own) / 1e6
+    largest = sorted(totals.items(), key=lambda item: -item[1])[:8]
+    print("imports of the command:", ", ".join(f"{name} {each:.2f} s" for name, each in largest))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
