@@ -1,0 +1,66 @@
+"""Sphinx: pages in Markdown, and the API from the docstrings.
+
+sphinx-build -W -b html docs build/docs
+"""
+
+from __future__ import annotations
+
+import re
+from typing import TYPE_CHECKING, Any
+
+import drake_aigto
+
+if TYPE_CHECKING:
+    from sphinx.application import Sphinx
+
+project = "drake_aigto"
+author = "The drake_aigto developers"
+release = drake_aigto.__version__
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.autosummary",
+    "sphinx.ext.mathjax",
+    "sphinx.ext.napoleon",
+]
+exclude_patterns = ["images", "results"]
+html_theme = "furo"
+html_title = "drake_aigto"
+html_static_path = ["static"]
+html_css_files = ["wide.css"]
+myst_enable_extensions = ["dollarmath"]
+myst_heading_anchors = 3
+
+# Of what docstrings write in backquotes, public names become links.
+default_role = "autolink"
+autodoc_default_options = {"members": True}
+autodoc_member_order = "bysource"
+napoleon_use_ivar = True
+
+_FIELDS = re.compile(r"\s*[A-Z][a-z]+:$")  # Args:, Returns:, ...
+
+
+def _read_formulas(
+    app: Sphinx, what: str, name: str, obj: Any, options: Any, lines: list[str]
+) -> None:
+    """Keeps the lines of indented formulas apart, and |x| as it is written."""
+    told: list[str] = []
+    indent, is_formula = 0, False
+    for line in lines:
+        depth = len(line) - len(line.lstrip())
+        if line.strip():
+            starts = bool(told) and not told[-1].strip() and depth > indent
+            if starts and not is_formula and not _FIELDS.match(told[-2]):
+                told += [" " * indent + "::", ""]
+                is_formula = True
+            elif depth <= indent:
+                is_formula = False
+            if not is_formula:
+                indent = depth
+        told.append(line if is_formula else line.replace("|", r"\|"))
+    lines[:] = told
+
+
+def setup(app: Sphinx) -> None:
+    """Connects the reader of docstrings, to run before napoleon's."""
+    app.connect("autodoc-process-docstring", _read_formulas, priority=400)
