@@ -6,8 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from local_problems import INF, PROBLEMS, Problem
 from pydrake.solvers import (
     BoundingBoxConstraint,
@@ -17,10 +15,10 @@ from pydrake.solvers import (
     SolverOptions,
 )
 from pydrake.symbolic import log
+from random_boxes import dense
 
 from drake_aigto import Scenario, World
 from drake_aigto.local import InteriorPoint, LocalStatus, PolynomialNlp, compile_nlp
-from drake_aigto.local.symmetric import BandFactors
 from drake_aigto.transcription import LiteralTranscription
 
 
@@ -86,16 +84,6 @@ def numeric_derivatives(nlp: PolynomialNlp, x: np.ndarray) -> tuple[np.ndarray, 
         columns.append(np.append(c1 - c0, f1 - f0) / (2 * h[i]))
     table = np.array(columns).T
     return table[-1], table[:-1]
-
-
-def dense(band: np.ndarray) -> np.ndarray:
-    """Returns the symmetric matrix in lower band storage."""
-    size = band.shape[1]
-    matrix = np.zeros((size, size))
-    for d in range(min(len(band), size)):
-        i = np.arange(size - d)
-        matrix[i + d, i] = matrix[i, i + d] = band[d, : size - d]
-    return matrix
 
 
 def literal(nonpenetration: bool, row: int = 1, time_step: float = 0.02) -> LiteralTranscription:
@@ -168,41 +156,6 @@ def test_stages_make_a_narrow_band_whatever_the_horizon() -> None:
     assert widths == {5}
     without_order = compile_nlp(literal(True).prog()).kkt_structure
     assert without_order.bandwidth <= 8
-
-
-@given(
-    st.integers(1, 30), st.integers(0, 6), st.floats(0.0, 0.6), st.integers(0, 2**32 - 1), st.data()
-)
-def test_band_factors_solve_and_count_negative_eigenvalues(
-    size: int, bandwidth: int, share_of_rows: float, seed: int, data: st.DataObject
-) -> None:
-    rng = np.random.default_rng(seed)
-    bandwidth = min(bandwidth, size - 1)
-    band = rng.normal(size=(bandwidth + 1, size))
-    is_row = rng.random(size) < share_of_rows
-    for d in range(bandwidth + 1):
-        band[d, : size - d][is_row[: size - d] & is_row[d:]] = 0.0
-    # As in KKT matrices: tiny entries where rows meet themselves, scales far apart elsewhere.
-    scale = 10.0 ** data.draw(st.integers(-6, 6))
-    band[0] *= scale
-    band[0, is_row] = -1e-10
-    matrix = dense(band)
-    eigenvalues = np.linalg.eigvalsh(matrix)
-    if np.min(np.abs(eigenvalues)) < 1e-12 * np.max(np.abs(eigenvalues)):
-        return  # too near singular for either to count
-    factors = BandFactors(size, bandwidth)
-    assert factors.factorise(np.asfortranarray(band)) == np.count_nonzero(eigenvalues < 0.0)
-    x = rng.normal(size=size)
-    right = matrix @ x
-    rest = matrix @ factors.solve(right) - right
-    norm = np.max(np.abs(eigenvalues)) * np.max(np.abs(factors.solve(right)))
-    # Pivots of 1e-8 let rounding grow by 1e8; each refinement takes as much off again.
-    assert np.max(np.abs(rest)) <= 1e-10 * max(norm, np.max(np.abs(right)))
-
-
-def test_a_singular_matrix_has_no_inertia() -> None:
-    assert BandFactors(3, 1).factorise(np.zeros((2, 3), order="F")) == -1
-    assert BandFactors(2, 0).factorise(np.array([[1.0, np.nan]], order="F")) == -1
 
 
 @pytest.mark.parametrize("nonpenetration", [False, True])

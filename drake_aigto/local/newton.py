@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_aigto.local.factors import make_factors
 from drake_aigto.local.scaled import Duals, Linearisation, Point, ScaledProblem
-from drake_aigto.local.symmetric import BandFactors, max_norm
+from drake_aigto.local.symmetric import max_norm
 
 Floats = NDArray[np.float64]
 
@@ -69,7 +70,7 @@ class NewtonSearch:
         """Allocate the factors."""
         self._problem = problem
         self._structure = problem.structure
-        self._factors = BandFactors(self._structure.size, self._structure.bandwidth)
+        self._factors = make_factors(self._structure.size, self._structure.bandwidth)
         self._last_shift = 0.0
 
     def solve(self, variables: Floats | float, rows: Floats | float) -> tuple[Floats, Floats]:

@@ -1,0 +1,134 @@
+"""Factors of symmetric indefinite matrices, against NumPy's eigenvalues and solutions."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from random_boxes import dense
+
+from drake_aigto.local.dense import DenseFactors
+from drake_aigto.local.factors import make_factors
+from drake_aigto.local.multifrontal import BandFactors
+from drake_aigto.local.symmetric import SymmetricFactors, multiply
+
+KINDS = [BandFactors, DenseFactors]
+
+
+def random_kkt(
+    rng: np.random.Generator, size: int, bandwidth: int, share_of_rows: float, scale: float
+) -> np.ndarray:
+    """Returns a band like those of an interior point method.
+
+    Where rows meet themselves entries are tiny, on the rest of the diagonal of another scale.
+    """
+    band = rng.normal(size=(bandwidth + 1, size))
+    band[beyond(band)] = 0.0
+    is_row = rng.random(size) < share_of_rows
+    for d in range(bandwidth + 1):
+        band[d, : size - d][is_row[: size - d] & is_row[d:]] = 0.0
+    band[0] *= scale
+    band[0, is_row] = -1e-10
+    return np.asfortranarray(band)
+
+
+def beyond(band: np.ndarray) -> np.ndarray:
+    """Returns which entries of the storage are past the matrix's end."""
+    return np.add.outer(np.arange(len(band)), np.arange(band.shape[1])) >= band.shape[1]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@given(
+    *(st.integers(1, 40), st.integers(0, 39), st.floats(0.0, 0.6)),
+    *(st.integers(-6, 6), st.integers(0, 2**32 - 1)),
+)
+def test_factors_solve_and_count_negative_eigenvalues(
+    kind: type, size: int, bandwidth: int, share_of_rows: float, decade: int, seed: int
+) -> None:
+    rng = np.random.default_rng(seed)
+    bandwidth = min(bandwidth, size - 1)
+    band = random_kkt(rng, size, bandwidth, share_of_rows, 10.0**decade)
+    matrix = dense(band)
+    eigenvalues = np.linalg.eigvalsh(matrix)
+    largest, least = np.max(np.abs(eigenvalues)), np.min(np.abs(eigenvalues))
+    if least < 1e-12 * largest:
+        return  # too near singular for either to count
+    band[beyond(band)] = 1e9  # nobody may read it
+    factors = kind(size, bandwidth)
+    assert factors.factorise(band) == np.count_nonzero(eigenvalues < 0.0)
+    x = rng.normal(size=size)
+    right = matrix @ x
+    found = factors.solve(right)
+    # Pivots of 1e-8 let rounding grow by 1e8; each refinement takes as much off again.
+    norm = max(largest * np.max(np.abs(found)), np.max(np.abs(right)))
+    assert np.max(np.abs(matrix @ found - right)) <= 1e-10 * norm
+    if least >= 1e-4 * largest:
+        np.testing.assert_allclose(found, np.linalg.solve(matrix, right), rtol=0, atol=1e-9)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@given(st.integers(2, 20), st.data())
+def test_a_matrix_with_an_empty_row_is_singular(kind: type, size: int, data: st.DataObject) -> None:
+    rng = np.random.default_rng(data.draw(st.integers(0, 2**32 - 1)))
+    bandwidth = data.draw(st.integers(0, size - 1))
+    empty = data.draw(st.integers(0, size - 1))
+    band = random_kkt(rng, size, bandwidth, 0.3, 1.0)
+    for d in range(bandwidth + 1):
+        band[d, empty] = 0.0
+        if d <= empty:
+            band[d, empty - d] = 0.0
+    factors = kind(size, bandwidth)
+    assert factors.factorise(band) == -1
+    assert np.all(np.isnan(factors.solve(np.ones(size))))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("junk", [np.nan, np.inf])
+def test_a_matrix_that_is_not_finite_has_no_inertia(kind: type, junk: float) -> None:
+    on_diagonal = np.array([[1.0, junk]], order="F")
+    assert kind(2, 0).factorise(on_diagonal) == -1
+    beside_it = np.array([[1.0, 1.0], [junk, 0.0]], order="F")
+    assert kind(2, 1).factorise(beside_it) == -1
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_factors_serve_one_matrix_after_another(kind: type) -> None:
+    rng = np.random.default_rng(0)
+    factors = kind(12, 5)
+    for _ in range(3):
+        for band in (random_kkt(rng, 12, 5, 0.4, 1.0), np.zeros((6, 12), order="F")):
+            negative = factors.factorise(band)
+            assert negative == (np.count_nonzero(np.linalg.eigvalsh(dense(band)) < 0) or -1)
+            if negative >= 0:
+                right = rng.normal(size=12)
+                np.testing.assert_allclose(
+                    factors.solve(right), np.linalg.solve(dense(band), right), rtol=1e-7
+                )
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_system_without_unknowns_is_solved(kind: type) -> None:
+    factors = kind(0, 0)
+    assert factors.factorise(np.empty((1, 0), order="F")) == 0
+    assert factors.solve(np.empty(0)).size == 0
+
+
+def test_products_are_those_of_the_dense_matrix() -> None:
+    rng = np.random.default_rng(1)
+    band = random_kkt(rng, 9, 4, 0.3, 1.0)
+    x = rng.normal(size=9)
+    np.testing.assert_allclose(multiply(band, x), dense(band) @ x, rtol=1e-13)
+
+
+@pytest.mark.parametrize(
+    ("size", "bandwidth", "kind"),
+    [
+        *((28, 22, DenseFactors), (100, 3, DenseFactors), (600, 599, DenseFactors)),
+        *((600, 100, BandFactors), (2000, 8, BandFactors)),
+    ],
+)
+def test_small_matrices_and_wide_bands_are_factorised_densely(
+    size: int, bandwidth: int, kind: type[SymmetricFactors]
+) -> None:
+    assert type(make_factors(size, bandwidth)) is kind
