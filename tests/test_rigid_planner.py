@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
+from contextlib import nullcontext
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -25,8 +27,14 @@ from drake_aigto.planning import (
     replay_event_driven,
 )
 from drake_aigto.planning.options import LITERAL_LADDER, RIGID_LADDER
-from drake_aigto.study import rigid_optimum
-from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch
+from drake_aigto.planning.rigid import RigidSearch
+from drake_aigto.study import ScenarioQuestion, rigid_optimum
+from drake_aigto.transcription import (
+    PhaseTranscription,
+    RigidTranscription,
+    Touch,
+    TouchSequence,
+)
 
 COARSE: dict[str, Any] = {"time_step": 0.02}
 UNCONFIRMED = PlanOptions(confirm=False)
@@ -248,6 +256,52 @@ def test_every_candidate_was_read_off_a_box() -> None:
         assert candidate.origin in origins
         assert tuple(False for _ in candidate.contacts) in read
     assert {len(c.contacts) for c in bounce_plan().candidates} >= {0, 1}
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_rungs_that_are_left_out_would_find_nothing_better(number: int) -> None:
+    scenario = ScenarioQuestion(seed=11, num_steps=50).scenario(number)
+    few, all_of_them = (
+        plan(scenario, dataclasses.replace(UNCONFIRMED, all_rungs=all_rungs))
+        for all_rungs in (False, True)
+    )
+    assert few.replay.event_driven.cost == pytest.approx(
+        all_of_them.replay.event_driven.cost, rel=1e-4
+    )
+    assert None in few.stats.box_contacts and None not in all_of_them.stats.box_contacts
+    # What was run gave the same.
+    assert all(
+        one in (None, other)
+        for one, other in zip(few.stats.box_contacts, all_of_them.stats.box_contacts, strict=True)
+    )
+
+
+def test_rungs_are_left_out_by_what_the_others_show() -> None:
+    problem = make_problem(shipped_world(), table1(1, **COARSE), UNCONFIRMED)
+
+    def run(shown: Mapping[int, TouchSequence]) -> list[int]:
+        """Returns the places of the rungs that are run, if these show that."""
+        search = RigidSearch(cast(RigidProblem, problem), lambda part: nullcontext())
+        places = []
+        for rung in search.rungs():
+            places.append(RIGID_LADDER.index(rung))
+            search.shown.append((rung, [shown[places[-1]]]))
+        return places
+
+    once, twice = (Touch.bounce(0.3),), (Touch.bounce(0.3), Touch.bounce(0.6))
+    assert problem.coast.bounce_contacts == (0,)
+    everywhere: dict[int, TouchSequence] = dict.fromkeys(range(5), once)
+    assert run(everywhere) == [0, 2, 3, 4]
+    assert run({**everywhere, 2: ()}) == [0, 2, 3, 4]
+    assert run({**everywhere, 0: twice, 2: ()}) == [0, 2, 1, 3, 4]
+
+
+def test_under_gravity_every_rung_is_run() -> None:
+    problem = make_problem(
+        World.from_diagram(make_diagram(gravity=9.81)), table1(1, **COARSE), UNCONFIRMED
+    )
+    search = RigidSearch(cast(RigidProblem, problem), lambda part: nullcontext())
+    assert list(search.rungs()) == list(RIGID_LADDER)
 
 
 def test_candidates_are_ranked_by_their_replay() -> None:

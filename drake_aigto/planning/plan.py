@@ -138,13 +138,14 @@ class PlanStats:
         aigo_steps: inner iterations of AIGO, all candidates.
         polished: how many candidates the polish made feasible.
         seconds: wall time by part of the road.
-        box_contacts: how many contacts the last box of each rung shows, before any polish.
+        box_contacts: how many contacts the last box of each rung of the ladder shows, before any
+            polish; None for a rung that was left out.
     """
 
     aigo_steps: int
     polished: int
     seconds: Mapping[str, float]
-    box_contacts: tuple[int, ...] = ()
+    box_contacts: tuple[int | None, ...] = ()
 
     def __post_init__(self) -> None:
         """Converts lists to tuples."""

@@ -158,7 +158,7 @@ class Planner:
         best, replays = self._choose(feasible, scenario)
         rest = [candidate for candidate in search.ranked() if candidate is not best]
         stats = PlanStats(
-            search.aigo_steps, len(feasible), dict(self._seconds), tuple(search.box_contacts)
+            search.aigo_steps, len(feasible), dict(self._seconds), search.box_contacts
         )
         took = ", ".join(f"{part} {seconds:.2f}" for part, seconds in self._seconds.items())
         _LOG.info("%d inner steps of AIGO; seconds: %s", search.aigo_steps, took)
@@ -178,7 +178,7 @@ class Planner:
 
         search = self._start_search(scenario)
         try:
-            for number, rung in enumerate(ladder, 1):
+            for number, rung in enumerate(search.rungs(), 1):
                 tell(f"AIGO {number} of {len(ladder)}: {options.describe(rung)}")
                 search.add_rung(rung)
             tell(f"{len(search.by_sequence)} candidates; looking for others near the best")

@@ -18,7 +18,7 @@ from drake_aigto.local.drake_solvers import solve_with_drake
 from drake_aigto.planning.contacts import find_contacts, max_penetration
 from drake_aigto.planning.options import PlanOptions, Rung, StartName
 from drake_aigto.planning.plan import Candidate
-from drake_aigto.planning.replay import replay_event_driven
+from drake_aigto.planning.replay import Replay, replay_event_driven
 from drake_aigto.transcription import Transcription
 
 if TYPE_CHECKING:
@@ -91,12 +91,17 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
             self._starts[name] = self._start_coasting()
         return self._starts[name]
 
-    def _start_coasting(self) -> Start[TranscriptionT]:
-        """Returns a box around the motion without control, on the rigid wall."""
+    @cached_property
+    def coast(self) -> Replay:
+        """The motion without control, on the rigid wall."""
         times = self.transcription.GetSampleTimes()
         world, scenario = self.transcription.world, self.transcription.scenario
         controls = np.zeros((len(times) - 1, world.num_actuators))
-        coast = replay_event_driven(world, scenario, times, controls)
+        return replay_event_driven(world, scenario, times, controls)
+
+    def _start_coasting(self) -> Start[TranscriptionT]:
+        """Returns a box around the motion without control."""
+        times, coast = self.transcription.GetSampleTimes(), self.coast
         # Of the rows of an impact on a knot, the first: velocities before impulses.
         rows = np.searchsorted(coast.times, times - _ON_KNOT * times[-1])
         q, v = coast.positions[rows], coast.velocities[rows]

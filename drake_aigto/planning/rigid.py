@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from functools import cached_property
 from itertools import chain, combinations
 from typing import TYPE_CHECKING
@@ -21,6 +21,7 @@ from drake_aigto.planning.problem import PlanningProblem
 from drake_aigto.planning.search import Clock, Search
 from drake_aigto.planning.touches import (
     are_near,
+    are_neighbors,
     is_same,
     kinds,
     neighbors,
@@ -164,6 +165,24 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
         return phases, x
 
     @cached_property
+    def unfolds(self) -> bool:
+        """Whether plans of the same contacts, in the same order, are expected to be one plan.
+
+        Mirrored at each wall that it bounces off, and with nothing but controls that bends it, a
+        motion is a free flight to the goal's image, and the cost of that is convex. A block can be
+        passed on two sides, and under gravity a ball bounces high and late or low and early.
+        """
+        world, scenario = self.transcription.world, self.transcription.scenario
+        rest = np.zeros(world.num_positions)
+        return bool(
+            world.has_constant_bias
+            and not self.transcription.has_additions
+            and world.num_solids == world.num_contacts
+            and np.all(world.restitutions(scenario) > 0)
+            and not np.any(world.calc_acceleration(rest, rest, np.zeros(world.num_actuators)))
+        )
+
+    @cached_property
     def _has_arcs(self) -> bool:
         is_ours = self.options.local_solver == "newton" and not self.transcription.has_additions
         return is_ours and self.transcription.world.has_constant_bias
@@ -193,9 +212,47 @@ class RigidSearch(Search[TouchSequence]):
         super().__init__(problem, clock)
         self._fits = problem.fits
         self._polish, self._polish_along = problem.polish, problem.polish_along
-        self._num_steps = problem.num_steps
+        self._num_steps, self._unfolds = problem.num_steps, problem.unfolds
         self._duration = problem.transcription.scenario.duration
         self._refused: list[TouchSequence] = []
+
+    def rungs(self) -> Iterator[Rung]:
+        """Yields the rungs that may tell something new.
+
+        Where contacts alone make a plan (`RigidProblem.unfolds`), the ends of the ladder are run; a
+        rung between two others only if these do not show the same contacts, or one touch more:
+        there is no sequence between such two. Rungs around the coasting motion, a ladder of their
+        own, are left out if a candidate has its contacts.
+        """
+        options = self.problem.options
+        if options.all_rungs or not self._unfolds:
+            yield from options.rungs
+            return
+        for start in dict.fromkeys(rung.start for rung in options.rungs):
+            if start == "line" or not self._has_contacts_of_coast():
+                rungs = [rung for rung in options.rungs if rung.start == start]
+                yield from rungs[:1] + rungs[1:][-1:]
+                yield from self._rungs_between(rungs)
+
+    def _rungs_between(self, rungs: list[Rung]) -> Iterator[Rung]:
+        """Yields what is needed of the rungs between the first and the last of these."""
+        if len(rungs) < 3 or are_neighbors(
+            *(self._shown_by(rung) for rung in (rungs[0], rungs[-1]))
+        ):
+            return
+        middle = len(rungs) // 2
+        yield rungs[middle]
+        yield from self._rungs_between(rungs[: middle + 1])
+        yield from self._rungs_between(rungs[middle:])
+
+    def _shown_by(self, rung: Rung) -> TouchSequence:
+        """Returns the contact sequence that a rung's box shows, () if none that fits."""
+        sequences = next(sequences for each, sequences in self.shown if each is rung)
+        return sequences[0] if sequences else ()
+
+    def _has_contacts_of_coast(self) -> bool:
+        coast = [(contact, False) for contact in self.problem.coast.bounce_contacts]
+        return any(kinds(sequence) == coast for sequence in self.by_sequence)
 
     def add(
         self,

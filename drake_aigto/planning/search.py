@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any, Generic
 
@@ -32,7 +32,8 @@ class Search(ABC, Generic[Sequence]):
         centers: of the boxes that each sequence was read off.
         solved: the transcription that each polish solved, and its decision variables.
         aigo_steps: inner iterations of AIGO so far.
-        box_contacts: how many contacts the last box of each rung shows.
+        shown: the rungs so far, each with the contact sequences that its last box shows, the most
+            literal first.
     """
 
     def __init__(self, problem: PlanningProblem[Any, Sequence], clock: Clock) -> None:
@@ -42,7 +43,23 @@ class Search(ABC, Generic[Sequence]):
         self.centers: dict[Sequence, npt.NDArray[np.float64]] = {}
         self.solved: dict[Sequence, tuple[Any, npt.NDArray[np.float64]]] = {}
         self.aigo_steps = 0
-        self.box_contacts: list[int] = []
+        self.shown: list[tuple[Rung, list[Sequence]]] = []
+
+    def rungs(self) -> Iterator[Rung]:
+        """Yields the ladder's rungs in the order to run them, each after the one before was added.
+
+        Rungs may be left out, by what the others have shown: never by clocks.
+        """
+        yield from self.problem.options.rungs
+
+    @property
+    def box_contacts(self) -> tuple[int | None, ...]:
+        """How many contacts the last box of each of the ladder's rungs shows; None: left out."""
+        counts: list[int | None] = []
+        for rung in self.problem.options.rungs:
+            found = [sequences for each, sequences in self.shown if each == rung]
+            counts.append(max(map(len, found[0][:1]), default=0) if found else None)
+        return tuple(counts)
 
     def add_rung(self, rung: Rung) -> None:
         """Adds the candidates of AIGO's sequences under this rung, unless they are there.
@@ -60,7 +77,7 @@ class Search(ABC, Generic[Sequence]):
             result.num_inner_steps,
             len(sequences),
         )
-        self.box_contacts.append(len(sequences[0]) if sequences else 0)
+        self.shown.append((rung, sequences))
         for sequence in sequences:
             if not self.is_known(sequence):
                 self.add(self.problem.options.describe(rung), result.box.center, sequence)

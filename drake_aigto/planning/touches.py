@@ -117,6 +117,13 @@ def kinds(sequence: TouchSequence) -> list[tuple[int, bool]]:
     return [(touch.contact, touch.lasts) for touch in sequence]
 
 
+def are_neighbors(one: TouchSequence, other: TouchSequence) -> bool:
+    """Returns whether both have the same contacts, or one of them has a touch more."""
+    shorter, longer = sorted((kinds(one), kinds(other)), key=len)
+    rest = (longer[:place] + longer[place + 1 :] for place in range(len(longer)))
+    return shorter == longer or shorter in rest
+
+
 def is_same(one: TouchSequence, other: TouchSequence, near: float) -> bool:
     """Returns whether both have the same contacts, at times that `are_near` [s]."""
     return kinds(one) == kinds(other) and all(

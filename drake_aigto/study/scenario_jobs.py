@@ -9,13 +9,15 @@ from dataclasses import dataclass
 from functools import cache, lru_cache
 
 from drake_aigto.baselines import run_baseline
-from drake_aigto.planning import Planner, PlanOptions
+from drake_aigto.planning import Plan, Planner, PlanOptions
 from drake_aigto.study.rigid_optimum import RigidOptimum, rigid_optimum
 from drake_aigto.study.scenario_question import PLANNER, Runner
 from drake_aigto.study.scenario_results import MethodRun
 from drake_aigto.world import Scenario, World
 
 OPTIONS = PlanOptions(confirm=False)
+# The same, with the boxes of every rung, whether or not the others leave it anything to tell.
+ALL_RUNGS = dataclasses.replace(OPTIONS, all_rungs=True)
 # What a process does at first is not measured: it loads libraries and kernels. [s]
 _WARM_UP = 0.2
 
@@ -76,8 +78,15 @@ def _run_planner(world: World, job: Job) -> MethodRun:
     plan = Planner(job.scenario, OPTIONS, world).plan()
     seconds = time.process_time() - start
     cost = plan.replay.event_driven.cost
-    boxes = plan.stats.box_contacts if job.reads_boxes else ()
+    boxes: tuple[int, ...] = ()
+    if job.reads_boxes:
+        boxes = read_boxes(Planner(job.scenario, ALL_RUNGS, world).plan())
     return MethodRun(((seconds, cost),), seconds, len(plan.candidates), boxes=boxes)
+
+
+def read_boxes(plan: Plan) -> tuple[int, ...]:
+    """Returns how many contacts the last box of each rung shows, for a plan with all rungs."""
+    return tuple(count for count in plan.stats.box_contacts if count is not None)
 
 
 def _run_baseline(world: World, job: Job) -> MethodRun:
