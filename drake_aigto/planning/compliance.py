@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drake_aigto.planning.contact_motion import ContactMotion
+from drake_aigto.planning.contact_motion import contact_motion
 from drake_aigto.planning.material import LEAST_RESTITUTION, contact_delays
 from drake_aigto.planning.recording import Impact, Recording, Rest
 
@@ -56,7 +56,7 @@ def calc_compliance_error(
         restitutions: e of each contact, shape (m,).
         recording: its impacts and rests, its end, and how long its path is.
     """
-    motion, delays = ContactMotion(world), contact_delays(world)
+    motion, delays = contact_motion(world), contact_delays(world)
     n = world.num_velocities
     total, later = 0.0, recording.times[-1]
     # Of the last position to (δq, δv) at `later`.

@@ -9,7 +9,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 
-from drake_aigto.planning.contact_motion import Clearance, ContactMotion, calc_time_to_wall
+from drake_aigto.planning.contact_motion import (
+    Clearance,
+    ContactMotion,
+    calc_time_to_wall,
+    contact_motion,
+)
 from drake_aigto.planning.controller import Controller, Held
 from drake_aigto.planning.material import calc_dissipation, contact_delays, set_dissipation
 from drake_aigto.planning.recording import Impact, Recording, Rest
@@ -77,7 +82,7 @@ def simulate_compliant_wall(
     simulator = Simulator(world.diagram, root)
     config = SimulatorConfig(integration_scheme=_SCHEME, accuracy=_ACCURACY, use_error_control=True)
     ApplySimulatorConfig(config, simulator)
-    delays, motion = contact_delays(world), ContactMotion(world)
+    delays, motion = contact_delays(world), contact_motion(world)
     matching = _Matching(world, root, restitutions, delays)
     pace = _Pace(world, motion, delays, controller, matching)
     trace = _Trace(world, motion, delays)

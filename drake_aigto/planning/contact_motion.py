@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drake_aigto.jit import njit
+from drake_aigto.world.once import once_per_world
 
 if TYPE_CHECKING:
     from drake_aigto.world import World
@@ -143,6 +144,12 @@ class ContactMotion:
     def calc_kinetic_energy(self, v: _Array) -> float:
         """Returns ½ vᵀ M v [J]."""
         return float(v @ self._mass_matrix @ v) / 2
+
+
+@once_per_world
+def contact_motion(world: World) -> ContactMotion:
+    """Returns how a world's contacts move."""
+    return ContactMotion(world)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drake_aigto.planning.contact_motion import ContactMotion
+from drake_aigto.planning.contact_motion import contact_motion
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -52,7 +52,7 @@ def find_contacts(world: World, trajectory: Trajectory) -> tuple[PlannedContact,
     Where a wall pushes at every knot, large impulses are contacts, and those that follow each
     other soon are one. Where it does not, every impulse and every held force is one.
     """
-    motion = ContactMotion(world)
+    motion = contact_motion(world)
     found = [
         contact
         for i in range(world.num_contacts)
@@ -85,7 +85,7 @@ def _find_contacts(
 
 def max_penetration(world: World, trajectory: Trajectory) -> float:
     """Returns how deep the ball is inside a wall at most, over the knots, at least 0 [m]."""
-    return ContactMotion(world).calc_depth(trajectory.positions)
+    return contact_motion(world).calc_depth(trajectory.positions)
 
 
 def _contact(
@@ -117,7 +117,8 @@ def _energy_ratio(
 ) -> float:
     """Returns kinetic energy after / before; rounding has none."""
     M = world.mass_matrix_values
-    least = _STILL**2 * max(float(v @ M @ v) for v in trajectory.velocities)
+    v = trajectory.velocities
+    least = _STILL**2 * np.max(np.einsum("ki,ij,kj->k", v, M, v))
     energies = (float(v @ M @ v) for v in (before, after))
     given, returned = (energy if energy > least else 0.0 for energy in energies)
     if given == 0:

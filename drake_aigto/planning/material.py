@@ -9,7 +9,7 @@ import scipy  # Not scipy.optimize, which takes a tenth of a second and few need
 from pydrake.geometry import GeometryId, ProximityProperties, RoleAssign
 
 from drake_aigto.errors import ModelError
-from drake_aigto.planning.contact_motion import ContactMotion
+from drake_aigto.planning.contact_motion import contact_motion
 
 if TYPE_CHECKING:
     from pydrake.systems.framework import Context
@@ -43,7 +43,7 @@ def contact_delay(world: World) -> float:
 
 def contact_delays(world: World) -> list[float]:
     """Returns `contact_delay` of each contact [s]."""
-    masses = ContactMotion(world).masses
+    masses = contact_motion(world).masses
     stiffnesses = [_calc_stiffness(world, shapes) for shapes in world.shapes]
     return [math.pi * math.sqrt(m / k) for m, k in zip(masses, stiffnesses, strict=True)]
 

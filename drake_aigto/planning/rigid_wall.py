@@ -18,7 +18,7 @@ from pydrake.systems.framework import (
 )
 
 from drake_aigto.planning import impacts
-from drake_aigto.planning.contact_motion import Clearance, ContactMotion, calc_time_to_wall
+from drake_aigto.planning.contact_motion import Clearance, calc_time_to_wall, contact_motion
 from drake_aigto.planning.controller import Controller
 from drake_aigto.planning.impacts import Phase, Rules
 from drake_aigto.planning.recording import Recording
@@ -94,7 +94,7 @@ class RigidWall(LeafSystem):
         drift = world.calc_acceleration(origin, origin, np.zeros(world.num_actuators))
         self._drift = drift if world.has_constant_bias else None
         self._gain = np.linalg.solve(world.mass_matrix_values, world.actuation)
-        self._motion = ContactMotion(world)
+        self._motion = contact_motion(world)
         self._rules = Rules(restitutions, duration)
         self._log = impacts.make_log(impacts.MOST_IMPACTS, self._nq)
         self._recording = recording
@@ -364,7 +364,7 @@ def simulate_rigid_wall(
                 break
         wall.ExecuteForcedEvents(context, publish=False)
         recording.add(context.get_time(), *np.split(_get_state(context), 2))
-    recording.max_penetration = ContactMotion(world).calc_depth(recording.positions)
+    recording.max_penetration = contact_motion(world).calc_depth(recording.positions)
     return recording
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drake_aigto.jit import njit
-from drake_aigto.planning.contact_motion import ContactMotion, Walls
+from drake_aigto.planning.contact_motion import Walls, contact_motion
 from drake_aigto.planning.impacts import (
     STATE,
     TIME,
@@ -54,7 +54,7 @@ class Parabolas:
             state: the start, (q, v).
             times: of the knots, shape (N+1,) [s].
         """
-        self._motion = ContactMotion(world)
+        self._motion = contact_motion(world)
         self._mass_matrix = world.mass_matrix_values
         self._rules = Rules(restitutions, float(times[-1] - times[0]))
         # A copy: Numba compiles once more for arrays that are read-only.

@@ -102,9 +102,8 @@ def check_control(
     t = _check_finite("times", times)
     if t.ndim != 1 or len(t) < 2:
         raise TrajectoryError("times", got=f"shape {t.shape}", expected="(N+1,) with N ≥ 1")
-    backwards = np.flatnonzero(np.diff(t) <= 0)
-    if backwards.size:
-        k = int(backwards[0])
+    if not np.all(t[1:] > t[:-1]):
+        k = int(np.argmax(t[1:] <= t[:-1]))
         raise TrajectoryError(
             "times",
             got=f"{t[k]:.17g} s, then {t[k + 1]:.17g} s (knots {k} and {k + 1})",
@@ -126,9 +125,8 @@ def _check_finite(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
         array = read_only(values)
     except (TypeError, ValueError) as error:
         raise TrajectoryError(name, got=error, expected="an array of numbers") from error
-    bad = np.argwhere(~np.isfinite(array))
-    if bad.size:
-        where = tuple(int(i) for i in bad[0])
+    if not np.isfinite(array).all():
+        where = tuple(int(i) for i in np.argwhere(~np.isfinite(array))[0])
         raise TrajectoryError(
             name, got=f"{array[where]} at index {where}", expected="finite numbers"
         )

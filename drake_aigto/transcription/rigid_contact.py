@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from drake_aigto.errors import ModelError, OptionsError
 from drake_aigto.transcription.shared import as_expression
 from drake_aigto.transcription.transcription import NONPENETRATION, Transcription
+from drake_aigto.world.once import once_per_world
 from drake_aigto.world.polynomials import evaluate_constants
 
 if TYPE_CHECKING:
@@ -63,20 +63,14 @@ class RigidContact:
         return cls(J, mass * kick, mass)
 
 
-# Of the worlds that are still there.
-_CONTACTS: WeakKeyDictionary[World, tuple[RigidContact, ...]] = WeakKeyDictionary()
-
-
+@once_per_world
 def rigid_contacts(world: World) -> tuple[RigidContact, ...]:
-    """Returns all contacts of a world, which are read once.
+    """Returns all contacts of a world.
 
     Raises:
         ModelError: φ of one is not affine in q.
     """
-    if world not in _CONTACTS:
-        contacts = (RigidContact.of(world, i) for i in range(world.num_contacts))
-        _CONTACTS[world] = tuple(contacts)
-    return _CONTACTS[world]
+    return tuple(RigidContact.of(world, i) for i in range(world.num_contacts))
 
 
 @dataclass(frozen=True, eq=False)
