@@ -16,7 +16,10 @@ def njit(**options: Any) -> Callable[[_Function], _Function]:
     With ``cache=True`` Numba keeps machine code beside the source, else in ``NUMBA_CACHE_DIR`` or
     the user's cache folder, and raises when it can write to none of them: a package that root
     installed, run by a user without a home. Then each process compiles for itself.
+
+    No function gets a C entry, which nothing here calls and which takes time to compile.
     """
+    options["no_cfunc_wrapper"] = True
 
     def compile_later(function: _Function) -> _Function:
         try:
@@ -28,3 +31,11 @@ def njit(**options: Any) -> Callable[[_Function], _Function]:
             return numba.njit(**{**options, "cache": False})(function)
 
     return compile_later
+
+
+# What Python calls.
+kernel = njit(cache=True, nogil=True, error_model="numpy")
+
+# What compiled code alone calls: without an entry for Python, which takes as long to compile as the
+# function itself if that is short. Python must not call it: Numba does not check that.
+inner = njit(cache=True, nogil=True, error_model="numpy", no_cpython_wrapper=True)

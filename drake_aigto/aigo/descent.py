@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_aigto.aigo.banded import factorise, solve
-from drake_aigto.box.kernels import add_newton_system
+from drake_aigto.box.kernels import System, add_means
 from drake_aigto.box.lanes import Lanes
-from drake_aigto.jit import njit
+from drake_aigto.jit import inner, kernel, njit
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -39,6 +39,7 @@ class Problem(NamedTuple):
         weights: factor of each copy (C,).
         multipliers: ones (C,).
         copy_places: no places (C,).
+        values: room for the mean of each copy (C,).
         places: of each variable's first unknown (n,).
         free_places: the same, −1 for a variable that is held (n,).
         half_width: w (n,) where the unknowns are c alone.
@@ -52,6 +53,7 @@ class Problem(NamedTuple):
     weights: Floats
     multipliers: Floats
     copy_places: Ints
+    values: Floats
     places: Ints
     free_places: Ints
     half_width: Floats
@@ -61,7 +63,8 @@ class Problem(NamedTuple):
     num_diagonals: int
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+# Inlined by Numba, as LLVM would optimise it and all that it calls once more within its caller.
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def _evaluate(
     problem: Problem,
     y: Floats,
@@ -82,10 +85,8 @@ def _evaluate(
         half_width[i] = math.exp(y[places[i] + 1]) if with_z else problem.half_width[i]
     gradient[:] = 0.0
     band[:] = 0.0
-    mean = add_newton_system(
-        *(problem.lanes, problem.weights, problem.multipliers, center, half_width),
-        *(free_places, problem.copy_places, gradient, band),
-    )
+    system = System(problem.multipliers, free_places, problem.copy_places, gradient, band)
+    mean = add_means(problem.lanes, problem.weights, center, half_width, problem.values, system)
     entropy = 0.0
     for i in range(center.size):
         if with_z and free_places[i] >= 0:
@@ -101,7 +102,7 @@ def _evaluate(
     return mean - mu * entropy, mean
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner
 def _copy(band: Floats, copy: Floats) -> None:
     """Copy a matrix: slices take Numba seconds to compile, for the sake of their messages."""
     for k in range(band.shape[0]):
@@ -109,7 +110,7 @@ def _copy(band: Floats, copy: Floats) -> None:
             copy[k, d] = band[k, d]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def leave_out(k: int, gradient: Floats, band: Floats) -> None:
     """Make the row and column of an unknown the identity's, and its slope 0."""
     gradient[k] = 0.0
@@ -119,7 +120,7 @@ def leave_out(k: int, gradient: Floats, band: Floats) -> None:
         band[k - d, d] = 0.0
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner
 def _fill_scale(problem: Problem, half_width: Floats, band: Floats, scale: Floats) -> None:
     """Fill the diagonal D > 0 (size,) that the damping λD and the residual are measured in.
 
@@ -141,7 +142,7 @@ def _fill_scale(problem: Problem, half_width: Floats, band: Floats, scale: Float
             scale[free_places[i] + 1] = 2.0 * mu
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner
 def _residual(gradient: Floats, scale: Floats) -> float:
     """Return √(Σ g²/D); infinity where that is too large for a number."""
     total = 0.0
@@ -150,7 +151,7 @@ def _residual(gradient: Floats, scale: Floats) -> float:
     return math.sqrt(total)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner
 def _move(problem: Problem, y: Floats, step: Floats, moved: Floats) -> None:
     """Fill moved with where a step leads, within bounds; the step becomes what was taken of it."""
     lower, upper = problem.lower, problem.upper
@@ -164,7 +165,7 @@ def _move(problem: Problem, y: Floats, step: Floats, moved: Floats) -> None:
             step[k] = moved[k] - y[k]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner
 def _shorten(step: Floats, with_z: bool) -> None:
     """Cut a step down so that no half width changes by more than a factor e."""
     if not with_z:
@@ -177,7 +178,7 @@ def _shorten(step: Floats, with_z: bool) -> None:
             step[k] *= _LARGEST_LOG_STEP / largest
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def descend(
     problem: Problem, y: Floats, largest_residual: float, max_steps: int, damping: float
 ) -> tuple[float, float, int, float, float]:
@@ -189,51 +190,50 @@ def descend(
     Returns:
         The objective, the mean, the number of steps, the residual √(Σ g²/D), and λ.
     """
-    n = problem.places.size
+    n, size = problem.places.size, y.size
     center, half_width = np.empty(n), np.empty(n)
-    gradient, new_gradient = np.empty(y.size), np.empty(y.size)
-    scale, step, moved = np.empty(y.size), np.empty(y.size), np.empty(y.size)
-    shape = y.size, problem.num_diagonals
+    gradient, new_gradient, scale = np.empty(size), np.empty(size), np.empty(size)
+    step, moved = np.zeros(size), np.empty(size)
+    shape = size, problem.num_diagonals
     band, new_band, factors = np.empty(shape), np.empty(shape), np.empty(shape)
-    value, mean = _evaluate(problem, y, center, half_width, gradient, band)
-    steps, residual = 0, math.inf
-    while True:
-        _fill_scale(problem, half_width, band, scale)
-        residual = _residual(gradient, scale)
-        if steps == max_steps or residual <= largest_residual:
-            break
-        accepted = False
-        for trial in range(_MAX_TRIALS):
+    _move(problem, y, step, moved)
+    value, mean, decrease, residual = math.inf, math.inf, 0.0, math.inf
+    steps, trial = -1, 0  # The start is tried as a step, too.
+    while trial < _MAX_TRIALS:
+        found, found_mean = _evaluate(problem, moved, center, half_width, new_gradient, new_band)
+        if steps < 0 or found <= value + _ARMIJO * decrease:
+            value, mean = found, found_mean
+            for k in range(size):
+                y[k] = moved[k]
+            gradient, new_gradient = new_gradient, gradient
+            band, new_band = new_band, band
+            if steps >= 0 and trial == 0:
+                damping = max(_SOFTER * damping, _LEAST_DAMPING)
+            steps, trial = steps + 1, 0
+            _fill_scale(problem, half_width, band, scale)
+            residual = _residual(gradient, scale)
+            if steps == max_steps or residual <= largest_residual:
+                break
+        else:
+            damping, trial = max(_HARDER * damping, _FIRST_DAMPING), trial + 1
+        while trial < _MAX_TRIALS:  # Where it ends without a step, rounding hides any descent.
             _copy(band, factors)
-            for k in range(y.size):
+            for k in range(size):
                 factors[k, 0] += damping * scale[k]
                 step[k] = -gradient[k]
             if factorise(factors):
                 solve(factors, step)
-                _shorten(step, y.size > n)
-                _move(problem, y, step, moved)
-                decrease = 0.0
-                for k in range(y.size):
-                    decrease += gradient[k] * step[k]
-                found = _evaluate(problem, moved, center, half_width, new_gradient, new_band)
-                accepted = found[0] <= value + _ARMIJO * decrease
-            if accepted:
-                value, mean = found
-                for k in range(y.size):
-                    y[k] = moved[k]
-                gradient, new_gradient = new_gradient, gradient
-                band, new_band = new_band, band
-                if trial == 0:
-                    damping = max(_SOFTER * damping, _LEAST_DAMPING)
                 break
-            damping = max(_HARDER * damping, _FIRST_DAMPING)
-        if not accepted:
-            break  # Rounding hides any further descent.
-        steps += 1
+            damping, trial = max(_HARDER * damping, _FIRST_DAMPING), trial + 1
+        _shorten(step, size > n)
+        _move(problem, y, step, moved)
+        decrease = 0.0
+        for k in range(size):
+            decrease += gradient[k] * step[k]
     return value, mean, steps, residual, damping
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def descend_boldly(problem: Problem, y: Floats, largest_residual: float, max_steps: int) -> int:
     """Take Newton steps of many problems at once, that are not coupled, without looking back.
 
@@ -267,7 +267,7 @@ def descend_boldly(problem: Problem, y: Floats, largest_residual: float, max_ste
     return max_steps
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner
 def _dominate(band: Floats, raised: Floats) -> None:
     """Fill raised with the band, and H_ii raised to 1.1 Σ_j≠i |H_ij|, or to |H_ii| if more."""
     size, width = band.shape

@@ -45,6 +45,7 @@ def _make_problem(
         f.copy_weights,
         np.ones_like(f.copy_weights),
         np.full(f.copy_weights.size, -1),
+        np.empty_like(f.copy_weights),
         places,
         np.where(free, places, -1),
         np.array(np.broadcast_to(half_width, free.shape), dtype=float),

@@ -25,7 +25,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_aigto.jit import njit
+from drake_aigto.jit import inner, kernel
 
 
 class FunctionKind(IntEnum):
@@ -41,6 +41,9 @@ class FunctionKind(IntEnum):
 
 # The functions G with G″ = ±scale² G, which take a power x^p as a factor.
 WAVES = (FunctionKind.COSINE, FunctionKind.SINE, FunctionKind.EXPONENTIAL)
+
+# They take Numba longer to compile than all others.
+TRANSCENDENTAL = (FunctionKind.NEG_LOG, *WAVES)
 
 # Plain integers, as Numba turns module-level ones into constants.
 _POWER = int(FunctionKind.POWER)
@@ -59,7 +62,7 @@ _SPLITTER = 134217729.0
 _LOG_SERIES_RATIO = 0.3
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _power_mean(exponent: int, c: float, w: float, row: NDArray[np.float64]) -> None:
     """Mean of y^p by the recurrence of its even and odd part.
 
@@ -87,16 +90,14 @@ def _power_mean(exponent: int, c: float, w: float, row: NDArray[np.float64]) -> 
     row[D_C], row[D_CZ], row[D_CC] = odd, odd_z, exponent * before
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _squared_hinge_mean(c: float, w: float, row: NDArray[np.float64]) -> None:
-    """Mean of max(0, −y)²: 0 for c ≥ w, c² + w²/3 for c ≤ −w, (w − c)³/(6w) between.
+    """Mean of max(0, −y)² for c > −w: 0 for c ≥ w, (w − c)³/(6w) below that.
 
-    Between, every derivative is a product of positive factors: nothing cancels near |c| = w.
+    There, every derivative is a product of positive factors: nothing cancels near |c| = w.
     """
     if c >= w:
         row[:] = 0.0
-    elif c <= -w:
-        _power_mean(2, c, w, row)
     else:
         below = w - c  # length of the interval's part below zero
         above = w + c
@@ -108,7 +109,7 @@ def _squared_hinge_mean(c: float, w: float, row: NDArray[np.float64]) -> None:
         row[D_ZZ] = below * ((4.0 * w * w + c * w + c * c) / (6.0 * w))
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _log_deviation(r: float, gap: float) -> tuple[float, float, float]:
     """How far the mean of −log y lies above −log c: h(r), ∂h/∂z and ∂²h/∂z².
 
@@ -135,7 +136,7 @@ def _log_deviation(r: float, gap: float) -> tuple[float, float, float]:
     return h, artanh_ratio - 1.0, 1.0 / (gap * (1.0 + r)) - artanh_ratio
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _neg_log_mean(c: float, w: float, row: NDArray[np.float64]) -> None:
     """Mean of −log y: h(w/c) − log c, see `_log_deviation`; +∞ once the interval leaves y ≥ 0.
 
@@ -153,7 +154,7 @@ def _neg_log_mean(c: float, w: float, row: NDArray[np.float64]) -> None:
     row[D_CC] = 1.0 / (c * c * gap * (1.0 + r))
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _exact_product(a: float, b: float) -> tuple[float, float]:
     """Product a·b as rounded, and what its rounding left out (Dekker, 1971)."""
     product = a * b
@@ -164,7 +165,7 @@ def _exact_product(a: float, b: float) -> tuple[float, float]:
     return product, (rest if math.isfinite(rest) else 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _exact_sum(a: float, b: float) -> tuple[float, float]:
     """Sum a + b as rounded, and what its rounding left out (Knuth)."""
     total = a + b
@@ -173,7 +174,7 @@ def _exact_sum(a: float, b: float) -> tuple[float, float]:
     return total, (rest if math.isfinite(rest) else 0.0)
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _fill_moments(
     s: float, sine: float, cosine: float, sign: float, moments: NDArray[np.float64]
 ) -> None:
@@ -215,7 +216,7 @@ def _fill_moments(
             moments[j - 1] = moment
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _wave_mean(
     exponent: int,
     rate: float,
@@ -268,7 +269,7 @@ def _wave_mean(
         weight *= w * m / (j + 1)
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _trigonometric_mean(
     exponent: int,
     scale: float,
@@ -297,7 +298,7 @@ def _trigonometric_mean(
     _wave_mean(exponent, abs(scale), moments, -1.0, even, odd, c, w, row)
 
 
-@njit(cache=True, error_model="numpy")
+@inner
 def _exponential_mean(
     exponent: int, scale: float, offset: float, c: float, w: float, row: NDArray[np.float64]
 ) -> None:
@@ -324,7 +325,7 @@ def _exponential_mean(
             return
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def factor_mean(
     kind: int,
     exponent: int,
@@ -333,6 +334,7 @@ def factor_mean(
     center: float,
     half_width: float,
     row: NDArray[np.float64],
+    transcendental: bool | None = True,
 ) -> None:
     """Mean of a function g over |x − center| ≤ half_width, with derivatives in (c, log w).
 
@@ -344,21 +346,25 @@ def factor_mean(
         center: Box center c.
         half_width: Box half width w ≥ 0; at w = 0 the mean is the value, every z-derivative 0.
         row: Filled with (μ, ∂c, ∂z, ∂cc, ∂cz, ∂zz), shape (6,).
+        transcendental: None promises that the kind is not among `TRANSCENDENTAL`, by its type:
+            then Numba compiles without them.
     """
-    if kind > _NEG_LOG:
-        if kind == _EXPONENTIAL:
+    c, w = scale * center + offset, abs(scale) * half_width
+    is_hinge = kind == _SQUARED_HINGE
+    if kind == _POWER or (is_hinge and c <= -w):  # There the hinge is y².
+        _power_mean(2 if is_hinge else exponent, c, w, row)
+    elif is_hinge:
+        _squared_hinge_mean(c, w, row)
+    elif transcendental is not None:
+        if kind == _NEG_LOG:
+            _neg_log_mean(c, w, row)
+        elif kind == _EXPONENTIAL:
             _exponential_mean(exponent, scale, offset, center, half_width, row)
+            return
         else:
             is_sine = kind == _SINE
             _trigonometric_mean(exponent, scale, offset, is_sine, center, half_width, row)
-        return
-    c, w = scale * center + offset, abs(scale) * half_width
-    if kind == _POWER:
-        _power_mean(exponent, c, w, row)
-    elif kind == _SQUARED_HINGE:
-        _squared_hinge_mean(c, w, row)
-    else:
-        _neg_log_mean(c, w, row)
+            return
     row[D_C] *= scale
     row[D_CZ] *= scale
     row[D_CC] *= scale * scale

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from drake_aigto.box.functions import TRANSCENDENTAL
 from drake_aigto.box.tables import FACTOR, Floats, Ints, Records, StackedTerms
 from drake_aigto.box.tapes import OPERATION, Order, Tape, make_tape
 
@@ -61,6 +62,10 @@ class Lanes(NamedTuple):
         most_lanes: How many lanes run side by side at most.
         most_rows: Largest number of rows that a tape has.
         most_variables: Largest number of local variables that a tape has.
+        transcendental: True, or None if no function's kind is among `TRANSCENDENTAL`: of another
+            type, so that kernels are compiled without them.
+        are_magnitudes: Whether each term is to count as its absolute value, for order MEAN and half
+            widths of 0.
     """
 
     lanes: Records
@@ -75,6 +80,8 @@ class Lanes(NamedTuple):
     most_lanes: int
     most_rows: int
     most_variables: int
+    transcendental: bool | None
+    are_magnitudes: bool
 
 
 def make_lanes(stacked: StackedTerms, order: Order) -> Lanes:
@@ -102,6 +109,8 @@ def make_lanes(stacked: StackedTerms, order: Order) -> Lanes:
         max(1, most_lanes),
         most_rows,
         max((tape.num_variables for tape in number_of), default=0),
+        True if np.any(np.isin(stacked.factors["kind"], TRANSCENDENTAL)) else None,
+        False,
     )
 
 

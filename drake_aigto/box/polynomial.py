@@ -12,7 +12,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from drake_aigto.box.functions import WAVES, FunctionKind
-from drake_aigto.box.kernels import add_means, add_newton_system
+from drake_aigto.box.kernels import NO_SYSTEM, System, add_means
 from drake_aigto.box.lanes import Lanes, make_lanes
 from drake_aigto.box.tables import Floats, Ints, stack_terms
 from drake_aigto.box.tapes import Order
@@ -274,7 +274,7 @@ class BoxPolynomial:
 
     def mean(self, center: ArrayLike, half_width: ArrayLike) -> float:
         """f̄(c, w); f(c) at w = 0."""
-        return self._add_means(center, half_width, self.copy_weights, Order.MEAN)[0]
+        return self._add_means(center, half_width, self.copy_weights, Order.MEAN, NO_SYSTEM)[0]
 
     def __call__(self, x: ArrayLike) -> float:
         """f(x)."""
@@ -283,7 +283,7 @@ class BoxPolynomial:
     def mean_by_block(self, center: ArrayLike, half_width: ArrayLike) -> dict[str, float]:
         """Each block's share of f̄, divided by its weight."""
         ones = np.ones_like(self.copy_weights)
-        _, means, _ = self._add_means(center, half_width, ones, Order.MEAN)
+        _, means = self._add_means(center, half_width, ones, Order.MEAN, NO_SYSTEM)
         shares = dict.fromkeys(self.weights, 0.0)
         first = 0
         for block in self.blocks:
@@ -294,19 +294,31 @@ class BoxPolynomial:
 
     def gradient(self, center: ArrayLike, half_width: ArrayLike) -> tuple[float, Floats, Floats]:
         """f̄, ∂f̄/∂c (n,) and ∂f̄/∂z (n,), z = log w."""
-        value, _, (by_c, by_z) = self._add_means(
-            center, half_width, self.copy_weights, Order.GRADIENT
+        system = self._make_system(2 * np.arange(self.num_variables), Order.GRADIENT, 0)
+        value, _ = self._add_means(center, half_width, self.copy_weights, Order.GRADIENT, system)
+        return value, system.gradient[0::2].copy(), system.gradient[1::2].copy()
+
+    def _make_system(self, places: Ints, order: Order, num_diagonals: int) -> System:
+        """A system of zeros in which the first unknowns of the variables have these places."""
+        size = order.num_unknowns * self.num_variables
+        no_places = np.full(self.copy_weights.size, -1)
+        multipliers = np.ones_like(self.copy_weights)
+        return System(
+            multipliers, places, no_places, np.zeros(size), np.zeros((size, num_diagonals))
         )
-        return value, by_c, by_z
 
     def _add_means(
-        self, center: ArrayLike, half_width: ArrayLike, weights: Floats, order: Order
-    ) -> tuple[float, Floats, Floats]:
-        """The weighted mean, its parts by copy, and its gradient (2, n), 0 for order MEAN."""
+        self,
+        center: ArrayLike,
+        half_width: ArrayLike,
+        weights: Floats,
+        order: Order,
+        system: System,
+    ) -> tuple[float, Floats]:
+        """The weighted mean and its parts by copy; derivatives are added to the system."""
         c, w = self._box(center, half_width)
-        means, gradient = np.empty(weights.size), np.zeros((2, self.num_variables))
-        value = add_means(self.lanes(order), weights, c, w, means, gradient)
-        return value, means, gradient
+        means = np.empty(weights.size)
+        return add_means(self.lanes(order), weights, c, w, means, system), means
 
     def lanes(self, order: Order) -> Lanes:
         """The kernels' tables for derivatives of an order, made when they are first asked for."""
@@ -321,23 +333,12 @@ class BoxPolynomial:
 
         `to_variables` undoes the ordering.
         """
-        c, w = self._box(center, half_width)
-        stride = 1 if centers_only else 2
-        size = stride * self.num_variables
-        gradient = np.zeros(size)
-        band = np.zeros((size, stride * self.bandwidth + stride))
-        value = add_newton_system(
-            self.lanes(Order.CENTERS if centers_only else Order.BOXES),
-            self.copy_weights,
-            np.ones_like(self.copy_weights),
-            c,
-            w,
-            stride * self.position,
-            np.full(self.copy_weights.size, -1),
-            gradient,
-            band,
-        )
-        return NewtonSystem(value, gradient, band.T)
+        order = Order.CENTERS if centers_only else Order.BOXES
+        stride = order.num_unknowns
+        num_diagonals = stride * (self.bandwidth + 1)
+        system = self._make_system(stride * self.position, order, num_diagonals)
+        value, _ = self._add_means(center, half_width, self.copy_weights, order, system)
+        return NewtonSystem(value, system.gradient, system.band.T)
 
     def to_variables(self, ordered: Floats) -> Iterator[Floats]:
         """Split a vector in elimination order into its parts, c and then z, in variable order."""

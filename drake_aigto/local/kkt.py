@@ -9,10 +9,9 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from drake_aigto.box.kernels import add_newton_system
+from drake_aigto.box.kernels import System, add_means
 from drake_aigto.box.lanes import make_lanes
 from drake_aigto.box.tapes import Order
-from drake_aigto.local.kernels import erase_couplings
 
 if TYPE_CHECKING:
     from drake_aigto.local.nlp import PolynomialNlp
@@ -60,8 +59,8 @@ class KktStructure:
         self._place_of_variable[self.free] = self.variable_places
         self._place_of_copy = np.full(nlp.num_costs + nlp.num_rows, -1)
         self._place_of_copy[nlp.num_costs + self.rows] = self.row_places
-        self._is_row = np.zeros(self.size, dtype=bool)
-        self._is_row[self.row_places] = True
+        self._is_variable = np.zeros(self.size, dtype=bool)
+        self._is_variable[self.variable_places] = True
 
     def _reads(self, position: Ints) -> tuple[Ints, Ints, Ints]:
         """What the copies read of the free variables.
@@ -115,24 +114,18 @@ class KktStructure:
         band = np.zeros((self.size, self.bandwidth + 1))
         factors = np.ones(nlp.num_costs + nlp.num_rows)
         factors[nlp.num_costs + self.rows] = multipliers
-        add_newton_system(
-            self._lanes,
-            scales * nlp.copy_weights,
-            factors,
-            x,
-            np.zeros_like(x),
-            self._place_of_variable,
-            self._place_of_copy,
-            gradient,
-            band,
-        )
+        system = System(factors, self._place_of_variable, self._place_of_copy, gradient, band)
+        weights = scales * nlp.copy_weights
+        add_means(self._lanes, weights, x, np.zeros(x.size), np.empty(factors.size), system)
         # In Fortran's order, which spares BLAS a copy.
         return gradient[self.variable_places], band.T
 
     def without_couplings(self, band: Floats) -> Floats:
         """A copy of the matrix with W = 0."""
         band = band.copy(order="F")
-        erase_couplings(band, self._is_row)
+        for d, diagonal in enumerate(band):
+            last = self.size - d
+            diagonal[:last][self._is_variable[:last] & self._is_variable[d:]] = 0.0
         return band
 
     def steepest_slopes(self, band: Floats) -> Floats:

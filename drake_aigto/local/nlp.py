@@ -27,13 +27,12 @@ from drake_aigto.box.compile import (
     term_blocks,
 )
 from drake_aigto.box.expressions import expression_terms
-from drake_aigto.box.kernels import add_means
+from drake_aigto.box.kernels import NO_SYSTEM, add_means
 from drake_aigto.box.lanes import Lanes, make_lanes
 from drake_aigto.box.polynomial import as_order
 from drake_aigto.box.tables import stack_terms
 from drake_aigto.box.tapes import Order
 from drake_aigto.errors import OptionsError, UnsupportedTermError
-from drake_aigto.local.kernels import fill_magnitudes
 from drake_aigto.local.kkt import KktStructure
 
 Floats = NDArray[np.float64]
@@ -269,6 +268,10 @@ class PolynomialNlp:
     def _lanes(self) -> Lanes:
         return make_lanes(self.terms, Order.MEAN)
 
+    @cached_property
+    def _magnitude_lanes(self) -> Lanes:
+        return self._lanes._replace(are_magnitudes=True)
+
     @property
     def num_rows(self) -> int:
         """Number of equality rows m."""
@@ -276,25 +279,24 @@ class PolynomialNlp:
 
     def evaluate(self, x: ArrayLike) -> tuple[float, Floats]:
         """f(x) and c(x) (m,)."""
-        x, weights = self._checked(x), self.copy_weights.copy()
-        values = np.empty_like(weights)
-        box = x, np.zeros_like(x)
-        add_means(self._lanes, weights, *box, values, np.empty((0, 0)))
-        return float(np.sum(values[: self.num_costs])), values[self.num_costs :]
+        costs, rows = self._sums(x)
+        return float(np.sum(costs)), rows
 
     def cost_magnitude(self, x: ArrayLike) -> float:
         """Σ |terms| of f at x: f(x) is known to some roundings of it, whatever cancels."""
-        return float(np.sum(self._magnitudes(x, 0, self.num_costs)))
+        return float(np.sum(self._sums(x, are_magnitudes=True)[0]))
 
     def row_magnitudes(self, x: ArrayLike) -> Floats:
         """Σ |terms| of every row at x (m,)."""
-        return self._magnitudes(x, self.num_costs, self.num_rows)
+        return self._sums(x, are_magnitudes=True)[1]
 
-    def _magnitudes(self, x: ArrayLike, first: int, count: int) -> Floats:
-        magnitudes = np.empty(count)
-        weights = self.copy_weights.copy()
-        fill_magnitudes(self.terms, weights, self._checked(x), first, magnitudes)
-        return magnitudes
+    def _sums(self, x: ArrayLike, are_magnitudes: bool = False) -> tuple[Floats, Floats]:
+        """The weighted costs, and the rows (m,), of terms or of their absolute values."""
+        x, weights = self._checked(x), self.copy_weights.copy()
+        values = np.empty(weights.size)
+        lanes = self._magnitude_lanes if are_magnitudes else self._lanes
+        add_means(lanes, weights, x, np.zeros(x.size), values, NO_SYSTEM)
+        return values[: self.num_costs], values[self.num_costs :]
 
     def _checked(self, x: ArrayLike) -> Floats:
         # Copied, as the weights, for Numba would compile once more for arrays that are read-only.
