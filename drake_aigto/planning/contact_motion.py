@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from drake_aigto.jit import njit
+from drake_aigto.jit import inner, kernel
 from drake_aigto.world.once import once_per_world
 
 if TYPE_CHECKING:
@@ -17,12 +17,11 @@ if TYPE_CHECKING:
 
 _Array = npt.NDArray[np.float64]
 
-# What has one caller in compiled code is inlined by Numba: on its own, LLVM would optimise it once
-# more within each of its callers, which takes half as long again, and runs at half the speed.
-inlined = njit(cache=True, nogil=True, error_model="numpy", inline="always")
-
 # Rates of several contacts at once below this are rounding, relative to the largest among them.
 _ROUNDING = 1e-13
+
+# Rounding could make the search for those that push go round in circles.
+_MOST_EXCHANGES = 1000
 
 
 class Clearance(NamedTuple):
@@ -152,7 +151,7 @@ def contact_motion(world: World) -> ContactMotion:
     return ContactMotion(world)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner
 def dot(matrix: _Array, row: int, x: _Array) -> float:
     """Return the product of a matrix's row and x."""
     total = 0.0
@@ -161,7 +160,7 @@ def dot(matrix: _Array, row: int, x: _Array) -> float:
     return total
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner
 def find_size(x: _Array) -> float:
     """Return the largest |x_i|, but at least 1."""
     size = 1.0
@@ -170,7 +169,7 @@ def find_size(x: _Array) -> float:
     return size
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def calc_time_to_wall(distance: float, rate: float, push: float) -> float:
     """Return the first t ≥ 0 at which φ + φ̇ t + φ̈ t²/2 falls to 0 [s]; infinity if there is none.
 
@@ -187,7 +186,7 @@ def calc_time_to_wall(distance: float, rate: float, push: float) -> float:
     return (math.sqrt(discriminant) + rate) / -push if push < 0 else math.inf
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def support(walls: Walls, held: npt.NDArray[np.bool_], free: _Array, rates: _Array) -> None:
     """Write the nearest rates to free ones that enter none of the held contacts.
 
@@ -195,100 +194,59 @@ def support(walls: Walls, held: npt.NDArray[np.bool_], free: _Array, rates: _Arr
 
         x = r + Σ μ_i lift_i,    0 ≤ μ ⊥ J_C x ≥ 0
 
-    solved by growing the set of contacts that push (C. L. Lawson and R. J. Hanson, "Solving Least
-    Squares Problems", ch. 23).
+    solved by exchanging the first μ_i or (J x)_i below 0 for the other, until there is none (K. G.
+    Murty, "Note on a Bard-type scheme for solving the complementarity problem", Opsearch 11, 1974).
 
     Args:
         walls: the contacts.
         held: which of them must not be entered, shape (m,).
         free: r, shape (nv,).
-        rates: becomes x, shape (nv,).
+        rates: becomes x, shape (nv,); may be r itself.
     """
-    m, n = walls.lifts.shape
-    for k in range(n):
+    m, tolerance = held.size, 0.0
+    # w = table[:, :m] z + table[:, m], where z are the multipliers and w the rates J x, but each
+    # in the place of the other for what pushes.
+    table, pushes = np.zeros((m, m + 1)), np.zeros(m, np.bool_)
+    for i in range(m):
+        if held[i]:
+            table[i, m] = dot(walls.jacobian, i, free)
+            tolerance = max(tolerance, _ROUNDING * abs(table[i, m]))
+            for j in range(m):
+                if held[j]:
+                    for k in range(free.size):
+                        table[i, j] += walls.jacobian[i, k] * walls.lifts[j, k]
+    for _ in range(_MOST_EXCHANGES):
+        least = 0
+        while least < m and not (held[least] and table[least, m] < -tolerance):
+            least += 1
+        if least == m:
+            break
+        _exchange(table, least)
+        pushes[least] = not pushes[least]
+    for k in range(free.size):
         rates[k] = free[k]
-    count = 0
     for i in range(m):
-        if held[i]:
-            count += 1
-            last = i
-    if count == 1:
-        add(rates, -min(dot(walls.jacobian, last, rates), 0.0), walls.lifts, last)
-    if count <= 1:
-        return
-    before, multipliers = np.empty(m), np.zeros(m)
-    tolerance = 0.0
-    for i in range(m):
-        before[i] = dot(walls.jacobian, i, free)
-        if held[i]:
-            tolerance = max(tolerance, _ROUNDING * abs(before[i]))
-    pushes = np.zeros(m, np.bool_)
-    # Rounding could make it go round in circles: so often is enough for Lawson and Hanson.
-    for _ in range(3 * count):
-        worst, least = -1, -tolerance
-        for i in range(m):
-            rate = dot(walls.jacobian, i, rates)
-            if held[i] and not pushes[i] and rate < least:
-                worst, least = i, rate
-        if worst < 0:
-            return
-        pushes[worst] = True
-        _balance(walls, before, pushes, multipliers)
-        for k in range(n):
-            rates[k] = free[k]
-        for i in range(m):
-            add(rates, multipliers[i], walls.lifts, i)
+        if pushes[i]:
+            add(rates, table[i, m], walls.lifts, i)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner
 def add(x: _Array, factor: float, matrix: _Array, row: int) -> None:
     """Add a matrix's row times a factor to x."""
     for k in range(x.size):
         x[k] += factor * matrix[row, k]
 
 
-@inlined
-def _balance(
-    walls: Walls, before: _Array, pushes: npt.NDArray[np.bool_], multipliers: _Array
-) -> None:
-    """Move multipliers to where the contacts that push are still; those that reach 0 let go."""
-    m = pushes.size
-    system = np.empty((m, m + 1))
-    ends = 0
-    while ends >= 0:
-        for i in range(m):
-            for j in range(m):
-                system[i, j] = 1.0 if i == j else 0.0
-                if pushes[i] and pushes[j]:
-                    system[i, j] = 0.0
-                    for k in range(walls.lifts.shape[1]):
-                        system[i, j] += walls.jacobian[i, k] * walls.lifts[j, k]
-            system[i, m] = -before[i] if pushes[i] else 0.0
-        _eliminate(system)
-        part, ends = 1.0, -1
-        for i in range(m):
-            aim, now = system[i, m], multipliers[i]
-            if aim < 0 and now <= part * (now - aim):
-                part, ends = now / (now - aim), i
-        for i in range(m):
-            multipliers[i] += part * (system[i, m] - multipliers[i])
-        if ends >= 0:
-            multipliers[ends] = 0.0
-            pushes[ends] = False
-
-
-@inlined
-def _eliminate(system: _Array) -> None:
-    """Solve G x = b of the rows (G, b); x is in the last column.
-
-    Without a choice of pivots, as G is a positive definite matrix whose columns are scaled.
-    """
-    m = system.shape[0]
-    for pivot in range(m):
-        for j in range(m, pivot - 1, -1):
-            system[pivot, j] /= system[pivot, pivot]
-        for i in range(m):
-            if i != pivot:
-                factor = system[i, pivot]
-                for j in range(pivot, m + 1):
-                    system[i, j] -= factor * system[pivot, j]
+@inner
+def _exchange(table: _Array, pivot: int) -> None:
+    """Exchange w_i and z_i in a table w = T (z, 1)."""
+    inverse = 1.0 / table[pivot, pivot]
+    table[pivot, pivot] = -1.0
+    for j in range(table.shape[1]):
+        table[pivot, j] *= -inverse
+    for i in range(table.shape[0]):
+        if i != pivot:
+            factor = table[i, pivot]
+            table[i, pivot] = 0.0
+            for j in range(table.shape[1]):
+                table[i, j] += factor * table[pivot, j]

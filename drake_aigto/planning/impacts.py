@@ -15,14 +15,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from drake_aigto.jit import njit
+from drake_aigto.jit import inner, kernel, njit
 from drake_aigto.planning.contact_motion import (
     Walls,
     add,
     calc_time_to_wall,
     dot,
     find_size,
-    inlined,
     support,
 )
 
@@ -72,7 +71,8 @@ def make_log(most: int, num_positions: int) -> _Array:
     return np.empty((most, STATE + 3 * num_positions))
 
 
-@inlined
+# Inlined by Numba, as LLVM would optimise it and all that it calls once more within its caller.
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def run(
     walls: Walls,
     rules: Rules,
@@ -138,14 +138,18 @@ def run(
             burst += 1
             if burst == MOST_IMPACTS:
                 burst = 0
-                _stick(walls, phase, touched)
+                # What touches stays together: an impact that returns nothing.
+                for i in range(m):
+                    resting[i] = resting[i] or touched[i]
+                support(walls, resting, v, v)
+                _release(walls.jacobian, v, resting)
         contact = -1
     fly(q, v, supported, left)
     settle(walls, q, v, resting)
     return logged
 
 
-@inlined
+@kernel
 def fly(q: _Array, v: _Array, acceleration: _Array, time: float) -> None:
     """Move q and v along their parabola, by a time that may be negative."""
     for k in range(q.size):
@@ -154,7 +158,7 @@ def fly(q: _Array, v: _Array, acceleration: _Array, time: float) -> None:
         v[k] = later
 
 
-@inlined
+@kernel
 def calc_curves(walls: Walls, q: _Array, v: _Array, acceleration: _Array, curves: _Array) -> None:
     """Write φ, φ̇ and φ̈ of each contact, shape (m, 3)."""
     jacobian, offset, _, _ = walls
@@ -167,7 +171,7 @@ def calc_curves(walls: Walls, q: _Array, v: _Array, acceleration: _Array, curves
         curves[i, 0], curves[i, 1], curves[i, 2] = distance, rate, push
 
 
-@inlined
+@kernel
 def find_event(
     firsts: _Ints, resting: _Bools, curves: _Array, still: float, horizon: float
 ) -> tuple[float, int, bool]:
@@ -194,9 +198,9 @@ def find_event(
         for i in range(first, last):
             is_held = is_held or resting[i]
         if not is_held:
-            until, face = _find_entry(curves[first:last], still, wait)
+            until, face = _find_entry(curves, first, last, still, wait)
             if face >= 0 and (until < wait or contact < 0):
-                wait, contact, slides = until, first + face, False
+                wait, contact, slides = until, face, False
             continue
         for i in range(first, last):
             distance, rate, push = curves[i]
@@ -210,8 +214,10 @@ def find_event(
     return wait, contact, slides
 
 
-@inlined
-def _find_entry(curves: _Array, still: float, horizon: float) -> tuple[float, int]:
+@inner
+def _find_entry(
+    curves: _Array, first: int, last: int, still: float, horizon: float
+) -> tuple[float, int]:
     """Find when a solid is entered: as one of its faces is passed, the others behind.
 
     One that the ball is at, inside but for rounding, is entered at the face that is nearest.
@@ -219,13 +225,13 @@ def _find_entry(curves: _Array, still: float, horizon: float) -> tuple[float, in
     Returns:
         How long until then [s], and the face; −1 if never within the horizon.
     """
-    if not _may_enter(curves, horizon):
+    if not _may_enter(curves, first, last, horizon):
         return math.inf, -1
     wait, passed = 0.0, -1
     # Each face is passed once at most: what rises from it again never comes back.
-    for _ in range(curves.shape[0]):
+    for _ in range(first, last):
         face, height = -1, 0.0 if passed >= 0 else -math.inf
-        for i in range(curves.shape[0]):
+        for i in range(first, last):
             there = curves[i, 0] + wait * (curves[i, 1] + wait / 2 * curves[i, 2])
             if i != passed and there > height:
                 face, height = i, there
@@ -242,27 +248,27 @@ def _find_entry(curves: _Array, still: float, horizon: float) -> tuple[float, in
     return wait, passed
 
 
-@inlined
-def _may_enter(curves: _Array, horizon: float) -> bool:
+@inner
+def _may_enter(curves: _Array, first: int, last: int, horizon: float) -> bool:
     """Return False only if the ball stays in front of one of these faces for that long."""
-    for i in range(curves.shape[0]):
+    for i in range(first, last):
         if curves[i, 0] > horizon * (abs(curves[i, 1]) + horizon / 2 * abs(curves[i, 2])):
             return False
     return True
 
 
-@inlined
+@inner
 def may_touch(firsts: _Ints, resting: _Bools, curves: _Array, horizon: float) -> bool:
     """Return False only if the ball is in free flight and touches nothing for that long."""
     found = False
     for i in range(resting.size):
         found = found or resting[i]
     for solid in range(firsts.size - 1):
-        found = found or _may_enter(curves[firsts[solid] : firsts[solid + 1]], horizon)
+        found = found or _may_enter(curves, firsts[solid], firsts[solid + 1], horizon)
     return found
 
 
-@inlined
+@inner
 def _slide_off(walls: Walls, q: _Array, resting: _Bools, contact: int) -> None:
     """End rest on the solid of a face that the ball has come in front of."""
     firsts = walls.firsts
@@ -273,14 +279,14 @@ def _slide_off(walls: Walls, q: _Array, resting: _Bools, contact: int) -> None:
     _lift(walls, q, contact)
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@inner
 def _lift(walls: Walls, q: _Array, contact: int) -> None:
     """Move the ball from wherever it is to a hair above a face."""
     distance = dot(walls.jacobian, contact, q) + walls.offset[contact]
     add(q, _AIR * find_size(q) - distance, walls.lifts, contact)
 
 
-@inlined
+@inner
 def _hit(
     walls: Walls,
     rules: Rules,
@@ -319,7 +325,7 @@ def _hit(
     return int(is_impact)
 
 
-@inlined
+@inner
 def _release(jacobian: _Array, v: _Array, resting: _Bools) -> None:
     """End rest at what the ball moves away from."""
     still = STILL * find_size(v)
@@ -327,17 +333,7 @@ def _release(jacobian: _Array, v: _Array, resting: _Bools) -> None:
         resting[i] = resting[i] and dot(jacobian, i, v) <= still
 
 
-@inlined
-def _stick(walls: Walls, phase: Phase, touched: _Bools) -> None:
-    """End a collapse: what touches stays together."""
-    _, v, resting, _ = phase
-    for i in range(touched.size):
-        resting[i] = resting[i] or touched[i]
-    support(walls, resting, v.copy(), v)
-    _release(walls.jacobian, v, resting)
-
-
-@inlined
+@kernel
 def settle(walls: Walls, q: _Array, v: _Array, resting: _Bools) -> None:
     """Take rounding out: no ball is inside, those at rest are at the wall and stay there."""
     jacobian, offset, lifts, firsts = walls

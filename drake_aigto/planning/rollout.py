@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from drake_aigto.jit import njit
+from drake_aigto.jit import kernel
 from drake_aigto.planning.contact_motion import Walls, contact_motion
 from drake_aigto.planning.impacts import (
     STATE,
@@ -99,10 +99,14 @@ class Parabolas:
     def _roll_out(
         self, accelerations: _Array, states: _Array, impacts_until: _Ints, log: _Array
     ) -> int:
-        walls, start = self._motion.walls, self._start
-        return roll_out(
-            walls, self._rules, start, self._times, accelerations, states, impacts_until, log
-        )
+        walls, rules, phase = self._motion.walls, self._rules, self._make_phase()
+        return roll_out(walls, rules, phase, self._times, accelerations, states, impacts_until, log)
+
+    def _make_phase(self) -> Phase:
+        """Returns the start, at rest on nothing."""
+        q, v = self._start.copy()
+        m = self._rules.restitutions.size
+        return Phase(q, v, np.zeros(m, dtype=bool), np.zeros(m))
 
     def find_ends(self, controls: _Array, times: _Array | None = None) -> _Array:
         """Returns the positions that many controls lead to, shape (C, nq) [m].
@@ -117,16 +121,16 @@ class Parabolas:
         accelerations = controls @ self._gain.T + self._drift
         ends = np.empty((len(controls), self._start.shape[1]))
         log = make_log(0, ends.shape[1])
-        knots = np.ascontiguousarray(times)
-        roll_out_many(self._motion.walls, self._rules, self._start, knots, accelerations, ends, log)
+        knots, phase = np.ascontiguousarray(times), self._make_phase()
+        roll_out_many(self._motion.walls, self._rules, phase, knots, accelerations, ends, log)
         return ends
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def roll_out(
     walls: Walls,
     rules: Rules,
-    start: _Array,
+    phase: Phase,
     times: _Array,
     accelerations: _Array,
     states: _Array,
@@ -138,7 +142,7 @@ def roll_out(
     Args:
         walls: the contacts.
         rules: of impacts.
-        start: (q, v), shape (2, nq).
+        phase: at the start; becomes the one at the end.
         times: of the knots, shape (N+1,) [s].
         accelerations: v̇ without contact, shape (N, nv) [m/s²].
         states: becomes (q, v) at each knot, shape (N+1, 2, nq).
@@ -148,29 +152,29 @@ def roll_out(
     Returns:
         How many impacts there were.
     """
-    m, n = walls.lifts.shape
-    q, v, resting = start[0].copy(), start[1].copy(), np.zeros(m, np.bool_)
-    phase = Phase(q, v, resting, np.zeros(m))
-    curves, logged = np.empty((m, 3)), 0
+    q, v, resting, _ = phase
+    curves = np.empty((resting.size, 3))
+    impacts_until[0] = 0
     for k in range(times.size):
         if k > 0:
             acceleration, left = accelerations[k - 1], times[k] - times[k - 1]
+            logged = impacts_until[k - 1]
             calc_curves(walls, q, v, acceleration, curves)
             if may_touch(walls.firsts, resting, curves, left):
                 logged = run(walls, rules, phase, acceleration, times[k], left, -1, log, logged)
             else:
                 fly(q, v, acceleration, left)
-        impacts_until[k] = logged
-        for i in range(n):
+            impacts_until[k] = logged
+        for i in range(q.size):
             states[k, 0, i], states[k, 1, i] = q[i], v[i]
-    return logged
+    return impacts_until[-1]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def roll_out_many(
     walls: Walls,
     rules: Rules,
-    start: _Array,
+    start: Phase,
     times: _Array,
     accelerations: _Array,
     ends: _Array,
@@ -181,14 +185,15 @@ def roll_out_many(
     Args:
         walls: the contacts.
         rules: of impacts.
-        start: (q, v), shape (2, nq).
+        start: of each.
         times: of the knots, shape (C, N+1) [s].
         accelerations: v̇ without contact, shape (C, N, nv) [m/s²].
         ends: becomes q at the last knots, shape (C, nq).
         log: has no row.
     """
-    states = np.empty((times.shape[1], 2, start.shape[1]))
-    impacts_until = np.zeros(times.shape[1], np.int64)
+    states = np.empty((times.shape[1], 2, start.q.size))
+    impacts_until = np.empty(times.shape[1], np.int64)
     for c in range(len(ends)):
-        roll_out(walls, rules, start, times[c], accelerations[c], states, impacts_until, log)
-        ends[c] = states[-1, 0]
+        phase = Phase(start.q.copy(), start.v.copy(), start.resting.copy(), start.counts.copy())
+        roll_out(walls, rules, phase, times[c], accelerations[c], states, impacts_until, log)
+        ends[c] = phase.q
