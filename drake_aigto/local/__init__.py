@@ -1,6 +1,7 @@
 """Local optima of polynomial programs with equality rows and bounds, by banded Newton steps."""
 
 from drake_aigto.local.interior_point import InteriorPoint
+from drake_aigto.local.newton_lagrange import NewtonLagrange
 from drake_aigto.local.nlp import PolynomialNlp, compile_nlp
 from drake_aigto.local.result import LocalIterate, LocalResult, LocalStatus
 
@@ -9,6 +10,7 @@ __all__ = [
     "LocalIterate",
     "LocalResult",
     "LocalStatus",
+    "NewtonLagrange",
     "PolynomialNlp",
     "compile_nlp",
 ]

@@ -12,7 +12,7 @@ import numpy as np
 
 from drake_aigto.aigo import AigoResult
 from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
-from drake_aigto.local import compile_nlp
+from drake_aigto.local import LocalResult, NewtonLagrange, PolynomialNlp, compile_nlp
 from drake_aigto.planning.arcs import solve_in_arcs
 from drake_aigto.planning.insertions import find_insertions
 from drake_aigto.planning.options import PlanOptions, Rung
@@ -154,7 +154,7 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
             phases = self._phases(sequence, facings, self.num_steps if fits else None)
             most = min(_ARC_ITERATIONS, max_iterations or _ARC_ITERATIONS)
             x = solve_in_arcs(
-                phases, phases.guess(through), lambda nlp, start: self._minimise(nlp, start, most)
+                phases, phases.guess(through), lambda nlp, start: self._settle(nlp, start, most)
             )
             if x is not None:
                 return phases, x
@@ -163,6 +163,16 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
         order = phases.elimination_order()
         x = self.solve_program(prog, guess, lambda: compile_nlp(prog, order), max_iterations)
         return phases, x
+
+    def _settle(
+        self, nlp: PolynomialNlp, guess: npt.NDArray[np.float64], max_iterations: int
+    ) -> LocalResult:
+        """Returns what plain Newton steps lead to, or else one run of our local solver.
+
+        Of most sequences no bound is active in the optimum: phases have some length.
+        """
+        quick = NewtonLagrange(cost_unit=self._cost_scale)
+        return quick.solve(nlp, guess) or self._minimise(nlp, guess, max_iterations)
 
     @cached_property
     def unfolds(self) -> bool:
