@@ -110,7 +110,7 @@ def run_scenario(name: str, scenario: Scenario, arguments: argparse.Namespace) -
     """Yields all turns on one scenario."""
     world = World.from_scenario(scenario)
     literal = LiteralTranscription(world, scenario)
-    options = PlanOptions(confirm=False)
+    options = PlanOptions(confirm=False, threads=1)
     planners = [Planner(scenario, options, world) for _ in range(arguments.repeats)]
     zero, generator = np.zeros(literal.prog().num_vars()), np.random.default_rng(arguments.seed)
 

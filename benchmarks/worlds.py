@@ -47,7 +47,7 @@ from drake_aigto.world import Scenario, World
 ASKED = {"corridor": 0.9, "floor": 0.95, "room": 0.8}
 PEERS = ("listed", "coasting")
 RELATIVE, ABSOLUTE = 0.01, 1e-7
-OPTIONS = PlanOptions(confirm=False)
+OPTIONS = PlanOptions(confirm=False, threads=1)
 
 
 @dataclass(frozen=True)

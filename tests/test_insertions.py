@@ -88,8 +88,7 @@ def test_no_neighbour_is_tried_whose_contacts_a_plan_has_that_holds(
     problem = make_problem(World.from_scenario(scenario), scenario, QUICK)
     assert isinstance(problem, RigidProblem)
     search = RigidSearch(problem, lambda part: nullcontext())
-    for rung in QUICK.rungs:
-        search.add_rung(rung)
+    search.add_rungs(QUICK.rungs)
     held = [kinds(each) for each, it in search.by_sequence.items() if it.is_confirmed]
     tried: list[list[tuple[int, bool]]] = []
 

@@ -3,6 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import os
+import signal
+import threading
+import time
 from collections.abc import Mapping
 from contextlib import nullcontext
 from functools import cache
@@ -14,6 +18,8 @@ import pytest
 from replay_worlds import make_diagram, shipped_world
 
 from drake_aigto import Scenario, World
+from drake_aigto.aigo import AigoResult, Iterate, Status
+from drake_aigto.errors import OptionsError
 from drake_aigto.planning import (
     Plan,
     Planner,
@@ -26,7 +32,7 @@ from drake_aigto.planning import (
     planner,
     replay_event_driven,
 )
-from drake_aigto.planning.options import LITERAL_LADDER, RIGID_LADDER
+from drake_aigto.planning.options import LITERAL_LADDER, RIGID_LADDER, Rung
 from drake_aigto.planning.rigid import RigidSearch
 from drake_aigto.study import ScenarioQuestion, rigid_optimum
 from drake_aigto.transcription import (
@@ -145,8 +151,8 @@ def test_touches_at_the_very_start_or_end_are_left_out() -> None:
     problem = make_problem(shipped_world(), table1(1, time_step=0.25), UNCONFIRMED)
     assert isinstance(problem, RigidProblem)
     assert problem.fits(()) and problem.fits((Touch.bounce(0.2), Touch(0.6, 0.8)))
-    for time in (0.0, 1e-9, 1.0 - 1e-9, 1.0):
-        assert not problem.fits((Touch.bounce(time),))
+    for t in (0.0, 1e-9, 1.0 - 1e-9, 1.0):
+        assert not problem.fits((Touch.bounce(t),))
 
 
 def test_boxes_get_steps_enough_to_tell_a_bounce_from_the_start() -> None:
@@ -283,9 +289,10 @@ def test_rungs_are_left_out_by_what_the_others_show() -> None:
         """Returns the places of the rungs that are run, if these show that."""
         search = RigidSearch(cast(RigidProblem, problem), lambda part: nullcontext())
         places = []
-        for rung in search.rungs():
-            places.append(RIGID_LADDER.index(rung))
-            search.shown.append((rung, [shown[places[-1]]]))
+        for lot in search.rungs():
+            for rung in lot:
+                places.append(RIGID_LADDER.index(rung))
+                search.shown.append((rung, [shown[places[-1]]]))
         return places
 
     once, twice = (Touch.bounce(0.3),), (Touch.bounce(0.3), Touch.bounce(0.6))
@@ -301,7 +308,7 @@ def test_under_gravity_every_rung_is_run() -> None:
         World.from_diagram(make_diagram(gravity=9.81)), table1(1, **COARSE), UNCONFIRMED
     )
     search = RigidSearch(cast(RigidProblem, problem), lambda part: nullcontext())
-    assert list(search.rungs()) == list(RIGID_LADDER)
+    assert list(search.rungs()) == [RIGID_LADDER]
 
 
 def test_candidates_are_ranked_by_their_replay() -> None:
@@ -340,8 +347,63 @@ def test_ctrl_c_keeps_the_candidates_so_far() -> None:
         if line.startswith("AIGO 2"):
             raise KeyboardInterrupt
 
-    found = Planner(table1(1, **COARSE), UNCONFIRMED).plan(progress=interrupt)
+    options = dataclasses.replace(UNCONFIRMED, threads=1)
+    found = Planner(table1(1, **COARSE), options).plan(progress=interrupt)
     assert {c.origin for c in found.candidates} == {UNCONFIRMED.describe(RIGID_LADDER[0])}
+
+
+@pytest.mark.parametrize("gravity", [0.0, 9.81])
+def test_threads_change_no_bit(gravity: float) -> None:
+    world = World.from_diagram(make_diagram(gravity=gravity))
+    one, three = (
+        plan(table1(2, **COARSE), dataclasses.replace(UNCONFIRMED, threads=threads), world)
+        for threads in (1, 3)
+    )
+    assert one.candidates == three.candidates
+    assert one.stats.box_contacts == three.stats.box_contacts
+    assert one.stats.aigo_steps == three.stats.aigo_steps
+
+
+def test_boxes_of_many_variables_get_threads() -> None:
+    scenario = table1(1, time_step=1e-3)
+    several: list[dict[str, Any]] = [{}, {"aigo_steps": 500}, {"aigo_steps": 500, "threads": 3}]
+    problems = [
+        make_problem(shipped_world(), scenario, dataclasses.replace(UNCONFIRMED, **changes))
+        for changes in several
+    ]
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    assert [problem.num_threads for problem in problems] == [1, cores, 3]
+
+
+def test_ctrl_c_ends_all_threads_and_keeps_what_they_have(monkeypatch: pytest.MonkeyPatch) -> None:
+    run_aigo, statuses, interrupts = RigidProblem.run_aigo, list[Status](), iter([True])
+
+    main_thread = threading.main_thread().ident
+    assert main_thread is not None
+
+    def run_until_stopped(problem: Any, rung: Rung, algorithm: Any, callback: Any) -> AigoResult:
+        def wait_for_others(iterate: Iterate) -> None:
+            if iterate.inner_steps:  # The first box was shrunk once.
+                if next(interrupts, False):
+                    signal.pthread_kill(main_thread, signal.SIGINT)
+                while True:
+                    callback(iterate)
+                    time.sleep(1e-3)
+
+        result = run_aigo(problem, rung, algorithm, wait_for_others)
+        statuses.append(result.status)
+        return result
+
+    monkeypatch.setattr(RigidProblem, "run_aigo", run_until_stopped)
+    found = Planner(table1(1, **COARSE), dataclasses.replace(UNCONFIRMED, threads=2)).plan()
+    assert statuses and set(statuses) == {Status.INTERRUPTED}
+    assert found.candidates
+
+
+@pytest.mark.parametrize("threads", [0, -1])
+def test_no_thread_is_refused(threads: int) -> None:
+    with pytest.raises(OptionsError, match=rf"threads: got {threads}, expected 1 or more, or None"):
+        PlanOptions(threads=threads)
 
 
 # Nothing holds.

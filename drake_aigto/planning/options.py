@@ -138,6 +138,9 @@ class PlanOptions:
         finalists: how many of the best candidates are improved: by a polish with the scenario's
             time step, where theirs is another (rigid), or by moving their contacts (literal).
         knot_steps: by how many knots a literal candidate's contacts are moved to and fro, in turn.
+        threads: how many rungs are run at once, in threads of this process: plans are the same to
+            the last bit. None: as many as it has cores where boxes are of a thousand variables or
+            more, else one, as starting threads takes longer than it saves.
         confirm: whether the plan is also replayed on Drake's plant; the event-driven replay is
             always run.
     """
@@ -155,6 +158,7 @@ class PlanOptions:
     branches: int = 3
     finalists: int = 2
     knot_steps: tuple[int, ...] = (16, 8, 4, 2, 1)
+    threads: int | None = None
     confirm: bool = True
 
     def __post_init__(self) -> None:
@@ -167,6 +171,8 @@ class PlanOptions:
                 raise OptionsError(name, got=count, expected=f"{least} or more")
         if not 0 <= self.relaxation < float("inf"):
             raise OptionsError("relaxation", got=self.relaxation, expected="a number, 0 or more")
+        if self.threads is not None and self.threads < 1:
+            raise OptionsError("threads", got=self.threads, expected="1 or more, or None")
         if not self.rungs:
             raise OptionsError("ladder", got="no rung", expected="at least one")
         names = [*_LADDERS[self.transcription][0].weights]

@@ -16,7 +16,7 @@ import numpy as np
 from drake_aigto.errors import AigtoError
 from drake_aigto.planning.literal import LiteralProblem, LiteralSearch
 from drake_aigto.planning.material import contact_delay
-from drake_aigto.planning.options import PlanOptions
+from drake_aigto.planning.options import PlanOptions, Rung
 from drake_aigto.planning.plan import LARGEST_DEFECT, Candidate, Plan, PlanStats, Replays
 from drake_aigto.planning.replay import Replay, replay_drake, replay_event_driven
 from drake_aigto.planning.rigid import RigidProblem, RigidSearch
@@ -176,11 +176,16 @@ class Planner:
             if progress:
                 progress(line)
 
+        begun: list[Rung] = []
+
+        def tell_rung(rung: Rung) -> None:
+            begun.append(rung)
+            tell(f"AIGO {len(begun)} of {len(ladder)}: {options.describe(rung)}")
+
         search = self._start_search(scenario)
         try:
-            for number, rung in enumerate(search.rungs(), 1):
-                tell(f"AIGO {number} of {len(ladder)}: {options.describe(rung)}")
-                search.add_rung(rung)
+            for rungs in search.rungs():
+                search.add_rungs(rungs, tell_rung)
             tell(f"{len(search.by_sequence)} candidates; looking for others near the best")
             search.branch()
             for number, sequence in enumerate(search.finalists()[: options.finalists], 1):

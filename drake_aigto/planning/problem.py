@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from abc import ABC, abstractmethod
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
@@ -11,7 +12,14 @@ from typing import TYPE_CHECKING, Any, Generic, TypeVar
 import numpy as np
 from pydrake.solvers import MathematicalProgram
 
-from drake_aigto.aigo import AigoResult, Algorithm, Box, PenaltyContinuation, minimize
+from drake_aigto.aigo import (
+    AigoResult,
+    Algorithm,
+    Box,
+    Iterate,
+    PenaltyContinuation,
+    minimize,
+)
 from drake_aigto.box import BoxPolynomial, compile_program
 from drake_aigto.local import InteriorPoint, LocalResult, PolynomialNlp, compile_nlp
 from drake_aigto.local.drake_solvers import solve_with_drake
@@ -31,6 +39,8 @@ TranscriptionT = TypeVar("TranscriptionT", bound=Transcription)
 _MAX_ITERATIONS = 200
 # A box around the motion without control has this part of the first box's size at the end.
 _COAST_SHARE = 0.2
+# Boxes of so many variables are worth a thread.
+_MANY = 1000
 # An impact this part of the duration before a knot is on it, but for rounding.
 _ON_KNOT = 1e-12
 
@@ -117,16 +127,40 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
     def _nlp(self) -> PolynomialNlp:
         return compile_nlp(self.transcription.prog())
 
-    def run_aigo(self, rung: Rung, algorithm: Algorithm | None = None) -> AigoResult:
+    @property
+    def num_threads(self) -> int:
+        """How many rungs are run at once, see `PlanOptions.threads`."""
+        if self.options.threads is not None:
+            return self.options.threads
+        if self.polynomial.num_variables < _MANY:
+            return 1
+        if hasattr(os, "sched_getaffinity"):  # Not on macOS.
+            return len(os.sched_getaffinity(0))
+        return os.cpu_count() or 1
+
+    def prepare(self, rungs: Iterable[Rung]) -> None:
+        """Makes what these rungs share, so that they may run at once."""
+        for rung in rungs:
+            self.start(rung.start)
+            self._weights(rung)
+
+    def run_aigo(
+        self,
+        rung: Rung,
+        algorithm: Algorithm | None = None,
+        callback: Callable[[Iterate], None] | None = None,
+    ) -> AigoResult:
         """Returns what AIGO makes of the rung's first box under its weights.
 
         Args:
             rung: where to start.
             algorithm: how to shrink boxes; the options' own (`make_algorithm`) if None.
+            callback: called with every iterate, the first box included.
         """
         algorithm = algorithm or self.make_algorithm(rung)
         start = self.start(rung.start)
-        return minimize(start.polynomial.with_weights(self._weights(rung)), start.box, algorithm)
+        weighted = start.polynomial.with_weights(self._weights(rung))
+        return minimize(weighted, start.box, algorithm, callback)
 
     def make_algorithm(self, rung: Rung) -> Algorithm:
         """Returns the options' algorithm for a rung, with temperatures in the cost's unit."""

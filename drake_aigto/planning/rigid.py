@@ -226,7 +226,7 @@ class RigidSearch(Search[TouchSequence]):
         self._duration = problem.transcription.scenario.duration
         self._refused: list[TouchSequence] = []
 
-    def rungs(self) -> Iterator[Rung]:
+    def rungs(self) -> Iterator[tuple[Rung, ...]]:
         """Yields the rungs that may tell something new.
 
         Where contacts alone make a plan (`RigidProblem.unfolds`), the ends of the ladder are run; a
@@ -236,22 +236,22 @@ class RigidSearch(Search[TouchSequence]):
         """
         options = self.problem.options
         if options.all_rungs or not self._unfolds:
-            yield from options.rungs
+            yield options.rungs
             return
         for start in dict.fromkeys(rung.start for rung in options.rungs):
             if start == "line" or not self._has_contacts_of_coast():
-                rungs = [rung for rung in options.rungs if rung.start == start]
-                yield from rungs[:1] + rungs[1:][-1:]
+                rungs = tuple(rung for rung in options.rungs if rung.start == start)
+                yield rungs[:1] + rungs[1:][-1:]
                 yield from self._rungs_between(rungs)
 
-    def _rungs_between(self, rungs: list[Rung]) -> Iterator[Rung]:
+    def _rungs_between(self, rungs: tuple[Rung, ...]) -> Iterator[tuple[Rung, ...]]:
         """Yields what is needed of the rungs between the first and the last of these."""
         if len(rungs) < 3 or are_neighbors(
             *(self._shown_by(rung) for rung in (rungs[0], rungs[-1]))
         ):
             return
         middle = len(rungs) // 2
-        yield rungs[middle]
+        yield (rungs[middle],)
         yield from self._rungs_between(rungs[: middle + 1])
         yield from self._rungs_between(rungs[middle:])
 

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import logging
+import threading
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor, wait
 from contextlib import AbstractContextManager
 from typing import TYPE_CHECKING, Any, Generic
 
-from drake_aigto.aigo import Status
+from drake_aigto.aigo import AigoResult, Iterate, Status
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.plan import Candidate
 from drake_aigto.planning.problem import PlanningProblem, Sequence
@@ -45,12 +47,13 @@ class Search(ABC, Generic[Sequence]):
         self.aigo_steps = 0
         self.shown: list[tuple[Rung, list[Sequence]]] = []
 
-    def rungs(self) -> Iterator[Rung]:
-        """Yields the ladder's rungs in the order to run them, each after the one before was added.
+    def rungs(self) -> Iterator[tuple[Rung, ...]]:
+        """Yields the ladder's rungs in the order to run them, those that may run at once together.
 
-        Rungs may be left out, by what the others have shown: never by clocks.
+        Each lot is to be added before the next is asked for: rungs may be left out by what others
+        have shown, never by clocks.
         """
-        yield from self.problem.options.rungs
+        yield self.problem.options.rungs
 
     @property
     def box_contacts(self) -> tuple[int | None, ...]:
@@ -61,14 +64,57 @@ class Search(ABC, Generic[Sequence]):
             counts.append(max(map(len, found[0][:1]), default=0) if found else None)
         return tuple(counts)
 
-    def add_rung(self, rung: Rung) -> None:
-        """Adds the candidates of AIGO's sequences under this rung, unless they are there.
+    def add_rungs(
+        self, rungs: tuple[Rung, ...], tell: Callable[[Rung], None] | None = None
+    ) -> None:
+        """Adds the candidates of AIGO's sequences under these rungs, unless they are there.
+
+        Args:
+            rungs: run at once, in as many threads as the options allow.
+            tell: called as each begins.
 
         Raises:
             KeyboardInterrupt: AIGO was interrupted; its best so far is a candidate by now.
         """
+        most = self.problem.num_threads
+        for first in range(0, len(rungs), most):
+            at_once = rungs[first : first + most]
+            for rung in at_once:
+                if tell:
+                    tell(rung)
+            with self._clock("aigo"):
+                results, is_interrupted = self._run_at_once(at_once)
+            for rung, result in zip(at_once, results, strict=False):
+                self._add_result(rung, result)
+            if is_interrupted:
+                raise KeyboardInterrupt
+
+    def _run_at_once(self, rungs: tuple[Rung, ...]) -> tuple[list[AigoResult], bool]:
+        """Returns what AIGO makes of each rung, and whether Ctrl-C came.
+
+        After that it is the best so far, of those rungs that had begun.
+        """
+        if len(rungs) == 1:
+            result = self.problem.run_aigo(rungs[0])
+            return [result], result.status is Status.INTERRUPTED
+        self.problem.prepare(rungs)
+        stopped, runs = threading.Event(), list[Future[AigoResult]]()
+
+        def stop_if_asked(_: Iterate) -> None:
+            if stopped.is_set():
+                raise KeyboardInterrupt  # In its thread, where `minimize` takes it for Ctrl-C.
+
+        with ThreadPoolExecutor(len(rungs)) as pool:
+            try:
+                for rung in rungs:
+                    runs.append(pool.submit(self.problem.run_aigo, rung, None, stop_if_asked))
+                wait(runs)
+            except KeyboardInterrupt:
+                stopped.set()
+        return [run.result() for run in runs], stopped.is_set()
+
+    def _add_result(self, rung: Rung, result: AigoResult) -> None:
         with self._clock("aigo"):
-            result = self.problem.run_aigo(rung)
             sequences = self.problem.find_sequences(result, rung)
         self.aigo_steps += result.num_inner_steps
         _LOG.info(
@@ -81,8 +127,6 @@ class Search(ABC, Generic[Sequence]):
         for sequence in sequences:
             if not self.is_known(sequence):
                 self.add(self.problem.options.describe(rung), result.box.center, sequence)
-        if result.status is Status.INTERRUPTED:
-            raise KeyboardInterrupt
 
     def add(self, origin: str, center: npt.NDArray[np.float64], sequence: Sequence) -> None:
         """Adds the candidate of a sequence that was read off a box center."""

@@ -41,7 +41,7 @@ from drake_aigto.world import Scenario, World
 
 _LOG = logging.getLogger(__name__)
 
-_OPTIONS = PlanOptions(confirm=False)
+_OPTIONS = PlanOptions(confirm=False, threads=1)
 
 
 def run_robustness(

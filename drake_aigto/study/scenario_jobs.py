@@ -15,7 +15,7 @@ from drake_aigto.study.scenario_question import PLANNER, Runner
 from drake_aigto.study.scenario_results import MethodRun
 from drake_aigto.world import Scenario, World
 
-OPTIONS = PlanOptions(confirm=False)
+OPTIONS = PlanOptions(confirm=False, threads=1)
 # The same, with the boxes of every rung, whether or not the others leave it anything to tell.
 ALL_RUNGS = dataclasses.replace(OPTIONS, all_rungs=True)
 # What a process does at first is not measured: it loads libraries and kernels. [s]
