@@ -39,3 +39,8 @@ kernel = njit(cache=True, nogil=True, error_model="numpy")
 # What compiled code alone calls: without an entry for Python, which takes as long to compile as the
 # function itself if that is short. Python must not call it: Numba does not check that.
 inner = njit(cache=True, nogil=True, error_model="numpy", no_cpython_wrapper=True)
+
+# What one place in compiled code calls, and itself calls much: Numba pastes it there. On its own,
+# LLVM would optimise all of it once more. Short functions gain nothing by it, and many in one lose,
+# as Numba's time grows faster than a function's length.
+pasted = njit(cache=True, nogil=True, error_model="numpy", inline="always")

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from drake_aigto.aigo.banded import factorise, solve
 from drake_aigto.box.kernels import System, add_means
 from drake_aigto.box.lanes import Lanes
-from drake_aigto.jit import inner, kernel, njit
+from drake_aigto.jit import inner, kernel, pasted
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -63,8 +63,7 @@ class Problem(NamedTuple):
     num_diagonals: int
 
 
-# Inlined by Numba, as LLVM would optimise it and all that it calls once more within its caller.
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@pasted
 def _evaluate(
     problem: Problem,
     y: Floats,
@@ -89,12 +88,13 @@ def _evaluate(
     mean = add_means(problem.lanes, problem.weights, center, half_width, problem.values, system)
     entropy = 0.0
     for i in range(center.size):
-        if with_z and free_places[i] >= 0:
+        if free_places[i] < 0:
+            band[places[i], 0] = 1.0
+            if with_z:
+                band[places[i] + 1, 0] = 1.0
+        elif with_z:
             gradient[places[i] + 1] -= mu
             entropy += y[places[i] + 1]
-        elif free_places[i] < 0:
-            for unknown in range(places[i], places[i] + (2 if with_z else 1)):
-                band[unknown, 0] = 1.0
     lower, upper = problem.lower, problem.upper
     for k in range(lower.size):
         if (y[k] <= lower[k] and gradient[k] > 0.0) or (y[k] >= upper[k] and gradient[k] < 0.0):
@@ -121,13 +121,14 @@ def leave_out(k: int, gradient: Floats, band: Floats) -> None:
 
 
 @inner
-def _fill_scale(problem: Problem, half_width: Floats, band: Floats, scale: Floats) -> None:
+def _fill_scale(
+    free_places: Ints, mu: float, half_width: Floats, band: Floats, scale: Floats
+) -> None:
     """Fill the diagonal D > 0 (size,) that the damping λD and the residual are measured in.
 
     For boxes that is the Hessian μ (3/w², 2) of a separable cost where w ∂f̄/∂w = μ; for centers
     alone, |diag H|, kept off zero.
     """
-    free_places, mu = problem.free_places, problem.temperature
     if scale.size == half_width.size:
         largest = 0.0
         for k in range(scale.size):
@@ -152,9 +153,8 @@ def _residual(gradient: Floats, scale: Floats) -> float:
 
 
 @inner
-def _move(problem: Problem, y: Floats, step: Floats, moved: Floats) -> None:
+def _move(lower: Floats, upper: Floats, y: Floats, step: Floats, moved: Floats) -> None:
     """Fill moved with where a step leads, within bounds; the step becomes what was taken of it."""
-    lower, upper = problem.lower, problem.upper
     for k in range(y.size):
         moved[k] = y[k] + step[k]
     if lower.size == 0:
@@ -193,10 +193,11 @@ def descend(
     n, size = problem.places.size, y.size
     center, half_width = np.empty(n), np.empty(n)
     gradient, new_gradient, scale = np.empty(size), np.empty(size), np.empty(size)
-    step, moved = np.zeros(size), np.empty(size)
+    step, moved = np.empty(size), np.empty(size)
     shape = size, problem.num_diagonals
     band, new_band, factors = np.empty(shape), np.empty(shape), np.empty(shape)
-    _move(problem, y, step, moved)
+    for k in range(size):
+        moved[k] = y[k]
     value, mean, decrease, residual = math.inf, math.inf, 0.0, math.inf
     steps, trial = -1, 0  # The start is tried as a step, too.
     while trial < _MAX_TRIALS:
@@ -210,7 +211,7 @@ def descend(
             if steps >= 0 and trial == 0:
                 damping = max(_SOFTER * damping, _LEAST_DAMPING)
             steps, trial = steps + 1, 0
-            _fill_scale(problem, half_width, band, scale)
+            _fill_scale(problem.free_places, problem.temperature, half_width, band, scale)
             residual = _residual(gradient, scale)
             if steps == max_steps or residual <= largest_residual:
                 break
@@ -226,7 +227,7 @@ def descend(
                 break
             damping, trial = max(_HARDER * damping, _FIRST_DAMPING), trial + 1
         _shorten(step, size > n)
-        _move(problem, y, step, moved)
+        _move(problem.lower, problem.upper, y, step, moved)
         decrease = 0.0
         for k in range(size):
             decrease += gradient[k] * step[k]
@@ -250,7 +251,7 @@ def descend_boldly(problem: Problem, y: Floats, largest_residual: float, max_ste
     band, factors = np.empty(shape), np.empty(shape)
     for steps in range(max_steps):
         _evaluate(problem, y, center, half_width, gradient, band)
-        _fill_scale(problem, half_width, band, scale)
+        _fill_scale(problem.free_places, problem.temperature, half_width, band, scale)
         if not _residual(gradient, scale) > largest_residual:
             return steps
         _copy(band, factors)
@@ -261,7 +262,7 @@ def descend_boldly(problem: Problem, y: Floats, largest_residual: float, max_ste
         for k in range(y.size):
             gradient[k] = -gradient[k]
         solve(factors, gradient)
-        _move(problem, y, gradient, moved)
+        _move(problem.lower, problem.upper, y, gradient, moved)
         for k in range(y.size):
             y[k] = moved[k]
     return max_steps

@@ -59,18 +59,16 @@ NO_SYSTEM = System(
 
 
 @inner
-def _choose(
-    lanes: Records, weights: Floats, at: int, last: int, chosen: Records
-) -> tuple[int, int]:
-    """Fill chosen with lanes from place `at` on, up to `last`, that are not off.
+def _choose(lanes: Records, weights: Floats, at: int, last: int, chosen: Ints) -> tuple[int, int]:
+    """Fill chosen with the lanes from `at` on, up to `last`, that are not off.
 
     Returns:
-        How many they are, and the place to go on from.
+        How many they are, and the lane to go on from.
     """
     count = 0
     while count < chosen.size and at < last:
         if weights[lanes[at].copy] != 0.0:
-            chosen[count] = lanes[at]
+            chosen[count] = at
             count += 1
         at += 1
     return count, at
@@ -113,11 +111,11 @@ def _load_functions(
     count: int,
     center: Floats,
     half_width: Floats,
+    parts: Floats,
     rows: Floats,
     row: int,
 ) -> int:
     """Set the rows of a tape's functions, from `row` on; returns the next row."""
-    parts = np.empty(_PARTS)
     for f in range(tape.first_function, after.first_function):
         it = functions[f]
         for k in range(count):
@@ -134,24 +132,24 @@ def _load_functions(
 def _load_coefficients(
     coefficients: Floats,
     num_terms: int,
-    chosen: Records,
+    lanes: Records,
+    chosen: Ints,
     count: int,
-    weights: Floats,
+    factors: Floats,
     rows: Floats,
     row: int,
 ) -> int:
-    """Set the rows of a tape's coefficients times weights, from `row` on; returns the next row."""
-    first, last = chosen[0].first_coefficient, chosen[count - 1].first_coefficient
-    factors = np.empty(count)
-    for k in range(count):
-        factors[k] = weights[chosen[k].copy]
+    """Set the rows of a tape's coefficients times factors, from `row` on; returns the next row."""
+    first = lanes[chosen[0]].first_coefficient
+    last = lanes[chosen[count - 1]].first_coefficient
     for m in range(num_terms):
         if first == last:  # Copies of one sum, as lanes are in the order of sums.
             for k in range(count):
                 rows[row + m, k] = factors[k] * coefficients[first + m]
         else:
             for k in range(count):
-                rows[row + m, k] = factors[k] * coefficients[chosen[k].first_coefficient + m]
+                own = lanes[chosen[k]].first_coefficient
+                rows[row + m, k] = factors[k] * coefficients[own + m]
     return row + num_terms
 
 
@@ -255,7 +253,8 @@ def add_means(
     """
     lanes, tapes, most_lanes = tables.lanes, tables.tapes, tables.most_lanes
     rows, factors = np.empty((tables.most_rows, most_lanes)), np.empty(most_lanes)
-    chosen, ends = np.empty(most_lanes, lanes.dtype), np.empty(most_lanes, np.int64)
+    parts = np.empty(_PARTS)
+    chosen, ends = np.empty(most_lanes, np.int64), np.empty(most_lanes, np.int64)
     variables = np.empty((tables.most_variables, most_lanes), np.int64)
     values[:] = 0.0
     total = 0.0
@@ -267,8 +266,10 @@ def add_means(
             if count == 0:
                 continue
             for k in range(count):
+                lane = lanes[chosen[k]]
+                factors[k] = weights[lane.copy]
                 for v in range(tape.num_variables):
-                    variables[v, k] = tables.copy_variables[chosen[k].first_variable + v]
+                    variables[v, k] = tables.copy_variables[lane.first_variable + v]
             row = _load_arguments(
                 tables.arguments, tape, after, variables, count, center, half_width, rows
             )
@@ -281,11 +282,12 @@ def add_means(
                 count,
                 center,
                 half_width,
+                parts,
                 rows,
                 row,
             )
             row = _load_coefficients(
-                tables.coefficients, tape.num_terms, chosen, count, weights, rows, row
+                tables.coefficients, tape.num_terms, lanes, chosen, count, factors, rows, row
             )
             if tables.are_magnitudes:
                 for r in range(row):
@@ -293,12 +295,12 @@ def add_means(
                         rows[r, k] = abs(rows[r, k])
             _run(tables.operations, tape, after, count, rows)
             for k in range(count):
-                values[chosen[k].copy] = rows[MEAN, k]
+                values[lanes[chosen[k]].copy] = rows[MEAN, k]
                 total += rows[MEAN, k]
             if tape.first_slope == after.first_slope:
                 continue
             for k in range(count):
-                copy = chosen[k].copy
+                copy = lanes[chosen[k]].copy
                 factors[k], ends[k] = system.multipliers[copy], system.copy_places[copy]
                 for v in range(tape.num_variables):
                     variables[v, k] = system.variable_places[variables[v, k]]

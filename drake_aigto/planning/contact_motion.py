@@ -206,8 +206,11 @@ def support(walls: Walls, held: npt.NDArray[np.bool_], free: _Array, rates: _Arr
     m, tolerance = held.size, 0.0
     # w = table[:, :m] z + table[:, m], where z are the multipliers and w the rates J x, but each
     # in the place of the other for what pushes.
-    table, pushes = np.zeros((m, m + 1)), np.zeros(m, np.bool_)
+    table, pushes = np.empty((m, m + 1)), held.copy()
     for i in range(m):
+        pushes[i] = False
+        for j in range(m + 1):
+            table[i, j] = 0.0
         if held[i]:
             table[i, m] = dot(walls.jacobian, i, free)
             tolerance = max(tolerance, _ROUNDING * abs(table[i, m]))

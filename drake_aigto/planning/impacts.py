@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from drake_aigto.jit import inner, kernel, njit
+from drake_aigto.jit import inner, kernel, pasted
 from drake_aigto.planning.contact_motion import (
     Walls,
     add,
@@ -71,8 +71,7 @@ def make_log(most: int, num_positions: int) -> _Array:
     return np.empty((most, STATE + 3 * num_positions))
 
 
-# Inlined by Numba, as LLVM would optimise it and all that it calls once more within its caller.
-@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+@pasted
 def run(
     walls: Walls,
     rules: Rules,
@@ -107,8 +106,7 @@ def run(
     """
     q, v, resting, _ = phase
     m = resting.size
-    supported, curves = np.empty_like(acceleration), np.empty((m, 3))
-    touched = np.zeros(m, np.bool_)
+    supported, curves, touched = acceleration.copy(), np.empty((m, 3)), resting.copy()
     burst, burst_left = 0, math.inf
     contact, slides = first, False
     pulled = PULLED * find_size(acceleration)
@@ -149,7 +147,7 @@ def run(
     return logged
 
 
-@kernel
+@inner
 def fly(q: _Array, v: _Array, acceleration: _Array, time: float) -> None:
     """Move q and v along their parabola, by a time that may be negative."""
     for k in range(q.size):
@@ -158,7 +156,7 @@ def fly(q: _Array, v: _Array, acceleration: _Array, time: float) -> None:
         v[k] = later
 
 
-@kernel
+@inner
 def calc_curves(walls: Walls, q: _Array, v: _Array, acceleration: _Array, curves: _Array) -> None:
     """Write φ, φ̇ and φ̈ of each contact, shape (m, 3)."""
     jacobian, offset, _, _ = walls
@@ -171,7 +169,7 @@ def calc_curves(walls: Walls, q: _Array, v: _Array, acceleration: _Array, curves
         curves[i, 0], curves[i, 1], curves[i, 2] = distance, rate, push
 
 
-@kernel
+@inner
 def find_event(
     firsts: _Ints, resting: _Bools, curves: _Array, still: float, horizon: float
 ) -> tuple[float, int, bool]:
@@ -322,7 +320,7 @@ def _hit(
     add(v, speed if rests else (1 + e) * speed, lifts, contact)
     _release(jacobian, v, resting)
     resting[contact] = rests
-    return int(is_impact)
+    return 1 if is_impact else 0
 
 
 @inner
@@ -331,6 +329,57 @@ def _release(jacobian: _Array, v: _Array, resting: _Bools) -> None:
     still = STILL * find_size(v)
     for i in range(resting.size):
         resting[i] = resting[i] and dot(jacobian, i, v) <= still
+
+
+@kernel
+def find_wait(
+    walls: Walls, phase: Phase, acceleration: _Array, still: float, horizon: float
+) -> float:
+    """Return how long until a contact is touched or left [s] (`find_event`); infinity if never.
+
+    Args:
+        walls: the contacts.
+        phase: the present one.
+        acceleration: v̇ with the forces of rest, taken for constant, shape (nv,).
+        still: how fast a contact at rest may seem to move [m/s].
+        horizon: how far to look [s].
+    """
+    curves = np.empty((phase.resting.size, 3))
+    calc_curves(walls, phase.q, phase.v, acceleration, curves)
+    wait, contact, _ = find_event(walls.firsts, phase.resting, curves, still, horizon)
+    return wait if contact >= 0 else math.inf
+
+
+@kernel
+def run_again(
+    walls: Walls,
+    rules: Rules,
+    phase: Phase,
+    supported: _Array,
+    acceleration: _Array,
+    end: float,
+    left: float,
+    first: int,
+    log: _Array,
+) -> int:
+    """Take a phase back by a time in which it flew through contacts, and `run` it from there.
+
+    Args:
+        walls: the contacts.
+        rules: of impacts.
+        phase: as it was taken to be at the end; becomes what it is then.
+        supported: v̇ that took it there, shape (nv,) [m/s²].
+        acceleration: v̇ without contact, shape (nv,) [m/s²].
+        end: when the time ends [s].
+        left: how long it lasted [s].
+        first: the contact that is touched as it begins.
+        log: one row for each impact.
+
+    Returns:
+        How many impacts there were.
+    """
+    fly(phase.q, phase.v, supported, -left)
+    return run(walls, rules, phase, acceleration, end, left, first, log, 0)
 
 
 @kernel

@@ -213,11 +213,8 @@ class RigidWall(LeafSystem):
         free = self._calc_acceleration(context, x)
         phase = self._read(context, x, resting)
         acceleration = self._motion.calc_supported(free, resting)
-        walls, curves = self._motion.walls, np.empty((len(phase.resting), 3))
-        impacts.calc_curves(walls, phase.q, phase.v, acceleration, curves)
         still = impacts.STILL * max(1.0, float(np.max(np.abs(phase.v))))
-        wait, contact, _ = impacts.find_event(walls.firsts, phase.resting, curves, still, horizon)
-        return wait if contact >= 0 else math.inf
+        return impacts.find_wait(self._motion.walls, phase, acceleration, still, horizon)
 
     def _read(self, context: Context, x: _Array, resting: set[int]) -> Phase:
         """Returns the state as compiled code has it."""
@@ -292,11 +289,11 @@ class RigidWall(LeafSystem):
             impacts.settle(walls, phase.q, phase.v, phase.resting)
             return
         left, first = max(fresh, key=lambda touch: touch[0])
-        impacts.fly(phase.q, phase.v, supported, -left)
-        count = impacts.run(
-            walls, self._rules, phase, acceleration, time, left, first, self._log, 0
+        rules, log = self._rules, self._log
+        count = impacts.run_again(
+            walls, rules, phase, supported, acceleration, time, left, first, log
         )
-        self._recording.add_impacts(self._log[:count], self._world.mass_matrix_values)
+        self._recording.add_impacts(log[:count], self._world.mass_matrix_values)
 
     def _trace_back(
         self, x: _Array, acceleration: _Array, clearance: Clearance
