@@ -17,6 +17,7 @@ ROAD = (
     "errors",
     "count",
     "jit",
+    "linear",
     "world",
     "trajectory",
     "transcription",

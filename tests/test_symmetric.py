@@ -7,11 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from random_boxes import dense
+from sparse_matrices import whole
 
+from drake_aigto.linear import make_pattern
 from drake_aigto.local.dense import DenseFactors
-from drake_aigto.local.factors import make_factors
 from drake_aigto.local.multifrontal import BandFactors
-from drake_aigto.local.symmetric import SymmetricFactors, multiply
+from drake_aigto.local.sparse import SparseKktFactors
+from drake_aigto.local.symmetric import multiply
 
 KINDS = [BandFactors, DenseFactors]
 
@@ -121,14 +123,35 @@ def test_products_are_those_of_the_dense_matrix() -> None:
     np.testing.assert_allclose(multiply(band, x), dense(band) @ x, rtol=1e-13)
 
 
-@pytest.mark.parametrize(
-    ("size", "bandwidth", "kind"),
-    [
-        *((28, 22, DenseFactors), (100, 3, DenseFactors), (600, 599, DenseFactors)),
-        *((600, 100, BandFactors), (2000, 8, BandFactors)),
-    ],
-)
-def test_small_matrices_and_wide_bands_are_factorised_densely(
-    size: int, bandwidth: int, kind: type[SymmetricFactors]
+@given(st.integers(2, 40), st.floats(0.0, 0.5), st.integers(-3, 3), st.integers(0, 2**32 - 1))
+def test_sparse_kkt_factors_solve_and_count_negative_eigenvalues(
+    size: int, share_of_rows: float, decade: int, seed: int
 ) -> None:
-    assert type(make_factors(size, bandwidth)) is kind
+    # W positive definite, as a Hessian that Newton's method accepts, or indefinite; A as it comes.
+    rng = np.random.default_rng(seed)
+    is_row = rng.random(size) < share_of_rows
+    pattern = make_pattern(size, rng.integers(0, size, (2, 2 * size)))
+    values = rng.normal(size=pattern.rows.size)
+    values[is_row[pattern.rows] & is_row[pattern.columns]] = 0.0
+    values[:size][~is_row] = rng.choice([0.0, 1.0, 10.0**decade], np.count_nonzero(~is_row))
+    values[:size][is_row] = -1e-10
+    matrix = whole(pattern, values)
+    eigenvalues = np.linalg.eigvalsh(matrix)
+    if np.min(np.abs(eigenvalues)) < 1e-5 * max(1.0, np.max(np.abs(eigenvalues))):
+        return  # The shift that keeps pivots off zero could count.
+    factors = SparseKktFactors(pattern, is_row)
+    found = factors.factorise(values[np.newaxis])
+    assert found == np.count_nonzero(eigenvalues < 0.0)
+    right = rng.normal(size=size)
+    np.testing.assert_allclose(
+        matrix @ factors.solve(right), right, atol=1e-9 * np.max(np.abs(factors.solve(right)))
+    )
+
+
+def test_sparse_factors_without_accuracy_count_as_singular() -> None:
+    # Two unknowns that are coupled by 1 alone; shifts of 1e-9 make factors of A + 1e-9 I, whose
+    # solution for one of the almost parallel rows is off.
+    pattern = make_pattern(2, np.array([[0], [1]]))
+    factors = SparseKktFactors(pattern, np.zeros(2, dtype=bool))
+    assert factors.factorise(np.array([[1.0, 1.0, 1.0]])) == -1
+    assert np.isnan(factors.solve(np.ones(2))).all()

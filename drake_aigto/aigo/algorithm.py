@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
+from drake_aigto.linear import Storage
 
 
 @dataclass(frozen=True, eq=False)
@@ -116,12 +117,14 @@ class AigoResult:
         box: the last box; its center is the answer.
         cost: f(c).
         history: every iterate, the start first, for plots without a second run.
+        storage: how Newton systems are ordered, stored and factorised, and why.
     """
 
     status: Status
     box: Box
     cost: float
     history: tuple[Iterate, ...] = field(repr=False)
+    storage: Storage = field(repr=False)
 
     @property
     def is_converged(self) -> bool:
@@ -173,7 +176,7 @@ def minimize(
     except KeyboardInterrupt:
         status = Status.INTERRUPTED
     last = history[-1]
-    return AigoResult(status, last.box, f(last.box.center), tuple(history))
+    return AigoResult(status, last.box, f(last.box.center), tuple(history), f.storage)
 
 
 def as_positive(name: str, value: float, below: float = np.inf) -> None:

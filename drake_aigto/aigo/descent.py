@@ -3,7 +3,7 @@
 Shape letters: n variables of u unknowns each, (c_i, z_i = log w_i) or c_i alone; size = u n.
 Unknowns are in elimination order, those of one variable next to each other.
 
-Numba's cache of this file does not see edits of `banded` or `kernels`, nor of what `kernels` calls:
+Numba's cache of this file does not see edits of `systems` or `kernels`, nor of what these call:
 delete `__pycache__` after one.
 """
 
@@ -15,10 +15,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_aigto.aigo.banded import factorise, solve
+from drake_aigto.aigo.systems import solve_system
 from drake_aigto.box.kernels import System, add_means
 from drake_aigto.box.lanes import Lanes
 from drake_aigto.jit import inner, kernel, pasted
+from drake_aigto.linear.pattern import Pattern
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -46,7 +47,8 @@ class Problem(NamedTuple):
         lower: lower bounds of the unknowns (size,), or none at all (0,).
         upper: upper bounds.
         temperature: μ; 0 where the unknowns are c alone.
-        num_diagonals: of the Hessian, which is stored as a lower band.
+        shape: of the Hessian's storage: a lower band (size, diagonals), or entries (E, 1).
+        pattern: of the Hessian, if it is no band.
     """
 
     lanes: Lanes
@@ -60,7 +62,8 @@ class Problem(NamedTuple):
     lower: Floats
     upper: Floats
     temperature: float
-    num_diagonals: int
+    shape: tuple[int, int]
+    pattern: Pattern | None
 
 
 @pasted
@@ -84,7 +87,10 @@ def _evaluate(
         half_width[i] = math.exp(y[places[i] + 1]) if with_z else problem.half_width[i]
     gradient[:] = 0.0
     band[:] = 0.0
-    system = System(problem.multipliers, free_places, problem.copy_places, gradient, band)
+    system = System(
+        *(problem.multipliers, free_places, problem.copy_places),
+        *(gradient, band, problem.pattern),
+    )
     mean = add_means(problem.lanes, problem.weights, center, half_width, problem.values, system)
     entropy = 0.0
     for i in range(center.size):
@@ -98,7 +104,7 @@ def _evaluate(
     lower, upper = problem.lower, problem.upper
     for k in range(lower.size):
         if (y[k] <= lower[k] and gradient[k] > 0.0) or (y[k] >= upper[k] and gradient[k] < 0.0):
-            leave_out(k, gradient, band)
+            leave_out(problem.pattern, k, gradient, band)
     return mean - mu * entropy, mean
 
 
@@ -111,9 +117,14 @@ def _copy(band: Floats, copy: Floats) -> None:
 
 
 @kernel
-def leave_out(k: int, gradient: Floats, band: Floats) -> None:
+def leave_out(pattern: Pattern | None, k: int, gradient: Floats, band: Floats) -> None:
     """Make the row and column of an unknown the identity's, and its slope 0."""
     gradient[k] = 0.0
+    if pattern is not None:
+        for e in range(pattern.beside_starts[k], pattern.beside_starts[k + 1]):
+            band[pattern.beside[e], 0] = 0.0
+        band[k, 0] = 1.0
+        return
     band[k, :] = 0.0
     band[k, 0] = 1.0
     for d in range(1, min(k + 1, band.shape[1])):
@@ -194,7 +205,7 @@ def descend(
     center, half_width = np.empty(n), np.empty(n)
     gradient, new_gradient, scale = np.empty(size), np.empty(size), np.empty(size)
     step, moved = np.empty(size), np.empty(size)
-    shape = size, problem.num_diagonals
+    shape = problem.shape
     band, new_band, factors = np.empty(shape), np.empty(shape), np.empty(shape)
     for k in range(size):
         moved[k] = y[k]
@@ -222,8 +233,7 @@ def descend(
             for k in range(size):
                 factors[k, 0] += damping * scale[k]
                 step[k] = -gradient[k]
-            if factorise(factors):
-                solve(factors, step)
+            if solve_system(problem.pattern, factors, step):
                 break
             damping, trial = max(_HARDER * damping, _FIRST_DAMPING), trial + 1
         _shorten(step, size > n)
@@ -247,21 +257,19 @@ def descend_boldly(problem: Problem, y: Floats, largest_residual: float, max_ste
     n = problem.places.size
     center, half_width = np.empty(n), np.empty(n)
     gradient, scale, moved = np.empty(y.size), np.empty(y.size), np.empty(y.size)
-    shape = y.size, problem.num_diagonals
-    band, factors = np.empty(shape), np.empty(shape)
+    band, factors = np.empty(problem.shape), np.empty(problem.shape)
     for steps in range(max_steps):
         _evaluate(problem, y, center, half_width, gradient, band)
         _fill_scale(problem.free_places, problem.temperature, half_width, band, scale)
         if not _residual(gradient, scale) > largest_residual:
             return steps
-        _copy(band, factors)
-        if not factorise(factors):
-            _dominate(band, factors)
-            if not factorise(factors):
-                return steps  # The gradient is flat, or not finite.
         for k in range(y.size):
             gradient[k] = -gradient[k]
-        solve(factors, gradient)
+        _copy(band, factors)
+        if not solve_system(problem.pattern, factors, gradient):
+            _dominate(problem.pattern, band, factors)
+            if not solve_system(problem.pattern, factors, gradient):
+                return steps  # The gradient is flat, or not finite.
         _move(problem.lower, problem.upper, y, gradient, moved)
         for k in range(y.size):
             y[k] = moved[k]
@@ -269,14 +277,21 @@ def descend_boldly(problem: Problem, y: Floats, largest_residual: float, max_ste
 
 
 @inner
-def _dominate(band: Floats, raised: Floats) -> None:
-    """Fill raised with the band, and H_ii raised to 1.1 Σ_j≠i |H_ij|, or to |H_ii| if more."""
+def _dominate(pattern: Pattern | None, band: Floats, raised: Floats) -> None:
+    """Fill raised with the Hessian, and H_ii raised to 1.1 Σ_j≠i |H_ij|, or to |H_ii| if more."""
+    _copy(band, raised)
+    if pattern is not None:
+        for k in range(pattern.starts.size - 1):
+            total = 0.0
+            for e in range(pattern.beside_starts[k], pattern.beside_starts[k + 1]):
+                total += abs(band[pattern.beside[e], 0])
+            raised[k, 0] = max(abs(band[k, 0]), 1.1 * total)
+        return
     size, width = band.shape
     beside = np.zeros(size)
     for j in range(size):
         for d in range(1, min(width, size - j)):
             beside[j] += abs(band[j, d])
             beside[j + d] += abs(band[j, d])
-    _copy(band, raised)
     for j in range(size):
         raised[j, 0] = max(abs(band[j, 0]), 1.1 * beside[j])

@@ -1,4 +1,4 @@
-"""Newton's method on banded systems, damped until it descends."""
+"""Newton's method on banded or sparse systems, damped until it descends."""
 
 from __future__ import annotations
 
@@ -52,7 +52,8 @@ def _make_problem(
         lower,
         upper,
         temperature,
-        stride * (f.bandwidth + 1),
+        f.hessian_shape(order),
+        f.pattern(order),
     )
 
 

@@ -8,7 +8,7 @@ A copy of weight 0 is off: it adds nothing, also where its own mean is infinite.
 
 Shape letters: C copies, n variables. A symmetric matrix is kept in LAPACK's lower band storage,
 transposed to be of one type for Numba however few diagonals there are: entry (i, j), i ≥ j, at
-[j, i − j].
+[j, i − j]; or, where there is a `Pattern`, as its entries (E, 1).
 
 Innermost functions take no slices and no more arrays than they read: that is most of what there is
 to compile.
@@ -27,6 +27,7 @@ from drake_aigto.box.lanes import Lanes
 from drake_aigto.box.tables import Floats, Ints, Records
 from drake_aigto.box.tapes import MEAN, ONES
 from drake_aigto.jit import inner, kernel
+from drake_aigto.linear.pattern import Pattern, find_entry
 
 _PARTS = 6  # of a factor's mean: value and derivatives
 
@@ -42,7 +43,8 @@ class System(NamedTuple):
             (n,).
         copy_places: Place of each copy that is one of A's rows, −1 for one that is not (C,).
         gradient: weight · ∇mean of the copies of place −1 is added (size,).
-        band: The matrix is added (size, number of diagonals).
+        band: The matrix is added (size, number of diagonals), or (E, 1).
+        pattern: Of the matrix, if it is no band.
     """
 
     multipliers: Floats
@@ -50,11 +52,13 @@ class System(NamedTuple):
     copy_places: Ints
     gradient: Floats
     band: Floats
+    pattern: Pattern | None
 
 
 # For tables of order MEAN. Not read-only, for which Numba would compile once more.
 NO_SYSTEM = System(
-    np.empty(0), np.empty(0, np.int64), np.empty(0, np.int64), np.empty(0), np.empty((0, 0))
+    *(np.empty(0), np.empty(0, np.int64), np.empty(0, np.int64)),
+    *(np.empty(0), np.empty((0, 0)), None),
 )
 
 
@@ -168,6 +172,15 @@ def _run(operations: Records, tape: Any, after: Any, count: int, rows: Floats) -
 
 
 @inner
+def _add_entry(pattern: Pattern | None, band: Floats, i: int, j: int, value: float) -> None:
+    """Add to entry (i, j) of a matrix, a band if it has no pattern."""
+    if pattern is None:  # An argument of its own, for then Numba leaves out the other case.
+        band[min(i, j), abs(i - j)] += value
+    else:
+        band[find_entry(pattern, i, j), 0] += value
+
+
+@inner
 def _add_slopes(
     slopes: Records,
     tape: Any,
@@ -178,6 +191,7 @@ def _add_slopes(
     ends: Ints,
     gradient: Floats,
     band: Floats,
+    pattern: Pattern | None,
 ) -> None:
     """Add the lanes' first derivatives to the gradient, or to A.
 
@@ -191,6 +205,7 @@ def _add_slopes(
         ends: `System.copy_places` of the copies (lanes,).
         gradient: Added to, as in `System`.
         band: Added to.
+        pattern: Of it.
     """
     for s in range(tape.first_slope, after.first_slope):
         slope = slopes[s]
@@ -202,7 +217,7 @@ def _add_slopes(
             if j < 0:
                 gradient[i] += rows[row, k]
             else:
-                band[min(i, j), abs(i - j)] += rows[row, k]
+                _add_entry(pattern, band, i, j, rows[row, k])
 
 
 @inner
@@ -215,6 +230,7 @@ def _add_curvatures(
     places: Ints,
     factors: Floats,
     band: Floats,
+    pattern: Pattern | None,
 ) -> None:
     """Add the lanes' second derivatives, times their factors, to W; otherwise as `_add_slopes`."""
     for c in range(tape.first_curvature, after.first_curvature):
@@ -225,7 +241,7 @@ def _add_curvatures(
             place, other = places[variable, k], places[other_variable, k]
             if min(place, other) >= 0:
                 i, j = place + unknown, other + other_unknown
-                band[min(i, j), abs(i - j)] += factors[k] * rows[row, k]
+                _add_entry(pattern, band, i, j, factors[k] * rows[row, k])
 
 
 @kernel
@@ -304,7 +320,13 @@ def add_means(
                 factors[k], ends[k] = system.multipliers[copy], system.copy_places[copy]
                 for v in range(tape.num_variables):
                     variables[v, k] = system.variable_places[variables[v, k]]
-            gradient, band = system.gradient, system.band
-            _add_slopes(tables.slopes, tape, after, count, rows, variables, ends, gradient, band)
-            _add_curvatures(tables.curvatures, tape, after, count, rows, variables, factors, band)
+            band, pattern = system.band, system.pattern
+            _add_slopes(
+                *(tables.slopes, tape, after, count, rows, variables, ends),
+                *(system.gradient, band, pattern),
+            )
+            _add_curvatures(
+                *(tables.curvatures, tape, after, count, rows, variables, factors),
+                *(band, pattern),
+            )
     return total

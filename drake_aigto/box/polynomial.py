@@ -17,6 +17,7 @@ from drake_aigto.box.lanes import Lanes, make_lanes
 from drake_aigto.box.tables import Floats, Ints, stack_terms
 from drake_aigto.box.tapes import Order
 from drake_aigto.errors import OptionsError, UnsupportedTermError
+from drake_aigto.linear import Pattern, choose_storage, spread
 
 
 @dataclass(frozen=True)
@@ -161,12 +162,15 @@ class NewtonSystem:
     Attributes:
         value: f̄.
         gradient: (u n,) with unknowns (c_i, z_i) next to each other, or c_i alone.
-        band: (u (bandwidth + 1), u n) Hessian in LAPACK's lower band storage, in Fortran's order.
+        band: (u (bandwidth + 1), u n) Hessian in LAPACK's lower band storage, in Fortran's order;
+            or its entries (1, E), where there is a pattern.
+        pattern: Of the Hessian, if it is no band.
     """
 
     value: float
     gradient: Floats
     band: Floats
+    pattern: Pattern | None = None
 
 
 def as_order(order: ArrayLike, num_variables: int) -> Ints:
@@ -186,6 +190,16 @@ def as_order(order: ArrayLike, num_variables: int) -> Ints:
     return places
 
 
+def _band_places(num_variables: int, edges: Ints, order: ArrayLike | None) -> Ints:
+    """Place of each variable in the order that was given, or in one of a narrow band."""
+    if order is not None:
+        return np.argsort(as_order(order, num_variables))
+    if not edges.size:
+        return np.arange(num_variables)
+    graph = coo_array((np.ones(edges.shape[1]), tuple(edges)), shape=(num_variables,) * 2)
+    return np.argsort(reverse_cuthill_mckee(graph.tocsr(), symmetric_mode=True))
+
+
 class BoxPolynomial:
     """f(x) = Σ_m a_m ∏_i g_mi(x_i) and its mean over the box A(c, w) = {x : |x − c| ≤ w}.
 
@@ -197,15 +211,18 @@ class BoxPolynomial:
     Args:
         num_variables: Dimension n of x.
         blocks: The terms, grouped by the polynomial that copies share.
-        order: Elimination order of the variables (a permutation of 0 … n−1) for the banded Newton
-            system; variables that appear together should be near each other. Default: reverse
-            Cuthill-McKee on the coupling graph.
+        order: Elimination order of the variables (a permutation of 0 … n−1) for banded Newton
+            systems; variables that appear together should be near each other. Default: reverse
+            Cuthill-McKee on the coupling graph. Where that leaves a wide band, and another order
+            little fill, the other is taken, and Newton systems are sparse.
 
     Attributes:
         order: The elimination order (n,), read-only.
         position: Place of each variable in it (n,).
         copy_weights: Weight of each copy, block after block.
-        bandwidth: Largest distance, in that order, of two variables that appear in one term.
+        bandwidth: Largest distance of two variables that appear in one term, in that order or, if
+            systems are sparse, in the best one for bands.
+        storage: How Newton systems over boxes, of 2n unknowns, are stored, and why.
 
     Raises:
         OptionsError: The order is no permutation of the variables.
@@ -223,14 +240,14 @@ class BoxPolynomial:
         self._terms = stack_terms(self.blocks)
         self._lanes: dict[Order, Lanes] = {}
         self.copy_weights = self._make_copy_weights()
-        rows, columns = self.couplings().T
-        if order is None and rows.size:
-            graph = coo_array((np.ones(rows.size), (rows, columns)), shape=(num_variables,) * 2)
-            order = reverse_cuthill_mckee(graph.tocsr(), symmetric_mode=True)
-        self.order = as_order(range(num_variables) if order is None else order, num_variables)
-        self.position = np.argsort(self.order)
-        distance = np.abs(self.position[rows] - self.position[columns])
-        self.bandwidth = int(np.max(distance, initial=0))
+        edges = self.couplings().T
+        self.storage = choose_storage(
+            num_variables, edges, [lambda: _band_places(num_variables, edges, order)], group_size=2
+        )
+        self.position = self.storage.places
+        self.order = as_order(np.argsort(self.position), num_variables)
+        self.bandwidth = (self.storage.bandwidth + 1) // 2 - 1
+        self._patterns: dict[Order, Pattern] = {}
 
     def _make_copy_weights(self) -> Floats:
         """Weight of each copy, in the kernels' order."""
@@ -294,18 +311,19 @@ class BoxPolynomial:
 
     def gradient(self, center: ArrayLike, half_width: ArrayLike) -> tuple[float, Floats, Floats]:
         """f̄, ∂f̄/∂c (n,) and ∂f̄/∂z (n,), z = log w."""
-        system = self._make_system(2 * np.arange(self.num_variables), Order.GRADIENT, 0)
+        places = 2 * np.arange(self.num_variables)
+        system = self._make_system(places, Order.GRADIENT, (places.size, 0), None)
         value, _ = self._add_means(center, half_width, self.copy_weights, Order.GRADIENT, system)
         return value, system.gradient[0::2].copy(), system.gradient[1::2].copy()
 
-    def _make_system(self, places: Ints, order: Order, num_diagonals: int) -> System:
+    def _make_system(
+        self, places: Ints, order: Order, shape: tuple[int, int], pattern: Pattern | None
+    ) -> System:
         """A system of zeros in which the first unknowns of the variables have these places."""
         size = order.num_unknowns * self.num_variables
         no_places = np.full(self.copy_weights.size, -1)
         multipliers = np.ones_like(self.copy_weights)
-        return System(
-            multipliers, places, no_places, np.zeros(size), np.zeros((size, num_diagonals))
-        )
+        return System(multipliers, places, no_places, np.zeros(size), np.zeros(shape), pattern)
 
     def _add_means(
         self,
@@ -320,6 +338,21 @@ class BoxPolynomial:
         means = np.empty(weights.size)
         return add_means(self.lanes(order), weights, c, w, means, system), means
 
+    def hessian_shape(self, order: Order) -> tuple[int, int]:
+        """Of the array that kernels add Hessians to: a lower band (u n, diagonals), or (E, 1)."""
+        pattern, stride = self.pattern(order), order.num_unknowns
+        if pattern is not None:
+            return pattern.rows.size, 1
+        return stride * self.num_variables, stride * (self.bandwidth + 1)
+
+    def pattern(self, order: Order) -> Pattern | None:
+        """Of Hessians for derivatives of an order, made when it is first asked for; None: bands."""
+        if self.storage.pattern is None:
+            return None
+        if order not in self._patterns:
+            self._patterns[order] = spread(self.storage.pattern, order.num_unknowns)
+        return self._patterns[order]
+
     def lanes(self, order: Order) -> Lanes:
         """The kernels' tables for derivatives of an order, made when they are first asked for."""
         if order not in self._lanes:
@@ -329,16 +362,15 @@ class BoxPolynomial:
     def newton_system(
         self, center: ArrayLike, half_width: ArrayLike, centers_only: bool = False
     ) -> NewtonSystem:
-        """f̄ with gradient and banded Hessian in (c, z), or in c alone.
+        """f̄ with gradient and Hessian in (c, z), or in c alone.
 
         `to_variables` undoes the ordering.
         """
         order = Order.CENTERS if centers_only else Order.BOXES
-        stride = order.num_unknowns
-        num_diagonals = stride * (self.bandwidth + 1)
-        system = self._make_system(stride * self.position, order, num_diagonals)
+        places, pattern = order.num_unknowns * self.position, self.pattern(order)
+        system = self._make_system(places, order, self.hessian_shape(order), pattern)
         value, _ = self._add_means(center, half_width, self.copy_weights, order, system)
-        return NewtonSystem(value, system.gradient, system.band.T)
+        return NewtonSystem(value, system.gradient, system.band.T, pattern)
 
     def to_variables(self, ordered: Floats) -> Iterator[Floats]:
         """Split a vector in elimination order into its parts, c and then z, in variable order."""

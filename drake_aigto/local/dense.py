@@ -22,16 +22,16 @@ class DenseFactors(SymmetricFactors):
         # (i − j) + j (size + 1) away from its start: the rows of the second view are its columns
         # from the diagonal on. What they have too many ends up above it, where nobody reads.
         entries = np.zeros(size * (size + 1))
-        self._matrix = entries[: size * size].reshape((size, size), order="F")
+        self._whole = entries[: size * size].reshape((size, size), order="F")
         self._columns = entries.reshape(size, size + 1)[:, : bandwidth + 1]
-        self._lower, self._pivots = self._matrix, np.zeros(size, dtype=np.int32)
+        self._lower, self._pivots = self._whole, np.zeros(size, dtype=np.int32)
 
-    def _factorise(self, band: Floats) -> int:
-        size = band.shape[1]
+    def _factorise(self, matrix: Floats) -> int:
+        size = matrix.shape[1]
         if size == 0:
             return 0
-        self._columns[:] = band.T
-        self._lower, self._pivots, info = dsytrf(self._matrix, lower=1, lwork=_BLOCK * size)
+        self._columns[:] = matrix.T
+        self._lower, self._pivots, info = dsytrf(self._whole, lower=1, lwork=_BLOCK * size)
         if info != 0:
             return -1
         # Both rows of a 2×2 pivot are marked by a minus; its determinant is negative by choice.

@@ -1,4 +1,4 @@
-"""A primal-dual interior point method with a filter line search, for banded problems."""
+"""A primal-dual interior point method with a filter line search, for sparse problems."""
 
 from __future__ import annotations
 
@@ -44,8 +44,9 @@ class InteriorPoint:
     after Wächter & Biegler (2006), "On the implementation of an interior-point filter line-search
     algorithm for large-scale nonlinear programming", Math. Program. 106:25-57 (IPOPT). Without
     bounds it is a filter SQP-Newton method. Where it differs: the KKT matrix is a band, its LDLᵀ
-    factors cost O(n b²); λ is reset to least-squares multipliers after steps that needed a large
-    shift of the Hessian; the restoration is a Levenberg-Marquardt method; bounds are not relaxed.
+    factors cost O(n b²), unless dense or sparse ones are predicted to cost less; λ is reset to
+    least-squares multipliers after steps that needed a large shift of the Hessian; the restoration
+    is a Levenberg-Marquardt method; bounds are not relaxed.
 
     For a start that is almost a solution, `InteriorPoint.warm()` holds closer to it.
 
@@ -297,4 +298,5 @@ class _Solve:
             lower_multipliers=z[0],
             upper_multipliers=z[1],
             history=tuple(self._history),
+            storage=problem.structure.storage,
         )

@@ -1,7 +1,10 @@
-"""Where the unknowns of a `PolynomialNlp` stand in banded KKT matrices, and their assembly."""
+"""Where the unknowns of a `PolynomialNlp` stand in KKT matrices, and their assembly."""
 
 from __future__ import annotations
 
+import logging
+from collections.abc import Callable
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,6 +15,8 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 from drake_aigto.box.kernels import System, add_means
 from drake_aigto.box.lanes import make_lanes
 from drake_aigto.box.tapes import Order
+from drake_aigto.linear import choose_storage
+from drake_aigto.local.symmetric import multiply
 
 if TYPE_CHECKING:
     from drake_aigto.local.nlp import PolynomialNlp
@@ -19,11 +24,13 @@ if TYPE_CHECKING:
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
 
+_LOG = logging.getLogger(__name__)
+
 _FEW = 40  # unknowns
 
 
 class KktStructure:
-    """The KKT matrices of a problem some of whose variables are held, ordered as bands.
+    """The KKT matrices of a problem some of whose variables are held.
 
         [W   Aᵀ]        W = ∇²(s f + Σ λ_i s_i c_i) over the nf free variables,
         [A   0 ]        A = s ∂c over the ma rows that read one of them
@@ -31,6 +38,7 @@ class KktStructure:
     Variables and rows are interleaved: by reverse Cuthill-McKee, or variables in the problem's
     elimination order with each row in the middle of those it reads, whichever has the smaller
     bandwidth. Of few unknowns, finding an order takes longer than it spares: they stay in theirs.
+    Where the band is wide, and another order leaves a sparse L, the matrices are sparse.
 
     Attributes:
         free: Variables that are not held (nf,).
@@ -38,7 +46,8 @@ class KktStructure:
         variable_places: Place of each free variable among the unknowns (nf,).
         row_places: Place of each of these rows (ma,).
         size: Number of unknowns nf + ma.
-        bandwidth: Half bandwidth b.
+        is_row: Which of the unknowns, in their places, belong to rows (size,).
+        storage: How the matrices are stored and factorised, and why.
     """
 
     def __init__(self, nlp: PolynomialNlp) -> None:
@@ -52,15 +61,23 @@ class KktStructure:
         self.size = self.free.size + self.rows.size
         incidence = np.vstack([self.free.size + row_numbers, variables_read])
         edges = np.hstack([couplings, incidence])
-        places = self._order(position, edges, incidence)
-        self.bandwidth = _bandwidth(places, edges)
+        orders = self._orders(position, edges, incidence)
+        self.storage = choose_storage(self.size, edges, orders, may_be_dense=True)
+        places = self.storage.places
         self.variable_places, self.row_places = np.split(places, [self.free.size])
         self._place_of_variable = np.full(nlp.num_variables, -1)
         self._place_of_variable[self.free] = self.variable_places
         self._place_of_copy = np.full(nlp.num_costs + nlp.num_rows, -1)
         self._place_of_copy[nlp.num_costs + self.rows] = self.row_places
-        self._is_variable = np.zeros(self.size, dtype=bool)
-        self._is_variable[self.variable_places] = True
+        self.is_row = np.zeros(self.size, dtype=bool)
+        self.is_row[self.row_places] = True
+        if self.storage.is_worth_telling:
+            _LOG.info("KKT matrices: %s", self.storage)
+
+    @property
+    def bandwidth(self) -> int:
+        """Half bandwidth b of the narrowest band that was found."""
+        return self.storage.bandwidth
 
     def _reads(self, position: Ints) -> tuple[Ints, Ints, Ints]:
         """What the copies read of the free variables.
@@ -76,17 +93,15 @@ class KktStructure:
         is_read = (rows >= 0) & (found[0] == found[1])
         return rows[is_read], found[0, is_read], found
 
-    def _order(self, position: Ints, edges: Ints, incidence: Ints) -> Ints:
-        """The place of every unknown."""
-        order, are_few = self._nlp.order, self.size <= _FEW
-        if order is None and not are_few:
-            return self._cuthill_mckee(edges)
+    def _orders(self, position: Ints, edges: Ints, incidence: Ints) -> list[Callable[[], Ints]]:
+        """What gives the place of every unknown, in orders that may have a narrow band."""
+        order = self._nlp.order
         kept = position if order is None else position[order]
-        by_stages = self._by_stages(kept[kept >= 0], incidence)
-        if are_few:
-            return by_stages
-        candidates = self._cuthill_mckee(edges), by_stages
-        return min(candidates, key=lambda candidate: _bandwidth(candidate, edges))
+        by_stages = partial(self._by_stages, kept[kept >= 0], incidence)
+        if self.size <= _FEW:
+            return [by_stages]
+        by_neighbours = partial(self._cuthill_mckee, edges)
+        return [by_neighbours] if order is None else [by_neighbours, by_stages]
 
     def _cuthill_mckee(self, edges: Ints) -> Ints:
         graph = coo_array((np.ones(edges.shape[1]), tuple(edges)), shape=(self.size, self.size))
@@ -102,7 +117,7 @@ class KktStructure:
         return np.argsort(np.argsort(first + last, kind="stable"))
 
     def assemble(self, x: Floats, scales: Floats, multipliers: Floats) -> tuple[Floats, Floats]:
-        """Gradient s ∇f (nf,), and the KKT matrix in lower band storage (b + 1, size).
+        """Gradient s ∇f (nf,), and the KKT matrix as `symmetric` has it, (b + 1, size) or (1, E).
 
         Args:
             x: The point (n,).
@@ -110,29 +125,44 @@ class KktStructure:
             multipliers: λ of the rows that read a free variable (ma,).
         """
         nlp = self._nlp
-        gradient = np.zeros(self.size)
-        band = np.zeros((self.size, self.bandwidth + 1))
+        gradient, pattern = np.zeros(self.size), self.storage.pattern
+        shape = (self.size, self.bandwidth + 1) if pattern is None else (pattern.rows.size, 1)
+        band = np.zeros(shape)
         factors = np.ones(nlp.num_costs + nlp.num_rows)
         factors[nlp.num_costs + self.rows] = multipliers
-        system = System(factors, self._place_of_variable, self._place_of_copy, gradient, band)
+        system = System(
+            factors, self._place_of_variable, self._place_of_copy, gradient, band, pattern
+        )
         weights = scales * nlp.copy_weights
         add_means(self._lanes, weights, x, np.zeros(x.size), np.empty(factors.size), system)
         # In Fortran's order, which spares BLAS a copy.
         return gradient[self.variable_places], band.T
 
-    def without_couplings(self, band: Floats) -> Floats:
-        """A copy of the matrix with W = 0."""
-        band = band.copy(order="F")
-        for d, diagonal in enumerate(band):
-            last = self.size - d
-            diagonal[:last][self._is_variable[:last] & self._is_variable[d:]] = 0.0
-        return band
+    def multiply(self, matrix: Floats, x: Floats) -> Floats:
+        """The product of a matrix with a vector over all unknowns (size,)."""
+        return multiply(matrix, x, self.storage.pattern)
 
-    def steepest_slopes(self, band: Floats) -> Floats:
+    def without_couplings(self, matrix: Floats) -> Floats:
+        """A copy of a matrix with W = 0."""
+        matrix, pattern = matrix.copy(order="F"), self.storage.pattern
+        if pattern is not None:
+            matrix[0, ~(self.is_row[pattern.rows] | self.is_row[pattern.columns])] = 0.0
+            return matrix
+        is_variable = ~self.is_row
+        for d, diagonal in enumerate(matrix):
+            last = self.size - d
+            diagonal[:last][is_variable[:last] & is_variable[d:]] = 0.0
+        return matrix
+
+    def steepest_slopes(self, matrix: Floats) -> Floats:
         """Largest entry of each row of A in absolute value (ma,)."""
-        largest = np.zeros(self.size)
+        largest, pattern = np.zeros(self.size), self.storage.pattern
+        if pattern is not None:
+            for ends in (pattern.rows, pattern.columns):
+                np.maximum.at(largest, ends, np.abs(matrix[0]))
+            return largest[self.row_places]
         for d in range(self.bandwidth + 1):
-            entries = np.abs(band[d, : self.size - d])
+            entries = np.abs(matrix[d, : self.size - d])
             for places in (slice(self.size - d), slice(d, None)):
                 largest[places] = np.maximum(largest[places], entries)
         return largest[self.row_places]
@@ -147,7 +177,3 @@ class KktStructure:
     def split(self, unknowns: Floats) -> tuple[Floats, Floats]:
         """Undo `join`."""
         return unknowns[self.variable_places], unknowns[self.row_places]
-
-
-def _bandwidth(places: Ints, edges: Ints) -> int:
-    return int(np.max(np.abs(places[edges[0]] - places[edges[1]]), initial=0))

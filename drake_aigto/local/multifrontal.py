@@ -268,10 +268,10 @@ class BandFactors(SymmetricFactors):
             np.empty(size * capacity),
         )
 
-    def _factorise(self, band: Floats) -> int:
+    def _factorise(self, matrix: Floats) -> int:
         s = self._storage
         return _factorise(
-            band, s.front, s.active, s.pivots, s.inverses, s.starts, s.indices, s.entries
+            matrix, s.front, s.active, s.pivots, s.inverses, s.starts, s.indices, s.entries
         )
 
     def _solve(self, right: Floats) -> Floats:

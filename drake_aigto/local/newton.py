@@ -70,7 +70,7 @@ class NewtonSearch:
         """Allocate the factors."""
         self._problem = problem
         self._structure = problem.structure
-        self._factors = make_factors(self._structure.size, self._structure.bandwidth)
+        self._factors = make_factors(self._structure.storage, self._structure.is_row)
         self._last_shift = 0.0
 
     def solve(self, variables: Floats | float, rows: Floats | float) -> tuple[Floats, Floats]:

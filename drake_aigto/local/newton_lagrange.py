@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from drake_aigto.local.factors import make_factors
 from drake_aigto.local.nlp import PolynomialNlp
 from drake_aigto.local.result import LocalResult, LocalStatus
-from drake_aigto.local.symmetric import max_norm, multiply
+from drake_aigto.local.symmetric import max_norm
 
 Floats = NDArray[np.float64]
 
@@ -51,14 +51,15 @@ class NewtonLagrange:
         """
         x = np.clip(np.array(x0, dtype=float), nlp.lower, nlp.upper)
         structure = nlp.kkt_structure
-        factors = make_factors(structure.size, structure.bandwidth)
+        factors = make_factors(structure.storage, structure.is_row)
         scales = np.ones(nlp.num_costs + nlp.num_rows)
         scales[: nlp.num_costs] = 1 / self.cost_unit
         multipliers = np.zeros(structure.rows.size)
         for iterations in range(self.max_iterations + 1):
             cost, residuals = nlp.evaluate(x)
             gradient, band = structure.assemble(x, scales, multipliers)
-            force = gradient + structure.split(multiply(band, structure.join(0.0, multipliers)))[0]
+            of_rows = structure.multiply(band, structure.join(0.0, multipliers))
+            force = gradient + structure.split(of_rows)[0]
             num_negative = factors.factorise(band)
             optimality, residual = max_norm(force), max_norm(residuals)
             if optimality <= self.tolerance and residual <= self.feasibility:
@@ -85,4 +86,5 @@ class NewtonLagrange:
             multipliers=of_rows,
             lower_multipliers=np.zeros(nlp.num_variables),
             upper_multipliers=np.zeros(nlp.num_variables),
+            storage=structure.storage,
         )

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import enum
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from drake_aigto.linear import Storage
 
 
 class LocalStatus(enum.Enum):
@@ -61,6 +63,7 @@ class LocalResult:
         lower_multipliers: z_lower ≥ 0 of the lower bounds (n,), 0 where there is none, and where
             equal bounds hold a variable; read-only.
         upper_multipliers: z_upper ≥ 0 of the upper bounds (n,); read-only.
+        storage: How KKT matrices were ordered, stored and factorised, and why.
         history: Every iterate, the start first.
     """
 
@@ -73,6 +76,7 @@ class LocalResult:
     multipliers: NDArray[np.float64]
     lower_multipliers: NDArray[np.float64]
     upper_multipliers: NDArray[np.float64]
+    storage: Storage = field(repr=False)
     history: tuple[LocalIterate, ...] = ()
 
     def __post_init__(self) -> None:

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_aigto.local.nlp import PolynomialNlp
-from drake_aigto.local.symmetric import multiply
 
 Floats = NDArray[np.float64]
 
@@ -57,7 +56,7 @@ class Duals:
 
 @dataclass(frozen=True)
 class Linearisation:
-    """Derivatives at a point: s ∇f (nf,), Aᵀλ (nf,) and the KKT matrix [W Aᵀ; A 0] as a band."""
+    """Derivatives at a point: s ∇f (nf,), Aᵀλ (nf,) and the KKT matrix [W Aᵀ; A 0] as stored."""
 
     gradient: Floats
     row_force: Floats
@@ -148,7 +147,7 @@ class ScaledProblem:
     def linearise(self, y: Floats, multipliers: Floats) -> Linearisation:
         """Differentiate, with W for these multipliers of the rows."""
         gradient, band = self.structure.assemble(self.full(y), self._scales, multipliers)
-        force = multiply(band, self.structure.join(0.0, multipliers))
+        force = self.structure.multiply(band, self.structure.join(0.0, multipliers))
         return Linearisation(gradient, self.structure.split(force)[0], band)
 
     def bound_force(self, pushes: Floats) -> Floats:

@@ -1,4 +1,8 @@
-"""Symmetric indefinite matrices in lower band storage: what all their factorisations share."""
+"""Symmetric indefinite matrices: what all their factorisations share.
+
+A matrix is kept in LAPACK's lower band storage (b + 1, size), in Fortran's order; or, where there
+is a `Pattern`, as its entries (1, E). Its diagonal is the beginning of the first row either way.
+"""
 
 from __future__ import annotations
 
@@ -8,30 +12,34 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.blas import dsbmv
 
+from drake_aigto.linear import Pattern
+from drake_aigto.linear.pattern import multiply as multiply_sparse
+
 Floats = NDArray[np.float64]
 
-_REFINEMENTS = 2
 _RESIDUAL = 1e-13  # of the largest entry on the right, where refinement stops
 
 
 class SymmetricFactors(ABC):
-    """Factors of one symmetric matrix at a time, of fixed size and bandwidth."""
+    """Factors of one symmetric matrix at a time, all of the same sparsity."""
 
-    _band: Floats
+    _pattern: Pattern | None = None
+    _refinements = 2
+    _matrix: Floats
     _is_singular: bool
 
-    def factorise(self, band: Floats) -> int:
+    def factorise(self, matrix: Floats) -> int:
         """Factorise a matrix in place of the one before.
 
         Args:
-            band: Lower band storage (bandwidth + 1, size), in Fortran's order. It is kept, and must
-                not change as long as `solve` is called.
+            matrix: It is kept, and must not change as long as `solve` is called.
 
         Returns:
             The number of negative eigenvalues, −1 if the matrix is singular or not finite.
         """
-        negative = self._factorise(band) if np.isfinite(band).all() else -1
-        self._band, self._is_singular = band, negative < 0
+        self._matrix = matrix
+        negative = self._factorise(matrix) if np.isfinite(matrix).all() else -1
+        self._is_singular = negative < 0
         return negative
 
     def solve(self, right: Floats) -> Floats:
@@ -40,15 +48,18 @@ class SymmetricFactors(ABC):
             return np.full(right.size, np.nan)
         solution = self._solve(right)
         goal = _RESIDUAL * max_norm(right)
-        for _ in range(_REFINEMENTS):
-            rest = right - multiply(self._band, solution)
+        for _ in range(self._refinements):
+            rest = right - self._multiply(solution)
             if not max_norm(rest) > goal:
                 break
             solution += self._solve(rest)
         return solution
 
+    def _multiply(self, x: Floats) -> Floats:
+        return multiply(self._matrix, x, self._pattern)
+
     @abstractmethod
-    def _factorise(self, band: Floats) -> int:
+    def _factorise(self, matrix: Floats) -> int:
         """As `factorise`, of finite entries; no `solve` follows where it is −1."""
 
     @abstractmethod
@@ -56,11 +67,13 @@ class SymmetricFactors(ABC):
         """The solution (size,) as the factors have it."""
 
 
-def multiply(band: Floats, x: Floats) -> Floats:
-    """The product of a symmetric matrix in lower band storage (b + 1, size) with a vector."""
+def multiply(matrix: Floats, x: Floats, pattern: Pattern | None = None) -> Floats:
+    """The product of a symmetric matrix with a vector (size,)."""
     if x.size == 0:
         return x
-    return dsbmv(band.shape[0] - 1, 1.0, band, x, lower=1)
+    if pattern is not None:
+        return multiply_sparse(pattern, matrix[0], x)
+    return dsbmv(matrix.shape[0] - 1, 1.0, matrix, x, lower=1)
 
 
 def max_norm(values: Floats) -> float:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
@@ -31,6 +32,8 @@ from drake_aigto.transcription import Transcription
 
 if TYPE_CHECKING:
     import numpy.typing as npt
+
+_LOG = logging.getLogger(__name__)
 
 Sequence = TypeVar("Sequence", bound=tuple[Any, ...])
 TranscriptionT = TypeVar("TranscriptionT", bound=Transcription)
@@ -275,4 +278,6 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
 
 
 def _compile(transcription: Transcription) -> BoxPolynomial:
-    return compile_program(transcription.penalized(), transcription.elimination_order())
+    polynomial = compile_program(transcription.penalized(), transcription.elimination_order())
+    _LOG.info("boxes: %s", polynomial.storage)
+    return polynomial

@@ -15,6 +15,8 @@ from pydrake.solvers import (
     SolverId,
 )
 
+from drake_aigto.linear import Storage
+
 if TYPE_CHECKING:
     import numpy.typing as npt
 
@@ -64,6 +66,9 @@ class AigoDetails:
         first_half_width: of the first box, shape (n,).
         widths: for each weight of the penalties, for each first algorithm: geometric-mean half
             widths of the first box as it shrank.
+        box_storage: how Newton systems over boxes were ordered, stored and factorised, and why;
+            None where no box was shrunk.
+        kkt_storage: the same of the local solver's; None where there was no polish of ours.
     """
 
     status: AigoStatus
@@ -75,6 +80,8 @@ class AigoDetails:
     first_center: npt.NDArray[np.float64] = field(repr=False)
     first_half_width: npt.NDArray[np.float64] = field(repr=False)
     widths: tuple[tuple[tuple[float, ...], ...], ...] = field(repr=False)
+    box_storage: Storage | None = None
+    kkt_storage: Storage | None = None
 
     @classmethod
     def of_nothing(cls, status: AigoStatus, x: npt.NDArray[np.float64]) -> AigoDetails:

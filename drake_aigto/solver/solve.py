@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -11,6 +12,7 @@ import numpy as np
 
 from drake_aigto.aigo import BoxSearch, Candidate, SearchResult
 from drake_aigto.box import BoxPolynomial
+from drake_aigto.linear import Storage
 from drake_aigto.local import InteriorPoint
 from drake_aigto.local.drake_solvers import solve_with_drake
 from drake_aigto.solver.first_box import make_first_box
@@ -21,6 +23,8 @@ from drake_aigto.solver.result import AigoDetails, AigoStatus
 
 if TYPE_CHECKING:
     import numpy.typing as npt
+
+_LOG = logging.getLogger(__name__)
 
 Observer = Callable[["npt.NDArray[np.float64]", str], Any]
 
@@ -75,6 +79,8 @@ class Solve:
         self._best: _Answer | None = None
         self._boxes = self._iterations = self._polishes = 0
         self._widths: list[tuple[tuple[float, ...], ...]] = []
+        self._box_storage: Storage | None = None
+        self._kkt_storage: Storage | None = None
 
     def run(self) -> tuple[npt.NDArray[np.float64], float, AigoDetails]:
         """Returns the answer x (n,), its cost, and details."""
@@ -101,6 +107,8 @@ class Solve:
             first_center=self._first.center[:n],
             first_half_width=self._first.half_width[:n],
             widths=tuple(self._widths),
+            box_storage=self._box_storage,
+            kkt_storage=self._kkt_storage,
         )
         return best.x, self._program.cost(best.x), details
 
@@ -149,6 +157,8 @@ class Solve:
         def look(candidate: Candidate) -> None:
             self._offer(candidate.x, f"{candidate.origin}{name}")
 
+        self._box_storage = f.storage
+        _LOG.info("boxes%s: %s", name, f.storage)
         found = search.run(f, self._first, lambda y: self._polish(y, name), look)
         self._boxes += found.num_boxes
         self._iterations += found.num_steps
@@ -167,7 +177,7 @@ class Solve:
             found = InteriorPoint(max_iterations=_POLISH_STEPS).solve(
                 program.nlp, program.with_slacks(y[:n])
             )
-            x = found.x[:n]
+            x, self._kkt_storage = found.x[:n], found.storage
         else:
             x = solve_with_drake(program.source, y[:n], self._options.polish).x
         self._offer(x, f"polish{name}")

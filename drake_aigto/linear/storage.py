@@ -1,0 +1,125 @@
+"""Which storage and factorisation the Newton systems of a problem get."""
+
+from __future__ import annotations
+
+import enum
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_aigto.linear.pattern import Pattern, make_pattern
+from drake_aigto.linear.sparse import count_fill, minimum_degree
+
+Ints = NDArray[np.int64]
+
+# Microseconds that factorisations take, measured on one core: what they are predicted from.
+_BAND_UNIT = 1.4e-4  # times Σ min(b, size − j)²
+_DENSE_UNIT = 2e-5  # times size³: LAPACK's blocks are quicker per entry
+_SPARSE_UNIT = 0.12  # times entries of L
+_SPARSE_CALL = 300.0  # for calling SuperLU at all
+# The sparse one is taken where it is predicted to be so many times as quick as the best other.
+_HYSTERESIS = 2.0
+# Small systems are dense where they may be: LAPACK takes some 40 µs for them however wide the band,
+# and spares a plan, whose polish has ten to sixty unknowns, the seconds for compiling the other.
+_SMALL = 100
+_MOST_DENSITY = 0.25  # of the matrix, beyond which no order is looked for that keeps L sparse
+
+
+class Factorisation(enum.Enum):
+    """How a symmetric matrix is stored and factorised."""
+
+    BAND = "banded LDLᵀ"
+    DENSE = "dense LDLᵀ (LAPACK)"
+    SPARSE = "sparse LDLᵀ (SuperLU)"
+
+
+@dataclass(frozen=True, eq=False)
+class Storage:
+    """The choice for all matrices of one sparsity, and what it was made from.
+
+    Attributes:
+        factorisation: The choice.
+        size: Number of unknowns.
+        bandwidth: Half bandwidth b of the narrowest band that was found.
+        fill: Entries of a sparse L below the diagonal; None where bands were so cheap that no order
+            was looked for.
+        places: Place of each group of unknowns in the order that was chosen (num_groups,).
+        pattern: Of a matrix with one unknown in each group, in that order, if it is to be sparse.
+    """
+
+    factorisation: Factorisation
+    size: int
+    bandwidth: int
+    fill: int | None
+    places: Ints = field(repr=False)
+    pattern: Pattern | None = field(repr=False)
+
+    @property
+    def is_worth_telling(self) -> bool:
+        """Whether systems are so large that it matters how they are solved."""
+        return self.size > _SMALL
+
+    def __str__(self) -> str:
+        """The choice and its reasons in a line."""
+        text = f"{self.factorisation.value}, {self.size:,} unknowns, half bandwidth "
+        text += f"{self.bandwidth:,}"
+        return text if self.fill is None else f"{text}, sparse L of {self.fill:,} entries"
+
+
+def choose_storage(
+    num_groups: int,
+    edges: Ints,
+    orders: Sequence[Callable[[], Ints]],
+    group_size: int = 1,
+    may_be_dense: bool = False,
+) -> Storage:
+    """Order the unknowns, and choose by predicted work what their matrices are stored as.
+
+    A band takes O(size · b²), a dense matrix O(size³), a sparse one as many operations as its
+    order's L asks for. Bands are preferred: the others have to be several times as quick.
+
+    Args:
+        num_groups: Number of groups of unknowns that stay next to each other.
+        edges: Pairs of groups that meet in the matrix (2, P).
+        orders: Give places of the groups in orders (num_groups,) that bands are tried in, one or
+            more; the first of the narrowest is taken.
+        group_size: Unknowns in each group.
+        may_be_dense: Whether there is a dense factorisation.
+    """
+    size = group_size * num_groups
+    found = [order() for order in orders]
+    widths = [_bandwidth(places, edges) for places in found]
+    places, width = found[int(np.argmin(widths))], min(widths)
+    bandwidth = group_size * (width + 1) - 1
+    best = Factorisation.BAND
+    cost = _BAND_UNIT * (size - 2 / 3 * bandwidth) * float(bandwidth) ** 2
+    if may_be_dense:
+        dense = _DENSE_UNIT * float(size) ** 3
+        if size <= _SMALL or dense < cost:
+            best, cost = Factorisation.DENSE, dense
+    storage = Storage(best, size, bandwidth, None, places, None)
+    if size <= _SMALL or cost <= _HYSTERESIS * _SPARSE_CALL:
+        return storage
+    if np.unique(edges[0] * num_groups + edges[1]).size > _MOST_DENSITY * num_groups**2:
+        return storage
+    places = minimum_degree(make_pattern(num_groups, edges))
+    pattern = make_pattern(num_groups, places[edges])
+    within = num_groups * group_size * (group_size - 1) // 2
+    fill = group_size**2 * count_fill(pattern) + within
+    if _HYSTERESIS * (_SPARSE_CALL + _SPARSE_UNIT * fill) >= cost:
+        return replace(storage, fill=fill)
+    return Storage(Factorisation.SPARSE, size, bandwidth, fill, places, pattern)
+
+
+def spread(pattern: Pattern, group_size: int) -> Pattern:
+    """The pattern where each unknown is replaced by a group of them, side by side."""
+    entries = group_size * np.vstack([pattern.rows, pattern.columns])
+    within = np.indices((group_size, group_size)).reshape(2, -1)
+    pairs = entries[:, :, np.newaxis] + within[:, np.newaxis]
+    return make_pattern(group_size * pattern.size, pairs.reshape(2, -1))
+
+
+def _bandwidth(places: Ints, edges: Ints) -> int:
+    return int(np.max(np.abs(places[edges[0]] - places[edges[1]]), initial=0))
