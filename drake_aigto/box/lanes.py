@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import itertools
-from typing import NamedTuple
+from functools import lru_cache
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from drake_aigto.box.functions import TRANSCENDENTAL
 from drake_aigto.box.tables import FACTOR, Floats, Ints, Records, StackedTerms
@@ -41,6 +43,8 @@ TAPE = np.dtype(
 # its caches. Tapes of very many rows have fewer, so that all of them stay near so many numbers.
 _MOST_LANES = 64
 _MOST_NUMBERS = 2**17
+# Of so few copies and factors stacks are remembered.
+_FEW = 1000
 
 
 class Lanes(NamedTuple):
@@ -84,47 +88,82 @@ class Lanes(NamedTuple):
     are_magnitudes: bool
 
 
+class _Bytes(NamedTuple):
+    """An array that can be looked up."""
+
+    content: bytes
+    dtype: np.dtype[Any]
+
+    def array(self) -> NDArray[Any]:
+        """The array again, read-only."""
+        return np.frombuffer(self.content, self.dtype)
+
+
+class _Stacks(NamedTuple):
+    """What lanes have of the structure of sums alone.
+
+    Attributes:
+        sum_tapes: The tape of each sum.
+        sizes: `Lanes.most_lanes`, `most_rows` and `most_variables`.
+        records: The tapes, operations, arguments, functions, slopes and curvatures, read-only.
+    """
+
+    sum_tapes: Ints
+    sizes: tuple[int, int, int]
+    records: tuple[Records, Records, Records, Records, Records, Records]
+
+
 def make_lanes(stacked: StackedTerms, order: Order) -> Lanes:
     """The lanes of some sums, for derivatives of an order."""
-    number_of: dict[Tape, int] = {}
-    sum_tapes = np.array(
-        [number_of.setdefault(tape, len(number_of)) for tape in _sum_tapes(stacked, order)],
-        dtype=np.int64,
-    )
     sums = stacked.copies["sum_index"]
-    copies = np.lexsort((sums, sum_tapes[sums]))
+    parts = stacked.factors, stacked.members, stacked.terms["first_member"], stacked.sums, sums
+    make = _make_and_keep if stacked.members.size + sums.size <= _FEW else _make_stacks
+    stacks = make(order, *(_Bytes(part.tobytes(), part.dtype) for part in parts))
+    copies = np.lexsort((sums, stacks.sum_tapes[sums]))
     lanes = np.empty(copies.size, dtype=LANE)
     lanes["copy"] = copies
     lanes["first_variable"] = stacked.copies["first_variable"][copies]
     lanes["first_coefficient"] = stacked.sums["first_term"][sums[copies]]
-    counts = np.bincount(sum_tapes[sums], minlength=len(number_of))
-    most_rows = max((tape.num_rows for tape in number_of), default=1)
-    most_lanes = min(_MOST_LANES, _MOST_NUMBERS // most_rows, int(np.max(counts, initial=1)))
     coefficients = np.ascontiguousarray(stacked.terms["coefficient"])
-    stacks = _stack(tuple(number_of), counts)
-    for array in (lanes, coefficients, *stacks):
+    for array in (lanes, coefficients):
         array.setflags(write=False)
     return Lanes(
-        *(lanes, stacked.copy_variables, coefficients, *stacks),
-        max(1, most_lanes),
-        most_rows,
-        max((tape.num_variables for tape in number_of), default=0),
+        *(lanes, stacked.copy_variables, coefficients, *stacks.records, *stacks.sizes),
         True if np.any(np.isin(stacked.factors["kind"], TRANSCENDENTAL)) else None,
         False,
     )
 
 
-def _sum_tapes(stacked: StackedTerms, order: Order) -> list[Tape]:
-    """The tape of each sum."""
-    factors, members = stacked.factors.tolist(), stacked.members.tolist()
-    starts = stacked.terms["first_member"].tolist()
-    sums = stacked.sums.tolist()
-    tapes = []
-    for (factor, term), (last_factor, last_term) in itertools.pairwise(sums):
+def _make_stacks(
+    order: Order,
+    factors: _Bytes,
+    members: _Bytes,
+    first_members: _Bytes,
+    sums: _Bytes,
+    sum_of_copy: _Bytes,
+) -> _Stacks:
+    """The stacks of sums as `StackedTerms` has them."""
+    all_factors, all_members = factors.array().tolist(), members.array().tolist()
+    starts = first_members.array().tolist()
+    number_of: dict[Tape, int] = {}
+    numbers = []
+    for (factor, term), (last_factor, last_term) in itertools.pairwise(sums.array().tolist()):
         terms = zip(starts[term:last_term], starts[term + 1 : last_term + 1], strict=True)
-        groups = tuple(tuple(members[start:end]) for start, end in terms)
-        tapes.append(make_tape(tuple(factors[factor:last_factor]), groups, order))
-    return tapes
+        groups = tuple(tuple(all_members[start:end]) for start, end in terms)
+        tape = make_tape(tuple(all_factors[factor:last_factor]), groups, order)
+        numbers.append(number_of.setdefault(tape, len(number_of)))
+    sum_tapes, tapes = np.array(numbers, dtype=np.int64), tuple(number_of)
+    counts = np.bincount(sum_tapes[sum_of_copy.array()], minlength=len(tapes))
+    most_rows = max((tape.num_rows for tape in tapes), default=1)
+    most_lanes = min(_MOST_LANES, _MOST_NUMBERS // most_rows, int(np.max(counts, initial=1)))
+    most_variables = max((tape.num_variables for tape in tapes), default=0)
+    return _Stacks(
+        sum_tapes, (max(1, most_lanes), most_rows, most_variables), _stack(tapes, counts)
+    )
+
+
+# A polish has the same few sums as the one before, with other coefficients and bounds.
+_make_and_keep = lru_cache(maxsize=64)(_make_stacks)
 
 
 def _stack(
@@ -139,7 +178,7 @@ def _stack(
         starts += [count, *(len(part) for part in parts)]
     records.append((*starts.tolist(), 0, 0))
     operations = [np.empty(0, dtype=OPERATION), *(tape.operations for tape in tapes)]
-    return (
+    stacks = (
         np.array(records, dtype=TAPE),
         np.concatenate(operations),
         np.array([entry for tape in tapes for entry in tape.arguments], dtype=ARGUMENT),
@@ -147,3 +186,6 @@ def _stack(
         np.array([entry for tape in tapes for entry in tape.slopes], dtype=SLOPE),
         np.array([entry for tape in tapes for entry in tape.curvatures], dtype=CURVATURE),
     )
+    for array in stacks:
+        array.setflags(write=False)
+    return stacks

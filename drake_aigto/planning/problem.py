@@ -22,6 +22,7 @@ from drake_aigto.aigo import (
     minimize,
 )
 from drake_aigto.box import BoxPolynomial, compile_program
+from drake_aigto.box.tapes import Order
 from drake_aigto.local import InteriorPoint, LocalResult, PolynomialNlp, compile_nlp
 from drake_aigto.local.drake_solvers import solve_with_drake
 from drake_aigto.planning.contacts import find_contacts, max_penetration
@@ -87,6 +88,10 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
         self.options = options or PlanOptions()
         first = Start(transcription, _compile(transcription), Box(*transcription.initial_box()))
         self._starts: dict[StartName, Start[TranscriptionT]] = {"line": first}
+        rows = transcription.prog().GetAllConstraints()
+        named = {row.evaluator().get_description() for row in rows}
+        # Names of the rows that penalties stand for.
+        self._row_names = sorted(named & set(first.polynomial.weights))
 
     @property
     def polynomial(self) -> BoxPolynomial:
@@ -269,15 +274,9 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
         unit = self._cost_scale
         return {name: unit * rung.weights.get(name, rung.others) for name in self._row_names}
 
-    @cached_property
-    def _row_names(self) -> list[str]:
-        """Names of the rows that penalties stand for."""
-        rows = self.transcription.prog().GetAllConstraints()
-        named = {row.evaluator().get_description() for row in rows}
-        return sorted(named & set(self.polynomial.weights))
-
 
 def _compile(transcription: Transcription) -> BoxPolynomial:
     polynomial = compile_program(transcription.penalized(), transcription.elimination_order())
     _LOG.info("boxes: %s", polynomial.storage)
+    polynomial.lanes(Order.BOXES)  # Made now, for all rungs.
     return polynomial
