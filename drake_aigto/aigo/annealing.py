@@ -19,10 +19,12 @@ class AnnealingMemory(NamedTuple):
     Attributes:
         temperature: μ that the box was made for.
         damping: Newton's, for the next steps.
+        objective: of that temperature, to make the next one of.
     """
 
     temperature: float
     damping: float = 1e-2
+    objective: SmoothedObjective | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,8 +80,10 @@ class Annealing:
 
     def step(self, f: BoxPolynomial, iterate: Iterate) -> Iterate:
         """Minimises at the temperature, then lowers it."""
-        objective = SmoothedObjective(f, iterate.box.free, iterate.temperature, self.tolerance)
-        return self._cool(iterate, objective, iterate.memory)
+        known = iterate.memory.objective
+        if known is None or known.f is not f:
+            known = SmoothedObjective(f, iterate.box.free, iterate.temperature, self.tolerance)
+        return self._cool(iterate, known.at(iterate.temperature), iterate.memory)
 
     def _cool(
         self, iterate: Iterate, objective: SmoothedObjective, memory: AnnealingMemory
@@ -95,7 +99,7 @@ class Annealing:
             iterate.temperature * self.cooling,
             result.steps,
             result.residual,
-            AnnealingMemory(iterate.temperature, result.damping),
+            AnnealingMemory(iterate.temperature, result.damping, objective),
         )
 
     def terminate(self, f: BoxPolynomial, iterate: Iterate) -> bool:

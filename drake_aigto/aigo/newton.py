@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -93,6 +95,9 @@ class SmoothedObjective(Objective):
         temperature: μ.
         tolerance: stationary at √(mean g²/(μD)) ≤ tolerance, μD = μ (3/w², 2).
         first: a box whose c ± w are bounds of c, and w those of the half width, if given.
+
+    Attributes:
+        f: as given.
     """
 
     def __init__(
@@ -104,30 +109,41 @@ class SmoothedObjective(Objective):
         first: Box | None = None,
     ) -> None:
         """Prepares for one temperature."""
-        self._f = f
+        self.f = f
         bounds = None if first is None else self._bounds(first)
         self.problem = _make_problem(f, Order.BOXES, free, 0.0, bounds, temperature)
-        self.largest_residual = tolerance * np.sqrt(2 * np.count_nonzero(free) * temperature)
+        self._tolerance, self._num_unknowns = tolerance, 2 * np.count_nonzero(free)
+        self.largest_residual = self._calc_largest_residual()
+
+    def _calc_largest_residual(self) -> float:
+        return self._tolerance * math.sqrt(self._num_unknowns * self.problem.temperature)
+
+    def at(self, temperature: float) -> SmoothedObjective:
+        """Returns the same objective at another temperature."""
+        other = copy.copy(self)
+        other.problem = self.problem._replace(temperature=temperature)
+        other.largest_residual = other._calc_largest_residual()
+        return other
 
     def _bounds(self, first: Box) -> tuple[Floats, Floats]:
         """Returns lower and upper bounds of y."""
-        lower, upper = (np.full(2 * self._f.num_variables, end) for end in (-np.inf, np.inf))
-        center, half_width = first.center[self._f.order], first.half_width[self._f.order]
+        lower, upper = (np.full(2 * self.f.num_variables, end) for end in (-np.inf, np.inf))
+        center, half_width = first.center[self.f.order], first.half_width[self.f.order]
         lower[0::2], upper[0::2] = center - half_width, center + half_width
         upper[1::2] = self.unknowns(first)[1::2]
         return lower, upper
 
     def unknowns(self, box: Box) -> Floats:
         """Returns y of a box; z = −∞ where a variable is held."""
-        y = np.empty(2 * self._f.num_variables)
-        y[0::2] = box.center[self._f.order]
+        y = np.empty(2 * self.f.num_variables)
+        y[0::2] = box.center[self.f.order]
         with np.errstate(divide="ignore"):
-            y[1::2] = np.log(box.half_width[self._f.order])
+            y[1::2] = np.log(box.half_width[self.f.order])
         return y
 
     def box(self, y: Floats) -> Box:
         """Returns the box of y."""
-        center, log_half_width = self._f.to_variables(y)
+        center, log_half_width = self.f.to_variables(y)
         return Box(center, np.exp(log_half_width))
 
 

@@ -105,11 +105,13 @@ class _Stacks(NamedTuple):
     Attributes:
         sum_tapes: The tape of each sum.
         sizes: `Lanes.most_lanes`, `most_rows` and `most_variables`.
+        transcendental: As `Lanes` has it.
         records: The tapes, operations, arguments, functions, slopes and curvatures, read-only.
     """
 
     sum_tapes: Ints
     sizes: tuple[int, int, int]
+    transcendental: bool | None
     records: tuple[Records, Records, Records, Records, Records, Records]
 
 
@@ -129,7 +131,7 @@ def make_lanes(stacked: StackedTerms, order: Order) -> Lanes:
         array.setflags(write=False)
     return Lanes(
         *(lanes, stacked.copy_variables, coefficients, *stacks.records, *stacks.sizes),
-        True if np.any(np.isin(stacked.factors["kind"], TRANSCENDENTAL)) else None,
+        stacks.transcendental,
         False,
     )
 
@@ -158,7 +160,10 @@ def _make_stacks(
     most_lanes = min(_MOST_LANES, _MOST_NUMBERS // most_rows, int(np.max(counts, initial=1)))
     most_variables = max((tape.num_variables for tape in tapes), default=0)
     return _Stacks(
-        sum_tapes, (max(1, most_lanes), most_rows, most_variables), _stack(tapes, counts)
+        sum_tapes,
+        (max(1, most_lanes), most_rows, most_variables),
+        True if np.any(np.isin(factors.array()["kind"], TRANSCENDENTAL)) else None,
+        _stack(tapes, counts),
     )
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from functools import cache
 
@@ -35,7 +36,7 @@ class NlpBuilder:
 
     def new(self, *shape: int) -> Ints:
         """New variables without bounds: their indices, of this shape."""
-        first, self._size = self._size, self._size + int(np.prod(shape))
+        first, self._size = self._size, self._size + math.prod(shape)
         return np.arange(first, self._size).reshape(shape)
 
     def bound(self, variables: Ints | int, lower: ArrayLike, upper: ArrayLike) -> None:

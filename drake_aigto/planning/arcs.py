@@ -117,8 +117,8 @@ class Arcs:
         self._kicks = inverse @ self._jacobian.T
         self._builder = NlpBuilder()
         self._make_variables()
-        for rests in np.unique(self._rests, axis=0):
-            self._add_motion(rests)
+        for rests in dict.fromkeys(map(tuple, self._rests.tolist())):
+            self._add_motion(np.array(rests, dtype=bool))
         self._add_costs()
         self._add_clock()
         self._add_distances()

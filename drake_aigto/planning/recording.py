@@ -93,6 +93,8 @@ def list_impacts(
     log: npt.NDArray[np.float64], mass_matrix: npt.NDArray[np.float64]
 ) -> list[Impact]:
     """Returns the impacts of a log (`impacts.make_log`), by a mass matrix M (nv, nv) [kg]."""
+    if not len(log):
+        return []
     _, *velocities = np.split(log[:, STATE:], 3, axis=1)
     energies = [np.einsum("bi,ij,bj->b", v, mass_matrix, v) / 2 for v in velocities]
     rows = np.column_stack([log[:, TIME], log[:, SPEED : PUSH + 1], *energies]).tolist()

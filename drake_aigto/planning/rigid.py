@@ -36,6 +36,8 @@ from drake_aigto.transcription.touch import joint_times
 if TYPE_CHECKING:
     import numpy.typing as npt
 
+    from drake_aigto.world import Scenario
+
 # Times (K,) [s] and positions (K, nq) [m].
 Path = tuple["npt.NDArray[np.float64]", "npt.NDArray[np.float64]"]
 # A multi-phase problem, and its decision variables.
@@ -87,6 +89,7 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
         """
         super().__init__(transcription, options)
         self.num_steps = num_steps or transcription.scenario.num_steps
+        self._scenarios: dict[int, Scenario] = {}  # By their number of steps.
 
     def find_sequences(self, result: AigoResult, rung: Rung) -> list[TouchSequence]:
         """Returns the contact sequences that AIGO proposes (`read_sequences`) and that fit."""
@@ -204,7 +207,10 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
         coarse = self.transcription
         scenario = coarse.scenario
         if num_steps is not None:
-            scenario = dataclasses.replace(scenario, time_step=scenario.duration / num_steps)
+            if num_steps not in self._scenarios:
+                finer = dataclasses.replace(scenario, time_step=scenario.duration / num_steps)
+                self._scenarios[num_steps] = finer
+            scenario = self._scenarios[num_steps]
         phases = PhaseTranscription(coarse.world, scenario, sequence, tuple(facings))
         phases.add_what_was_added_to(coarse)
         return phases

@@ -79,12 +79,14 @@ class Parabolas:
         log = log[:count]
         # A knot's row stands behind two for each impact until then.
         at_knots = np.arange(knots) + 2 * impacts_until
-        at_impacts = np.setdiff1d(np.arange(knots + 2 * count), at_knots, assume_unique=True)
         times, rows = np.empty(knots + 2 * count), np.empty((knots + 2 * count, 2, n))
         times[at_knots], rows[at_knots] = self._times, states
-        q, before, after = np.split(log[:, STATE:], 3, axis=1)
+        is_impact = np.ones(times.size, dtype=bool)
+        is_impact[at_knots] = False
+        at_impacts = np.flatnonzero(is_impact)
+        q, before, after = log[:, STATE:].reshape(-1, 3, n).transpose(1, 0, 2)
         for part, v in enumerate((before, after)):
-            rows[at_impacts[part::2]] = np.stack([q, v], axis=1)
+            rows[at_impacts[part::2], 0], rows[at_impacts[part::2], 1] = q, v
             times[at_impacts[part::2]] = log[:, TIME]
         return Recording(
             times=times.tolist(),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from typing import TYPE_CHECKING
 
@@ -30,7 +31,7 @@ class Layout:
     def new(self, name: str, *shape: int) -> npt.NDArray[np.int64]:
         """Returns the indices of new variables, of this shape."""
         self._groups.append((name, shape))
-        first, self.size = self.size, self.size + int(np.prod(shape))
+        first, self.size = self.size, self.size + math.prod(shape)
         # Drake counts the variables of a matrix column by column. In C's order, as motions are: the
         # rounding of products depends on it.
         return np.ascontiguousarray(np.arange(first, self.size).reshape(shape, order="F"))
