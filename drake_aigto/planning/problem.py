@@ -277,6 +277,7 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
 
 def _compile(transcription: Transcription) -> BoxPolynomial:
     polynomial = compile_program(transcription.penalized(), transcription.elimination_order())
+    for order in (Order.MEAN, Order.BOXES):
+        polynomial.lanes(order)  # Made now, for all rungs.
     _LOG.info("boxes: %s", polynomial.storage)
-    polynomial.lanes(Order.BOXES)  # Made now, for all rungs.
     return polynomial
