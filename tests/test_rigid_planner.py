@@ -377,6 +377,7 @@ def test_boxes_of_many_variables_get_threads() -> None:
 
 def test_ctrl_c_ends_all_threads_and_keeps_what_they_have(monkeypatch: pytest.MonkeyPatch) -> None:
     run_aigo, statuses, interrupts = RigidProblem.run_aigo, list[Status](), iter([True])
+    both_run = threading.Barrier(2)
 
     main_thread = threading.main_thread().ident
     assert main_thread is not None
@@ -384,6 +385,7 @@ def test_ctrl_c_ends_all_threads_and_keeps_what_they_have(monkeypatch: pytest.Mo
     def run_until_stopped(problem: Any, rung: Rung, algorithm: Any, callback: Any) -> AigoResult:
         def wait_for_others(iterate: Iterate) -> None:
             if iterate.inner_steps:  # The first box was shrunk once.
+                both_run.wait()
                 if next(interrupts, False):
                     signal.pthread_kill(main_thread, signal.SIGINT)
                 while True:
