@@ -116,13 +116,16 @@ class KktStructure:
         np.maximum.at(last, incidence[0], rank[incidence[1]])
         return np.argsort(np.argsort(first + last, kind="stable"))
 
-    def assemble(self, x: Floats, scales: Floats, multipliers: Floats) -> tuple[Floats, Floats]:
+    def assemble(
+        self, x: Floats, scales: Floats, multipliers: Floats, values: Floats | None = None
+    ) -> tuple[Floats, Floats]:
         """Gradient s ∇f (nf,), and the KKT matrix as `symmetric` has it, (b + 1, size) or (1, E).
 
         Args:
             x: The point (n,).
             scales: s of each cost copy and each row (num_costs + m,).
             multipliers: λ of the rows that read a free variable (ma,).
+            values: Filled with s f_i of each cost copy and s c_i of each row, if given.
         """
         nlp = self._nlp
         gradient, pattern = np.zeros(self.size), self.storage.pattern
@@ -133,8 +136,9 @@ class KktStructure:
         system = System(
             factors, self._place_of_variable, self._place_of_copy, gradient, band, pattern
         )
-        weights = scales * nlp.copy_weights
-        add_means(self._lanes, weights, x, np.zeros(x.size), np.empty(factors.size), system)
+        if values is None:
+            values = np.empty(factors.size)
+        add_means(self._lanes, scales * nlp.copy_weights, x, np.zeros(x.size), values, system)
         # In Fortran's order, which spares BLAS a copy.
         return gradient[self.variable_places], band.T
 

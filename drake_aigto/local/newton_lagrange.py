@@ -54,10 +54,10 @@ class NewtonLagrange:
         factors = make_factors(structure.storage, structure.is_row)
         scales = np.ones(nlp.num_costs + nlp.num_rows)
         scales[: nlp.num_costs] = 1 / self.cost_unit
-        multipliers = np.zeros(structure.rows.size)
+        values, multipliers = np.empty(scales.size), np.zeros(structure.rows.size)
         for iterations in range(self.max_iterations + 1):
-            cost, residuals = nlp.evaluate(x)
-            gradient, band = structure.assemble(x, scales, multipliers)
+            gradient, band = structure.assemble(x, scales, multipliers, values)
+            residuals = values[nlp.num_costs :]
             of_rows = structure.multiply(band, structure.join(0.0, multipliers))
             force = gradient + structure.split(of_rows)[0]
             num_negative = factors.factorise(band)
@@ -74,16 +74,16 @@ class NewtonLagrange:
         outside = np.abs(x - within) / np.maximum(1.0, np.abs(within))
         if num_negative != multipliers.size or max_norm(outside) > _ROUNDING:
             return None
-        of_rows = np.zeros(nlp.num_rows)
-        of_rows[structure.rows] = multipliers * self.cost_unit
+        all_multipliers = np.zeros(nlp.num_rows)
+        all_multipliers[structure.rows] = multipliers * self.cost_unit
         return LocalResult(
             x=within,
-            cost=cost,
+            cost=self.cost_unit * float(np.sum(values[: nlp.num_costs])),
             status=LocalStatus.CONVERGED,
             iterations=iterations,
             residual=residual,
             optimality=optimality,
-            multipliers=of_rows,
+            multipliers=all_multipliers,
             lower_multipliers=np.zeros(nlp.num_variables),
             upper_multipliers=np.zeros(nlp.num_variables),
             storage=structure.storage,
