@@ -30,7 +30,7 @@ from drake_aigto.study.ablations import (
     count_lost_bounces,
     run_variant,
 )
-from drake_aigto.study.scenario_jobs import ALL_RUNGS, Job
+from drake_aigto.study.scenario_jobs import EXHAUSTIVE, Job
 from drake_aigto.study.scenario_question import ScenarioQuestion
 from drake_aigto.study.scenario_results import (
     MethodRun,
@@ -281,4 +281,4 @@ def test_bad_input_ends_it_before_any_work(
 
 
 def test_options_of_variants_are_those_that_scenarios_are_measured_with() -> None:
-    assert VARIANTS["default"].options == ALL_RUNGS
+    assert VARIANTS["default"].options == EXHAUSTIVE

@@ -55,6 +55,11 @@ def bounce_plan() -> Plan:
     return plan(table1(1, **COARSE))
 
 
+@cache
+def all_candidates() -> Plan:
+    return plan(table1(1, **COARSE), dataclasses.replace(UNCONFIRMED, exhaustive=True))
+
+
 # Optimal, and true.
 
 
@@ -188,7 +193,7 @@ def test_a_bounce_is_planned_on_any_plant_and_holds(plant: Any, joints: int, e: 
         restitution=e,
         time_step=0.01,
     )
-    found = plan(scenario, world=world)
+    found = plan(scenario, PlanOptions(exhaustive=True), world)
     assert found.holds and max(found.defects.values()) < 1e-9
     assert len(found.best.contacts) == len(found.replay.event_driven.bounce_times) == 1
     flight = next(c for c in found.candidates if not c.contacts)
@@ -258,18 +263,18 @@ def test_every_candidate_was_read_off_a_box() -> None:
         for sequence in problem.find_sequences(problem.run_aigo(rung), rung)
     }
     origins = {UNCONFIRMED.describe(rung) for rung in RIGID_LADDER}
-    for candidate in bounce_plan().candidates:
+    for candidate in all_candidates().candidates:
         assert candidate.origin in origins
         assert tuple(False for _ in candidate.contacts) in read
-    assert {len(c.contacts) for c in bounce_plan().candidates} >= {0, 1}
+    assert {len(c.contacts) for c in all_candidates().candidates} >= {0, 1}
 
 
 @pytest.mark.parametrize("number", range(6))
 def test_rungs_that_are_left_out_would_find_nothing_better(number: int) -> None:
     scenario = ScenarioQuestion(seed=11, num_steps=50).scenario(number)
     few, all_of_them = (
-        plan(scenario, dataclasses.replace(UNCONFIRMED, all_rungs=all_rungs))
-        for all_rungs in (False, True)
+        plan(scenario, dataclasses.replace(UNCONFIRMED, exhaustive=exhaustive))
+        for exhaustive in (False, True)
     )
     assert few.replay.event_driven.cost == pytest.approx(
         all_of_them.replay.event_driven.cost, rel=1e-4
@@ -303,6 +308,35 @@ def test_rungs_are_left_out_by_what_the_others_show() -> None:
     assert run({**everywhere, 0: twice, 2: ()}) == [0, 2, 1, 3, 4]
 
 
+@pytest.mark.parametrize("gravity", [0.0, 9.81])
+@pytest.mark.parametrize("goal", [0.7, 1.4])
+def test_no_flight_costs_less_than_its_bound(gravity: float, goal: float) -> None:
+    world = World.from_diagram(make_diagram(gravity=gravity))
+    scenario = table1(1, initial_velocity=0.3, goal_position=goal, time_step=0.01)
+    problem = make_problem(world, scenario, UNCONFIRMED)
+    assert isinstance(problem, RigidProblem)
+    phases, x = problem.polish(problem.box.center, ())
+    # Held over N = 100 steps, a control costs 1/(4 N²) more than a free one, of its linear part.
+    assert 0 < problem.least_flight_cost < phases.scenario_cost(x)
+    assert problem.least_flight_cost == pytest.approx(phases.scenario_cost(x), rel=1e-4)
+
+
+def test_a_flight_has_no_bound_where_something_was_added() -> None:
+    scenario = table1(1, **COARSE)
+    transcription = RigidTranscription(shipped_world(), scenario)
+    transcription.AddRunningCost(transcription.input()[0] ** 2, "more effort")
+    assert RigidProblem(transcription, UNCONFIRMED).least_flight_cost == 0.0
+
+
+def test_a_flight_that_cannot_win_is_left_out_and_told() -> None:
+    few, all_of_them = bounce_plan(), all_candidates()
+    flight = next(c for c in all_of_them.candidates if not c.contacts)
+    assert few.cost == all_of_them.cost
+    assert few.stats.flight_left_out == pytest.approx(flight.cost, rel=1e-2)
+    assert all(candidate.contacts for candidate in few.candidates)
+    assert all_of_them.stats.flight_left_out is None
+
+
 def test_under_gravity_every_rung_is_run() -> None:
     problem = make_problem(
         World.from_diagram(make_diagram(gravity=9.81)), table1(1, **COARSE), UNCONFIRMED
@@ -312,9 +346,10 @@ def test_under_gravity_every_rung_is_run() -> None:
 
 
 def test_candidates_are_ranked_by_their_replay() -> None:
-    costs = [c.replay.cost for c in bounce_plan().candidates if c.is_feasible and c.is_confirmed]
+    found = all_candidates()
+    costs = [c.replay.cost for c in found.candidates if c.is_feasible and c.is_confirmed]
     assert costs == sorted(costs) and len(costs) >= 2
-    assert bounce_plan().best is bounce_plan().candidates[0]
+    assert found.best is found.candidates[0]
 
 
 def test_the_same_question_gives_the_same_bits() -> None:

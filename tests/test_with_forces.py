@@ -166,7 +166,7 @@ def test_they_do_not_always_collapse() -> None:
 
 
 def test_a_plan_with_forces_is_polished_like_any_other() -> None:
-    options = PlanOptions(force_variables=True, all_rungs=True, confirm=False)
+    options = PlanOptions(force_variables=True, exhaustive=True, confirm=False)
     found = Planner(BOUNCE, options, shipped_world()).plan()
     exact = rigid_optimum(shipped_world(), BOUNCE).cost
     assert found.replay.event_driven.cost == pytest.approx(exact, rel=1e-3)

@@ -126,8 +126,8 @@ class PlanOptions:
             "alternating", the one before it, "equal widths", whose boxes keep the shape of the
             first, and "no boxes", a local optimum of the penalised cost itself.
         ladder: the starts; candidates come out of each. None: the transcription's own.
-        all_rungs: whether rungs are run, too, that can hardly tell anything new
-            (`RigidSearch.rungs`).
+        exhaustive: whether rungs are run, too, that can hardly tell anything new
+            (`RigidSearch.rungs`), and flights polished that cost too much (`RigidSearch.add`).
         local_solver: polishes AIGO's results: "newton" (`local.InteriorPoint`), or "ipopt" or
             "snopt" through Drake.
         pull: rigid: whether contact sequences are read off box centers that a penalty continuation
@@ -151,7 +151,7 @@ class PlanOptions:
     nonpenetration: bool = True
     algorithm: AlgorithmName = "annealing"
     ladder: tuple[Rung, ...] | None = field(default=None, repr=False)
-    all_rungs: bool = False
+    exhaustive: bool = False
     local_solver: LocalSolverName = "newton"
     pull: bool = False
     force_variables: bool = False

@@ -140,12 +140,14 @@ class PlanStats:
         seconds: wall time by part of the road.
         box_contacts: how many contacts the last box of each rung of the ladder shows, before any
             polish; None for a rung that was left out.
+        flight_left_out: what a free flight costs at least, if it was left out for that.
     """
 
     aigo_steps: int
     polished: int
     seconds: Mapping[str, float]
     box_contacts: tuple[int | None, ...] = ()
+    flight_left_out: float | None = None
 
     def __post_init__(self) -> None:
         """Converts lists to tuples."""

@@ -145,6 +145,25 @@ class Planner:
         self.world.check(scenario)
         self._seconds.clear()
         search = self._search(scenario, progress)
+        best, replays = self._choose(search, scenario)
+        rest = [candidate for candidate in search.ranked() if candidate is not best]
+        num_polished = sum(candidate.is_feasible for candidate in search.ranked())
+        stats = PlanStats(
+            search.aigo_steps,
+            num_polished,
+            dict(self._seconds),
+            search.box_contacts,
+            search.flight_left_out,
+        )
+        took = ", ".join(f"{part} {seconds:.2f}" for part, seconds in self._seconds.items())
+        _LOG.info("%d inner steps of AIGO; seconds: %s", search.aigo_steps, took)
+        found = Plan(scenario, self.options.transcription, (best, *rest), replays, stats)
+        if self.options.transcription == "rigid" and not found.holds:
+            raise _nothing_holds(found, len(self.options.rungs))
+        return found
+
+    def _find_feasible(self, search: Search[Any]) -> list[Candidate]:
+        """Returns the candidates that meet the rows, the best first; there is one."""
         feasible = [candidate for candidate in search.ranked() if candidate.is_feasible]
         if not feasible:
             defects = [candidate.max_defect for candidate in search.ranked()]
@@ -155,17 +174,7 @@ class Planner:
                 expected=f"at most {LARGEST_DEFECT:g}",
                 remedy="Try another ladder, algorithm or local solver.",
             )
-        best, replays = self._choose(feasible, scenario)
-        rest = [candidate for candidate in search.ranked() if candidate is not best]
-        stats = PlanStats(
-            search.aigo_steps, len(feasible), dict(self._seconds), search.box_contacts
-        )
-        took = ", ".join(f"{part} {seconds:.2f}" for part, seconds in self._seconds.items())
-        _LOG.info("%d inner steps of AIGO; seconds: %s", search.aigo_steps, took)
-        found = Plan(scenario, self.options.transcription, (best, *rest), replays, stats)
-        if self.options.transcription == "rigid" and not found.holds:
-            raise _nothing_holds(found, len(self.options.rungs))
-        return found
+        return feasible
 
     def _search(self, scenario: Scenario, progress: Callable[[str], None] | None) -> Search[Any]:
         """Returns a finished search."""
@@ -207,19 +216,22 @@ class Planner:
             return LiteralSearch(problem, self._clock)
         return RigidSearch(problem, self._clock)
 
-    def _choose(self, feasible: list[Candidate], scenario: Scenario) -> tuple[Candidate, Replays]:
+    def _choose(self, search: Search[Any], scenario: Scenario) -> tuple[Candidate, Replays]:
         """Returns the first candidate that all replays confirm, or else the first, with replays.
 
         Literal plans are taken at their word, as the paper does: always the first.
         """
-        first, *others = feasible
+        feasible = self._find_feasible(search)
+        first = feasible[0]
         _LOG.info("replaying the best of %d candidates", len(feasible))
         replays = self._confirm(first, scenario)
         if self.options.transcription == "rigid" and not first.holds(replays):
-            for other in (other for other in others if other.is_confirmed):
-                again = self._confirm(other, scenario)
-                if other.holds(again):
-                    return other, again
+            search.add_left_out()
+            for other in self._find_feasible(search):
+                if other is not first and other.is_confirmed:
+                    again = self._confirm(other, scenario)
+                    if other.holds(again):
+                        return other, again
         return first, replays
 
     def _confirm(self, candidate: Candidate, scenario: Scenario) -> Replays:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 from collections.abc import Iterable, Iterator
 from functools import cached_property
 from itertools import chain, combinations
@@ -37,6 +38,8 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from drake_aigto.world import Scenario
+
+_LOG = logging.getLogger(__name__)
 
 # Times (K,) [s] and positions (K, nq) [m].
 Path = tuple["npt.NDArray[np.float64]", "npt.NDArray[np.float64]"]
@@ -178,6 +181,27 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
         return quick.solve(nlp, guess) or self._minimise(nlp, guess, max_iterations)
 
     @cached_property
+    def least_flight_cost(self) -> float:
+        """What a motion that touches nothing costs at least; 0 where that has no closed form.
+
+        Without walls, and with a control that is free at any time, which is affine in t then:
+
+            d = goal − q₀ − T v₀ − ½ T² a₀,   G = M⁻¹ B,   J ≥ dᵀ (I/w_f + T³/(3 w_u) G Gᵀ)⁻¹ d
+        """
+        world, scenario = self.transcription.world, self.transcription.scenario
+        w_u, w_f, T = scenario.control_weight, scenario.goal_weight, scenario.duration
+        is_known = world.has_constant_bias and not self.transcription.has_additions
+        if not is_known or w_f == 0:
+            return 0.0
+        still = np.zeros(world.num_positions)
+        drift = world.calc_acceleration(still, still, np.zeros(world.num_actuators))
+        gain = np.linalg.solve(world.mass_matrix_values, world.actuation)
+        way = scenario.goal_position - scenario.initial_position
+        way = way - T * scenario.initial_velocity - T**2 / 2 * drift
+        compliance = np.eye(way.size) / w_f + T**3 / (3 * w_u) * gain @ gain.T
+        return float(way @ np.linalg.solve(compliance, way))
+
+    @cached_property
     def unfolds(self) -> bool:
         """Whether plans of the same contacts, in the same order, are expected to be one plan.
 
@@ -229,6 +253,8 @@ class RigidSearch(Search[TouchSequence]):
         self._fits = problem.fits
         self._polish, self._polish_along = problem.polish, problem.polish_along
         self._num_steps, self._unfolds = problem.num_steps, problem.unfolds
+        self._least_flight_cost = problem.least_flight_cost
+        self._center_left_out: npt.NDArray[np.float64] | None = None  # Of a flight.
         self._duration = problem.transcription.scenario.duration
         self._refused: list[TouchSequence] = []
 
@@ -241,7 +267,7 @@ class RigidSearch(Search[TouchSequence]):
         own, are left out if a candidate has its contacts.
         """
         options = self.problem.options
-        if options.all_rungs or not self._unfolds:
+        if options.exhaustive or not self._unfolds:
             yield options.rungs
             return
         for start in dict.fromkeys(rung.start for rung in options.rungs):
@@ -280,6 +306,9 @@ class RigidSearch(Search[TouchSequence]):
     ) -> None:
         """Adds the candidate of a sequence, and if its replay bounces more often, that one's.
 
+        A flight is left out once another candidate costs so little that not even its neighbours
+        would be tried.
+
         Args:
             origin: how it came about.
             center: of the box that led to it.
@@ -287,6 +316,11 @@ class RigidSearch(Search[TouchSequence]):
             path: near which they are; the box center's if None.
             solved: the polish, if that is done.
         """
+        if not sequence and self._can_leave_flight_out():
+            _LOG.info("  free flight: left out, costs %.3e at least", self._least_flight_cost)
+            self._center_left_out = center
+            self._refused.append(sequence)
+            return
 
         def polish(center: npt.NDArray[np.float64], touches: TouchSequence) -> Solved:
             if solved or path is None:
@@ -308,6 +342,26 @@ class RigidSearch(Search[TouchSequence]):
             for seen in self._with_unplanned_bounce(sequence):
                 if len(seen) <= _MOST_TOUCHES and not self.is_known(seen):
                     self.add(f"{origin.removesuffix(_SEEN)}{_SEEN}", center, seen, seen_path)
+
+    def _can_leave_flight_out(self) -> bool:
+        costs = (
+            other.replay.cost
+            for other in self.by_sequence.values()
+            if other.is_feasible and other.is_confirmed and len(other.contacts) < self._num_steps
+        )
+        is_dear = self._least_flight_cost > _GOOD * min(costs, default=np.inf)
+        return is_dear and not self.problem.options.exhaustive
+
+    @property
+    def flight_left_out(self) -> float | None:
+        """What a free flight costs at least, if it was left out for that."""
+        return None if self._center_left_out is None else self._least_flight_cost
+
+    def add_left_out(self) -> None:
+        """Adds the flight that `add` left out, if it did."""
+        if self._center_left_out is not None:
+            center, self._center_left_out = self._center_left_out, None
+            self.solve("left out at first", center, (), self.problem.polish)
 
     def _is_promising(self, candidate: Candidate) -> bool:
         """Returns whether a candidate costs little enough for those near it to become the best."""

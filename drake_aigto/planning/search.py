@@ -159,6 +159,14 @@ class Search(ABC, Generic[Sequence]):
     def is_known(self, sequence: Sequence) -> bool:
         """Returns whether there is a candidate of nearly this sequence."""
 
+    @property
+    def flight_left_out(self) -> float | None:
+        """What a free flight costs at least, if it was left out for that."""
+        return None
+
+    def add_left_out(self) -> None:
+        """Adds candidates that were expected not to win, if there are any."""
+
     def branch(self) -> None:
         """Adds candidates near the best one in the space of sequences, where there is a way to."""
 

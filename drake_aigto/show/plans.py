@@ -157,6 +157,9 @@ def _search(plan: Plan, options: PlanOptions, names: Sequence[str]) -> Iterator[
     more = len(plan.candidates) - _MOST_CANDIDATES
     if more > 0:
         yield from _row("", [f"and {more} more"])
+    if plan.stats.flight_left_out is not None:
+        least = plan.stats.flight_left_out
+        yield from _row("", [f"left out: free flight, which costs {least:.2e} at least"])
     yield from _row("seconds", [f"{part} {s:.2f}" for part, s in plan.stats.seconds.items()])
 
 

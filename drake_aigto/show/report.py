@@ -230,6 +230,9 @@ def _add_candidates(page: Page, plan: Plan) -> None:
         f"There were {len(plan.candidates)} candidates, of which {plan.stats.polished} are "
         "feasible; the first is the plan."
     )
+    if plan.stats.flight_left_out is not None:
+        least = plan.stats.flight_left_out
+        page.paragraph(f"A free flight was left out, as it costs {least:.2e} at least.")
     page.table(_CANDIDATE_HEADER, _candidate_rows(plan))
 
 

@@ -20,7 +20,7 @@ from drake_aigto.planning import (
 )
 from drake_aigto.planning.options import RIGID_LADDER, Rung
 from drake_aigto.planning.rigid import RigidSearch
-from drake_aigto.study.scenario_jobs import ALL_RUNGS, Job, read_boxes
+from drake_aigto.study.scenario_jobs import EXHAUSTIVE, Job, read_boxes
 from drake_aigto.study.scenario_question import Runner, ScenarioQuestion
 from drake_aigto.study.scenario_results import MethodRun, ScenarioResult
 from drake_aigto.transcription import Touch, TouchSequence
@@ -44,7 +44,7 @@ class Variant:
     """
 
     group: str
-    options: PlanOptions = ALL_RUNGS
+    options: PlanOptions = EXHAUSTIVE
     num_steps: int | None = None
     way: Way = "plan"
 
@@ -62,7 +62,7 @@ def _with(options: PlanOptions, **changes: object) -> PlanOptions:
 
 
 # Only boxes can find a bounce here: none starts in a simulation, no neighbour is tried.
-_BARE = _with(ALL_RUNGS, ladder=_of("line"), branches=0)
+_BARE = _with(EXHAUSTIVE, ladder=_of("line"), branches=0)
 # Hot rungs under which forces as variables find bounces too.
 _LIGHT = _reweighed(
     (dataclasses.replace(RIGID_LADDER[0], temperature=T) for T in (30.0, 10.0, 3.0)),
@@ -81,31 +81,31 @@ def _make_variants() -> dict[str, Variant]:
     """Returns all variants by name."""
     found = {
         "default": Variant("search"),
-        "no neighbours": Variant("search", _with(ALL_RUNGS, branches=0)),
-        "line only": Variant("search", _with(ALL_RUNGS, ladder=_of("line"))),
-        "coast only": Variant("search", _with(ALL_RUNGS, ladder=_of("coast"))),
+        "no neighbours": Variant("search", _with(EXHAUSTIVE, branches=0)),
+        "line only": Variant("search", _with(EXHAUSTIVE, ladder=_of("line"))),
+        "coast only": Variant("search", _with(EXHAUSTIVE, ladder=_of("coast"))),
         "listed, no AIGO": Variant("search", way="listed"),
     }
     for name, changes in _SHRINKING.items():
-        found[name] = Variant("boxes", _with(ALL_RUNGS, **changes))
+        found[name] = Variant("boxes", _with(EXHAUSTIVE, **changes))
     found["bare"] = Variant("boxes, bare", _BARE)
     for name, changes in _SHRINKING.items():
         found[f"bare, {name}"] = Variant("boxes, bare", _with(_BARE, **changes))
     for number, rung in enumerate(RIGID_LADDER, 1):
-        found[f"rung {number} alone"] = Variant("ladder", _with(ALL_RUNGS, ladder=(rung,)))
+        found[f"rung {number} alone"] = Variant("ladder", _with(EXHAUSTIVE, ladder=(rung,)))
     for steps in (25, 100, 200, 400):
-        found[f"{steps} box steps"] = Variant("steps", _with(ALL_RUNGS, aigo_steps=steps))
+        found[f"{steps} box steps"] = Variant("steps", _with(EXHAUSTIVE, aigo_steps=steps))
     for steps in (25, 50, 100, 400):
         found[f"{steps} time steps"] = Variant("steps", num_steps=steps)
     for relaxation in (1e-1, 1e-2, 1e-3, 1e-5):
-        options = _with(ALL_RUNGS, relaxation=relaxation)
+        options = _with(EXHAUSTIVE, relaxation=relaxation)
         found[f"relaxation {relaxation:.0e}"] = Variant("rows", options)
-    for name, options in {"": ALL_RUNGS, "bare, ": _BARE}.items():
+    for name, options in {"": EXHAUSTIVE, "bare, ": _BARE}.items():
         ladder = _reweighed(options.rungs, **{RESTITUTION: 0.0})
         found[f"{name}no restitution row"] = Variant("rows", _with(options, ladder=ladder))
     found |= {
         "no polish": Variant("polish", way="replay"),
-        "no polish, continued": Variant("polish", _with(ALL_RUNGS, pull=True), way="replay"),
+        "no polish, continued": Variant("polish", _with(EXHAUSTIVE, pull=True), way="replay"),
         "bare, forces": Variant("forces", _with(_BARE, force_variables=True)),
         "bare, light rows": Variant("forces", _with(_BARE, ladder=_LIGHT)),
         "bare, forces, light rows": Variant(

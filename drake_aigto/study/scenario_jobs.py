@@ -16,8 +16,8 @@ from drake_aigto.study.scenario_results import MethodRun
 from drake_aigto.world import Scenario, World
 
 OPTIONS = PlanOptions(confirm=False, threads=1)
-# The same, with the boxes of every rung, whether or not the others leave it anything to tell.
-ALL_RUNGS = dataclasses.replace(OPTIONS, all_rungs=True)
+# The same, with the boxes of every rung and every candidate, whether or not they can win.
+EXHAUSTIVE = dataclasses.replace(OPTIONS, exhaustive=True)
 # What a process does at first is not measured: it loads libraries and kernels. [s]
 _WARM_UP = 0.2
 
@@ -80,7 +80,7 @@ def _run_planner(world: World, job: Job) -> MethodRun:
     cost = plan.replay.event_driven.cost
     boxes: tuple[int, ...] = ()
     if job.reads_boxes:
-        boxes = read_boxes(Planner(job.scenario, ALL_RUNGS, world).plan())
+        boxes = read_boxes(Planner(job.scenario, EXHAUSTIVE, world).plan())
     return MethodRun(((seconds, cost),), seconds, len(plan.candidates), boxes=boxes)
 
 
