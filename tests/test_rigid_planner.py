@@ -328,6 +328,10 @@ def test_a_flight_has_no_bound_where_something_was_added() -> None:
     assert RigidProblem(transcription, UNCONFIRMED).least_flight_cost == 0.0
 
 
+def test_colder_rungs_are_left_out_once_only_a_flight_is_left() -> None:
+    assert bounce_plan().stats.box_contacts == (1, None, None, None, None)
+
+
 def test_a_flight_that_cannot_win_is_left_out_and_told() -> None:
     few, all_of_them = bounce_plan(), all_candidates()
     flight = next(c for c in all_of_them.candidates if not c.contacts)
@@ -391,7 +395,11 @@ def test_ctrl_c_keeps_the_candidates_so_far() -> None:
 def test_threads_change_no_bit(gravity: float) -> None:
     world = World.from_diagram(make_diagram(gravity=gravity))
     one, three = (
-        plan(table1(2, **COARSE), dataclasses.replace(UNCONFIRMED, threads=threads), world)
+        plan(
+            table1(2, **COARSE),
+            dataclasses.replace(UNCONFIRMED, threads=threads, exhaustive=gravity == 0),
+            world,
+        )
         for threads in (1, 3)
     )
     assert one.candidates == three.candidates
@@ -432,7 +440,8 @@ def test_ctrl_c_ends_all_threads_and_keeps_what_they_have(monkeypatch: pytest.Mo
         return result
 
     monkeypatch.setattr(RigidProblem, "run_aigo", run_until_stopped)
-    found = Planner(table1(1, **COARSE), dataclasses.replace(UNCONFIRMED, threads=2)).plan()
+    options = dataclasses.replace(UNCONFIRMED, threads=2, exhaustive=True)
+    found = Planner(table1(1, **COARSE), options).plan()
     assert statuses and set(statuses) == {Status.INTERRUPTED}
     assert found.candidates
 

@@ -263,8 +263,9 @@ class RigidSearch(Search[TouchSequence]):
 
         Where contacts alone make a plan (`RigidProblem.unfolds`), the ends of the ladder are run; a
         rung between two others only if these do not show the same contacts, or one touch more:
-        there is no sequence between such two. Rungs around the coasting motion, a ladder of their
-        own, are left out if a candidate has its contacts.
+        there is no sequence between such two. Colder rungs show fewer touches: after a first one
+        that shows a single touch none is run if no flight can win. Rungs around the coasting
+        motion, a ladder of their own, are left out if a candidate has its contacts.
         """
         options = self.problem.options
         if options.exhaustive or not self._unfolds:
@@ -273,8 +274,18 @@ class RigidSearch(Search[TouchSequence]):
         for start in dict.fromkeys(rung.start for rung in options.rungs):
             if start == "line" or not self._has_contacts_of_coast():
                 rungs = tuple(rung for rung in options.rungs if rung.start == start)
-                yield rungs[:1] + rungs[1:][-1:]
-                yield from self._rungs_between(rungs)
+                yield rungs[:1]
+                if len(rungs) > 1 and not self._leaves_only_flight(rungs[0]):
+                    yield rungs[-1:]
+                    yield from self._rungs_between(rungs)
+
+    def _leaves_only_flight(self, rung: Rung) -> bool:
+        """Returns whether a flight, which can't win, is all that less touches would leave."""
+        shown = self._shown_by(rung)
+        is_settled = len(shown) == 1 and self._can_leave_flight_out()
+        if is_settled:
+            self._leave_flight_out(next(iter(self.centers.values())))
+        return is_settled
 
     def _rungs_between(self, rungs: tuple[Rung, ...]) -> Iterator[tuple[Rung, ...]]:
         """Yields what is needed of the rungs between the first and the last of these."""
@@ -317,9 +328,7 @@ class RigidSearch(Search[TouchSequence]):
             solved: the polish, if that is done.
         """
         if not sequence and self._can_leave_flight_out():
-            _LOG.info("  free flight: left out, costs %.3e at least", self._least_flight_cost)
-            self._center_left_out = center
-            self._refused.append(sequence)
+            self._leave_flight_out(center)
             return
 
         def polish(center: npt.NDArray[np.float64], touches: TouchSequence) -> Solved:
@@ -351,6 +360,11 @@ class RigidSearch(Search[TouchSequence]):
         )
         is_dear = self._least_flight_cost > _GOOD * min(costs, default=np.inf)
         return is_dear and not self.problem.options.exhaustive
+
+    def _leave_flight_out(self, center: npt.NDArray[np.float64]) -> None:
+        _LOG.info("  free flight: left out, costs %.3e at least", self._least_flight_cost)
+        self._center_left_out = center
+        self._refused.append(())
 
     @property
     def flight_left_out(self) -> float | None:
