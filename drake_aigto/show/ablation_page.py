@@ -24,6 +24,7 @@ The planner with one thing changed at a time, on random scenarios like those abo
 at a contact sequence in three ways: AIGO's boxes around the straight line from start to goal; boxes
 around the motion without control, which a simulation has taken to the wall; and *neighbours*, a
 candidate's sequence with a bounce more or less, polished. *Bare* variants have the first way only.
+All run every rung of the ladder, while the planner leaves out those that can tell nothing new.
 
 *Optimal* is judged as above. *Boxes right*: the last boxes, before any polish, show as many
 contacts as the optimum has; those of the best rung, and those of any rung of the ladder. *Bounces
