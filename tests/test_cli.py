@@ -123,15 +123,17 @@ def test_plan_options_are_flags(
     monkeypatch.setattr(Planner, "plan", remember)
     main(["plan", *FLIGHT])
     assert seen.pop() == PlanOptions()
-    numbers = ["--relaxation", "0.5", "--aigo-steps", "7", "--finalists", "3"]
+    numbers = ["--relaxation", "0.5", "--aigo-steps", "7", "--finalists", "3", "--threads", "2"]
     words = ["--local-solver", "snopt", "--algorithm", "full gradient"]
-    switches = ["--no-nonpenetration", "--no-confirm"]
+    switches = ["--no-nonpenetration", "--exhaustive", "--no-confirm"]
     main(["plan", *FLIGHT, "--transcription", "literal", *numbers, *words, *switches])
     assert seen.pop() == PlanOptions(
         transcription="literal",
         relaxation=0.5,
         aigo_steps=7,
         finalists=3,
+        threads=2,
+        exhaustive=True,
         local_solver="snopt",
         algorithm="full gradient",
         nonpenetration=False,

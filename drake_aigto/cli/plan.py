@@ -45,6 +45,12 @@ _NUMBERS: dict[str, tuple[Callable[[str], float], str]] = {
     "relaxation": (float, "rigid: how much walls push from afar while boxes shrink"),
     "aigo_steps": (int, "rigid: the most time steps that boxes have"),
     "finalists": (int, "how many of the best candidates are improved"),
+    "threads": (int, "how many starts of AIGO run at once; None: more than one for large boxes"),
+}
+# Plan option → what it is.
+_SWITCHES = {
+    "nonpenetration": "literal: ask for φ(q) ≥ 0 at the knots",
+    "exhaustive": "rigid: also run starts, and polish flights, that can hardly win",
 }
 
 _PLAN_EXAMPLES = """\
@@ -112,18 +118,19 @@ def _add_numerics(group: Any) -> None:
             metavar="N" if kind is int else "X",
             help=f"{text} (default: %(default)s)",
         )
-    group.add_argument(
-        "--nonpenetration",
-        action=argparse.BooleanOptionalAction,
-        default=defaults.nonpenetration,
-        help="literal: ask for φ(q) ≥ 0 at the knots (default: %(default)s)",
-    )
+    for name, text in _SWITCHES.items():
+        group.add_argument(
+            f"--{name}",
+            action=argparse.BooleanOptionalAction,
+            default=getattr(defaults, name),
+            help=f"{text} (default: %(default)s)",
+        )
 
 
 def _plan(options: argparse.Namespace) -> int:
     check_writable(options.json)
     scenario = _load_scenario(options)
-    names = (*CHOICES, *_NUMBERS, "nonpenetration", "confirm")
+    names = (*CHOICES, *_NUMBERS, *_SWITCHES, "confirm")
     chosen = PlanOptions(**{name: getattr(options, name) for name in names})
     try:
         with show_progress(options, "transcribing") as progress:
