@@ -144,11 +144,14 @@ def _search(plan: Plan, options: PlanOptions, names: Sequence[str]) -> Iterator[
     yield from _row("found by", boxes)
     for part in plan.best.origin.split("; "):
         yield from _row("", part.split(", "))
+    count, iterations = len(plan.candidates), f"{plan.stats.aigo_steps} iterations of AIGO"
     yield from _row(
         "candidates",
-        [
-            f"{len(plan.candidates)}, of which {plan.stats.polished} feasible",
-            f"{plan.stats.aigo_steps} iterations of AIGO; the first is the plan",
+        ["1, the plan", iterations]
+        if count == 1
+        else [
+            f"{count}, of which {plan.stats.polished} feasible",
+            f"{iterations}; the first is the plan",
         ],
     )
     yield _line("cost", "defect", "in wall", "energy", "replayed", "off goal", "contacts")

@@ -226,9 +226,12 @@ _CANDIDATE_HEADER = (
 
 def _add_candidates(page: Page, plan: Plan) -> None:
     page.heading("Candidates")
+    count = len(plan.candidates)
     page.paragraph(
-        f"There were {len(plan.candidates)} candidates, of which {plan.stats.polished} are "
-        "feasible; the first is the plan."
+        "There was one candidate, the plan."
+        if count == 1
+        else f"There were {count} candidates, of which {plan.stats.polished} are feasible; the "
+        "first is the plan."
     )
     if plan.stats.flight_left_out is not None:
         least = plan.stats.flight_left_out
