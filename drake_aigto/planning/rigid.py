@@ -275,12 +275,15 @@ class RigidSearch(Search[TouchSequence]):
             if start == "line" or not self._has_contacts_of_coast():
                 rungs = tuple(rung for rung in options.rungs if rung.start == start)
                 yield rungs[:1]
-                if len(rungs) > 1 and not self._leaves_only_flight(rungs[0]):
+                gets_colder = rungs[-1].temperature < rungs[0].temperature
+                if gets_colder and self._leaves_only_flight(rungs[0]):
+                    continue
+                if len(rungs) > 1:
                     yield rungs[-1:]
                     yield from self._rungs_between(rungs)
 
     def _leaves_only_flight(self, rung: Rung) -> bool:
-        """Returns whether a flight, which can't win, is all that less touches would leave."""
+        """Returns whether a flight, which can't win, is all that fewer touches would leave."""
         shown = self._shown_by(rung)
         is_settled = len(shown) == 1 and self._can_leave_flight_out()
         if is_settled:
