@@ -274,13 +274,15 @@ class RigidSearch(Search[TouchSequence]):
         for start in dict.fromkeys(rung.start for rung in options.rungs):
             if start == "line" or not self._has_contacts_of_coast():
                 rungs = tuple(rung for rung in options.rungs if rung.start == start)
-                yield rungs[:1]
-                gets_colder = rungs[-1].temperature < rungs[0].temperature
-                if gets_colder and self._leaves_only_flight(rungs[0]):
-                    continue
-                if len(rungs) > 1:
-                    yield rungs[-1:]
-                    yield from self._rungs_between(rungs)
+                first, last = rungs[:1], rungs[1:][-1:]
+                if rungs[-1].temperature < rungs[0].temperature:
+                    yield first
+                    if self._leaves_only_flight(rungs[0]):
+                        continue
+                    yield last
+                else:
+                    yield first + last
+                yield from self._rungs_between(rungs)
 
     def _leaves_only_flight(self, rung: Rung) -> bool:
         """Returns whether a flight, which can't win, is all that fewer touches would leave."""
