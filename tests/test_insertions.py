@@ -13,7 +13,7 @@ from several_walls import make_task, shipped
 from drake_aigto import PlanOptions, Scenario, World, plan
 from drake_aigto.planning import RigidProblem, make_problem
 from drake_aigto.planning.insertions import find_insertions
-from drake_aigto.planning.rigid import RigidSearch
+from drake_aigto.planning.rigid_search import RigidSearch
 from drake_aigto.planning.touches import kinds
 from drake_aigto.study import masses_optimum
 from drake_aigto.study.world_scenarios import WORLDS

@@ -12,7 +12,8 @@ import pytest
 
 from drake_aigto import PlanOptions, Scenario, World, plan
 from drake_aigto.planning.planner import make_problem
-from drake_aigto.planning.rigid import RigidProblem, RigidSearch
+from drake_aigto.planning.rigid import RigidProblem
+from drake_aigto.planning.rigid_search import RigidSearch
 from drake_aigto.study import walls_optimum
 from drake_aigto.study.world_scenarios import WORLDS
 from drake_aigto.transcription import PhaseTranscription, Touch

@@ -33,7 +33,7 @@ from drake_aigto.planning import (
     replay_event_driven,
 )
 from drake_aigto.planning.options import LITERAL_LADDER, RIGID_LADDER, Rung
-from drake_aigto.planning.rigid import RigidSearch
+from drake_aigto.planning.rigid_search import RigidSearch
 from drake_aigto.study import ScenarioQuestion, rigid_optimum
 from drake_aigto.transcription import (
     PhaseTranscription,

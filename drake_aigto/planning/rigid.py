@@ -4,32 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from functools import cached_property
-from itertools import chain, combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from drake_aigto.aigo import AigoResult
-from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
 from drake_aigto.local import LocalResult, NewtonLagrange, PolynomialNlp, compile_nlp
 from drake_aigto.planning.arcs import solve_in_arcs
-from drake_aigto.planning.insertions import find_insertions
 from drake_aigto.planning.options import PlanOptions, Rung
-from drake_aigto.planning.plan import LARGEST_DEFECT, Candidate
 from drake_aigto.planning.problem import PlanningProblem
-from drake_aigto.planning.search import Clock, Search
 from drake_aigto.planning.touches import (
-    are_near,
-    are_neighbors,
-    is_same,
-    kinds,
-    neighbors,
     read_sequences,
-    swapped,
 )
-from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch, TouchSequence
+from drake_aigto.transcription import PhaseTranscription, RigidTranscription, TouchSequence
 from drake_aigto.transcription.facings import Facing, find_facings
 from drake_aigto.transcription.phases import straight_path
 from drake_aigto.transcription.touch import joint_times
@@ -46,29 +35,10 @@ Path = tuple["npt.NDArray[np.float64]", "npt.NDArray[np.float64]"]
 # A multi-phase problem, and its decision variables.
 Solved = tuple[PhaseTranscription, "npt.NDArray[np.float64]"]
 
-# Parts of the duration by which the times of two sequences of the same contacts differ at most, if
-# their polish is expected to end in one optimum, and if it has.
-_SAME_START, _SAME_END = 0.05, 1e-3
 # A touch this near to the start or the end, as a part of the duration, is none.
 _MARGIN = 1e-6
-# Of a sequence that grows by bounces which its replay has and it lacks.
-_MOST_TOUCHES = 8
-# Touches of one wall that are nearer than this part of the duration are chatter.
-_CHATTER = 0.02
-# Another time step than the scenario's is worth this part of the cost.
-_STEPS_PRICE = 1e-2
-# In a candidate's origin, if its sequence grew, or was changed a little.
-_SEEN = "; with bounces seen in its replay"
-_NEAR = "; a touch dropped or added"
-_SWAPPED = "; touches swapped"
-# Neighbours are tried of candidates that cost at most so many times the best, with so few time
-# steps and iterations of the local solver: most are hopeless, or no motion has them, which takes
-# the solver longest to find out.
-_GOOD, _TRIAL_STEPS, _TRIAL_ITERATIONS = 3.0, 20, 30
 # Of the local solver on arcs: what takes more is left to the general way.
 _ARC_ITERATIONS = 60
-# A candidate that costs no more than so many times the best may become the best.
-_PROMISING = 20.0
 
 
 class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
@@ -238,290 +208,6 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
         phases = PhaseTranscription(coarse.world, scenario, sequence, tuple(facings))
         phases.add_what_was_added_to(coarse)
         return phases
-
-
-class RigidSearch(Search[TouchSequence]):
-    """AIGO proposes touches, which are polished; the best again if the first polish was coarse.
-
-    If a candidate's replay bounces where its plan does not, the plan with that bounce is another
-    candidate: knots may step over a short contact, and AIGO's do over one right after the start.
-    """
-
-    def __init__(self, problem: RigidProblem, clock: Clock) -> None:
-        """Starts with no candidate."""
-        super().__init__(problem, clock)
-        self._fits = problem.fits
-        self._polish, self._polish_along = problem.polish, problem.polish_along
-        self._num_steps, self._unfolds = problem.num_steps, problem.unfolds
-        self._least_flight_cost = problem.least_flight_cost
-        self._center_left_out: npt.NDArray[np.float64] | None = None  # Of a flight.
-        self._duration = problem.transcription.scenario.duration
-        self._refused: list[TouchSequence] = []
-
-    def rungs(self) -> Iterator[tuple[Rung, ...]]:
-        """Yields the rungs that may tell something new.
-
-        Where contacts alone make a plan (`RigidProblem.unfolds`), the ends of the ladder are run; a
-        rung between two others only if these do not show the same contacts, or one touch more:
-        there is no sequence between such two. Colder rungs show fewer touches: after a first one
-        that shows a single touch none is run if no flight can win. Rungs around the coasting
-        motion, a ladder of their own, are left out if a candidate has its contacts.
-        """
-        options = self.problem.options
-        if options.exhaustive or not self._unfolds:
-            yield options.rungs
-            return
-        for start in dict.fromkeys(rung.start for rung in options.rungs):
-            if start == "line" or not self._has_contacts_of_coast():
-                rungs = tuple(rung for rung in options.rungs if rung.start == start)
-                first, last = rungs[:1], rungs[1:][-1:]
-                if rungs[-1].temperature < rungs[0].temperature:
-                    yield first
-                    if self._leaves_only_flight(rungs[0]):
-                        continue
-                    yield last
-                else:
-                    yield first + last
-                yield from self._rungs_between(rungs)
-
-    def _leaves_only_flight(self, rung: Rung) -> bool:
-        """Returns whether a flight, which can't win, is all that fewer touches would leave."""
-        shown = self._shown_by(rung)
-        is_settled = len(shown) == 1 and self._can_leave_flight_out()
-        if is_settled:
-            self._leave_flight_out(next(iter(self.centers.values())))
-        return is_settled
-
-    def _rungs_between(self, rungs: tuple[Rung, ...]) -> Iterator[tuple[Rung, ...]]:
-        """Yields what is needed of the rungs between the first and the last of these."""
-        if len(rungs) < 3 or are_neighbors(
-            *(self._shown_by(rung) for rung in (rungs[0], rungs[-1]))
-        ):
-            return
-        middle = len(rungs) // 2
-        yield (rungs[middle],)
-        yield from self._rungs_between(rungs[: middle + 1])
-        yield from self._rungs_between(rungs[middle:])
-
-    def _shown_by(self, rung: Rung) -> TouchSequence:
-        """Returns the contact sequence that a rung's box shows, () if none that fits."""
-        sequences = next(sequences for each, sequences in self.shown if each is rung)
-        return sequences[0] if sequences else ()
-
-    def _has_contacts_of_coast(self) -> bool:
-        coast = [(contact, False) for contact in self.problem.coast.bounce_contacts]
-        return any(kinds(sequence) == coast for sequence in self.by_sequence)
-
-    def add(
-        self,
-        origin: str,
-        center: npt.NDArray[np.float64],
-        sequence: TouchSequence,
-        path: Path | None = None,
-        solved: Solved | None = None,
-    ) -> None:
-        """Adds the candidate of a sequence, and if its replay bounces more often, that one's.
-
-        A flight is left out once another candidate costs so little that not even its neighbours
-        would be tried.
-
-        Args:
-            origin: how it came about.
-            center: of the box that led to it.
-            sequence: the contacts.
-            path: near which they are; the box center's if None.
-            solved: the polish, if that is done.
-        """
-        if not sequence and self._can_leave_flight_out():
-            self._leave_flight_out(center)
-            return
-
-        def polish(center: npt.NDArray[np.float64], touches: TouchSequence) -> Solved:
-            if solved or path is None:
-                return solved or self._polish(center, touches)
-            return self._polish_along(path, touches)
-
-        try:
-            self.solve(origin, center, sequence, polish)
-        except (OptionsError, TrajectoryError, UnsupportedTermError):
-            # Boxes may see touches that no motion has, such as of opposite walls at once.
-            self._refused.append(sequence)
-            return
-        candidate = self.by_sequence[sequence]
-        if not self._is_promising(candidate) or self._chatters(sequence):
-            return
-        self._add_swapped(sequence)
-        if not candidate.is_confirmed:
-            seen_path = candidate.replay.times, candidate.replay.positions
-            for seen in self._with_unplanned_bounce(sequence):
-                if len(seen) <= _MOST_TOUCHES and not self.is_known(seen):
-                    self.add(f"{origin.removesuffix(_SEEN)}{_SEEN}", center, seen, seen_path)
-
-    def _can_leave_flight_out(self) -> bool:
-        costs = (
-            other.replay.cost
-            for other in self.by_sequence.values()
-            if other.is_feasible and other.is_confirmed and len(other.contacts) < self._num_steps
-        )
-        is_dear = self._least_flight_cost > _GOOD * min(costs, default=np.inf)
-        return is_dear and not self.problem.options.exhaustive
-
-    def _leave_flight_out(self, center: npt.NDArray[np.float64]) -> None:
-        _LOG.info("  free flight: left out, costs %.3e at least", self._least_flight_cost)
-        self._center_left_out = center
-        self._refused.append(())
-
-    @property
-    def flight_left_out(self) -> float | None:
-        """What a free flight costs at least, if it was left out for that."""
-        return None if self._center_left_out is None else self._least_flight_cost
-
-    def add_left_out(self) -> None:
-        """Adds the flight that `add` left out, if it did."""
-        if self._center_left_out is not None:
-            center, self._center_left_out = self._center_left_out, None
-            self.solve("left out at first", center, (), self.problem.polish)
-
-    def _is_promising(self, candidate: Candidate) -> bool:
-        """Returns whether a candidate costs little enough for those near it to become the best."""
-        costs = (other.replay.cost for other in self.by_sequence.values() if other.is_confirmed)
-        return candidate.cost <= _PROMISING * min(costs, default=np.inf)
-
-    def _chatters(self, sequence: TouchSequence) -> bool:
-        """Returns whether a wall is touched again at once: more touches make it no better."""
-        optimum, near = self._optimum(sequence), _CHATTER * self._duration
-        return any(
-            later.contact == touch.contact and later.start - touch.end < near
-            for touch, later in combinations(optimum, 2)
-        )
-
-    def _add_swapped(self, sequence: TouchSequence) -> None:
-        """Adds a candidate's sequence with touches swapped that became one moment."""
-        candidate, (phases, x) = self.by_sequence[sequence], self.solved[sequence]
-        if candidate.is_feasible:
-            for other in swapped(phases.contact_sequence(x), _SAME_END * self._duration):
-                if not self.is_known(other):
-                    origin = candidate.origin.removesuffix(_SWAPPED)
-                    path = phases.sample_times(x), phases.split(x)[0]
-                    self.add(f"{origin}{_SWAPPED}", self.centers[sequence], other, path)
-
-    def _with_unplanned_bounce(self, sequence: TouchSequence) -> list[TouchSequence]:
-        """Returns a sequence up to the first bounce of its replay that it lacks, and all of it."""
-        optimum, near = self._optimum(sequence), _SAME_START * self._duration
-        replay = self.by_sequence[sequence].replay
-        for time, contact in zip(replay.bounce_times, replay.bounce_contacts, strict=True):
-            planned = (touch for touch in optimum if touch.contact == contact)
-            nearest = (min(max(time, touch.start), touch.end) for touch in planned)
-            if not any(are_near(time, touched, near) for touched in nearest):
-                before = tuple(touch for touch in optimum if touch.end < time)
-                seen = (*before, Touch.bounce(time, contact))
-                longer = (*seen, *optimum[len(before) :])
-                return [sequence for sequence in (seen, longer) if self._fits(sequence)]
-        return []
-
-    def branch(self) -> None:
-        """Adds neighbours (`neighbors`) of good sequences, the best first, of each once."""
-        branched: set[TouchSequence] = set()
-        while len(branched) < self.problem.options.branches:
-            least = min(candidate.replay.cost for candidate in self.by_sequence.values())
-            good = [
-                sequence
-                for sequence, candidate in self.by_sequence.items()
-                if sequence not in branched
-                and candidate.is_feasible
-                and candidate.replay.cost <= _GOOD * least
-            ]
-            if not good:
-                break
-            best = min(good, key=self._rank_of)
-            branched.add(best)
-            self._branch(best)
-
-    def _branch(self, sequence: TouchSequence) -> None:
-        """Adds those neighbours of a sequence that a trial finds good."""
-        phases, x = self.solved[sequence]
-        origin = self.by_sequence[sequence].origin.removesuffix(_NEAR)
-        path = phases.sample_times(x), phases.split(x)[0]
-        more = [*phases.grazes(x), *find_insertions(phases, x)]
-        for other in neighbors(phases.contact_sequence(x), more):
-            # Where a plan holds, its times are the best ones; of others they may not be.
-            held = [kinds(each) for each, it in self.by_sequence.items() if it.is_confirmed]
-            is_new = kinds(other) not in held and not self.is_known(other)
-            if is_new and len(other) <= _MOST_TOUCHES:
-                if tried := self._try(other, path):
-                    # Where arcs did without the program, the trial was the polish.
-                    solved = tried if tried[0].is_as_made else None
-                    self.add(f"{origin}{_NEAR}", self.centers[sequence], other, path, solved)
-                else:
-                    self._refused.append(other)
-
-    def _try(self, sequence: TouchSequence, path: Path) -> Solved | None:
-        """Returns a trial polish, if it meets the rows, and costs little more than the best."""
-        least = min(candidate.replay.cost for candidate in self.by_sequence.values())
-        try:
-            with self._clock("polish"):
-                phases, x = self._polish_along(path, sequence, _TRIAL_STEPS, _TRIAL_ITERATIONS)
-        except (OptionsError, TrajectoryError, UnsupportedTermError):
-            return None
-        is_feasible = max(phases.defects(x).values()) <= LARGEST_DEFECT
-        return (phases, x) if is_feasible and phases.scenario_cost(x) <= _GOOD * least else None
-
-    def _rank_of(self, sequence: TouchSequence) -> tuple[float, ...]:
-        return self.rank(self.by_sequence[sequence])
-
-    def improve(self, sequence: TouchSequence) -> None:
-        """Polishes a candidate with the scenario's time step, in its place."""
-        coarse, optimum = self.by_sequence[sequence], self._optimum(sequence)
-        num_phases = 1 + len(joint_times(optimum))
-        if self._num_steps == len(coarse.trajectory.controls) or self._num_steps < num_phases:
-            return
-        path = coarse.trajectory.times, coarse.trajectory.positions
-        self.solve(
-            coarse.origin,
-            self.centers[sequence],
-            optimum,
-            lambda _, touches: self._polish_along(path, touches, self._num_steps),
-        )
-        fine = self.by_sequence[optimum]
-        if (fine.is_feasible, fine.is_confirmed) < (coarse.is_feasible, coarse.is_confirmed):
-            self.by_sequence[sequence] = coarse
-        elif optimum != sequence:
-            del self.by_sequence[sequence]
-
-    def finalists(self) -> list[TouchSequence]:
-        """Returns the sequences by rank, one of each optimum."""
-        kept: list[TouchSequence] = []
-        for sequence in sorted(self.by_sequence, key=self._rank_of):
-            optima = map(self._optimum, kept)
-            if not self._is_among(self._optimum(sequence), optima, _SAME_END):
-                kept.append(sequence)
-        return kept
-
-    def is_known(self, sequence: TouchSequence) -> bool:
-        """Returns whether nearly this sequence has been polished or refused, or came out."""
-        optima = map(self._optimum, self.by_sequence)
-        known = chain(self.by_sequence, optima, self._refused)
-        return self._is_among(sequence, known, _SAME_START)
-
-    def rank(self, candidate: Candidate) -> tuple[float, ...]:
-        """Orders by feasibility, what the event-driven replay confirms, time step, and its cost.
-
-        Where the scenario's time step would do, another one only costs a little more.
-        """
-        has_other_steps = len(candidate.trajectory.controls) != self._num_steps
-        needs_more = has_other_steps and self._num_steps <= len(candidate.contacts)
-        price = candidate.replay.cost * (1 + _STEPS_PRICE * has_other_steps)
-        return not candidate.is_feasible, not candidate.is_confirmed, needs_more, price
-
-    def _optimum(self, sequence: TouchSequence) -> TouchSequence:
-        """Returns what the polish made of a sequence's times."""
-        phases, x = self.solved[sequence]
-        return phases.contact_sequence(x)
-
-    def _is_among(
-        self, sequence: TouchSequence, others: Iterable[TouchSequence], share: float
-    ) -> bool:
-        return any(is_same(sequence, other, share * self._duration) for other in others)
 
 
 def _bend(path: Path, times: npt.NDArray[np.float64], stops: npt.NDArray[np.float64]) -> Path:

@@ -19,7 +19,7 @@ from drake_aigto.planning import (
     replay_event_driven,
 )
 from drake_aigto.planning.options import RIGID_LADDER, Rung
-from drake_aigto.planning.rigid import RigidSearch
+from drake_aigto.planning.rigid_search import RigidSearch
 from drake_aigto.study.scenario_jobs import EXHAUSTIVE, Job, read_boxes
 from drake_aigto.study.scenario_question import Runner, ScenarioQuestion
 from drake_aigto.study.scenario_results import MethodRun, ScenarioResult
