@@ -111,7 +111,7 @@ class Arcs:
         world, zero = phases.world, np.zeros(phases.world.num_positions)
         inverse = np.linalg.inv(world.mass_matrix_values)
         self._gain = inverse @ world.actuation
-        self._drift = world.calc_acceleration(zero, zero, np.zeros(world.num_actuators))
+        self._drift = world.drift
         self._jacobian = world.calc_contact_jacobian(zero)
         self._offsets = world.calc_signed_distance(zero)
         self._kicks = inverse @ self._jacobian.T

@@ -163,11 +163,9 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
         is_known = world.has_constant_bias and not self.transcription.has_additions
         if not is_known or w_f == 0:
             return 0.0
-        still = np.zeros(world.num_positions)
-        drift = world.calc_acceleration(still, still, np.zeros(world.num_actuators))
         gain = np.linalg.solve(world.mass_matrix_values, world.actuation)
         way = scenario.goal_position - scenario.initial_position
-        way = way - T * scenario.initial_velocity - T**2 / 2 * drift
+        way = way - T * scenario.initial_velocity - T**2 / 2 * world.drift
         compliance = np.eye(way.size) / w_f + T**3 / (3 * w_u) * gain @ gain.T
         return float(way @ np.linalg.solve(compliance, way))
 
@@ -180,13 +178,12 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
         passed on two sides, and under gravity a ball bounces high and late or low and early.
         """
         world, scenario = self.transcription.world, self.transcription.scenario
-        rest = np.zeros(world.num_positions)
         return bool(
             world.has_constant_bias
             and not self.transcription.has_additions
             and world.num_solids == world.num_contacts
             and np.all(world.restitutions(scenario) > 0)
-            and not np.any(world.calc_acceleration(rest, rest, np.zeros(world.num_actuators)))
+            and not np.any(world.drift)
         )
 
     @cached_property

@@ -90,9 +90,7 @@ class RigidWall(LeafSystem):
         self._world = world
         self._nq = world.num_positions
         # v̇ = gain u + drift, if the drift is constant.
-        origin = np.zeros(self._nq)
-        drift = world.calc_acceleration(origin, origin, np.zeros(world.num_actuators))
-        self._drift = drift if world.has_constant_bias else None
+        self._drift = world.drift if world.has_constant_bias else None
         self._gain = np.linalg.solve(world.mass_matrix_values, world.actuation)
         self._motion = contact_motion(world)
         self._rules = Rules(restitutions, duration)

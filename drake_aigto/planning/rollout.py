@@ -60,8 +60,7 @@ class Parabolas:
         # A copy: Numba compiles once more for arrays that are read-only.
         self._times = np.array(times)
         self._start = np.array(state)
-        origin = np.zeros(world.num_positions)
-        self._drift = world.calc_acceleration(origin, origin, np.zeros(world.num_actuators))
+        self._drift = world.drift
         self._gain = np.linalg.solve(self._mass_matrix, world.actuation)
 
     def record(self, controls: _Array) -> Recording:

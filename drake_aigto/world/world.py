@@ -238,6 +238,14 @@ class World:
         h = self._bias_map(np.concatenate([q, v], axis=-1))
         return (u @ self.actuation.T - h) @ self._inverse_mass.T
 
+    @cached_property
+    def drift(self) -> npt.NDArray[np.float64]:
+        """v̇ without control at q = v = 0, shape (nv,) [m/s²]; anywhere if `has_constant_bias`."""
+        still = np.zeros(self.num_positions)
+        drift = self.calc_acceleration(still, still, np.zeros(self.num_actuators))
+        drift.flags.writeable = False
+        return drift
+
     def create_context(self) -> Context:
         """Returns a new root context of the diagram, at defaults, with the mass replaced."""
         with hide_half_space_warning():
