@@ -1,6 +1,6 @@
 """How far box means are from exact rational arithmetic, and how parsing grows with the stages.
 
-    python benchmarks/box_accuracy.py [--samples 4000] [--seed 0]
+    python -m benchmarks.box_accuracy [--samples 4000] [--seed 0]
 
 Prints the worst relative error of each kind of function, that of a power p times a wave relative to
 (|c| + w)^p times the bound of the wave's mean, and of random polynomials to Σ |a_m| ∏ |μ|, for w =
@@ -20,9 +20,9 @@ import numpy as np
 from pydrake.solvers import ExpressionCost, MathematicalProgram
 from pydrake.symbolic import MakeVectorVariable
 
+from benchmarks.collections.rational_means import exact_factor_mean, exact_mean, relative_error
 from drake_aigto.box import BoxPolynomial, Factor, FunctionKind, Term, TermBlock, compile_program
 from drake_aigto.box.functions import VALUE, WAVES, factor_mean
-from drake_aigto.box.reference import exact_factor_mean, exact_mean, relative_error
 
 GOAL = 1e-13
 GRID = [0.0, *10.0 ** np.arange(-12, 4)]

@@ -1,6 +1,6 @@
 """AIGO and its peers on AIGO's own benchmark, against the exact optimum.
 
-    python benchmarks/chain.py [--sizes 2 10 26 50 82 122 170] [--functions 10] [--large 1000 10000]
+    python -m benchmarks.chain [--sizes 2 10 26 50 82 122 170] [--functions 10] [--large 1000 10000]
         [--first-seed 0] [--patience 0] [--factor 1] [--aigo-seed 0] [--workers 1] [--minutes 9]
         [--out DIR] [--reread]
 
@@ -22,9 +22,11 @@ from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
-from figures import draw_gaps
-from measure import machine
-from peers import (
+
+from benchmarks.collections.chain import REACH, chain_problem
+from benchmarks.figures import draw_gaps
+from benchmarks.measure import machine
+from benchmarks.peers import (
     OUR_NAMES,
     OURS,
     PEERS,
@@ -38,8 +40,6 @@ from peers import (
     seconds_to_reach,
     warm_up,
 )
-
-from drake_aigto.study.chain import REACH, chain_problem
 
 SIZES = (2, 10, 26, 50, 82, 122, 170)
 LARGE = (1000, 10000)

@@ -1,6 +1,6 @@
 """AIGO on constrained programs whose global optimum is known, and multistart SNOPT beside it.
 
-    python benchmarks/constrained_programs.py [--only HS] [--factor 1] [--aigo-seed 0]
+    python -m benchmarks.constrained_programs [--only HS] [--factor 1] [--aigo-seed 0]
         [--workers 1] [--minutes 9] [--out DIR] [--reread]
 
 Global: constraints and bounds hold to 1e-6, and f − f* ≤ 1e-5 max(1, |f*|). A success that is not
@@ -17,13 +17,13 @@ from collections.abc import Sequence
 from functools import cache, partial
 
 import numpy as np
-from measure import machine
-from peers import OURS, Record, add_arguments, collect, make_record
 from pydrake.solvers import SnoptSolver
 
+from benchmarks.collections.constrained_problem import ConstrainedProblem
+from benchmarks.collections.constrained_programs import constrained_problems
+from benchmarks.measure import machine
+from benchmarks.peers import OURS, Record, add_arguments, collect, make_record
 from drake_aigto.solver import AigoOptions, AigoSolver
-from drake_aigto.study.constrained_problem import ConstrainedProblem
-from drake_aigto.study.constrained_programs import constrained_problems
 
 FEASIBLE = 1e-6
 GLOBAL = 1e-5

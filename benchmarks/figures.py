@@ -13,7 +13,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
-from peers import ALONE, OURS
+
+from benchmarks.peers import ALONE, OURS
 
 COLORS = {OURS: "#D55E00", ALONE: "#E69F00"}
 PEER_COLORS = ("#0072B2", "#56B4E9", "#009E73", "#CC79A7", "#555555")

@@ -1,6 +1,6 @@
 """AIGO and its peers on the test functions of the literature, at equal time on one core.
 
-    python benchmarks/global_functions.py [--seeds 3] [--factor 1] [--only Rastrigin]
+    python -m benchmarks.global_functions [--seeds 3] [--factor 1] [--only Rastrigin]
         [--univariate 200] [--aigo-seed 0] [--workers 1] [--minutes 9] [--out DIR] [--reread]
 
 Ours is timed first, from the program to the answer; each peer then gets as many seconds, times
@@ -24,9 +24,12 @@ from collections.abc import Sequence
 from functools import cache, partial
 
 import numpy as np
-from figures import draw_shares
-from measure import machine
-from peers import (
+
+from benchmarks.collections.global_functions import global_problems, random_univariate
+from benchmarks.collections.global_problem import GlobalProblem
+from benchmarks.figures import draw_shares
+from benchmarks.measure import machine
+from benchmarks.peers import (
     OUR_NAMES,
     OURS,
     PEERS,
@@ -38,9 +41,6 @@ from peers import (
     run_ours_only,
     warm_up,
 )
-
-from drake_aigto.study.global_functions import global_problems, random_univariate
-from drake_aigto.study.global_problem import GlobalProblem
 
 TOLERANCE = 1e-6
 SAMPLES = 10_000

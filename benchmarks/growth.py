@@ -1,6 +1,6 @@
 """How the boxes' work grows with the number of knots: time per knot and iteration, and memory.
 
-    python benchmarks/growth.py [--repeats 3] [--most 20000]
+    python -m benchmarks.growth [--repeats 3] [--most 20000]
 
 Table I's first problem at N = 50 … 20,000 time steps of the boxes, each in a process of its own,
 one thread: seconds to build the problem, and CPU seconds of an annealing over a few temperatures
@@ -25,8 +25,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from measure import clock, is_met, write_csv
 
+from benchmarks.measure import clock, is_met, write_csv
 from drake_aigto.aigo import Annealing
 from drake_aigto.planning import PlanOptions, make_problem
 from drake_aigto.world import Scenario, World

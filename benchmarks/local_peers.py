@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
@@ -13,8 +14,9 @@ from drake_aigto.box.polynomial import Factor, TermBlock
 from drake_aigto.local import PolynomialNlp
 from drake_aigto.transcription import LiteralTranscription
 
+casadi: Any
 try:
-    import casadi
+    casadi = importlib.import_module("casadi")
 except ModuleNotFoundError:
     casadi = None
 

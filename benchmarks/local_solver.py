@@ -1,6 +1,6 @@
 """Our local solver against its peers, on the literal transcription of Table I at 200 knots.
 
-    python benchmarks/local_solver.py [--guesses 20] [--drake 2] [--seed 0]
+    python -m benchmarks.local_solver [--guesses 20] [--drake 2] [--seed 0]
 
 Peers: IPOPT with CasADi's exact Hessian (left out where CasADi is not installed; it is in the extra
 `bench`), and IPOPT and SNOPT through Drake, which differentiate but once and by Python's leave.
@@ -20,8 +20,8 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from local_peers import Floats, Solver, casadi, casadi_ipopt, drake_solver
 
+from benchmarks.local_peers import Floats, Solver, casadi, casadi_ipopt, drake_solver
 from drake_aigto.local import InteriorPoint, PolynomialNlp, compile_nlp
 from drake_aigto.planning import LiteralProblem, PlanOptions
 from drake_aigto.planning.literal import ballistic_guess

@@ -1,6 +1,6 @@
 """One Newton iteration of the annealing against its own banded Cholesky, and against CasADi.
 
-    python benchmarks/newton_speed.py [--steps 200] [--repeats 15] [--no-c]
+    python -m benchmarks.newton_speed [--steps 200] [--repeats 15] [--no-c]
 
 On Table I's first problem at N = 200, in turns, seconds of one core:
 
@@ -35,11 +35,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from local_peers import casadi, sum_blocks
-from measure import Spread, clock, is_met, take_turns, write_csv
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpbtrf
 
+from benchmarks.local_peers import casadi, sum_blocks
+from benchmarks.measure import Spread, clock, is_met, take_turns, write_csv
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.box.functions import FunctionKind
 from drake_aigto.box.polynomial import Factor, TermBlock
@@ -86,14 +86,14 @@ def main() -> int:
     return 0 if is_met("an iteration / its banded Cholesky", ratio, MOST_FACTORIZATIONS) else 1
 
 
-def make_boxes(steps: int) -> PlanningProblem:
+def make_boxes(steps: int) -> PlanningProblem[Any, Any]:
     """Returns Table I's first problem, its boxes at so many time steps."""
     scenario = dataclasses.replace(Scenario.named("table1/1"), time_step=1.0 / steps)
     options = PlanOptions(aigo_steps=steps)
     return make_problem(World.from_scenario(scenario), scenario, options)
 
 
-def time_iterations(problem: PlanningProblem, repeats: int) -> list[float]:
+def time_iterations(problem: PlanningProblem[Any, Any], repeats: int) -> list[float]:
     """Returns seconds a Newton iteration, of whole annealings."""
     rung = problem.options.rungs[0]
     problem.run_aigo(rung)  # Loads compiled code.
@@ -104,7 +104,7 @@ def time_iterations(problem: PlanningProblem, repeats: int) -> list[float]:
     return found
 
 
-def make_works(problem: PlanningProblem, with_c: bool) -> dict[str, Callable[[], Any]]:
+def make_works(problem: PlanningProblem[Any, Any], with_c: bool) -> dict[str, Callable[[], Any]]:
     """Returns what takes turns."""
     f, box = problem.polynomial, problem.box
     free = box.free
@@ -196,9 +196,9 @@ def with_buffers(function: Any, y: NDArray[np.float64]) -> Callable[[], Any]:
     """Returns a call without conversions: CasADi reads and writes NumPy's memory."""
     buffer, evaluate = function.buffer()
     results = [np.zeros(function.nnz_out(i)) for i in range(function.n_out())]
-    buffer.set_arg(0, memoryview(y))
+    buffer.set_arg(0, memoryview(y.data))
     for i, result in enumerate(results):
-        buffer.set_res(i, memoryview(result))
+        buffer.set_res(i, memoryview(result.data))
 
     def call() -> Any:
         evaluate()

@@ -17,19 +17,19 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from compiled import compile_function
-from jobs import add_options, run_jobs
-from measure import read_rows, write_csv
 from pydrake.solvers import IpoptSolver, SnoptSolver, SolverOptions
 from scipy.optimize import differential_evolution, direct, dual_annealing, minimize, shgo
 
+from benchmarks.collections.chain import chain_problem
+from benchmarks.collections.global_functions import planar_problems
+from benchmarks.collections.global_problem import GlobalProblem
+from benchmarks.collections.known_optimum import KnownOptimum
+from benchmarks.collections.scalable_functions import rastrigin
+from benchmarks.compiled import compile_function
+from benchmarks.jobs import add_options, run_jobs
+from benchmarks.measure import read_rows, write_csv
 from drake_aigto.local import InteriorPoint, compile_nlp
 from drake_aigto.solver import AigoOptions, AigoSolver
-from drake_aigto.study.chain import chain_problem
-from drake_aigto.study.global_functions import planar_problems
-from drake_aigto.study.global_problem import GlobalProblem
-from drake_aigto.study.known_optimum import KnownOptimum
-from drake_aigto.study.scalable_functions import rastrigin
 
 try:
     import cma

@@ -1,6 +1,6 @@
 """Where a plan's time goes: by its parts, and inside of them by module and by function.
 
-    python benchmarks/plan_profile.py [--repeats 5] [--scenarios 8]
+    python -m benchmarks.plan_profile [--repeats 5] [--scenarios 8]
 
 Plans with ``confirm=False`` on Table I's rows and on random scenarios, one thread. The parts are
 the planner's own clock (`PlanStats`): aigo, polish, replay, and what is left; the program is
@@ -22,10 +22,11 @@ from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from measure import clock, write_csv
 
+from benchmarks.measure import clock, write_csv
 from drake_aigto.planning import Planner, PlanOptions
 from drake_aigto.study import ROWS, ScenarioQuestion
 from drake_aigto.world import Scenario
@@ -89,7 +90,7 @@ def time_parts(planners: list[Planner], repeats: int) -> list[Share]:
 
 def read_profile(profile: cProfile.Profile, plans: int) -> list[Share]:
     """Returns the own time of modules and functions, the largest first."""
-    stats = pstats.Stats(profile).stats
+    stats: dict[Any, Any] = vars(pstats.Stats(profile))["stats"]
     total = sum(own for _, _, own, _, _ in stats.values())
 
     def group(kind: str, name: Callable[[tuple[str, int, str]], str]) -> list[Share]:

@@ -1,6 +1,6 @@
 """A whole plan against one cold solve of the local solvers that people would start instead.
 
-    python benchmarks/planner_speed.py [--scenarios 20] [--repeats 5] [--guesses 5] [--drake 2]
+    python -m benchmarks.planner_speed [--scenarios 20] [--repeats 5] [--guesses 5] [--drake 2]
 
 On Table I's rows and on random scenarios at N = 200, one thread each, in turns: the planner with
 ``confirm=False`` (ladder, polish, and the replays that rank its candidates; a `Planner` is made
@@ -31,12 +31,13 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from local_peers import Solver, casadi, casadi_ipopt, drake_solver
-from measure import Spread, clock, is_met, write_csv
 
+from benchmarks.local_peers import Solver, casadi, casadi_ipopt, drake_solver
+from benchmarks.measure import Spread, clock, is_met, write_csv
 from drake_aigto.baselines.gradient import random_guess
 from drake_aigto.local import compile_nlp
-from drake_aigto.planning import Planner, PlanOptions, replay_event_driven
+from drake_aigto.planning import Planner, PlanOptions
+from drake_aigto.simulation import replay_event_driven
 from drake_aigto.study import ROWS, ScenarioQuestion
 from drake_aigto.transcription import LiteralTranscription
 from drake_aigto.world import Scenario, World

@@ -1,6 +1,6 @@
 """Does `AigoSolver` ever crash or lie? Random small programs, solved twice.
 
-    python benchmarks/random_programs.py [--count 10000] [--seed 0] [--workers 16] [--minutes 9]
+    python -m benchmarks.random_programs [--count 10000] [--seed 0] [--workers 16] [--minutes 9]
 
 Every program is solved twice, which has to give the same bits. A success has to be finite and to
 meet its constraints to 1e-6. Exits with 1 otherwise, or if not all were tried.
@@ -16,10 +16,10 @@ import traceback
 from collections import Counter
 
 import numpy as np
-from jobs import add_options, run_jobs
 
+from benchmarks.collections.random_programs import random_program
+from benchmarks.jobs import add_options, run_jobs
 from drake_aigto.solver import AigoOptions, AigoSolver
-from drake_aigto.study.random_programs import random_program
 
 # Of constraint violations; Drake compares with this itself.
 TOLERANCE = 1e-6

@@ -1,6 +1,6 @@
 """Rigid plans of Table I's problems against exact optima, and how long a plan takes.
 
-    python benchmarks/rigid_figures.py
+    python -m benchmarks.rigid_figures
 
 For e = 1, 0.8 and 0.5: the plan's control, replayed event-driven and in Drake, against the exact
 optimum in continuous time (`study.rigid_optimum`, which the planner does not know). Then seconds:
@@ -18,10 +18,9 @@ import sys
 import tempfile
 import time
 
-from measure import COMMAND
-
+from benchmarks.measure import COMMAND
 from drake_aigto.planning import Planner
-from drake_aigto.planning.material import contact_delay
+from drake_aigto.simulation.material import contact_delay
 from drake_aigto.study import ROWS, rigid_optimum
 from drake_aigto.world import Scenario
 

@@ -1,6 +1,6 @@
 """Which settings that the paper does not print reach its Table I, row 4 (3.67e-7)?
 
-    python benchmarks/row4_settings.py
+    python -m benchmarks.row4_settings
 
 Scans duration T, control weight w_u and δ, with the literal transcription and φ free, and prints
 the best plan of the ladder for each.

@@ -1,6 +1,6 @@
 """How far does single shooting get? Terms of states as polynomials of the controls, and a plan.
 
-    python benchmarks/single_shooting.py
+    python -m benchmarks.single_shooting
 
 Prints how many terms a state has after each step, without contact and with polynomial laws of
 several degrees in place of ε/(φ + δ), and how near those are to it for the paper's δ. Then plans
@@ -10,6 +10,8 @@ with as many steps as can be had, and beside it with states as variables.
 from __future__ import annotations
 
 import dataclasses
+
+import numpy as np
 
 from drake_aigto.aigo import Annealing, Box, EqualWidths, minimize
 from drake_aigto.box import compile_program
@@ -53,7 +55,8 @@ def print_plan(world: World, number: int) -> None:
     f = compile_program(shooting.prog())
     boxes = minimize(f, Box(*shooting.initial_box()), Annealing(initial_temperature=1e-2))
     points = EqualWidths(first_share=0.0, final_share=0.0, max_newton_steps=200)
-    x = minimize(f, Box(boxes.box.center, 1.0), points).box.center
+    center = boxes.box.center
+    x = minimize(f, Box(center, np.ones_like(center)), points).box.center
     rows = shooting.multiple_shooting
     problem = LiteralProblem(rows, PlanOptions(transcription="literal"))
     y = problem.solve_locally(rows.initial_box()[0])

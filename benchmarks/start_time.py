@@ -1,6 +1,6 @@
 """How long it takes to start: to import, to plan on the command line, and to compile at first.
 
-    python benchmarks/start_time.py [--repeats 7] [--clock cpu]
+    python -m benchmarks.start_time [--repeats 7] [--clock cpu]
 
 Each in a process of its own, in turns, with bytecode and compiled code cached, as where the package
 is installed; the command replays its plan in Drake, too. Beside them what no use of Drake and Numba
@@ -25,7 +25,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from measure import COMMAND, Spread, is_met, write_csv
+from benchmarks.measure import COMMAND, Spread, is_met, write_csv
 
 LIBRARIES = (
     "import numba, scipy.sparse.csgraph, scipy.linalg, yaml, pydrake.multibody.plant, "

@@ -1,6 +1,6 @@
 """Table I's figures, with the numbers that they are held against, and how long the table takes.
 
-    python benchmarks/table1_figures.py
+    python -m benchmarks.table1_figures
 
 The literal transcription is held against the paper, the rigid one against the exact optimum. Exits
 with 1 if a figure is missed.

@@ -1,6 +1,6 @@
 """What do the boxes find on Table I, and what does the search over contact knots add?
 
-    python benchmarks/what_boxes_find.py
+    python -m benchmarks.what_boxes_find
 
 Prints the least cost of the literal transcription, φ free, of: AIGO's own contact sequences,
 polished; the same after moving contacts to and fro, as `plan` does; and every tenth knot polished,

@@ -1,6 +1,6 @@
 """Newton systems whose band is wide: a variable that all share, and a square grid.
 
-    python benchmarks/wide_bands.py [--most 20000]
+    python -m benchmarks.wide_bands [--most 20000]
 
 Boxes shrink over a few temperatures (`aigo.Annealing`), and the local solver solves a program: the
 least time by trapezoids that share one free time step, and the control of −Δq + q³ = u on a grid.
@@ -31,11 +31,11 @@ from typing import Any
 from unittest.mock import patch
 
 import numpy as np
-from growth import RESIDENT_UNIT
-from measure import clock, is_met, write_csv
 from pydrake.solvers import ExpressionConstraint, ExpressionCost, MathematicalProgram, QuadraticCost
 from pydrake.symbolic import Variable
 
+from benchmarks.growth import RESIDENT_UNIT
+from benchmarks.measure import clock, is_met, write_csv
 from drake_aigto import AigoOptions, AigoSolver
 from drake_aigto.aigo import Annealing, Box, minimize
 from drake_aigto.box import BoxPolynomial, Factor, FunctionKind, Term, TermBlock
@@ -142,7 +142,7 @@ def measure(family: str, method: str, variables: int, may_be_sparse: bool) -> Ru
 def shrink(family: str, variables: int) -> tuple[Storage, int, float, float]:
     """Returns storage, Newton steps, seconds and the mean of boxes at some temperature."""
     f = chain_of_wells(variables) if family == ARROW else grid_of_wells(side(variables))
-    box = Box(np.full(f.num_variables, 0.1), 2.0)
+    box = Box(np.full(f.num_variables, 0.1), np.full(f.num_variables, 2.0))
     result, seconds = clock(lambda: minimize(f, box, SHORT))
     return result.storage, result.num_inner_steps, seconds.cpu, result.history[-1].mean
 

@@ -1,7 +1,7 @@
 """How often is the plan the global optimum, where sequences are many? Random scenarios by world.
 
-    python benchmarks/worlds.py corridor --count 200 --seed 0 --workers 16
-    python benchmarks/worlds.py floor --peer coasting
+    python -m benchmarks.worlds corridor --count 200 --seed 0 --workers 16
+    python -m benchmarks.worlds floor --peer coasting
 
 Starts, goals and velocities by chance (`study.world_scenarios`), e ∈ {1, 0.8}, but for two masses
 e = 1. A plan succeeds if its event-driven replay costs no more than 1.01 J* + 1e-7, where J* is the
@@ -30,14 +30,14 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from jobs import add_options, run_jobs
 
+from benchmarks.jobs import add_options, run_jobs
 from drake_aigto.baselines import Recorder
 from drake_aigto.baselines.enumeration import list_sequences
 from drake_aigto.baselines.polish import offer_polished
 from drake_aigto.errors import AigtoError
 from drake_aigto.planning import Planner, PlanOptions, RigidProblem, make_problem
-from drake_aigto.planning.replay import replay_event_driven
+from drake_aigto.simulation.replay import replay_event_driven
 from drake_aigto.study.walls_optimum import ContactOptimum
 from drake_aigto.study.world_scenarios import WORLDS
 from drake_aigto.transcription import Touch, TouchSequence

@@ -21,10 +21,10 @@ if TYPE_CHECKING:
     from drake_aigto.planning import Planner as Planner
     from drake_aigto.planning import PlanningError as PlanningError
     from drake_aigto.planning import PlanOptions as PlanOptions
-    from drake_aigto.planning import Replay as Replay
     from drake_aigto.planning import plan as plan
-    from drake_aigto.planning import replay_drake as replay_drake
-    from drake_aigto.planning import replay_event_driven as replay_event_driven
+    from drake_aigto.simulation import Replay as Replay
+    from drake_aigto.simulation import replay_drake as replay_drake
+    from drake_aigto.simulation import replay_event_driven as replay_event_driven
     from drake_aigto.solver import AigoDetails as AigoDetails
     from drake_aigto.solver import AigoOptions as AigoOptions
     from drake_aigto.solver import AigoSolver as AigoSolver
@@ -58,11 +58,11 @@ _EXPORTS = {
     "PlanOptions": "drake_aigto.planning",
     "Planner": "drake_aigto.planning",
     "PlanningError": "drake_aigto.planning",
-    "Replay": "drake_aigto.planning",
+    "Replay": "drake_aigto.simulation",
     "Trajectory": "drake_aigto.trajectory",
     "plan": "drake_aigto.planning",
-    "replay_drake": "drake_aigto.planning",
-    "replay_event_driven": "drake_aigto.planning",
+    "replay_drake": "drake_aigto.simulation",
+    "replay_event_driven": "drake_aigto.simulation",
     "Contact": "drake_aigto.world",
     "Scenario": "drake_aigto.world",
     "World": "drake_aigto.world",

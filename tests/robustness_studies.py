@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from drake_aigto import Scenario
-from drake_aigto.study.perturbation import QUANTITIES, RANDOM
-from drake_aigto.study.robustness_question import RobustnessQuestion
-from drake_aigto.study.robustness_results import (
+from benchmarks.robustness.perturbation import QUANTITIES, RANDOM
+from benchmarks.robustness.question import RobustnessQuestion
+from benchmarks.robustness.results import (
     DRAKE,
     FEEDBACK,
     GRADIENT,
@@ -15,6 +14,7 @@ from drake_aigto.study.robustness_results import (
     PlanResult,
     TaskResult,
 )
+from drake_aigto import Scenario
 
 QUESTION = RobustnessQuestion(rows=(1, 2), restitutions=(1.0,), samples=2)
 

@@ -15,21 +15,22 @@ from refusals import check_refused
 from replay_worlds import shipped_world
 from scenario_studies import Inline, made_up_study
 
-from drake_aigto import OptionsError, PlanOptions, Scenario
-from drake_aigto.cli import BAD_INPUT, FINE, main
-from drake_aigto.errors import ResultsFileError
-from drake_aigto.planning.options import RIGID_LADDER, Rung
-from drake_aigto.show.ablation_figures import plot_variants
-from drake_aigto.show.ablation_tables import format_ablations
-from drake_aigto.show.text import WIDTH
-from drake_aigto.study import ablations, rigid_optimum, scenario_study
-from drake_aigto.study.ablations import (
+from benchmarks.ablations import ablations
+from benchmarks.ablations.ablations import (
     VARIANTS,
     AblationQuestion,
     Variant,
     count_lost_bounces,
     run_variant,
 )
+from benchmarks.ablations.figures import plot_variants
+from benchmarks.ablations.tables import format_ablations
+from drake_aigto import OptionsError, PlanOptions, Scenario
+from drake_aigto.cli import BAD_INPUT, FINE, main
+from drake_aigto.errors import ResultsFileError
+from drake_aigto.planning.options import RIGID_LADDER, Rung
+from drake_aigto.show.text import WIDTH
+from drake_aigto.study import rigid_optimum, scenario_study
 from drake_aigto.study.scenario_jobs import EXHAUSTIVE, Job
 from drake_aigto.study.scenario_question import ScenarioQuestion
 from drake_aigto.study.scenario_results import (

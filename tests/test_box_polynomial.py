@@ -21,8 +21,8 @@ from random_boxes import (
     polynomials,
 )
 
+from benchmarks.collections.rational_means import exact_mean, relative_error
 from drake_aigto.box import BoxPolynomial, Factor, FunctionKind, Term, TermBlock
-from drake_aigto.box.reference import exact_mean, relative_error
 
 
 def size_of(f: BoxPolynomial, box: Boxes) -> float:

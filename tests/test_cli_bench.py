@@ -90,7 +90,7 @@ def test_ctrl_c_says_how_to_go_on(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(scenario_study, "run_job", interrupt)
-    monkeypatch.setattr("drake_aigto.cli.bench.robustness.run_robustness", interrupt)
+    monkeypatch.setattr("benchmarks.robustness.command.run_robustness", interrupt)
     path = tmp_path / "study.json"
     told = f"drake-aigto: --resume goes on from {path}\ndrake-aigto: interrupted\n"
     for command in ([*SCENARIOS, *COASTING, *TOY_METHODS], ["bench", "robustness", "--quiet"]):

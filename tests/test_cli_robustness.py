@@ -1,4 +1,4 @@
-"""`drake-aigto bench robustness`: what it prints, keeps, and refuses."""
+"""`python -m benchmarks robustness`: what it prints, keeps, and refuses."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from refusals import check_refused
 from robustness_studies import make_result
 from scenario_studies import Inline
 
+from benchmarks.robustness import study as robustness
+from benchmarks.robustness.figures import format_robustness
+from benchmarks.robustness.question import RobustnessQuestion
+from benchmarks.robustness.results import RobustnessStudy
+from benchmarks.robustness.study import run_robustness
 from drake_aigto.cli import BAD_INPUT, FINE, main
-from drake_aigto.show.robustness import format_robustness
-from drake_aigto.study import robustness
-from drake_aigto.study.robustness import run_robustness
-from drake_aigto.study.robustness_question import RobustnessQuestion
-from drake_aigto.study.robustness_results import RobustnessStudy
 
 
 def test_the_command_prints_the_table_and_writes_the_file(
@@ -28,7 +28,7 @@ def test_the_command_prints_the_table_and_writes_the_file(
         seen.append(question)
         return run_robustness(question, *args, executor=Inline(), **named)
 
-    monkeypatch.setattr("drake_aigto.cli.bench.robustness.run_robustness", run)
+    monkeypatch.setattr("benchmarks.robustness.command.run_robustness", run)
     monkeypatch.setattr(robustness, "run_task", lambda task, _: make_result(task.name))
     path = tmp_path / "results.json"
     flags = "--rows 1 --restitutions 1 0.5 --percent 2 --samples 3 --seed 4 --no-confirm"

@@ -26,9 +26,9 @@ from pydrake.symbolic import (
 from pydrake.symbolic import max as smax
 from pydrake.symbolic import min as smin
 
+from benchmarks.collections.rational_means import exact_mean, relative_error
 from drake_aigto import OptionsError, UnsupportedTermError
 from drake_aigto.box import FunctionKind, compile_program, expressions
-from drake_aigto.box.reference import exact_mean, relative_error
 
 
 def total_cost(prog: MathematicalProgram, x: np.ndarray) -> float:

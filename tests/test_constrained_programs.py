@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from pydrake.solvers import SnoptSolver, SolverOptions
 
+from benchmarks.collections.constrained_problem import ConstrainedProblem
+from benchmarks.collections.constrained_programs import constrained_problems, planted_program
 from drake_aigto.solver import AigoSolver
-from drake_aigto.study.constrained_problem import ConstrainedProblem
-from drake_aigto.study.constrained_programs import constrained_problems, planted_program
 
 PROBLEMS = {problem.name: problem for problem in constrained_problems()}
 # 1e-8 is the most that a minimizer's residuals, and what they buy in cost, may be.

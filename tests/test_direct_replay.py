@@ -13,12 +13,12 @@ from replay_worlds import hold, make_diagram, make_scenario, shipped_world
 from several_walls import hold_still, make_task, shipped
 
 from drake_aigto import TrajectoryError
-from drake_aigto.planning import replay_costs, replay_event_driven
-from drake_aigto.planning.contact_motion import Walls, support
-from drake_aigto.planning.controller import HeldControl
-from drake_aigto.planning.recording import Recording
-from drake_aigto.planning.rigid_wall import simulate_rigid_wall
-from drake_aigto.planning.rollout import Parabolas
+from drake_aigto.simulation import replay_costs, replay_event_driven
+from drake_aigto.simulation.contact_motion import Walls, support
+from drake_aigto.simulation.controller import HeldControl
+from drake_aigto.simulation.recording import Recording
+from drake_aigto.simulation.rigid_wall import simulate_rigid_wall
+from drake_aigto.simulation.rollout import Parabolas
 from drake_aigto.world import World
 
 Array = npt.NDArray[np.float64]
@@ -83,7 +83,7 @@ def test_the_road_is_chosen_by_what_the_world_does(monkeypatch: pytest.MonkeyPat
     def refuse(*_: Any) -> None:
         raise AssertionError("simulated")
 
-    monkeypatch.setattr("drake_aigto.planning.replay.simulate_rigid_wall", refuse)
+    monkeypatch.setattr("drake_aigto.simulation.replay.simulate_rigid_wall", refuse)
     heavy = World.from_diagram(make_diagram(gravity=3.0))
     springy = World.from_diagram(make_diagram(spring=3.0))
     assert all(world_of(name).has_constant_bias for name in WORLDS)

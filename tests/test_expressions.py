@@ -14,10 +14,10 @@ from pydrake.solvers import ExpressionCost, MathematicalProgram
 from pydrake.symbolic import Expression, Variable, cos, exp, log, pow, sin
 from pydrake.symbolic import max as smax
 
+from benchmarks.collections.rational_means import exact_mean, relative_error
 from drake_aigto import UnsupportedTermError
 from drake_aigto.box import BoxPolynomial, FunctionKind, compile_program
 from drake_aigto.box.products import MAX_TERMS
-from drake_aigto.box.reference import exact_mean, relative_error
 from drake_aigto.local import compile_nlp
 
 

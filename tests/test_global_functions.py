@@ -8,10 +8,10 @@ from numpy.typing import NDArray
 from pydrake.symbolic import Variable
 from scipy.optimize import minimize
 
+from benchmarks.collections.chain import REACH, ChainProblem, chain_problem, exact_chain_minimum
+from benchmarks.collections.global_functions import global_problems, random_univariate
+from benchmarks.collections.global_problem import GlobalProblem
 from drake_aigto.errors import OptionsError
-from drake_aigto.study.chain import REACH, ChainProblem, chain_problem, exact_chain_minimum
-from drake_aigto.study.global_functions import global_problems, random_univariate
-from drake_aigto.study.global_problem import GlobalProblem
 
 PROBLEMS = {problem.name: problem for problem in global_problems()}
 SMALL = [problem for problem in PROBLEMS.values() if problem.num_variables <= 12]

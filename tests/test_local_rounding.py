@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from local_problems import Problem
 
+from benchmarks.collections.global_functions import planar_problems
+from benchmarks.collections.global_problem import GlobalProblem
 from drake_aigto.local import InteriorPoint, LocalStatus, compile_nlp
 from drake_aigto.local.progress import Progress
-from drake_aigto.study.global_functions import planar_problems
-from drake_aigto.study.global_problem import GlobalProblem
 
 PLANAR = planar_problems()
 NAMES = [problem.name for problem in PLANAR]

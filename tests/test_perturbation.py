@@ -9,17 +9,17 @@ import pytest
 from replay_worlds import make_scenario, shipped_world
 from several_walls import make_task, shipped
 
-from drake_aigto import ModelError
-from drake_aigto.errors import ScenarioError
-from drake_aigto.planning import replay_event_driven
-from drake_aigto.study import rigid_optimum
-from drake_aigto.study.perturbation import (
+from benchmarks.robustness.perturbation import (
     QUANTITIES,
     RANDOM,
     Perturbation,
     perturb_at_random,
     perturb_one_at_a_time,
 )
+from drake_aigto import ModelError
+from drake_aigto.errors import ScenarioError
+from drake_aigto.simulation import replay_event_driven
+from drake_aigto.study import rigid_optimum
 
 
 @pytest.mark.parametrize("part", [0.02, -0.02])

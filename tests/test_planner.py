@@ -22,8 +22,8 @@ from drake_aigto.planning import (
     PlanOptions,
     plan,
 )
-from drake_aigto.planning.contacts import find_contacts
 from drake_aigto.planning.options import LITERAL_LADDER, LocalSolverName
+from drake_aigto.simulation.contacts import find_contacts
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import LiteralTranscription
 from drake_aigto.world import World

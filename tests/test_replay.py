@@ -16,8 +16,8 @@ from replay_worlds import hold, make_diagram, make_scenario, shipped_world
 
 from drake_aigto import TrajectoryError
 from drake_aigto.errors import ModelError, PlanFileError
-from drake_aigto.planning.material import calc_dissipation, contact_delay
-from drake_aigto.planning.replay import Replay, confirms, replay_drake, replay_event_driven
+from drake_aigto.simulation.material import calc_dissipation, contact_delay
+from drake_aigto.simulation.replay import Replay, confirms, replay_drake, replay_event_driven
 from drake_aigto.world import Scenario, World
 
 # Drake's plant.

@@ -25,15 +25,14 @@ from drake_aigto.planning import (
     Planner,
     PlanningError,
     PlanOptions,
-    Replay,
     RigidProblem,
     make_problem,
     plan,
     planner,
-    replay_event_driven,
 )
 from drake_aigto.planning.options import LITERAL_LADDER, RIGID_LADDER, Rung
 from drake_aigto.planning.rigid_search import RigidSearch
+from drake_aigto.simulation import Replay, replay_event_driven
 from drake_aigto.study import ScenarioQuestion, rigid_optimum
 from drake_aigto.transcription import (
     PhaseTranscription,

@@ -11,7 +11,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from replay_worlds import hold, make_diagram, make_scenario, shipped_world
 
-from drake_aigto.planning.replay import replay_event_driven
+from drake_aigto.simulation.replay import replay_event_driven
 from drake_aigto.world import World
 
 # What the event-driven wall promises; it mostly is a thousand times better.

@@ -15,14 +15,10 @@ from replay_worlds import shipped_world
 from robustness_studies import QUESTION, make_result
 from scenario_studies import Inline
 
-from drake_aigto import OptionsError, PlanningError, Scenario
-from drake_aigto.errors import ResultsFileError
-from drake_aigto.planning import TrackingController, replay_event_driven, track_event_driven
-from drake_aigto.show.robustness import format_robustness
-from drake_aigto.study import rigid_optimum, robustness
-from drake_aigto.study.robustness import plan_without_contact, run_robustness, run_task
-from drake_aigto.study.robustness_question import RobustnessQuestion
-from drake_aigto.study.robustness_results import (
+from benchmarks.robustness import study as robustness
+from benchmarks.robustness.figures import format_robustness
+from benchmarks.robustness.question import RobustnessQuestion
+from benchmarks.robustness.results import (
     DRAKE,
     FEEDBACK,
     GRADIENT,
@@ -32,6 +28,12 @@ from drake_aigto.study.robustness_results import (
     RobustnessStudy,
     TaskResult,
 )
+from benchmarks.robustness.study import plan_without_contact, run_robustness, run_task
+from drake_aigto import OptionsError, PlanningError, Scenario
+from drake_aigto.control import TrackingController, track_event_driven
+from drake_aigto.errors import ResultsFileError
+from drake_aigto.simulation import replay_event_driven
+from drake_aigto.study import rigid_optimum
 
 SMALL = RobustnessQuestion(rows=(1,), restitutions=(0.8,), samples=1, confirm=False)
 

@@ -11,10 +11,10 @@ import pytest
 from matplotlib.figure import Figure
 from robustness_studies import QUESTION, make_result
 
+from benchmarks.robustness.figures import format_robustness, plot_robustness
+from benchmarks.robustness.perturbation import QUANTITIES, RANDOM
+from benchmarks.robustness.results import DRAKE, OURS, PlanResult, RobustnessStudy
 from drake_aigto.show.results_page import write_results_page
-from drake_aigto.show.robustness import format_robustness, plot_robustness
-from drake_aigto.study.perturbation import QUANTITIES, RANDOM
-from drake_aigto.study.robustness_results import DRAKE, OURS, PlanResult, RobustnessStudy
 
 
 def test_the_table_has_every_kind_of_every_plan_in_a_hundred_columns() -> None:

@@ -13,8 +13,8 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from several_walls import hold_still, make_line, make_task, make_wedge, shipped
 
-from drake_aigto.planning.contact_motion import ContactMotion
-from drake_aigto.planning.replay import Replay, replay_event_driven
+from drake_aigto.simulation.contact_motion import ContactMotion
+from drake_aigto.simulation.replay import Replay, replay_event_driven
 from drake_aigto.world import World
 
 # What the event-driven walls promise; they mostly are a thousand times better.

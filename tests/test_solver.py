@@ -18,11 +18,11 @@ from pydrake.solvers import (
 )
 from pydrake.symbolic import cos, exp, sin
 
+from benchmarks.collections.random_programs import random_program
 from drake_aigto import UnsupportedTermError
 from drake_aigto.aigo import BoxSearch
 from drake_aigto.errors import OptionsError
 from drake_aigto.solver import AigoDetails, AigoOptions, AigoSolver, AigoStatus
-from drake_aigto.study.random_programs import random_program
 
 
 def add_cost(prog: MathematicalProgram, expression: Any) -> None:

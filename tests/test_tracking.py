@@ -17,14 +17,9 @@ from scipy.integrate import solve_ivp
 from several_walls import make_task, shipped
 
 from drake_aigto import Scenario, TrajectoryError, World
-from drake_aigto.planning import (
-    TrackingController,
-    replay_drake,
-    replay_event_driven,
-    track_drake,
-    track_event_driven,
-)
-from drake_aigto.planning.controller import Controller, Held, HeldControl
+from drake_aigto.control import TrackingController, track_drake, track_event_driven
+from drake_aigto.simulation import replay_drake, replay_event_driven
+from drake_aigto.simulation.controller import Controller, Held, HeldControl
 from drake_aigto.study import rigid_optimum
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch

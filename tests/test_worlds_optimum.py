@@ -15,7 +15,7 @@ from line_rivals import SAMPLES, Leg, legs_of
 from replay_worlds import make_diagram, make_scenario, shipped_world
 
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.planning import replay_event_driven
+from drake_aigto.simulation import replay_event_driven
 from drake_aigto.study import (
     WORLDS,
     ContactOptimum,

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from drake_aigto.errors import OptionsError
-from drake_aigto.planning.replay import replay_event_driven
+from drake_aigto.simulation.replay import replay_event_driven
 from drake_aigto.trajectory import read_only
 from drake_aigto.world import Scenario, World
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from drake_aigto.baselines.baseline import Recorder
 from drake_aigto.errors import ModelError
-from drake_aigto.planning.rollout import Parabolas
+from drake_aigto.simulation.rollout import Parabolas
 from drake_aigto.transcription import RigidTranscription
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ import io
 import os
 import sys
 import traceback
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 from drake_aigto import __version__
 from drake_aigto.cli.flags import add_common, format_examples
@@ -41,15 +41,18 @@ exit status: 0 fine, 1 nothing found that holds on rigid walls, 2 bad input, 130
 """
 
 
-def run(arguments: Sequence[str] | None) -> int:
+def run(
+    arguments: Sequence[str] | None, make: Callable[[Sequence[str]], Parser] | None = None
+) -> int:
     """Runs a command and returns its exit status; Ctrl-C is left to the caller.
 
     Args:
         arguments: what was typed after the program's name; None takes it from `sys.argv`.
+        make: returns the parser for these words; `make_parser` if None.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     unset = argparse.Namespace(quiet=False, verbose=False)
-    options = make_parser(words).parse_args(words, unset)
+    options = (make or make_parser)(words).parse_args(words, unset)
     try:
         with show_log(options):
             status: int = options.run(options)

@@ -12,9 +12,9 @@ from drake_aigto.cli.flags import add_command, add_confirm, add_json
 from drake_aigto.cli.progress import show_progress
 from drake_aigto.cli.status import FINE, NOTHING_HOLDS
 from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions
-from drake_aigto.planning.material import contact_delay
 from drake_aigto.planning.options import CHOICES
 from drake_aigto.show.plans import format_plan, format_replays
+from drake_aigto.simulation.material import contact_delay
 from drake_aigto.world import Scenario, scenario_names
 from drake_aigto.world.files import check_writable
 

@@ -11,8 +11,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drake_aigto.errors import AigtoError, PlanFileError
-from drake_aigto.planning.contacts import PlannedContact
-from drake_aigto.planning.replay import Replay, confirms
+from drake_aigto.simulation.contacts import PlannedContact
+from drake_aigto.simulation.replay import Replay, confirms
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scenario
 from drake_aigto.world.files import write_text

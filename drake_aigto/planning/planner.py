@@ -15,13 +15,13 @@ import numpy as np
 
 from drake_aigto.errors import AigtoError
 from drake_aigto.planning.literal import LiteralProblem, LiteralSearch
-from drake_aigto.planning.material import contact_delay
 from drake_aigto.planning.options import PlanOptions, Rung
 from drake_aigto.planning.plan import LARGEST_DEFECT, Candidate, Plan, PlanStats, Replays
-from drake_aigto.planning.replay import Replay, replay_drake, replay_event_driven
 from drake_aigto.planning.rigid import RigidProblem
 from drake_aigto.planning.rigid_search import RigidSearch
 from drake_aigto.planning.search import Search
+from drake_aigto.simulation.material import contact_delay
+from drake_aigto.simulation.replay import Replay, replay_drake, replay_event_driven
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import (
     LiteralTranscription,

@@ -25,10 +25,10 @@ from drake_aigto.box import BoxPolynomial, compile_program
 from drake_aigto.box.tapes import Order
 from drake_aigto.local import InteriorPoint, LocalResult, PolynomialNlp, compile_nlp
 from drake_aigto.local.drake_solvers import solve_with_drake
-from drake_aigto.planning.contacts import find_contacts, max_penetration
 from drake_aigto.planning.options import PlanOptions, Rung, StartName
 from drake_aigto.planning.plan import Candidate
-from drake_aigto.planning.replay import Replay, replay_event_driven
+from drake_aigto.simulation.contacts import find_contacts, max_penetration
+from drake_aigto.simulation.replay import Replay, replay_event_driven
 from drake_aigto.transcription import Transcription
 
 if TYPE_CHECKING:

@@ -9,14 +9,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drake_aigto.planning.contacts import find_contacts
+from drake_aigto.simulation.contacts import find_contacts
 from drake_aigto.trajectory import read_only
 from drake_aigto.transcription import Touch
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from drake_aigto.planning import Plan, Replay
+    from drake_aigto.planning import Plan
+    from drake_aigto.simulation import Replay
     from drake_aigto.trajectory import Trajectory
     from drake_aigto.world import World
 

@@ -6,8 +6,7 @@ import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from string import ascii_lowercase
 
-from drake_aigto.planning import Candidate, Plan, PlanOptions, Replay, confirms
-from drake_aigto.planning.contacts import PlannedContact
+from drake_aigto.planning import Candidate, Plan, PlanOptions
 from drake_aigto.show.text import (
     WIDTH,
     contact_names,
@@ -16,6 +15,8 @@ from drake_aigto.show.text import (
     task_items,
     time_text,
 )
+from drake_aigto.simulation import Replay, confirms
+from drake_aigto.simulation.contacts import PlannedContact
 from drake_aigto.transcription.rigid_contact import DYNAMICS, RESTITUTION
 from drake_aigto.world import World
 

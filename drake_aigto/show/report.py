@@ -11,8 +11,7 @@ from matplotlib.figure import Figure
 
 from drake_aigto import __version__
 from drake_aigto.errors import ModelError
-from drake_aigto.planning import Candidate, Plan, Replay, confirms
-from drake_aigto.planning.material import contact_delay
+from drake_aigto.planning import Candidate, Plan
 from drake_aigto.show.box_playback import play_boxes
 from drake_aigto.show.box_run import BoxRun, run_boxes
 from drake_aigto.show.figures import plot_boxes, plot_path, plot_plan
@@ -23,6 +22,8 @@ from drake_aigto.show.plans import describe_verdict, format_replays
 from drake_aigto.show.playback import open_meshcat, play
 from drake_aigto.show.portraits import plot_phase_portrait
 from drake_aigto.show.text import contact_names, energy_text, length_text, task_items
+from drake_aigto.simulation import Replay, confirms
+from drake_aigto.simulation.material import contact_delay
 from drake_aigto.world import Scenario, World
 
 _ANY_PORT = 0

@@ -6,8 +6,8 @@ from typing import TYPE_CHECKING
 
 from drake_aigto.baselines import gradient_from_zero, run_baseline
 from drake_aigto.planning import LiteralProblem, PlanOptions
-from drake_aigto.planning.replay import replay_event_driven
 from drake_aigto.show.motion import PLAN_LABEL, SIMULATION_LABELS, Motion
+from drake_aigto.simulation.replay import replay_event_driven
 from drake_aigto.transcription import LiteralTranscription
 
 if TYPE_CHECKING:

@@ -1,6 +1,5 @@
 """Studies: Table I, random scenarios, worlds with several contacts; with the truth beside them."""
 
-from drake_aigto.study.ablations import VARIANTS, AblationQuestion, Variant
 from drake_aigto.study.block_optimum import block_optimum
 from drake_aigto.study.masses_optimum import masses_optimum
 from drake_aigto.study.rigid_optimum import RigidOptimum, bounce_costs, rigid_optimum
@@ -27,9 +26,7 @@ from drake_aigto.study.world_scenarios import WORLDS, WorldStudy
 __all__ = [
     "PAPER_COSTS",
     "ROWS",
-    "VARIANTS",
     "WORLDS",
-    "AblationQuestion",
     "Cell",
     "ContactOptimum",
     "Entry",
@@ -43,7 +40,6 @@ __all__ = [
     "ScenarioStudy",
     "Spread",
     "Table1",
-    "Variant",
     "Workers",
     "WorldStudy",
     "block_optimum",

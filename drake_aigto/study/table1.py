@@ -24,8 +24,8 @@ from drake_aigto.planning import (
     PlanOptions,
     Replays,
 )
-from drake_aigto.planning.material import contact_delay
 from drake_aigto.planning.options import AlgorithmName, LocalSolverName
+from drake_aigto.simulation.material import contact_delay
 from drake_aigto.study.rigid_optimum import RigidOptimum, rigid_optimum
 from drake_aigto.study.workers import Workers
 from drake_aigto.transcription import LiteralTranscription

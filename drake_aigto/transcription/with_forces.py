@@ -12,7 +12,7 @@ With λ a variable, the mean of (φ λ)² over a box is (φ² + w_φ²/3)(λ² +
   around the motion without control, keeps it.
 - With literal rows and a heavy contact row φ goes to −δ instead, and p becomes what it likes.
 
-`drake-aigto bench ablations` counts this beside the transcriptions without forces.
+`python -m benchmarks ablations` counts this beside the transcriptions without forces.
 """
 
 from __future__ import annotations

@@ -5,17 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any
 
-from drake_aigto.cli.bench.ablations import add_ablations
 from drake_aigto.cli.bench.page import add_page
-from drake_aigto.cli.bench.robustness import add_robustness
 from drake_aigto.cli.bench.scenarios import add_scenarios
 from drake_aigto.cli.flags import add_common, format_examples
 
 # Each adds its command; `bench --help` lists them in this order.
 _BENCHMARKS: tuple[Callable[[Any], None], ...] = (
     add_scenarios,
-    add_ablations,
-    add_robustness,
     add_page,
 )
 
@@ -28,7 +24,7 @@ drake-aigto bench scenarios --help                             # all that a benc
 
 def add_bench(commands: Any) -> None:
     """Adds the command and all that it measures."""
-    text = "measure: how often, how fast, how robust, against what else"
+    text = "measure: how often, how fast, against what else"
     bench = commands.add_parser(
         "bench",
         help=text,

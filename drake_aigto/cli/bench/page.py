@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Callable
 from typing import Any
 
 from drake_aigto.cli.flags import add_command
@@ -10,14 +11,14 @@ from drake_aigto.cli.progress import show_progress
 from drake_aigto.cli.status import FINE
 
 _EXAMPLES = """\
-drake-aigto bench page scenarios.json robustness.json --out results.md
+drake-aigto bench page planner.json rivals.json --out results.md
 """
 
 
-def add_page(commands: Any) -> None:
-    """Adds the command."""
+def add_page(commands: Any, run: Callable[[argparse.Namespace], int] | None = None) -> None:
+    """Adds the command, which `run` does; this module's own if None."""
     text = "make the results page of saved results"
-    command = add_command(commands, "page", _page, text, _EXAMPLES)
+    command = add_command(commands, "page", run or _page, text, _EXAMPLES)
     command.add_argument(
         "results", nargs="+", metavar="RESULTS.json", help="what benchmarks wrote with --json"
     )

@@ -1,0 +1,228 @@
+"""What finds the bounce: the planner with one part changed, or left out, at a time."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+import time
+from collections.abc import Callable, Iterable, Mapping
+from contextlib import nullcontext
+from dataclasses import dataclass
+from typing import ClassVar, Literal, TypeAlias
+
+from drake_aigto.errors import OptionsError
+from drake_aigto.planning import Planner, PlanOptions, RigidProblem, make_problem
+from drake_aigto.planning.options import RIGID_LADDER, Rung
+from drake_aigto.planning.rigid_search import RigidSearch
+from drake_aigto.simulation import replay_event_driven
+from drake_aigto.study.scenario_jobs import EXHAUSTIVE, Job, read_boxes
+from drake_aigto.study.scenario_question import Runner, ScenarioQuestion
+from drake_aigto.study.scenario_results import MethodRun, ScenarioResult
+from drake_aigto.transcription import Touch, TouchSequence
+from drake_aigto.transcription.rigid_contact import CONTACT, DYNAMICS, RESTITUTION
+from drake_aigto.world import Scenario, World
+
+Way: TypeAlias = Literal["plan", "replay", "listed"]
+
+
+@dataclass(frozen=True)
+class Variant:
+    """A planner that differs from the default with all rungs, or from the bare one, in one thing.
+
+    Attributes:
+        group: what is varied.
+        options: of the planner.
+        num_steps: of the scenario, N; its own if None.
+        way: "plan"; or "replay", the controls in the centers of AIGO's last boxes as they are, the
+            best of all rungs, without any polish; or "listed", the flight and one bounce polished,
+            without AIGO.
+    """
+
+    group: str
+    options: PlanOptions = EXHAUSTIVE
+    num_steps: int | None = None
+    way: Way = "plan"
+
+
+def _of(start: str) -> tuple[Rung, ...]:
+    return tuple(rung for rung in RIGID_LADDER if rung.start == start)
+
+
+def _reweighed(rungs: Iterable[Rung], **weights: float) -> tuple[Rung, ...]:
+    return tuple(dataclasses.replace(r, weights={**r.weights, **weights}) for r in rungs)
+
+
+def _with(options: PlanOptions, **changes: object) -> PlanOptions:
+    return dataclasses.replace(options, **changes)  # type: ignore[arg-type]
+
+
+# Only boxes can find a bounce here: none starts in a simulation, no neighbour is tried.
+_BARE = _with(EXHAUSTIVE, ladder=_of("line"), branches=0)
+# Hot rungs under which forces as variables find bounces too.
+_LIGHT = _reweighed(
+    (dataclasses.replace(RIGID_LADDER[0], temperature=T) for T in (30.0, 10.0, 3.0)),
+    **{DYNAMICS: 30.0, CONTACT: 30.0, RESTITUTION: 0.02},
+)
+_SHRINKING: Mapping[str, Mapping[str, object]] = {
+    "equal widths": {"algorithm": "equal widths"},
+    "no boxes": {"algorithm": "no boxes"},
+    "no boxes, continued": {"algorithm": "no boxes", "pull": True},
+    "Algorithm 1": {"algorithm": "full gradient"},
+    "alternating": {"algorithm": "alternating"},
+}
+
+
+def _make_variants() -> dict[str, Variant]:
+    """Returns all variants by name."""
+    found = {
+        "default": Variant("search"),
+        "no neighbours": Variant("search", _with(EXHAUSTIVE, branches=0)),
+        "line only": Variant("search", _with(EXHAUSTIVE, ladder=_of("line"))),
+        "coast only": Variant("search", _with(EXHAUSTIVE, ladder=_of("coast"))),
+        "listed, no AIGO": Variant("search", way="listed"),
+    }
+    for name, changes in _SHRINKING.items():
+        found[name] = Variant("boxes", _with(EXHAUSTIVE, **changes))
+    found["bare"] = Variant("boxes, bare", _BARE)
+    for name, changes in _SHRINKING.items():
+        found[f"bare, {name}"] = Variant("boxes, bare", _with(_BARE, **changes))
+    for number, rung in enumerate(RIGID_LADDER, 1):
+        found[f"rung {number} alone"] = Variant("ladder", _with(EXHAUSTIVE, ladder=(rung,)))
+    for steps in (25, 100, 200, 400):
+        found[f"{steps} box steps"] = Variant("steps", _with(EXHAUSTIVE, aigo_steps=steps))
+    for steps in (25, 50, 100, 400):
+        found[f"{steps} time steps"] = Variant("steps", num_steps=steps)
+    for relaxation in (1e-1, 1e-2, 1e-3, 1e-5):
+        options = _with(EXHAUSTIVE, relaxation=relaxation)
+        found[f"relaxation {relaxation:.0e}"] = Variant("rows", options)
+    for name, options in {"": EXHAUSTIVE, "bare, ": _BARE}.items():
+        ladder = _reweighed(options.rungs, **{RESTITUTION: 0.0})
+        found[f"{name}no restitution row"] = Variant("rows", _with(options, ladder=ladder))
+    found |= {
+        "no polish": Variant("polish", way="replay"),
+        "no polish, continued": Variant("polish", _with(EXHAUSTIVE, pull=True), way="replay"),
+        "bare, forces": Variant("forces", _with(_BARE, force_variables=True)),
+        "bare, light rows": Variant("forces", _with(_BARE, ladder=_LIGHT)),
+        "bare, forces, light rows": Variant(
+            "forces", _with(_BARE, ladder=_LIGHT, force_variables=True)
+        ),
+    }
+    return found
+
+
+# Name → variant. "Bare" has only the rungs around the straight line, and tries no neighbours;
+# "continued" means that a penalty continuation pulls what the boxes found towards the rows.
+VARIANTS: Mapping[str, Variant] = _make_variants()
+
+
+@dataclass(frozen=True, kw_only=True)
+class AblationQuestion(ScenarioQuestion):
+    """Random scenarios, and the variants of the planner that are to solve them.
+
+    Attributes:
+        count: of scenarios.
+        methods: names of `VARIANTS`.
+        budgets: none has one: each variant takes the time that it takes.
+    """
+
+    count: int = 60
+    methods: tuple[str, ...] = tuple(VARIANTS)
+    budgets: tuple[float, ...] = (1.0,)
+
+    kind: ClassVar[str] = "ablations"
+
+    @property
+    def runner(self) -> Runner:
+        """What runs a variant."""
+        return run_variant
+
+    def _check_methods(self) -> None:
+        unknown = [name for name in self.methods if name not in VARIANTS]
+        if unknown:
+            raise OptionsError(
+                "variants",
+                got=", ".join(map(repr, unknown)),
+                expected=f"some of {', '.join(map(repr, VARIANTS))}",
+            )
+
+
+def run_variant(world: World, job: Job) -> MethodRun:
+    """Returns what the variant that a job names makes of its scenario."""
+    variant, scenario = VARIANTS[job.method], job.scenario
+    if variant.num_steps is not None:
+        time_step = scenario.duration / variant.num_steps
+        scenario = dataclasses.replace(scenario, time_step=time_step)
+    start = time.process_time()
+    cost, boxes = _WAYS[variant.way](world, scenario, variant.options)
+    seconds = time.process_time() - start
+    improvements = ((seconds, cost),) if math.isfinite(cost) else ()
+    return MethodRun(improvements, seconds, boxes=boxes)
+
+
+_Found: TypeAlias = tuple[float, tuple[int, ...]]
+
+
+def _plan(world: World, scenario: Scenario, options: PlanOptions) -> _Found:
+    """Returns a plan's cost when replayed, and how many contacts the box of each rung shows."""
+    plan = Planner(scenario, options, world).plan()
+    return plan.replay.event_driven.cost, read_boxes(plan)
+
+
+def _replay_boxes(world: World, scenario: Scenario, options: PlanOptions) -> _Found:
+    """Returns the least cost of what AIGO's boxes hold, replayed without any polish."""
+    problem = _make_rigid_problem(world, scenario, options)
+    costs, contacts = [], []
+    for rung in options.rungs:
+        result = problem.run_aigo(rung)
+        center = problem.pull(result.box.center, rung) if options.pull else result.box.center
+        sequences = problem.find_sequences(result, rung)
+        contacts.append(len(sequences[0]) if sequences else 0)
+        boxes = problem.start(rung.start).transcription
+        control = boxes.GetSampleTimes(), boxes.split(center)[2]
+        costs.append(replay_event_driven(world, scenario, *control).cost)
+    return min(costs), tuple(contacts)
+
+
+def _polish_listed(world: World, scenario: Scenario, options: PlanOptions) -> _Found:
+    """Returns the cost of the best of flight and one bounce, polished as AIGO's sequences are."""
+    problem = _make_rigid_problem(world, scenario, options)
+    search = RigidSearch(problem, lambda part: nullcontext())
+    bounce = Touch.bounce(scenario.duration / 2)
+    listed: tuple[TouchSequence, ...] = ((), (bounce,))
+    for sequence in listed:
+        search.add("listed", problem.box.center, sequence)
+    for sequence in search.finalists()[: options.finalists]:
+        search.improve(sequence)
+    ranked = search.ranked()
+    return (ranked[0].replay.cost if ranked else math.inf), ()
+
+
+_WAYS: Mapping[Way, Callable[[World, Scenario, PlanOptions], _Found]] = {
+    "plan": _plan,
+    "replay": _replay_boxes,
+    "listed": _polish_listed,
+}
+
+
+def _make_rigid_problem(world: World, scenario: Scenario, options: PlanOptions) -> RigidProblem:
+    problem = make_problem(world, scenario, options)
+    assert isinstance(problem, RigidProblem)
+    return problem
+
+
+def count_lost_bounces(results: Iterable[ScenarioResult], variant: str) -> tuple[int, int]:
+    """Returns how many last boxes show no contact where the optimum has one, and of how many.
+
+    All rungs count. With forces as variables this is the collapse of AIGTO Fig. 1.
+
+    Args:
+        results: of a study.
+        variant: its name.
+    """
+    boxes = [
+        contacts
+        for result in results
+        if result.contacts and variant in result.runs
+        for contacts in result.runs[variant].boxes
+    ]
+    return sum(contacts == 0 for contacts in boxes), len(boxes)

@@ -1,0 +1,99 @@
+"""The part of the results page on variants of the planner."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+from matplotlib.figure import Figure
+
+from benchmarks.ablations.ablations import AblationQuestion
+from benchmarks.ablations.figures import plot_variants
+from benchmarks.ablations.tables import markdown_ablations
+from drake_aigto.show.images import Images
+from drake_aigto.show.scenario_page import command_of
+from drake_aigto.study.scenario_results import ScenarioStudy
+
+# Field of the question → flag.
+_FLAGS = {"num_steps": "steps", "methods": "variants"}
+
+_INTRODUCTION = """\
+## What finds the bounce
+
+The planner with one thing changed at a time, on random scenarios like those above. The default gets
+at a contact sequence in three ways: AIGO's boxes around the straight line from start to goal; boxes
+around the motion without control, which a simulation has taken to the wall; and *neighbours*, a
+candidate's sequence with a bounce more or less, polished. *Bare* variants have the first way only.
+All run every rung of the ladder, while the planner leaves out those that can tell nothing new.
+
+*Optimal* is judged as above. *Boxes right*: the last boxes, before any polish, show as many
+contacts as the optimum has; those of the best rung, and those of any rung of the ladder. *Bounces
+lost*: of all boxes of scenarios whose optimum has a bounce, those that show no contact.
+"""
+_CONCLUSION = """\
+### What to make of it
+
+- *At one wall, success as such proves nothing about boxes.* Flight and one bounce, listed and
+  polished, do as well as the planner, and faster. With three ways to a bounce, almost any part can
+  be left out: without boxes, points from the simulated motion are still in the bounce, and rung 3
+  alone, whose boxes lose nearly all bounces, gets them back from its neighbours.
+- *The bare rows tell what boxes do.* Points that start on the straight line mostly end in the free
+  flight, and raising the penalties further brings no bounce back. Boxes of optimised widths find
+  the bounces from the same start, without any simulation. Boxes of equal widths find fewer: centers
+  and widths should be optimised together, as the paper says.
+- *No temperature is right for all.* The hottest rung sees bounces also where the flight is best,
+  the coldest one loses them. The ladder proposes both, and the polish decides.
+- *Algorithm 1*, as printed, does the converse of points: its boxes show a contact nearly
+  everywhere, so that on its own it misses flights. So does the alternating algorithm, though less
+  often; it takes many times as long.
+- *The polish finds the optimum, not the bounce.* What boxes hold has the right contacts, but
+  replayed as it is, most of it costs more than the optimum by far; raised penalties help some.
+- *The restitution row tells a bounce from a crowd.* Without it, bare boxes show several contacts
+  everywhere. That bounces survive this is owed to reading a crowd as one; flights do not.
+- Neither the number of box steps nor the relaxation matters much here, apart from the time; fewer
+  time steps of the plan cost what a coarser control costs.
+- *Forces as decision variables* mostly collapse to the flight, as the paper says, under the default
+  weights and under light ones, where boxes without forces show contacts nearly everywhere. It is no
+  law: annealed slowly, hot boxes under light rows find bounces with forces, too
+  (`RigidWithForces`).
+"""
+
+
+def write_ablations(paths: Sequence[Path], images: Images) -> str:
+    """Returns Markdown on some studies of variants, and draws their figures.
+
+    Args:
+        paths: of their files.
+        images: where the figures go.
+
+    Raises:
+        ResultsFileError: a file is damaged.
+    """
+    parts = [_INTRODUCTION]
+    for path in paths:
+        study = ScenarioStudy.load(path, AblationQuestion)
+        parts.extend(_study_parts(study, path.stem, images))
+    return "\n".join([*parts, _CONCLUSION])
+
+
+def _study_parts(study: ScenarioStudy, name: str, images: Images) -> Iterator[str]:
+    bounces = sum(result.contacts > 0 for result in study.results)
+    yield f"    {command_of(study.question, _FLAGS)}\n"
+    yield (
+        f"{len(study.results)} scenarios of seed {study.question.seed}, of which {bounces} have a "
+        "bounce in the optimum.\n"
+    )
+    yield f"{markdown_ablations(study)}\n"
+    text = "Share of optima, and of boxes with as many contacts as the optimum, by variant"
+    yield images.add(f"{name}_variants", draw_variants(study), text)
+
+
+def draw_variants(study: ScenarioStudy) -> Figure:
+    """Returns bars of all variants."""
+    count = len(study.question.methods)
+    figure = Figure(figsize=(7.2, 0.22 * count + 1.6), layout="constrained")
+    axes = figure.subplots()
+    plot_variants(axes, study)
+    labels = axes.get_legend_handles_labels()
+    figure.legend(*labels, loc="outside upper left", frameon=False, fontsize="small")
+    return figure

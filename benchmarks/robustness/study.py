@@ -1,0 +1,183 @@
+"""How much plans suffer where the truth is a little other than they were made for."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable
+from concurrent.futures import BrokenExecutor, Executor, as_completed
+
+from benchmarks.robustness.question import RobustnessQuestion, Task
+from benchmarks.robustness.results import (
+    DRAKE,
+    FEEDBACK,
+    GRADIENT,
+    OPEN_LOOP,
+    OURS,
+    Outcome,
+    PlanResult,
+    RobustnessStudy,
+    TaskResult,
+)
+from drake_aigto.control import TrackingController, track_drake, track_event_driven
+from drake_aigto.count import Count
+from drake_aigto.errors import AigtoError, StudyError
+from drake_aigto.local.drake_solvers import solve_with_drake
+from drake_aigto.planning import Planner, PlanOptions
+from drake_aigto.simulation import Replay, replay_event_driven
+from drake_aigto.simulation.contacts import find_contacts
+from drake_aigto.study.results_file import check_results_file, check_same_question
+from drake_aigto.study.rigid_optimum import rigid_optimum
+from drake_aigto.study.workers import Workers
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription import PhaseTranscription
+from drake_aigto.world import Scenario, World
+
+_LOG = logging.getLogger(__name__)
+
+_OPTIONS = PlanOptions(confirm=False, threads=1)
+
+
+def run_robustness(
+    question: RobustnessQuestion,
+    path: str | os.PathLike[str] | None = None,
+    *,
+    resume: bool = False,
+    executor: Executor | None = None,
+    workers: int | None = None,
+    progress: Callable[[str], None] | None = None,
+) -> RobustnessStudy:
+    """Plans for all tasks, and replays every plan under all perturbations.
+
+    What is done is written after each task, so that Ctrl-C loses little.
+
+    Args:
+        question: what to run.
+        path: of the results; None keeps them in memory only.
+        resume: go on from the results that are there.
+        executor: where tasks run; `Workers` if None.
+        workers: processes, if no executor is given; None: one a core.
+        progress: called with a line of text after each task.
+
+    Raises:
+        OptionsError, ScenarioError: from `RobustnessQuestion.check`.
+        OutputFileError: the results can't be written.
+        ResultsFileError: there are results and they are not to be gone on from; or they are damaged
+            or another study's.
+        StudyError: a worker died.
+    """
+    question.check()
+    known = RobustnessStudy(question)
+    if path and check_results_file(path, resume):
+        known = RobustnessStudy.load(path)
+        check_same_question(path, known.question.to_dict(), question.to_dict())
+    if executor is None:
+        with Workers(workers) as pool:
+            return _run(known, path, pool, progress)
+    return _run(known, path, executor, progress)
+
+
+def _run(
+    known: RobustnessStudy,
+    path: str | os.PathLike[str] | None,
+    executor: Executor,
+    progress: Callable[[str], None] | None,
+) -> RobustnessStudy:
+    """Returns a study with those tasks run that were not."""
+    study = known
+    done = {result.name for result in known.results}
+    tasks = known.question.tasks()
+    jobs = [
+        executor.submit(run_task, task, known.question) for task in tasks if task.name not in done
+    ]
+    try:
+        for job in as_completed(jobs):
+            result = job.result()
+            study = study.with_result(result)
+            _LOG.info("%s: done", result.name)
+            if path:
+                study.save(path)
+            if progress:
+                progress(Count(len(study.results), len(tasks), "tasks done"))
+    except BrokenExecutor as error:
+        raise StudyError(
+            "a worker died",
+            got=error,
+            remedy="Go on from what was done (--resume)." if path else None,
+        ) from error
+    finally:
+        for job in jobs:
+            job.cancel()
+    return study
+
+
+def run_task(task: Task, question: RobustnessQuestion) -> TaskResult:
+    """Plans for one task, both ways, and replays the plans under its perturbations."""
+    scenario, perturbations = task.scenario, question.perturbations(task.scenario)
+    world = World.from_scenario(scenario)
+    truths = [perturbation.apply(world, scenario) for perturbation in perturbations]
+    planners = {OURS: _plan, GRADIENT: plan_without_contact}
+    return TaskResult(
+        name=task.name,
+        scenario=scenario,
+        optimum=rigid_optimum(world, scenario).cost,
+        kinds=tuple(perturbation.kind for perturbation in perturbations),
+        optima=tuple(rigid_optimum(*truth).cost for truth in truths),
+        plans=tuple(
+            _judge(method, make_plan, world, scenario, truths, question)
+            for method, make_plan in planners.items()
+        ),
+    )
+
+
+def _plan(world: World, scenario: Scenario) -> Trajectory:
+    return Planner(scenario, _OPTIONS, world).plan().trajectory
+
+
+def plan_without_contact(world: World, scenario: Scenario) -> Trajectory:
+    """Returns what IPOPT makes of exact flight with φ ≥ 0, from the straight line: no contact.
+
+    It is what gradient solvers find for AIGTO's Table I: brake, turn, accelerate.
+    """
+    phases = PhaseTranscription(world, scenario)
+    guess = phases.vector(phases.guess())
+    return phases.trajectory(solve_with_drake(phases.prog(), guess, "ipopt").x)
+
+
+def _judge(
+    method: str,
+    make_plan: Callable[[World, Scenario], Trajectory],
+    world: World,
+    scenario: Scenario,
+    truths: list[tuple[World, Scenario]],
+    question: RobustnessQuestion,
+) -> PlanResult:
+    """Returns what becomes of a plan, or why there is none that can be tracked."""
+    try:
+        plan = make_plan(world, scenario)
+        controller = TrackingController(world, scenario, plan)
+    except AigtoError as error:
+        return PlanResult(method, error=str(error))
+    control = plan.times, plan.controls
+    contacts = tuple(contact.contact for contact in find_contacts(world, plan))
+    nominal = replay_event_driven(world, scenario, *control)
+    runs: dict[str, Callable[[World, Scenario], Replay]] = {
+        OPEN_LOOP: lambda world, scenario: replay_event_driven(world, scenario, *control),
+        FEEDBACK: lambda world, scenario: track_event_driven(world, scenario, controller).replay,
+    }
+    if question.confirm:
+        runs[DRAKE] = lambda world, scenario: track_drake(world, scenario, controller).replay
+    return PlanResult(
+        method,
+        nominal.cost,
+        nominal.goal_error,
+        nominal.bounce_times,
+        {
+            name: tuple(_summarize(run(*truth), contacts) for truth in truths)
+            for name, run in runs.items()
+        },
+    )
+
+
+def _summarize(replay: Replay, contacts: tuple[int, ...]) -> Outcome:
+    return Outcome(replay.cost, replay.goal_error, replay.bounce_contacts == contacts)

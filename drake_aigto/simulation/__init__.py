@@ -1,0 +1,11 @@
+"""A control alone, simulated: on exactly rigid walls, and in Drake; and the verdict on a plan."""
+
+from drake_aigto.simulation.replay import (
+    Replay,
+    confirms,
+    replay_costs,
+    replay_drake,
+    replay_event_driven,
+)
+
+__all__ = ["Replay", "confirms", "replay_costs", "replay_drake", "replay_event_driven"]

@@ -1,0 +1,126 @@
+"""The contacts of a planned trajectory, read off its impulses."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drake_aigto.simulation.contact_motion import contact_motion
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from drake_aigto.trajectory import Trajectory
+    from drake_aigto.world import World
+
+# An impulse is a contact if it changes the velocity by this part of the largest one on the way. A
+# literal plan has some force at every distance; this tells the blow from the breeze.
+_SHARE = 0.05
+# Impulses that follow each other sooner than this are one contact [s].
+_GAP = 0.1
+# An impulse below this part of the largest velocity is a solver's rounding.
+_ROUNDING = 1e-9
+# A velocity below this part of the largest one is none: a contact that lasts may begin and end so.
+_STILL = 1e-5
+
+
+@dataclass(frozen=True)
+class PlannedContact:
+    """One contact of a plan.
+
+    Attributes:
+        time: of its first knot [s].
+        last_time: of its last knot [s].
+        velocity_change: ‖Σ M⁻¹ J_iᵀ (p_ik + λ_ik τ_k)‖ [m/s].
+        energy_ratio: kinetic energy after / before, with all that happens at its knots; 1 where it
+            is still before and after.
+        contact: i, which of the world's contacts.
+    """
+
+    time: float
+    last_time: float
+    velocity_change: float
+    energy_ratio: float
+    contact: int = 0
+
+
+def find_contacts(world: World, trajectory: Trajectory) -> tuple[PlannedContact, ...]:
+    """Returns the contacts of a trajectory in the order of time: its contact sequence.
+
+    Where a wall pushes at every knot, large impulses are contacts, and those that follow each
+    other soon are one. Where it does not, every impulse and every held force is one.
+    """
+    motion = contact_motion(world)
+    found = [
+        contact
+        for i in range(world.num_contacts)
+        for contact in _find_contacts(world, trajectory, motion.lifts[i] / motion.masses[i], i)
+    ]
+    return tuple(sorted(found, key=lambda contact: (contact.time, contact.contact)))
+
+
+def _find_contacts(
+    world: World, trajectory: Trajectory, lift: npt.NDArray[np.float64], index: int
+) -> list[PlannedContact]:
+    """Returns those of one contact, whose impulses change v by `lift` a newton second."""
+    impulses, forces = trajectory.impulses[:, index], trajectory.forces[:, index]
+    held = forces * np.diff(trajectory.times)
+    changes = np.outer(impulses + np.append(held, 0.0), lift)
+    sizes = np.linalg.norm(changes, axis=1)
+    largest = np.max(np.linalg.norm(trajectory.velocities, axis=1))
+    if np.all(impulses[:-1]):
+        hit = np.flatnonzero(sizes > _SHARE * largest)
+        apart = np.diff(trajectory.times[hit]) >= _GAP
+    else:
+        touching = np.append(held != 0, False) | np.append(False, held != 0)
+        hit = np.flatnonzero((sizes > _ROUNDING * largest) | touching)
+        apart = held[hit[:-1]] == 0
+    if not hit.size:
+        return []
+    runs = np.split(hit, np.flatnonzero(apart) + 1)
+    return [_contact(world, trajectory, changes, run[0], run[-1], index) for run in runs]
+
+
+def max_penetration(world: World, trajectory: Trajectory) -> float:
+    """Returns how deep the ball is inside a wall at most, over the knots, at least 0 [m]."""
+    return contact_motion(world).calc_depth(trajectory.positions)
+
+
+def _contact(
+    world: World,
+    trajectory: Trajectory,
+    changes: npt.NDArray[np.float64],
+    first: int,
+    last: int,
+    index: int,
+) -> PlannedContact:
+    """Returns the contact of knots first … last."""
+    before = trajectory.velocities[first]
+    kick = world.calc_velocity_change(trajectory.positions[last], trajectory.impulses[last])
+    after = trajectory.velocities[last] + kick
+    return PlannedContact(
+        time=float(trajectory.times[first]),
+        last_time=float(trajectory.times[last]),
+        velocity_change=float(np.linalg.norm(changes[first : last + 1].sum(axis=0))),
+        energy_ratio=_energy_ratio(world, trajectory, before, after),
+        contact=index,
+    )
+
+
+def _energy_ratio(
+    world: World,
+    trajectory: Trajectory,
+    before: npt.NDArray[np.float64],
+    after: npt.NDArray[np.float64],
+) -> float:
+    """Returns kinetic energy after / before; rounding has none."""
+    M = world.mass_matrix_values
+    v = trajectory.velocities
+    least = _STILL**2 * np.max(np.einsum("ki,ij,kj->k", v, M, v))
+    energies = (float(v @ M @ v) for v in (before, after))
+    given, returned = (energy if energy > least else 0.0 for energy in energies)
+    if given == 0:
+        return 1.0 if returned == 0 else np.inf
+    return returned / given

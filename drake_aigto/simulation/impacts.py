@@ -1,0 +1,402 @@
+"""Impacts, rest and release on rigid walls, exactly, while accelerations are constant.
+
+A moment is a time in which v̇ without contact is constant: the whole of a control's interval where
+flight is a parabola, or else so short that it nearly is. What happens in it is found by roots.
+
+Letters as in `ContactMotion`. Numba's cache of this file does not see edits of `contact_motion`:
+delete ``__pycache__`` after one.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from drake_aigto.jit import inner, kernel, pasted
+from drake_aigto.simulation.contact_motion import (
+    Walls,
+    add,
+    calc_time_to_wall,
+    dot,
+    find_size,
+    support,
+)
+
+_Array = npt.NDArray[np.float64]
+_Ints = npt.NDArray[np.int64]
+_Bools = npt.NDArray[np.bool_]
+
+# Times are parts of the simulated duration T.
+
+# The n-th impact at a contact becomes rest if the hop after it would last less than n times this.
+# No more than √(2 / _HOP) ≈ 1,400 hops fit into T then: no Zeno sequence can hang.
+_HOP = 1e-6
+# So many impacts within so short a time are a collapse, infinitely many: then all that touch stay
+# together.
+MOST_IMPACTS = 1000
+_COLLAPSE = 1e-6
+# Impact and rest leave this much air, relative to the largest position or 1 m, so that rounding
+# does not put the ball inside.
+_AIR = 1e-14
+# Rates of a contact at rest below this are rounding, relative to the largest velocity or 1 m/s.
+STILL = 1e-13
+# The sum of forces on a contact at rest that is not surely a pull, relative to the accelerations.
+PULLED = 1e-13
+
+# Columns of a log of impacts, before those of q, v and v after it.
+TIME, CONTACT, SPEED, PUSH, STATE = range(5)
+
+
+class Phase(NamedTuple):
+    """The state of a hybrid system, changed in place."""
+
+    q: _Array  # shape (nq,) [m]
+    v: _Array  # shape (nv,) [m/s]
+    resting: npt.NDArray[np.bool_]  # which contacts it rests on, shape (m,)
+    counts: _Array  # how many impacts each contact had, shape (m,)
+
+
+class Rules(NamedTuple):
+    """What decides how impacts end."""
+
+    restitutions: _Array  # e of each contact, in [0, 1], shape (m,)
+    duration: float  # T, how long will be simulated [s]
+
+
+def make_log(most: int, num_positions: int) -> _Array:
+    """Returns a log that has room for so many impacts; those beyond are counted only."""
+    return np.empty((most, STATE + 3 * num_positions))
+
+
+@pasted
+def run(
+    walls: Walls,
+    rules: Rules,
+    phase: Phase,
+    acceleration: _Array,
+    end: float,
+    left: float,
+    first: int,
+    log: _Array,
+    logged: int,
+) -> int:
+    """Change a phase to what it is at the end of a moment.
+
+    Impacts are one by one, each where and when the parabolas between them say. If several contacts
+    are touched at once, in a corner or by bodies in a row, they take turns until none is approached
+    any more, in the order of the world's contacts. That is exact, and the order does not matter,
+    where J_i M⁻¹ J_jᵀ = 0.
+
+    Args:
+        walls: the contacts.
+        rules: of impacts.
+        phase: at the beginning; becomes the one at the end.
+        acceleration: v̇ without contact, shape (nv,) [m/s²].
+        end: when the moment ends [s].
+        left: how long it lasts [s].
+        first: the contact that is touched as it begins, −1 if that is to be found out.
+        log: one row for each impact.
+        logged: how many impacts there were.
+
+    Returns:
+        How many impacts there were, this moment's with them.
+    """
+    q, v, resting, _ = phase
+    m = resting.size
+    supported, curves, touched = acceleration.copy(), np.empty((m, 3)), resting.copy()
+    burst, burst_left = 0, math.inf
+    contact, slides = first, False
+    pulled = PULLED * find_size(acceleration)
+    while True:
+        if contact < 0:
+            support(walls, resting, acceleration, supported)
+            calc_curves(walls, q, v, supported, curves)
+            for i in range(m):
+                resting[i] = resting[i] and curves[i, 2] <= pulled
+            still = STILL * find_size(v)
+            wait, contact, slides = find_event(walls.firsts, resting, curves, still, left)
+            if contact < 0:
+                break
+            fly(q, v, supported, wait)
+            left -= wait
+        resting[contact] = False
+        if slides:
+            _slide_off(walls, q, resting, contact)
+        else:
+            support(walls, resting, acceleration, supported)
+            logged += _hit(walls, rules, phase, supported, end - left, contact, log, logged)
+            if burst == 0 or burst_left - left > _COLLAPSE * rules.duration:
+                burst, burst_left = 0, left
+                for i in range(m):
+                    touched[i] = False
+            touched[contact] = True
+            burst += 1
+            if burst == MOST_IMPACTS:
+                burst = 0
+                # What touches stays together: an impact that returns nothing.
+                for i in range(m):
+                    resting[i] = resting[i] or touched[i]
+                support(walls, resting, v, v)
+                _release(walls.jacobian, v, resting)
+        contact = -1
+    fly(q, v, supported, left)
+    settle(walls, q, v, resting)
+    return logged
+
+
+@inner
+def fly(q: _Array, v: _Array, acceleration: _Array, time: float) -> None:
+    """Move q and v along their parabola, by a time that may be negative."""
+    for k in range(q.size):
+        later = v[k] + time * acceleration[k]
+        q[k] += time / 2 * (v[k] + later)
+        v[k] = later
+
+
+@inner
+def calc_curves(walls: Walls, q: _Array, v: _Array, acceleration: _Array, curves: _Array) -> None:
+    """Write φ, φ̇ and φ̈ of each contact, shape (m, 3)."""
+    jacobian, offset, _, _ = walls
+    for i in range(offset.size):
+        distance, rate, push = offset[i], 0.0, 0.0
+        for k in range(q.size):
+            distance += jacobian[i, k] * q[k]
+            rate += jacobian[i, k] * v[k]
+            push += jacobian[i, k] * acceleration[k]
+        curves[i, 0], curves[i, 1], curves[i, 2] = distance, rate, push
+
+
+@inner
+def find_event(
+    firsts: _Ints, resting: _Bools, curves: _Array, still: float, horizon: float
+) -> tuple[float, int, bool]:
+    """Find what happens first if φ̈ is constant.
+
+    A contact at rest that others push in is touched at once. From a contact that is rested on the
+    ball slides off where it comes in front of another face of the same solid.
+
+    Args:
+        firsts: `Walls.firsts`.
+        resting: which contacts the ball rests on, shape (m,).
+        curves: φ, φ̇ and φ̈ of each contact, shape (m, 3).
+        still: how fast a contact at rest may seem to move [m/s].
+        horizon: how far to look [s].
+
+    Returns:
+        How long until then [s], the contact, or −1 if nothing happens within the horizon, and
+        whether the ball slides off in front of that one instead of touching it.
+    """
+    wait, contact, slides = horizon, -1, False
+    for solid in range(firsts.size - 1):
+        first, last = firsts[solid], firsts[solid + 1]
+        is_held = False
+        for i in range(first, last):
+            is_held = is_held or resting[i]
+        if not is_held:
+            until, face = _find_entry(curves, first, last, still, wait)
+            if face >= 0 and (until < wait or contact < 0):
+                wait, contact, slides = until, face, False
+            continue
+        for i in range(first, last):
+            distance, rate, push = curves[i]
+            if resting[i]:
+                if rate < -still and (wait > 0 or contact < 0):
+                    wait, contact, slides = 0.0, i, False
+            else:
+                until = calc_time_to_wall(max(-distance, 0.0), -rate, -push)
+                if until < wait:
+                    wait, contact, slides = until, i, True
+    return wait, contact, slides
+
+
+@inner
+def _find_entry(
+    curves: _Array, first: int, last: int, still: float, horizon: float
+) -> tuple[float, int]:
+    """Find when a solid is entered: as one of its faces is passed, the others behind.
+
+    One that the ball is at, inside but for rounding, is entered at the face that is nearest.
+
+    Returns:
+        How long until then [s], and the face; −1 if never within the horizon.
+    """
+    if not _may_enter(curves, first, last, horizon):
+        return math.inf, -1
+    wait, passed = 0.0, -1
+    # Each face is passed once at most: what rises from it again never comes back.
+    for _ in range(first, last):
+        face, height = -1, 0.0 if passed >= 0 else -math.inf
+        for i in range(first, last):
+            there = curves[i, 0] + wait * (curves[i, 1] + wait / 2 * curves[i, 2])
+            if i != passed and there > height:
+                face, height = i, there
+        if face < 0:
+            break
+        distance, rate, push = curves[face, 0], curves[face, 1], curves[face, 2]
+        if distance <= 0 and wait == 0:
+            if rate >= -still and push >= 0:
+                return math.inf, -1
+            distance = 0.0
+        wait, passed = calc_time_to_wall(distance, rate, push), face
+        if wait > horizon:
+            return math.inf, -1
+    return wait, passed
+
+
+@inner
+def _may_enter(curves: _Array, first: int, last: int, horizon: float) -> bool:
+    """Return False only if the ball stays in front of one of these faces for that long."""
+    for i in range(first, last):
+        if curves[i, 0] > horizon * (abs(curves[i, 1]) + horizon / 2 * abs(curves[i, 2])):
+            return False
+    return True
+
+
+@inner
+def may_touch(firsts: _Ints, resting: _Bools, curves: _Array, horizon: float) -> bool:
+    """Return False only if the ball is in free flight and touches nothing for that long."""
+    found = False
+    for i in range(resting.size):
+        found = found or resting[i]
+    for solid in range(firsts.size - 1):
+        found = found or _may_enter(curves, firsts[solid], firsts[solid + 1], horizon)
+    return found
+
+
+@inner
+def _slide_off(walls: Walls, q: _Array, resting: _Bools, contact: int) -> None:
+    """End rest on the solid of a face that the ball has come in front of."""
+    firsts = walls.firsts
+    for solid in range(firsts.size - 1):
+        if firsts[solid] <= contact < firsts[solid + 1]:
+            for i in range(firsts[solid], firsts[solid + 1]):
+                resting[i] = False
+    _lift(walls, q, contact)
+
+
+@inner
+def _lift(walls: Walls, q: _Array, contact: int) -> None:
+    """Move the ball from wherever it is to a hair above a face."""
+    distance = dot(walls.jacobian, contact, q) + walls.offset[contact]
+    add(q, _AIR * find_size(q) - distance, walls.lifts, contact)
+
+
+@inner
+def _hit(
+    walls: Walls,
+    rules: Rules,
+    phase: Phase,
+    others: _Array,
+    time: float,
+    contact: int,
+    log: _Array,
+    logged: int,
+) -> int:
+    """Apply an impact, or bring the contact to rest, given v̇ with the other contacts at rest.
+
+    Returns:
+        1 for an impact, 0 for a touch.
+    """
+    q, v, resting, counts = phase
+    jacobian, lifts, n = walls.jacobian, walls.lifts, v.size
+    push = dot(jacobian, contact, others)
+    speed = max(0.0, -dot(jacobian, contact, v))
+    e = rules.restitutions[contact]
+    counts[contact] += 1
+    shortest_hop = _HOP * rules.duration * counts[contact]
+    is_impact = 2 * speed > shortest_hop * abs(push)
+    is_logged = is_impact and logged < log.shape[0]
+    if is_logged:
+        log[logged, TIME], log[logged, CONTACT] = time, contact
+        log[logged, SPEED], log[logged, PUSH] = speed, push
+        for k in range(n):
+            log[logged, STATE + k], log[logged, STATE + n + k] = q[k], v[k]
+            after = v[k] + (1 + e) * speed * lifts[contact, k]
+            log[logged, STATE + 2 * n + k] = after
+    rests = 2 * e * speed <= -shortest_hop * push
+    add(v, speed if rests else (1 + e) * speed, lifts, contact)
+    _release(jacobian, v, resting)
+    resting[contact] = rests
+    return 1 if is_impact else 0
+
+
+@inner
+def _release(jacobian: _Array, v: _Array, resting: _Bools) -> None:
+    """End rest at what the ball moves away from."""
+    still = STILL * find_size(v)
+    for i in range(resting.size):
+        resting[i] = resting[i] and dot(jacobian, i, v) <= still
+
+
+@kernel
+def find_wait(
+    walls: Walls, phase: Phase, acceleration: _Array, still: float, horizon: float
+) -> float:
+    """Return how long until a contact is touched or left [s] (`find_event`); infinity if never.
+
+    Args:
+        walls: the contacts.
+        phase: the present one.
+        acceleration: v̇ with the forces of rest, taken for constant, shape (nv,).
+        still: how fast a contact at rest may seem to move [m/s].
+        horizon: how far to look [s].
+    """
+    curves = np.empty((phase.resting.size, 3))
+    calc_curves(walls, phase.q, phase.v, acceleration, curves)
+    wait, contact, _ = find_event(walls.firsts, phase.resting, curves, still, horizon)
+    return wait if contact >= 0 else math.inf
+
+
+@kernel
+def run_again(
+    walls: Walls,
+    rules: Rules,
+    phase: Phase,
+    supported: _Array,
+    acceleration: _Array,
+    end: float,
+    left: float,
+    first: int,
+    log: _Array,
+) -> int:
+    """Take a phase back by a time in which it flew through contacts, and `run` it from there.
+
+    Args:
+        walls: the contacts.
+        rules: of impacts.
+        phase: as it was taken to be at the end; becomes what it is then.
+        supported: v̇ that took it there, shape (nv,) [m/s²].
+        acceleration: v̇ without contact, shape (nv,) [m/s²].
+        end: when the time ends [s].
+        left: how long it lasted [s].
+        first: the contact that is touched as it begins.
+        log: one row for each impact.
+
+    Returns:
+        How many impacts there were.
+    """
+    fly(phase.q, phase.v, supported, -left)
+    return run(walls, rules, phase, acceleration, end, left, first, log, 0)
+
+
+@kernel
+def settle(walls: Walls, q: _Array, v: _Array, resting: _Bools) -> None:
+    """Take rounding out: no ball is inside, those at rest are at the wall and stay there."""
+    jacobian, offset, lifts, firsts = walls
+    for solid in range(firsts.size - 1):
+        nearest, height = -1, -math.inf
+        for i in range(firsts[solid], firsts[solid + 1]):
+            distance = dot(jacobian, i, q) + offset[i]
+            # One that is rested on counts, wherever rounding put the ball.
+            if distance > height or resting[i]:
+                nearest, height = i, -math.inf if resting[i] else distance
+            if resting[i]:
+                break
+        if height < _AIR * find_size(q):
+            _lift(walls, q, nearest)
+    for i in range(resting.size):
+        if resting[i]:
+            add(v, -dot(jacobian, i, v), lifts, i)

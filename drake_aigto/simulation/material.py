@@ -1,0 +1,123 @@
+"""What a contact is made of in Drake: stiffness, and dissipation for a given restitution."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
+from pydrake.geometry import GeometryId, ProximityProperties, RoleAssign
+
+from drake_aigto.errors import ModelError
+from drake_aigto.simulation.contact_motion import contact_motion
+
+if TYPE_CHECKING:
+    from pydrake.systems.framework import Context
+
+    from drake_aigto.world import World
+
+_STIFFNESS = ("material", "point_contact_stiffness")
+_DISSIPATION = ("material", "hunt_crossley_dissipation")
+
+# No finite dissipation takes all of the speed; below this restitution it is this.
+LEAST_RESTITUTION = 1e-3
+# This close to 1 the equation for the dissipation cancels, and its series is exact to 1e-8.
+_NEARLY_ELASTIC = 1e-4
+
+
+def contact_delay(world: World) -> float:
+    """Returns how long an elastic contact of the world lasts at most, π √(m / k) [s].
+
+    A rigid wall turns the ball round at once. Drake's compliant one, of stiffness k, keeps it for
+    half a period of mass m on spring k, which delays all that follows.
+
+    Args:
+        world: k = k₁ k₂ / (k₁ + k₂) comes from the material of its shapes, and
+            m = (J_i M⁻¹ J_iᵀ)⁻¹ from its mass matrix.
+
+    Raises:
+        ModelError: a shape has no stiffness.
+    """
+    return max(contact_delays(world))
+
+
+def contact_delays(world: World) -> list[float]:
+    """Returns `contact_delay` of each contact [s]."""
+    masses = contact_motion(world).masses
+    stiffnesses = [_calc_stiffness(world, shapes) for shapes in world.shapes]
+    return [math.pi * math.sqrt(m / k) for m, k in zip(masses, stiffnesses, strict=True)]
+
+
+def calc_dissipation(restitution: float, speed: float) -> float:
+    """Returns the Hunt-Crossley dissipation that makes an impact's restitution e [s/m].
+
+    With f = k x (1 + d ẋ) an impact at speed v returns e v where y = d v solves
+
+        y − ln(1 + y) = −e y − ln(1 − e y)
+
+    so that it depends on the speed: other impacts have another restitution.
+
+    Args:
+        restitution: e in [0, 1]; below 1e-3 it is taken for 1e-3.
+        speed: v > 0 [m/s].
+    """
+    e = max(restitution, LEAST_RESTITUTION)
+    if 1 - e < _NEARLY_ELASTIC:
+        return 1.5 * (1 - e**2) / (1 + e**3) / speed
+
+    def excess(z: float) -> float:
+        # With z = −ln(1 − e y), which stays apart from its end where e y is 1 to rounding.
+        y = -math.expm1(-z) / e
+        return y - math.log1p(y) + e * y - z
+
+    z = scipy.optimize.brentq(excess, _NEARLY_ELASTIC / 10, 2 / e + 2, xtol=1e-15)
+    return -math.expm1(-z) / e / speed
+
+
+def set_dissipation(world: World, root: Context, contact: int, dissipation: float) -> None:
+    """Gives a contact a Hunt-Crossley dissipation [s/m], in this context only.
+
+    Drake weighs those of the two shapes by the other one's stiffness. Where one shape belongs to
+    other contacts too, as a ball between walls, its own becomes 0 and the other one's makes up for
+    it, so that no other contact which is going on is another.
+    """
+    shapes = world.shapes[contact]
+    k = [_read_stiffness(world, shape) for shape in shapes]
+    alone = [_is_alone(world, shape) for shape in shapes]
+    values = [dissipation, dissipation]
+    if alone[0] != alone[1]:
+        own = alone.index(True)
+        values[1 - own] = 0.0
+        values[own] = dissipation * (k[0] + k[1]) / k[1 - own]
+    context = world.scene_graph.GetMyMutableContextFromRoot(root)
+    inspector = world.scene_graph.model_inspector()
+    for shape, value in zip(shapes, values, strict=True):
+        properties = ProximityProperties(inspector.GetProximityProperties(shape))
+        properties.UpdateProperty(*_DISSIPATION, value)
+        world.scene_graph.AssignRole(
+            context, world.plant.get_source_id(), shape, properties, RoleAssign.kReplace
+        )
+
+
+def _is_alone(world: World, shape: GeometryId) -> bool:
+    """Returns whether a shape can touch but one other."""
+    return sum(shape in pair for pair in set(world.shapes)) == 1
+
+
+def _calc_stiffness(world: World, shapes: tuple[GeometryId, GeometryId]) -> float:
+    """Returns the stiffness of two shapes in series, k₁ k₂ / (k₁ + k₂) [N/m]."""
+    return 1 / sum(1 / _read_stiffness(world, shape) for shape in shapes)
+
+
+def _read_stiffness(world: World, shape: GeometryId) -> float:
+    inspector = world.scene_graph.model_inspector()
+    properties = inspector.GetProximityProperties(shape)
+    if not properties.HasProperty(*_STIFFNESS):
+        raise ModelError(
+            f"collision shape {inspector.GetName(shape)!r}",
+            got="no stiffness, so Drake's default, which hardly rebounds",
+            expected="<drake:point_contact_stiffness>",
+            remedy="Give both shapes 2e9 N/m, and <drake:hunt_crossley_dissipation> 0, for a "
+            "nearly rigid, elastic wall.",
+        )
+    return float(properties.GetProperty(*_STIFFNESS))

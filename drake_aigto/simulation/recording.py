@@ -1,0 +1,102 @@
+"""What a simulation of a held control saw: states, and contacts with walls."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from drake_aigto.simulation.impacts import CONTACT, PUSH, SPEED, STATE, TIME
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+
+class Impact(NamedTuple):
+    """A contact that throws the ball back."""
+
+    time: float  # when the wall was touched [s]
+    contact: int  # which of the world's contacts
+    speed: float  # of approach, −φ̇ > 0 [m/s]
+    push: float  # φ̈ without contact; negative is into the wall [m/s²]
+    energy_before: float  # kinetic, ½ vᵀ M v, when the wall was touched [J]
+    energy_after: float  # kinetic, when it was left [J]
+
+
+class Rest(NamedTuple):
+    """A contact that is pressed together so slowly that it stays, or nearly."""
+
+    time: float  # when it began [s]
+    contact: int  # which of the world's contacts
+
+
+@dataclass
+class Recording:
+    """Filled while a simulation runs; the last row is its end.
+
+    Attributes:
+        times: never decreasing; equal before and after an impact that takes no time [s].
+        positions: q for each time, shape (nq,) [m].
+        velocities: v for each time, shape (nv,) [m/s].
+        impacts: in order of time.
+        rests: in order of time, on compliant walls.
+        max_penetration: the deepest −φ, at least 0 [m].
+        matched_speeds: for which dissipation was set, on compliant walls [m/s].
+        control_times: from when each control was held [s].
+        controls: u of each of them, shape (nu,) [N].
+    """
+
+    times: list[float] = field(default_factory=list)
+    positions: list[npt.NDArray[np.float64]] = field(default_factory=list)
+    velocities: list[npt.NDArray[np.float64]] = field(default_factory=list)
+    impacts: list[Impact] = field(default_factory=list)
+    rests: list[Rest] = field(default_factory=list)
+    max_penetration: float = 0.0
+    matched_speeds: list[float] = field(default_factory=list)
+    control_times: list[float] = field(default_factory=list)
+    controls: list[npt.NDArray[np.float64]] = field(default_factory=list)
+
+    @property
+    def bounces(self) -> list[int]:
+        """The contact of each impact so far."""
+        return [impact.contact for impact in self.impacts]
+
+    def add(self, time: float, q: npt.NDArray[np.float64], v: npt.NDArray[np.float64]) -> None:
+        """Appends a state."""
+        self.times.append(time)
+        self.positions.append(q)
+        self.velocities.append(v)
+
+    def hold(self, time: float, control: npt.NDArray[np.float64]) -> None:
+        """Appends a control."""
+        self.control_times.append(time)
+        self.controls.append(control)
+
+    def add_impacts(
+        self, log: npt.NDArray[np.float64], mass_matrix: npt.NDArray[np.float64]
+    ) -> None:
+        """Appends impacts that take no time, and the states before and after each.
+
+        Args:
+            log: one row for each, as `impacts.make_log` has it.
+            mass_matrix: M, shape (nv, nv) [kg].
+        """
+        self.impacts += list_impacts(log, mass_matrix)
+        for row in log:
+            q, before, after = row[STATE:].reshape(3, -1).copy()
+            self.add(float(row[TIME]), q, before)
+            self.add(float(row[TIME]), q, after)
+
+
+def list_impacts(
+    log: npt.NDArray[np.float64], mass_matrix: npt.NDArray[np.float64]
+) -> list[Impact]:
+    """Returns the impacts of a log (`impacts.make_log`), by a mass matrix M (nv, nv) [kg]."""
+    if not len(log):
+        return []
+    _, *velocities = np.split(log[:, STATE:], 3, axis=1)
+    energies = [np.einsum("bi,ij,bj->b", v, mass_matrix, v) / 2 for v in velocities]
+    rows = np.column_stack([log[:, TIME], log[:, SPEED : PUSH + 1], *energies]).tolist()
+    contacts = log[:, CONTACT].astype(int).tolist()
+    return [Impact(row[0], i, *row[1:]) for i, row in zip(contacts, rows, strict=True)]

@@ -1,0 +1,308 @@
+"""Replay: a plan's control alone, run from the start against rigid walls."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drake_aigto.errors import TrajectoryError
+from drake_aigto.simulation.compliance import calc_compliance_error
+from drake_aigto.simulation.compliant_wall import simulate_compliant_wall
+from drake_aigto.simulation.controller import HeldControl
+from drake_aigto.simulation.recording import Recording
+from drake_aigto.simulation.rigid_wall import simulate_rigid_wall
+from drake_aigto.simulation.rollout import Parabolas
+from drake_aigto.trajectory import ArrayRecord, check_control, read_only
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from drake_aigto.world import Scenario, World
+
+
+@dataclass(frozen=True, eq=False)
+class Replay(ArrayRecord):
+    """What a control does to the world, whatever its plan promised.
+
+    Attributes:
+        simulator: "event-driven" (exactly rigid walls) or "drake" (the continuous plant).
+        cost: control_weight Σ dt_k ‖u_k‖² + goal_weight ‖q(T) − goal‖².
+        goal_error: ‖q(T) − goal‖ [m].
+        max_penetration: the deepest −φ, at least 0 [m].
+        bounce_times: when walls were touched, B of them [s].
+        bounce_contacts: which of the world's contacts each touch was at.
+        energies_before: kinetic energy ½ vᵀ M v at each touch, B [J].
+        energies_after: kinetic energy as each contact ends, B [J]. A contact that lasts to T is
+            compared with T.
+        compliance_error: "drake" only: how far the end should be, at most, from where rigid walls
+            lead [m]. A contact lasts τ = π √(m/k), which delays what follows and loses what the
+            control adds meanwhile: of one elastic impact, τ times the last speed. All of it is in
+            `calc_compliance_error`.
+        compliance_cost: what of the cost this explains at most.
+        matched_speeds: "drake" only, restitution < 1 only: the speeds, in the order of time, for
+            which the dissipation was set to give each impact its restitution [m/s]. Impacts below a
+            twentieth of the fastest count as that, and return more. Empty: the model's own
+            dissipation.
+        times: shape (K,): the knots, and where contacts begin and end [s]. Never decreasing; a
+            rigid impact has two rows of equal time.
+        positions: shape (K, nq) [m].
+        velocities: shape (K, nv) [m/s].
+    """
+
+    simulator: str
+    cost: float
+    goal_error: float
+    max_penetration: float
+    bounce_times: tuple[float, ...]
+    bounce_contacts: tuple[int, ...]
+    energies_before: tuple[float, ...]
+    energies_after: tuple[float, ...]
+    compliance_error: float
+    compliance_cost: float
+    matched_speeds: tuple[float, ...]
+    times: npt.NDArray[np.float64]
+    positions: npt.NDArray[np.float64]
+    velocities: npt.NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        """Converts lists to tuples, and makes the arrays read-only."""
+        for name in (
+            *("cost", "goal_error", "max_penetration"),
+            *("compliance_error", "compliance_cost"),
+        ):
+            object.__setattr__(self, name, float(getattr(self, name)))
+        for name in ("bounce_times", "energies_before", "energies_after", "matched_speeds"):
+            object.__setattr__(self, name, tuple(map(float, getattr(self, name))))
+        object.__setattr__(self, "bounce_contacts", tuple(map(int, self.bounce_contacts)))
+        for name in ("times", "positions", "velocities"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    @property
+    def energy_ratios(self) -> tuple[float, ...]:
+        """Kinetic energy after / before each contact."""
+        pairs = zip(self.energies_before, self.energies_after, strict=True)
+        return tuple(after / before for before, after in pairs)
+
+    @property
+    def energy_ratio(self) -> float | None:
+        """The one number for tables, Σ after / Σ before over all contacts; None without contact.
+
+        Contacts count by their energy, so that the last tremor before rest does not hide the
+        bounce. On rigid walls it is restitution² if the ball moves straight at them, and never more
+        than 1: more is energy from nowhere.
+        """
+        return sum(self.energies_after) / sum(self.energies_before) if self.bounce_times else None
+
+
+def replay_event_driven(
+    world: World, scenario: Scenario, times: npt.ArrayLike, controls: npt.ArrayLike
+) -> Replay:
+    """Replays a held control on exactly rigid walls (`RigidWall` has their equations).
+
+    The judge of plans, for any restitution in [0, 1]. Where flight under a held control is a
+    parabola (`World.has_constant_bias`) it is exact but for rounding, by roots alone (`Parabolas`);
+    only hops too short to follow become rest. Elsewhere Drake's Simulator integrates, and touches
+    shorter than a millionth of the duration may not be noticed.
+
+    Args:
+        world: its dynamics and its contacts.
+        scenario: start, goal, weights and restitution; it has to fit the world (`World.check`).
+        times: of the knots, shape (N+1,), not necessarily even [s].
+        controls: held over each interval, shape (N, nu) [N].
+
+    Raises:
+        TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
+    """
+    times, controls = _check_control(world, times, controls)
+    recording = _simulate_rigidly(world, scenario, times, controls)
+    return summarize("event-driven", scenario, times, controls, recording)
+
+
+def replay_costs(
+    world: World, scenario: Scenario, times: npt.ArrayLike, controls: npt.ArrayLike
+) -> npt.NDArray[np.float64]:
+    """Returns what many held controls cost on exactly rigid walls, shape (C,).
+
+    The costs of `replay_event_driven` to the last bit, without its records: where flight is a
+    parabola, compiled code runs them one after the other.
+
+    Args:
+        world: its dynamics and its contacts.
+        scenario: start, goal, weights and restitution; it has to fit the world (`World.check`).
+        times: of the knots, shape (N+1,), the same for all [s].
+        controls: C of them, held over each interval, shape (C, N, nu) [N].
+
+    Raises:
+        TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
+    """
+    u = np.asarray(controls, dtype=float)
+    if u.ndim != 3:
+        raise TrajectoryError("controls", got=f"shape {u.shape}", expected="(C, N, nu)")
+    if not len(u):
+        return np.empty(0)
+    # As one control of many columns: the same checks, of all at once.
+    columns = u.transpose(1, 0, 2).reshape(u.shape[1], -1)
+    t, _ = check_control(times, columns)
+    _check_columns(world, u)
+    if world.has_constant_bias:
+        ends = _roll_out(world, scenario, t).find_ends(u)
+    else:
+        runs = (_simulate_rigidly(world, scenario, t, control) for control in u)
+        ends = np.array([run.positions[-1] for run in runs])
+    pairs = zip(u, ends, strict=True)
+    return np.array([_calc_cost(scenario, t, control, end)[0] for control, end in pairs])
+
+
+def replay_drake(
+    world: World, scenario: Scenario, times: npt.ArrayLike, controls: npt.ArrayLike
+) -> Replay:
+    """Replays a held control on the world's own continuous plant in Drake.
+
+    Its walls are compliant, so each bounce is late by `contact_delay` and dips in by v √(m / k).
+    With restitution 1 the model keeps its own dissipation, which the shipped models have at zero.
+    The restitution that Hunt-Crossley dissipation makes depends on the speed. So with less than 1
+    it is set before each impact for the speed that is coming (`Replay.matched_speeds`), in the
+    simulation's context alone. A ball rolls
+    round the corners of a box, which the event-driven replay takes for sharp.
+
+    Args:
+        world: its diagram, whose actuation this replaces.
+        scenario: start, goal, weights and restitution; it has to fit the world (`World.check`).
+        times: of the knots, shape (N+1,), not necessarily even [s].
+        controls: held over each interval, shape (N, nu) [N].
+
+    Raises:
+        ModelError: a shape of the contact has no stiffness.
+        TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
+    """
+    times, controls = _check_control(world, times, controls)
+    start = scenario.initial_position, scenario.initial_velocity
+    restitutions = world.restitutions(scenario)
+    recording = simulate_compliant_wall(world, start, HeldControl(times, controls), restitutions)
+    error = calc_compliance_error(world, restitutions, recording)
+    return summarize("drake", scenario, times, controls, recording, error)
+
+
+def confirms(
+    cost: float,
+    replay: Replay,
+    goal_error: float | None = None,
+    *,
+    relative_cost: float = 0.05,
+    absolute_cost: float = 4e-6,
+    length: float = 2e-3,
+) -> bool:
+    """Returns whether a plan holds: its replay is nearly as cheap, and ends nearly as close.
+
+        replay.cost − compliance_cost        ≤ (1 + relative_cost) · cost + absolute_cost
+        replay.goal_error − compliance_error ≤ goal_error + length
+
+    A replay that does better than its plan confirms it. The absolute parts are for plans that
+    promise next to nothing: who ends 2 mm off where the plan claims 0 is still there, and at a goal
+    weight of 1 that costs 4e-6. The defaults let pass what the compliant wall of the shipped models
+    takes from the optimal plans of Table I's problems (0.1 ms late, so 0.2 mm off and 0.5 % dearer
+    at most), and stop a plan whose bounce no rigid wall returns. NaN never holds.
+
+    Args:
+        cost: that the plan promises.
+        replay: of the plan's control.
+        goal_error: that the plan promises, ‖q_N − goal‖ [m]; None leaves out the second rule.
+        relative_cost: how much more the replay may cost, as a part of the plan's cost.
+        absolute_cost: how much more it may cost besides.
+        length: how much farther from the goal the replay may end [m].
+    """
+    replayed_cost = replay.cost - replay.compliance_cost
+    replayed_error = replay.goal_error - replay.compliance_error
+    is_cheap = replayed_cost <= (1 + relative_cost) * cost + absolute_cost
+    is_near = goal_error is None or replayed_error <= goal_error + length
+    return is_cheap and is_near
+
+
+def _check_control(
+    world: World, times: npt.ArrayLike, controls: npt.ArrayLike
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Returns times and controls as arrays that fit each other and the world."""
+    t, u = check_control(times, controls)
+    _check_columns(world, u)
+    return t, u
+
+
+def _check_columns(world: World, controls: npt.NDArray[np.float64]) -> None:
+    """Refuses controls whose last axis is not the actuators."""
+    if controls.shape[-1] != world.num_actuators:
+        raise TrajectoryError(
+            "controls",
+            got=f"shape {controls.shape}",
+            expected=f"{world.num_actuators} columns, one for each actuator",
+        )
+
+
+def _simulate_rigidly(
+    world: World,
+    scenario: Scenario,
+    times: npt.NDArray[np.float64],
+    controls: npt.NDArray[np.float64],
+) -> Recording:
+    """Returns what a control does on exactly rigid walls, by the quickest road."""
+    if world.has_constant_bias:
+        return _roll_out(world, scenario, times).record(controls)
+    start = scenario.initial_position, scenario.initial_velocity
+    controller = HeldControl(times, controls)
+    return simulate_rigid_wall(world, world.restitutions(scenario), start, controller)
+
+
+def _roll_out(world: World, scenario: Scenario, times: npt.NDArray[np.float64]) -> Parabolas:
+    start = scenario.initial_position, scenario.initial_velocity
+    return Parabolas(world, world.restitutions(scenario), start, times)
+
+
+def _calc_cost(
+    scenario: Scenario,
+    times: npt.NDArray[np.float64],
+    control: npt.NDArray[np.float64],
+    end: npt.NDArray[np.float64],
+) -> tuple[float, float]:
+    """Returns the cost of a control that ends there, and how far from the goal that is [m]."""
+    effort = float(np.diff(times) @ np.sum(control**2, axis=1))
+    goal_error = float(np.linalg.norm(end - scenario.goal_position))
+    return scenario.control_weight * effort + scenario.goal_weight * goal_error**2, goal_error
+
+
+def summarize(
+    simulator: str,
+    scenario: Scenario,
+    times: npt.NDArray[np.float64],
+    controls: npt.NDArray[np.float64],
+    recording: Recording,
+    compliance_error: float = 0.0,
+) -> Replay:
+    """Returns the replay that a recording shows.
+
+    Args:
+        simulator: its name.
+        scenario: goal and weights.
+        times: of the control's knots, shape (N+1,) [s].
+        controls: held between them, shape (N, nu) [N].
+        recording: the simulation.
+        compliance_error: how far off the end is at most, as walls are compliant [m].
+    """
+    cost, goal_error = _calc_cost(scenario, times, controls, recording.positions[-1])
+    unexplained = max(0.0, goal_error - compliance_error)
+    return Replay(
+        simulator=simulator,
+        cost=cost,
+        goal_error=goal_error,
+        max_penetration=recording.max_penetration,
+        bounce_times=tuple(impact.time for impact in recording.impacts),
+        bounce_contacts=tuple(impact.contact for impact in recording.impacts),
+        energies_before=tuple(impact.energy_before for impact in recording.impacts),
+        energies_after=tuple(impact.energy_after for impact in recording.impacts),
+        compliance_error=compliance_error,
+        compliance_cost=scenario.goal_weight * (goal_error**2 - unexplained**2),
+        matched_speeds=tuple(recording.matched_speeds),
+        times=np.array(recording.times),
+        positions=np.array(recording.positions),
+        velocities=np.array(recording.velocities),
+    )

@@ -1,0 +1,200 @@
+"""Held controls on exactly rigid walls where flight is a parabola: one, or thousands at once."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+import numpy.typing as npt
+
+from drake_aigto.jit import kernel
+from drake_aigto.simulation.contact_motion import Walls, contact_motion
+from drake_aigto.simulation.impacts import (
+    STATE,
+    TIME,
+    Phase,
+    Rules,
+    calc_curves,
+    fly,
+    make_log,
+    may_touch,
+    run,
+)
+from drake_aigto.simulation.recording import Recording, list_impacts
+
+if TYPE_CHECKING:
+    from drake_aigto.world import World
+
+_Array = npt.NDArray[np.float64]
+_Ints = npt.NDArray[np.int64]
+
+# Of the first log; what has more impacts runs a second time.
+_USUAL_IMPACTS = 64
+
+
+class Parabolas:
+    """Rolls out held controls by roots alone, without integration (`RigidWall` has the equations).
+
+    If the bias h is constant, v̇ = M⁻¹ (B u − h) is so between events under a held control, and
+
+        φ(t) = φ + φ̇ t + ½ φ̈ t²
+
+    Each event of an interval is the root of such a parabola (`impacts.run`): nothing is missed, and
+    what is found is exact but for rounding.
+    """
+
+    def __init__(
+        self, world: World, restitutions: _Array, state: tuple[_Array, _Array], times: _Array
+    ) -> None:
+        """Reads what is constant.
+
+        Args:
+            world: its bias has to be constant (`World.has_constant_bias`).
+            restitutions: e of each contact, in [0, 1], shape (m,).
+            state: the start, (q, v).
+            times: of the knots, shape (N+1,) [s].
+        """
+        self._motion = contact_motion(world)
+        self._mass_matrix = world.mass_matrix_values
+        self._rules = Rules(restitutions, float(times[-1] - times[0]))
+        # A copy: Numba compiles once more for arrays that are read-only.
+        self._times = np.array(times)
+        self._start = np.array(state)
+        self._drift = world.drift
+        self._gain = np.linalg.solve(self._mass_matrix, world.actuation)
+
+    def record(self, controls: _Array) -> Recording:
+        """Returns the states at all knots, and before and after each impact.
+
+        Args:
+            controls: held between the knots, shape (N, nu).
+        """
+        knots, n = self._times.size, self._start.shape[1]
+        states, impacts_until = np.empty((knots, 2, n)), np.zeros(knots, dtype=np.int64)
+        accelerations = controls @ self._gain.T + self._drift
+        log, count = make_log(_USUAL_IMPACTS, n), 0
+        while (count := self._roll_out(accelerations, states, impacts_until, log)) > len(log):
+            log = make_log(count, n)
+        log = log[:count]
+        # A knot's row stands behind two for each impact until then.
+        at_knots = np.arange(knots) + 2 * impacts_until
+        times, rows = np.empty(knots + 2 * count), np.empty((knots + 2 * count, 2, n))
+        times[at_knots], rows[at_knots] = self._times, states
+        is_impact = np.ones(times.size, dtype=bool)
+        is_impact[at_knots] = False
+        at_impacts = np.flatnonzero(is_impact)
+        q, before, after = log[:, STATE:].reshape(-1, 3, n).transpose(1, 0, 2)
+        for part, v in enumerate((before, after)):
+            rows[at_impacts[part::2], 0], rows[at_impacts[part::2], 1] = q, v
+            times[at_impacts[part::2]] = log[:, TIME]
+        return Recording(
+            times=times.tolist(),
+            positions=list(rows[:, 0]),
+            velocities=list(rows[:, 1]),
+            control_times=self._times[:-1].tolist(),
+            controls=list(controls),
+            impacts=list_impacts(log, self._mass_matrix),
+            max_penetration=self._motion.calc_depth(rows[:, 0]),
+        )
+
+    def _roll_out(
+        self, accelerations: _Array, states: _Array, impacts_until: _Ints, log: _Array
+    ) -> int:
+        walls, rules, phase = self._motion.walls, self._rules, self._make_phase()
+        return roll_out(walls, rules, phase, self._times, accelerations, states, impacts_until, log)
+
+    def _make_phase(self) -> Phase:
+        """Returns the start, at rest on nothing."""
+        q, v = self._start.copy()
+        m = self._rules.restitutions.size
+        return Phase(q, v, np.zeros(m, dtype=bool), np.zeros(m))
+
+    def find_ends(self, controls: _Array, times: _Array | None = None) -> _Array:
+        """Returns the positions that many controls lead to, shape (C, nq) [m].
+
+        Args:
+            controls: C of them, held between the knots, shape (C, N, nu).
+            times: of the knots of each, shape (C, N+1), from 0 to T; None: those of all [s].
+        """
+        times = np.broadcast_to(
+            self._times if times is None else times, (len(controls), self._times.size)
+        )
+        accelerations = controls @ self._gain.T + self._drift
+        ends = np.empty((len(controls), self._start.shape[1]))
+        log = make_log(0, ends.shape[1])
+        knots, phase = np.ascontiguousarray(times), self._make_phase()
+        roll_out_many(self._motion.walls, self._rules, phase, knots, accelerations, ends, log)
+        return ends
+
+
+@kernel
+def roll_out(
+    walls: Walls,
+    rules: Rules,
+    phase: Phase,
+    times: _Array,
+    accelerations: _Array,
+    states: _Array,
+    impacts_until: _Ints,
+    log: _Array,
+) -> int:
+    """Write the motion from a start, under the acceleration of each interval.
+
+    Args:
+        walls: the contacts.
+        rules: of impacts.
+        phase: at the start; becomes the one at the end.
+        times: of the knots, shape (N+1,) [s].
+        accelerations: v̇ without contact, shape (N, nv) [m/s²].
+        states: becomes (q, v) at each knot, shape (N+1, 2, nq).
+        impacts_until: becomes how many impacts there were until each knot, shape (N+1,).
+        log: one row for each impact, as many as it has.
+
+    Returns:
+        How many impacts there were.
+    """
+    q, v, resting, _ = phase
+    curves = np.empty((resting.size, 3))
+    impacts_until[0] = 0
+    for k in range(times.size):
+        if k > 0:
+            acceleration, left = accelerations[k - 1], times[k] - times[k - 1]
+            logged = impacts_until[k - 1]
+            calc_curves(walls, q, v, acceleration, curves)
+            if may_touch(walls.firsts, resting, curves, left):
+                logged = run(walls, rules, phase, acceleration, times[k], left, -1, log, logged)
+            else:
+                fly(q, v, acceleration, left)
+            impacts_until[k] = logged
+        for i in range(q.size):
+            states[k, 0, i], states[k, 1, i] = q[i], v[i]
+    return impacts_until[-1]
+
+
+@kernel
+def roll_out_many(
+    walls: Walls,
+    rules: Rules,
+    start: Phase,
+    times: _Array,
+    accelerations: _Array,
+    ends: _Array,
+    log: _Array,
+) -> None:
+    """Write the last position of each of C motions from a start (`roll_out`).
+
+    Args:
+        walls: the contacts.
+        rules: of impacts.
+        start: of each.
+        times: of the knots, shape (C, N+1) [s].
+        accelerations: v̇ without contact, shape (C, N, nv) [m/s²].
+        ends: becomes q at the last knots, shape (C, nq).
+        log: has no row.
+    """
+    states = np.empty((times.shape[1], 2, start.q.size))
+    impacts_until = np.empty(times.shape[1], np.int64)
+    for c in range(len(ends)):
+        phase = Phase(start.q.copy(), start.v.copy(), start.resting.copy(), start.counts.copy())
+        roll_out(walls, rules, phase, times[c], accelerations[c], states, impacts_until, log)
+        ends[c] = phase.q
