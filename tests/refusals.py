@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import pytest
@@ -9,7 +10,12 @@ import pytest
 from drake_aigto.cli import BAD_INPUT, main
 
 
-def check_refused(arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+def check_refused(
+    arguments: list[str],
+    message: str,
+    capsys: pytest.CaptureFixture[str],
+    main: Callable[[Sequence[str]], int] = main,
+) -> None:
     """Checks that a command ends with status 2 and prints one line of error, and nothing else."""
     assert main(arguments) == BAD_INPUT
     captured = capsys.readouterr()

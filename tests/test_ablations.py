@@ -15,6 +15,7 @@ from refusals import check_refused
 from replay_worlds import shipped_world
 from scenario_studies import Inline, made_up_study
 
+from benchmarks.__main__ import main
 from benchmarks.ablations import ablations
 from benchmarks.ablations.ablations import (
     VARIANTS,
@@ -26,7 +27,7 @@ from benchmarks.ablations.ablations import (
 from benchmarks.ablations.figures import plot_variants
 from benchmarks.ablations.tables import format_ablations
 from drake_aigto import OptionsError, PlanOptions, Scenario
-from drake_aigto.cli import BAD_INPUT, FINE, main
+from drake_aigto.cli import BAD_INPUT, FINE
 from drake_aigto.errors import ResultsFileError
 from drake_aigto.planning.options import RIGID_LADDER, Rung
 from drake_aigto.show.text import WIDTH
@@ -232,13 +233,13 @@ def test_bars_are_as_long_as_the_shares_they_stand_for() -> None:
 def test_the_page_has_the_table_the_figure_and_what_to_make_of_it(tmp_path: Path) -> None:
     make_study().save(tmp_path / "parts.json")
     page = tmp_path / "results.md"
-    assert main(["bench", "page", str(tmp_path / "parts.json"), "--out", str(page)]) == FINE
+    assert main(["page", str(tmp_path / "parts.json"), "--out", str(page)]) == FINE
     text = page.read_text(encoding="utf-8")
     assert "| boxes | no boxes | 50 % | 1.001000 | 0.25 | 50 % | 50 % | 100 % |" in text
     (link,) = re.findall(r"!\[.+\]\((.+)\)", text)
     assert (tmp_path / link).read_bytes().startswith(b"\x89PNG")
-    (command,) = re.findall(r"^    (drake-aigto .+)$", text, re.MULTILINE)
-    assert shlex.split(command)[1:3] == ["bench", "ablations"]
+    (command,) = re.findall(r"^    (python .+)$", text, re.MULTILINE)
+    assert shlex.split(command)[1:4] == ["-m", "benchmarks", "ablations"]
     assert "'no boxes'" in command
 
 
@@ -247,7 +248,7 @@ def test_the_command_runs_what_it_is_asked_for(
 ) -> None:
     monkeypatch.setattr(scenario_study, "Workers", Inline)
     path = tmp_path / "study.json"
-    words = ["bench", "ablations", "--quiet", "--count", "1", "--seed", "3", "--steps", "20"]
+    words = ["ablations", "--quiet", "--count", "1", "--seed", "3", "--steps", "20"]
     words += ["--restitution", "0.5:1", "--variants", "no neighbours", "bare, no boxes"]
     assert main([*words, "--json", str(path)]) == FINE
     assert "no neighbours" in capsys.readouterr().out
@@ -278,7 +279,7 @@ def test_bad_input_ends_it_before_any_work(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setattr(scenario_study, "run_job", None)
-    check_refused(["bench", "ablations", *arguments], message, capsys)
+    check_refused(["ablations", *arguments], message, capsys, main)
 
 
 def test_options_of_variants_are_those_that_scenarios_are_measured_with() -> None:

@@ -10,12 +10,13 @@ from refusals import check_refused
 from robustness_studies import make_result
 from scenario_studies import Inline
 
+from benchmarks.__main__ import main
 from benchmarks.robustness import study as robustness
 from benchmarks.robustness.figures import format_robustness
 from benchmarks.robustness.question import RobustnessQuestion
 from benchmarks.robustness.results import RobustnessStudy
 from benchmarks.robustness.study import run_robustness
-from drake_aigto.cli import BAD_INPUT, FINE, main
+from drake_aigto.cli import BAD_INPUT, FINE
 
 
 def test_the_command_prints_the_table_and_writes_the_file(
@@ -32,7 +33,7 @@ def test_the_command_prints_the_table_and_writes_the_file(
     monkeypatch.setattr(robustness, "run_task", lambda task, _: make_result(task.name))
     path = tmp_path / "results.json"
     flags = "--rows 1 --restitutions 1 0.5 --percent 2 --samples 3 --seed 4 --no-confirm"
-    command = ["bench", "robustness", *flags.split(), "--workers", "1", "--json", str(path)]
+    command = ["robustness", *flags.split(), "--workers", "1", "--json", str(path)]
     assert main(command) == FINE
     assert seen == [
         RobustnessQuestion(
@@ -57,11 +58,11 @@ def test_the_command_prints_the_table_and_writes_the_file(
 def test_bad_input_is_one_clear_error(
     flags: str, message: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    check_refused(["bench", "robustness", *flags.split()], message, capsys)
+    check_refused(["robustness", *flags.split()], message, capsys, main)
 
 
 def test_unknown_rows_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as ended:
-        main(["bench", "robustness", "--rows", "5"])
+        main(["robustness", "--rows", "5"])
     assert ended.value.code == BAD_INPUT
     assert "invalid choice: 5 (choose from" in capsys.readouterr().err

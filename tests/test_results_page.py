@@ -128,7 +128,7 @@ def test_the_command_on_the_page_asks_the_studys_question(
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('{"kind": "weather"}', "got kind 'weather', expected one of 'scenarios', 'ablations'"),
+        ('{"kind": "weather"}', "got kind 'weather', expected one of 'scenarios'"),
         ('{"kind": "scenarios"}', "is damaged: got KeyError: 'question'"),
         ('{"kind": "scenarios", "question": []}', "is damaged: got AttributeError: 'list' object"),
         ("[]", 'expected an object with a field "kind"'),

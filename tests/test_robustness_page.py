@@ -12,8 +12,9 @@ from matplotlib.figure import Figure
 from robustness_studies import QUESTION, make_result
 
 from benchmarks.robustness.figures import format_robustness, plot_robustness
+from benchmarks.robustness.page import write_robustness
 from benchmarks.robustness.perturbation import QUANTITIES, RANDOM
-from benchmarks.robustness.results import DRAKE, OURS, PlanResult, RobustnessStudy
+from benchmarks.robustness.results import DRAKE, KIND, OURS, PlanResult, RobustnessStudy
 from drake_aigto.show.results_page import write_results_page
 
 
@@ -59,17 +60,17 @@ def test_the_page_has_the_command_the_summary_and_the_figure(tmp_path: Path) -> 
     done = make_result("table1/2, e = 1")
     results = done, dataclasses.replace(done, name="table1/1, e = 1", plans=(failed,))
     RobustnessStudy(question, results).save(file)
-    write_results_page([file], page)
+    write_results_page([file], page, {KIND: write_robustness})
     text = page.read_text(encoding="utf-8")
-    command = "bench robustness --rows 1 2 --restitutions 1 --percent 1 --samples 2 --seed 0"
-    assert f"    drake-aigto {command} --no-confirm\n" in text
+    command = "robustness --rows 1 2 --restitutions 1 --percent 1 --samples 2 --seed 0"
+    assert f"    python -m benchmarks {command} --no-confirm\n" in text
     assert "| gradient, LQR | 1 | 4.5e-03 | 5.0e-03 | 1.0 mm | 1.0 mm | 2 of 2 |" in text
     assert "- table1/1, e = 1, ours: nothing was found." in text
     assert "Not all of these tasks" not in text
     (picture,) = re.findall(r"!\[[^]]+\]\((\S+)\)", text)
     assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
     RobustnessStudy(question, results[:1]).save(file)
-    write_results_page([file], page)
+    write_results_page([file], page, {KIND: write_robustness})
     assert "Not all of these tasks are done." in page.read_text(encoding="utf-8")
 
 

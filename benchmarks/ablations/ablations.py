@@ -130,6 +130,7 @@ class AblationQuestion(ScenarioQuestion):
     budgets: tuple[float, ...] = (1.0,)
 
     kind: ClassVar[str] = "ablations"
+    command: ClassVar[str] = "python -m benchmarks ablations"  # That asks it.
 
     @property
     def runner(self) -> Runner:

@@ -89,7 +89,7 @@ def command_of(question: ScenarioQuestion, flags: Mapping[str, str] = _FLAGS) ->
         question: of any kind.
         flags: field → flag, where they differ.
     """
-    words = [f"drake-aigto bench {question.kind}"]
+    words = [question.command]
     asked, usual = question.to_dict(), type(question)().to_dict()
     for name, value in asked.items():
         if value == usual[name] and name not in ("count", "seed"):

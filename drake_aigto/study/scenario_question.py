@@ -81,6 +81,7 @@ class ScenarioQuestion:
 
     # What files of results are called that answer such a question.
     kind: ClassVar[str] = "scenarios"
+    command: ClassVar[str] = "drake-aigto bench scenarios"  # That asks it.
 
     def __post_init__(self) -> None:
         """Checks what needs neither the world nor other people's libraries."""
