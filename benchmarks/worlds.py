@@ -217,7 +217,7 @@ def report_sequences(outcomes: list[Outcome]) -> None:
     print("a sequence that boxes alone propose, before the polish, is the optimum's:")
     for number, rung in enumerate(OPTIONS.rungs):
         right = sum(outcome.read[number] for outcome in outcomes)
-        print(f"  rung {number + 1}: {right} of {count} ({OPTIONS.describe(rung)})")
+        print(f"  rung {number + 1}: {right} of {count} ({rung.describe(OPTIONS.algorithm)})")
     print(f"  any rung: {sum(any(outcome.read) for outcome in outcomes)} of {count}")
 
 

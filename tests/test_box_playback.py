@@ -13,6 +13,7 @@ from pydrake.geometry import Meshcat
 
 from drake_aigto import Plan, Planner, PlanOptions, Scenario, World
 from drake_aigto.aigo import AigoResult, SlowMotion, minimize
+from drake_aigto.planning import Origin
 from drake_aigto.planning.planner import make_problem
 from drake_aigto.show.box_playback import play_boxes
 from drake_aigto.show.box_run import BoxRun, run_boxes
@@ -41,15 +42,15 @@ def meshcat(plan: Plan, run: BoxRun) -> Meshcat:
 
 
 def test_the_rung_that_the_plan_came_from_is_run_again(plan: Plan, run: BoxRun) -> None:
-    assert plan.best.origin.startswith(OPTIONS.describe(run.rung))
+    assert plan.best.origin.rung == run.rung in OPTIONS.rungs
     last = run.problem.run_aigo(run.rung).box
     # Newton step by Newton step it comes to the same.
     np.testing.assert_allclose(run.result.box.center, last.center, atol=1e-6)
     np.testing.assert_allclose(run.result.box.half_width, last.half_width, rtol=1e-2)
 
 
-def test_a_plan_of_unknown_options_has_boxes_of_the_first_rung(plan: Plan) -> None:
-    best = dataclasses.replace(plan.best, origin="a rung of one's own")
+def test_a_plan_that_came_of_a_guess_has_boxes_of_the_first_rung(plan: Plan) -> None:
+    best = dataclasses.replace(plan.best, origin=Origin("zero"))
     other = dataclasses.replace(plan, candidates=(best,))
     assert run_boxes(other, options=OPTIONS).rung == OPTIONS.rungs[0]
 
@@ -59,7 +60,7 @@ def test_a_full_gradient_plan_has_its_own_boxes(
 ) -> None:
     seen: list[Any] = []
     monkeypatch.setattr("drake_aigto.planning.problem.minimize", lambda *a: seen.append(a[2]))
-    best = dataclasses.replace(plan.best, origin="full gradient; around the line")
+    best = dataclasses.replace(plan.best, origin=Origin("full gradient", OPTIONS.rungs[0]))
     run_boxes(dataclasses.replace(plan, candidates=(best,)), options=OPTIONS)
     assert type(seen[0]).__name__ == "FullGradient"
 
@@ -128,7 +129,7 @@ def test_each_coordinate_has_its_panel_and_nothing_passes_for_a_motion(
     scenario = dataclasses.replace(Scenario.named("room/bank_shot"), time_step=0.1)
     world = World.from_scenario(scenario)
     q = np.linspace(scenario.initial_position, scenario.goal_position, 11)
-    best: Any = type("Best", (), {"origin": ""})
+    best: Any = type("Best", (), {"origin": Origin("zero")})
     trajectory: Any = type("Way", (), {"times": np.linspace(0, 1, 11), "positions": q})
     plan: Any = type("Any", (), dict(scenario=scenario, best=best, trajectory=trajectory))
     plan.transcription = "rigid"

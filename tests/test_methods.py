@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from drake_aigto import Scenario, World
-from drake_aigto.planning import Candidate
+from drake_aigto.planning import Candidate, Origin
 from drake_aigto.show import paper_methods, plot_methods, write_numbers
 
 SCENARIO = dataclasses.replace(Scenario.named("table1/2"), time_step=0.02)
@@ -33,7 +33,7 @@ def test_boxes_alone_are_off_and_gradients_from_them_are_not(
     aigto, refined, random = runs.values()
     assert list(runs) == ["AIGTO", "gradient from AIGTO", "gradient from a random guess"]
     assert not aigto.is_feasible and refined.is_feasible
-    assert random.origin == "random" and random.start_cost != aigto.start_cost
+    assert random.origin == Origin("random") and random.start_cost != aigto.start_cost
 
 
 def test_the_same_seed_gives_the_same_guess(world: World, runs: Mapping[str, Candidate]) -> None:

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from drake_aigto import PlanOptions, Scenario, World, plan
+from drake_aigto.planning import Origin
 from drake_aigto.planning.planner import make_problem
 from drake_aigto.planning.rigid import RigidProblem
 from drake_aigto.planning.rigid_search import RigidSearch
@@ -90,10 +91,10 @@ def test_touches_that_no_motion_has_are_refused_once_and_stop_nothing() -> None:
     search = search_of("corridor/three_bounces")
     center = search.problem.box.center
     at_once = (Touch.bounce(0.5, 0), Touch.bounce(0.5, 1))
-    search.add("by hand", center, at_once)
+    search.add(Origin("by hand"), center, at_once)
     assert not search.by_sequence
     assert search.is_known(at_once)
-    search.add("by hand", center, (Touch.bounce(0.5, 1),))
+    search.add(Origin("by hand"), center, (Touch.bounce(0.5, 1),))
     assert search.by_sequence
 
 
@@ -103,12 +104,14 @@ def test_a_touch_too_many_is_dropped() -> None:
     search = search_of("corridor/three_bounces")
     times = np.linspace(0, scenario.duration, len(optimum.contacts) + 3)[1:-1]
     more = (*optimum.contacts, 1 - optimum.contacts[-1])
-    search.add("by hand", search.problem.box.center, tuple(map(Touch.bounce, times, more)))
+    search.add(Origin("by hand"), search.problem.box.center, tuple(map(Touch.bounce, times, more)))
     search.branch()
     best = search.ranked()[0]
     assert [contact.contact for contact in best.contacts] == list(optimum.contacts)
     assert best.replay.cost <= 1.01 * optimum.cost + 1e-7
-    assert best.origin == "by hand; a touch dropped or added"
+    assert {change.kind for change in best.origin.changes} == {"dropped"}
+    assert len(best.origin.changes[0].of) == len(more)
+    assert str(best.origin) == "by hand; a touch dropped"
 
 
 def test_bounces_in_the_wrong_order_change_places() -> None:
@@ -127,7 +130,7 @@ def test_bounces_in_the_wrong_order_change_places() -> None:
         Touch.bounce(second.start, first.contact),
     ]
     search = search_of("room/two_walls")
-    search.add("by hand", search.problem.box.center, tuple(touches))
+    search.add(Origin("by hand"), search.problem.box.center, tuple(touches))
     best = search.ranked()[0]
     assert [contact.contact for contact in best.contacts] == list(optimum.contacts)
     assert best.replay.cost <= 1.01 * optimum.cost + 1e-7

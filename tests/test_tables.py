@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drake_aigto.planning import Candidate, Plan, Planner, PlanOptions, Replays
+from drake_aigto.planning import Candidate, Origin, Plan, Planner, PlanOptions, Replays, Rung
 from drake_aigto.show.plans import format_plan, format_replays
 from drake_aigto.show.tables import format_table1
 from drake_aigto.simulation import Replay
@@ -177,7 +177,7 @@ def test_no_line_of_a_plan_is_too_long(plan: Plan, world: World, transcription: 
     contacts = tuple(PlannedContact(t, t + 0.01, 1e3, 1e9) for t in np.linspace(0, 99, 40))
     crowded = dataclasses.replace(
         plan.best,
-        origin=f"{plan.best.origin}; {'one weight, ' * 30}; {'x' * 200}",
+        origin=Origin("x" * 200, Rung(1.0, {f"one weight {i}": 1.0 for i in range(30)})),
         contacts=contacts,
         cost=1.234e-100,
         defects={"a kind of row with a long name": 1e-300, **plan.best.defects},

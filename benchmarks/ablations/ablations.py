@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import ClassVar, Literal, TypeAlias
 
 from drake_aigto.errors import OptionsError
-from drake_aigto.planning import Planner, PlanOptions, RigidProblem, make_problem
+from drake_aigto.planning import Origin, Planner, PlanOptions, RigidProblem, make_problem
 from drake_aigto.planning.options import RIGID_LADDER, Rung
 from drake_aigto.planning.rigid_search import RigidSearch
 from drake_aigto.simulation import replay_event_driven
@@ -191,7 +191,7 @@ def _polish_listed(world: World, scenario: Scenario, options: PlanOptions) -> _F
     bounce = Touch.bounce(scenario.duration / 2)
     listed: tuple[TouchSequence, ...] = ((), (bounce,))
     for sequence in listed:
-        search.add("listed", problem.box.center, sequence)
+        search.add(Origin("listed"), problem.box.center, sequence)
     for sequence in search.finalists()[: options.finalists]:
         search.improve(sequence)
     ranked = search.ranked()

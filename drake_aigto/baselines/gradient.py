@@ -10,6 +10,7 @@ import numpy as np
 from drake_aigto.baselines.baseline import Baseline, Recorder
 from drake_aigto.planning.literal import LiteralProblem
 from drake_aigto.planning.options import PlanOptions, TranscriptionName
+from drake_aigto.planning.origin import Origin
 from drake_aigto.planning.plan import LARGEST_DEFECT, Candidate
 from drake_aigto.planning.planner import make_problem
 from drake_aigto.transcription import Transcription
@@ -70,5 +71,6 @@ def random_guess(
     return generator.uniform(center - half_width, center + half_width)
 
 
-def _run(problem: LiteralProblem, origin: str, start: npt.NDArray[np.float64]) -> Candidate:
-    return problem.judge(origin, start, problem.transcription, problem.solve_locally(start))
+def _run(problem: LiteralProblem, proposer: str, start: npt.NDArray[np.float64]) -> Candidate:
+    x = problem.solve_locally(start)
+    return problem.judge(Origin(proposer), start, problem.transcription, x)

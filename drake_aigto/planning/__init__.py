@@ -2,6 +2,7 @@
 
 from drake_aigto.planning.literal import LiteralProblem
 from drake_aigto.planning.options import PlanOptions, Rung
+from drake_aigto.planning.origin import Origin
 from drake_aigto.planning.plan import Candidate, Plan, PlanStats, Replays
 from drake_aigto.planning.planner import Planner, PlanningError, make_problem, plan
 from drake_aigto.planning.problem import PlanningProblem
@@ -10,6 +11,7 @@ from drake_aigto.planning.rigid import RigidProblem
 __all__ = [
     "Candidate",
     "LiteralProblem",
+    "Origin",
     "Plan",
     "PlanOptions",
     "PlanStats",

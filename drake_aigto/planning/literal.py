@@ -13,7 +13,7 @@ from drake_aigto.planning.options import Rung
 from drake_aigto.planning.plan import Candidate
 from drake_aigto.planning.problem import PlanningProblem
 from drake_aigto.planning.search import Search
-from drake_aigto.transcription import LiteralTranscription, Transcription
+from drake_aigto.transcription import LiteralTranscription, Touch, Transcription
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -21,8 +21,6 @@ if TYPE_CHECKING:
 # A knot counts as a contact if it comes this much nearer to the wall than start and goal.
 _NEARER = 0.25
 
-# In a candidate's origin, before the knots that its contacts were moved to.
-_MOVED = "; contacts moved to knots "
 # Contacts this many knots apart are one proposal of AIGO's; moving them tells them apart.
 _SAME = 2
 
@@ -97,8 +95,10 @@ class LiteralSearch(Search[Knots]):
             if not all(a < b for a, b in itertools.pairwise((0, *moved, last))):
                 continue
             if moved not in self.by_sequence:
-                origin = self.by_sequence[knots].origin.split(_MOVED)[0]
-                self.add(f"{origin}{_MOVED}{moved}", self.centers[knots], moved)
+                times = self.problem.transcription.GetSampleTimes()[list(knots)]
+                touches = tuple(map(Touch.bounce, times))
+                origin = self.by_sequence[knots].origin.changed("moved", touches)
+                self.add(origin, self.centers[knots], moved)
             yield moved
 
 

@@ -51,10 +51,11 @@ class Rung:
         if self.start not in (known := get_args(StartName)):
             raise OptionsError("start", got=repr(self.start), expected=f"one of {known}")
 
-    def __str__(self) -> str:
-        """Returns the start and weights, as tables and plan files show them."""
+    def describe(self, algorithm: str) -> str:
+        """Returns an algorithm's start here, in words; only "annealing" has a temperature."""
         weights = ", ".join(f"{name} {weight:g}" for name, weight in self.weights.items())
-        return f"around the {self.start}; weights {weights}"
+        hot = f" from temperature {self.temperature:g}" if algorithm == "annealing" else ""
+        return f"{algorithm}{hot}; around the {self.start}; weights {weights}"
 
 
 def _literal_rung(temperature: float, kinematics: float, dynamics: float) -> Rung:
@@ -190,12 +191,6 @@ class PlanOptions:
     def rungs(self) -> tuple[Rung, ...]:
         """The ladder, or the transcription's own."""
         return _LADDERS[self.transcription] if self.ladder is None else self.ladder
-
-    def describe(self, rung: Rung) -> str:
-        """Returns how tables and plan files name a start of AIGO."""
-        if self.algorithm == "annealing":
-            return f"annealing from temperature {rung.temperature:g}; {rung}"
-        return f"{self.algorithm}; {rung}"
 
     def make_algorithm(self, rung: Rung, unit: float = 1.0) -> Algorithm:
         """Returns AIGO's algorithm for a rung, whose temperature is in this unit."""

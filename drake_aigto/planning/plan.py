@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from drake_aigto.errors import AigtoError, PlanFileError
+from drake_aigto.planning.origin import Origin
 from drake_aigto.simulation.contacts import PlannedContact
 from drake_aigto.simulation.replay import Replay, confirms
 from drake_aigto.trajectory import Trajectory
@@ -21,7 +22,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 FORMAT = "drake_aigto plan"
-FORMAT_VERSION = 3
+FORMAT_VERSION = 4
 
 # A candidate whose rows are off by more than this is no solution of the transcription [m, m/s].
 LARGEST_DEFECT = 1e-6
@@ -51,7 +52,7 @@ class Candidate:
     """One start, solved locally and replayed on the rigid wall.
 
     Attributes:
-        origin: which algorithm and which rung of the ladder.
+        origin: which algorithm and rung of the ladder it came from, and by which changes.
         start_cost: J of what the local solver started from: AIGO's result, or a baseline's guess.
         start_defects: its largest violation of each kind of row, in that row's unit.
         trajectory: after the polish.
@@ -63,7 +64,7 @@ class Candidate:
         replay: the control alone, on the exactly rigid wall.
     """
 
-    origin: str
+    origin: Origin
     start_cost: float
     start_defects: Mapping[str, float]
     trajectory: Trajectory
@@ -107,7 +108,7 @@ class Candidate:
     def to_dict(self) -> dict[str, Any]:
         """Returns the fields as plain JSON values."""
         return {
-            "origin": self.origin,
+            "origin": asdict(self.origin),
             "start_cost": self.start_cost,
             "start_defects": dict(self.start_defects),
             "trajectory": self.trajectory.to_dict(),
@@ -123,6 +124,7 @@ class Candidate:
     def from_dict(cls, data: Mapping[str, Any]) -> Candidate:
         """Returns the candidate that `to_dict` gave."""
         parts = {
+            "origin": Origin.from_dict(data["origin"]),
             "trajectory": Trajectory.from_dict(data["trajectory"]),
             "contacts": tuple(PlannedContact(**contact) for contact in data["contacts"]),
             "replay": Replay.from_dict(data["replay"]),

@@ -190,7 +190,7 @@ class Planner:
 
         def tell_rung(rung: Rung) -> None:
             begun.append(rung)
-            tell(f"AIGO {len(begun)} of {len(ladder)}: {options.describe(rung)}")
+            tell(f"AIGO {len(begun)} of {len(ladder)}: {rung.describe(options.algorithm)}")
 
         search = self._start_search(scenario)
         try:

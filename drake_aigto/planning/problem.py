@@ -26,6 +26,7 @@ from drake_aigto.box.tapes import Order
 from drake_aigto.local import InteriorPoint, LocalResult, PolynomialNlp, compile_nlp
 from drake_aigto.local.drake_solvers import solve_with_drake
 from drake_aigto.planning.options import PlanOptions, Rung, StartName
+from drake_aigto.planning.origin import Origin
 from drake_aigto.planning.plan import Candidate
 from drake_aigto.simulation.contacts import find_contacts, max_penetration
 from drake_aigto.simulation.replay import Replay, replay_event_driven
@@ -241,7 +242,7 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
 
     def judge(
         self,
-        origin: str,
+        origin: Origin,
         start: npt.NDArray[np.float64],
         solved: Transcription,
         x: npt.NDArray[np.float64],
@@ -249,7 +250,7 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
         """Returns the candidate that a local solver made of a start, replayed on the rigid wall.
 
         Args:
-            origin: how it came about.
+            origin: where it came from.
             start: decision variables of this problem's transcription.
             solved: the transcription that the local solver solved.
             x: its decision variables.

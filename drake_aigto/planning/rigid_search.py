@@ -12,6 +12,7 @@ import numpy as np
 from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
 from drake_aigto.planning.insertions import find_insertions
 from drake_aigto.planning.options import Rung
+from drake_aigto.planning.origin import ChangeName, Origin
 from drake_aigto.planning.plan import LARGEST_DEFECT, Candidate
 from drake_aigto.planning.rigid import Path, RigidProblem, Solved
 from drake_aigto.planning.search import Clock, Search
@@ -33,10 +34,6 @@ _MOST_TOUCHES = 8
 _CHATTER = 0.02
 # Another time step than the scenario's is worth this part of the cost.
 _STEPS_PRICE = 1e-2
-# In a candidate's origin, if its sequence grew, or was changed a little.
-_SEEN = "; with bounces seen in its replay"
-_NEAR = "; a touch dropped or added"
-_SWAPPED = "; touches swapped"
 # Neighbours are tried of candidates that cost at most so many times the best, with so few time
 # steps and iterations of the local solver: most are hopeless, or no motion has them, which takes
 # the solver longest to find out.
@@ -59,7 +56,7 @@ class RigidSearch(Search[TouchSequence]):
         self._polish, self._polish_along = problem.polish, problem.polish_along
         self._num_steps, self._unfolds = problem.num_steps, problem.unfolds
         self._least_flight_cost = problem.least_flight_cost
-        self._center_left_out: npt.NDArray[np.float64] | None = None  # Of a flight.
+        self._left_out: tuple[Origin, npt.NDArray[np.float64]] | None = None  # A flight's.
         self._duration = problem.transcription.scenario.duration
         self._refused: list[TouchSequence] = []
 
@@ -94,7 +91,10 @@ class RigidSearch(Search[TouchSequence]):
         shown = self._shown_by(rung)
         is_settled = len(shown) == 1 and self._can_leave_flight_out()
         if is_settled:
-            self._leave_flight_out(next(iter(self.centers.values())))
+            sequence, first = next(iter(self.by_sequence.items()))
+            self._leave_flight_out(
+                first.origin.changed("dropped", sequence), self.centers[sequence]
+            )
         return is_settled
 
     def _rungs_between(self, rungs: tuple[Rung, ...]) -> Iterator[tuple[Rung, ...]]:
@@ -119,7 +119,7 @@ class RigidSearch(Search[TouchSequence]):
 
     def add(
         self,
-        origin: str,
+        origin: Origin,
         center: npt.NDArray[np.float64],
         sequence: TouchSequence,
         path: Path | None = None,
@@ -131,14 +131,14 @@ class RigidSearch(Search[TouchSequence]):
         would be tried.
 
         Args:
-            origin: how it came about.
+            origin: where it came from.
             center: of the box that led to it.
             sequence: the contacts.
             path: near which they are; the box center's if None.
             solved: the polish, if that is done.
         """
         if not sequence and self._can_leave_flight_out():
-            self._leave_flight_out(center)
+            self._leave_flight_out(origin, center)
             return
 
         def polish(center: npt.NDArray[np.float64], touches: TouchSequence) -> Solved:
@@ -160,7 +160,7 @@ class RigidSearch(Search[TouchSequence]):
             seen_path = candidate.replay.times, candidate.replay.positions
             for seen in self._with_unplanned_bounce(sequence):
                 if len(seen) <= _MOST_TOUCHES and not self.is_known(seen):
-                    self.add(f"{origin.removesuffix(_SEEN)}{_SEEN}", center, seen, seen_path)
+                    self.add(origin.changed("seen", sequence), center, seen, seen_path)
 
     def _can_leave_flight_out(self) -> bool:
         costs = (
@@ -171,21 +171,21 @@ class RigidSearch(Search[TouchSequence]):
         is_dear = self._least_flight_cost > _GOOD * min(costs, default=np.inf)
         return is_dear and not self.problem.options.exhaustive
 
-    def _leave_flight_out(self, center: npt.NDArray[np.float64]) -> None:
+    def _leave_flight_out(self, origin: Origin, center: npt.NDArray[np.float64]) -> None:
         _LOG.info("  free flight: left out, costs %.3e at least", self._least_flight_cost)
-        self._center_left_out = center
+        self._left_out = origin.changed("left out", ()), center
         self._refused.append(())
 
     @property
     def flight_left_out(self) -> float | None:
         """What a free flight costs at least, if it was left out for that."""
-        return None if self._center_left_out is None else self._least_flight_cost
+        return None if self._left_out is None else self._least_flight_cost
 
     def add_left_out(self) -> None:
         """Adds the flight that `add` left out, if it did."""
-        if self._center_left_out is not None:
-            center, self._center_left_out = self._center_left_out, None
-            self.solve("left out at first", center, (), self.problem.polish)
+        if self._left_out is not None:
+            (origin, center), self._left_out = self._left_out, None
+            self.solve(origin, center, (), self.problem.polish)
 
     def _is_promising(self, candidate: Candidate) -> bool:
         """Returns whether a candidate costs little enough for those near it to become the best."""
@@ -206,9 +206,9 @@ class RigidSearch(Search[TouchSequence]):
         if candidate.is_feasible:
             for other in swapped(phases.contact_sequence(x), _SAME_END * self._duration):
                 if not self.is_known(other):
-                    origin = candidate.origin.removesuffix(_SWAPPED)
+                    origin = candidate.origin.changed("swapped", sequence)
                     path = phases.sample_times(x), phases.split(x)[0]
-                    self.add(f"{origin}{_SWAPPED}", self.centers[sequence], other, path)
+                    self.add(origin, self.centers[sequence], other, path)
 
     def _with_unplanned_bounce(self, sequence: TouchSequence) -> list[TouchSequence]:
         """Returns a sequence up to the first bounce of its replay that it lacks, and all of it."""
@@ -245,7 +245,7 @@ class RigidSearch(Search[TouchSequence]):
     def _branch(self, sequence: TouchSequence) -> None:
         """Adds those neighbours of a sequence that a trial finds good."""
         phases, x = self.solved[sequence]
-        origin = self.by_sequence[sequence].origin.removesuffix(_NEAR)
+        origin = self.by_sequence[sequence].origin
         path = phases.sample_times(x), phases.split(x)[0]
         more = [*phases.grazes(x), *find_insertions(phases, x)]
         for other in neighbors(phases.contact_sequence(x), more):
@@ -256,7 +256,9 @@ class RigidSearch(Search[TouchSequence]):
                 if tried := self._try(other, path):
                     # Where arcs did without the program, the trial was the polish.
                     solved = tried if tried[0].is_as_made else None
-                    self.add(f"{origin}{_NEAR}", self.centers[sequence], other, path, solved)
+                    kind: ChangeName = "dropped" if len(other) < len(sequence) else "added"
+                    near = origin.changed(kind, sequence)
+                    self.add(near, self.centers[sequence], other, path, solved)
                 else:
                     self._refused.append(other)
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any, Generic
 
 from drake_aigto.aigo import AigoResult, Iterate, Status
 from drake_aigto.planning.options import Rung
+from drake_aigto.planning.origin import Origin
 from drake_aigto.planning.plan import Candidate
 from drake_aigto.planning.problem import PlanningProblem, Sequence
 
@@ -124,16 +125,17 @@ class Search(ABC, Generic[Sequence]):
             len(sequences),
         )
         self.shown.append((rung, sequences))
+        origin = Origin(self.problem.options.algorithm, rung)
         for sequence in sequences:
             if not self.is_known(sequence):
-                self.add(self.problem.options.describe(rung), result.box.center, sequence)
+                self.add(origin, result.box.center, sequence)
 
-    def add(self, origin: str, center: npt.NDArray[np.float64], sequence: Sequence) -> None:
+    def add(self, origin: Origin, center: npt.NDArray[np.float64], sequence: Sequence) -> None:
         """Adds the candidate of a sequence that was read off a box center."""
         self.solve(origin, center, sequence, self.problem.polish)
 
     def solve(
-        self, origin: str, center: npt.NDArray[np.float64], sequence: Sequence, polish: Polish
+        self, origin: Origin, center: npt.NDArray[np.float64], sequence: Sequence, polish: Polish
     ) -> None:
         """Makes a candidate of a sequence by a polish; it replaces one of equal sequence."""
         with self._clock("polish"):

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
 from drake_aigto.aigo import Annealing, SlowMotion
 from drake_aigto.planning import PlanOptions
+from drake_aigto.planning.options import AlgorithmName
 from drake_aigto.planning.planner import make_problem
 from drake_aigto.world import World
 
@@ -69,7 +70,7 @@ def run_boxes(plan: Plan, world: World | None = None, options: PlanOptions | Non
     """Runs that rung of AIGO's ladder again which the plan came from.
 
     The same input gives the same boxes. Of options that are not the planner's own the plan's file
-    says nothing; where it names no rung of theirs, the first one is run.
+    says nothing but the algorithm and the rung; without a rung, the first one is run.
 
     Args:
         plan: the plan.
@@ -81,16 +82,15 @@ def run_boxes(plan: Plan, world: World | None = None, options: PlanOptions | Non
     """
     world = world or World.from_scenario(plan.scenario)
     options = options or PlanOptions(transcription=_transcription(plan))
-    if plan.best.origin.startswith("full gradient"):
-        options = dataclasses.replace(options, algorithm="full gradient")
-    names = {options.describe(rung): rung for rung in options.rungs}
-    found = [rung for name, rung in names.items() if plan.best.origin.startswith(name)]
-    rung = found[0] if found else options.rungs[0]
+    rung = options.rungs[0]
+    if plan.best.origin.rung is not None:
+        rung, algorithm = plan.best.origin.rung, cast(AlgorithmName, plan.best.origin.proposer)
+        options = dataclasses.replace(options, algorithm=algorithm)
     problem = make_problem(world, plan.scenario, options)
-    algorithm = problem.make_algorithm(rung)
-    if isinstance(algorithm, Annealing):
-        algorithm = SlowMotion(algorithm)
-    result = problem.run_aigo(rung, algorithm)
+    shrinking = problem.make_algorithm(rung)
+    if isinstance(shrinking, Annealing):
+        shrinking = SlowMotion(shrinking)
+    result = problem.run_aigo(rung, shrinking)
     return BoxRun(problem, rung, problem.start(rung.start).transcription, result)
 
 

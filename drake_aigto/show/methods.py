@@ -11,7 +11,7 @@ import numpy.typing as npt
 from matplotlib.axes import Axes
 
 from drake_aigto.baselines import gradient_from_random
-from drake_aigto.planning import Candidate, LiteralProblem, Planner, PlanOptions
+from drake_aigto.planning import Candidate, LiteralProblem, Origin, Planner, PlanOptions
 from drake_aigto.show.box_run import run_boxes
 from drake_aigto.show.figures import plot_motions
 from drake_aigto.show.motion import Motion, color_of
@@ -59,7 +59,8 @@ def paper_methods(
     plan = Planner(scenario, options, world).plan()
     boxes = run_boxes(plan, world, options)
     center = boxes.problem.pull(boxes.result.box.center, boxes.rung)
-    shrunk = boxes.problem.judge(AIGTO, center, boxes.transcription, center)
+    origin = Origin(options.algorithm, boxes.rung)
+    shrunk = boxes.problem.judge(origin, center, boxes.transcription, center)
     snopt = dataclasses.replace(options, local_solver="snopt")
     problem = LiteralProblem(LiteralTranscription(world, scenario, nonpenetration), snopt)
     random = gradient_from_random(problem, np.random.default_rng(seed))

@@ -143,7 +143,7 @@ def _search(plan: Plan, options: PlanOptions, names: Sequence[str]) -> Iterator[
             f"relaxation {options.relaxation:g}",
         ]
     yield from _row("found by", boxes)
-    for part in plan.best.origin.split("; "):
+    for part in str(plan.best.origin).split("; "):
         yield from _row("", part.split(", "))
     count, iterations = len(plan.candidates), f"{plan.stats.aigo_steps} iterations of AIGO"
     yield from _row(

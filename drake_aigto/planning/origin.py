@@ -1,0 +1,72 @@
+"""Where a candidate came from: who proposed its contact sequence, and what was changed since."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, Literal
+
+from drake_aigto.planning.options import Rung
+from drake_aigto.transcription import Touch, TouchSequence
+
+ChangeName = Literal["seen", "dropped", "added", "swapped", "moved", "left out"]
+
+_WORDS: dict[ChangeName, str] = {
+    "seen": "with a bounce seen in its replay",
+    "dropped": "a touch dropped",
+    "added": "a touch added",
+    "swapped": "touches swapped",
+    "moved": "contacts moved",
+    "left out": "left out at first",
+}
+
+
+@dataclass(frozen=True)
+class Change:
+    """One step from a candidate to one near it.
+
+    Attributes:
+        kind: "seen", a bounce added that the replay has and the plan lacks; "dropped" or "added", a
+            touch less or more; "swapped", bounces at one moment in the other order; "moved",
+            contacts at other knots; "left out", a flight that was not expected to win, and is
+            tried as nothing that was holds.
+        of: the contact sequence that was changed.
+    """
+
+    kind: ChangeName
+    of: TouchSequence
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a candidate came from.
+
+    Attributes:
+        proposer: AIGO's algorithm, as the options name it, or another's guess: "zero", "random".
+        rung: where AIGO started; None for another's guess.
+        changes: of the contact sequence that was proposed, in order.
+    """
+
+    proposer: str
+    rung: Rung | None = None
+    changes: tuple[Change, ...] = ()
+
+    def changed(self, kind: ChangeName, of: TouchSequence) -> Origin:
+        """Returns the origin of a candidate whose sequence was made by changing this one's."""
+        return dataclasses.replace(self, changes=(*self.changes, Change(kind, of)))
+
+    @classmethod
+    def from_dict(cls, data: Mapping[str, Any]) -> Origin:
+        """Returns the origin whose fields these are, as plain JSON values."""
+        rung = None if data["rung"] is None else Rung(**data["rung"])
+        changes = (
+            Change(each["kind"], tuple(Touch(**touch) for touch in each["of"]))
+            for each in data["changes"]
+        )
+        return cls(data["proposer"], rung, tuple(changes))
+
+    def __str__(self) -> str:
+        """Returns it in words; a change that was made several times is told once."""
+        first = self.rung.describe(self.proposer) if self.rung else self.proposer
+        return "; ".join([first, *dict.fromkeys(_WORDS[each.kind] for each in self.changes)])
