@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from pydrake.solvers import MathematicalProgram, SnoptSolver, SolverOptions
 
-from drake_aigto.study.line_optimum import Bounce, Line
+from drake_aigto.study.line_optimum import Line, LineBounce
 
 Array = npt.NDArray[np.float64]
 
@@ -43,7 +43,7 @@ class Leg:
         return self.a + gravity, self.a + self.b * self.time + gravity
 
 
-def legs_of(line: Line, bounces: Sequence[Bounce]) -> list[Leg]:
+def legs_of(line: Line, bounces: Sequence[LineBounce]) -> list[Leg]:
     """Returns the flights between these bounces, and the cheapest one to the end."""
     time, x, v = 0.0, line.position, line.velocity
     legs = []
@@ -60,7 +60,7 @@ def legs_of(line: Line, bounces: Sequence[Bounce]) -> list[Leg]:
     return legs
 
 
-def cost_of(line: Line, bounces: Sequence[Bounce]) -> float:
+def cost_of(line: Line, bounces: Sequence[LineBounce]) -> float:
     """Returns the cost of a motion with these bounces, infinite if it leaves the line."""
     legs = legs_of(line, bounces)
     path = np.concatenate([leg.path() for leg in legs])
@@ -71,15 +71,15 @@ def cost_of(line: Line, bounces: Sequence[Bounce]) -> float:
     return effort + line.weight * (path[-1] - line.goal) ** 2
 
 
-def bounces_by_chance(line: Line, count: int, rng: np.random.Generator) -> list[Bounce]:
+def bounces_by_chance(line: Line, count: int, rng: np.random.Generator) -> list[LineBounce]:
     """Returns some bounces."""
     times = np.sort(rng.uniform(0.02, 0.98, count))
     speeds = rng.uniform(0.0, 1.5, count) * max(abs(line.velocity), 1.0, abs(line.gravity) / 4)
     walls = rng.integers(0, len(line.walls), count)
-    return [Bounce(*bounce) for bounce in zip(times, walls.tolist(), speeds, strict=True)]
+    return [LineBounce(*bounce) for bounce in zip(times, walls.tolist(), speeds, strict=True)]
 
 
-def transcribe(line: Line, guess: Sequence[Bounce], K: int = 20) -> float:
+def transcribe(line: Line, guess: Sequence[LineBounce], K: int = 20) -> float:
     """Returns the cost that SNOPT ends with, infinite if it does not meet the constraints.
 
     Forces are held over K intervals a phase, phases last as long as they like, and walls count at
@@ -105,7 +105,10 @@ def transcribe(line: Line, guess: Sequence[Bounce], K: int = 20) -> float:
 
 
 def add_phases(
-    prog: MathematicalProgram, line: Line, guess: Sequence[Bounce], variables: tuple[Any, Any, Any]
+    prog: MathematicalProgram,
+    line: Line,
+    guess: Sequence[LineBounce],
+    variables: tuple[Any, Any, Any],
 ) -> Any:
     """Adds the rows of each phase and of the touches between them; returns the cost."""
     A, V, h = variables
@@ -135,7 +138,10 @@ def add_phases(
 
 
 def set_guess(
-    prog: MathematicalProgram, line: Line, guess: Sequence[Bounce], variables: tuple[Any, Any, Any]
+    prog: MathematicalProgram,
+    line: Line,
+    guess: Sequence[LineBounce],
+    variables: tuple[Any, Any, Any],
 ) -> None:
     """Guesses held forces that lead from each touch to the next, but for their restitution."""
     A, V, h = variables

@@ -14,7 +14,7 @@ import numpy.typing as npt
 from line_rivals import legs_of
 
 from drake_aigto.study import RigidOptimum
-from drake_aigto.study.line_optimum import Bounce, Line, Wall
+from drake_aigto.study.line_optimum import Line, LineBounce, Wall
 from drake_aigto.world import Scenario
 
 Array = npt.NDArray[np.float64]
@@ -116,7 +116,7 @@ def transcribe(scenario: Scenario, guess: Sequence[tuple[float, float]], K: int 
         guess: (time, speed) of each touch.
         K: the number of intervals a phase.
     """
-    bounces = [Bounce(time, 0, speed) for time, speed in guess]
+    bounces = [LineBounce(time, 0, speed) for time, speed in guess]
     return scenario.control_weight * line_rivals.transcribe(line_of(scenario), bounces, K)
 
 
@@ -129,7 +129,7 @@ def optimal_control(scenario: Scenario, optimum: RigidOptimum, K: int = 100) -> 
         K: the number of intervals a phase.
     """
     touches = zip(optimum.bounce_times, optimum.impact_velocities, strict=True)
-    bounces = [Bounce(time, 0, -velocity) for time, velocity in touches]
+    bounces = [LineBounce(time, 0, -velocity) for time, velocity in touches]
     time, parts = 0.0, (np.arange(K) + 0.5) / K
     knots, controls = [np.zeros(1)], []
     for leg in legs_of(line_of(scenario), bounces):

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drake_aigto.aigo import Annealing, Box, BoxSearch, Candidate, FaceFlow, Iterate, box_search
+from drake_aigto.aigo import Annealing, Box, BoxSearch, FaceFlow, Iterate, LowPoint, box_search
 from drake_aigto.aigo.newton import PointObjective, bold_newton, newton
 from drake_aigto.box import BoxPolynomial, Factor, FunctionKind, Term, TermBlock
 from drake_aigto.errors import OptionsError
@@ -122,7 +122,7 @@ def test_the_same_seed_gives_the_same_bits_and_another_one_other_boxes() -> None
 def test_polish_has_the_last_word_and_callbacks_see_every_improvement() -> None:
     f, _, _ = sextic_chain(6, 1)
     polished: list[np.ndarray] = []
-    seen: list[Candidate] = []
+    seen: list[LowPoint] = []
 
     def polish(x: np.ndarray) -> np.ndarray:
         polished.append(x)
@@ -135,9 +135,9 @@ def test_polish_has_the_last_word_and_callbacks_see_every_improvement() -> None:
 
 def test_ctrl_c_returns_the_best_so_far() -> None:
     f, _, _ = sextic_chain(6, 1)
-    seen: list[Candidate] = []
+    seen: list[LowPoint] = []
 
-    def interrupt(candidate: Candidate) -> None:
+    def interrupt(candidate: LowPoint) -> None:
         seen.append(candidate)
         if len(seen) == 2:
             raise KeyboardInterrupt

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from line_rivals import bounces_by_chance, cost_of, legs_of, transcribe
 
-from drake_aigto.study.line_optimum import Bounce, Line, Motion, Wall, _Sequence
+from drake_aigto.study.line_optimum import Line, LineBounce, LineMotion, Wall, _Sequence
 
 
 def make_corridor(
@@ -40,7 +40,7 @@ corridors = st.builds(make_corridor, inside, st.floats(-6, 6), inside, restituti
 floors = st.builds(make_floor, inside, st.floats(-3, 3), inside, restitutions, weights)
 
 
-def solve(line: Line) -> Motion:
+def solve(line: Line) -> LineMotion:
     return line.optimum(most_touches=4)
 
 
@@ -93,7 +93,7 @@ def test_no_motion_by_chance_is_cheaper(line: Line, seed: int) -> None:
     # Half of them are about the optimum.
     for _ in range(200 if motion.rest is None else 0):
         near = [
-            Bounce(
+            LineBounce(
                 b.time * np.exp(0.02 * rng.normal()), b.wall, b.speed * np.exp(0.1 * rng.normal())
             )
             for b in motion.bounces
@@ -181,7 +181,7 @@ def test_no_other_start_and_no_wall_twice_in_a_row_is_better(e: float) -> None:
 # A direct transcription, solved by SNOPT.
 
 
-def transcribed_cost(line: Line, motion: Motion, rng: np.random.Generator) -> float:
+def transcribed_cost(line: Line, motion: LineMotion, rng: np.random.Generator) -> float:
     """Returns the best cost over several sequences: the optimum's, shorter and longer ones."""
     costs = [transcribe(line, motion.bounces), transcribe(line, ())]
     costs.append(transcribe(line, motion.bounces[:-1]))

@@ -24,7 +24,7 @@ from drake_aigto.study import (
     rigid_optimum,
     walls_optimum,
 )
-from drake_aigto.study.line_optimum import Bounce, Line, Wall
+from drake_aigto.study.line_optimum import Line, LineBounce, Wall
 from drake_aigto.study.masses_optimum import _list_sequences, _make_pair, _Sequence
 from drake_aigto.world import Scenario, World
 
@@ -262,7 +262,7 @@ def axis_legs(scenario: Scenario, optimum: ContactOptimum, axis: int) -> list[Le
     """Returns the flights of one axis, in unit time."""
     line, T = axis_line(scenario, axis), scenario.duration
     bounces = [
-        Bounce(touch.start / T, touch.contact, touch.impact_speed * T)
+        LineBounce(touch.start / T, touch.contact, touch.impact_speed * T)
         for touch in optimum.touches
         if line.walls[touch.contact].side
     ]

@@ -4,7 +4,7 @@ from drake_aigto.aigo.algorithm import AigoResult, Algorithm, Box, Iterate, Stat
 from drake_aigto.aigo.alternating import Alternating
 from drake_aigto.aigo.annealing import Annealing
 from drake_aigto.aigo.bounded_annealing import BoundedAnnealing
-from drake_aigto.aigo.box_search import BoxSearch, Candidate, SearchResult
+from drake_aigto.aigo.box_search import BoxSearch, LowPoint, SearchResult
 from drake_aigto.aigo.continuation import PenaltyContinuation
 from drake_aigto.aigo.equal_widths import EqualWidths
 from drake_aigto.aigo.face_flow import FaceFlow, Pace
@@ -19,11 +19,11 @@ __all__ = [
     "BoundedAnnealing",
     "Box",
     "BoxSearch",
-    "Candidate",
     "EqualWidths",
     "FaceFlow",
     "FullGradient",
     "Iterate",
+    "LowPoint",
     "Pace",
     "PenaltyContinuation",
     "SearchResult",

@@ -40,7 +40,7 @@ _LONGEST_REST = 7  # turns that a size of clusters is left out after it has fail
 
 
 @dataclass(frozen=True)
-class Candidate:
+class LowPoint:
     """A point that the search has found.
 
     Attributes:
@@ -71,9 +71,9 @@ class SearchResult:
         was_interrupted: whether Ctrl-C ended it.
     """
 
-    best: Candidate
-    unpolished: Candidate
-    candidates: tuple[Candidate, ...] = field(repr=False)
+    best: LowPoint
+    unpolished: LowPoint
+    candidates: tuple[LowPoint, ...] = field(repr=False)
     num_boxes: int
     num_steps: int
     num_rounds: int
@@ -141,7 +141,7 @@ class BoxSearch:
         f: BoxPolynomial,
         box: Box,
         polish: Callable[[Floats], Floats] | None = None,
-        callback: Callable[[Candidate], None] | None = None,
+        callback: Callable[[LowPoint], None] | None = None,
     ) -> SearchResult:
         """Searches a box for a low point of f; the same input gives the same bits.
 
@@ -164,14 +164,14 @@ class _Search:
         f: BoxPolynomial,
         box: Box,
         polish: Callable[[Floats], Floats] | None,
-        callback: Callable[[Candidate], None] | None,
+        callback: Callable[[LowPoint], None] | None,
     ) -> None:
         self._options, self._f, self._box = options, f, box
         self._polish, self._callback = polish, callback
         self._lower, self._upper = box.center - box.half_width, box.center + box.half_width
         self._rng = np.random.default_rng(options.seed)
         self._graph = CouplingGraph.of(f)
-        self._candidates: list[Candidate] = []
+        self._candidates: list[LowPoint] = []
         self._best = self._unpolished = self._candidate(box.center, "the middle of the first box")
         self._num_boxes = self._num_steps = self._num_of_all = 0
         self._num_rounds = 0
@@ -318,12 +318,12 @@ class _Search:
             self._callback(found)
         return not found.cost >= before.cost - _ROUNDING * max(1.0, abs(before.cost))
 
-    def _candidate(self, x: Floats, origin: str, is_polished: bool = False) -> Candidate:
+    def _candidate(self, x: Floats, origin: str, is_polished: bool = False) -> LowPoint:
         """Returns a point with its cost, infinite where f has no value."""
         cost = self._f(x)
         x = np.array(x)
         x.setflags(write=False)
-        return Candidate(x, np.inf if np.isnan(cost) else cost, origin, is_polished)
+        return LowPoint(x, np.inf if np.isnan(cost) else cost, origin, is_polished)
 
 
 class _Sizes:

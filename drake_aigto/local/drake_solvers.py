@@ -21,7 +21,7 @@ _OPTIMALITY = 1e-8
 
 
 @dataclass(frozen=True)
-class LocalResult:
+class DrakeSolution:
     """What a gradient solver ended with.
 
     Attributes:
@@ -40,7 +40,7 @@ def solve_with_drake(
     guess: npt.NDArray[np.float64],
     solver: str,
     max_iterations: int = 200,
-) -> LocalResult:
+) -> DrakeSolution:
     """Runs SNOPT or IPOPT through Drake from a guess.
 
     Args:
@@ -54,7 +54,7 @@ def solve_with_drake(
         result = chosen.Solve(prog, guess, _options(solver, max_iterations))
     x = result.get_x_val()
     is_finite = bool(np.all(np.isfinite(x)))
-    return LocalResult(
+    return DrakeSolution(
         x=x if is_finite else guess,
         is_success=result.is_success() and is_finite,
         status=result.get_solution_result().name,

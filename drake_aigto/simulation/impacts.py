@@ -50,7 +50,7 @@ PULLED = 1e-13
 TIME, CONTACT, SPEED, PUSH, STATE = range(5)
 
 
-class Phase(NamedTuple):
+class HybridState(NamedTuple):
     """The state of a hybrid system, changed in place."""
 
     q: _Array  # shape (nq,) [m]
@@ -75,7 +75,7 @@ def make_log(most: int, num_positions: int) -> _Array:
 def run(
     walls: Walls,
     rules: Rules,
-    phase: Phase,
+    phase: HybridState,
     acceleration: _Array,
     end: float,
     left: float,
@@ -288,7 +288,7 @@ def _lift(walls: Walls, q: _Array, contact: int) -> None:
 def _hit(
     walls: Walls,
     rules: Rules,
-    phase: Phase,
+    phase: HybridState,
     others: _Array,
     time: float,
     contact: int,
@@ -333,7 +333,7 @@ def _release(jacobian: _Array, v: _Array, resting: _Bools) -> None:
 
 @kernel
 def find_wait(
-    walls: Walls, phase: Phase, acceleration: _Array, still: float, horizon: float
+    walls: Walls, phase: HybridState, acceleration: _Array, still: float, horizon: float
 ) -> float:
     """Return how long until a contact is touched or left [s] (`find_event`); infinity if never.
 
@@ -354,7 +354,7 @@ def find_wait(
 def run_again(
     walls: Walls,
     rules: Rules,
-    phase: Phase,
+    phase: HybridState,
     supported: _Array,
     acceleration: _Array,
     end: float,

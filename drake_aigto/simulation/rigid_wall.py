@@ -20,7 +20,7 @@ from pydrake.systems.framework import (
 from drake_aigto.simulation import impacts
 from drake_aigto.simulation.contact_motion import Clearance, calc_time_to_wall, contact_motion
 from drake_aigto.simulation.controller import Controller
-from drake_aigto.simulation.impacts import Phase, Rules
+from drake_aigto.simulation.impacts import HybridState, Rules
 from drake_aigto.simulation.recording import Recording
 
 if TYPE_CHECKING:
@@ -214,12 +214,12 @@ class RigidWall(LeafSystem):
         still = impacts.STILL * max(1.0, float(np.max(np.abs(phase.v))))
         return impacts.find_wait(self._motion.walls, phase, acceleration, still, horizon)
 
-    def _read(self, context: Context, x: _Array, resting: set[int]) -> Phase:
+    def _read(self, context: Context, x: _Array, resting: set[int]) -> HybridState:
         """Returns the state as compiled code has it."""
         held = np.zeros(self._world.num_contacts, dtype=bool)
         held[list(resting)] = True
         counts = context.get_discrete_state(self._counts).get_value().copy()
-        return Phase(x[: self._nq].copy(), x[self._nq :].copy(), held, counts)
+        return HybridState(x[: self._nq].copy(), x[self._nq :].copy(), held, counts)
 
     def _update(self, context: Context, state: State) -> EventStatus:
         """Lets go of walls, or bounces off them, when it is time to."""
@@ -239,7 +239,7 @@ class RigidWall(LeafSystem):
         return status
 
     def _advance(
-        self, context: Context, x: _Array, phase: Phase, clearances: list[Clearance]
+        self, context: Context, x: _Array, phase: HybridState, clearances: list[Clearance]
     ) -> bool:
         """Returns whether something happened, after which the phase is another."""
         acceleration = self._calc_acceleration(context, x)
@@ -263,7 +263,7 @@ class RigidWall(LeafSystem):
     def _beside(self, near: Clearance) -> tuple[int, ...]:
         return self._motion.faces_beside(near.contact)
 
-    def _write(self, state: State, phase: Phase) -> None:
+    def _write(self, state: State, phase: HybridState) -> None:
         state.get_mutable_continuous_state().SetFromVector(np.concatenate([phase.q, phase.v]))
         bits = sum(1 << int(i) for i in np.flatnonzero(phase.resting))
         state.get_mutable_discrete_state(self._rest).SetAtIndex(0, bits)
@@ -273,7 +273,7 @@ class RigidWall(LeafSystem):
         self,
         time: float,
         x: _Array,
-        phase: Phase,
+        phase: HybridState,
         acceleration: _Array,
         entered: list[Clearance],
     ) -> None:

@@ -12,7 +12,7 @@ from drake_aigto.simulation.contact_motion import Walls, contact_motion
 from drake_aigto.simulation.impacts import (
     STATE,
     TIME,
-    Phase,
+    HybridState,
     Rules,
     calc_curves,
     fly,
@@ -103,11 +103,11 @@ class Parabolas:
         walls, rules, phase = self._motion.walls, self._rules, self._make_phase()
         return roll_out(walls, rules, phase, self._times, accelerations, states, impacts_until, log)
 
-    def _make_phase(self) -> Phase:
+    def _make_phase(self) -> HybridState:
         """Returns the start, at rest on nothing."""
         q, v = self._start.copy()
         m = self._rules.restitutions.size
-        return Phase(q, v, np.zeros(m, dtype=bool), np.zeros(m))
+        return HybridState(q, v, np.zeros(m, dtype=bool), np.zeros(m))
 
     def find_ends(self, controls: _Array, times: _Array | None = None) -> _Array:
         """Returns the positions that many controls lead to, shape (C, nq) [m].
@@ -131,7 +131,7 @@ class Parabolas:
 def roll_out(
     walls: Walls,
     rules: Rules,
-    phase: Phase,
+    phase: HybridState,
     times: _Array,
     accelerations: _Array,
     states: _Array,
@@ -175,7 +175,7 @@ def roll_out(
 def roll_out_many(
     walls: Walls,
     rules: Rules,
-    start: Phase,
+    start: HybridState,
     times: _Array,
     accelerations: _Array,
     ends: _Array,
@@ -195,6 +195,8 @@ def roll_out_many(
     states = np.empty((times.shape[1], 2, start.q.size))
     impacts_until = np.empty(times.shape[1], np.int64)
     for c in range(len(ends)):
-        phase = Phase(start.q.copy(), start.v.copy(), start.resting.copy(), start.counts.copy())
+        phase = HybridState(
+            start.q.copy(), start.v.copy(), start.resting.copy(), start.counts.copy()
+        )
         roll_out(walls, rules, phase, times[c], accelerations[c], states, impacts_until, log)
         ends[c] = phase.q

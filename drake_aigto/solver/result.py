@@ -89,7 +89,7 @@ class AigoDetails:
         return cls(status, np.inf, 0, 0, 0, "none", x, np.zeros(x.size), ())
 
 
-class AigoResult(MathematicalProgramResult):
+class AigoProgramResult(MathematicalProgramResult):
     """A MathematicalProgramResult whose solver is AIGO."""
 
     def __init__(self) -> None:
@@ -125,5 +125,5 @@ def fill_result(
     ClpSolver().Solve(constant, None, None, result)
     result.set_x_val(x)
     result.set_solution_result(_DRAKE_STATUS[details.status])
-    if isinstance(result, AigoResult):
+    if isinstance(result, AigoProgramResult):
         result._details = details

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from drake_aigto.aigo import BoxSearch, Candidate, SearchResult
+from drake_aigto.aigo import BoxSearch, LowPoint, SearchResult
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.linear import Storage
 from drake_aigto.local import InteriorPoint
@@ -154,7 +154,7 @@ class Solve:
     def _search(self, search: BoxSearch, f: BoxPolynomial, name: str) -> SearchResult:
         """Searches the first box for low points of f, each a candidate."""
 
-        def look(candidate: Candidate) -> None:
+        def look(candidate: LowPoint) -> None:
             self._offer(candidate.x, f"{candidate.origin}{name}")
 
         self._box_storage = f.storage

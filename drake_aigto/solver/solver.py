@@ -20,7 +20,7 @@ from drake_aigto.solver.program import ContradictionError, read_program
 from drake_aigto.solver.result import (
     SOLVER_ID,
     AigoDetails,
-    AigoResult,
+    AigoProgramResult,
     AigoStatus,
     fill_result,
 )
@@ -118,7 +118,7 @@ class AigoSolver(SolverInterface):
         """
         options, prints = self._merge(prog, solver_options)
         guess = _check_guess(prog, initial_guess)
-        filled = AigoResult() if result is None else result
+        filled = AigoProgramResult() if result is None else result
         try:
             program = read_program(prog)
         except ContradictionError:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_aigto.errors import ModelError
-from drake_aigto.study.flights import Flights
+from drake_aigto.study.least_effort import Flights
 from drake_aigto.study.walls_optimum import ContactOptimum, KnownTouch
 from drake_aigto.world import Scenario, World
 

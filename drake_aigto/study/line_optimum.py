@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_aigto.study.flights import Flights, extremes, polynomial
+from drake_aigto.study.least_effort import Flights, extremes, polynomial
 
 Floats = NDArray[np.float64]
 
@@ -36,7 +36,7 @@ class Wall(NamedTuple):
     restitution: float
 
 
-class Bounce(NamedTuple):
+class LineBounce(NamedTuple):
     """One touch."""
 
     time: float
@@ -44,7 +44,7 @@ class Bounce(NamedTuple):
     speed: float  # before it
 
 
-class Rest(NamedTuple):
+class LineRest(NamedTuple):
     """A contact that lasts."""
 
     start: float
@@ -53,7 +53,7 @@ class Rest(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Motion:
+class LineMotion:
     """The best motion of one contact sequence.
 
     Attributes:
@@ -63,8 +63,8 @@ class Motion:
     """
 
     cost: float
-    bounces: tuple[Bounce, ...]
-    rest: Rest | None
+    bounces: tuple[LineBounce, ...]
+    rest: LineRest | None
 
 
 @dataclass(frozen=True)
@@ -87,7 +87,7 @@ class Line:
     gravity: float
     walls: tuple[Wall, ...]
 
-    def optimum(self, most_touches: int) -> Motion:
+    def optimum(self, most_touches: int) -> LineMotion:
         """Returns the best motion of all sequences.
 
         Without gravity the number of touches is bounded by what they cost at least; with it, it
@@ -126,7 +126,7 @@ class Line:
         """Returns whether a mass on this wall comes to rest by itself."""
         return wall.side * self.gravity > 0 and wall.restitution < 1
 
-    def _stay(self) -> Motion:
+    def _stay(self) -> LineMotion:
         """Returns falling, settling and staying there without any effort, if time allows."""
         for number, wall in enumerate(self.walls):
             if len(self.walls) == 1 and self._settles(wall):
@@ -137,8 +137,10 @@ class Line:
                 settled = time + self.settling(wall) * speed
                 if settled < 1:
                     cost = self.weight * (self.goal - wall.place) ** 2
-                    return Motion(cost, (Bounce(time, number, speed),), Rest(settled, 1.0, number))
-        return Motion(math.inf, (), None)
+                    return LineMotion(
+                        cost, (LineBounce(time, number, speed),), LineRest(settled, 1.0, number)
+                    )
+        return LineMotion(math.inf, (), None)
 
     def settling(self, wall: Wall) -> float:
         """Returns how long a mass takes to settle, over the speed of the first touch."""
@@ -158,14 +160,14 @@ class Line:
         along = -self.walls[walls[0]].side * self.velocity
         return 3 * max(0.0, way - along) ** 2
 
-    def solve(self, walls: tuple[int, ...], rests: int | None = None) -> Motion:
+    def solve(self, walls: tuple[int, ...], rests: int | None = None) -> LineMotion:
         """Returns the best motion of one sequence; its cost is infinite if none is admissible.
 
         Args:
             walls: the number of the wall that each touch is on.
             rests: after which of them the mass settles; None if it doesn't.
         """
-        best = Motion(math.inf, (), None)
+        best = LineMotion(math.inf, (), None)
         for slack in (False,) if rests is None else (False, True):
             sequence = _Sequence(self, walls, rests, slack)
             for cost, z in sequence.flights.minimize(sequence.starts(), sequence.positive):
@@ -252,14 +254,14 @@ class _Sequence:
             place += flight[0]
         return True
 
-    def motion(self, cost: float, z: Floats) -> Motion:
+    def motion(self, cost: float, z: Floats) -> LineMotion:
         """Returns the motion of this z."""
         n, time, bounces, rest = len(self.walls), 0.0, [], None
         for i, number in enumerate(self.walls):
             time += float(z[i])
-            bounces.append(Bounce(time, number, float(z[n + i])))
+            bounces.append(LineBounce(time, number, float(z[n + i])))
             if i == self.rests:
                 start = time + self.line.settling(self.line.walls[number]) * float(z[n + i])
                 time = start + (float(z[2 * n]) if self.slack else 0.0)
-                rest = Rest(start, time, number)
-        return Motion(float(cost), tuple(bounces), rest)
+                rest = LineRest(start, time, number)
+        return LineMotion(float(cost), tuple(bounces), rest)

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_aigto.errors import ModelError
-from drake_aigto.study.line_optimum import Line, Motion, Wall
+from drake_aigto.study.line_optimum import Line, LineMotion, Wall
 from drake_aigto.world import Scenario, World
 
 Floats = NDArray[np.float64]
@@ -153,7 +153,7 @@ def _make_line(
 
 
 def _make_touches(
-    motion: Motion, contacts: list[int], world: World, scenario: Scenario
+    motion: LineMotion, contacts: list[int], world: World, scenario: Scenario
 ) -> list[KnownTouch]:
     """Returns the touches of one axis, in the scenario's units."""
     T = scenario.duration
