@@ -73,6 +73,7 @@ def test_scenarios_that_differ_in_one_field_are_not_equal(field: str) -> None:
         "model": "other.sdf",
         "initial_velocity": [1.0, 2.0],
         "duration": 2.0,
+        "friction": 0.0,
     }
     scenario = Scenario(**ENDS)
     other = dataclasses.replace(scenario, **{field: changed.get(field, 0.5)})
@@ -98,6 +99,7 @@ def test_the_defaults_are_those_of_the_architecture() -> None:
         "delta": 1e-3,
         "restitution": 1.0,
         "mass": None,
+        "friction": None,
     }
 
 
@@ -172,6 +174,8 @@ def test_a_number_that_is_not_finite_is_refused(field: str, bad: float) -> None:
         ("restitution", 1.5, "restitution: got 1.5, expected at least 0 and at most 1"),
         ("restitution", -0.1, "restitution: got -0.1, expected at least 0 and at most 1"),
         ("mass", 0.0, "mass: got 0 kg, expected more than 0 kg"),
+        ("friction", 0.3, "friction: got 0.3, expected 0, which leaves it out, or None"),
+        ("friction", -1.0, "friction: got -1, expected at least 0"),
         ("duration", "1", "duration: got '1' (str), expected a number"),
         ("duration", None, "duration: got None (NoneType), expected a number"),
         ("restitution", True, "restitution: got True (bool), expected a number"),
@@ -237,10 +241,10 @@ GOOD = "initial_position: 1.0\ninitial_velocity: [-2.0]\ngoal_position: 0.73\n"
     [
         (
             GOOD + "goal_wieght: 1\n",
-            "unknown key 'goal_wieght': expected one of model, initial_position, .*, mass. "
+            "unknown key 'goal_wieght': expected one of model, initial_position, .*, friction. "
             "Did you mean 'goal_weight'?",
         ),
-        (GOOD + "zzz: 1\n", r"unknown key 'zzz': expected one of .*, mass\.$"),
+        (GOOD + "zzz: 1\n", r"unknown key 'zzz': expected one of .*, friction\.$"),
         (
             "goal_position: 1\n",
             r"missing initial_position, initial_velocity\. These have no default",

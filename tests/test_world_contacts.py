@@ -28,9 +28,9 @@ AXES = {"x": [1, 0, 0], "y": [0, 1, 0], "z": [0, 0, 1], "askew": [0.6, 0.8, 0]}
 Shapes = Sequence[tuple[str, Any, Sequence[float]]]
 
 
-def material(restitution: object = None) -> ProximityProperties:
+def material(restitution: object = None, friction: float = 0.0) -> ProximityProperties:
     properties = ProximityProperties()
-    properties.AddProperty("material", "coulomb_friction", CoulombFriction(0.0, 0.0))
+    properties.AddProperty("material", "coulomb_friction", CoulombFriction(friction, friction))
     if restitution is not None:
         properties.AddProperty("material", "restitution", restitution)
     return properties
@@ -119,7 +119,7 @@ def test_a_block_that_the_ball_passes_above_or_slides_on_is_no_contact(
     low = ("low", Box(0.4, 0.6, 1.0), [1.0, 0.0, -height])
     world = make_world(axes, [low, BLOCK], start)
     assert not [name for name in names_of(world) if "low" in name]
-    with pytest.raises(ModelError, match="the model lacks contact geometry"):
+    with pytest.raises(ModelError, match="no motion that brings together ball against low"):
         make_world(axes, [low], start)
 
 
@@ -143,6 +143,12 @@ def test_two_balls_on_a_line_meet_on_the_sides_that_face_each_other() -> None:
     assert names_of(world) == ["ball against ball 1"]
     assert differs_by_zero(world.contacts[0].signed_distance, q[0] - q[1] - 2 * RADIUS)
     assert world.is_on_face(np.array([2.0, -1.0])).all()
+
+
+@pytest.mark.parametrize("apart", [0.0, 1e-12])
+def test_two_balls_with_one_centre_are_refused_for_no_side_is_known(apart: float) -> None:
+    with pytest.raises(ModelError, match=r"ball against ball 1: got spheres whose centres coinci"):
+        make_world("x", [], [0.3, 0.3 + apart], balls=2)
 
 
 def test_two_balls_that_leave_their_line_are_refused() -> None:

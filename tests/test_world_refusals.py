@@ -80,7 +80,17 @@ BAD_MODELS: dict[str, tuple[dict[str, str], str]] = {
     ),
     "no wall": (
         {between('<collision name="wall_collision">', "</collision>"): ""},
-        "the model lacks contact geometry: expected a sphere, and a box or half space",
+        "the model lacks a contact: got 1 collision shape, expected a sphere, and a box, half space"
+        " or sphere that it can touch. Add <collision> shapes to both links",
+    ),
+    "filtered": (
+        {
+            "</model>": """<drake:collision_filter_group name="all">
+              <drake:member>ball</drake:member> <drake:member>wall</drake:member>
+              <drake:ignored_collision_filter_group>all</drake:ignored_collision_filter_group>
+            </drake:collision_filter_group></model>"""
+        },
+        "got 2 collision shapes, of which Drake lets no two collide.*collision_filter_group",
     ),
     "box against box": (
         {BALL_SHAPE: "<box><size>0.1 0.1 0.1</size></box>"},

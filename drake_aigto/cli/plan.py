@@ -33,6 +33,7 @@ _FIELDS = {
     "delta": "literal: δ of it [m]",
     "restitution": "speed after / before an impact, 0 to 1, where the model has none",
     "mass": "of the body that touches, in place of the model's [kg]",
+    "friction": "0 leaves out that of the model, which plans know nothing of",
 }
 # Plan option → what it is.
 _CHOICES = {

@@ -199,7 +199,8 @@ def track_drake(world: World, scenario: Scenario, controller: Controller) -> Tra
     """
     start = scenario.initial_position, scenario.initial_velocity
     restitutions = world.restitutions(scenario)
-    recording = simulate_compliant_wall(world, start, controller, restitutions)
+    without_friction = scenario.friction == 0
+    recording = simulate_compliant_wall(world, start, controller, restitutions, without_friction)
     error = calc_compliance_error(world, restitutions, recording)
     return _summarize("drake", scenario, controller, recording, error)
 

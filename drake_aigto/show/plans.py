@@ -11,6 +11,7 @@ from drake_aigto.show.text import (
     WIDTH,
     contact_names,
     energy_text,
+    friction_items,
     length_text,
     task_items,
     time_text,
@@ -64,6 +65,7 @@ def _answer(plan: Plan, world: World, contact_delay: float | None) -> Iterator[s
     restitution = f"restitution {scenario.restitution:g}"
     yield from _row("scenario", [*task_items(scenario), *mass, restitution, span])
     yield from _row("pairs", _pairs(world, names))
+    yield from _row("friction", friction_items(scenario, world))
     literal = [f"ε = {scenario.epsilon:g} J", f"δ = {scenario.delta:g} m"]
     yield from _row(
         "plan",

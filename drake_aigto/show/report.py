@@ -21,7 +21,13 @@ from drake_aigto.show.page import Page
 from drake_aigto.show.plans import describe_verdict, format_replays
 from drake_aigto.show.playback import open_meshcat, play
 from drake_aigto.show.portraits import plot_phase_portrait
-from drake_aigto.show.text import contact_names, energy_text, length_text, task_items
+from drake_aigto.show.text import (
+    contact_names,
+    energy_text,
+    friction_items,
+    length_text,
+    task_items,
+)
 from drake_aigto.simulation import Replay, confirms
 from drake_aigto.simulation.material import contact_delay
 from drake_aigto.world import Scenario, World
@@ -111,6 +117,8 @@ def add_question(page: Page, scenario: Scenario, world: World) -> None:
     ]
     if scenario.mass is not None:
         rows.append(("mass", f"{scenario.mass:g} kg"))
+    if left_out := friction_items(scenario, world):
+        rows.append(("friction", "; ".join(left_out)))
     page.table(("", ""), rows)
 
 

@@ -35,6 +35,14 @@ def touch_names(world: World) -> list[str]:
     return wall_names(world) if len({name.split(_AGAINST)[0] for name in names}) == 1 else names
 
 
+def friction_items(scenario: Scenario, world: World) -> list[str]:
+    """Returns what friction of the model a scenario leaves out of simulations, if there is any."""
+    largest = float(max(world.frictions, default=0.0))
+    if scenario.friction is None or not largest:
+        return []
+    return [f"left out of the simulation, as asked: the model's, μ = {largest:g} at the most"]
+
+
 def length_text(metres: float) -> str:
     """Returns a length in the unit that it is best read in."""
     if metres >= 0.1:

@@ -52,6 +52,7 @@ def simulate_compliant_wall(
     state: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]],
     controller: Controller,
     restitutions: npt.NDArray[np.float64],
+    without_friction: bool = False,
 ) -> Recording:
     """Runs a controller on the world's own plant, by Radau's implicit rule.
 
@@ -67,6 +68,7 @@ def simulate_compliant_wall(
         state: the start, (q, v).
         controller: decides the control, open or closed loop.
         restitutions: e of each contact, in [0, 1], shape (m,).
+        without_friction: whether to leave the model's friction out, in the same way.
 
     Returns:
         The states whenever the controller is asked, at the end, and where each contact begins, is
@@ -76,6 +78,8 @@ def simulate_compliant_wall(
         ModelError: a shape has no stiffness.
     """
     root = world.create_context()
+    if without_friction:
+        world.remove_friction(root)
     context = world.plant.GetMyMutableContextFromRoot(root)
     world.plant.SetPositionsAndVelocities(context, np.concatenate(state))
     root.SetTime(controller.start)

@@ -6,10 +6,11 @@ import math
 from typing import TYPE_CHECKING
 
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
-from pydrake.geometry import GeometryId, ProximityProperties, RoleAssign
+from pydrake.geometry import GeometryId
 
 from drake_aigto.errors import ModelError
 from drake_aigto.simulation.contact_motion import contact_motion
+from drake_aigto.world.material import set_material
 
 if TYPE_CHECKING:
     from pydrake.systems.framework import Context
@@ -89,14 +90,9 @@ def set_dissipation(world: World, root: Context, contact: int, dissipation: floa
         own = alone.index(True)
         values[1 - own] = 0.0
         values[own] = dissipation * (k[0] + k[1]) / k[1 - own]
-    context = world.scene_graph.GetMyMutableContextFromRoot(root)
-    inspector = world.scene_graph.model_inspector()
+    source = world.plant.get_source_id()
     for shape, value in zip(shapes, values, strict=True):
-        properties = ProximityProperties(inspector.GetProximityProperties(shape))
-        properties.UpdateProperty(*_DISSIPATION, value)
-        world.scene_graph.AssignRole(
-            context, world.plant.get_source_id(), shape, properties, RoleAssign.kReplace
-        )
+        set_material(world.scene_graph, source, root, shape, _DISSIPATION, value)
 
 
 def _is_alone(world: World, shape: GeometryId) -> bool:

@@ -164,7 +164,7 @@ def replay_drake(
     With restitution 1 the model keeps its own dissipation, which the shipped models have at zero.
     The restitution that Hunt-Crossley dissipation makes depends on the speed. So with less than 1
     it is set before each impact for the speed that is coming (`Replay.matched_speeds`), in the
-    simulation's context alone. A ball rolls
+    simulation's context alone, and so is friction if the scenario leaves that out. A ball rolls
     round the corners of a box, which the event-driven replay takes for sharp.
 
     Args:
@@ -180,7 +180,8 @@ def replay_drake(
     times, controls = _check_control(world, times, controls)
     start = scenario.initial_position, scenario.initial_velocity
     restitutions = world.restitutions(scenario)
-    recording = simulate_compliant_wall(world, start, HeldControl(times, controls), restitutions)
+    held, without_friction = HeldControl(times, controls), scenario.friction == 0
+    recording = simulate_compliant_wall(world, start, held, restitutions, without_friction)
     error = calc_compliance_error(world, restitutions, recording)
     return summarize("drake", scenario, times, controls, recording, error)
 

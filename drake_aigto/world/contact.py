@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 # Where a scene graph keeps the restitution of a shape, if its maker put it there.
 RESTITUTION = ("material", "restitution")
 
+# Centres that are nearer than this part of a radius coincide but for rounding.
+_ROUNDING = 1e-9
+
 
 @dataclass(frozen=True, eq=False)
 class Contact:
@@ -147,11 +150,14 @@ def _read_pair(
     X_BG = inspector.GetPoseInFrame(wall)
     p_SC = inspector.GetPoseInFrame(sphere).translation()
     p_BC = _calc_pose(plant, context, face_body, sphere_body).multiply(p_SC)
-    names = [_name(plant, inspector, shape) for shape in (sphere, wall)]
+    pair = " against ".join(_name(plant, inspector, shape) for shape in (sphere, wall))
+    p_GC = X_BG.inverse().multiply(p_BC)
+    if isinstance(inspector.GetShape(wall), Sphere):
+        _check_apart(pair, p_GC, inspector.GetShape(sphere).radius(), plant)
     return [
         SphereAndFace(
             shapes=(sphere, wall),
-            pair=" against ".join(names),
+            pair=pair,
             face=face,
             sphere_body=sphere_body,
             p_SC=p_SC,
@@ -161,10 +167,20 @@ def _read_pair(
             half_extents=half_extents,
             restitution=_read_restitution(inspector, sphere, wall),
         )
-        for face, X_GF, half_extents in _faces(
-            inspector.GetShape(wall), X_BG.inverse().multiply(p_BC)
-        )
+        for face, X_GF, half_extents in _faces(inspector.GetShape(wall), p_GC)
     ]
+
+
+def _check_apart(pair: str, p_GC: _Array, radius: float, plant: MultibodyPlant) -> None:
+    """Refuses spheres with one centre, of which none is on any side of the other."""
+    if np.linalg.norm(p_GC) <= _ROUNDING * radius:
+        raise ModelError(
+            f"contact of {pair}",
+            got="spheres whose centres coincide at the plant's default positions, "
+            f"{plant.GetDefaultPositions().tolist()}",
+            expected="default positions that show which one is on which side of the other",
+            remedy="Start them apart; in your own diagram, by the plant's SetDefaultPositions.",
+        )
 
 
 def _calc_pose(plant: Any, context: Any, base: RigidBody, body: RigidBody) -> Any:
@@ -206,8 +222,7 @@ def _faces(
     if isinstance(shape, HalfSpace):
         return [("", RigidTransform(), np.full(2, np.inf))]
     if isinstance(shape, Sphere):
-        distance = float(np.linalg.norm(p_GC))
-        normal = p_GC / distance if distance > 0 else np.array([0.0, 0.0, 1.0])
+        normal = p_GC / np.linalg.norm(p_GC)
         R_GF = RotationMatrix.MakeFromOneVector(normal, 2)
         return [("", RigidTransform(R_GF, shape.radius() * normal), np.zeros(2))]
     half = np.asarray(shape.size()) / 2

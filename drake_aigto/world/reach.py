@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from pydrake.geometry import SceneGraph
+from pydrake.geometry import Role, SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import RigidBody
 from pydrake.symbolic import Expression
@@ -50,7 +50,8 @@ def find_reachable_faces(
     """
     found: list[ReachableFace] = []
     solid = 0
-    for pair in find_pairs(plant, scene_graph, plant.CreateDefaultContext()):
+    pairs = find_pairs(plant, scene_graph, plant.CreateDefaultContext())
+    for pair in pairs:
         places = [symbolic_plant.calc_place(face) for face in pair]
         chosen = _choose(pair, places, symbolic_plant.q, plant.GetDefaultPositions())
         for i in chosen:
@@ -62,11 +63,7 @@ def find_reachable_faces(
             found.append(ReachableFace(face, places[i][:2], contact))
         solid += bool(chosen)
     if not found:
-        raise ModelError(
-            "the model lacks contact geometry",
-            expected="a sphere, and a box or half space that it can touch",
-            remedy="Add <collision> shapes to both links.",
-        )
+        raise _refuse_no_contact(pairs, scene_graph)
     return found
 
 
@@ -110,6 +107,31 @@ def _choose(
             return [i for i in range(len(pair)) if i not in fixed]
     nearest = int(np.argmax(_evaluate(np.array(distances), at_default)))
     return [] if nearest in fixed else [nearest]
+
+
+def _refuse_no_contact(pairs: list[list[SphereAndFace]], scene_graph: SceneGraph) -> ModelError:
+    """Returns the error of a model in which nothing can touch, with the reason."""
+    inspector = scene_graph.model_inspector()
+    if pairs:
+        got = f"no motion that brings together {' or '.join(pair[0].pair for pair in pairs)}"
+        remedy = (
+            "Move a shape into the other's way: distances that no joint changes are no contact."
+        )
+    elif len(shapes := inspector.GetAllGeometryIds(Role.kProximity)) < 2:
+        got = f"{len(shapes)} collision shape{'s' if len(shapes) != 1 else ''}"
+        remedy = "Add <collision> shapes to both links."
+    else:
+        got = f"{len(shapes)} collision shapes, of which Drake lets no two collide"
+        remedy = (
+            "Shapes that are welded together, or anchored, or on links that a joint connects, "
+            "don't collide, nor those that a <drake:collision_filter_group> excludes."
+        )
+    return ModelError(
+        "the model lacks a contact",
+        got=got,
+        expected="a sphere, and a box, half space or sphere that it can touch",
+        remedy=remedy,
+    )
 
 
 def _check_line(face: SphereAndFace, place: npt.NDArray[Any]) -> None:

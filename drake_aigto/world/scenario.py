@@ -31,7 +31,10 @@ _BOUNDS: dict[str, dict[str, Any]] = {
     "delta": {"at_least": 0.0, "unit": "m"},
     "restitution": {"at_least": 0.0, "at_most": 1.0},
     "mass": {"above": 0.0, "unit": "kg"},
+    "friction": {"at_least": 0.0},
 }
+# These keep what the model has if they are None.
+_OPTIONAL = ("mass", "friction")
 
 # Whole numbers of steps are recognised up to this relative error: 1.0 / 0.005 is not 200 exactly.
 _STEP_TOLERANCE = 1e-9
@@ -64,6 +67,8 @@ class Scenario:
             (`World.restitutions`).
         mass: replaces the mass of the only body with spheres that touch [kg]; None keeps the
             model's.
+        friction: 0 leaves out the friction of every pair that can slide; None keeps the model's,
+            which has to be 0 there (`World.check`), for plans know of none.
 
     Raises:
         ScenarioError: a value that is no number, not finite, or out of range.
@@ -81,6 +86,7 @@ class Scenario:
     delta: float = 1e-3  # [m]
     restitution: float = 1.0
     mass: float | None = None  # [kg]
+    friction: float | None = None
 
     def __post_init__(self) -> None:
         """Checks everything that can be checked without the model."""
@@ -91,8 +97,15 @@ class Scenario:
         object.__setattr__(self, "model", str(self.model))
         for name, bounds in _BOUNDS.items():
             value = getattr(self, name)
-            if name != "mass" or value is not None:
+            if name not in _OPTIONAL or value is not None:
                 object.__setattr__(self, name, as_number(name, value, **bounds))
+        if self.friction:
+            raise ScenarioError(
+                "friction",
+                got=f"{self.friction:g}",
+                expected="0, which leaves it out, or None, the model's",
+                remedy="Plans know of no friction yet.",
+            )
         self._check_steps()
 
     def _check_steps(self) -> None:

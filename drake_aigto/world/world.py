@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydrake.geometry import GeometryId, SceneGraph
-from pydrake.multibody.plant import MultibodyPlant
+from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 from pydrake.symbolic import MakeVectorVariable
 from pydrake.systems.framework import Context, Diagram
 
@@ -22,6 +22,7 @@ from drake_aigto.world.diagram import (
     move_shape,
 )
 from drake_aigto.world.fields import as_number
+from drake_aigto.world.material import FRICTION, read_friction, set_material
 from drake_aigto.world.polynomials import PolynomialMap, evaluate_constants
 from drake_aigto.world.reach import ReachableFace, find_reachable_faces, find_sphere_body
 from drake_aigto.world.scenario import Scenario
@@ -212,6 +213,19 @@ class World:
             ]
         )
 
+    @cached_property
+    def frictions(self) -> npt.NDArray[np.float64]:
+        """μ that acts in Drake's plant at each contact, shape (m,): 0 where nothing can slide.
+
+        Of a shape that gives none it is Drake's default, of two shapes 2 μ₁ μ₂ / (μ₁ + μ₂).
+        """
+        root = self.create_context()
+        each = [
+            read_friction(self.plant, self.scene_graph, root, reachable.face)
+            for reachable in self._reachable
+        ]
+        return _read_only(each)
+
     def calc_contact_jacobian(self, q: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns J(q) = ∂φ/∂q, shape (m, nv), at q of shape (nq,) [m]."""
         return self._jacobian_map(q).reshape(self.num_contacts, self.num_velocities)
@@ -255,6 +269,12 @@ class World:
             find_sphere_body(self.plant, self._reachable).SetMass(context, self.mass)
         return root
 
+    def remove_friction(self, root: Context) -> None:
+        """Makes friction zero wherever something can slide, in this context only."""
+        source, none = self.plant.get_source_id(), CoulombFriction(0.0, 0.0)
+        for sphere in {self.shapes[i][0] for i in np.flatnonzero(self.frictions)}:
+            set_material(self.scene_graph, source, root, sphere, FRICTION, none)
+
     @property
     def sphere_mass(self) -> float:
         """The mass that a scenario's replaces: of the only body with spheres that touch [kg].
@@ -294,6 +314,7 @@ class World:
         Raises:
             ScenarioError: sizes differ from the plant's, its mass is another, or start or goal
                 touches the wall, is inside or behind it, or beside its face.
+            ModelError: a sphere can slide with friction, and the scenario does not leave it out.
         """
         _check_sizes(self.plant, scenario)
         if scenario.mass is not None and scenario.mass != self.mass:
@@ -305,6 +326,21 @@ class World:
             )
         for name in ("initial_position", "goal_position"):
             self._check_place(name, getattr(scenario, name))
+        if scenario.friction is None and np.any(self.frictions):
+            raise self._refuse_friction()
+
+    def _refuse_friction(self) -> ModelError:
+        """Returns the error of friction that would act in Drake, and in no plan."""
+        i = int(np.argmax(self.frictions))
+        return ModelError(
+            f"friction of {self.contacts[i].name}",
+            got=f"μ = {self.frictions[i]:g} where the sphere can slide (Drake's default, if the "
+            "shapes give none)",
+            expected="0, for plans know of no friction",
+            remedy="Give one of both shapes <drake:mu_static>0</drake:mu_static> and "
+            "<drake:mu_dynamic>0</drake:mu_dynamic>; or leave friction out of simulations by the "
+            "scenario's friction: 0 (--friction 0).",
+        )
 
     def _check_place(self, name: str, q: npt.NDArray[np.float64]) -> None:
         """Refuses a position inside or against a solid, or beside the one face that it has."""

@@ -1,0 +1,84 @@
+"""What shapes are made of, as Drake's plant uses it; and where friction acts."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from pydrake.geometry import GeometryId, ProximityProperties, RoleAssign, SceneGraph, SourceId
+from pydrake.multibody.plant import (
+    CalcContactFrictionFromSurfaceProperties,
+    MultibodyPlant,
+)
+from pydrake.multibody.tree import JacobianWrtVariable
+from pydrake.systems.framework import Context
+
+from drake_aigto.world.contact import SphereAndFace
+
+FRICTION = ("material", "coulomb_friction")
+
+# Rates along a face below this part of the largest entry are rounding.
+_ROUNDING = 1e-9
+# By how much positions differ from their defaults where nothing cancels by chance.
+_ANYWHERE = 0.37
+
+
+def read_friction(
+    plant: MultibodyPlant, scene_graph: SceneGraph, root: Context, face: SphereAndFace
+) -> float:
+    """Returns μ that acts on a sphere at a face: of its two coefficients, the larger one.
+
+    It is what the plant computes with, μ = 2 μ₁ μ₂ / (μ₁ + μ₂): of a shape that gives none, Drake's
+    default. Where the sphere can't move along the face, as a ball on a line across it, friction has
+    nothing to act on, and this is 0.
+
+    Args:
+        plant: with both bodies.
+        scene_graph: with both shapes.
+        root: of the diagram. Drake's defaults are in contexts only.
+        face: the pair.
+    """
+    materials = [read_material(scene_graph, root, shape) for shape in face.shapes]
+    # What `GetProperty` returns lives no longer than the properties.
+    surfaces = [material.GetProperty(*FRICTION) for material in materials]
+    friction = CalcContactFrictionFromSurfaceProperties(*surfaces)
+    largest = max(friction.static_friction(), friction.dynamic_friction())
+    return largest if largest > 0 and can_slide(plant, face) else 0.0
+
+
+def can_slide(plant: MultibodyPlant, face: SphereAndFace) -> bool:
+    """Returns whether a sphere's point of contact can move along the face."""
+    context = plant.CreateDefaultContext()
+    n = plant.num_positions()
+    plant.SetPositions(context, plant.GetPositions(context) + _ANYWHERE * np.arange(1, n + 1))
+    body, wall = face.sphere_body.body_frame(), face.face_body.body_frame()
+    edges, normal = np.split(face.X_BF.rotation().matrix(), [2], axis=1)
+    normal = plant.CalcRelativeTransform(context, body, wall).rotation().matrix() @ normal
+    touch = face.p_SC - face.radius * normal[:, 0]
+    rates = plant.CalcJacobianTranslationalVelocity(
+        context, JacobianWrtVariable.kV, body, touch, wall, wall
+    )
+    along = edges.T @ rates
+    return bool(np.any(np.abs(along) > _ROUNDING * np.max(np.abs(rates), initial=0.0)))
+
+
+def read_material(scene_graph: SceneGraph, root: Context, shape: GeometryId) -> ProximityProperties:
+    """Returns a shape's properties in a context, with Drake's defaults for those it lacks."""
+    context = scene_graph.GetMyContextFromRoot(root)
+    query: Any = scene_graph.get_query_output_port().Eval(context)
+    return ProximityProperties(query.inspector().GetProximityProperties(shape))
+
+
+def set_material(
+    scene_graph: SceneGraph,
+    source: SourceId,
+    root: Context,
+    shape: GeometryId,
+    name: tuple[str, str],
+    value: object,
+) -> None:
+    """Changes a property of a shape, in this context only."""
+    properties = read_material(scene_graph, root, shape)
+    properties.UpdateProperty(*name, value)
+    context = scene_graph.GetMyMutableContextFromRoot(root)
+    scene_graph.AssignRole(context, source, shape, properties, RoleAssign.kReplace)

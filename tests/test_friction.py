@@ -1,0 +1,119 @@
+"""Friction of a model, which no plan knows: refused where it acts, or left out when asked."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+from pydrake.geometry import HalfSpace, ProximityProperties, Sphere
+from pydrake.math import RigidTransform
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
+from pydrake.multibody.tree import PrismaticJoint, RevoluteJoint, SpatialInertia, UnitInertia
+from pydrake.systems.framework import Diagram, DiagramBuilder
+from refusals import refuse_work
+
+from drake_aigto import ModelError, Planner, Scenario, World, plan, replay_drake
+from drake_aigto.planning import planner
+from drake_aigto.show.plans import format_plan
+from drake_aigto.world.files import models_directory
+
+Y = [0.0, 1.0, 0.0]
+
+
+def material(friction: float | None) -> ProximityProperties:
+    properties = ProximityProperties()
+    if friction is not None:
+        properties.AddProperty("material", "coulomb_friction", CoulombFriction(friction, friction))
+    return properties
+
+
+def make_diagram(
+    frictions: tuple[float | None, float | None], along: bool = False, spins: bool = False
+) -> Diagram:
+    """Returns a ball above the ground, which may also move along it, or spin."""
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
+    inertia = SpatialInertia(1.0, np.zeros(3), UnitInertia.SolidSphere(0.1))
+    lift = plant.AddRigidBody("lift", SpatialInertia.Zero())
+    ball = plant.AddRigidBody("ball", inertia)
+    rise = PrismaticJoint("rise", plant.world_frame(), lift.body_frame(), [0.0, 0.0, 1.0])
+    plant.AddJointActuator("rise", plant.AddJoint(rise))
+    frames = lift.body_frame(), ball.body_frame()
+    if spins:
+        plant.AddJoint(RevoluteJoint("turn", *frames, Y))
+    elif along:
+        plant.AddJoint(PrismaticJoint("move", *frames, Y))
+    else:
+        plant.WeldFrames(*frames)
+    shapes = (ball, Sphere(0.1), "ball"), (plant.world_body(), HalfSpace(), "ground")
+    for (body, shape, name), friction in zip(shapes, frictions, strict=True):
+        plant.RegisterCollisionGeometry(body, RigidTransform(), shape, name, material(friction))
+    plant.Finalize()
+    plant.SetDefaultPositions(np.ones(plant.num_positions()))
+    return builder.Build()
+
+
+@pytest.mark.parametrize(
+    ("frictions", "expected"),
+    [
+        ((0.3, 0.6), 2 * 0.3 * 0.6 / 0.9),
+        ((0.0, 0.6), 0.0),
+        ((None, None), 0.5),  # Drake's default, of which only contexts know.
+        ((None, 1.0), 2 / 3),
+    ],
+)
+def test_friction_is_what_drake_makes_of_both_shapes(
+    frictions: tuple[float | None, float | None], expected: float
+) -> None:
+    world = World.from_diagram(make_diagram(frictions, along=True))
+    assert world.frictions == pytest.approx([expected], rel=1e-12)
+
+
+def test_friction_acts_on_what_slides_or_spins_and_not_on_what_only_comes_and_goes() -> None:
+    rough = (1.0, 1.0)
+    assert World.from_diagram(make_diagram(rough)).frictions.tolist() == [0.0]
+    assert World.from_diagram(make_diagram(rough, along=True)).frictions.tolist() == [1.0]
+    assert World.from_diagram(make_diagram(rough, spins=True)).frictions.tolist() == [1.0]
+
+
+@pytest.fixture
+def rough_room(tmp_path: Path) -> Path:
+    """Returns the shipped room without a word about friction."""
+    text = (models_directory() / "room.sdf").read_text(encoding="utf-8")
+    path = tmp_path / "rough_room.sdf"
+    path.write_text(re.sub(r"<drake:mu_.*>", "", text), encoding="utf-8")
+    return path
+
+
+def test_friction_that_acts_is_refused_before_any_work(
+    rough_room: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenario = dataclasses.replace(Scenario.named("room/bank_shot"), model=str(rough_room))
+    monkeypatch.setattr(planner, "make_problem", refuse_work)
+    with pytest.raises(ModelError, match=r"friction of ball against left_wall: got μ = 1 where .*"):
+        Planner(scenario)
+
+
+def test_friction_that_is_left_out_as_asked_changes_nothing_and_is_told(rough_room: Path) -> None:
+    smooth = Scenario.named("room/bank_shot")
+    rough = dataclasses.replace(smooth, model=str(rough_room), friction=0.0)
+    found, expected = plan(rough), plan(smooth)
+    assert found.cost == expected.cost
+    drake, without = found.replay.drake, expected.replay.drake
+    assert drake is not None
+    assert without is not None
+    assert drake.cost == without.cost
+    assert Scenario.from_dict(found.scenario.to_dict()).friction == 0.0
+    world = World.from_scenario(rough)
+    said = "left out of the simulation, as asked: the model's, μ = 1"
+    assert said in format_plan(found, world, Planner(rough).options)
+    assert "friction" not in format_plan(
+        expected, World.from_scenario(smooth), Planner(smooth).options
+    )
+    # The model's own friction is what the plan would have met.
+    control = found.trajectory.times, found.trajectory.controls
+    met = replay_drake(world, dataclasses.replace(rough, friction=None), *control)
+    assert met.cost > 100 * drake.cost
