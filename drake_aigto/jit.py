@@ -1,46 +1,121 @@
-"""Numba's compiler, where there may be no place for its cache."""
+"""Numba's compiler, with a cache on disk that is never stale."""
 
 from __future__ import annotations
 
+import hashlib
+import os
+import re
+import sys
 from collections.abc import Callable
+from functools import cache
 from typing import Any, TypeVar
 
+import llvmlite
 import numba
+from numba.core.caching import FunctionCache
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
+_PACKAGE = __name__.partition(".")[0]
+_IMPORT = re.compile(
+    r"^[ \t]*(?:from|import)[ \t]+(\.*)([\w.]*)(?:[ \t]+import[ \t]+(\([^)]*\)|.*))?", re.M
+)
+
 
 def njit(**options: Any) -> Callable[[_Function], _Function]:
-    """Returns `numba.njit` with these options, as a decorator that never fails for want of a cache.
+    """Returns `numba.njit` with these options and a cache, as a decorator.
 
-    With ``cache=True`` Numba keeps machine code beside the source, else in ``NUMBA_CACHE_DIR`` or
-    the user's cache folder, and raises when it can write to none of them: a package that root
-    installed, run by a user without a home. Then each process compiles for itself.
+    Numba keeps machine code beside the source, else in ``NUMBA_CACHE_DIR`` or the user's cache
+    folder. Where it can write to none of them, as in a package that root installed, run by a user
+    without a home, each process compiles for itself.
 
     No function gets a C entry, which nothing here calls and which takes time to compile.
     """
     options["no_cfunc_wrapper"] = True
 
     def compile_later(function: _Function) -> _Function:
+        compiled = numba.njit(**options)(function)
         try:
-            return numba.njit(**options)(function)
+            compiled._cache = _SourceCache(function)  # As njit(cache=True) does with its own.
         except RuntimeError as error:
             # Numba has no class of its own for this.
             if not str(error).startswith("cannot cache function"):
                 raise
-            return numba.njit(**{**options, "cache": False})(function)
+        return compiled
 
     return compile_later
 
 
 # What Python calls.
-kernel = njit(cache=True, nogil=True, error_model="numpy")
+kernel = njit(nogil=True, error_model="numpy")
 
 # What compiled code alone calls: without an entry for Python, which takes as long to compile as the
 # function itself if that is short. Python must not call it: Numba does not check that.
-inner = njit(cache=True, nogil=True, error_model="numpy", no_cpython_wrapper=True)
+inner = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True)
 
 # What one place in compiled code calls, and itself calls much: Numba pastes it there. On its own,
-# LLVM would optimise all of it once more. Short functions gain nothing by it, and many in one lose,
+# LLVM would optimize all of it once more. Short functions gain nothing by it, and many in one lose,
 # as Numba's time grows faster than a function's length.
-pasted = njit(cache=True, nogil=True, error_model="numpy", inline="always")
+pasted = njit(nogil=True, error_model="numpy", inline="always")
+
+
+class _SourceCache(FunctionCache):
+    """Numba's cache of a function, which is fresh while all sources that it may use are.
+
+    Machine code holds the functions that it calls, the constants that it reads and the layout of
+    its arguments, wherever these are defined. Numba itself looks at the function's file alone.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        """Adds a digest of those sources to what Numba compares first, which is its version.
+
+        What was cached for other versions it does not even read: classes that it names may be gone.
+        """
+        super().__init__(function)  # type: ignore[no-untyped-call]
+        file, package = function.__code__.co_filename, function.__module__.partition(".")[0]
+        used = _digest(os.path.abspath(file), package)
+        self._cache_file._version = numba.__version__, llvmlite.__version__, used
+
+
+@cache
+def _digest(file: str, package: str) -> str:
+    """Returns a digest of a file and all that it imports, directly or by way of others.
+
+    What it imports for type checkers alone is included, and nothing but the sources of its own
+    package and of ours.
+    """
+    paths = {name: getattr(sys.modules.get(name), "__path__", None) for name in (package, _PACKAGE)}
+    folders = tuple((name, path[0]) for name, path in paths.items() if path)
+    files, digest = [file], hashlib.sha256()
+    for each in files:  # It grows meanwhile.
+        digest.update(hashlib.sha256(_read(each)).digest())
+        files += [found for found in _imported_files(each, folders) if found not in files]
+    return digest.hexdigest()
+
+
+@cache
+def _read(file: str) -> bytes:
+    with open(file, "rb") as source:
+        return source.read()
+
+
+@cache
+def _imported_files(file: str, folders: tuple[tuple[str, str], ...]) -> tuple[str, ...]:
+    """Returns the files that a file imports from packages in these folders, by name."""
+    found: dict[str, None] = {}
+    for dots, module, names in _IMPORT.findall(_read(file).decode()):
+        root, _, rest = module.partition(".")
+        base = dict(folders).get(root)
+        if dots:
+            base, rest = os.path.join(os.path.dirname(file), *[".."] * (len(dots) - 1)), module
+        if base is not None:
+            stem = os.path.normpath(os.path.join(base, *rest.split(".")))
+            for name in re.findall(r"\w+", names) or [""]:
+                found |= dict.fromkeys(_sources(os.path.join(stem, name)) or _sources(stem))
+    return tuple(found)
+
+
+def _sources(stem: str) -> list[str]:
+    """Returns the files of a module or package, the stub of a lazy door among them."""
+    names = (f"{stem}.py", os.path.join(stem, "__init__.py"), os.path.join(stem, "__init__.pyi"))
+    return [name for name in names if os.path.isfile(name)]

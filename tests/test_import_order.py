@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import ast
 import subprocess
 import sys
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from import_graph import imported_modules
 
 import drake_aigto
 
@@ -40,17 +39,6 @@ DOORS = ("__init__", "__main__")
 def place(path: Path) -> str:
     """Returns the package or module of drake_aigto that a file belongs to."""
     return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
-
-
-def imported_modules(source: str, package: str) -> Iterator[str]:
-    """Yields the dotted names of all that a file of the package imports, wherever it does."""
-    for node in ast.walk(ast.parse(source)):
-        if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
-        elif isinstance(node, ast.ImportFrom):
-            parents = package.split(".")[: len(package.split(".")) - node.level + 1]
-            base = ".".join([*(parents if node.level else []), *filter(None, [node.module])])
-            yield from (f"{base}.{alias.name}" for alias in node.names)
 
 
 def steps_imported(source: str, package: str = "drake_aigto") -> set[str]:

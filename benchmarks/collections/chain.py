@@ -23,7 +23,7 @@ from scipy.linalg import solveh_banded
 from benchmarks.collections.global_problem import GlobalProblem, Part
 from benchmarks.collections.known_optimum import Floats
 from drake_aigto.errors import OptionsError
-from drake_aigto.jit import njit
+from drake_aigto.jit import kernel
 
 REACH = 2.2
 NUM_ROOTS = 6
@@ -129,7 +129,7 @@ def exact_chain_minimum(problem: ChainProblem, grid_points: int = GRID_POINTS) -
     return _polish(problem, grid[_best_path(own, problem.coupling, grid)])
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _best_path(own: Floats, coupling: Floats, grid: Floats) -> NDArray[np.int64]:
     """Indices that minimise Σ own[i, k_i] + Σ coupling[i] grid[k_i] grid[k_{i+1}].
 
@@ -168,7 +168,7 @@ def _best_path(own: Floats, coupling: Floats, grid: Floats) -> NDArray[np.int64]
     return path
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _is_above(grid: Floats, cost: Floats, left: int, middle: int, right: int) -> bool:
     """Whether the middle point is on or above the chord between the two others."""
     rise = (cost[middle] - cost[left]) * (grid[right] - grid[left])

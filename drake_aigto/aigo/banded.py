@@ -16,7 +16,7 @@ from drake_aigto.jit import njit
 Floats = NDArray[np.float64]
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
 def factorise(band: Floats) -> bool:
     """Overwrite a matrix with its factors, L and in place of its ones D⁻¹.
 
@@ -39,7 +39,7 @@ def factorise(band: Floats) -> bool:
     return True
 
 
-@njit(cache=True, nogil=True, error_model="numpy", fastmath={"contract"})
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
 def solve(factors: Floats, x: Floats) -> None:
     """Overwrite a right-hand side (size,) with the solution."""
     size, width = factors.shape

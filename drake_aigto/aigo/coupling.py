@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 
 from drake_aigto.box import BoxPolynomial
-from drake_aigto.jit import njit
+from drake_aigto.jit import kernel
 
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int64]
@@ -62,7 +62,7 @@ class CouplingGraph:
         return _pack(self.starts, self.neighbors, seeds, rng.random(free.size), size)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _pack(starts: Ints, neighbors: Ints, seeds: Ints, picks: Floats, size: int) -> Ints:
     """Grows one cluster from each seed that is still open, by open neighbors picked at random."""
     held, is_open = -1, -2

@@ -2,9 +2,6 @@
 
 Shape letters: n variables of u unknowns each, (c_i, z_i = log w_i) or c_i alone; size = u n.
 Unknowns are in elimination order, those of one variable next to each other.
-
-Numba's cache of this file does not see edits of `systems` or `kernels`, nor of what these call:
-delete `__pycache__` after one.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from drake_aigto.aigo.algorithm import Box, Iterate, as_positive
 from drake_aigto.aigo.coupling import CouplingGraph
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
-from drake_aigto.jit import njit
+from drake_aigto.jit import kernel
 
 Floats = NDArray[np.float64]
 
@@ -118,7 +118,7 @@ def _largest_part(half_width: Floats, first: Floats) -> float:
     return float(np.max(half_width[first > 0] / first[first > 0], initial=0.0))
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _flow(
     share: float,
     beta: float,

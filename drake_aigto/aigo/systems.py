@@ -1,7 +1,4 @@
-"""Newton systems, solved as bands or as sparse matrices.
-
-Numba's cache of this file does not see edits of `banded`: delete `__pycache__` after one.
-"""
+"""Newton systems, solved as bands or as sparse matrices."""
 
 from __future__ import annotations
 
@@ -38,7 +35,7 @@ def solve_system(pattern: Pattern | None, matrix: Floats, x: Floats) -> bool:
 
 
 # Not nogil: what runs in Python takes the interpreter's lock.
-@njit(cache=True, no_cpython_wrapper=True)
+@njit(no_cpython_wrapper=True)
 def _solve_sparse(pattern: Pattern, matrix: Floats, x: Floats) -> bool:
     with objmode(is_definite="boolean"):
         is_definite = _solve_in_python(pattern, matrix, x)

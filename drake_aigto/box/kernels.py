@@ -12,8 +12,6 @@ transposed to be of one type for Numba however few diagonals there are: entry (i
 
 Innermost functions take no slices and no more arrays than they read: that is most of what there is
 to compile.
-
-Numba's cache of this file does not see edits of `functions`: delete `__pycache__` after one.
 """
 
 from __future__ import annotations

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_aigto.jit import njit
+from drake_aigto.jit import kernel
 from drake_aigto.local.symmetric import SymmetricFactors
 
 Floats = NDArray[np.float64]
@@ -28,7 +28,7 @@ Ints = NDArray[np.int64]
 _THRESHOLD = 1e-8
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _swap(front: Floats, active: Ints, i: int, j: int, count: int) -> None:
     """Exchange two unknowns of the front."""
     if i == j:
@@ -40,7 +40,7 @@ def _swap(front: Floats, active: Ints, i: int, j: int, count: int) -> None:
         front[k, i], front[k, j] = front[k, j], front[k, i]
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _largest(front: Floats, i: int, without: int, count: int) -> float:
     """Largest entry of row i in absolute value, but for columns i and `without`."""
     largest = 0.0
@@ -50,7 +50,7 @@ def _largest(front: Floats, i: int, without: int, count: int) -> float:
     return largest
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _is_pair_stable(front: Floats, i: int, j: int, count: int) -> bool:
     """The threshold test of a 2×2 pivot: |P⁻¹| times its rows' largest entries is at most 1/u."""
     a, b, c = abs(front[i, i]), abs(front[i, j]), abs(front[j, j])
@@ -62,7 +62,7 @@ def _is_pair_stable(front: Floats, i: int, j: int, count: int) -> bool:
     return _THRESHOLD * growth <= determinant
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _choose_pivot(front: Floats, active: Ints, count: int, summed: int) -> tuple[int, int]:
     """The first pivot that passes among unknowns below `summed`: (i, −1), (i, j) or (−1, −1)."""
     for i in range(count):
@@ -83,7 +83,7 @@ def _choose_pivot(front: Floats, active: Ints, count: int, summed: int) -> tuple
     return -1, -1
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _force_pivot(front: Floats, active: Ints, count: int, summed: int) -> int:
     """The largest diagonal entry among unknowns below `summed`, −1 if all are 0."""
     chosen, largest = -1, 0.0
@@ -93,7 +93,7 @@ def _force_pivot(front: Floats, active: Ints, count: int, summed: int) -> int:
     return chosen
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _enter(band: Floats, front: Floats, active: Ints, count: int, unknown: int) -> None:
     """Put an unknown's row into the front, as its last."""
     bandwidth = band.shape[0] - 1
@@ -105,7 +105,7 @@ def _enter(band: Floats, front: Floats, active: Ints, count: int, unknown: int) 
     active[count] = unknown
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _eliminate_one(
     front: Floats, active: Ints, count: int, indices: Ints, entries: Floats, fill: int
 ) -> int:
@@ -122,7 +122,7 @@ def _eliminate_one(
     return fill
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _eliminate_pair(
     front: Floats, active: Ints, count: int, indices: Ints, entries: Floats, fill: int
 ) -> int:
@@ -142,7 +142,7 @@ def _eliminate_pair(
     return fill
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _factorise(
     band: Floats,
     front: Floats,
@@ -204,7 +204,7 @@ def _factorise(
     return negative
 
 
-@njit(cache=True, nogil=True, error_model="numpy")
+@kernel
 def _solve(
     pivots: Ints, inverses: Floats, starts: Ints, indices: Ints, entries: Floats, x: Floats
 ) -> None:

@@ -3,8 +3,7 @@
 A moment is a time in which v̇ without contact is constant: the whole of a control's interval where
 flight is a parabola, or else so short that it nearly is. What happens in it is found by roots.
 
-Letters as in `ContactMotion`. Numba's cache of this file does not see edits of `contact_motion`:
-delete ``__pycache__`` after one.
+Letters as in `ContactMotion`.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from drake_aigto.box import Factor, FunctionKind, Term
-from drake_aigto.jit import njit
+from drake_aigto.jit import kernel
 
 if TYPE_CHECKING:
     import numpy as np
@@ -39,26 +39,26 @@ def sum_range(
     return max(least, -LARGEST), min(most, LARGEST)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def affine(scale: float, offset: float, low: float, high: float) -> Range:
     """Returns the range of scale · x + offset over x in [low, high]."""
     a, b = scale * low + offset, scale * high + offset
     return min(a, b), max(a, b)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def product(a: float, b: float, c: float, d: float) -> Range:
     """Returns the range of x y over x in [a, b], y in [c, d], with 0 · ∞ = 0."""
     products = _times(a, c), _times(a, d), _times(b, c), _times(b, d)
     return min(products), max(products)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _times(a: float, b: float) -> float:
     return 0.0 if a == 0.0 or b == 0.0 else a * b
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def power_range(low: float, high: float, exponent: int) -> Range:
     """Returns the range of y^p over y in [low, high]."""
     a, b = low**exponent, high**exponent

@@ -1,7 +1,4 @@
-"""Bounds that equality rows leave: where no feasible point is, no box need search.
-
-Numba's cache of this file does not see edits of `ranges`: delete ``__pycache__`` after one.
-"""
+"""Bounds that equality rows leave: where no feasible point is, no box need search."""
 
 from __future__ import annotations
 
@@ -13,7 +10,7 @@ from numpy.typing import NDArray
 
 from drake_aigto.box import FunctionKind
 from drake_aigto.box.tables import stack_terms
-from drake_aigto.jit import njit
+from drake_aigto.jit import kernel
 from drake_aigto.solver.ranges import LARGEST, Range, affine, power_range, product
 
 if TYPE_CHECKING:
@@ -52,7 +49,7 @@ def tighten(nlp: PolynomialNlp) -> Bounds:
     return lower, upper
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _sweep(stacked: StackedTerms, lower: Floats, upper: Floats) -> float:
     """Tightens the bounds by each row once, in place.
 
@@ -92,7 +89,7 @@ def _sweep(stacked: StackedTerms, lower: Floats, upper: Floats) -> float:
     return most
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _tighten_factors(
     coefficient: float,
     least: float,
@@ -139,7 +136,7 @@ def _tighten_factors(
     return most
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _factor_range(factor: Any, low: float, high: float) -> Range:
     """Returns bounds of a factor over x in [low, high]; of a wave, those of its full swing."""
     y_low, y_high = affine(factor.scale, factor.offset, low, high)
@@ -153,7 +150,7 @@ def _factor_range(factor: Any, low: float, high: float) -> Range:
     return -np.inf, np.inf
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _root_range(a: float, b: float, exponent: int, low: float, high: float) -> Range:
     """Returns bounds of the y in [low, high] with y^p in [a, b]; upside down if there is none."""
     if exponent == 0:

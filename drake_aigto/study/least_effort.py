@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from drake_aigto.jit import njit
+from drake_aigto.jit import kernel
 
 Floats = NDArray[np.float64]
 
@@ -133,7 +133,7 @@ def extremes(cubic: ArrayLike, first: float, last: float) -> tuple[float, float]
     return min(values), max(values)
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _through(x: Floats, g: float, slope: Floats, bend: Floats) -> float:
     """Returns the effort of a flight x = (Δ, v₀, v₁, τ), with its derivatives."""
     way, start, end, t = x
@@ -157,7 +157,7 @@ def _through(x: Floats, g: float, slope: Floats, bend: Floats) -> float:
     return W**2 / t + 12 * S**2 / t**3
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _last(x: Floats, w: float, g: float, slope: Floats, bend: Floats) -> float:
     """Returns the cost of a last flight x = (Δ, v₀, ·, τ), with its derivatives."""
     way, start, _, t = x
@@ -178,7 +178,7 @@ def _last(x: Floats, w: float, g: float, slope: Floats, bend: Floats) -> float:
     return k * D**2
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _evaluate(
     z: Floats, rows: Floats, prices: Floats, g: float, gradient: Floats, hessian: Floats
 ) -> float:
@@ -209,7 +209,7 @@ def _evaluate(
     return total
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _factor(L: Floats) -> bool:
     """Puts the Cholesky factor in place of a matrix; returns whether it is safely positive."""
     for j in range(len(L)):
@@ -226,7 +226,7 @@ def _factor(L: Floats) -> bool:
     return True
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _solve_factored(L: Floats, gradient: Floats) -> Floats:
     """Returns −(L Lᵀ)⁻¹ times the gradient."""
     n = len(L)
@@ -243,7 +243,7 @@ def _solve_factored(L: Floats, gradient: Floats) -> Floats:
     return x
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _newton_step(gradient: Floats, hessian: Floats) -> Floats:
     """Returns a step down: Newton's, with the least shift, by powers of 4, that makes it one."""
     n = gradient.size
@@ -261,7 +261,7 @@ def _newton_step(gradient: Floats, hessian: Floats) -> Floats:
     return np.full(n, np.nan)  # Numbers overflowed.
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _longest(z: Floats, step: Floats, bounds: Floats) -> float:
     """Returns how much of a step to take at most, to stay within bounds."""
     n, length = z.size, 1.0
@@ -275,7 +275,7 @@ def _longest(z: Floats, step: Floats, bounds: Floats) -> float:
     return length
 
 
-@njit(cache=True, error_model="numpy")
+@kernel
 def _minimize(
     start: Floats, rows: Floats, prices: Floats, g: float, bounds: Floats
 ) -> tuple[Floats, float, bool]:

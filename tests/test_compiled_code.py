@@ -1,0 +1,144 @@
+"""Machine code that was kept on disk is used while its sources are as they were, and no longer."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+from import_graph import imported_modules
+
+import drake_aigto
+from drake_aigto import jit
+
+CHECKOUT = Path(drake_aigto.__file__).parents[1]
+
+# One kernel that calls another, reads a constant, and takes a record whose type is only named.
+SOURCES = {
+    "__init__.py": "",
+    "numbers.py": "STEP = 10.0\n",
+    "record.py": """
+from typing import NamedTuple
+class Record(NamedTuple):
+    first: float
+    second: float
+""",
+    "inlined.py": """
+from drake_aigto.jit import pasted
+@pasted
+def double(x):
+    return 2.0 * x
+""",
+    "called.py": """
+from drake_aigto.jit import inner
+@inner
+def raised(x):
+    return x + 1.0
+""",
+    "outer.py": """
+from __future__ import annotations
+from typing import TYPE_CHECKING
+from drake_aigto.jit import kernel
+from little.called import raised
+from little.inlined import double
+from .numbers import STEP
+if TYPE_CHECKING:
+    from little.record import Record
+@kernel
+def outer(record: Record):
+    return STEP * record.first + double(raised(record.second))
+""",
+}
+
+PROGRAM = """
+from numba.core import event
+from little.outer import outer
+from little import record
+record = getattr(record, "Record", None) or record.Pair
+with event.install_recorder("numba:compile") as recorder:
+    print(outer(record(first=1.0, second=2.0)), len(recorder.buffer) > 0)
+"""
+
+Run = Callable[[], tuple[float, bool]]
+
+
+@pytest.fixture
+def little(tmp_path: Path) -> Path:
+    """The folder of a package with kernels."""
+    folder = tmp_path / "little"
+    folder.mkdir()
+    for name, source in SOURCES.items():
+        (folder / name).write_text(source, encoding="utf-8")
+    return folder
+
+
+@pytest.fixture
+def run(little: Path) -> Run:
+    """Calls the outer kernel in a process of its own: its result, and whether it was compiled."""
+    path = os.pathsep.join([str(little.parent), str(CHECKOUT)])
+
+    def run_process() -> tuple[float, bool]:
+        told = subprocess.run(
+            [sys.executable, "-c", PROGRAM],
+            env={**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"},
+            capture_output=True,
+            text=True,
+        )
+        assert told.returncode == 0, told.stderr
+        value, compiled = told.stdout.split()
+        return float(value), compiled == "True"
+
+    return run_process
+
+
+def edit(file: Path, old: str, new: str) -> None:
+    """Changes a source."""
+    text = file.read_text(encoding="utf-8")
+    assert old in text
+    file.write_text(text.replace(old, new), encoding="utf-8")
+
+
+@pytest.mark.slow
+def test_an_edit_of_anything_that_a_kernel_uses_is_in_the_next_run(little: Path, run: Run) -> None:
+    assert run() == (16.0, True)
+    assert run() == (16.0, False)
+    edit(little / "inlined.py", "2.0 * x", "3.0 * x")
+    assert run() == (19.0, True)
+    edit(little / "called.py", "x + 1.0", "x + 2.0")
+    assert run() == (22.0, True)
+    edit(little / "numbers.py", "10.0", "20.0")
+    assert run() == (32.0, True)
+    # Numba's types of the two records are equal: it would read one field for the other.
+    fields = "    first: float\n    second: float\n"
+    edit(little / "record.py", fields, "    second: float\n    first: float\n")
+    assert run() == (32.0, True)
+    # What is on disk names a class that is gone.
+    for name in ("record.py", "outer.py"):
+        edit(little / name, "Record", "Pair")
+    assert run() == (32.0, True)
+    assert run() == (32.0, False)
+
+
+def imported_by_syntax(file: Path) -> set[Path]:
+    """Returns the files of the package that a file imports from, found by Python's own parser."""
+    package = ".".join(file.relative_to(CHECKOUT).parts[:-1])
+    found: set[Path] = set()
+    for name in imported_modules(file.read_text(encoding="utf-8"), package):
+        parts = name.split(".")
+        for module in (CHECKOUT.joinpath(*parts), CHECKOUT.joinpath(*parts[:-1])):
+            files = [module.with_suffix(".py"), module / "__init__.py", module / "__init__.pyi"]
+            files = [each for each in files if each.is_file()]
+            if parts[0] == "drake_aigto" and files:
+                found.update(files)
+                break
+    return found
+
+
+def test_the_imports_of_every_file_are_found() -> None:
+    folders = (("drake_aigto", str(CHECKOUT / "drake_aigto")),)
+    for file in (CHECKOUT / "drake_aigto").rglob("*.py"):
+        found = map(Path, jit._imported_files(str(file), folders))
+        assert set(found) == imported_by_syntax(file), file
