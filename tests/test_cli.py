@@ -175,7 +175,7 @@ def test_table1_prints_every_method_with_its_replays(
     for label in ("SNOPT, from zero", "IPOPT, from zero", ": median of 1", "AIGTO, annealing"):
         assert printed.count(label) == 2  # φ free, and φ ≥ 0
     written = json.loads(out.read_text(encoding="utf-8"))
-    cells = written["cells"]
+    cells = written["literal"]
     assert [cell["nonpenetration"] for cell in cells] == [False, True]
     for cell in cells:
         best = {m["name"]: m["entries"][-1]["candidate"]["cost"] for m in cell["methods"]}

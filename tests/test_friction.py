@@ -106,7 +106,7 @@ def test_friction_that_is_left_out_as_asked_changes_nothing_and_is_told(rough_ro
     assert drake is not None
     assert without is not None
     assert drake.cost == without.cost
-    assert Scenario.from_dict(found.scenario.to_dict()).friction == 0.0
+    assert Scenario.from_plain(found.scenario.to_plain()).friction == 0.0
     world = World.from_scenario(rough)
     said = "left out of the simulation, as asked: the model's, μ = 1"
     assert said in format_plan(found, world, Planner(rough).options)

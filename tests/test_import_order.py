@@ -15,6 +15,7 @@ PACKAGE = Path(drake_aigto.__file__).parent
 ROAD = (
     "errors",
     "count",
+    "plain",
     "jit",
     "linear",
     "world",

@@ -15,7 +15,8 @@ from hypothesis import strategies as st
 from replay_worlds import hold, make_diagram, make_scenario, shipped_world
 
 from drake_aigto import TrajectoryError
-from drake_aigto.errors import ModelError, PlanFileError
+from drake_aigto.errors import DamagedDataError, ModelError
+from drake_aigto.plain import from_plain, to_plain
 from drake_aigto.simulation.material import calc_dissipation, contact_delay
 from drake_aigto.simulation.replay import Replay, confirms, replay_drake, replay_event_driven
 from drake_aigto.world import Scenario, World
@@ -177,11 +178,11 @@ def test_the_cost_is_effort_and_goal_error() -> None:
 def test_a_replay_survives_json(replay_in: Any) -> None:
     for q in (1.0, 3.0):  # with and without a bounce
         replay = replay_in(shipped_world(), make_scenario(q, restitution=0.5), *hold(0.1, steps=9))
-        read = Replay.from_dict(json.loads(json.dumps(replay.to_dict())))
+        read = from_plain(Replay, json.loads(json.dumps(to_plain(replay))))
         assert read == replay and hash(read) == hash(replay)
         assert not read.positions.flags.writeable
-    with pytest.raises(PlanFileError, match="Replay: got no cost, expected the keys bounce_con"):
-        Replay.from_dict({k: v for k, v in replay.to_dict().items() if k != "cost"})
+    with pytest.raises(DamagedDataError, match=r"Replay\.cost: got nothing, expected a value"):
+        from_plain(Replay, {k: v for k, v in to_plain(replay).items() if k != "cost"})
 
 
 def test_the_energy_ratio_weighs_contacts_by_their_energy() -> None:
@@ -189,12 +190,12 @@ def test_the_energy_ratio_weighs_contacts_by_their_energy() -> None:
     replay = replay_event_driven(shipped_world(), scenario, *hold(-9.0))
     assert len(replay.energy_ratios) > 5
     assert replay.energy_ratio == pytest.approx(0.25)
-    fields = replay.to_dict() | {
+    fields = to_plain(replay) | {
         "bounce_times": [0.1, 0.2],
         "energies_before": [2.0, 1e-6],
         "energies_after": [0.5, 1e-6],
     }
-    assert Replay.from_dict(fields).energy_ratio == pytest.approx(0.25, rel=1e-5)
+    assert from_plain(Replay, fields).energy_ratio == pytest.approx(0.25, rel=1e-5)
 
 
 @pytest.mark.parametrize("replay_in", [replay_event_driven, replay_drake])

@@ -131,7 +131,7 @@ def test_what_is_added_is_text() -> None:
 
 
 def test_table_1_has_a_row_for_each_plan_with_all_that_it_is_worth(plan: Plan) -> None:
-    entry = Entry("AIGTO, rigid", plan.best, plan.replay, plan.holds)
+    entry = Entry("AIGTO, rigid", plan.best, plan.replay.drake, plan.holds)
     method = Method("AIGTO, rigid", (plan.cost,), 1, (entry,), 0.5)
     optimum = RigidOptimum(2.18e-4, (0.55,), (-1.7,), 1.0)
     table = Table1((), tuple(RigidCell(row, 1.0, optimum, 1e-4, (method,)) for row in (1, 3)))

@@ -35,7 +35,7 @@ def test_another_kind_is_refused(file: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('{"kind": "fru', r"results file .*json can't be read: got Unterminated string"),
+        ('{"kind": "fru', r"results file .*json is cut short or no JSON: got Unterminated string"),
         ("[1, 2]", r'got kind None, expected an object with a field "kind"'),
         ('{"kind": 3}', r"got kind 3, expected an object"),
     ],

@@ -129,8 +129,11 @@ def test_the_command_on_the_page_asks_the_studys_question(
     ("text", "message"),
     [
         ('{"kind": "weather"}', "got kind 'weather', expected one of 'scenarios'"),
-        ('{"kind": "scenarios"}', "is damaged: got KeyError: 'question'"),
-        ('{"kind": "scenarios", "question": []}', "is damaged: got AttributeError: 'list' object"),
+        ('{"kind": "scenarios"}', "is damaged: got no 'question'"),
+        (
+            '{"kind": "scenarios", "question": []}',
+            "is damaged: got ScenarioQuestion: got 'list'",
+        ),
         ("[]", 'expected an object with a field "kind"'),
     ],
 )

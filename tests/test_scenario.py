@@ -59,7 +59,7 @@ def test_copies_are_equal_hash_alike_and_stay_read_only(scenario: Scenario) -> N
         dataclasses.replace(scenario),
         copy.deepcopy(scenario),
         pickle.loads(pickle.dumps(scenario)),
-        Scenario.from_dict(scenario.to_dict()),
+        Scenario.from_plain(scenario.to_plain()),
     )
     for other in copies:
         assert other == scenario
@@ -86,7 +86,7 @@ def test_scenarios_that_differ_in_one_field_are_not_equal(field: str) -> None:
 def test_the_defaults_are_those_of_the_architecture() -> None:
     scenario = Scenario(**ENDS)
     assert scenario.num_steps == 200
-    assert scenario.to_dict() == {
+    assert scenario.to_plain() == {
         "model": "package://drake_aigto_models/point_mass_and_wall.sdf",
         "initial_position": [1.0],
         "initial_velocity": [-2.0],

@@ -14,6 +14,7 @@ from scenario_studies import TOYS
 
 from drake_aigto.baselines import registry
 from drake_aigto.errors import AigtoError, MissingExtraError, OptionsError, ScenarioError
+from drake_aigto.plain import from_plain, to_plain
 from drake_aigto.study.scenario_question import ScenarioQuestion
 from drake_aigto.study.spread import Spread
 
@@ -106,8 +107,8 @@ def test_a_question_is_the_same_after_json() -> None:
     question = ScenarioQuestion(
         count=3, goal=Spread.parse("0.1:0.30000000000000004"), methods=("aigto", "coast")
     )
-    data = json.loads(json.dumps(question.to_dict()))
-    assert ScenarioQuestion.from_dict(data) == question
+    data = json.loads(json.dumps(to_plain(question)))
+    assert from_plain(ScenarioQuestion, data) == question
 
 
 @pytest.mark.parametrize(

@@ -206,8 +206,8 @@ def test_another_studys_file_is_refused_with_what_differs(
     ("old", "new", "message"),
     [
         ('"goal": 0.5', '"goal": 0.6', "got other numbers for scenario 1 than are drawn now"),
-        ('"optimum"', '"ideal"', "is damaged: got KeyError: 'optimum'"),
-        ('"mass": "1.0"', '"mass": "much"', "is damaged: got OptionsError: values: got much"),
+        ('"optimum"', '"ideal"', "is damaged: got results.0..optimum: got nothing"),
+        ('"mass": "1.0"', '"mass": "much"', "is damaged: got ScenarioQuestion.mass: got values"),
     ],
 )
 def test_a_damaged_file_is_refused(path: Path, old: str, new: str, message: str) -> None:

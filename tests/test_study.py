@@ -8,6 +8,7 @@ import json
 import pytest
 from scenario_studies import Inline
 
+from drake_aigto.plain import to_plain
 from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions, Replays
 from drake_aigto.study import ROWS, Cell, RigidCell, RigidOptimum, run_rigid_cell, run_table1
 from drake_aigto.study import table1 as table1_module
@@ -32,8 +33,8 @@ def test_a_rigid_plan_is_the_exact_optimum_in_both_simulations(row: int) -> None
 
 def test_a_rigid_cell_is_plain_json() -> None:
     cell = run_rigid_cell(4, confirm=False)
-    data = json.loads(json.dumps(cell.to_dict(), allow_nan=False))
-    assert (data["row"], data["scenario"], data["restitution"]) == (4, "table1/4", 1.0)
+    data = json.loads(json.dumps(to_plain(cell)))
+    assert (data["row"], data["restitution"]) == (4, 1.0)
     assert data["optimum"]["bounce_times"] == list(cell.optimum.bounce_times)
     (method,) = data["methods"]
     assert method["name"] == "AIGTO, rigid"
@@ -44,7 +45,8 @@ def test_a_rigid_cell_is_plain_json() -> None:
 def test_a_rigid_plan_that_fails_is_shown_as_failing(monkeypatch: pytest.MonkeyPatch) -> None:
     scenario = dataclasses.replace(Scenario.named("table1/4"), time_step=0.05)
     found = Planner(scenario, PlanOptions(confirm=False)).plan()
-    missed = Replays(dataclasses.replace(found.replay.event_driven, cost=1.0), None)
+    rigid = found.replay.event_driven
+    missed = Replays(rigid, dataclasses.replace(rigid, simulator="drake", cost=1.0))
     error = PlanningError("nothing holds")
 
     def fail(planner: Planner) -> Plan:

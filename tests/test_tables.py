@@ -45,12 +45,11 @@ def with_replays(plan: Plan, **changes: Any) -> Plan:
 def rigid_cell(plan: Plan, optimum: float, drake: bool = True) -> RigidCell:
     """Returns the cell of a plan whose replays cost 1 % more than 1e-4, and 1 % less."""
     rigid, compliant = plan.replay
-    replays = Replays(
-        dataclasses.replace(rigid, cost=1.01e-4),
-        dataclasses.replace(compliant, cost=0.99e-4) if drake else None,
+    candidate = dataclasses.replace(
+        plan.best, cost=1.00001e-4, replay=dataclasses.replace(rigid, cost=1.01e-4)
     )
-    candidate = dataclasses.replace(plan.best, cost=1.00001e-4)
-    entry = Entry("AIGTO, rigid", candidate, replays, True)
+    confirmed = dataclasses.replace(compliant, cost=0.99e-4) if drake else None
+    entry = Entry("AIGTO, rigid", candidate, confirmed, True)
     method = Method("AIGTO, rigid", (candidate.cost,), 1, (entry,), 0.5)
     return RigidCell(1, 0.8, RigidOptimum(optimum, (0.5123,), (-2.0,), 1.0), 1.2e-4, (method,))
 

@@ -10,6 +10,7 @@ from matplotlib.figure import Figure
 from benchmarks.robustness.figures import markdown_robustness, plot_robustness
 from benchmarks.robustness.question import RobustnessQuestion
 from benchmarks.robustness.results import RobustnessStudy
+from drake_aigto.plain import to_plain
 from drake_aigto.show.images import Images
 
 _INTRODUCTION = """\
@@ -64,7 +65,7 @@ def _study_parts(study: RobustnessStudy, name: str, images: Images) -> Iterator[
 def command_of(question: RobustnessQuestion) -> str:
     """Returns the command line that asks a question."""
     words = ["python -m benchmarks robustness"]
-    asked, usual = question.to_dict(), RobustnessQuestion().to_dict()
+    asked, usual = to_plain(question), to_plain(RobustnessQuestion())
     for name, value in asked.items():
         if value == usual[name] and name not in ("percent", "seed"):
             continue

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from benchmarks.robustness.perturbation import (
     Perturbation,
@@ -110,18 +109,3 @@ class RobustnessQuestion:
             *perturb_one_at_a_time(size, scenario),
             *perturb_at_random(size, self.samples, self.seed),
         ]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Returns plain JSON values."""
-        return {
-            name: list(value) if isinstance(value, tuple) else value
-            for name, value in dataclasses.asdict(self).items()
-        }
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> RobustnessQuestion:
-        """Returns the question that `to_dict` gave."""
-        fields: dict[str, Any] = {
-            name: tuple(value) if isinstance(value, list) else value for name, value in data.items()
-        }
-        return cls(**fields)

@@ -6,9 +6,10 @@ import json
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from benchmarks.robustness.question import RobustnessQuestion
+from drake_aigto.plain import from_plain, to_plain
 from drake_aigto.study.results_file import read_results, refuse_damaged, round_to
 from drake_aigto.world import Scenario
 from drake_aigto.world.files import write_text
@@ -18,7 +19,7 @@ KIND = "robustness"
 OURS, GRADIENT = "ours", "gradient"
 # How it is carried out.
 OPEN_LOOP, FEEDBACK, DRAKE = "open loop", "LQR", "LQR on Drake's plant"
-# Significant digits in files.
+# Significant digits of results.
 _DIGITS = 6
 
 
@@ -28,6 +29,11 @@ class Outcome(NamedTuple):
     cost: float  # of the control that was applied, and of the end
     goal_error: float  # ‖q(T) − goal‖ [m]
     keeps_contacts: bool  # whether the contacts are those of the plan, in its order
+
+    @classmethod
+    def from_plain(cls, data: object) -> Outcome:
+        """Returns the outcome that files have as a list."""
+        return cls(*from_plain(tuple[float, float, bool], data))
 
 
 @dataclass(frozen=True)
@@ -50,33 +56,6 @@ class PlanResult:
     outcomes: Mapping[str, tuple[Outcome, ...]] = field(default_factory=dict)
     error: str | None = None
 
-    def to_dict(self) -> dict[str, Any]:
-        """Returns plain JSON values, rounded."""
-        if self.error is not None:
-            return {"method": self.method, "error": self.error}
-        return {
-            "method": self.method,
-            "cost": _round(self.cost),
-            "goal_error": _round(self.goal_error),
-            "bounce_times": [_round(time) for time in self.bounce_times],
-            "outcomes": {
-                name: [[_round(cost), _round(miss), kept] for cost, miss, kept in outcomes]
-                for name, outcomes in self.outcomes.items()
-            },
-        }
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> PlanResult:
-        """Returns the result that `to_dict` gave."""
-        parts = {
-            "bounce_times": tuple(data.get("bounce_times", ())),
-            "outcomes": {
-                name: tuple(Outcome(*outcome) for outcome in outcomes)
-                for name, outcomes in data.get("outcomes", {}).items()
-            },
-        }
-        return cls(**{**data, **parts})
-
 
 @dataclass(frozen=True)
 class TaskResult:
@@ -98,28 +77,6 @@ class TaskResult:
     optima: tuple[float, ...]
     plans: tuple[PlanResult, ...]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Returns plain JSON values, rounded."""
-        return {
-            "name": self.name,
-            "scenario": self.scenario.to_dict(),
-            "optimum": _round(self.optimum),
-            "kinds": list(self.kinds),
-            "optima": [_round(optimum) for optimum in self.optima],
-            "plans": [plan.to_dict() for plan in self.plans],
-        }
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> TaskResult:
-        """Returns the result that `to_dict` gave."""
-        parts = {
-            "scenario": Scenario.from_dict(data["scenario"]),
-            "kinds": tuple(data["kinds"]),
-            "optima": tuple(data["optima"]),
-            "plans": tuple(map(PlanResult.from_dict, data["plans"])),
-        }
-        return cls(**{**data, **parts})
-
 
 @dataclass(frozen=True)
 class RobustnessStudy:
@@ -139,21 +96,13 @@ class RobustnessStudy:
         names = [task.name for task in self.question.tasks()]
         return replace(self, results=tuple(done[name] for name in names if name in done))
 
-    def to_dict(self) -> dict[str, Any]:
-        """Returns plain JSON values, rounded."""
-        return {
-            "kind": KIND,
-            "question": self.question.to_dict(),
-            "results": [result.to_dict() for result in self.results],
-        }
-
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes a JSON file that `load` reads, whole or not at all.
 
         Raises:
             OutputFileError: the file can't be written.
         """
-        write_text(path, json.dumps(self.to_dict()) + "\n")
+        write_text(path, json.dumps({"kind": KIND, **to_plain(self)}) + "\n")
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> RobustnessStudy:
@@ -165,10 +114,11 @@ class RobustnessStudy:
         data = read_results(path, KIND)
         with refuse_damaged(path):
             return cls(
-                RobustnessQuestion.from_dict(data["question"]),
-                tuple(map(TaskResult.from_dict, data["results"])),
+                from_plain(RobustnessQuestion, data["question"]),
+                from_plain(tuple[TaskResult, ...], data["results"], "results"),
             )
 
 
-def _round(value: float) -> float:
+def round_as_filed(value: float) -> float:
+    """Returns a number with as many digits as results have."""
     return round_to(value, _DIGITS)

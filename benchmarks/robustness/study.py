@@ -18,11 +18,13 @@ from benchmarks.robustness.results import (
     PlanResult,
     RobustnessStudy,
     TaskResult,
+    round_as_filed,
 )
 from drake_aigto.control import TrackingController, track_drake, track_event_driven
 from drake_aigto.count import Count
 from drake_aigto.errors import AigtoError, StudyError
 from drake_aigto.local.drake_solvers import solve_with_drake
+from drake_aigto.plain import to_plain
 from drake_aigto.planning import Planner, PlanOptions
 from drake_aigto.simulation import Replay, replay_event_driven
 from drake_aigto.simulation.contacts import find_contacts
@@ -70,7 +72,7 @@ def run_robustness(
     known = RobustnessStudy(question)
     if path and check_results_file(path, resume):
         known = RobustnessStudy.load(path)
-        check_same_question(path, known.question.to_dict(), question.to_dict())
+        check_same_question(path, to_plain(known.question), to_plain(question))
     if executor is None:
         with Workers(workers) as pool:
             return _run(known, path, pool, progress)
@@ -120,9 +122,9 @@ def run_task(task: Task, question: RobustnessQuestion) -> TaskResult:
     return TaskResult(
         name=task.name,
         scenario=scenario,
-        optimum=rigid_optimum(world, scenario).cost,
+        optimum=round_as_filed(rigid_optimum(world, scenario).cost),
         kinds=tuple(perturbation.kind for perturbation in perturbations),
-        optima=tuple(rigid_optimum(*truth).cost for truth in truths),
+        optima=tuple(round_as_filed(rigid_optimum(*truth).cost) for truth in truths),
         plans=tuple(
             _judge(method, make_plan, world, scenario, truths, question)
             for method, make_plan in planners.items()
@@ -169,9 +171,9 @@ def _judge(
         runs[DRAKE] = lambda world, scenario: track_drake(world, scenario, controller).replay
     return PlanResult(
         method,
-        nominal.cost,
-        nominal.goal_error,
-        nominal.bounce_times,
+        round_as_filed(nominal.cost),
+        round_as_filed(nominal.goal_error),
+        tuple(map(round_as_filed, nominal.bounce_times)),
         {
             name: tuple(_summarize(run(*truth), contacts) for truth in truths)
             for name, run in runs.items()
@@ -180,4 +182,8 @@ def _judge(
 
 
 def _summarize(replay: Replay, contacts: tuple[int, ...]) -> Outcome:
-    return Outcome(replay.cost, replay.goal_error, replay.bounce_contacts == contacts)
+    return Outcome(
+        round_as_filed(replay.cost),
+        round_as_filed(replay.goal_error),
+        replay.bounce_contacts == contacts,
+    )

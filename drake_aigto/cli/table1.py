@@ -9,6 +9,7 @@ from typing import Any
 from drake_aigto.cli.flags import add_command, add_confirm, add_json, natural, positive
 from drake_aigto.cli.progress import show_progress
 from drake_aigto.cli.status import FINE
+from drake_aigto.plain import to_plain
 from drake_aigto.show.tables import format_table1
 from drake_aigto.study import ROWS, run_table1
 from drake_aigto.world.files import check_writable, write_text
@@ -59,7 +60,7 @@ def _table1(options: argparse.Namespace) -> int:
             progress=progress,
         )
     if options.json:
-        write_text(options.json, json.dumps(table.to_dict()) + "\n")
+        write_text(options.json, json.dumps(to_plain(table)) + "\n")
     if options.html:
         from drake_aigto.show import report_table1
 

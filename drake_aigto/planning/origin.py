@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Literal
 
 from drake_aigto.planning.options import Rung
-from drake_aigto.transcription import Touch, TouchSequence
+from drake_aigto.transcription import TouchSequence
 
 ChangeName = Literal["seen", "dropped", "added", "swapped", "moved", "left out"]
 
@@ -55,16 +54,6 @@ class Origin:
     def changed(self, kind: ChangeName, of: TouchSequence) -> Origin:
         """Returns the origin of a candidate whose sequence was made by changing this one's."""
         return dataclasses.replace(self, changes=(*self.changes, Change(kind, of)))
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Origin:
-        """Returns the origin whose fields these are, as plain JSON values."""
-        rung = None if data["rung"] is None else Rung(**data["rung"])
-        changes = (
-            Change(each["kind"], tuple(Touch(**touch) for touch in each["of"]))
-            for each in data["changes"]
-        )
-        return cls(data["proposer"], rung, tuple(changes))
 
     def __str__(self) -> str:
         """Returns it in words; a change that was made several times is told once."""

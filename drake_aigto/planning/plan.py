@@ -6,11 +6,11 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
-from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from drake_aigto.errors import AigtoError, PlanFileError
+from drake_aigto.errors import DamagedDataError, PlanFileError
+from drake_aigto.plain import from_plain, read_json, to_plain
 from drake_aigto.planning.origin import Origin
 from drake_aigto.simulation.contacts import PlannedContact
 from drake_aigto.simulation.replay import Replay, confirms
@@ -105,32 +105,6 @@ class Candidate:
         """Returns whether all replays of this candidate's control confirm it."""
         return all(confirms(self.cost, replay, self.goal_error) for replay in replays)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Returns the fields as plain JSON values."""
-        return {
-            "origin": asdict(self.origin),
-            "start_cost": self.start_cost,
-            "start_defects": dict(self.start_defects),
-            "trajectory": self.trajectory.to_dict(),
-            "cost": self.cost,
-            "goal_error": self.goal_error,
-            "defects": dict(self.defects),
-            "max_penetration": self.max_penetration,
-            "contacts": [asdict(contact) for contact in self.contacts],
-            "replay": self.replay.to_dict(),
-        }
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Candidate:
-        """Returns the candidate that `to_dict` gave."""
-        parts = {
-            "origin": Origin.from_dict(data["origin"]),
-            "trajectory": Trajectory.from_dict(data["trajectory"]),
-            "contacts": tuple(PlannedContact(**contact) for contact in data["contacts"]),
-            "replay": Replay.from_dict(data["replay"]),
-        }
-        return cls(**{**data, **parts})
-
 
 @dataclass(frozen=True)
 class PlanStats:
@@ -151,10 +125,6 @@ class PlanStats:
     box_contacts: tuple[int | None, ...] = ()
     flight_left_out: float | None = None
 
-    def __post_init__(self) -> None:
-        """Converts lists to tuples."""
-        object.__setattr__(self, "box_contacts", tuple(self.box_contacts))
-
 
 @dataclass(frozen=True)
 class Plan:
@@ -173,6 +143,11 @@ class Plan:
     candidates: tuple[Candidate, ...]
     replay: Replays
     stats: PlanStats
+
+    def __post_init__(self) -> None:
+        """Refuses a plan without candidates."""
+        if not self.candidates:
+            raise PlanFileError("candidates", got="none", expected="at least one")
 
     @property
     def best(self) -> Candidate:
@@ -199,46 +174,14 @@ class Plan:
         """Whether every replay that was run confirms the chosen trajectory (`replay.confirms`)."""
         return self.best.holds(self.replay)
 
-    def to_dict(self) -> dict[str, Any]:
-        """Returns the plan as plain JSON values."""
-        drake = self.replay.drake
-        return {
-            "format": FORMAT,
-            "version": FORMAT_VERSION,
-            "scenario": self.scenario.to_dict(),
-            "transcription": self.transcription,
-            "candidates": [candidate.to_dict() for candidate in self.candidates],
-            "replay": {
-                "event_driven": self.replay.event_driven.to_dict(),
-                "drake": None if drake is None else drake.to_dict(),
-            },
-            "stats": {**asdict(self.stats), "seconds": dict(self.stats.seconds)},
-        }
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> Plan:
-        """Returns the plan that `to_dict` gave."""
-        drake = data["replay"]["drake"]
-        if not data["candidates"]:
-            raise PlanFileError("candidates", got="none", expected="at least one")
-        return cls(
-            scenario=Scenario.from_dict(data["scenario"]),
-            transcription=data["transcription"],
-            candidates=tuple(Candidate.from_dict(item) for item in data["candidates"]),
-            replay=Replays(
-                Replay.from_dict(data["replay"]["event_driven"]),
-                None if drake is None else Replay.from_dict(drake),
-            ),
-            stats=PlanStats(**data["stats"]),
-        )
-
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes a JSON file that `load` reads back to the same numbers, whole or not at all.
 
         Raises:
             OutputFileError: the file can't be written.
         """
-        write_text(path, json.dumps(self.to_dict()) + "\n")
+        head = {"format": FORMAT, "version": FORMAT_VERSION}
+        write_text(path, json.dumps({**head, **to_plain(self)}) + "\n")
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Plan:
@@ -247,37 +190,23 @@ class Plan:
         Raises:
             PlanFileError: no such file, cut short, not a plan, or of another version.
         """
-        data = _read_json(path)
-        if not isinstance(data, dict) or data.get("format") != FORMAT:
+        data = read_json(path, "plan file", PlanFileError)
+        if not isinstance(data, dict) or data.pop("format", None) != FORMAT:
             raise PlanFileError(
                 f"{path} is not a plan file",
-                got=f"format {data.get('format')!r}" if isinstance(data, dict) else "no mapping",
-                expected=f"format {FORMAT!r}",
+                expected=f"an object with the format {FORMAT!r}",
                 remedy="Write one with `drake-aigto plan SCENARIO --json FILE`.",
             )
-        if data.get("version") != FORMAT_VERSION:
+        if (version := data.pop("version", None)) != FORMAT_VERSION:
             raise PlanFileError(
                 f"plan file {path}",
-                got=f"version {data.get('version')!r}",
+                got=f"version {version!r}",
                 expected=f"version {FORMAT_VERSION}",
                 remedy="Plan again with this version of drake_aigto.",
             )
         try:
-            return cls.from_dict(data)
-        except (KeyError, TypeError, IndexError, AttributeError, AigtoError) as error:
+            return from_plain(cls, data)
+        except DamagedDataError as error:
             raise PlanFileError(
-                f"plan file {path} is damaged",
-                got=f"{type(error).__name__}: {error}",
-                remedy="Plan again.",
+                f"plan file {path} is damaged", got=error, remedy="Plan again."
             ) from error
-
-
-def _read_json(path: str | os.PathLike[str]) -> Any:
-    try:
-        return json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise PlanFileError(f"plan file {path} can't be read", got=error) from error
-    except json.JSONDecodeError as error:
-        raise PlanFileError(
-            f"plan file {path} is cut short or no JSON", got=error, remedy="Plan again."
-        ) from error

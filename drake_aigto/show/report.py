@@ -268,7 +268,7 @@ def _add_reproduction(page: Page, plan: Plan) -> None:
         "Save these lines as scenario.yaml and plan again. Nothing in a search is random; if the "
         "plan was made with options of its own, give the same ones."
     )
-    page.code(yaml.safe_dump(plan.scenario.to_dict(), sort_keys=False, allow_unicode=True))
+    page.code(yaml.safe_dump(plan.scenario.to_plain(), sort_keys=False, allow_unicode=True))
     literal = " --transcription literal" if plan.transcription == "literal" else ""
     page.code(
         f"pip install drake_aigto=={__version__}\n"

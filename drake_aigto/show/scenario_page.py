@@ -10,6 +10,7 @@ from pathlib import Path
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from drake_aigto.plain import to_plain
 from drake_aigto.show.images import Images
 from drake_aigto.show.scenario_figures import plot_costs, plot_map, plot_success_over_time
 from drake_aigto.show.scenario_tables import describe_unit, markdown_study
@@ -90,7 +91,7 @@ def command_of(question: ScenarioQuestion, flags: Mapping[str, str] = _FLAGS) ->
         flags: field → flag, where they differ.
     """
     words = [question.command]
-    asked, usual = question.to_dict(), type(question)().to_dict()
+    asked, usual = to_plain(question), to_plain(type(question)())
     for name, value in asked.items():
         if value == usual[name] and name not in ("count", "seed"):
             continue

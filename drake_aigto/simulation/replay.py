@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt  # At run time: files are read by the fields' types.
 
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.simulation.compliance import calc_compliance_error
@@ -17,8 +18,6 @@ from drake_aigto.simulation.rollout import Parabolas
 from drake_aigto.trajectory import ArrayRecord, check_control, read_only
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
     from drake_aigto.world import Scenario, World
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
@@ -11,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from drake_aigto.errors import AigtoError, ResultsFileError
+from drake_aigto.plain import read_json
 from drake_aigto.world.files import check_writable
 
 
@@ -43,10 +43,7 @@ def read_results(path: str | os.PathLike[str], kind: str | None = None) -> dict[
     Raises:
         ResultsFileError: no such file, damaged, or of another kind.
     """
-    try:
-        data = json.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ResultsFileError(f"results file {path} can't be read", got=error) from error
+    data = read_json(path, "results file", ResultsFileError)
     found = data.get("kind") if isinstance(data, dict) else None
     if not isinstance(found, str) or kind not in (None, found):
         raise ResultsFileError(
@@ -66,12 +63,15 @@ def refuse_damaged(path: str | os.PathLike[str]) -> Iterator[None]:
     """
     try:
         yield
-    except (AigtoError, AttributeError, KeyError, TypeError, ValueError) as error:
-        raise ResultsFileError(
-            f"results file {path} is damaged",
-            got=f"{type(error).__name__}: {error}",
-            remedy="Delete it, and measure again.",
-        ) from error
+    except KeyError as error:
+        raise _refuse_damaged(path, f"no {error}") from error
+    except (AigtoError, TypeError) as error:
+        raise _refuse_damaged(path, error) from error
+
+
+def _refuse_damaged(path: str | os.PathLike[str], got: object) -> ResultsFileError:
+    remedy = "Delete it, and measure again."
+    return ResultsFileError(f"results file {path} is damaged", got=got, remedy=remedy)
 
 
 def check_same_question(

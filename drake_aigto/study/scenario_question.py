@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import itertools
 import math
 from collections.abc import Callable, Iterator, Mapping
@@ -173,25 +172,3 @@ class ScenarioQuestion:
     def _make(self, values: Mapping[str, float]) -> Scenario:
         fields: dict[str, Any] = {field: values[name] for name, field in _FIELDS.items()}
         return Scenario(time_step=values["duration"] / self.num_steps, **fields)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Returns plain JSON values."""
-        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return {name: _to_json(value) for name, value in values.items()}
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> ScenarioQuestion:
-        """Returns the question that `to_dict` gave."""
-        return cls(**{name: _from_json(name, value) for name, value in data.items()})
-
-
-def _from_json(name: str, value: Any) -> Any:
-    if name in _FIELDS:
-        return Spread.parse(value)
-    return tuple(value) if isinstance(value, list) else value
-
-
-def _to_json(value: object) -> object:
-    if isinstance(value, Spread):
-        return str(value)
-    return list(value) if isinstance(value, tuple) else value

@@ -7,9 +7,9 @@ import math
 import os
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
-from typing import Any
 
 from drake_aigto.errors import ResultsFileError
+from drake_aigto.plain import from_plain, to_plain
 from drake_aigto.study.results_file import read_results, refuse_damaged, round_to
 from drake_aigto.study.scenario_question import PLANNER, ScenarioQuestion
 from drake_aigto.world import Scenario
@@ -71,28 +71,6 @@ class MethodRun:
             tuple(sorted(kept.items())), seconds, self.evaluations, self.error, self.boxes
         )
 
-    def to_dict(self) -> dict[str, Any]:
-        """Returns plain JSON values."""
-        values: dict[str, Any] = {
-            "improvements": [list(each) for each in self.improvements],
-            "seconds": self.seconds,
-            "evaluations": self.evaluations,
-        }
-        if self.error is not None:
-            values["error"] = self.error
-        return {**values, "boxes": list(self.boxes)} if self.boxes else values
-
-    @classmethod
-    def from_dict(cls, data: Mapping[str, Any]) -> MethodRun:
-        """Returns the run that `to_dict` gave."""
-        return cls(
-            tuple((float(at), float(cost)) for at, cost in data["improvements"]),
-            float(data["seconds"]),
-            int(data["evaluations"]),
-            data.get("error"),
-            tuple(data.get("boxes", ())),
-        )
-
 
 @dataclass(frozen=True)
 class ScenarioResult:
@@ -122,25 +100,6 @@ class ScenarioResult:
         """What the planner took [s]; None while it is not done."""
         run = self.runs.get(PLANNER)
         return None if run is None or run.error == DIED else run.seconds
-
-    def to_dict(self) -> dict[str, Any]:
-        """Returns plain JSON values."""
-        scenario = self.scenario
-        task = {
-            "start": scenario.initial_position[0],
-            "velocity": scenario.initial_velocity[0],
-            "goal": scenario.goal_position[0],
-            "restitution": scenario.restitution,
-            "mass": scenario.mass,
-            "duration": scenario.duration,
-        }
-        return {
-            "number": self.number,
-            **{name: round_to(float(value), COST_DIGITS) for name, value in task.items()},
-            "optimum": self.optimum,
-            "contacts": self.contacts,
-            "runs": {method: run.to_dict() for method, run in self.runs.items()},
-        }
 
 
 @dataclass(frozen=True)
@@ -199,8 +158,8 @@ class ScenarioStudy:
         Raises:
             OutputFileError: it can't be written.
         """
-        head = {"kind": self.question.kind, "question": self.question.to_dict()}
-        lines = ",\n".join(json.dumps(result.to_dict()) for result in self.results)
+        head = {"kind": self.question.kind, "question": to_plain(self.question)}
+        lines = ",\n".join(json.dumps(to_plain(_Line.of(each))) for each in self.results)
         text = json.dumps(head, indent=1).removesuffix("\n}")
         write_text(path, f'{text},\n "results": [\n{lines}\n]}}\n')
 
@@ -219,10 +178,11 @@ class ScenarioStudy:
         """
         data = read_results(path, question_type.kind)
         with refuse_damaged(path):
-            question = question_type.from_dict(data["question"])
-            results = tuple(_read_result(question, each) for each in data["results"])
-        for result, each in zip(results, data["results"], strict=True):
-            if {**each, **result.to_dict()} != each:
+            question = from_plain(question_type, data["question"])
+            lines = from_plain(tuple[_Line, ...], data["results"], "results")
+        results = tuple(line.result(question) for line in lines)
+        for result, line in zip(results, lines, strict=True):
+            if _Line.of(result) != line:
                 raise ResultsFileError(
                     f"results file {path}",
                     got=f"other numbers for scenario {result.number} than are drawn now",
@@ -231,10 +191,43 @@ class ScenarioStudy:
         return cls(question, results)
 
 
-def _read_result(question: ScenarioQuestion, data: Mapping[str, Any]) -> ScenarioResult:
-    """Returns a result with its scenario as it is drawn: a file has rounded numbers."""
-    number = int(data["number"])
-    runs = {method: MethodRun.from_dict(run) for method, run in data["runs"].items()}
-    return ScenarioResult(
-        number, question.scenario(number), float(data["optimum"]), int(data["contacts"]), runs
-    )
+@dataclass(frozen=True)
+class _Line:
+    """A result as files have it: the scenario is drawn again, and its rounded numbers compared."""
+
+    number: int
+    start: float
+    velocity: float
+    goal: float
+    restitution: float
+    mass: float
+    duration: float
+    optimum: float
+    contacts: int
+    runs: Mapping[str, MethodRun]
+
+    @classmethod
+    def of(cls, result: ScenarioResult) -> _Line:
+        """Returns the line of a result."""
+        scenario = result.scenario
+        task = {
+            "start": scenario.initial_position[0],
+            "velocity": scenario.initial_velocity[0],
+            "goal": scenario.goal_position[0],
+            "restitution": scenario.restitution,
+            "mass": scenario.mass,
+            "duration": scenario.duration,
+        }
+        rounded = {name: round_to(float(value), COST_DIGITS) for name, value in task.items()}
+        return cls(
+            number=result.number,
+            optimum=result.optimum,
+            contacts=result.contacts,
+            runs=result.runs,
+            **rounded,
+        )
+
+    def result(self, question: ScenarioQuestion) -> ScenarioResult:
+        """Returns the result of the scenario that the question has under this number."""
+        scenario = question.scenario(self.number)
+        return ScenarioResult(self.number, scenario, self.optimum, self.contacts, self.runs)

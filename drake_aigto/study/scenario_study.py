@@ -13,6 +13,7 @@ from typing import TypeAlias
 
 from drake_aigto.count import Count
 from drake_aigto.errors import StudyError
+from drake_aigto.plain import to_plain
 from drake_aigto.study.results_file import (
     check_results_file,
     check_same_question,
@@ -82,7 +83,7 @@ def run_scenario_study(
 def _load(question: ScenarioQuestion, path: str | os.PathLike[str]) -> tuple[ScenarioResult, ...]:
     """Returns the results in a file, if they are of this question or of a part of it."""
     study = ScenarioStudy.load(path, type(question))
-    here, there = question.to_dict(), study.question.to_dict()
+    here, there = to_plain(question), to_plain(study.question)
     if study.question.count <= question.count:
         there["count"] = here["count"]
     if set(study.question.methods) <= set(question.methods):

@@ -48,6 +48,15 @@ class Spread:
             raise OptionsError("values", got=" ".join(words), expected=_SYNTAX) from None
         return cls(values, is_range)
 
+    @classmethod
+    def from_plain(cls, text: str) -> Spread:
+        """Returns what `to_plain` gave."""
+        return cls.parse(text)
+
+    def to_plain(self) -> str:
+        """Returns the text that files have."""
+        return str(self)
+
     @property
     def num_turns(self) -> int:
         """After so many scenarios the values come again."""

@@ -25,6 +25,7 @@ from drake_aigto.planning import (
     Replays,
 )
 from drake_aigto.planning.options import AlgorithmName, LocalSolverName
+from drake_aigto.simulation import Replay
 from drake_aigto.simulation.material import contact_delay
 from drake_aigto.study.rigid_optimum import RigidOptimum, rigid_optimum
 from drake_aigto.study.workers import Workers
@@ -68,24 +69,19 @@ class Entry:
     Attributes:
         label: what it is.
         candidate: the run.
-        replays: simulations of its control.
-        holds: whether they all confirm it.
+        drake: its control on Drake's plant, if that was asked for.
+        holds: whether that and the candidate's own replay confirm it.
     """
 
     label: str
     candidate: Candidate
-    replays: Replays
+    drake: Replay | None
     holds: bool
 
-    def to_dict(self) -> dict[str, Any]:
-        """Returns plain JSON values."""
-        drake = self.replays.drake
-        return {
-            "label": self.label,
-            "candidate": self.candidate.to_dict(),
-            "drake": None if drake is None else drake.to_dict(),
-            "holds": self.holds,
-        }
+    @property
+    def replays(self) -> Replays:
+        """Both simulations of its control."""
+        return Replays(self.candidate.replay, self.drake)
 
 
 @dataclass(frozen=True)
@@ -111,16 +107,6 @@ class Method:
         """The run of least cost that met the rows; if none did, that of least defect."""
         return self.entries[-1]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Returns plain JSON values."""
-        return {
-            "name": self.name,
-            "costs": list(self.costs),
-            "num_runs": self.num_runs,
-            "entries": [entry.to_dict() for entry in self.entries],
-            "seconds": self.seconds,
-        }
-
 
 @dataclass(frozen=True)
 class Cell:
@@ -135,16 +121,6 @@ class Cell:
     row: int
     nonpenetration: bool
     methods: tuple[Method, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Returns plain JSON values."""
-        return {
-            "row": self.row,
-            "scenario": f"table1/{self.row}",
-            "nonpenetration": self.nonpenetration,
-            "paper": PAPER_COSTS[self.row]._asdict(),
-            "methods": [method.to_dict() for method in self.methods],
-        }
 
 
 @dataclass(frozen=True)
@@ -165,21 +141,6 @@ class RigidCell:
     contact_delay: float
     methods: tuple[Method, ...]
 
-    def to_dict(self) -> dict[str, Any]:
-        """Returns plain JSON values."""
-        return {
-            "row": self.row,
-            "scenario": f"table1/{self.row}",
-            "restitution": self.restitution,
-            "optimum": {
-                "cost": self.optimum.cost,
-                "bounce_times": list(self.optimum.bounce_times),
-                "impact_velocities": list(self.optimum.impact_velocities),
-            },
-            "contact_delay": self.contact_delay,
-            "methods": [method.to_dict() for method in self.methods],
-        }
-
 
 @dataclass(frozen=True)
 class Table1:
@@ -192,13 +153,6 @@ class Table1:
 
     literal: tuple[Cell, ...]
     rigid: tuple[RigidCell, ...]
-
-    def to_dict(self) -> dict[str, Any]:
-        """Returns plain JSON values."""
-        return {
-            "cells": [cell.to_dict() for cell in self.literal],
-            "rigid": [cell.to_dict() for cell in self.rigid],
-        }
 
 
 def run_cell(
@@ -233,7 +187,7 @@ def run_rigid_cell(row: int, confirm: bool = True) -> RigidCell:
     scenario = Scenario.named(f"table1/{row}")
     planner = Planner(scenario, PlanOptions(transcription="rigid", confirm=confirm))
     plan = _plan(planner)
-    entry = Entry(RIGID_METHOD, plan.best, plan.replay, plan.holds)
+    entry = Entry(RIGID_METHOD, plan.best, plan.replay.drake, plan.holds)
     method = Method(
         RIGID_METHOD,
         tuple(sorted(run.cost for run in plan.candidates if run.is_feasible)),
@@ -368,4 +322,4 @@ def _summarize(
 
 def _entry(label: str, planner: Planner, run: Candidate) -> Entry:
     replays = planner.simulate(run.trajectory)
-    return Entry(label, run, replays, run.holds(replays))
+    return Entry(label, run, replays.drake, run.holds(replays))

@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt  # At run time: files are read by the fields' types.
 from pydrake.polynomial import Polynomial
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.trajectory.records import ArrayRecord, read_only
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 
 @dataclass(frozen=True, eq=False)

@@ -134,14 +134,14 @@ class Scenario:
         """The number of time steps, N = duration / time_step."""
         return round(self.duration / self.time_step)
 
-    def to_dict(self) -> dict[str, Any]:
+    def to_plain(self) -> dict[str, Any]:
         """Returns the fields as plain numbers, strings and lists, in order."""
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         return {k: v.tolist() if hasattr(v, "tolist") else v for k, v in values.items()}
 
     @classmethod
-    def from_dict(cls, data: object) -> Scenario:
-        """Returns the scenario that `to_dict` gave.
+    def from_plain(cls, data: object) -> Scenario:
+        """Returns the scenario that `to_plain` gave.
 
         Raises:
             ScenarioError: not a mapping, an unknown or a missing key, or a bad value.
@@ -197,7 +197,7 @@ class Scenario:
         if isinstance(data, dict):
             data = {k: v if k == "model" else _parse_numbers(v) for k, v in data.items()}
         try:
-            return cls.from_dict(data)
+            return cls.from_plain(data)
         except ScenarioError as error:
             raise ScenarioError(
                 f"{path}: {error.what}", error.got, error.expected, error.remedy
@@ -206,10 +206,10 @@ class Scenario:
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes a YAML file that `load` reads back to an equal scenario."""
         # Drake's own dump of a plain mapping would sort the fields.
-        write_text(path, yaml.safe_dump(self.to_dict(), sort_keys=False, default_flow_style=None))
+        write_text(path, yaml.safe_dump(self.to_plain(), sort_keys=False, default_flow_style=None))
 
     def _key(self) -> tuple[object, ...]:
-        return tuple(tuple(v) if isinstance(v, list) else v for v in self.to_dict().values())
+        return tuple(tuple(v) if isinstance(v, list) else v for v in self.to_plain().values())
 
     def __eq__(self, other: object) -> bool:
         """Two scenarios are equal if all fields are, arrays element by element."""
@@ -221,7 +221,7 @@ class Scenario:
 
     def __reduce__(self) -> tuple[Any, tuple[()]]:
         """Pickles and copies through the constructor, so that arrays stay read-only."""
-        return partial(type(self), **self.to_dict()), ()
+        return partial(type(self), **self.to_plain()), ()
 
 
 def scenario_names() -> list[str]:
