@@ -29,6 +29,8 @@ _LINES: tuple[dict[str, Any], ...] = (
     {"linewidth": 2.6},
     {"linewidth": 1.4, "linestyle": (0, (4, 4))},
 )
+# A control per kilogram that is below this part of the largest velocity over T is rounding.
+_NO_CONTROL = 1e-12
 # A held control is all corners: sharp ones, of lines as thin as this part of its motion's.
 _SHARP: dict[str, Any] = {"solid_joinstyle": "miter", "solid_capstyle": "butt"}
 _THINNER = 0.5
@@ -142,6 +144,8 @@ def plot_controls(axes: Axes, motions: Sequence[Motion], world: World, coordinat
         if motion.controls is None or motion.control_times is None:
             continue
         held = np.vstack([motion.controls, motion.controls[-1:]])[:, _actuators(world, coordinate)]
+        noise = _NO_CONTROL * np.max(np.abs(motion.velocities)) / motion.control_times[-1]
+        held = np.where(np.abs(held) > noise, held, 0.0)
         look = {**line_of(index), **_SHARP}
         look["linewidth"] *= _THINNER
         axes.step(motion.control_times, held, where="post", **look)
@@ -234,7 +238,8 @@ def plot_boxes(
     if quantity == "position":
         _shade_walls(axes, world, coordinate)
     axes.set(xlabel="time t [s]", ylabel=_label(quantity, world, coordinate))
-    axes.legend(loc="best", fontsize="small")
+    # Above the axes, where it hides nothing.
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize="small")
 
 
 def _plot_column(

@@ -30,11 +30,13 @@ from drake_aigto.show.text import (
 )
 from drake_aigto.simulation import Replay, confirms
 from drake_aigto.simulation.material import contact_delay
+from drake_aigto.study.rigid_optimum import rigid_optimum
 from drake_aigto.world import Scenario, World
 
 _ANY_PORT = 0
 _MOST_CANDIDATES = 10
 _MOST_TOUCHES = 6
+_SAME_COST = 1e-4  # Costs that differ by this part or less are called the same.
 _NO_COST = 1e-9  # Below it a cost is 0 but for rounding, and nothing is so many percent of it.
 
 NUMBERS = ("cost J", "dynamics defect", "off the goal", "deepest penetration", "energy ratio")
@@ -90,17 +92,29 @@ def add_verdict(page: Page, plan: Plan, world: World) -> None:
     page.verdict(f"{verdict[0].upper()}{verdict[1:]}.", plan.holds)
     for replay in plan.replay:
         confirmed = confirms(plan.cost, replay, plan.best.goal_error)
-        off = replay.cost - plan.cost
-        # Of plans that cost next to nothing, no number of percent tells anything.
-        comparable = plan.cost > max(_NO_COST, abs(off) / 10)
-        part = f", {100 * off / plan.cost:+.2f} % of it" if comparable else ""
         label = SIMULATION_LABELS[replay.simulator]
         page.paragraph(
             f"{label[0].upper()}{label[1:]}: {'confirms' if confirmed else 'contradicts'} the "
-            f"plan. Its cost differs by {off:+.1e}{part}; it ends "
+            f"plan. {describe_difference(plan.cost, replay)}; it ends "
             f"{length_text(replay.goal_error)} off the goal, the plan "
             f"{length_text(plan.best.goal_error)}."
         )
+
+
+def describe_difference(cost: float, replay: Replay) -> str:
+    """Returns by how much a simulation's cost differs from a plan's, and what explains it."""
+    off = replay.cost - cost
+    if abs(off) <= max(_SAME_COST * cost, _NO_COST):
+        return "It costs the same"
+    # Of plans that cost next to nothing, no number of percent tells anything.
+    part = f", {100 * off / cost:+.2f} %" if cost > max(_NO_COST, abs(off) / 10) else ""
+    text = f"Its cost differs by {off:+.1e}{part}"
+    if not replay.compliance_cost:
+        return text
+    return (
+        f"{text}: its walls give a little, which delays what follows a contact and explains up to "
+        f"{replay.compliance_cost:.1e}"
+    )
 
 
 def add_question(page: Page, scenario: Scenario, world: World) -> None:
@@ -195,12 +209,18 @@ def figures_of_plan(plan: Plan, world: World, run: BoxRun) -> Iterator[tuple[Fig
     plot_plan(figure.subplots(3, n, sharex=True), plan, world)
     yield figure, "Positions, velocities and controls: the plan, and simulations of its control."
     yield _draw_states(plan, world)
-    figure = Figure(figsize=(9, 4.2), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    history = run.result.history
-    plot_boxes(left, run.transcription, [history[i] for i in run.pick(5, smallest=0.01)])
-    plot_cost_history(right, run)
-    yield (
+    yield _draw_boxes(run, n)
+
+
+def _draw_boxes(run: BoxRun, num_positions: int) -> tuple[Figure, str]:
+    """Returns a figure of the boxes around each coordinate, and of what they cost."""
+    figure = Figure(figsize=(4.5 * (num_positions + 1), 4.2), layout="constrained")
+    *panels, last = figure.subplots(1, num_positions + 1)
+    shown = [run.result.history[i] for i in run.pick(5, smallest=0.01)]
+    for coordinate, axes in enumerate(panels):
+        plot_boxes(axes, run.transcription, shown, coordinate=coordinate)
+    plot_cost_history(last, run)
+    return (
         figure,
         "AIGO's boxes, center ± half width, as they shrink, and what that costs. The last center "
         "only proposes a contact sequence; the plan is polished from it.",
@@ -209,22 +229,33 @@ def figures_of_plan(plan: Plan, world: World, run: BoxRun) -> Iterator[tuple[Fig
 
 def _draw_states(plan: Plan, world: World) -> tuple[Figure, str]:
     """Returns a figure of states against each other, and what a touch costs where that is known."""
-    motions = motions_of_plan(plan, world)
-    figure = Figure(figsize=(9, 4.6), layout="constrained")
-    left, right = figure.subplots(1, 2)
-    plot_phase_portrait(left, motions, world, plan.scenario)
-    if world.num_positions > 1:
-        plot_path(right, motions, world, plan.scenario)
-        return figure, "Velocity against position, and the way."
-    try:
-        plot_cost_landscape(right, world, plan.scenario, {"plan": plan.best})
-    except ModelError:  # No exact optimum is known for this world.
-        figure.delaxes(right)
+    motions, n = motions_of_plan(plan, world), world.num_positions
+    figure = Figure(figsize=(4.5 * max(n + (n > 1), 2), 4.6), layout="constrained")
+    *portraits, last = figure.subplots(1, max(n + (n > 1), 2))
+    for coordinate, axes in enumerate(portraits):
+        plot_phase_portrait(axes, motions, world, plan.scenario, coordinate)
+    if n > 1:
+        plot_path(last, motions, world, plan.scenario)
+        return figure, "Velocity against position, and the path."
+    if not has_landscape(plan, world):
+        figure.delaxes(last)
         return figure, "Velocity against position."
+    plot_cost_landscape(last, world, plan.scenario, {"plan": plan.best})
     return figure, (
         "Velocity against position; and what motions cost that touch the wall once, by when and "
         "how fast, with the exact optimum, which the planner does not know."
     )
+
+
+def has_landscape(plan: Plan, world: World) -> bool:
+    """Returns whether the landscape of single touches has the plan on it, and its exact optimum."""
+    if world.num_contacts > 1 or len(plan.best.contacts) > 1:
+        return False
+    try:
+        rigid_optimum(world, plan.scenario)
+    except ModelError:  # None is known for this world.
+        return False
+    return True
 
 
 _CANDIDATE_HEADER = (
@@ -265,13 +296,12 @@ def _candidate_rows(plan: Plan) -> Iterator[tuple[str, ...]]:
 def _add_reproduction(page: Page, plan: Plan) -> None:
     page.heading("How to reproduce it")
     page.paragraph(
-        "Save these lines as scenario.yaml and plan again. Nothing in a search is random; if the "
-        "plan was made with options of its own, give the same ones."
+        f"Save these lines as scenario.yaml and plan again with drake_aigto {__version__}. Nothing "
+        "in a search is random; if the plan was made with options of its own, give the same ones."
     )
     page.code(yaml.safe_dump(plan.scenario.to_plain(), sort_keys=False, allow_unicode=True))
     literal = " --transcription literal" if plan.transcription == "literal" else ""
     page.code(
-        f"pip install drake_aigto=={__version__}\n"
         f"drake-aigto plan scenario.yaml{literal} --json plan.json\n"
         "drake-aigto report plan.json --html report.html"
     )
