@@ -21,7 +21,7 @@ def test_play_writes_a_page(
 ) -> None:
     page = tmp_path / "plan.html"
     assert main(["play", str(plan_file), *flags, "--html", str(page)]) == FINE
-    assert "<html>" in page.read_text(encoding="utf-8")[:2000].lower()
+    assert "<html" in page.read_text(encoding="utf-8")[:2000].lower()
     assert capsys.readouterr().out == f"wrote {page}\n"
     assert [path.name for path in tmp_path.iterdir()] == ["plan.html"]
 

@@ -14,7 +14,12 @@ from drake_aigto import Plan, Planner, PlanOptions, Scenario, World, __version__
 from drake_aigto.planning import Replays
 from drake_aigto.show.embedding import embed_scenes, pack
 from drake_aigto.show.page import Page
-from drake_aigto.show.report import add_verdict, report_plan
+from drake_aigto.show.report import (
+    add_verdict,
+    describe_difference,
+    has_landscape,
+    report_plan,
+)
 from drake_aigto.show.table_report import report_table1
 from drake_aigto.study import Entry, Method, RigidCell, RigidOptimum, Table1
 
@@ -100,7 +105,10 @@ def test_a_report_has_question_answer_verdict_and_how_to_reproduce_it(plan: Plan
     for told in ("dynamics defect", "deepest penetration", "energy ratio", "J simulated, rigid"):
         assert told in text
     assert "simulation: exactly rigid" in text and "plan (no simulation)" in text
-    for command in ("drake-aigto plan scenario.yaml --json plan.json", f"=={__version__}"):
+    for command in (
+        "drake-aigto plan scenario.yaml --json plan.json",
+        f"drake_aigto {__version__}",
+    ):
         assert command in text
     yaml = text[text.index("model: package") :]
     assert "time_step: 0.05" in yaml and "goal_position:\n- 0.73" in yaml
@@ -143,3 +151,23 @@ def test_table_1_has_a_row_for_each_plan_with_all_that_it_is_worth(plan: Plan) -
     assert len(scenes(page)) == 2
     assert text.count(f"{plan.replay.event_driven.cost:.2e}") >= 2
     assert "dynamics defect" in text
+
+
+def test_a_simulation_that_costs_something_else_says_why(plan: Plan) -> None:
+    replay = dataclasses.replace(plan.replay.event_driven, cost=1.2e-4, compliance_cost=2.5e-5)
+    text = describe_difference(1e-4, replay)
+    assert text.startswith("Its cost differs by +2.0e-05, +20.00 %: its walls give a little")
+    assert text.endswith("explains up to 2.5e-05")
+    assert describe_difference(1.2e-4 * (1 + 1e-9), replay) == "It costs the same"
+    nothing = dataclasses.replace(replay, cost=1e-17, compliance_cost=0.0)
+    assert describe_difference(0.0, nothing) == "It costs the same"
+
+
+@pytest.mark.parametrize(("name", "has"), [("table1/1", True), ("corridor/six_bounces", False)])
+def test_a_landscape_of_single_touches_is_shown_only_where_the_plan_is_on_it(
+    plan: Plan, name: str, has: bool
+) -> None:
+    world = World.from_scenario(Scenario.named(name))
+    assert has_landscape(plan, world) == has
+    twice = dataclasses.replace(plan.best, contacts=plan.best.contacts * 2)
+    assert not has_landscape(dataclasses.replace(plan, candidates=(twice,)), world)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import re
 from pathlib import Path
 from typing import Any
@@ -74,3 +75,18 @@ def test_shapes_for_contact_are_shown_where_none_are_for_show(tmp_path: Path) ->
     # Of a half space, a slab whose face is the plane's.
     face = stage.pose(wall, np.array([1.0])).multiply([0, 0, wall.shape.height() / 2])
     np.testing.assert_allclose(face, [-0.05, 0, 0], atol=1e-12)
+
+
+def test_a_wall_without_a_visual_is_drawn_by_its_collision_shape(tmp_path: Path) -> None:
+    text = (models_directory() / "corridor.sdf").read_text(encoding="utf-8")
+    walls = text.index("left_wall")
+    bare = text[:walls] + re.sub(r"<visual.*?</visual>", "", text[walls:], flags=re.DOTALL)
+    model = tmp_path / "bare.sdf"
+    model.write_text(bare, encoding="utf-8")
+    scenario = dataclasses.replace(Scenario.named("corridor/lossy"), model=str(model))
+    actors = Stage(World.from_scenario(scenario), np.array([scenario.initial_position])).actors
+    shipped = World.from_scenario(Scenario.named("corridor/lossy"))
+    expected = Stage(shipped, np.array([scenario.initial_position])).actors
+    assert {actor.body.split("/")[1] for actor in actors} == {
+        actor.body.split("/")[1] for actor in expected
+    }

@@ -189,6 +189,9 @@ class Board:
             named.append(place)
             side, ha = (-1, "right") if place[0] > middle + self.space else (1, "left")
             x, y = place[0] + side * (self.radius + self.space), place[1] + self.letter
+            room = abs(middle + side * apart[0] - x)  # To the panel's edge.
+            if len(name) * self.letter * _BOLD_WIDTH > room:
+                name, y = name.replace(", ", "\n"), y + self.letter / 2
             self._write(axes, x, y, name, color=_SHADE * color, ha=ha, va="center", zorder=4)
 
     def _paint_scale(self, axes: Axes, low: _Array, high: _Array, aside: _Array) -> None:

@@ -17,6 +17,7 @@ from drake_aigto.show import traces
 from drake_aigto.show.board import Board
 from drake_aigto.show.effects import Clock, Effects
 from drake_aigto.show.motion import Motion, color_of, motions_of_plan, time_span
+from drake_aigto.show.page import Page
 from drake_aigto.show.stage import Stage
 from drake_aigto.show.text import wall_names
 from drake_aigto.show.track import Track
@@ -171,12 +172,14 @@ def new_animation(frames_per_second: int) -> MeshcatAnimation:
 
 
 def save_html(meshcat: Meshcat, path: str | os.PathLike[str]) -> None:
-    """Writes what Meshcat shows to one self-contained page, whole or not at all.
+    """Writes what Meshcat shows to one self-contained page with a slider, whole or not at all.
 
     Raises:
         OutputFileError: it can't be written; its folder must exist.
     """
-    write_text(path, meshcat.StaticHtml())
+    page = Page("A plan and simulations of its control")
+    page.scenes({"Recording": meshcat.StaticHtml()})
+    write_text(path, page.to_html())
 
 
 def _explain(effects: Effects) -> list[str]:

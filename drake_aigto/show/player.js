@@ -4,6 +4,8 @@
   const frame = find("player-frame"), toggle = find("player-toggle");
   const slider = find("player-slider"), time = find("player-time");
   const buttons = [...document.querySelectorAll("[data-scene]")];
+  const MOST_HEIGHT = 560, LEAST_HEIGHT = 180; // of the frame [px]
+  const MARGIN = 0.97, MOST_REACH = 4; // of a scene, in half windows
   let animator = null, shown = 0;
 
   // By turns text, and bytes that stand in the page as Base64; each after its length.
@@ -54,11 +56,54 @@
       setTimeout(() => wait(number), 50);
       return;
     }
+    fit();
     animator = viewer.animator;
     slider.max = animator.duration;
     toggle.disabled = slider.disabled = false;
     requestAnimationFrame(follow);
   };
+
+  // How far the scene reaches from the middle of the window, as a part of half its width and height.
+  const reach = (viewer) => {
+    const camera = viewer.camera, most = [0, 0];
+    camera.zoom = 1;
+    camera.updateProjectionMatrix();
+    viewer.scene.updateMatrixWorld(true);
+    viewer.scene_tree.find(["drake_aigto"]).object.traverse((object) => {
+      if (!object.geometry || object.isSprite) return;
+      object.geometry.computeBoundingBox();
+      const { min, max } = object.geometry.boundingBox;
+      const far = [0, 0];
+      for (let i = 0; i < 8; i++) {
+        const corner = min.clone();
+        if (i & 1) corner.x = max.x;
+        if (i & 2) corner.y = max.y;
+        if (i & 4) corner.z = max.z;
+        corner.applyMatrix4(object.matrixWorld).project(camera);
+        far[0] = Math.max(far[0], Math.abs(corner.x));
+        far[1] = Math.max(far[1], Math.abs(corner.y));
+      }
+      // What is farther off is ground that goes on and on.
+      if (Math.max(...far) < MOST_REACH) far.forEach((x, i) => (most[i] = Math.max(most[i], x)));
+    });
+    return most;
+  };
+
+  // Gives the frame the height that the scene needs at its width, and shows all of it.
+  const fit = () => {
+    const viewer = frame.contentWindow && frame.contentWindow.viewer;
+    if (!viewer) return;
+    const [across, up] = reach(viewer);
+    if (!across || !up) return;
+    const slim = (frame.clientHeight * up) / across;
+    frame.style.height = `${Math.round(Math.min(MOST_HEIGHT, Math.max(LEAST_HEIGHT, slim)))}px`;
+    viewer.set_3d_pane_size();
+    const again = reach(viewer);
+    viewer.camera.zoom = MARGIN / Math.max(...again);
+    viewer.camera.updateProjectionMatrix();
+    viewer.set_dirty();
+  };
+  window.addEventListener("resize", fit);
 
   const follow = () => {
     if (!animator) return;

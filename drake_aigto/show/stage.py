@@ -151,16 +151,20 @@ class Stage:
 
 
 def _read_actors(world: World) -> list[Actor]:
-    """Returns the shapes to draw: those for illustration, or for contact if none of them moves."""
+    """Returns the shapes to draw of each body: those for illustration, or else for contact."""
     inspector = world.scene_graph.model_inspector()
     everything = GeometrySet(inspector.GetAllGeometryIds())
-    actors: list[Actor] = []
-    for role in (Role.kIllustration, Role.kProximity):
-        ids = sorted(inspector.GetGeometryIds(everything, role), key=GeometryId.get_value)
-        actors = [_read_actor(world, inspector, geometry) for geometry in ids]
-        if any(actor.moves for actor in actors):
-            break
-    return actors
+    shown, touched = (
+        [
+            _read_actor(world, inspector, geometry)
+            for geometry in sorted(
+                inspector.GetGeometryIds(everything, role), key=GeometryId.get_value
+            )
+        ]
+        for role in (Role.kIllustration, Role.kProximity)
+    )
+    bodies = {actor.body for actor in shown}
+    return [*shown, *(actor for actor in touched if actor.body not in bodies)]
 
 
 def _read_actor(world: World, inspector: SceneGraphInspector, geometry: GeometryId) -> Actor:
