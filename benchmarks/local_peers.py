@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.solvers import IpoptSolver, SnoptSolver, SolverOptions
 
-from drake_aigto.box.polynomial import Factor, TermBlock
 from drake_aigto.local import PolynomialNlp
+from drake_aigto.terms import Factor, TermBlock
 from drake_aigto.transcription import LiteralTranscription
 
 casadi: Any

@@ -41,9 +41,8 @@ from scipy.linalg.lapack import dpbtrf
 from benchmarks.local_peers import casadi, sum_blocks
 from benchmarks.measure import Spread, clock, is_met, take_turns, write_csv
 from drake_aigto.box import BoxPolynomial
-from drake_aigto.box.functions import FunctionKind
-from drake_aigto.box.polynomial import Factor, TermBlock
 from drake_aigto.planning import PlanningProblem, PlanOptions, make_problem
+from drake_aigto.terms import Factor, FunctionKind, TermBlock
 from drake_aigto.world import Scenario, World
 
 MOST_FACTORIZATIONS = 3.0

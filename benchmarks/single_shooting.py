@@ -14,9 +14,10 @@ import dataclasses
 import numpy as np
 
 from drake_aigto.aigo import Annealing, Box, EqualWidths, minimize
-from drake_aigto.box import compile_program
+from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.planning import LiteralProblem, PlanOptions
+from drake_aigto.terms import parse_costs
 from drake_aigto.transcription import PolynomialLaw, SingleShooting, count_terms
 from drake_aigto.world import Scenario, World
 
@@ -52,7 +53,8 @@ def print_plan(world: World, number: int) -> None:
     """Prints what AIGO and Newton's method make of it, and the same with states as variables."""
     scenario = with_steps(SOFT, number)
     shooting = SingleShooting(world, scenario, PolynomialLaw.fit(scenario, 2, REACH))
-    f = compile_program(shooting.prog())
+    prog = shooting.prog()
+    f = BoxPolynomial(prog.num_vars(), parse_costs(prog))
     boxes = minimize(f, Box(*shooting.initial_box()), Annealing(initial_temperature=1e-2))
     points = EqualWidths(first_share=0.0, final_share=0.0, max_newton_steps=200)
     center = boxes.box.center

@@ -38,9 +38,10 @@ from benchmarks.growth import RESIDENT_UNIT
 from benchmarks.measure import clock, is_met, write_csv
 from drake_aigto import AigoOptions, AigoSolver
 from drake_aigto.aigo import Annealing, Box, minimize
-from drake_aigto.box import BoxPolynomial, Factor, FunctionKind, Term, TermBlock
+from drake_aigto.box import BoxPolynomial
 from drake_aigto.linear import Storage
 from drake_aigto.local import InteriorPoint, PolynomialNlp, compile_nlp
+from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock
 
 SIZES = (100, 400, 1000, 4000, 10_000, 20_000)
 MOST_BAND_WORK = 2e10  # size · b², of a factorisation without sparse factors: some three seconds

@@ -100,22 +100,47 @@ def _read(file: str) -> bytes:
 
 
 @cache
+def _imports(file: str) -> tuple[tuple[str, str, tuple[str, ...]], ...]:
+    """Returns what a file imports: leading dots, a module, and names in it (or none)."""
+    found = _IMPORT.findall(_read(file).decode())
+    return tuple((dots, module, tuple(re.findall(r"\w+", names))) for dots, module, names in found)
+
+
+@cache
 def _imported_files(file: str, folders: tuple[tuple[str, str], ...]) -> tuple[str, ...]:
     """Returns the files that a file imports from packages in these folders, by name."""
-    found: dict[str, None] = {}
-    for dots, module, names in _IMPORT.findall(_read(file).decode()):
-        root, _, rest = module.partition(".")
-        base = dict(folders).get(root)
-        if dots:
-            base, rest = os.path.join(os.path.dirname(file), *[".."] * (len(dots) - 1)), module
-        if base is not None:
-            stem = os.path.normpath(os.path.join(base, *rest.split(".")))
-            for name in re.findall(r"\w+", names) or [""]:
-                found |= dict.fromkeys(_sources(os.path.join(stem, name)) or _sources(stem))
-    return tuple(found)
+    found = (
+        origin
+        for dots, module, names in _imports(file)
+        for name in names or ("",)
+        for origin in _origins(file, folders, dots, module, name)
+    )
+    return tuple(dict.fromkeys(found))
 
 
-def _sources(stem: str) -> list[str]:
+def _origins(
+    file: str, folders: tuple[tuple[str, str], ...], dots: str, module: str, name: str
+) -> tuple[str, ...]:
+    """Returns the files that a name comes from: beyond a package's door, where it is passed on."""
+    root, _, rest = module.partition(".")
+    base = dict(folders).get(root)
+    if dots:
+        base, rest = os.path.join(os.path.dirname(file), *[".."] * (len(dots) - 1)), module
+    if base is None:
+        return ()
+    stem = os.path.normpath(os.path.join(base, *rest.split(".")))
+    submodule = _sources(os.path.join(stem, name))
+    if submodule:
+        return submodule
+    for door in _sources(stem):
+        for dots, module, names in _imports(door) if name else ():
+            if name in names:
+                return _origins(door, folders, dots, module, name)
+    return _sources(stem)
+
+
+@cache
+def _sources(stem: str) -> tuple[str, ...]:
     """Returns the files of a module or package, the stub of a lazy door among them."""
     names = (f"{stem}.py", os.path.join(stem, "__init__.py"), os.path.join(stem, "__init__.pyi"))
-    return [name for name in names if os.path.isfile(name)]
+    return tuple(name for name in names if os.path.isfile(name))

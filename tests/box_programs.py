@@ -9,15 +9,9 @@ import numpy.typing as npt
 from pydrake.solvers import ExpressionCost, MathematicalProgram
 from pydrake.symbolic import Expression
 
-from drake_aigto.box import (
-    BoxPolynomial,
-    Factor,
-    FunctionKind,
-    Term,
-    TermBlock,
-    compile_program,
-)
+from drake_aigto.box import BoxPolynomial
 from drake_aigto.box.functions import factor_mean
+from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock, parse_costs
 
 ExpressionOf = Callable[[np.ndarray], Expression]
 
@@ -33,6 +27,11 @@ def add(prog: MathematicalProgram, expression: Expression, name: str = "") -> No
     cost = ExpressionCost(expression)
     cost.set_description(name)
     prog.AddCost(cost, vars=cost.vars())
+
+
+def compile_program(prog: MathematicalProgram, order: npt.ArrayLike | None = None) -> BoxPolynomial:
+    """Returns the table of a program's costs."""
+    return BoxPolynomial(prog.num_vars(), parse_costs(prog), order)
 
 
 def compiled(expression_of: ExpressionOf, num_variables: int = 3) -> BoxPolynomial:

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 from hypothesis import strategies as st
 
-from drake_aigto.box import BoxPolynomial, Factor, FunctionKind, Term, TermBlock
-from drake_aigto.box.functions import WAVES
+from drake_aigto.box import BoxPolynomial
+from drake_aigto.terms import WAVES, Factor, FunctionKind, Term, TermBlock
 
 NUM_VARIABLES = 5
 # Some ten roundings a factor, and one for each of a few dozen terms.

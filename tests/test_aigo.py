@@ -27,8 +27,9 @@ from drake_aigto.aigo import (
 from drake_aigto.aigo.banded import factorise, solve
 from drake_aigto.aigo.descent import leave_out
 from drake_aigto.aigo.newton import PointObjective, SmoothedObjective, newton
-from drake_aigto.box import BoxPolynomial, Factor, FunctionKind, Term, TermBlock
+from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
+from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock
 
 ALGORITHMS: dict[str, Algorithm] = {
     "annealing": Annealing(initial_temperature=10.0, final_temperature=1e-12),

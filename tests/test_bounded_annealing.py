@@ -6,10 +6,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from box_programs import compile_program
 from pydrake.solvers import ExpressionCost, MathematicalProgram
 
 from drake_aigto.aigo import BoundedAnnealing, Box, BoxSearch, FaceFlow, Pace, minimize
-from drake_aigto.box import BoxPolynomial, compile_program
+from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
 from drake_aigto.transcription import RigidTranscription
 from drake_aigto.transcription.rigid_contact import RESTITUTION

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from benchmarks.collections.rational_means import exact_factor_mean, relative_error
-from drake_aigto.box import Factor, FunctionKind
 from drake_aigto.box.functions import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE
+from drake_aigto.terms import Factor, FunctionKind
 
 # The goal is 1e-13; a mean takes some ten roundings of 1.1e-16, in c^p most of all.
 VALUE_TOLERANCE = 1e-14

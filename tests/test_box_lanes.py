@@ -10,10 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from random_boxes import NUM_VARIABLES, Boxes, blocks, boxes, eighths
 
-from drake_aigto.box import BoxPolynomial, NewtonSystem, TermBlock
-from drake_aigto.box.lanes import make_lanes
-from drake_aigto.box.tables import stack_terms
-from drake_aigto.box.tapes import Order
+from drake_aigto.box import BoxPolynomial, NewtonSystem, Order, make_lanes
+from drake_aigto.terms import TermBlock, stack_terms
 
 ORDER = range(NUM_VARIABLES)
 

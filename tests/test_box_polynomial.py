@@ -22,7 +22,8 @@ from random_boxes import (
 )
 
 from benchmarks.collections.rational_means import exact_mean, relative_error
-from drake_aigto.box import BoxPolynomial, Factor, FunctionKind, Term, TermBlock
+from drake_aigto.box import BoxPolynomial
+from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock
 
 
 def size_of(f: BoxPolynomial, box: Boxes) -> float:

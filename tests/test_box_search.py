@@ -9,8 +9,9 @@ from hypothesis import strategies as st
 
 from drake_aigto.aigo import Annealing, Box, BoxSearch, FaceFlow, Iterate, LowPoint, box_search
 from drake_aigto.aigo.newton import PointObjective, bold_newton, newton
-from drake_aigto.box import BoxPolynomial, Factor, FunctionKind, Term, TermBlock
+from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
+from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock
 
 
 def power(variable: int, exponent: int) -> Factor:

@@ -18,10 +18,9 @@ from random_boxes import (
 
 from drake_aigto import OptionsError, UnsupportedTermError
 from drake_aigto.aigo.newton import PointObjective, newton
-from drake_aigto.box import BoxPolynomial, Factor, FunctionKind, Term, TermBlock
-from drake_aigto.box.kernels import add_means
-from drake_aigto.box.tables import stack_terms
+from drake_aigto.box import BoxPolynomial, add_means
 from drake_aigto.local import PolynomialNlp
+from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock, stack_terms
 
 
 def block(*terms: Term, variables: object = (0, 1), name: str = "cost") -> TermBlock:

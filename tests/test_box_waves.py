@@ -14,8 +14,8 @@ from hypothesis import strategies as st
 from scipy.integrate import quad
 
 from benchmarks.collections.rational_means import exact_factor_mean
-from drake_aigto.box import Factor, FunctionKind
-from drake_aigto.box.functions import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE, WAVES
+from drake_aigto.box.functions import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE
+from drake_aigto.terms import WAVES, Factor, FunctionKind
 
 # The goal is 1e-13 of the natural size; 5e-16 is the worst that 1,800 random boxes gave.
 TOLERANCE = 4e-15

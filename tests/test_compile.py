@@ -8,7 +8,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from box_programs import ExpressionOf, add, compiled, program
+from box_programs import ExpressionOf, add, compile_program, compiled, program
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.solvers import ExpressionCost, MathematicalProgram
@@ -28,7 +28,7 @@ from pydrake.symbolic import min as smin
 
 from benchmarks.collections.rational_means import exact_mean, relative_error
 from drake_aigto import OptionsError, UnsupportedTermError
-from drake_aigto.box import FunctionKind, compile_program, expressions
+from drake_aigto.terms import FunctionKind, expressions
 
 
 def total_cost(prog: MathematicalProgram, x: np.ndarray) -> float:

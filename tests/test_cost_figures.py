@@ -7,12 +7,12 @@ from typing import Any
 
 import numpy as np
 import pytest
+from box_programs import compile_program
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from pydrake.solvers import ExpressionCost, MathematicalProgram
 
 from drake_aigto import ModelError, Planner, PlanOptions, Scenario, World
-from drake_aigto.box import compile_program
 from drake_aigto.show import (
     Motion,
     plot_cost_history,

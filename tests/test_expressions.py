@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import pytest
-from box_programs import ExpressionOf, add, compiled, program
+from box_programs import ExpressionOf, add, compile_program, compiled, program
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.solvers import ExpressionCost, MathematicalProgram
@@ -16,9 +16,9 @@ from pydrake.symbolic import max as smax
 
 from benchmarks.collections.rational_means import exact_mean, relative_error
 from drake_aigto import UnsupportedTermError
-from drake_aigto.box import BoxPolynomial, FunctionKind, compile_program
-from drake_aigto.box.products import MAX_TERMS
+from drake_aigto.box import BoxPolynomial
 from drake_aigto.local import compile_nlp
+from drake_aigto.terms import MAX_TERMS, FunctionKind
 
 
 def levy(x: np.ndarray) -> Expression:

@@ -12,8 +12,9 @@ from hypothesis import strategies as st
 
 from drake_aigto.aigo import Alternating, Box, FaceFlow, Pace, minimize
 from drake_aigto.aigo.coupling import CouplingGraph
-from drake_aigto.box import BoxPolynomial, Term, TermBlock
+from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
+from drake_aigto.terms import Term, TermBlock
 
 PACES = list(Pace)
 

@@ -16,8 +16,10 @@ ROAD = (
     "errors",
     "count",
     "plain",
+    "arrays",
     "jit",
     "linear",
+    "terms",
     "world",
     "trajectory",
     "simulation",
@@ -75,12 +77,6 @@ def test_an_import_is_seen_in_every_spelling(source: str) -> None:
     assert steps_imported(source, "drake_aigto.world") == {"planning"}
 
 
-def test_aigo_knows_nothing_of_drake() -> None:
-    for path in (PACKAGE / "aigo").glob("**/*.py"):
-        names = imported_modules(path.read_text(encoding="utf-8"), "drake_aigto.aigo")
-        assert not [name for name in names if name.split(".")[0] == "pydrake"], path
-
-
 @pytest.mark.parametrize(
     ("statement", "absent"),
     [
@@ -88,6 +84,7 @@ def test_aigo_knows_nothing_of_drake() -> None:
         ("from drake_aigto import Scenario, World", ("pydrake.all", "numba", "matplotlib")),
         ("from drake_aigto import Planner", ("pydrake.all", "matplotlib", "scipy.optimize")),
         ("from drake_aigto.cli import main\nmain(['plan', 'nowhere'])", ("drake_aigto.study",)),
+        ("import drake_aigto.box, drake_aigto.aigo, drake_aigto.local", ("pydrake",)),
         ("import drake_aigto.cli.bar", ("drake_aigto.study", "pydrake", "numpy")),
     ],
 )

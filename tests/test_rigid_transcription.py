@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from box_programs import compile_program
 from replay_worlds import make_diagram, make_scenario, shipped_world
 from rigid_worlds import AXIS, NAMES, Physics, indices, make_motion, physics_of, write_model
 from scipy.linalg import expm
 
 from drake_aigto import ModelError, OptionsError, Scenario, World
-from drake_aigto.box import BoxPolynomial, compile_program
+from drake_aigto.box import BoxPolynomial
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Transcription
 from drake_aigto.transcription.rigid_contact import JointImpact, RigidContact, rigid_defects

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from box_programs import compile_program
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from replay_worlds import make_scenario, shipped_world
@@ -16,7 +17,6 @@ from several_walls import make_task, shipped
 
 from drake_aigto import ModelError, OptionsError, Scenario, UnsupportedTermError, World
 from drake_aigto.aigo import Annealing, Box, EqualWidths, minimize
-from drake_aigto.box import compile_program
 from drake_aigto.planning import LiteralProblem, PlanOptions
 from drake_aigto.transcription import (
     LiteralTranscription,

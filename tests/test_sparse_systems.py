@@ -16,9 +16,10 @@ from sparse_matrices import grid, whole
 from drake_aigto import AigoOptions, AigoSolver
 from drake_aigto.aigo import Annealing, BoundedAnnealing, Box, Status, minimize
 from drake_aigto.aigo.newton import PointObjective, bold_newton, newton
-from drake_aigto.box import BoxPolynomial, Factor, FunctionKind, Term, TermBlock
+from drake_aigto.box import BoxPolynomial
 from drake_aigto.linear import Factorisation, storage
 from drake_aigto.local import InteriorPoint, LocalStatus, compile_nlp
+from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock
 
 
 @contextmanager

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from box_programs import compile_program
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.solvers import (
@@ -22,7 +23,6 @@ from pydrake.symbolic import tan
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto import Scenario, UnsupportedTermError, World
-from drake_aigto.box import compile_program
 from drake_aigto.transcription import LiteralTranscription, Transcription, cut_to_bounds, penalize
 from drake_aigto.world import files
 

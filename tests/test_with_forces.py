@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
+from box_programs import compile_program
 from replay_worlds import make_scenario, shipped_world
 from rigid_worlds import NAMES, make_motion, physics_of
 from several_walls import make_task, shipped
 
 from drake_aigto import OptionsError, Planner, PlanOptions, Scenario
 from drake_aigto.aigo import Annealing
-from drake_aigto.box import BoxPolynomial, compile_program
+from drake_aigto.box import BoxPolynomial
 from drake_aigto.planning import RigidProblem
 from drake_aigto.planning.options import RIGID_LADDER, Rung
 from drake_aigto.study import rigid_optimum

@@ -13,8 +13,8 @@ from fractions import Fraction
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_aigto.box.functions import WAVES, FunctionKind
-from drake_aigto.box.polynomial import BoxPolynomial, Factor
+from drake_aigto.box import BoxPolynomial
+from drake_aigto.terms import WAVES, Factor, FunctionKind
 
 # Enough for second differences of steps 1e-20, over intervals of 1e-15 of their center.
 _DIGITS = 120

@@ -23,7 +23,7 @@ from benchmarks.robustness.results import (
 from drake_aigto.control import TrackingController, track_drake, track_event_driven
 from drake_aigto.count import Count
 from drake_aigto.errors import AigtoError, StudyError
-from drake_aigto.local.drake_solvers import solve_with_drake
+from drake_aigto.local import solve_with_drake
 from drake_aigto.plain import to_plain
 from drake_aigto.planning import Planner, PlanOptions
 from drake_aigto.simulation import Replay, replay_event_driven

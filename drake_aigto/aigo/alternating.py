@@ -7,13 +7,11 @@ from typing import ClassVar
 
 import numpy as np
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
-from numpy.typing import NDArray
 
 from drake_aigto.aigo.algorithm import Box, Iterate
 from drake_aigto.aigo.size_penalty import LEAST_LOG_WIDTH, SizePenalty
+from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial
-
-Floats = NDArray[np.float64]
 
 _ARMIJO, _HALVINGS = 1e-4, 40
 

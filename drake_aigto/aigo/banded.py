@@ -8,12 +8,8 @@ Matrices are in LAPACK's lower band storage, transposed: entry (i, j), i ≥ j, 
 
 from __future__ import annotations
 
-import numpy as np
-from numpy.typing import NDArray
-
+from drake_aigto.arrays import Floats
 from drake_aigto.jit import njit
-
-Floats = NDArray[np.float64]
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})

@@ -13,11 +13,9 @@ from drake_aigto.aigo.bounded_annealing import BoundedAnnealing
 from drake_aigto.aigo.coupling import CouplingGraph
 from drake_aigto.aigo.face_flow import FaceFlow, Pace
 from drake_aigto.aigo.newton import PointObjective, bold_newton, newton
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Gauss-Legendre on [0, 1]: exact for polynomials of degree 16 along a line.
 _NODES, _WEIGHTS = (a / 2 for a in np.polynomial.legendre.leggauss(8))

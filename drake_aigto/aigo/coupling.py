@@ -9,11 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.jit import kernel
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _known: WeakKeyDictionary[BoxPolynomial, CouplingGraph] = WeakKeyDictionary()
 

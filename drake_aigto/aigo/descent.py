@@ -10,16 +10,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drake_aigto.aigo.systems import solve_system
-from drake_aigto.box.kernels import System, add_means
-from drake_aigto.box.lanes import Lanes
+from drake_aigto.arrays import Floats, Ints
+from drake_aigto.box import Lanes, System, add_means
 from drake_aigto.jit import inner, kernel, pasted
 from drake_aigto.linear.pattern import Pattern
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 _ARMIJO = 1e-4  # share of the linear decrease that a step must reach
 _HARDER, _SOFTER = 4.0, 0.25  # factors on the damping after a failed and an immediate success

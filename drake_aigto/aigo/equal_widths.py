@@ -5,14 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drake_aigto.aigo.algorithm import Box, Iterate, as_positive
 from drake_aigto.aigo.newton import PointObjective, newton
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -11,11 +11,10 @@ from numpy.typing import NDArray
 
 from drake_aigto.aigo.algorithm import Box, Iterate, as_positive
 from drake_aigto.aigo.coupling import CouplingGraph
+from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
 from drake_aigto.jit import kernel
-
-Floats = NDArray[np.float64]
 
 
 class Pace(enum.Enum):

@@ -11,10 +11,8 @@ from numpy.typing import ArrayLike, NDArray
 
 from drake_aigto.aigo.algorithm import Box
 from drake_aigto.aigo.descent import Problem, descend, descend_boldly
-from drake_aigto.box import BoxPolynomial
-from drake_aigto.box.tapes import Order
-
-Floats = NDArray[np.float64]
+from drake_aigto.arrays import Floats
+from drake_aigto.box import BoxPolynomial, Order
 
 
 class Objective:

@@ -6,12 +6,10 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drake_aigto.aigo.algorithm import Box, as_positive
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError
-
-Floats = NDArray[np.float64]
 
 LEAST_LOG_WIDTH = float(np.log(np.finfo(float).tiny) / 4)  # w² must not underflow.
 

@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
 from numba import objmode
-from numpy.typing import NDArray
 
 from drake_aigto.aigo import banded
+from drake_aigto.arrays import Floats
 from drake_aigto.jit import inner, njit
 from drake_aigto.linear.pattern import Pattern
 from drake_aigto.linear.sparse import factorise
-
-Floats = NDArray[np.float64]
 
 
 @inner

@@ -1,15 +1,17 @@
-"""Costs as flat term tables, and their means over boxes in closed form."""
+"""Means of sums of products over boxes, in closed form."""
 
-from drake_aigto.box.compile import compile_program
-from drake_aigto.box.functions import FunctionKind
-from drake_aigto.box.polynomial import BoxPolynomial, Factor, NewtonSystem, Term, TermBlock
+from drake_aigto.box.kernels import NO_SYSTEM, System, add_means
+from drake_aigto.box.lanes import Lanes, make_lanes
+from drake_aigto.box.polynomial import BoxPolynomial, NewtonSystem
+from drake_aigto.box.tapes import Order
 
 __all__ = [
+    "NO_SYSTEM",
     "BoxPolynomial",
-    "Factor",
-    "FunctionKind",
+    "Lanes",
     "NewtonSystem",
-    "Term",
-    "TermBlock",
-    "compile_program",
+    "Order",
+    "System",
+    "add_means",
+    "make_lanes",
 ]

@@ -20,27 +20,12 @@ with y = scale·x + offset the kinds are:
 from __future__ import annotations
 
 import math
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drake_aigto.jit import inner, kernel
-
-
-class FunctionKind(IntEnum):
-    """The one-variable functions whose mean over an interval is known in closed form."""
-
-    POWER = 0
-    SQUARED_HINGE = 1
-    NEG_LOG = 2
-    COSINE = 3
-    EXPONENTIAL = 4
-    SINE = 5
-
-
-# The functions G with G″ = ±scale² G, which take a power x^p as a factor.
-WAVES = (FunctionKind.COSINE, FunctionKind.SINE, FunctionKind.EXPONENTIAL)
+from drake_aigto.terms import WAVES, FunctionKind
 
 # They take Numba longer to compile than all others.
 TRANSCENDENTAL = (FunctionKind.NEG_LOG, *WAVES)

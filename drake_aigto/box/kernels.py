@@ -20,9 +20,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from drake_aigto.arrays import Floats, Ints, Records
 from drake_aigto.box.functions import factor_mean
 from drake_aigto.box.lanes import Lanes
-from drake_aigto.box.tables import Floats, Ints, Records
 from drake_aigto.box.tapes import MEAN, ONES
 from drake_aigto.jit import inner, kernel
 from drake_aigto.linear.pattern import Pattern, find_entry

@@ -9,9 +9,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_aigto.arrays import Floats, Ints, Records
 from drake_aigto.box.functions import TRANSCENDENTAL
-from drake_aigto.box.tables import FACTOR, Floats, Ints, Records, StackedTerms
 from drake_aigto.box.tapes import OPERATION, Order, Tape, make_tape
+from drake_aigto.terms import FACTOR, StackedTerms
 
 # Records, so that kernels have few arrays to take and read one place in memory for each.
 LANE = np.dtype(

@@ -25,8 +25,9 @@ from typing import TypeVar
 
 import numpy as np
 
-from drake_aigto.box.functions import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE, FunctionKind
-from drake_aigto.box.tables import Records
+from drake_aigto.arrays import Records
+from drake_aigto.box.functions import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE
+from drake_aigto.terms import FunctionKind
 
 # row_to = factor · row_a · row_b, or += where it adds.
 OPERATION = np.dtype(

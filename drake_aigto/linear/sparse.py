@@ -12,14 +12,11 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.linear.pattern import Pattern
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Unknowns coupled to more than this times √size others are eliminated last: an order that looks at
 # them again after each of their neighbours takes a time that grows with the square of the size

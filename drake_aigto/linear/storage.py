@@ -7,12 +7,12 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike
 
+from drake_aigto.arrays import Ints
+from drake_aigto.errors import OptionsError
 from drake_aigto.linear.pattern import Pattern, make_pattern
 from drake_aigto.linear.sparse import count_fill, minimum_degree
-
-Ints = NDArray[np.int64]
 
 # Microseconds that factorisations take, measured on one core: what they are predicted from.
 _BAND_UNIT = 1.4e-4  # times Σ min(b, size − j)²
@@ -123,3 +123,20 @@ def spread(pattern: Pattern, group_size: int) -> Pattern:
 
 def _bandwidth(places: Ints, edges: Ints) -> int:
     return int(np.max(np.abs(places[edges[0]] - places[edges[1]]), initial=0))
+
+
+def as_order(order: ArrayLike, num_variables: int) -> Ints:
+    """An elimination order as a read-only array (n,).
+
+    Raises:
+        OptionsError: It is no permutation of the variables.
+    """
+    places = np.array(order, dtype=np.int64)
+    places.setflags(write=False)
+    if not np.array_equal(np.sort(places), np.arange(num_variables)):
+        raise OptionsError(
+            "the elimination order",
+            got=f"{places.size} entries {np.array2string(places, threshold=8)}",
+            expected=f"each of 0 … {num_variables - 1} once",
+        )
+    return places

@@ -1,16 +1,8 @@
-"""Local optima of polynomial programs with equality rows and bounds, by banded Newton steps."""
+"""Local optima of polynomial programs with equality rows and bounds, by banded Newton steps.
 
-from drake_aigto.local.interior_point import InteriorPoint
-from drake_aigto.local.newton_lagrange import NewtonLagrange
-from drake_aigto.local.nlp import PolynomialNlp, compile_nlp
-from drake_aigto.local.result import LocalIterate, LocalResult, LocalStatus
+Only `compile_nlp` and `solve_with_drake` load pydrake.
+"""
 
-__all__ = [
-    "InteriorPoint",
-    "LocalIterate",
-    "LocalResult",
-    "LocalStatus",
-    "NewtonLagrange",
-    "PolynomialNlp",
-    "compile_nlp",
-]
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -7,13 +7,11 @@ from collections.abc import Iterable
 from functools import cache
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from drake_aigto.box import Factor, FunctionKind, Term, TermBlock
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.local.nlp import PolynomialNlp, check_bounds
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock
 
 # A coefficient, and the variables that it is multiplied by; one that is there twice is squared.
 Monomial = tuple[float, tuple[int, ...]]

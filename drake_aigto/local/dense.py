@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.lapack import dsytrf, dsytrs
 
+from drake_aigto.arrays import Floats
 from drake_aigto.local.symmetric import SymmetricFactors
-
-Floats = NDArray[np.float64]
 
 _BLOCK = 64  # columns that dsytrf eliminates at a time
 

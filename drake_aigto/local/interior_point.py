@@ -6,8 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError
 from drake_aigto.local.line_search import Filter, LineSearch
 from drake_aigto.local.newton import NewtonSearch, NewtonStep
@@ -17,8 +18,6 @@ from drake_aigto.local.restoration import Restoration
 from drake_aigto.local.result import LocalIterate, LocalResult, LocalStatus
 from drake_aigto.local.scaled import Duals, Linearisation, Point, ScaledProblem, longest
 from drake_aigto.local.symmetric import max_norm
-
-Floats = NDArray[np.float64]
 
 # Wächter & Biegler's names and values.
 _KAPPA_EPSILON = 10.0  # a barrier problem is solved once its error is below κ_ε μ

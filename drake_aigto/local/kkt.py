@@ -1,28 +1,21 @@
-"""Where the unknowns of a `PolynomialNlp` stand in KKT matrices, and their assembly."""
+"""Where the unknowns of a program stand in KKT matrices, and their assembly."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Callable
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from drake_aigto.box.kernels import System, add_means
-from drake_aigto.box.lanes import make_lanes
-from drake_aigto.box.tapes import Order
+from drake_aigto.arrays import Floats, Ints
+from drake_aigto.box import Order, System, add_means, make_lanes
 from drake_aigto.linear import choose_storage
 from drake_aigto.local.symmetric import multiply
-
-if TYPE_CHECKING:
-    from drake_aigto.local.nlp import PolynomialNlp
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
+from drake_aigto.terms import StackedTerms
 
 _LOG = logging.getLogger(__name__)
 
@@ -50,11 +43,27 @@ class KktStructure:
         storage: How the matrices are stored and factorised, and why.
     """
 
-    def __init__(self, nlp: PolynomialNlp) -> None:
-        """Order the unknowns; variables with equal bounds are held."""
-        self._nlp, self._lanes = nlp, make_lanes(nlp.terms, Order.CENTERS)
-        self.free = np.flatnonzero(nlp.lower != nlp.upper)
-        position = np.full(nlp.num_variables, -1)
+    def __init__(
+        self,
+        terms: StackedTerms,
+        copy_weights: Floats,
+        num_costs: int,
+        is_free: NDArray[np.bool_],
+        order: Ints | None,
+    ) -> None:
+        """Order the unknowns.
+
+        Args:
+            terms: The costs and, behind them, the rows.
+            copy_weights: Weight of each copy.
+            num_costs: How many copies are costs.
+            is_free: Which variables are not held (n,).
+            order: The problem's elimination order (n,), if it has one.
+        """
+        self._terms, self._lanes = terms, make_lanes(terms, Order.CENTERS)
+        self._copy_weights, self._num_costs, self._order = copy_weights, num_costs, order
+        self.free = np.flatnonzero(is_free)
+        position = np.full(is_free.size, -1)
         position[self.free] = range(self.free.size)
         rows_read, variables_read, couplings = self._reads(position)
         self.rows, row_numbers = np.unique(rows_read, return_inverse=True)
@@ -65,10 +74,10 @@ class KktStructure:
         self.storage = choose_storage(self.size, edges, orders, may_be_dense=True)
         places = self.storage.places
         self.variable_places, self.row_places = np.split(places, [self.free.size])
-        self._place_of_variable = np.full(nlp.num_variables, -1)
+        self._place_of_variable = np.full(is_free.size, -1)
         self._place_of_variable[self.free] = self.variable_places
-        self._place_of_copy = np.full(nlp.num_costs + nlp.num_rows, -1)
-        self._place_of_copy[nlp.num_costs + self.rows] = self.row_places
+        self._place_of_copy = np.full(copy_weights.size, -1)
+        self._place_of_copy[num_costs + self.rows] = self.row_places
         self.is_row = np.zeros(self.size, dtype=bool)
         self.is_row[self.row_places] = True
         if self.storage.is_worth_telling:
@@ -86,16 +95,16 @@ class KktStructure:
             A row, and a free variable that it reads, for each such pair; and pairs of free
             variables within one term (2, P).
         """
-        copies, pairs = self._nlp.terms.couplings()
+        copies, pairs = self._terms.couplings()
         found = position[pairs].T
         is_free = np.all(found >= 0, axis=0)
-        rows, found = copies[is_free] - self._nlp.num_costs, found[:, is_free]
+        rows, found = copies[is_free] - self._num_costs, found[:, is_free]
         is_read = (rows >= 0) & (found[0] == found[1])
         return rows[is_read], found[0, is_read], found
 
     def _orders(self, position: Ints, edges: Ints, incidence: Ints) -> list[Callable[[], Ints]]:
         """What gives the place of every unknown, in orders that may have a narrow band."""
-        order = self._nlp.order
+        order = self._order
         kept = position if order is None else position[order]
         by_stages = partial(self._by_stages, kept[kept >= 0], incidence)
         if self.size <= _FEW:
@@ -127,18 +136,17 @@ class KktStructure:
             multipliers: λ of the rows that read a free variable (ma,).
             values: Filled with s f_i of each cost copy and s c_i of each row, if given.
         """
-        nlp = self._nlp
         gradient, pattern = np.zeros(self.size), self.storage.pattern
         shape = (self.size, self.bandwidth + 1) if pattern is None else (pattern.rows.size, 1)
         band = np.zeros(shape)
-        factors = np.ones(nlp.num_costs + nlp.num_rows)
-        factors[nlp.num_costs + self.rows] = multipliers
+        factors = np.ones(self._copy_weights.size)
+        factors[self._num_costs + self.rows] = multipliers
         system = System(
             factors, self._place_of_variable, self._place_of_copy, gradient, band, pattern
         )
         if values is None:
             values = np.empty(factors.size)
-        add_means(self._lanes, scales * nlp.copy_weights, x, np.zeros(x.size), values, system)
+        add_means(self._lanes, scales * self._copy_weights, x, np.zeros(x.size), values, system)
         # In Fortran's order, which spares BLAS a copy.
         return gradient[self.variable_places], band.T
 

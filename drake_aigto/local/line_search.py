@@ -7,13 +7,10 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drake_aigto.local.newton import NewtonStep
 from drake_aigto.local.scaled import ROUNDING, Point, ScaledProblem
 from drake_aigto.local.symmetric import max_norm
-
-Floats = NDArray[np.float64]
 
 _GAMMA_THETA, _GAMMA_PHI = 1e-5, 1e-8  # margins of θ and φ
 _DELTA, _S_THETA, _S_PHI = 1.0, 1.1, 2.3  # switching condition

@@ -15,13 +15,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.jit import kernel
 from drake_aigto.local.symmetric import SymmetricFactors
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Relative size that a pivot must have. Small, since the matrices of an interior point method are
 # badly scaled on purpose; refinement makes up for it.

@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drake_aigto.arrays import Floats
 from drake_aigto.local.factors import make_factors
 from drake_aigto.local.scaled import Duals, Linearisation, Point, ScaledProblem
 from drake_aigto.local.symmetric import max_norm
-
-Floats = NDArray[np.float64]
 
 # Wächter & Biegler 2006, sec. 3.1: shifts δ_w of the Hessian.
 _FIRST_SHIFT, _LEAST_SHIFT, _LARGEST_SHIFT = 1e-4, 1e-20, 1e20

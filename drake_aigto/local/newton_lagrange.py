@@ -5,14 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from drake_aigto.local.factors import make_factors
 from drake_aigto.local.nlp import PolynomialNlp
 from drake_aigto.local.result import LocalResult, LocalStatus
 from drake_aigto.local.symmetric import max_norm
-
-Floats = NDArray[np.float64]
 
 # How far outside of its bounds a variable is that rounding put there, relative to 1 and the bound.
 _ROUNDING = 1e-13

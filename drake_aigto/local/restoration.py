@@ -5,12 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drake_aigto.arrays import Floats
 from drake_aigto.local.newton import NewtonSearch
 from drake_aigto.local.scaled import Point, ScaledProblem
-
-Floats = NDArray[np.float64]
 
 _FRACTION = 0.99  # of any slack that a step may use
 _ARMIJO = 1e-4

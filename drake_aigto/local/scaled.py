@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drake_aigto.arrays import Floats
 from drake_aigto.local.nlp import PolynomialNlp
-
-Floats = NDArray[np.float64]
 
 ROUNDING = 10 * float(np.finfo(float).eps)  # relative to what was added up
 _STEEPEST = 100.0  # of a cost or row at the start, once scaled (Wächter & Biegler sec. 3.8)

@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_aigto.arrays import Floats
 from drake_aigto.linear import Pattern
 from drake_aigto.linear.sparse import SparseFactors, factorise
 from drake_aigto.local.symmetric import SymmetricFactors, max_norm
-
-Floats = NDArray[np.float64]
 
 # Added to the diagonal of W, and the least that is taken off the zeros below A: a matrix with a
 # positive semidefinite W is quasidefinite then (Vanderbei 1995), and no pivot is 0 in any order.

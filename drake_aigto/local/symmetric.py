@@ -9,13 +9,11 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.blas import dsbmv
 
+from drake_aigto.arrays import Floats
 from drake_aigto.linear import Pattern
 from drake_aigto.linear.pattern import multiply as multiply_sparse
-
-Floats = NDArray[np.float64]
 
 _RESIDUAL = 1e-13  # of the largest entry on the right, where refinement stops
 

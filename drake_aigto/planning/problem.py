@@ -21,15 +21,20 @@ from drake_aigto.aigo import (
     PenaltyContinuation,
     minimize,
 )
-from drake_aigto.box import BoxPolynomial, compile_program
-from drake_aigto.box.tapes import Order
-from drake_aigto.local import InteriorPoint, LocalResult, PolynomialNlp, compile_nlp
-from drake_aigto.local.drake_solvers import solve_with_drake
+from drake_aigto.box import BoxPolynomial, Order
+from drake_aigto.local import (
+    InteriorPoint,
+    LocalResult,
+    PolynomialNlp,
+    compile_nlp,
+    solve_with_drake,
+)
 from drake_aigto.planning.options import PlanOptions, Rung, StartName
 from drake_aigto.planning.origin import Origin
 from drake_aigto.planning.plan import Candidate
 from drake_aigto.simulation.contacts import find_contacts, max_penetration
 from drake_aigto.simulation.replay import Replay, replay_event_driven
+from drake_aigto.terms import parse_costs
 from drake_aigto.transcription import Transcription
 
 if TYPE_CHECKING:
@@ -277,7 +282,9 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
 
 
 def _compile(transcription: Transcription) -> BoxPolynomial:
-    polynomial = compile_program(transcription.penalized(), transcription.elimination_order())
+    prog = transcription.penalized()
+    blocks, elimination = parse_costs(prog), transcription.elimination_order()
+    polynomial = BoxPolynomial(prog.num_vars(), blocks, elimination)
     for order in (Order.MEAN, Order.BOXES):
         polynomial.lanes(order)  # Made now, for all rungs.
     _LOG.info("boxes: %s", polynomial.storage)

@@ -7,11 +7,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drake_aigto.aigo import Box
-from drake_aigto.box import FunctionKind
 from drake_aigto.solver.options import AigoOptions
 from drake_aigto.solver.program import AigoProgram
 from drake_aigto.solver.ranges import sum_range
 from drake_aigto.solver.tighten import Bounds, tighten
+from drake_aigto.terms import FunctionKind
 
 if TYPE_CHECKING:
     import numpy.typing as npt

@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drake_aigto.aigo import Box
-from drake_aigto.box import BoxPolynomial, TermBlock
+from drake_aigto.box import BoxPolynomial
 from drake_aigto.solver.program import AigoProgram
+from drake_aigto.terms import TermBlock
 
 if TYPE_CHECKING:
     import numpy.typing as npt

@@ -9,20 +9,29 @@ import numpy as np
 from pydrake.solvers import MathematicalProgram
 from pydrake.symbolic import Variable
 
-from drake_aigto.box import BoxPolynomial, Factor, FunctionKind, Term, TermBlock, compile_program
-from drake_aigto.box.compile import evaluator_name, shared_evaluators, term_blocks
-from drake_aigto.box.products import (
-    MAX_TERMS,
-    NoClosedFormError,
-    TooManyTermsError,
-    from_terms,
-    power,
-    to_terms,
-)
+from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.local import PolynomialNlp
-from drake_aigto.local.nlp import ConstraintRow, as_bound, parse_rows
 from drake_aigto.solver.ranges import LARGEST
+from drake_aigto.terms import (
+    MAX_TERMS,
+    ConstraintRow,
+    Factor,
+    FunctionKind,
+    NoClosedFormError,
+    Term,
+    TermBlock,
+    TooManyTermsError,
+    as_bound,
+    evaluator_name,
+    from_terms,
+    parse_costs,
+    parse_rows,
+    power,
+    shared_evaluators,
+    term_blocks,
+    to_terms,
+)
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -190,7 +199,7 @@ class _Rows:
     def finish(self) -> AigoProgram:
         """Returns the program."""
         size = self._lower.size
-        costs = compile_program(self.source, range(self.source.num_vars())).blocks
+        costs = parse_costs(self.source)
         return AigoProgram(
             source=self.source,
             nlp=PolynomialNlp(size, costs, tuple(self.blocks), self._lower, self._upper),

@@ -6,8 +6,8 @@ import math
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
-from drake_aigto.box import Factor, FunctionKind, Term
 from drake_aigto.jit import kernel
+from drake_aigto.terms import Factor, FunctionKind, Term
 
 if TYPE_CHECKING:
     import numpy as np

@@ -13,8 +13,7 @@ import numpy as np
 from drake_aigto.aigo import BoxSearch, LowPoint, SearchResult
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.linear import Storage
-from drake_aigto.local import InteriorPoint
-from drake_aigto.local.drake_solvers import solve_with_drake
+from drake_aigto.local import InteriorPoint, solve_with_drake
 from drake_aigto.solver.first_box import make_first_box
 from drake_aigto.solver.lagrangian import AugmentedLagrangian
 from drake_aigto.solver.options import AigoOptions

@@ -46,9 +46,9 @@ class AigoSolver(SolverInterface):
 
         minimise f(x)  subject to  lower ≤ g(x) ≤ upper
 
-    Costs are sums of products of one-variable functions (`compile_program` lists them); constraints
-    are bounds, and rows that are sums of products of powers, sin, cos and exp. Called as any other
-    solver of Drake:
+    Costs are sums of products of one-variable functions (`drake_aigto.terms.parse_costs` lists
+    them); constraints are bounds, and rows that are sums of products of powers, sin, cos and exp.
+    Called as any other solver of Drake:
 
         result = AigoSolver().Solve(prog)
         result.get_solver_details()      # an `AigoDetails`

@@ -8,16 +8,15 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_aigto.box import FunctionKind
-from drake_aigto.box.tables import stack_terms
+from drake_aigto.arrays import Floats
 from drake_aigto.jit import kernel
 from drake_aigto.solver.ranges import LARGEST, Range, affine, power_range, product
+from drake_aigto.terms import FunctionKind, stack_terms
 
 if TYPE_CHECKING:
-    from drake_aigto.box.tables import StackedTerms
     from drake_aigto.local import PolynomialNlp
+    from drake_aigto.terms import StackedTerms
 
-Floats = NDArray[np.float64]
 Bounds = tuple[Floats, Floats]
 
 _POWER, _EXPONENTIAL = int(FunctionKind.POWER), int(FunctionKind.EXPONENTIAL)

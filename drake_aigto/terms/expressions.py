@@ -10,9 +10,8 @@ from typing import Any, cast
 
 from pydrake.symbolic import Expression, ExpressionKind, Monomial, Polynomial, Variable
 
-from drake_aigto.box.functions import WAVES, FunctionKind
-from drake_aigto.box.polynomial import Factor, Term
-from drake_aigto.box.products import (
+from drake_aigto.errors import UnsupportedTermError
+from drake_aigto.terms.products import (
     MAX_TERMS,
     NoClosedFormError,
     Sum,
@@ -25,7 +24,7 @@ from drake_aigto.box.products import (
     to_terms,
     wave_of_sum,
 )
-from drake_aigto.errors import UnsupportedTermError
+from drake_aigto.terms.sums import WAVES, Factor, FunctionKind, Term
 
 # Place of a variable among those that an evaluator is bound to.
 LocalIndex = Callable[[Variable], int]
@@ -56,7 +55,7 @@ def expression_terms(
 
     Args:
         label: How messages call what the expression is the formula of.
-        expression: See `compile_program` for what may stand in it.
+        expression: See `parse_costs` for what may stand in it.
         index: Place of a variable.
         is_row: Whether it is a row of a constraint, where penalties and barriers have no place.
 

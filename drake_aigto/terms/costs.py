@@ -1,4 +1,4 @@
-"""Drake's MathematicalProgram → `BoxPolynomial`: a term table, or a refusal that names the term."""
+"""Costs of Drake's MathematicalProgram → `TermBlock`s, or a refusal that names the term."""
 
 from __future__ import annotations
 
@@ -19,28 +19,26 @@ from pydrake.solvers import (
 )
 from pydrake.symbolic import Expression
 
-from drake_aigto.box.expressions import expression_terms
-from drake_aigto.box.functions import FunctionKind
-from drake_aigto.box.polynomial import BoxPolynomial, Factor, Term, TermBlock
-from drake_aigto.box.products import NoClosedFormError, from_terms, to_terms
 from drake_aigto.errors import UnsupportedTermError
+from drake_aigto.terms.expressions import expression_terms
+from drake_aigto.terms.products import NoClosedFormError, from_terms, to_terms
+from drake_aigto.terms.sums import Factor, FunctionKind, Term, TermBlock
 
 _Labelled = tuple[str, EvaluatorBase]  # how messages call it
 
 
-def compile_program(prog: MathematicalProgram, order: ArrayLike | None = None) -> BoxPolynomial:
-    """Compile the costs of a program into a term table.
+def parse_costs(prog: MathematicalProgram) -> tuple[TermBlock, ...]:
+    """Returns the costs of a program, over its decision variables.
 
     An evaluator that is bound to many sets of variables is parsed once, and like terms of costs
     that share their name and variables are merged. Constraints are not read: turn them into costs
-    first (`transcription.penalize`).
+    first (`drake_aigto.transcription.penalize`).
 
     Args:
         prog: Costs may be linear, quadratic, or `ExpressionCost` of sums of products of powers,
             sin, cos and exp of affine functions, but not of exp and sin or cos of the same
             variable; a·max(0, y)²; and −a·log y with a > 0 (y affine in one variable, a constant).
             Products and powers are multiplied out.
-        order: Elimination order of the decision variables, see `BoxPolynomial`.
 
     Raises:
         UnsupportedTermError: A term has no closed-form mean here, or a cost has too many; the
@@ -50,12 +48,11 @@ def compile_program(prog: MathematicalProgram, order: ArrayLike | None = None) -
     for label, evaluator, copies in shared_evaluators(prog, prog.GetAllCosts()):
         alike = evaluator_name(evaluator), tuple(map(tuple, copies))
         sums.setdefault(alike, []).append((label, evaluator))
-    blocks = [
+    return tuple(
         block
         for (name, copies), costs in sums.items()
         for block in term_blocks(name, _merged(_parse_alike(costs)), copies)
-    ]
-    return BoxPolynomial(prog.num_vars(), tuple(blocks), order)
+    )
 
 
 def _parse_alike(costs: Sequence[_Labelled]) -> list[tuple[Term, ...]]:

@@ -3,18 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
-if TYPE_CHECKING:
-    from drake_aigto.box.polynomial import Factor, Term, TermBlock
-
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
-Records = NDArray[np.void]
-
+from drake_aigto.arrays import Ints, Records
+from drake_aigto.terms.sums import Factor, Term, TermBlock
 
 # Records, so that kernels have few arrays to take and read one place in memory for each.
 COPY = np.dtype([("sum_index", np.int64), ("first_variable", np.int64)], align=True)

@@ -17,8 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drake_aigto.box.functions import VALUE, FunctionKind, factor_mean
-from drake_aigto.box.polynomial import Factor, Term
+from drake_aigto.terms.sums import Factor, FunctionKind, Term
 
 # More terms than this are refused: 1e6 take some 10 s and 1 GB to parse.
 MAX_TERMS = 1_000_000
@@ -26,6 +25,7 @@ MAX_TERMS = 1_000_000
 _POWER, _COSINE, _SINE = FunctionKind.POWER, FunctionKind.COSINE, FunctionKind.SINE
 _EXPONENTIAL = FunctionKind.EXPONENTIAL
 _TRIGONOMETRIC = (_COSINE, _SINE)
+_WAVES = {_COSINE: np.cos, _SINE: np.sin, _EXPONENTIAL: np.exp}
 
 
 class NoClosedFormError(Exception):
@@ -234,10 +234,9 @@ def _wave(part: Part) -> tuple[float, Part | None]:
     A scale of 0 leaves the power; a cosine's and sine's scale is made positive.
     """
     if part.scale == 0:
-        row = np.empty(6)
-        factor_mean(int(part.kind), 0, 0.0, float(part.offset), 0.0, 0.0, row)
         alone = Part(part.variable, _POWER, part.exponent) if part.exponent else None
-        return float(row[VALUE]), alone
+        with np.errstate(over="ignore", invalid="ignore"):  # Refused with the term's formula.
+            return float(_WAVES[part.kind](float(part.offset))), alone
     if part.kind in _TRIGONOMETRIC and part.scale < 0:
         sign = -1.0 if part.kind == _SINE else 1.0
         return sign, part._replace(scale=-part.scale, offset=-part.offset)

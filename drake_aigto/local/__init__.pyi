@@ -1,0 +1,8 @@
+from .compile import compile_nlp as compile_nlp
+from .drake_solvers import solve_with_drake as solve_with_drake
+from .interior_point import InteriorPoint as InteriorPoint
+from .newton_lagrange import NewtonLagrange as NewtonLagrange
+from .nlp import PolynomialNlp as PolynomialNlp
+from .result import LocalIterate as LocalIterate
+from .result import LocalResult as LocalResult
+from .result import LocalStatus as LocalStatus

@@ -1,0 +1,8 @@
+"""Programs as sums of products of one-variable functions: their data, and how they are parsed.
+
+Only what parses a program (`parse_costs`, `parse_rows` and what they share) loads pydrake.
+"""
+
+import lazy_loader
+
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
