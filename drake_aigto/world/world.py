@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -22,6 +23,7 @@ from drake_aigto.world.diagram import (
     move_shape,
 )
 from drake_aigto.world.fields import as_number
+from drake_aigto.world.fingerprint import Fingerprint
 from drake_aigto.world.material import FRICTION, read_friction, set_material
 from drake_aigto.world.polynomials import PolynomialMap, evaluate_constants
 from drake_aigto.world.reach import ReachableFace, find_reachable_faces, find_sphere_body
@@ -60,6 +62,7 @@ class World:
             gravity, springs and dampers, on the left side of the equation above.
         actuation: B, shape (nv, nu).
         contacts: φ and J of each contact, those of one solid in a row.
+        model: what it was built from; None: a diagram of one's own.
     """
 
     diagram: Diagram
@@ -74,6 +77,7 @@ class World:
     actuation: npt.NDArray[np.float64]
     contacts: tuple[Contact, ...]
     _reachable: tuple[ReachableFace, ...] = field(repr=False)
+    model: str | None = None
 
     @classmethod
     def from_scenario(cls, scenario: Scenario) -> World:
@@ -90,7 +94,7 @@ class World:
         check_plant(plant)
         _check_sizes(plant, scenario)
         plant.SetDefaultPositions(scenario.initial_position)
-        world = cls.from_diagram(diagram, scenario.mass)
+        world = dataclasses.replace(cls.from_diagram(diagram, scenario.mass), model=scenario.model)
         world.check(scenario)
         return world
 
@@ -157,6 +161,11 @@ class World:
     def num_solids(self) -> int:
         """The number of solids, S."""
         return len(self.solids)
+
+    @cached_property
+    def fingerprint(self) -> Fingerprint:
+        """What tells it from other worlds."""
+        return Fingerprint.of(self)
 
     @cached_property
     def solids(self) -> tuple[tuple[int, ...], ...]:

@@ -1,0 +1,110 @@
+"""What tells one world from another, small enough for a file."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from drake_aigto.errors import ModelError
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from drake_aigto.world.world import World
+
+_Rows = tuple[tuple[float, ...], ...]
+
+# Of the largest number of its kind: what another machine, or another version of Drake, may round.
+_ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Fingerprint:
+    """Names and numbers of a world.
+
+    The numbers are at a state that is in no way special, q_i = sin i and v_i = cos i for i = 1, 2,
+    …: worlds with other equations have other numbers there.
+
+    Attributes:
+        model: what the world was built from; None: a diagram of one's own.
+        coordinates: names of the positions, nq.
+        actuators: their names, nu.
+        contacts: their names, m.
+        restitutions: the model's own, m; None where it is the scenario's.
+        accelerations: v̇ without control, then with 1 N of each actuator, (1 + nu, nv) [m/s²].
+        distances: φ, m [m].
+        jacobian: J = ∂φ/∂q, (m, nv).
+        kicks: M⁻¹ J_iᵀ, what 1 N s of each contact changes, (m, nv) [m/s].
+    """
+
+    model: str | None
+    coordinates: tuple[str, ...]
+    actuators: tuple[str, ...]
+    contacts: tuple[str, ...]
+    restitutions: tuple[float | None, ...]
+    accelerations: _Rows
+    distances: tuple[float, ...]
+    jacobian: _Rows
+    kicks: _Rows
+
+    @classmethod
+    def of(cls, world: World) -> Fingerprint:
+        """Returns that of a world."""
+        numbers = np.arange(1.0, 1.0 + world.num_positions)
+        q, v = np.sin(numbers), np.cos(numbers)
+        controls = np.vstack([np.zeros(world.num_actuators), np.eye(world.num_actuators)])
+        impulses = np.eye(world.num_contacts)
+        return cls(
+            model=world.model,
+            coordinates=tuple(world.plant.GetPositionNames()),
+            actuators=tuple(world.plant.GetActuatorNames()),
+            contacts=tuple(contact.name for contact in world.contacts),
+            restitutions=tuple(contact.restitution for contact in world.contacts),
+            accelerations=_rows([world.calc_acceleration(q, v, u) for u in controls]),
+            distances=tuple(world.calc_signed_distance(q).tolist()),
+            jacobian=_rows(world.calc_contact_jacobian(q)),
+            kicks=_rows([world.calc_velocity_change(q, impulse) for impulse in impulses]),
+        )
+
+    def check(self, world: World, remedy: str) -> None:
+        """Checks that a world is this one, wherever it was built from.
+
+        Args:
+            world: any.
+            remedy: what to do if it is another.
+
+        Raises:
+            ModelError: it is another; names the first thing that differs.
+        """
+        for name, expected, got in self._differences(world.fingerprint):
+            raise ModelError(
+                "the world has changed", got=f"{name} {got}", expected=expected, remedy=remedy
+            )
+
+    def _differences(self, other: Fingerprint) -> Iterator[tuple[str, Any, Any]]:
+        """Yields what differs: its name, its value here, and its value there."""
+        for field in dataclasses.fields(self):
+            mine, yours = getattr(self, field.name), getattr(other, field.name)
+            if field.name != "model" and not _is_same(mine, yours):
+                yield field.name, mine, yours
+
+
+def _rows(values: npt.ArrayLike) -> _Rows:
+    return tuple(map(tuple, np.asarray(values).tolist()))
+
+
+def _is_same(mine: Any, yours: Any) -> bool:
+    """Returns whether names are equal, and numbers but for rounding."""
+    if mine == yours:
+        return True
+    try:
+        one, other = np.asarray(mine, dtype=float), np.asarray(yours, dtype=float)
+    except (TypeError, ValueError):  # Names.
+        return False
+    if one.shape != other.shape:
+        return False
+    return bool(np.all(np.abs(one - other) <= _ROUNDING * np.abs(one).max(initial=0.0)))
