@@ -101,7 +101,7 @@ def anneal(world: World, steps: int) -> tuple[float, int, float]:
     """Returns seconds to build, the number of Newton iterations, and their seconds."""
     scenario = dataclasses.replace(Scenario.named("table1/1"), time_step=1.0 / steps)
     problem, building = clock(lambda: make_problem(world, scenario, PlanOptions(aigo_steps=steps)))
-    rung = problem.options.rungs[0]
+    rung = problem.options.ladder[0]
     algorithm = problem.make_algorithm(rung)
     assert isinstance(algorithm, Annealing)
     last = algorithm.initial_temperature * algorithm.cooling ** (TEMPERATURES - 1)

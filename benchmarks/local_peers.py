@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from pydrake.solvers import IpoptSolver, SnoptSolver, SolverOptions
 
 from drake_aigto.local import PolynomialNlp
+from drake_aigto.paper import LiteralTranscription
 from drake_aigto.terms import Factor, TermBlock
-from drake_aigto.transcription import LiteralTranscription
 
 casadi: Any
 try:

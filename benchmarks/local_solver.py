@@ -23,9 +23,8 @@ import numpy as np
 
 from benchmarks.local_peers import Floats, Solver, casadi, casadi_ipopt, drake_solver
 from drake_aigto.local import InteriorPoint, PolynomialNlp, compile_nlp
-from drake_aigto.planning import LiteralProblem, PlanOptions
-from drake_aigto.planning.literal import ballistic_guess
-from drake_aigto.transcription import LiteralTranscription
+from drake_aigto.paper import LiteralProblem, LiteralTranscription
+from drake_aigto.paper.problem import ballistic_guess
 from drake_aigto.world import Scenario, World
 
 HOLDS = 1e-8
@@ -95,10 +94,9 @@ def make_starts(
         )
         for values in ([0.0, -2.0, -10.0], [1.5, 2.0, 10.0])
     )
-    options = PlanOptions(transcription="literal", nonpenetration=transcription.nonpenetration)
-    problem = LiteralProblem(transcription, options)
+    problem = LiteralProblem(transcription)
     centers, flights = [], {}
-    for rung in options.rungs:
+    for rung in problem.options.ladder:
         result = problem.run_aigo(rung)
         centers.append(result.box.center)
         for knots in problem.find_sequences(result, rung):

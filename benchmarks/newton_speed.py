@@ -85,16 +85,16 @@ def main() -> int:
     return 0 if is_met("an iteration / its banded Cholesky", ratio, MOST_FACTORIZATIONS) else 1
 
 
-def make_boxes(steps: int) -> PlanningProblem[Any, Any]:
+def make_boxes(steps: int) -> PlanningProblem:
     """Returns Table I's first problem, its boxes at so many time steps."""
     scenario = dataclasses.replace(Scenario.named("table1/1"), time_step=1.0 / steps)
     options = PlanOptions(aigo_steps=steps)
     return make_problem(World.from_scenario(scenario), scenario, options)
 
 
-def time_iterations(problem: PlanningProblem[Any, Any], repeats: int) -> list[float]:
+def time_iterations(problem: PlanningProblem, repeats: int) -> list[float]:
     """Returns seconds a Newton iteration, of whole annealings."""
-    rung = problem.options.rungs[0]
+    rung = problem.options.ladder[0]
     problem.run_aigo(rung)  # Loads compiled code.
     found = []
     for _ in range(repeats):
@@ -103,7 +103,7 @@ def time_iterations(problem: PlanningProblem[Any, Any], repeats: int) -> list[fl
     return found
 
 
-def make_works(problem: PlanningProblem[Any, Any], with_c: bool) -> dict[str, Callable[[], Any]]:
+def make_works(problem: PlanningProblem, with_c: bool) -> dict[str, Callable[[], Any]]:
     """Returns what takes turns."""
     f, box = problem.polynomial, problem.box
     free = box.free

@@ -11,7 +11,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 
-from drake_aigto.planning import PlanOptions, plan
+from drake_aigto.paper import LiteralOptions, plan_literal
 from drake_aigto.study import PAPER_COSTS
 from drake_aigto.world import Scenario
 
@@ -22,13 +22,13 @@ DELTAS = (1e-4, 1e-3, 1e-2)  # [m]
 
 def main() -> None:
     """Prints a line for every choice of settings."""
-    options = PlanOptions(transcription="literal", nonpenetration=False, confirm=False)
+    options = LiteralOptions(nonpenetration=False, confirm=False)
     target = PAPER_COSTS[4].aigto
     for duration, weight, delta in itertools.product(DURATIONS, CONTROL_WEIGHTS, DELTAS):
         scenario = dataclasses.replace(
             Scenario.named("table1/4"), duration=duration, control_weight=weight, delta=delta
         )
-        found = plan(scenario, options)
+        found = plan_literal(scenario, options)
         print(
             f"T {duration:g} s  w_u {weight:g}  δ {delta:g} m  cost {found.cost:.2e}  "
             f"defect {found.best.max_defect:.0e}  "

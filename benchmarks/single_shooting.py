@@ -16,9 +16,8 @@ import numpy as np
 from drake_aigto.aigo import Annealing, Box, EqualWidths, minimize
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import UnsupportedTermError
-from drake_aigto.planning import LiteralProblem, PlanOptions
+from drake_aigto.paper import LiteralProblem, PolynomialLaw, SingleShooting, count_terms
 from drake_aigto.terms import parse_costs
-from drake_aigto.transcription import PolynomialLaw, SingleShooting, count_terms
 from drake_aigto.world import Scenario, World
 
 DEGREES, REACH = (1, 2, 3, 4), 1.0
@@ -60,7 +59,7 @@ def print_plan(world: World, number: int) -> None:
     center = boxes.box.center
     x = minimize(f, Box(center, np.ones_like(center)), points).box.center
     rows = shooting.multiple_shooting
-    problem = LiteralProblem(rows, PlanOptions(transcription="literal"))
+    problem = LiteralProblem(rows)
     y = problem.solve_locally(rows.initial_box()[0])
     print(
         f"{number} steps, degree 2: {f.num_terms:,} terms of {f.num_variables} variables, J = "

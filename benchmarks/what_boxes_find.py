@@ -10,11 +10,12 @@ without any boxes.
 from __future__ import annotations
 
 import dataclasses
+from typing import get_args
 
-from drake_aigto.planning import LiteralProblem, Planner, PlanOptions
+from drake_aigto.paper import LiteralOptions, LiteralProblem, make_literal_problem, plan_literal
+from drake_aigto.paper.options import AlgorithmName
 from drake_aigto.planning.plan import LARGEST_DEFECT
-from drake_aigto.transcription import LiteralTranscription
-from drake_aigto.world import Scenario
+from drake_aigto.world import Scenario, World
 
 STRIDE = 10
 
@@ -33,14 +34,13 @@ def main() -> None:
     """Prints a line for every row and algorithm."""
     for row in (1, 2, 3, 4):
         scenario = Scenario.named(f"table1/{row}")
-        options = PlanOptions(transcription="literal", nonpenetration=False, confirm=False)
-        planner = Planner(scenario, options)
-        transcription = LiteralTranscription(planner.world, scenario, nonpenetration=False)
-        grid = grid_cost(LiteralProblem(transcription, options))
-        for algorithm in ("annealing", "full gradient"):
+        world = World.from_scenario(scenario)
+        options = LiteralOptions(nonpenetration=False, confirm=False)
+        grid = grid_cost(make_literal_problem(world, scenario, options))
+        for algorithm in get_args(AlgorithmName)[:2]:
             moving = dataclasses.replace(options, algorithm=algorithm)
             still = dataclasses.replace(moving, knot_steps=())
-            costs = [Planner(scenario, o, planner.world).plan().cost for o in (still, moving)]
+            costs = [plan_literal(scenario, each, world).cost for each in (still, moving)]
             print(
                 f"row {row}  {algorithm:13}  sequences of AIGO {costs[0]:.1e}  moved {costs[1]:.1e}"
                 f"  every {STRIDE}th knot, no boxes {grid:.1e}",

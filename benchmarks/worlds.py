@@ -111,7 +111,6 @@ def run(job: Job) -> Outcome:
     cost = plan(world, scenario)
     seconds = time.perf_counter() - start
     problem = make_problem(world, scenario, OPTIONS)
-    assert isinstance(problem, RigidProblem)
     read = read_boxes(problem, optimum)
     budget = job.factor * seconds
     peers = {name: run_peer(name, problem, scenario, budget) for name in job.peers}
@@ -122,7 +121,7 @@ def read_boxes(problem: RigidProblem, optimum: ContactOptimum) -> tuple[bool, ..
     """Returns, by rung, whether one of the sequences that the boxes propose is the optimum's."""
     world, known = problem.transcription.world, known_sequence(optimum)
     found = []
-    for rung in OPTIONS.rungs:
+    for rung in OPTIONS.ladder:
         proposed = problem.find_sequences(problem.run_aigo(rung), rung)
         found.append(any(is_equivalent(world, each, known) for each in proposed))
     return tuple(found)
@@ -215,9 +214,9 @@ def report_sequences(outcomes: list[Outcome]) -> None:
     lengths = Counter(len(outcome.optimum.touches) for outcome in outcomes)
     print("contacts of the optimum: " + ", ".join(f"{n}: {k}" for n, k in sorted(lengths.items())))
     print("a sequence that boxes alone propose, before the polish, is the optimum's:")
-    for number, rung in enumerate(OPTIONS.rungs):
+    for number, rung in enumerate(OPTIONS.ladder):
         right = sum(outcome.read[number] for outcome in outcomes)
-        print(f"  rung {number + 1}: {right} of {count} ({rung.describe(OPTIONS.algorithm)})")
+        print(f"  rung {number + 1}: {right} of {count} ({rung.describe('annealing')})")
     print(f"  any rung: {sum(any(outcome.read) for outcome in outcomes)} of {count}")
 
 

@@ -14,12 +14,16 @@ from pathlib import Path
 
 import matplotlib as mpl
 
-from drake_aigto import Planner, PlanOptions, Scenario, World
-from drake_aigto.baselines import gradient_from_zero
-from drake_aigto.planning import Candidate, LiteralProblem
+from drake_aigto import Planner, Scenario, World
+from drake_aigto.paper import (
+    LiteralOptions,
+    gradient_from_zero,
+    make_literal_problem,
+    plan_literal,
+)
+from drake_aigto.planning import Candidate
 from drake_aigto.show.figures import plot_motions, plot_path
 from drake_aigto.show.motion import Motion
-from drake_aigto.transcription import LiteralTranscription
 
 mpl.use("Agg")
 
@@ -34,14 +38,11 @@ _WAYS = {
 
 def make_runs(world: World, scenario: Scenario) -> Iterator[tuple[str, Candidate]]:
     """Yields the three plans, each with its title."""
-    options = PlanOptions(transcription="literal", nonpenetration=False)
+    options = LiteralOptions(nonpenetration=False)
     snopt = dataclasses.replace(options, local_solver="snopt")
-    transcription = LiteralTranscription(world, scenario, snopt.nonpenetration)
-    yield (
-        "SNOPT, no boxes: brakes and turns",
-        gradient_from_zero(LiteralProblem(transcription, snopt)),
-    )
-    yield "AIGTO as in the paper: overshoots", Planner(scenario, options, world).plan().best
+    problem = make_literal_problem(world, scenario, snopt)
+    yield "SNOPT, no boxes: brakes and turns", gradient_from_zero(problem)
+    yield "AIGTO as in the paper: overshoots", plan_literal(scenario, options, world).best
     yield "with impulses at knots: holds", Planner(scenario, world=world).plan().best
 
 

@@ -53,7 +53,8 @@ def differences(one: Variant, other: Variant) -> set[str]:
     """Returns the names of what differs, options and all else."""
     fields = {field.name for field in dataclasses.fields(PlanOptions)}
     pairs = [(name, one.options, other.options) for name in fields]
-    pairs += [(name, one, other) for name in ("num_steps", "way")]  # type: ignore[misc]
+    fields = {field.name for field in dataclasses.fields(Variant)} - {"group", "options"}
+    pairs += [(name, one, other) for name in fields]  # type: ignore[misc]
     return {name for name, mine, yours in pairs if getattr(mine, name) != getattr(yours, name)}
 
 
@@ -81,14 +82,14 @@ def test_no_two_variants_are_the_same() -> None:
 def test_bare_variants_start_in_no_simulation_and_try_no_neighbours() -> None:
     for name, variant in VARIANTS.items():
         if name.startswith("bare"):
-            assert {rung.start for rung in variant.options.rungs} == {"line"}
+            assert {rung.start for rung in variant.options.ladder} == {"line"}
             assert variant.options.branches == 0
     starts = [rung.start for name in ("line only", "coast only") for rung in _rungs(name)]
     assert sorted(starts) == sorted(rung.start for rung in RIGID_LADDER)
 
 
 def _rungs(name: str) -> tuple[Rung, ...]:
-    return VARIANTS[name].options.rungs
+    return VARIANTS[name].options.ladder
 
 
 def run(name: str) -> tuple[bool, MethodRun]:
@@ -125,7 +126,7 @@ def test_boxes_that_are_not_polished_have_the_contact_but_not_the_cost() -> None
 def test_time_steps_are_those_of_the_variant(monkeypatch: pytest.MonkeyPatch) -> None:
     seen: list[int] = []
 
-    def plan(world: object, scenario: Scenario, options: PlanOptions) -> tuple[float, tuple[int]]:
+    def plan(world: object, scenario: Scenario, variant: Variant) -> tuple[float, tuple[int]]:
         seen.append(scenario.num_steps)
         return 1.0, (0,)
 

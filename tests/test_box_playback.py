@@ -13,8 +13,7 @@ from pydrake.geometry import Meshcat
 
 from drake_aigto import Plan, Planner, PlanOptions, Scenario, World
 from drake_aigto.aigo import AigoResult, SlowMotion, minimize
-from drake_aigto.planning import Origin
-from drake_aigto.planning.planner import make_problem
+from drake_aigto.planning import Origin, make_problem
 from drake_aigto.show.box_playback import play_boxes
 from drake_aigto.show.box_run import BoxRun, run_boxes
 from drake_aigto.show.picture import make_mesh
@@ -42,7 +41,7 @@ def meshcat(plan: Plan, run: BoxRun) -> Meshcat:
 
 
 def test_the_rung_that_the_plan_came_from_is_run_again(plan: Plan, run: BoxRun) -> None:
-    assert plan.best.origin.rung == run.rung in OPTIONS.rungs
+    assert plan.best.origin.rung == run.rung in OPTIONS.ladder
     last = run.problem.run_aigo(run.rung).box
     # Newton step by Newton step it comes to the same.
     np.testing.assert_allclose(run.result.box.center, last.center, atol=1e-6)
@@ -52,16 +51,16 @@ def test_the_rung_that_the_plan_came_from_is_run_again(plan: Plan, run: BoxRun) 
 def test_a_plan_that_came_of_a_guess_has_boxes_of_the_first_rung(plan: Plan) -> None:
     best = dataclasses.replace(plan.best, origin=Origin("zero"))
     other = dataclasses.replace(plan, candidates=(best,))
-    assert run_boxes(other, options=OPTIONS).rung == OPTIONS.rungs[0]
+    assert run_boxes(other, options=OPTIONS).rung == OPTIONS.ladder[0]
 
 
-def test_a_full_gradient_plan_has_its_own_boxes(
+def test_a_literal_plan_has_the_boxes_of_its_algorithm(
     plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     seen: list[Any] = []
     monkeypatch.setattr("drake_aigto.planning.problem.minimize", lambda *a: seen.append(a[2]))
-    best = dataclasses.replace(plan.best, origin=Origin("full gradient", OPTIONS.rungs[0]))
-    run_boxes(dataclasses.replace(plan, candidates=(best,)), options=OPTIONS)
+    best = dataclasses.replace(plan.best, origin=Origin("full gradient", OPTIONS.ladder[0]))
+    run_boxes(dataclasses.replace(plan, transcription="literal", candidates=(best,)))
     assert type(seen[0]).__name__ == "FullGradient"
 
 
@@ -145,7 +144,7 @@ def test_each_coordinate_has_its_panel_and_nothing_passes_for_a_motion(
 
 def test_slow_motion_ends_where_annealing_does(plan: Plan) -> None:
     problem = make_problem(World.from_scenario(plan.scenario), plan.scenario, OPTIONS)
-    annealing: Any = problem.make_algorithm(OPTIONS.rungs[2])
+    annealing: Any = problem.make_algorithm(OPTIONS.ladder[2])
     results: list[AigoResult] = [
         minimize(problem.polynomial, problem.box, algorithm)
         for algorithm in (annealing, SlowMotion(annealing))

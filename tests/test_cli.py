@@ -14,7 +14,15 @@ import pytest
 from refusals import check_refused
 
 from drake_aigto.cli import BAD_INPUT, FINE, INTERRUPTED, NOTHING_HOLDS, UNREAD, main
-from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions, Replays
+from drake_aigto.paper import LiteralOptions
+from drake_aigto.planning import (
+    Plan,
+    Planner,
+    PlanningError,
+    PlanOptions,
+    Replays,
+    SearchOptions,
+)
 from drake_aigto.world import Scenario
 from drake_aigto.world.files import find_model
 
@@ -114,30 +122,31 @@ def test_what_holds_nowhere_is_shown_and_written_and_exits_with_1(
 def test_plan_options_are_flags(
     plan_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    seen: list[PlanOptions] = []
+    seen: list[SearchOptions] = []
 
     def remember(planner: Planner, **keywords: Any) -> Plan:
         seen.append(planner.options)
         return Plan.load(plan_file)
 
+    def remember_literal(scenario: Scenario, options: LiteralOptions, *arguments: Any) -> Plan:
+        seen.append(options)
+        return Plan.load(plan_file)
+
     monkeypatch.setattr(Planner, "plan", remember)
+    monkeypatch.setattr("drake_aigto.cli.plan.plan_literal", remember_literal)
     main(["plan", *FLIGHT])
     assert seen.pop() == PlanOptions()
-    numbers = ["--relaxation", "0.5", "--aigo-steps", "7", "--finalists", "3", "--threads", "2"]
-    words = ["--local-solver", "snopt", "--algorithm", "full gradient"]
-    switches = ["--no-nonpenetration", "--exhaustive", "--no-confirm"]
-    main(["plan", *FLIGHT, "--transcription", "literal", *numbers, *words, *switches])
+    both = ["--finalists", "3", "--threads", "2", "--local-solver", "snopt", "--no-confirm"]
+    of_both: dict[str, Any] = {"finalists": 3, "threads": 2, "local_solver": "snopt"}
+    rigid = ["--relaxation", "0.5", "--aigo-steps", "7", "--exhaustive"]
+    main(["plan", *FLIGHT, *both, *rigid])
     assert seen.pop() == PlanOptions(
-        transcription="literal",
-        relaxation=0.5,
-        aigo_steps=7,
-        finalists=3,
-        threads=2,
-        exhaustive=True,
-        local_solver="snopt",
-        algorithm="full gradient",
-        nonpenetration=False,
-        confirm=False,
+        relaxation=0.5, aigo_steps=7, exhaustive=True, confirm=False, **of_both
+    )
+    literal = ["--algorithm", "full gradient", "--no-nonpenetration"]
+    main(["plan", *FLIGHT, "--transcription", "literal", *both, *literal])
+    assert seen.pop() == LiteralOptions(
+        algorithm="full gradient", nonpenetration=False, confirm=False, **of_both
     )
 
 
@@ -216,6 +225,14 @@ def test_table1_prints_every_method_with_its_replays(
         (["plan", "table1/1", "--relaxation", "nan"], "relaxation: got nan, expected a number, 0"),
         (["plan", "table1/1", "--aigo-steps", "0"], "aigo_steps: got 0, expected 1 or more"),
         (["plan", "table1/1", "--finalists", "-2"], "finalists: got -2, expected 1 or more"),
+        (
+            ["plan", "table1/1", "--algorithm", "annealing"],
+            "--algorithm: got --transcription rigid, expected --transcription literal, whose",
+        ),
+        (
+            ["plan", "table1/1", "--transcription", "literal", "--exhaustive"],
+            "--exhaustive: got --transcription literal, expected --transcription rigid, whose",
+        ),
         (["plan", "table1/1", "--model", "nowhere.sdf"], "model nowhere.sdf: got no file"),
         (["plan", "table1/1", "--initial-velocity", "-1e400"], "initial_velocity: got -inf"),
         (["plan", "table1/1", "--json", "no/folder/x.json"], "no/folder/x.json can't be written"),

@@ -13,9 +13,9 @@ from replay_worlds import make_diagram, make_scenario
 from rigid_worlds import indices
 
 from drake_aigto import Scenario, World
+from drake_aigto.paper import LiteralTranscription
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import (
-    LiteralTranscription,
     PhaseTranscription,
     RigidTranscription,
     Touch,

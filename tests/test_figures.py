@@ -17,6 +17,7 @@ from matplotlib.patches import Polygon
 
 from drake_aigto import ModelError, Scenario, World
 from drake_aigto.aigo import Box, Iterate
+from drake_aigto.paper import LiteralTranscription
 from drake_aigto.show.coordinates import coordinate_names
 from drake_aigto.show.figures import (
     plot_boxes,
@@ -27,7 +28,7 @@ from drake_aigto.show.figures import (
     plot_velocities,
 )
 from drake_aigto.show.motion import PALETTE, Motion
-from drake_aigto.transcription import LiteralTranscription, RigidTranscription, Touch
+from drake_aigto.transcription import RigidTranscription, Touch
 
 TIMES = np.array([0.0, 0.5, 0.5, 1.0])
 PLAN = Motion(

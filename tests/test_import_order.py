@@ -29,6 +29,7 @@ ROAD = (
     "local",
     "solver",
     "planning",
+    "paper",
     "control",
     "baselines",
     "study",

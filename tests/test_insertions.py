@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from contextlib import nullcontext
 
 import numpy as np
 import pytest
 from several_walls import make_task, shipped
 
 from drake_aigto import PlanOptions, Scenario, World, plan
-from drake_aigto.planning import RigidProblem, make_problem
+from drake_aigto.planning import make_problem
 from drake_aigto.planning.insertions import find_insertions
 from drake_aigto.planning.rigid_search import RigidSearch
 from drake_aigto.planning.touches import kinds
@@ -70,8 +69,7 @@ def test_a_bounce_that_no_box_shows_is_inserted() -> None:
 def test_a_polish_passes_the_block_on_the_way_to_the_goal_where_the_box_center_misses_it() -> None:
     (*_, scenario) = WORLDS["room_with_block"].draw(5, seed=21)
     problem = make_problem(World.from_scenario(scenario), scenario, QUICK)
-    assert isinstance(problem, RigidProblem)
-    rung = next(rung for rung in QUICK.rungs if rung.start == "coast")
+    rung = next(rung for rung in QUICK.ladder if rung.start == "coast")
     result = problem.run_aigo(rung)
     sequence = problem.find_sequences(result, rung)[0]
     center = problem.transcription.split(result.box.center)[0]
@@ -86,9 +84,8 @@ def test_no_neighbour_is_tried_whose_contacts_a_plan_has_that_holds(
 ) -> None:
     scenario = Scenario.named("corridor/three_bounces")
     problem = make_problem(World.from_scenario(scenario), scenario, QUICK)
-    assert isinstance(problem, RigidProblem)
-    search = RigidSearch(problem, lambda part: nullcontext())
-    search.add_rungs(QUICK.rungs)
+    search = RigidSearch(problem)
+    search.add_rungs(QUICK.ladder)
     held = [kinds(each) for each, it in search.by_sequence.items() if it.is_confirmed]
     tried: list[list[tuple[int, bool]]] = []
 

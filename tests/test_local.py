@@ -19,7 +19,7 @@ from random_boxes import dense
 
 from drake_aigto import Scenario, World
 from drake_aigto.local import InteriorPoint, LocalStatus, PolynomialNlp, compile_nlp
-from drake_aigto.transcription import LiteralTranscription
+from drake_aigto.paper import LiteralTranscription
 
 
 def test_a_polynomial_program_away_from_the_origin_is_solved_exactly() -> None:

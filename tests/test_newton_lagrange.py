@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from drake_aigto import Scenario
 from drake_aigto.local import InteriorPoint, NewtonLagrange, PolynomialNlp
 from drake_aigto.local.builder import NlpBuilder
-from drake_aigto.planning import PlanOptions, RigidProblem, make_problem
+from drake_aigto.planning import PlanOptions, make_problem
 from drake_aigto.transcription import Touch
 from drake_aigto.world import World
 
@@ -100,7 +100,6 @@ def test_a_polish_is_the_interior_points(
 ) -> None:
     scenario = dataclasses.replace(Scenario.named("table1/1"), time_step=0.02)
     problem = make_problem(World.from_scenario(scenario), scenario, PlanOptions(confirm=False))
-    assert isinstance(problem, RigidProblem)
     quick = problem.polish(problem.box.center, sequence)
     with monkeypatch.context() as patch:
         patch.setattr(NewtonLagrange, "solve", lambda *arguments: None)

@@ -11,26 +11,25 @@ import numpy as np
 import pytest
 from rigid_worlds import AXIS, write_model
 
-from drake_aigto import OutputFileError, PlanFileError, Scenario, ScenarioError
-from drake_aigto.aigo import Annealing, FullGradient
+from drake_aigto import OutputFileError, PlanFileError, Scenario
 from drake_aigto.errors import OptionsError
-from drake_aigto.plain import to_plain
-from drake_aigto.planning import (
+from drake_aigto.paper import (
+    LITERAL_LADDER,
+    LiteralOptions,
     LiteralProblem,
-    Plan,
-    Planner,
-    PlanningError,
-    PlanOptions,
-    plan,
+    LiteralTranscription,
+    plan_literal,
 )
-from drake_aigto.planning.options import LITERAL_LADDER, LocalSolverName
+from drake_aigto.paper.options import AlgorithmName
+from drake_aigto.plain import to_plain
+from drake_aigto.planning import Plan, PlanningError, PlanOptions, SearchOptions
+from drake_aigto.planning.options import LocalSolverName
 from drake_aigto.simulation.contacts import find_contacts
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import LiteralTranscription
 from drake_aigto.world import World
 
 # Coarse, and with two rungs, so that a plan takes a fraction of a second.
-QUICK = PlanOptions(transcription="literal", ladder=LITERAL_LADDER[2:4], confirm=False)
+QUICK = LiteralOptions(ladder=LITERAL_LADDER[2:4], confirm=False)
 BOUNCE = Scenario(initial_position=0.4, initial_velocity=-1.2, goal_position=1.0, time_step=0.02)
 # Far from the wall and with next to no contact force: linear dynamics, quadratic cost.
 FLIGHT = Scenario(
@@ -71,8 +70,8 @@ def least_cost(
 
 @pytest.mark.parametrize("solver", ["newton", "snopt", "ipopt"])
 def test_a_flight_costs_the_linear_quadratic_optimum(solver: LocalSolverName) -> None:
-    options = dataclasses.replace(QUICK, local_solver=solver, ladder=QUICK.rungs[:1], confirm=True)
-    found = plan(FLIGHT, options)
+    options = dataclasses.replace(QUICK, local_solver=solver, ladder=QUICK.ladder[:1], confirm=True)
+    found = plan_literal(FLIGHT, options)
     assert found.cost == pytest.approx(least_cost(FLIGHT), rel=1e-6)
     assert max(found.defects.values()) < 1e-8
     assert not found.best.contacts
@@ -85,7 +84,7 @@ def test_a_flight_costs_the_linear_quadratic_optimum(solver: LocalSolverName) ->
 def test_twice_the_mass_needs_twice_the_force(tmp_path: Path) -> None:
     model = write_model(tmp_path, "<mass>1.0</mass>", "<mass>2.0</mass>")
     heavy = dataclasses.replace(FLIGHT, model=model)
-    costs = [plan(s, QUICK).cost for s in (heavy, dataclasses.replace(FLIGHT, mass=2.0))]
+    costs = [plan_literal(s, QUICK).cost for s in (heavy, dataclasses.replace(FLIGHT, mass=2.0))]
     assert costs == pytest.approx([least_cost(FLIGHT, mass=2.0)] * 2, rel=1e-6)
     assert costs[0] > 3.5 * least_cost(FLIGHT)
 
@@ -96,7 +95,7 @@ def test_a_spring_on_the_joint_is_planned_for(tmp_path: Path) -> None:
         "<spring_reference>0.4</spring_reference></dynamics>"
     )
     sprung = dataclasses.replace(FLIGHT, model=write_model(tmp_path, AXIS, spring))
-    cost = plan(sprung, QUICK).cost
+    cost = plan_literal(sprung, QUICK).cost
     assert cost == pytest.approx(least_cost(FLIGHT, spring=3.0, rest=0.4), rel=1e-6)
     assert abs(cost / least_cost(FLIGHT) - 1) > 0.1
 
@@ -109,21 +108,21 @@ def test_a_plan_moves_along_with_the_wall(tmp_path: Path) -> None:
         initial_position=BOUNCE.initial_position + 0.2,
         goal_position=BOUNCE.goal_position + 0.2,
     )
-    here, there = plan(BOUNCE, QUICK), plan(shifted, QUICK)
+    here, there = plan_literal(BOUNCE, QUICK), plan_literal(shifted, QUICK)
     assert there.cost == pytest.approx(here.cost, rel=1e-3)
     np.testing.assert_allclose(
         there.trajectory.positions, here.trajectory.positions + 0.2, atol=1e-3
     )
     # With the wall where it was, the same ends are another problem.
-    stayed = plan(dataclasses.replace(shifted, model=BOUNCE.model), QUICK)
+    stayed = plan_literal(dataclasses.replace(shifted, model=BOUNCE.model), QUICK)
     assert abs(stayed.cost / here.cost - 1) > 0.05
 
 
 def test_every_candidate_comes_from_a_rung_and_the_best_is_chosen() -> None:
-    found = plan(BOUNCE, QUICK)
+    found = plan_literal(BOUNCE, QUICK)
     for candidate in found.candidates:
         assert candidate.origin.proposer == "annealing"
-        assert candidate.origin.rung in QUICK.rungs
+        assert candidate.origin.rung in QUICK.ladder
         assert {change.kind for change in candidate.origin.changes} <= {"moved"}
     assert found.cost == min(c.cost for c in found.candidates if c.max_defect <= 1e-6)
     assert found.best is found.candidates[0]
@@ -131,32 +130,17 @@ def test_every_candidate_comes_from_a_rung_and_the_best_is_chosen() -> None:
 
 
 def test_the_same_question_gives_the_same_bits() -> None:
-    one, two = plan(BOUNCE, QUICK), plan(BOUNCE, QUICK)
+    one, two = plan_literal(BOUNCE, QUICK), plan_literal(BOUNCE, QUICK)
     assert one.trajectory == two.trajectory
     assert [c.cost for c in one.candidates] == [c.cost for c in two.candidates]
 
 
-def test_a_planner_plans_again_with_changed_ends() -> None:
-    again = Planner(BOUNCE, QUICK).plan(initial_velocity=-1.0, goal_position=0.9)
-    changed = dataclasses.replace(BOUNCE, initial_velocity=-1.0, goal_position=0.9)
-    assert again.trajectory == plan(changed, QUICK).trajectory
-    assert again.scenario == changed
-    with pytest.raises(ScenarioError, match="goal_position is inside"):
-        Planner(BOUNCE, QUICK).plan(goal_position=-1.0)
-
-
-def test_the_papers_algorithm_plans_too() -> None:
-    found = plan(
-        BOUNCE, dataclasses.replace(QUICK, algorithm="full gradient", ladder=QUICK.rungs[:1])
-    )
+@pytest.mark.parametrize("algorithm", ["full gradient", "alternating"])
+def test_the_papers_algorithms_plan_too(algorithm: AlgorithmName) -> None:
+    options = dataclasses.replace(QUICK, algorithm=algorithm, ladder=QUICK.ladder[:1])
+    found = plan_literal(BOUNCE, options)
     assert max(found.defects.values()) < 1e-8
-    assert found.best.origin.proposer == "full gradient"
-    assert isinstance(
-        PlanOptions(algorithm="full gradient").make_algorithm(QUICK.rungs[0]), FullGradient
-    )
-    annealing = PlanOptions().make_algorithm(QUICK.rungs[0])
-    assert isinstance(annealing, Annealing)
-    assert annealing.initial_temperature == QUICK.rungs[0].temperature
+    assert found.best.origin.proposer == algorithm
 
 
 def test_costs_and_bounds_of_a_user_count() -> None:
@@ -167,8 +151,8 @@ def test_costs_and_bounds_of_a_user_count() -> None:
     transcription.AddConstraintToAllKnotPoints(u <= 2.0)
     transcription.AddConstraintToAllKnotPoints(u >= -2.0)
     problem = LiteralProblem(transcription, QUICK)
-    result = problem.run_aigo(QUICK.rungs[0])
-    knots = problem.find_sequences(result, QUICK.rungs[0])[0]
+    result = problem.run_aigo(QUICK.ladder[0])
+    knots = problem.find_sequences(result, QUICK.ladder[0])[0]
     _, x = problem.polish(result.box.center, knots)
     assert max(transcription.defects(x).values()) < 1e-8
     _, velocities, controls = transcription.split(x)
@@ -184,7 +168,7 @@ def test_ctrl_c_keeps_the_candidates_so_far() -> None:
         if len(lines) == 2:
             raise KeyboardInterrupt
 
-    found = Planner(BOUNCE, QUICK).plan(progress=interrupt)
+    found = plan_literal(BOUNCE, QUICK, progress=interrupt)
     assert 1 <= len(found.candidates) <= 2  # one rung proposes two sequences at most
     assert lines[0].startswith("AIGO 1 of 2: annealing from temperature")
 
@@ -198,21 +182,23 @@ def test_nothing_feasible_is_an_error_that_says_what_was_tried(
     monkeypatch.setattr(LiteralProblem, "polish", unpolished)
     message = r"no candidate meets .* got \d+ candidates from 2 rungs, the smallest defect"
     with pytest.raises(PlanningError, match=message):
-        plan(BOUNCE, QUICK)
+        plan_literal(BOUNCE, QUICK)
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("kind", "options", "message"),
     [
-        ({"transcription": "rubber"}, "transcription: got 'rubber', expected one of rigid, lit"),
-        ({"algorithm": "luck"}, "algorithm: got 'luck', expected one of annealing, full gradient"),
-        ({"local_solver": "mosek"}, "local_solver: got 'mosek', expected one of newton, ipopt"),
-        ({"ladder": ()}, "ladder: got no rung, expected at least one"),
+        (LiteralOptions, {"algorithm": "luck"}, "algorithm: got 'luck', expected one of annealing"),
+        (PlanOptions, {"local_solver": "mosek"}, "local_solver: got 'mosek', expected one of newt"),
+        (LiteralOptions, {"ladder": ()}, "ladder: got no rung, expected at least one"),
+        (PlanOptions, {"ladder": ()}, "ladder: got no rung, expected at least one"),
     ],
 )
-def test_unknown_options_are_refused(options: dict[str, Any], message: str) -> None:
+def test_unknown_options_are_refused(
+    kind: type[SearchOptions], options: dict[str, Any], message: str
+) -> None:
     with pytest.raises(OptionsError, match=message):
-        PlanOptions(**options)
+        kind(**options)
 
 
 # Contacts
@@ -249,7 +235,7 @@ def test_a_flight_has_no_contact() -> None:
 
 @pytest.fixture(scope="module")
 def found() -> Plan:
-    return plan(FLIGHT, dataclasses.replace(QUICK, ladder=QUICK.rungs[:1], confirm=True))
+    return plan_literal(FLIGHT, dataclasses.replace(QUICK, ladder=QUICK.ladder[:1], confirm=True))
 
 
 def test_a_plan_file_reads_back_to_the_same_plan(found: Plan, tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from contextlib import nullcontext
 from functools import cache
 from itertools import pairwise
 
@@ -11,9 +10,7 @@ import numpy as np
 import pytest
 
 from drake_aigto import PlanOptions, Scenario, World, plan
-from drake_aigto.planning import Origin
-from drake_aigto.planning.planner import make_problem
-from drake_aigto.planning.rigid import RigidProblem
+from drake_aigto.planning import Origin, make_problem
 from drake_aigto.planning.rigid_search import RigidSearch
 from drake_aigto.study import walls_optimum
 from drake_aigto.study.world_scenarios import WORLDS
@@ -83,8 +80,7 @@ def test_the_same_scenario_gives_the_same_bits() -> None:
 def search_of(name: str, **changes: float) -> RigidSearch:
     scenario = dataclasses.replace(Scenario.named(name), **changes)  # type: ignore[arg-type]
     problem = make_problem(World.from_scenario(scenario), scenario, QUICK)
-    assert isinstance(problem, RigidProblem)
-    return RigidSearch(problem, lambda part: nullcontext())
+    return RigidSearch(problem)
 
 
 def test_touches_that_no_motion_has_are_refused_once_and_stop_nothing() -> None:
@@ -164,7 +160,6 @@ def test_a_motion_that_keeps_off_a_wall_by_control_grazes_it() -> None:
     )
     world = World.from_scenario(scenario)
     problem = make_problem(world, scenario, QUICK)
-    assert isinstance(problem, RigidProblem)
     phases, x = problem.polish(problem.box.center, ())
     (graze,) = phases.grazes(x)
     assert graze.contact == 0

@@ -8,10 +8,9 @@ import signal
 import threading
 import time
 from collections.abc import Mapping
-from contextlib import nullcontext
 from functools import cache
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 import pytest
@@ -20,6 +19,7 @@ from replay_worlds import make_diagram, shipped_world
 from drake_aigto import Scenario, World
 from drake_aigto.aigo import AigoResult, Iterate, Status
 from drake_aigto.errors import OptionsError
+from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal
 from drake_aigto.planning import (
     Origin,
     Plan,
@@ -29,9 +29,9 @@ from drake_aigto.planning import (
     RigidProblem,
     make_problem,
     plan,
-    planner,
 )
-from drake_aigto.planning.options import LITERAL_LADDER, RIGID_LADDER, Rung
+from drake_aigto.planning import problem as planning_problem
+from drake_aigto.planning.options import RIGID_LADDER, Rung
 from drake_aigto.planning.rigid_search import RigidSearch
 from drake_aigto.simulation import Replay, replay_event_driven
 from drake_aigto.study import ScenarioQuestion, rigid_optimum
@@ -85,8 +85,8 @@ def test_a_plan_is_the_optimum_and_holds(row: int, e: float) -> None:
 
 
 def test_a_literal_plan_of_the_same_problem_fails_where_the_rigid_one_passes() -> None:
-    free = PlanOptions(transcription="literal", nonpenetration=False, ladder=LITERAL_LADDER[:1])
-    literal, rigid = plan(table1(1), free), plan(table1(1))
+    free = LiteralOptions(nonpenetration=False, ladder=LITERAL_LADDER[:1])
+    literal, rigid = plan_literal(table1(1), free), plan(table1(1))
     assert literal.cost < rigid.cost  # That is what its contact is for.
     assert not literal.holds and rigid.holds
     assert literal.replay.event_driven.cost > 10 * rigid.replay.event_driven.cost
@@ -154,7 +154,6 @@ def test_a_handful_of_steps_is_enough_for_some_plan(steps: int) -> None:
 
 def test_touches_at_the_very_start_or_end_are_left_out() -> None:
     problem = make_problem(shipped_world(), table1(1, time_step=0.25), UNCONFIRMED)
-    assert isinstance(problem, RigidProblem)
     assert problem.fits(()) and problem.fits((Touch.bounce(0.2), Touch(0.6, 0.8)))
     for t in (0.0, 1e-9, 1.0 - 1e-9, 1.0):
         assert not problem.fits((Touch.bounce(t),))
@@ -256,7 +255,6 @@ def test_the_polish_is_a_program_for_any_solver() -> None:
 
 def test_every_candidate_was_read_off_a_box() -> None:
     problem = make_problem(shipped_world(), table1(1, **COARSE), UNCONFIRMED)
-    assert isinstance(problem, RigidProblem)
     read = {
         tuple(touch.lasts for touch in sequence)
         for rung in RIGID_LADDER
@@ -292,7 +290,7 @@ def test_rungs_are_left_out_by_what_the_others_show() -> None:
 
     def run(shown: Mapping[int, TouchSequence]) -> list[int]:
         """Returns the places of the rungs that are run, if these show that."""
-        search = RigidSearch(cast(RigidProblem, problem), lambda part: nullcontext())
+        search = RigidSearch(problem)
         places = []
         for lot in search.rungs():
             for rung in lot:
@@ -314,7 +312,6 @@ def test_no_flight_costs_less_than_its_bound(gravity: float, goal: float) -> Non
     world = World.from_diagram(make_diagram(gravity=gravity))
     scenario = table1(1, initial_velocity=0.3, goal_position=goal, time_step=0.01)
     problem = make_problem(world, scenario, UNCONFIRMED)
-    assert isinstance(problem, RigidProblem)
     phases, x = problem.polish(problem.box.center, ())
     # Held over N = 100 steps, a control costs 1/(4 N²) more than a free one, of its linear part.
     assert 0 < problem.least_flight_cost < phases.scenario_cost(x)
@@ -345,7 +342,7 @@ def test_under_gravity_every_rung_is_run() -> None:
     problem = make_problem(
         World.from_diagram(make_diagram(gravity=9.81)), table1(1, **COARSE), UNCONFIRMED
     )
-    search = RigidSearch(cast(RigidProblem, problem), lambda part: nullcontext())
+    search = RigidSearch(problem)
     assert list(search.rungs()) == [RIGID_LADDER]
 
 
@@ -472,7 +469,7 @@ def contradict(number: int) -> Any:
 
 
 def test_the_next_candidate_is_taken_if_drake_contradicts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(planner, "replay_drake", contradict(1))
+    monkeypatch.setattr(planning_problem, "replay_drake", contradict(1))
     found = plan(table1(1, **COARSE))
     assert found.holds and found.cost > bounce_plan().cost
     assert found.candidates[1].cost == bounce_plan().cost
@@ -482,7 +479,7 @@ def test_nothing_that_holds_is_an_error_that_says_what_was_tried(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     cost = bounce_plan().cost
-    monkeypatch.setattr(planner, "replay_drake", contradict(99))
+    monkeypatch.setattr(planning_problem, "replay_drake", contradict(99))
     message = (
         r"nothing that was planned holds in simulation: got \d candidates from 5 rungs of AIGO "
         r"\(contact at 0\.550 s for 2\.18e-04, replayed 2\.18e-04, in Drake 1\.00e\+00 and "

@@ -17,8 +17,8 @@ from several_walls import make_task, shipped
 
 from drake_aigto import ModelError, OptionsError, Scenario, UnsupportedTermError, World
 from drake_aigto.aigo import Annealing, Box, EqualWidths, minimize
-from drake_aigto.planning import LiteralProblem, PlanOptions
-from drake_aigto.transcription import (
+from drake_aigto.paper import (
+    LiteralProblem,
     LiteralTranscription,
     PolynomialLaw,
     SingleShooting,
@@ -88,7 +88,7 @@ def test_aigo_and_polish_reach_the_optimum_of_multiple_shooting(
     assert boxes.is_converged
     found = minimize(f, Box(boxes.box.center, 1.0), POINTS).box.center  # type: ignore[arg-type]
     rows = transcription.multiple_shooting
-    problem = LiteralProblem(rows, PlanOptions(transcription="literal"))
+    problem = LiteralProblem(rows)
     x = problem.solve_locally(rows.initial_box()[0])
     assert max(rows.defects(x).values()) < 1e-9
     assert transcription.scenario_cost(found) == pytest.approx(rows.scenario_cost(x), rel=1e-9)

@@ -23,7 +23,8 @@ from pydrake.symbolic import tan
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto import Scenario, UnsupportedTermError, World
-from drake_aigto.transcription import LiteralTranscription, Transcription, cut_to_bounds, penalize
+from drake_aigto.paper import LiteralTranscription
+from drake_aigto.transcription import Transcription, cut_to_bounds, penalize
 from drake_aigto.world import files
 
 SHIPPED = files.models_directory() / "point_mass_and_wall.sdf"

@@ -13,19 +13,22 @@ from replay_worlds import make_scenario, shipped_world
 from rigid_worlds import NAMES, make_motion, physics_of
 from several_walls import make_task, shipped
 
-from drake_aigto import OptionsError, Planner, PlanOptions, Scenario
+from benchmarks.ablations.ablations import Variant, VariantPlanner
+from drake_aigto import OptionsError, Scenario
 from drake_aigto.aigo import Annealing
 from drake_aigto.box import BoxPolynomial
-from drake_aigto.planning import RigidProblem
-from drake_aigto.planning.options import RIGID_LADDER, Rung
-from drake_aigto.study import rigid_optimum
-from drake_aigto.transcription import (
+from drake_aigto.paper import (
+    LiteralOptions,
+    LiteralProblem,
+    LiteralSearch,
     LiteralTranscription,
     LiteralWithForces,
-    RigidTranscription,
     RigidWithForces,
-    Transcription,
 )
+from drake_aigto.planning import PlanOptions, RigidProblem, Rung
+from drake_aigto.planning.options import RIGID_LADDER
+from drake_aigto.study import rigid_optimum
+from drake_aigto.transcription import RigidTranscription, Transcription
 
 Array = npt.NDArray[np.float64]
 
@@ -135,7 +138,7 @@ def read(transcription: RigidTranscription, rung: Rung) -> tuple[int, float]:
 
     Annealed slowly, so that what is seen is the transcription's doing.
     """
-    problem = RigidProblem(transcription, PlanOptions())
+    problem = RigidProblem(transcription)
     start = rung.temperature * transcription.cost_scale()
     slowly = Annealing(initial_temperature=start, final_temperature=1e-7 * start)
     result = problem.run_aigo(rung, algorithm=slowly)
@@ -167,8 +170,8 @@ def test_they_do_not_always_collapse() -> None:
 
 
 def test_a_plan_with_forces_is_polished_like_any_other() -> None:
-    options = PlanOptions(force_variables=True, exhaustive=True, confirm=False)
-    found = Planner(BOUNCE, options, shipped_world()).plan()
+    variant = Variant("forces", force_variables=True)
+    found = VariantPlanner(variant, shipped_world(), BOUNCE).plan()
     exact = rigid_optimum(shipped_world(), BOUNCE).cost
     assert found.replay.event_driven.cost == pytest.approx(exact, rel=1e-3)
     assert len(found.stats.box_contacts) == len(RIGID_LADDER)
@@ -177,12 +180,13 @@ def test_a_plan_with_forces_is_polished_like_any_other() -> None:
 
 
 def test_literal_plans_with_forces_keep_the_penalty_of_their_row() -> None:
-    options = PlanOptions(transcription="literal", force_variables=True, confirm=False)
     ladder = (Rung(1e-4, {"contact": 1e4, "kinematics": 1e3, "dynamics": 1e-2}),)
-    planned = dataclasses.replace(options, ladder=ladder, knot_steps=())
-    found = Planner(BOUNCE, planned, shipped_world()).plan()
-    assert max(found.defects.values()) < 1e-6
-    assert {"dynamics", "kinematics"} < set(found.defects)
+    options = LiteralOptions(ladder=ladder, knot_steps=())
+    search = LiteralSearch(LiteralProblem(LiteralWithForces(shipped_world(), BOUNCE), options))
+    search.run()
+    best = search.find_feasible()[0]
+    assert max(best.defects.values()) < 1e-6
+    assert {"dynamics", "kinematics"} < set(best.defects)
 
 
 @pytest.mark.parametrize("transcribe", [RigidWithForces, LiteralWithForces])
@@ -193,10 +197,10 @@ def test_widths_that_are_none_are_refused(transcribe: Any) -> None:
 
 
 def test_weights_of_impulse_rows_need_impulses_as_variables() -> None:
-    ladder = (Rung(1.0, {"push": 1.0}),)
-    assert PlanOptions(ladder=ladder, force_variables=True).rungs == ladder
-    with pytest.raises(OptionsError, match="got a weight for 'push', expected names of rigid rows"):
-        PlanOptions(ladder=ladder)
+    options = PlanOptions(ladder=(Rung(1.0, {"push": 1.0}),))
+    RigidProblem(RigidWithForces(shipped_world(), BOUNCE), options)
+    with pytest.raises(OptionsError, match="got a weight for 'push', expected names of rows: fli"):
+        RigidProblem(RigidTranscription(shipped_world(), BOUNCE), options)
 
 
 def test_what_users_add_is_kept_along_another_path() -> None:

@@ -21,7 +21,7 @@ from pydrake.systems.framework import Diagram, DiagramBuilder
 from world_models import RELATIVE, differs_by_zero
 
 from drake_aigto import ModelError, Scenario, ScenarioError, World
-from drake_aigto.transcription import LiteralTranscription
+from drake_aigto.paper import LiteralTranscription
 
 RADIUS = 0.125
 AXES = {"x": [1, 0, 0], "y": [0, 1, 0], "z": [0, 0, 1], "askew": [0.6, 0.8, 0]}

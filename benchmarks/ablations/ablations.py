@@ -6,19 +6,27 @@ import dataclasses
 import math
 import time
 from collections.abc import Callable, Iterable, Mapping
-from contextlib import nullcontext
 from dataclasses import dataclass
 from typing import ClassVar, Literal, TypeAlias
 
+from drake_aigto.aigo import AigoResult, Algorithm, Alternating, EqualWidths, FullGradient
 from drake_aigto.errors import OptionsError
-from drake_aigto.planning import Origin, Planner, PlanOptions, RigidProblem, make_problem
-from drake_aigto.planning.options import RIGID_LADDER, Rung
-from drake_aigto.planning.rigid_search import RigidSearch
+from drake_aigto.paper import RigidWithForces
+from drake_aigto.planning import (
+    Origin,
+    Planner,
+    PlanOptions,
+    RigidProblem,
+    RigidSearch,
+    Rung,
+    coarsen,
+)
+from drake_aigto.planning.options import RIGID_LADDER
 from drake_aigto.simulation import replay_event_driven
 from drake_aigto.study.scenario_jobs import EXHAUSTIVE, Job, read_boxes
 from drake_aigto.study.scenario_question import Runner, ScenarioQuestion
 from drake_aigto.study.scenario_results import MethodRun, ScenarioResult
-from drake_aigto.transcription import Touch, TouchSequence
+from drake_aigto.transcription import RigidTranscription, Touch, TouchSequence
 from drake_aigto.transcription.rigid_contact import CONTACT, DYNAMICS, RESTITUTION
 from drake_aigto.world import Scenario, World
 
@@ -32,6 +40,11 @@ class Variant:
     Attributes:
         group: what is varied.
         options: of the planner.
+        algorithm: that shrinks boxes in place of the planner's.
+        pull: whether contact sequences are read off box centers that a penalty continuation has
+            pulled towards the rows.
+        force_variables: whether contact impulses are decision variables too while boxes shrink
+            (`RigidWithForces`), which AIGTO Sec. III-B advises against.
         num_steps: of the scenario, N; its own if None.
         way: "plan"; or "replay", the controls in the centers of AIGO's last boxes as they are, the
             best of all rungs, without any polish; or "listed", the flight and one bounce polished,
@@ -40,6 +53,9 @@ class Variant:
 
     group: str
     options: PlanOptions = EXHAUSTIVE
+    algorithm: Algorithm | None = None
+    pull: bool = False
+    force_variables: bool = False
     num_steps: int | None = None
     way: Way = "plan"
 
@@ -63,12 +79,15 @@ _LIGHT = _reweighed(
     (dataclasses.replace(RIGID_LADDER[0], temperature=T) for T in (30.0, 10.0, 3.0)),
     **{DYNAMICS: 30.0, CONTACT: 30.0, RESTITUTION: 0.02},
 )
-_SHRINKING: Mapping[str, Mapping[str, object]] = {
-    "equal widths": {"algorithm": "equal widths"},
-    "no boxes": {"algorithm": "no boxes"},
-    "no boxes, continued": {"algorithm": "no boxes", "pull": True},
-    "Algorithm 1": {"algorithm": "full gradient"},
-    "alternating": {"algorithm": "alternating"},
+# A local optimum of the penalized cost itself.
+_NO_BOXES = EqualWidths(first_share=0.0, final_share=0.0, max_newton_steps=200)
+# Name → algorithm, and whether its end is pulled towards the rows.
+_SHRINKING: Mapping[str, tuple[Algorithm, bool]] = {
+    "equal widths": (EqualWidths(), False),
+    "no boxes": (_NO_BOXES, False),
+    "no boxes, continued": (_NO_BOXES, True),
+    "Algorithm 1": (FullGradient(), False),
+    "alternating": (Alternating(), False),
 }
 
 
@@ -81,11 +100,11 @@ def _make_variants() -> dict[str, Variant]:
         "coast only": Variant("search", _with(EXHAUSTIVE, ladder=_of("coast"))),
         "listed, no AIGO": Variant("search", way="listed"),
     }
-    for name, changes in _SHRINKING.items():
-        found[name] = Variant("boxes", _with(EXHAUSTIVE, **changes))
+    for name, (algorithm, pull) in _SHRINKING.items():
+        found[name] = Variant("boxes", algorithm=algorithm, pull=pull)
     found["bare"] = Variant("boxes, bare", _BARE)
-    for name, changes in _SHRINKING.items():
-        found[f"bare, {name}"] = Variant("boxes, bare", _with(_BARE, **changes))
+    for name, (algorithm, pull) in _SHRINKING.items():
+        found[f"bare, {name}"] = Variant("boxes, bare", _BARE, algorithm, pull)
     for number, rung in enumerate(RIGID_LADDER, 1):
         found[f"rung {number} alone"] = Variant("ladder", _with(EXHAUSTIVE, ladder=(rung,)))
     for steps in (25, 100, 200, 400):
@@ -96,15 +115,15 @@ def _make_variants() -> dict[str, Variant]:
         options = _with(EXHAUSTIVE, relaxation=relaxation)
         found[f"relaxation {relaxation:.0e}"] = Variant("rows", options)
     for name, options in {"": EXHAUSTIVE, "bare, ": _BARE}.items():
-        ladder = _reweighed(options.rungs, **{RESTITUTION: 0.0})
+        ladder = _reweighed(options.ladder, **{RESTITUTION: 0.0})
         found[f"{name}no restitution row"] = Variant("rows", _with(options, ladder=ladder))
     found |= {
         "no polish": Variant("polish", way="replay"),
-        "no polish, continued": Variant("polish", _with(EXHAUSTIVE, pull=True), way="replay"),
-        "bare, forces": Variant("forces", _with(_BARE, force_variables=True)),
+        "no polish, continued": Variant("polish", pull=True, way="replay"),
+        "bare, forces": Variant("forces", _BARE, force_variables=True),
         "bare, light rows": Variant("forces", _with(_BARE, ladder=_LIGHT)),
         "bare, forces, light rows": Variant(
-            "forces", _with(_BARE, ladder=_LIGHT, force_variables=True)
+            "forces", _with(_BARE, ladder=_LIGHT), force_variables=True
         ),
     }
     return found
@@ -154,7 +173,7 @@ def run_variant(world: World, job: Job) -> MethodRun:
         time_step = scenario.duration / variant.num_steps
         scenario = dataclasses.replace(scenario, time_step=time_step)
     start = time.process_time()
-    cost, boxes = _WAYS[variant.way](world, scenario, variant.options)
+    cost, boxes = _WAYS[variant.way](world, scenario, variant)
     seconds = time.process_time() - start
     improvements = ((seconds, cost),) if math.isfinite(cost) else ()
     return MethodRun(improvements, seconds, boxes=boxes)
@@ -163,19 +182,61 @@ def run_variant(world: World, job: Job) -> MethodRun:
 _Found: TypeAlias = tuple[float, tuple[int, ...]]
 
 
-def _plan(world: World, scenario: Scenario, options: PlanOptions) -> _Found:
+class VariantProblem(RigidProblem):
+    """The planner's problem with one part changed."""
+
+    def __init__(self, variant: Variant, world: World, scenario: Scenario) -> None:
+        """Compiles."""
+        self._variant = variant
+        transcribe = RigidWithForces if variant.force_variables else RigidTranscription
+        coarse = coarsen(world, scenario, variant.options)
+        transcription = transcribe(world, coarse, variant.options.relaxation)
+        super().__init__(transcription, variant.options, scenario.num_steps)
+
+    def make_algorithm(self, rung: Rung) -> Algorithm:
+        """Returns the variant's, or the planner's."""
+        return self._variant.algorithm or super().make_algorithm(rung)
+
+    @property
+    def algorithm_name(self) -> str:
+        """The algorithm's class, if it is the variant's."""
+        algorithm = self._variant.algorithm
+        return type(algorithm).__name__ if algorithm else super().algorithm_name
+
+    def find_sequences(self, result: AigoResult, rung: Rung) -> list[TouchSequence]:
+        """Returns the contact sequences that the box shows, or its center when it is pulled."""
+        if self._variant.pull:
+            box = dataclasses.replace(result.box, center=self.pull(result.box.center, rung))
+            result = dataclasses.replace(result, box=box)
+        return super().find_sequences(result, rung)
+
+
+class VariantPlanner(Planner):
+    """The planner with one part changed."""
+
+    def __init__(self, variant: Variant, world: World, scenario: Scenario) -> None:
+        """Builds the variant's problem."""
+        self._variant = variant
+        super().__init__(scenario, variant.options, world)
+
+    def make_problem(self, scenario: Scenario) -> RigidProblem:
+        """Returns the variant's problem."""
+        return VariantProblem(self._variant, self.world, scenario)
+
+
+def _plan(world: World, scenario: Scenario, variant: Variant) -> _Found:
     """Returns a plan's cost when replayed, and how many contacts the box of each rung shows."""
-    plan = Planner(scenario, options, world).plan()
+    plan = VariantPlanner(variant, world, scenario).plan()
     return plan.replay.event_driven.cost, read_boxes(plan)
 
 
-def _replay_boxes(world: World, scenario: Scenario, options: PlanOptions) -> _Found:
+def _replay_boxes(world: World, scenario: Scenario, variant: Variant) -> _Found:
     """Returns the least cost of what AIGO's boxes hold, replayed without any polish."""
-    problem = _make_rigid_problem(world, scenario, options)
+    problem = VariantProblem(variant, world, scenario)
     costs, contacts = [], []
-    for rung in options.rungs:
+    for rung in variant.options.ladder:
         result = problem.run_aigo(rung)
-        center = problem.pull(result.box.center, rung) if options.pull else result.box.center
+        center = problem.pull(result.box.center, rung) if variant.pull else result.box.center
         sequences = problem.find_sequences(result, rung)
         contacts.append(len(sequences[0]) if sequences else 0)
         boxes = problem.start(rung.start).transcription
@@ -184,31 +245,25 @@ def _replay_boxes(world: World, scenario: Scenario, options: PlanOptions) -> _Fo
     return min(costs), tuple(contacts)
 
 
-def _polish_listed(world: World, scenario: Scenario, options: PlanOptions) -> _Found:
+def _polish_listed(world: World, scenario: Scenario, variant: Variant) -> _Found:
     """Returns the cost of the best of flight and one bounce, polished as AIGO's sequences are."""
-    problem = _make_rigid_problem(world, scenario, options)
-    search = RigidSearch(problem, lambda part: nullcontext())
+    problem = VariantProblem(variant, world, scenario)
+    search = RigidSearch(problem)
     bounce = Touch.bounce(scenario.duration / 2)
     listed: tuple[TouchSequence, ...] = ((), (bounce,))
     for sequence in listed:
         search.add(Origin("listed"), problem.box.center, sequence)
-    for sequence in search.finalists()[: options.finalists]:
+    for sequence in search.finalists()[: variant.options.finalists]:
         search.improve(sequence)
     ranked = search.ranked()
     return (ranked[0].replay.cost if ranked else math.inf), ()
 
 
-_WAYS: Mapping[Way, Callable[[World, Scenario, PlanOptions], _Found]] = {
+_WAYS: Mapping[Way, Callable[[World, Scenario, Variant], _Found]] = {
     "plan": _plan,
     "replay": _replay_boxes,
     "listed": _polish_listed,
 }
-
-
-def _make_rigid_problem(world: World, scenario: Scenario, options: PlanOptions) -> RigidProblem:
-    problem = make_problem(world, scenario, options)
-    assert isinstance(problem, RigidProblem)
-    return problem
 
 
 def count_lost_bounces(results: Iterable[ScenarioResult], variant: str) -> tuple[int, int]:

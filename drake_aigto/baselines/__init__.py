@@ -1,7 +1,6 @@
 """What people would use instead, on the same scenarios and under the same verdict."""
 
 from drake_aigto.baselines.baseline import Baseline, BaselineRun, Improvement, Recorder
-from drake_aigto.baselines.gradient import gradient_from_random, gradient_from_zero
 from drake_aigto.baselines.registry import BASELINES, check_baselines, run_baseline
 
 __all__ = [
@@ -11,7 +10,5 @@ __all__ = [
     "Improvement",
     "Recorder",
     "check_baselines",
-    "gradient_from_random",
-    "gradient_from_zero",
     "run_baseline",
 ]

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drake_aigto.baselines.baseline import Baseline, Recorder
-from drake_aigto.baselines.polish import make_rigid_problem, offer_polished
+from drake_aigto.baselines.polish import offer_polished
+from drake_aigto.planning import make_problem
 from drake_aigto.transcription import Touch, TouchSequence
 
 if TYPE_CHECKING:
@@ -30,7 +31,7 @@ class Enumeration(Baseline):
 
     def search(self, recorder: Recorder, generator: np.random.Generator) -> None:
         """Goes through the list, which ends; there is no chance in it."""
-        problem = make_rigid_problem(recorder)
+        problem = make_problem(recorder.world, recorder.scenario)
         sequences = list_sequences(recorder.world, recorder.scenario.duration)
         offer_polished(recorder, problem, sequences, problem.box.center)
 

@@ -1,22 +1,16 @@
-"""Gradient solvers without AIGO: from zero and from random guesses (AIGTO Sec. IV's comparison)."""
+"""Gradient solvers without AIGO, from random guesses (AIGTO Sec. IV's comparison)."""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
 from drake_aigto.baselines.baseline import Baseline, Recorder
-from drake_aigto.planning.literal import LiteralProblem
-from drake_aigto.planning.options import PlanOptions, TranscriptionName
-from drake_aigto.planning.origin import Origin
-from drake_aigto.planning.plan import LARGEST_DEFECT, Candidate
-from drake_aigto.planning.planner import make_problem
-from drake_aigto.transcription import Transcription
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
+from drake_aigto.paper import LiteralOptions, make_literal_problem, random_guess
+from drake_aigto.planning import PlanningProblem, PlanOptions, make_problem
+from drake_aigto.planning.plan import LARGEST_DEFECT
 
 
 class GradientBaseline(Baseline):
@@ -35,42 +29,23 @@ class GradientBaseline(Baseline):
     iterations, 200, does: half of it changed nothing but the time of hopeless starts.
     """
 
-    def __init__(self, solver: Literal["snopt", "ipopt"], kind: TranscriptionName) -> None:
-        """Chooses the solver and the transcription whose rows it meets."""
-        self.name = solver if kind == "rigid" else f"{solver} {kind}"
-        self._options = PlanOptions(transcription=kind, relaxation=0.0, local_solver=solver)
+    def __init__(self, solver: Literal["snopt", "ipopt"], is_literal: bool = False) -> None:
+        """Chooses the solver, and whether it meets the paper's rows."""
+        self.name = f"{solver} literal" if is_literal else solver
+        self._solver, self._is_literal = solver, is_literal
 
     def search(self, recorder: Recorder, generator: np.random.Generator) -> None:
         """Solves from guess after guess."""
-        problem = make_problem(recorder.world, recorder.scenario, self._options)
+        problem = self._make_problem(recorder)
         transcription = problem.transcription
-        is_literal = self._options.transcription == "literal"
         while not recorder.is_over:
             x = problem.solve_locally(random_guess(transcription, generator))
             is_met = max(transcription.defects(x).values()) <= LARGEST_DEFECT
-            claim = transcription.scenario_cost(x) if is_literal and is_met else math.inf
+            claim = transcription.scenario_cost(x) if self._is_literal and is_met else math.inf
             recorder.offer(transcription.GetSampleTimes(), transcription.split(x)[2], claim)
 
-
-def gradient_from_zero(problem: LiteralProblem) -> Candidate:
-    """Returns what the problem's local solver makes of a guess of zeros."""
-    start = np.zeros(problem.transcription.prog().num_vars())
-    return _run(problem, "zero", start)
-
-
-def gradient_from_random(problem: LiteralProblem, generator: np.random.Generator) -> Candidate:
-    """Returns what the local solver makes of a guess, uniform over the first box of AIGO."""
-    return _run(problem, "random", random_guess(problem.transcription, generator))
-
-
-def random_guess(
-    transcription: Transcription, generator: np.random.Generator
-) -> npt.NDArray[np.float64]:
-    """Returns all decision variables, uniform over the first box of AIGO."""
-    center, half_width = transcription.initial_box()
-    return generator.uniform(center - half_width, center + half_width)
-
-
-def _run(problem: LiteralProblem, proposer: str, start: npt.NDArray[np.float64]) -> Candidate:
-    x = problem.solve_locally(start)
-    return problem.judge(Origin(proposer), start, problem.transcription, x)
+    def _make_problem(self, recorder: Recorder) -> PlanningProblem:
+        question = recorder.world, recorder.scenario
+        if self._is_literal:
+            return make_literal_problem(*question, LiteralOptions(local_solver=self._solver))
+        return make_problem(*question, PlanOptions(relaxation=0.0, local_solver=self._solver))

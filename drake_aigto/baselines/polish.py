@@ -7,27 +7,12 @@ from typing import TYPE_CHECKING
 
 from drake_aigto.baselines.baseline import Recorder
 from drake_aigto.errors import AigtoError
-from drake_aigto.planning.options import PlanOptions
-from drake_aigto.planning.planner import make_problem
-from drake_aigto.planning.rigid import RigidProblem
+from drake_aigto.planning import RigidProblem
 from drake_aigto.transcription import TouchSequence
 
 if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
-
-
-def make_rigid_problem(recorder: Recorder, relaxation: float | None = None) -> RigidProblem:
-    """Returns the problem that the planner makes of a recorder's question.
-
-    Args:
-        recorder: of the question.
-        relaxation: of contact (`RigidTranscription`); the planner's if None.
-    """
-    options = PlanOptions() if relaxation is None else PlanOptions(relaxation=relaxation)
-    problem = make_problem(recorder.world, recorder.scenario, options)
-    assert isinstance(problem, RigidProblem)
-    return problem
 
 
 def offer_polished(

@@ -25,10 +25,10 @@ from drake_aigto.errors import MissingExtraError, OptionsError
 from drake_aigto.world import Scenario, World
 
 _ALL: tuple[Baseline, ...] = (
-    GradientBaseline("snopt", "rigid"),
-    GradientBaseline("ipopt", "rigid"),
-    GradientBaseline("snopt", "literal"),
-    GradientBaseline("ipopt", "literal"),
+    GradientBaseline("snopt"),
+    GradientBaseline("ipopt"),
+    GradientBaseline("snopt", is_literal=True),
+    GradientBaseline("ipopt", is_literal=True),
     Smoothing(),
     Smoothing(is_polished=True),
     CovarianceAdaptation(),

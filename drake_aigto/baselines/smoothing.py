@@ -10,7 +10,8 @@ import numpy as np
 
 from drake_aigto.aigo.algorithm import Box, Iterate
 from drake_aigto.baselines.baseline import Baseline, Recorder
-from drake_aigto.baselines.polish import make_rigid_problem, offer_polished
+from drake_aigto.baselines.polish import offer_polished
+from drake_aigto.planning import PlanOptions, make_problem
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -121,10 +122,12 @@ class Smoothing(Baseline):
 
     def search(self, recorder: Recorder, generator: np.random.Generator) -> None:
         """Descends again and again."""
-        problem = make_rigid_problem(recorder)
-        solved = problem if self._is_polished else make_rigid_problem(recorder, relaxation=0.0)
+        question = recorder.world, recorder.scenario
+        problem = solved = make_problem(*question)
+        if not self._is_polished:
+            solved = make_problem(*question, PlanOptions(relaxation=0.0))
         transcription = problem.transcription
-        for rung in itertools.cycle(problem.options.rungs):
+        for rung in itertools.cycle(problem.options.ladder):
             if recorder.is_over:
                 return
             seed = int(generator.integers(2**63))

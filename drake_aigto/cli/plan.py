@@ -4,18 +4,20 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 from drake_aigto.cli.flags import add_command, add_confirm, add_json
 from drake_aigto.cli.progress import show_progress
 from drake_aigto.cli.status import FINE, NOTHING_HOLDS
-from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions
-from drake_aigto.planning.options import CHOICES
+from drake_aigto.errors import OptionsError
+from drake_aigto.paper import LiteralOptions, plan_literal
+from drake_aigto.paper.options import AlgorithmName
+from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions, Replays
+from drake_aigto.planning.options import LocalSolverName
 from drake_aigto.show.plans import format_plan, format_replays
 from drake_aigto.simulation.material import contact_delay
-from drake_aigto.world import Scenario, scenario_names
+from drake_aigto.world import Scenario, World, scenario_names
 from drake_aigto.world.files import check_writable
 
 _VECTORS = ("initial_position", "initial_velocity", "goal_position")
@@ -35,24 +37,19 @@ _FIELDS = {
     "mass": "of the body that touches, in place of the model's [kg]",
     "friction": "0 leaves out that of the model, which plans know nothing of",
 }
-# Plan option → what it is.
-_CHOICES = {
-    "transcription": "rigid: plans that hold on rigid walls; literal: the paper's",
-    "algorithm": "how boxes shrink",
+# Option → what it is, of rigid plans, of literal ones, or of both.
+_NUMERICS = {
     "local_solver": "what polishes AIGO's results",
-}
-# Numeric plan option → its type, and what it is.
-_NUMBERS: dict[str, tuple[Callable[[str], float], str]] = {
-    "relaxation": (float, "rigid: how much walls push from afar while boxes shrink"),
-    "aigo_steps": (int, "rigid: the most time steps that boxes have"),
-    "finalists": (int, "how many of the best candidates are improved"),
-    "threads": (int, "how many starts of AIGO run at once; None: more than one for large boxes"),
-}
-# Plan option → what it is.
-_SWITCHES = {
-    "nonpenetration": "literal: ask for φ(q) ≥ 0 at the knots",
+    "finalists": "how many of the best candidates are improved",
+    "threads": "how many starts of AIGO run at once (default: more than one for large boxes)",
+    "relaxation": "rigid: how much walls push from afar while boxes shrink",
+    "aigo_steps": "rigid: the most time steps that boxes have",
     "exhaustive": "rigid: also run starts, and polish flights, that can hardly win",
+    "nonpenetration": "literal: ask for φ(q) ≥ 0 at the knots",
+    "algorithm": "literal: how boxes shrink",
 }
+_CHOICES = {"local_solver": get_args(LocalSolverName), "algorithm": get_args(AlgorithmName)}
+_OPTIONS = {"rigid": PlanOptions, "literal": LiteralOptions}
 
 _PLAN_EXAMPLES = """\
 drake-aigto plan table1/1 --json plan.json
@@ -103,60 +100,81 @@ def _add_fields(group: Any) -> None:
 
 
 def _add_numerics(group: Any) -> None:
-    defaults = PlanOptions()
-    for name, choices in CHOICES.items():
-        group.add_argument(
-            f"--{name.replace('_', '-')}",
-            choices=choices,
-            default=getattr(defaults, name),
-            help=f"{_CHOICES[name]} (default: %(default)s)",
-        )
-    for name, (kind, text) in _NUMBERS.items():
-        group.add_argument(
-            f"--{name.replace('_', '-')}",
-            type=kind,
-            default=getattr(defaults, name),
-            metavar="N" if kind is int else "X",
-            help=f"{text} (default: %(default)s)",
-        )
-    for name, text in _SWITCHES.items():
-        group.add_argument(
-            f"--{name}",
-            action=argparse.BooleanOptionalAction,
-            default=getattr(defaults, name),
-            help=f"{text} (default: %(default)s)",
-        )
+    group.add_argument(
+        "--transcription",
+        choices=_OPTIONS,
+        default="rigid",
+        help="rigid: plans that hold on rigid walls; literal: the paper's (default: %(default)s)",
+    )
+    defaults = {**vars(LiteralOptions()), **vars(PlanOptions())}
+    for name, text in _NUMERICS.items():
+        flag, default = f"--{name.replace('_', '-')}", defaults[name]
+        known = "" if default is None else f" (default: {default})"
+        # Left out, it is not given, so that what is given to the other transcription is refused.
+        more: dict[str, Any] = {"default": argparse.SUPPRESS, "help": text + known}
+        if isinstance(default, bool):
+            more["action"] = argparse.BooleanOptionalAction
+        elif name in _CHOICES:
+            more["choices"] = _CHOICES[name]
+        else:
+            kind = float if isinstance(default, float) else int
+            more |= {"type": kind, "metavar": "X" if kind is float else "N"}
+        group.add_argument(flag, **more)
+
+
+def _read_options(options: argparse.Namespace) -> PlanOptions | LiteralOptions:
+    """Returns the numerics that were given.
+
+    Raises:
+        OptionsError: some are of the other transcription.
+    """
+    kind = _OPTIONS[options.transcription]
+    given = {name: value for name, value in vars(options).items() if name in _NUMERICS}
+    known = [field.name for field in dataclasses.fields(kind)]
+    for name in given:
+        if name not in known:
+            flag = f"--{name.replace('_', '-')}"
+            (other,) = _OPTIONS.keys() - {options.transcription}
+            raise OptionsError(
+                flag,
+                got=f"--transcription {options.transcription}",
+                expected=f"--transcription {other}, whose option it is",
+            )
+    return kind(confirm=options.confirm, **given)
 
 
 def _plan(options: argparse.Namespace) -> int:
     check_writable(options.json)
-    scenario = _load_scenario(options)
-    names = (*CHOICES, *_NUMBERS, *_SWITCHES, "confirm")
-    chosen = PlanOptions(**{name: getattr(options, name) for name in names})
+    scenario, chosen = _load_scenario(options), _read_options(options)
     try:
         with show_progress(options, "transcribing") as progress:
-            planner = Planner(scenario, chosen)
-            plan = planner.plan(progress=progress)
+            world = World.from_scenario(scenario)
+            if isinstance(chosen, LiteralOptions):
+                plan = plan_literal(scenario, chosen, world, progress)
+            else:
+                plan = Planner(scenario, chosen, world).plan(progress=progress)
     except PlanningError as error:
         if error.plan is not None:
-            _answer_plan(options, error.plan, planner)
+            _answer_plan(options, error.plan, world, chosen)
         raise
-    return _answer_plan(options, plan, planner)
+    return _answer_plan(options, plan, world, chosen)
 
 
-def _answer_plan(options: argparse.Namespace, plan: Plan, planner: Planner) -> int:
-    delay = _delay(plan, planner)
-    return _answer(options, plan, format_plan(plan, planner.world, planner.options, delay))
+def _answer_plan(
+    options: argparse.Namespace, plan: Plan, world: World, chosen: PlanOptions | LiteralOptions
+) -> int:
+    return _answer(options, plan, format_plan(plan, world, chosen, _delay(plan, world)))
 
 
 def _replay(options: argparse.Namespace) -> int:
     check_writable(options.json)
     plan = Plan.load(options.plan)
-    planner = Planner(plan.scenario, PlanOptions(confirm=options.confirm))
     with show_progress(options, "simulating"):
-        replayed = dataclasses.replace(plan, replay=planner.simulate(plan.trajectory))
-    delay = _delay(replayed, planner)
-    return _answer(options, replayed, format_replays(replayed, planner.world, delay))
+        world = World.from_scenario(plan.scenario)
+        world.check(plan.scenario)
+        replays = Replays.of(world, plan.scenario, plan.trajectory, options.confirm)
+        replayed = dataclasses.replace(plan, replay=replays)
+    return _answer(options, replayed, format_replays(replayed, world, _delay(replayed, world)))
 
 
 def _load_scenario(options: argparse.Namespace) -> Scenario:
@@ -177,6 +195,6 @@ def _answer(options: argparse.Namespace, plan: Plan, text: str) -> int:
     return FINE if plan.holds else NOTHING_HOLDS
 
 
-def _delay(plan: Plan, planner: Planner) -> float | None:
+def _delay(plan: Plan, world: World) -> float | None:
     """Returns by how much walls in Drake are late at most [s], if the plan was replayed there."""
-    return None if plan.replay.drake is None else contact_delay(planner.world)
+    return None if plan.replay.drake is None else contact_delay(world)

@@ -1,16 +1,16 @@
 """From a scenario to a plan: search, polish, and replay on rigid walls."""
 
-from drake_aigto.planning.literal import LiteralProblem
-from drake_aigto.planning.options import PlanOptions, Rung
+from drake_aigto.planning.options import PlanOptions, Rung, SearchOptions
 from drake_aigto.planning.origin import Origin
-from drake_aigto.planning.plan import Candidate, Plan, PlanStats, Replays
-from drake_aigto.planning.planner import Planner, PlanningError, make_problem, plan
+from drake_aigto.planning.plan import Candidate, Plan, PlanningError, PlanStats, Replays
+from drake_aigto.planning.planner import Planner, plan
 from drake_aigto.planning.problem import PlanningProblem
-from drake_aigto.planning.rigid import RigidProblem
+from drake_aigto.planning.rigid import RigidProblem, coarsen, make_problem
+from drake_aigto.planning.rigid_search import RigidSearch
+from drake_aigto.planning.search import Search, Stopwatch
 
 __all__ = [
     "Candidate",
-    "LiteralProblem",
     "Origin",
     "Plan",
     "PlanOptions",
@@ -20,7 +20,12 @@ __all__ = [
     "PlanningProblem",
     "Replays",
     "RigidProblem",
+    "RigidSearch",
     "Rung",
+    "Search",
+    "SearchOptions",
+    "Stopwatch",
+    "coarsen",
     "make_problem",
     "plan",
 ]

@@ -9,13 +9,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from drake_aigto.errors import DamagedDataError, PlanFileError
+from drake_aigto.errors import AigtoError, DamagedDataError, PlanFileError
 from drake_aigto.plain import from_plain, read_json, to_plain
 from drake_aigto.planning.origin import Origin
 from drake_aigto.simulation.contacts import PlannedContact
-from drake_aigto.simulation.replay import Replay, confirms
+from drake_aigto.simulation.replay import Replay, confirms, replay_drake, replay_event_driven
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.world import Scenario
+from drake_aigto.world import Scenario, World
 from drake_aigto.world.files import write_text
 
 if TYPE_CHECKING:
@@ -39,6 +39,15 @@ class Replays:
 
     event_driven: Replay
     drake: Replay | None
+
+    @classmethod
+    def of(
+        cls, world: World, scenario: Scenario, trajectory: Trajectory, confirm: bool = True
+    ) -> Replays:
+        """Returns what a trajectory's control alone does: event-driven, and in Drake to confirm."""
+        control = trajectory.times, trajectory.controls
+        drake = replay_drake(world, scenario, *control) if confirm else None
+        return cls(replay_event_driven(world, scenario, *control), drake)
 
     def __iter__(self) -> Iterator[Replay]:
         """Yields those that were run."""
@@ -124,6 +133,16 @@ class PlanStats:
     seconds: Mapping[str, float]
     box_contacts: tuple[int | None, ...] = ()
     flight_left_out: float | None = None
+
+
+class PlanningError(AigtoError, RuntimeError):
+    """Nothing was found; the message says what was tried.
+
+    Attributes:
+        plan: the best that does not hold, if there is one.
+    """
+
+    plan: Plan | None = None
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, Generic, TypeVar
+from typing import TYPE_CHECKING, Any, TypeAlias
 
 import numpy as np
 from pydrake.solvers import MathematicalProgram
@@ -22,6 +22,7 @@ from drake_aigto.aigo import (
     minimize,
 )
 from drake_aigto.box import BoxPolynomial, Order
+from drake_aigto.errors import OptionsError
 from drake_aigto.local import (
     InteriorPoint,
     LocalResult,
@@ -29,11 +30,11 @@ from drake_aigto.local import (
     compile_nlp,
     solve_with_drake,
 )
-from drake_aigto.planning.options import PlanOptions, Rung, StartName
+from drake_aigto.planning.options import Rung, SearchOptions, StartName
 from drake_aigto.planning.origin import Origin
-from drake_aigto.planning.plan import Candidate
+from drake_aigto.planning.plan import Candidate, Replays
 from drake_aigto.simulation.contacts import find_contacts, max_penetration
-from drake_aigto.simulation.replay import Replay, replay_event_driven
+from drake_aigto.simulation.replay import Replay, replay_drake, replay_event_driven
 from drake_aigto.terms import parse_costs
 from drake_aigto.transcription import Transcription
 
@@ -42,8 +43,8 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 
-Sequence = TypeVar("Sequence", bound=tuple[Any, ...])
-TranscriptionT = TypeVar("TranscriptionT", bound=Transcription)
+# Of what, the problem says; () is a free flight.
+ContactSequence: TypeAlias = tuple[Any, ...]
 
 # Of the local solver; a candidate that needs more is one whose phases vanish.
 _MAX_ITERATIONS = 200
@@ -56,7 +57,7 @@ _ON_KNOT = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
-class Start(Generic[TranscriptionT]):
+class Start:
     """Where AIGO starts.
 
     Attributes:
@@ -65,12 +66,12 @@ class Start(Generic[TranscriptionT]):
         box: the first box.
     """
 
-    transcription: TranscriptionT
+    transcription: Transcription
     polynomial: BoxPolynomial
     box: Box
 
 
-class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
+class PlanningProblem(ABC):
     """A transcription compiled for AIGO and for the local solvers.
 
     Costs and bounds that were added to the transcription before count. What a contact sequence is,
@@ -84,20 +85,32 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
     # Of the local solver's cost, in `cost_scale`, in turn until it converges.
     _cost_units: tuple[float, ...] = (1.0,)
 
-    def __init__(self, transcription: TranscriptionT, options: PlanOptions | None = None) -> None:
+    def __init__(self, transcription: Transcription, options: SearchOptions) -> None:
         """Compiles.
 
         Raises:
             UnsupportedTermError: a cost or constraint that has no mean in closed form.
+            OptionsError: a rung has a weight for rows that there are none of.
         """
         self.transcription = transcription
-        self.options = options or PlanOptions()
+        self.options = options
         first = Start(transcription, _compile(transcription), Box(*transcription.initial_box()))
-        self._starts: dict[StartName, Start[TranscriptionT]] = {"line": first}
+        self._starts: dict[StartName, Start] = {"line": first}
         rows = transcription.prog().GetAllConstraints()
         named = {row.evaluator().get_description() for row in rows}
         # Names of the rows that penalties stand for.
         self._row_names = sorted(named & set(first.polynomial.weights))
+        self._check_ladder()
+
+    def _check_ladder(self) -> None:
+        known = dict.fromkeys((*self.transcription.ROWS, *self._row_names))
+        for name in (name for rung in self.options.ladder for name in rung.weights):
+            if name not in known:
+                raise OptionsError(
+                    "ladder",
+                    got=f"a weight for {name!r}",
+                    expected=f"names of rows: {', '.join(known)}",
+                )
 
     @property
     def polynomial(self) -> BoxPolynomial:
@@ -109,7 +122,7 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
         """Where AIGO starts, around the straight line from start to goal."""
         return self._starts["line"].box
 
-    def start(self, name: StartName) -> Start[TranscriptionT]:
+    def start(self, name: StartName) -> Start:
         """Returns where a rung of this start begins."""
         if name not in self._starts:
             self._starts[name] = self._start_coasting()
@@ -123,7 +136,7 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
         controls = np.zeros((len(times) - 1, world.num_actuators))
         return replay_event_driven(world, scenario, times, controls)
 
-    def _start_coasting(self) -> Start[TranscriptionT]:
+    def _start_coasting(self) -> Start:
         """Returns a box around the motion without control."""
         times, coast = self.transcription.GetSampleTimes(), self.coast
         # Of the rows of an impact on a knot, the first: velocities before impulses.
@@ -133,7 +146,7 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
         polynomial = self.polynomial if around is self.transcription else _compile(around)
         return Start(around, polynomial, Box(*around.box_around(q, v, _COAST_SHARE)))
 
-    def _transcribe_around(self, positions: npt.NDArray[np.float64]) -> TranscriptionT:
+    def _transcribe_around(self, positions: npt.NDArray[np.float64]) -> Transcription:
         """Returns the transcription for boxes around a path, shape (N+1, nq) [m]."""
         return self.transcription
 
@@ -143,7 +156,7 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
 
     @property
     def num_threads(self) -> int:
-        """How many rungs are run at once, see `PlanOptions.threads`."""
+        """How many rungs are run at once, see `SearchOptions.threads`."""
         if self.options.threads is not None:
             return self.options.threads
         if self.polynomial.num_variables < _MANY:
@@ -168,7 +181,7 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
 
         Args:
             rung: where to start.
-            algorithm: how to shrink boxes; the options' own (`make_algorithm`) if None.
+            algorithm: how to shrink boxes; the problem's own (`make_algorithm`) if None.
             callback: called with every iterate, the first box included.
         """
         algorithm = algorithm or self.make_algorithm(rung)
@@ -176,9 +189,14 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
         weighted = start.polynomial.with_weights(self._weights(rung))
         return minimize(weighted, start.box, algorithm, callback)
 
+    @abstractmethod
     def make_algorithm(self, rung: Rung) -> Algorithm:
-        """Returns the options' algorithm for a rung, with temperatures in the cost's unit."""
-        return self.options.make_algorithm(rung, self._cost_scale)
+        """Returns how boxes shrink under a rung, with temperatures in the cost's unit."""
+
+    @property
+    def algorithm_name(self) -> str:
+        """How the origins of candidates name that algorithm."""
+        return "annealing"
 
     def pull(self, center: npt.NDArray[np.float64], rung: Rung) -> npt.NDArray[np.float64]:
         """Returns a box center pulled towards the constraints by raising the rung's penalties."""
@@ -187,12 +205,12 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
         return PenaltyContinuation().run(weighted, weights, center, start.box.free)
 
     @abstractmethod
-    def find_sequences(self, result: AigoResult, rung: Rung) -> list[Sequence]:
+    def find_sequences(self, result: AigoResult, rung: Rung) -> list[ContactSequence]:
         """Returns the contact sequences that AIGO proposes; () is a free flight."""
 
     @abstractmethod
     def polish(
-        self, center: npt.NDArray[np.float64], sequence: Sequence
+        self, center: npt.NDArray[np.float64], sequence: ContactSequence
     ) -> tuple[Transcription, npt.NDArray[np.float64]]:
         """Returns the local optimum next to a contact sequence that was read off a box center.
 
@@ -274,6 +292,14 @@ class PlanningProblem(ABC, Generic[TranscriptionT, Sequence]):
             contacts=find_contacts(world, trajectory),
             replay=replay_event_driven(world, scenario, trajectory.times, trajectory.controls),
         )
+
+    def confirm(self, candidate: Candidate) -> Replays:
+        """Returns the candidate's replays: its own, and Drake's if the options confirm."""
+        if not self.options.confirm:
+            return Replays(candidate.replay, None)
+        world, scenario = self.transcription.world, self.transcription.scenario
+        times, controls = candidate.trajectory.times, candidate.trajectory.controls
+        return Replays(candidate.replay, replay_drake(world, scenario, times, controls))
 
     def _weights(self, rung: Rung) -> dict[str, float]:
         """Returns the rung's weights of the rows that this problem has."""

@@ -4,20 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import math
 from collections.abc import Iterable
 from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drake_aigto.aigo import AigoResult
+from drake_aigto.aigo import AigoResult, Algorithm, Annealing
 from drake_aigto.local import LocalResult, NewtonLagrange, PolynomialNlp, compile_nlp
 from drake_aigto.planning.arcs import solve_in_arcs
 from drake_aigto.planning.options import PlanOptions, Rung
 from drake_aigto.planning.problem import PlanningProblem
-from drake_aigto.planning.touches import (
-    read_sequences,
-)
+from drake_aigto.planning.touches import read_sequences
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription, TouchSequence
 from drake_aigto.transcription.facings import Facing, find_facings
 from drake_aigto.transcription.phases import straight_path
@@ -26,7 +25,7 @@ from drake_aigto.transcription.touch import joint_times
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from drake_aigto.world import Scenario
+    from drake_aigto.world import Scenario, World
 
 _LOG = logging.getLogger(__name__)
 
@@ -39,10 +38,46 @@ Solved = tuple[PhaseTranscription, "npt.NDArray[np.float64]"]
 _MARGIN = 1e-6
 # Of the local solver on arcs: what takes more is left to the general way.
 _ARC_ITERATIONS = 60
+# How far an anneal cools down. Which contacts a plan has, boxes show long before they are
+# stationary: a loose tolerance at few temperatures reads as many sequences right as careful ones.
+# Fewer Newton steps than that takes are too few around the straight line, where bounces get lost.
+_COOLED = 5e-5
+# AIGO's boxes tell a bounce from the start's own push if so many steps lead to the wall.
+_STEPS_TO_WALL = 3
 
 
-class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
+def make_problem(
+    world: World, scenario: Scenario, options: PlanOptions | None = None
+) -> RigidProblem:
+    """Returns the scenario, transcribed with the time steps of `coarsen`, and compiled."""
+    options = options or PlanOptions()
+    coarse = coarsen(world, scenario, options)
+    transcription = RigidTranscription(world, coarse, options.relaxation)
+    return RigidProblem(transcription, options, scenario.num_steps)
+
+
+def coarsen(world: World, scenario: Scenario, options: PlanOptions) -> Scenario:
+    """Returns the scenario with the time steps of AIGO's boxes (`PlanOptions.aigo_steps`).
+
+    There are more of them, up to the scenario's, if a wall would be touched in less than three.
+    """
+    steps = max(options.aigo_steps, min(_count_steps(world, scenario), scenario.num_steps))
+    return dataclasses.replace(scenario, time_step=scenario.duration / steps)
+
+
+def _count_steps(world: World, scenario: Scenario) -> int:
+    """Returns into how many steps T has to be cut for the ball to fly three before the wall."""
+    distances = world.calc_signed_distance(scenario.initial_position)
+    jacobian = world.calc_contact_jacobian(scenario.initial_position)
+    speeds = np.maximum(-jacobian @ scenario.initial_velocity, 0.0)
+    return math.ceil(_STEPS_TO_WALL * scenario.duration * float(np.max(speeds / distances)))
+
+
+class RigidProblem(PlanningProblem):
     """The rigid transcription: a contact sequence is the times of touches."""
+
+    transcription: RigidTranscription
+    options: PlanOptions
 
     # Gravity and springs may cost far more than the way does.
     _cost_units = (1.0, 1e2, 1e4)
@@ -60,16 +95,24 @@ class RigidProblem(PlanningProblem[RigidTranscription, TouchSequence]):
             options: numerics.
             num_steps: time steps that plans are to have; the transcription's if None.
         """
-        super().__init__(transcription, options)
+        super().__init__(transcription, options or PlanOptions())
         self.num_steps = num_steps or transcription.scenario.num_steps
         self._scenarios: dict[int, Scenario] = {}  # By their number of steps.
 
+    def make_algorithm(self, rung: Rung) -> Algorithm:
+        """Returns an annealing that ends as soon as boxes show contacts."""
+        start = rung.temperature * self._cost_scale
+        return Annealing(
+            initial_temperature=start,
+            final_temperature=_COOLED * start,
+            cooling=0.1,
+            tolerance=0.1,
+            narrowing=0.5,
+        )
+
     def find_sequences(self, result: AigoResult, rung: Rung) -> list[TouchSequence]:
         """Returns the contact sequences that AIGO proposes (`read_sequences`) and that fit."""
-        center = result.box.center
-        if self.options.pull:
-            center = self.pull(center, rung)
-        read = read_sequences(self.start(rung.start).transcription, center)
+        read = read_sequences(self.start(rung.start).transcription, result.box.center)
         return list(filter(self.fits, read))
 
     def _transcribe_around(self, positions: npt.NDArray[np.float64]) -> RigidTranscription:

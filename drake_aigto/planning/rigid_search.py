@@ -15,7 +15,7 @@ from drake_aigto.planning.options import Rung
 from drake_aigto.planning.origin import ChangeName, Origin
 from drake_aigto.planning.plan import LARGEST_DEFECT, Candidate
 from drake_aigto.planning.rigid import Path, RigidProblem, Solved
-from drake_aigto.planning.search import Clock, Search
+from drake_aigto.planning.search import Progress, Search, Stopwatch
 from drake_aigto.planning.touches import are_near, are_neighbors, is_same, kinds, neighbors, swapped
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.transcription.touch import joint_times
@@ -42,19 +42,19 @@ _GOOD, _TRIAL_STEPS, _TRIAL_ITERATIONS = 3.0, 20, 30
 _PROMISING = 20.0
 
 
-class RigidSearch(Search[TouchSequence]):
+class RigidSearch(Search):
     """AIGO proposes touches, which are polished; the best again if the first polish was coarse.
 
     If a candidate's replay bounces where its plan does not, the plan with that bounce is another
     candidate: knots may step over a short contact, and AIGO's do over one right after the start.
     """
 
-    def __init__(self, problem: RigidProblem, clock: Clock) -> None:
+    problem: RigidProblem
+
+    def __init__(self, problem: RigidProblem, clock: Stopwatch | None = None) -> None:
         """Starts with no candidate."""
         super().__init__(problem, clock)
-        self._fits = problem.fits
-        self._polish, self._polish_along = problem.polish, problem.polish_along
-        self._num_steps, self._unfolds = problem.num_steps, problem.unfolds
+        self._num_steps = problem.num_steps
         self._least_flight_cost = problem.least_flight_cost
         self._left_out: tuple[Origin, npt.NDArray[np.float64]] | None = None  # A flight's.
         self._duration = problem.transcription.scenario.duration
@@ -70,12 +70,12 @@ class RigidSearch(Search[TouchSequence]):
         motion, a ladder of their own, are left out if a candidate has its contacts.
         """
         options = self.problem.options
-        if options.exhaustive or not self._unfolds:
-            yield options.rungs
+        if options.exhaustive or not self.problem.unfolds:
+            yield options.ladder
             return
-        for start in dict.fromkeys(rung.start for rung in options.rungs):
+        for start in dict.fromkeys(rung.start for rung in options.ladder):
             if start == "line" or not self._has_contacts_of_coast():
-                rungs = tuple(rung for rung in options.rungs if rung.start == start)
+                rungs = tuple(rung for rung in options.ladder if rung.start == start)
                 first, last = rungs[:1], rungs[1:][-1:]
                 if rungs[-1].temperature < rungs[0].temperature:
                     yield first
@@ -143,8 +143,8 @@ class RigidSearch(Search[TouchSequence]):
 
         def polish(center: npt.NDArray[np.float64], touches: TouchSequence) -> Solved:
             if solved or path is None:
-                return solved or self._polish(center, touches)
-            return self._polish_along(path, touches)
+                return solved or self.problem.polish(center, touches)
+            return self.problem.polish_along(path, touches)
 
         try:
             self.solve(origin, center, sequence, polish)
@@ -221,8 +221,14 @@ class RigidSearch(Search[TouchSequence]):
                 before = tuple(touch for touch in optimum if touch.end < time)
                 seen = (*before, Touch.bounce(time, contact))
                 longer = (*seen, *optimum[len(before) :])
-                return [sequence for sequence in (seen, longer) if self._fits(sequence)]
+                return [sequence for sequence in (seen, longer) if self.problem.fits(sequence)]
         return []
+
+    def refine(self, tell: Progress) -> None:
+        """Adds neighbours of the best candidates, then improves the best of all."""
+        tell(f"{len(self.by_sequence)} candidates; looking for others near the best")
+        self.branch()
+        super().refine(tell)
 
     def branch(self) -> None:
         """Adds neighbours (`neighbors`) of good sequences, the best first, of each once."""
@@ -266,8 +272,10 @@ class RigidSearch(Search[TouchSequence]):
         """Returns a trial polish, if it meets the rows, and costs little more than the best."""
         least = min(candidate.replay.cost for candidate in self.by_sequence.values())
         try:
-            with self._clock("polish"):
-                phases, x = self._polish_along(path, sequence, _TRIAL_STEPS, _TRIAL_ITERATIONS)
+            with self.clock("polish"):
+                phases, x = self.problem.polish_along(
+                    path, sequence, _TRIAL_STEPS, _TRIAL_ITERATIONS
+                )
         except (OptionsError, TrajectoryError, UnsupportedTermError):
             return None
         is_feasible = max(phases.defects(x).values()) <= LARGEST_DEFECT
@@ -287,7 +295,7 @@ class RigidSearch(Search[TouchSequence]):
             coarse.origin,
             self.centers[sequence],
             optimum,
-            lambda _, touches: self._polish_along(path, touches, self._num_steps),
+            lambda _, touches: self.problem.polish_along(path, touches, self._num_steps),
         )
         fine = self.by_sequence[optimum]
         if (fine.is_feasible, fine.is_confirmed) < (coarse.is_feasible, coarse.is_confirmed):

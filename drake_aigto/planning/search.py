@@ -4,33 +4,67 @@ from __future__ import annotations
 
 import logging
 import threading
+import time
 from abc import ABC, abstractmethod
+from collections import defaultdict
 from collections.abc import Callable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from contextlib import AbstractContextManager
-from typing import TYPE_CHECKING, Any, Generic
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
 
 from drake_aigto.aigo import AigoResult, Iterate, Status
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.origin import Origin
-from drake_aigto.planning.plan import Candidate
-from drake_aigto.planning.problem import PlanningProblem, Sequence
+from drake_aigto.planning.plan import (
+    LARGEST_DEFECT,
+    Candidate,
+    Plan,
+    PlanningError,
+    PlanStats,
+    Replays,
+)
+from drake_aigto.planning.problem import ContactSequence, PlanningProblem
 
 if TYPE_CHECKING:
-    import numpy as np
     import numpy.typing as npt
+
+    from drake_aigto.world import Scenario
 
 _LOG = logging.getLogger(__name__)
 
-Clock = Callable[[str], AbstractContextManager[None]]
 Polish = Callable[..., tuple[Any, Any]]
+Progress = Callable[[str], None]
 
 
-class Search(ABC, Generic[Sequence]):
+class Stopwatch:
+    """Wall time by part of the road.
+
+    Attributes:
+        seconds: part → its time so far [s].
+    """
+
+    def __init__(self) -> None:
+        """Starts at nothing."""
+        self.seconds: defaultdict[str, float] = defaultdict(float)
+
+    @contextmanager
+    def __call__(self, part: str) -> Iterator[None]:
+        """Adds the time of a `with` block to a part's."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[part] += time.perf_counter() - start
+
+
+class Search(ABC):
     """Candidates by contact sequence; the work is cut off by counts, never by clocks.
 
     Attributes:
         problem: that is searched.
+        clock: what the parts of the search took.
         by_sequence: the candidates so far, in the order that they were found.
         centers: of the boxes that each sequence was read off.
         solved: the transcription that each polish solved, and its decision variables.
@@ -39,14 +73,44 @@ class Search(ABC, Generic[Sequence]):
             literal first.
     """
 
-    def __init__(self, problem: PlanningProblem[Any, Sequence], clock: Clock) -> None:
-        """Starts with no candidate; the clock measures parts by name."""
-        self.problem, self._clock = problem, clock
-        self.by_sequence: dict[Sequence, Candidate] = {}
-        self.centers: dict[Sequence, npt.NDArray[np.float64]] = {}
-        self.solved: dict[Sequence, tuple[Any, npt.NDArray[np.float64]]] = {}
+    def __init__(self, problem: PlanningProblem, clock: Stopwatch | None = None) -> None:
+        """Starts with no candidate."""
+        self.problem, self.clock = problem, clock or Stopwatch()
+        self.by_sequence: dict[ContactSequence, Candidate] = {}
+        self.centers: dict[ContactSequence, npt.NDArray[np.float64]] = {}
+        self.solved: dict[ContactSequence, tuple[Any, npt.NDArray[np.float64]]] = {}
         self.aigo_steps = 0
-        self.shown: list[tuple[Rung, list[Sequence]]] = []
+        self.shown: list[tuple[Rung, list[ContactSequence]]] = []
+
+    def run(self, progress: Progress | None = None) -> None:
+        """Runs the ladder, and refines what comes out.
+
+        Args:
+            progress: called with a line of text before each part.
+
+        Raises:
+            KeyboardInterrupt: before there was any candidate; after that, it ends the search.
+        """
+        options, begun = self.problem.options, list[Rung]()
+
+        def tell(line: str) -> None:
+            _LOG.info("%s", line)
+            if progress:
+                progress(line)
+
+        def tell_rung(rung: Rung) -> None:
+            begun.append(rung)
+            start = rung.describe(self.problem.algorithm_name)
+            tell(f"AIGO {len(begun)} of {len(options.ladder)}: {start}")
+
+        try:
+            for rungs in self.rungs():
+                self.add_rungs(rungs, tell_rung)
+            self.refine(tell)
+        except KeyboardInterrupt:
+            if not self.by_sequence:
+                raise
+            _LOG.info("interrupted: going on with what was found")
 
     def rungs(self) -> Iterator[tuple[Rung, ...]]:
         """Yields the ladder's rungs in the order to run them, those that may run at once together.
@@ -54,13 +118,13 @@ class Search(ABC, Generic[Sequence]):
         Each lot is to be added before the next is asked for: rungs may be left out by what others
         have shown, never by clocks.
         """
-        yield self.problem.options.rungs
+        yield self.problem.options.ladder
 
     @property
     def box_contacts(self) -> tuple[int | None, ...]:
         """How many contacts the last box of each of the ladder's rungs shows; None: left out."""
         counts: list[int | None] = []
-        for rung in self.problem.options.rungs:
+        for rung in self.problem.options.ladder:
             found = [sequences for each, sequences in self.shown if each == rung]
             counts.append(max(map(len, found[0][:1]), default=0) if found else None)
         return tuple(counts)
@@ -83,7 +147,7 @@ class Search(ABC, Generic[Sequence]):
             for rung in at_once:
                 if tell:
                     tell(rung)
-            with self._clock("aigo"):
+            with self.clock("aigo"):
                 results, is_interrupted = self._run_at_once(at_once)
             for rung, result in zip(at_once, results, strict=False):
                 self._add_result(rung, result)
@@ -115,7 +179,7 @@ class Search(ABC, Generic[Sequence]):
         return [run.result() for run in runs], stopped.is_set()
 
     def _add_result(self, rung: Rung, result: AigoResult) -> None:
-        with self._clock("aigo"):
+        with self.clock("aigo"):
             sequences = self.problem.find_sequences(result, rung)
         self.aigo_steps += result.num_inner_steps
         _LOG.info(
@@ -125,22 +189,28 @@ class Search(ABC, Generic[Sequence]):
             len(sequences),
         )
         self.shown.append((rung, sequences))
-        origin = Origin(self.problem.options.algorithm, rung)
+        origin = Origin(self.problem.algorithm_name, rung)
         for sequence in sequences:
             if not self.is_known(sequence):
                 self.add(origin, result.box.center, sequence)
 
-    def add(self, origin: Origin, center: npt.NDArray[np.float64], sequence: Sequence) -> None:
+    def add(
+        self, origin: Origin, center: npt.NDArray[np.float64], sequence: ContactSequence
+    ) -> None:
         """Adds the candidate of a sequence that was read off a box center."""
         self.solve(origin, center, sequence, self.problem.polish)
 
     def solve(
-        self, origin: Origin, center: npt.NDArray[np.float64], sequence: Sequence, polish: Polish
+        self,
+        origin: Origin,
+        center: npt.NDArray[np.float64],
+        sequence: ContactSequence,
+        polish: Polish,
     ) -> None:
         """Makes a candidate of a sequence by a polish; it replaces one of equal sequence."""
-        with self._clock("polish"):
+        with self.clock("polish"):
             self.solved[sequence] = solved, x = polish(center, sequence)
-        with self._clock("replay"):
+        with self.clock("replay"):
             candidate = self.problem.judge(origin, center, solved, x)
         self.by_sequence[sequence] = candidate
         _LOG.info(
@@ -157,8 +227,47 @@ class Search(ABC, Generic[Sequence]):
         """Returns all candidates, the best first."""
         return sorted(self.by_sequence.values(), key=self.rank)
 
+    def find_feasible(self) -> list[Candidate]:
+        """Returns the candidates that meet the rows, the best first.
+
+        Raises:
+            PlanningError: there is none.
+        """
+        feasible = [candidate for candidate in self.ranked() if candidate.is_feasible]
+        if not feasible:
+            defects = [candidate.max_defect for candidate in self.ranked()]
+            raise PlanningError(
+                "no candidate meets the transcription's rows",
+                got=f"{len(defects)} candidates from {len(self.problem.options.ladder)} rungs, the "
+                f"smallest defect {min(defects, default=np.inf):.1e}",
+                expected=f"at most {LARGEST_DEFECT:g}",
+                remedy="Try another ladder or local solver.",
+            )
+        return feasible
+
+    def confirm(self, candidate: Candidate) -> Replays:
+        """Returns the replays of a candidate's control."""
+        _LOG.info("replaying the best of %d candidates", len(self.by_sequence))
+        with self.clock("replay"):
+            return self.problem.confirm(candidate)
+
+    def make_plan(self, scenario: Scenario, best: Candidate, replays: Replays) -> Plan:
+        """Returns the plan with this candidate as its best, and the others by rank."""
+        rest = [candidate for candidate in self.ranked() if candidate is not best]
+        stats = PlanStats(
+            self.aigo_steps,
+            sum(candidate.is_feasible for candidate in (best, *rest)),
+            dict(self.clock.seconds),
+            self.box_contacts,
+            self.flight_left_out,
+        )
+        took = ", ".join(f"{part} {seconds:.2f}" for part, seconds in stats.seconds.items())
+        _LOG.info("%d inner steps of AIGO; seconds: %s", stats.aigo_steps, took)
+        name = self.problem.options.transcription
+        return Plan(scenario, name, (best, *rest), replays, stats)
+
     @abstractmethod
-    def is_known(self, sequence: Sequence) -> bool:
+    def is_known(self, sequence: ContactSequence) -> bool:
         """Returns whether there is a candidate of nearly this sequence."""
 
     @property
@@ -166,18 +275,19 @@ class Search(ABC, Generic[Sequence]):
         """What a free flight costs at least, if it was left out for that."""
         return None
 
-    def add_left_out(self) -> None:
-        """Adds candidates that were expected not to win, if there are any."""
-
-    def branch(self) -> None:
-        """Adds candidates near the best one in the space of sequences, where there is a way to."""
+    def refine(self, tell: Progress) -> None:
+        """Improves the best candidates; tells what begins."""
+        finalists = self.finalists()[: self.problem.options.finalists]
+        for number, sequence in enumerate(finalists, 1):
+            tell(f"{len(self.by_sequence)} candidates; improving number {number}")
+            self.improve(sequence)
 
     @abstractmethod
-    def finalists(self) -> list[Sequence]:
+    def finalists(self) -> list[ContactSequence]:
         """Returns the sequences that are worth improving, the best first."""
 
     @abstractmethod
-    def improve(self, sequence: Sequence) -> None:
+    def improve(self, sequence: ContactSequence) -> None:
         """Adds candidates near a sequence, or a better one in its place."""
 
     @abstractmethod

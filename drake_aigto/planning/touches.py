@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from drake_aigto.transcription import RigidTranscription, Touch, TouchSequence
+from drake_aigto.transcription import Touch, TouchSequence, Transcription
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -46,9 +46,7 @@ class _Pushes(NamedTuple):
             yield _Pushes(self.contact, times, sizes)
 
 
-def read_sequences(
-    transcription: RigidTranscription, x: npt.NDArray[np.float64]
-) -> list[TouchSequence]:
+def read_sequences(transcription: Transcription, x: npt.NDArray[np.float64]) -> list[TouchSequence]:
     """Returns the contact sequences that a box center may stand for, the most literal first.
 
     A contact is a cluster of one wall's impulses. Boxes also split one contact in several, and do
@@ -148,7 +146,7 @@ def _in_order(touches: list[Touch], least: float) -> TouchSequence:
     return tuple(found)
 
 
-def _read_impulses(transcription: RigidTranscription, x: npt.NDArray[np.float64]) -> list[_Pushes]:
+def _read_impulses(transcription: Transcription, x: npt.NDArray[np.float64]) -> list[_Pushes]:
     """Returns the impulses that belong to contacts, after the start, of every wall that has any."""
     world, q0 = transcription.world, transcription.scenario.initial_position
     impulses = transcription.impulses(x)

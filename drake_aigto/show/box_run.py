@@ -4,23 +4,21 @@ from __future__ import annotations
 
 import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, cast
+from typing import TYPE_CHECKING, cast
 
 import numpy as np
 
 from drake_aigto.aigo import Annealing, SlowMotion
-from drake_aigto.planning import PlanOptions
-from drake_aigto.planning.options import AlgorithmName
-from drake_aigto.planning.planner import make_problem
+from drake_aigto.paper import LiteralOptions, make_literal_problem
+from drake_aigto.paper.options import AlgorithmName
+from drake_aigto.planning import PlanOptions, make_problem
 from drake_aigto.world import World
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
     from drake_aigto.aigo import AigoResult, Iterate
-    from drake_aigto.planning import Plan
-    from drake_aigto.planning.options import Rung
-    from drake_aigto.planning.problem import PlanningProblem
+    from drake_aigto.planning import Plan, PlanningProblem, Rung, SearchOptions
     from drake_aigto.transcription import Transcription
 
     _Array = npt.NDArray[np.float64]
@@ -38,7 +36,7 @@ class BoxRun:
             every Newton step.
     """
 
-    problem: PlanningProblem[Any, Any]
+    problem: PlanningProblem
     rung: Rung
     transcription: Transcription
     result: AigoResult
@@ -66,7 +64,9 @@ class BoxRun:
         return sorted({*found, len(sizes) - 1})
 
 
-def run_boxes(plan: Plan, world: World | None = None, options: PlanOptions | None = None) -> BoxRun:
+def run_boxes(
+    plan: Plan, world: World | None = None, options: SearchOptions | None = None
+) -> BoxRun:
     """Runs that rung of AIGO's ladder again which the plan came from.
 
     The same input gives the same boxes. Of options that are not the planner's own the plan's file
@@ -81,19 +81,22 @@ def run_boxes(plan: Plan, world: World | None = None, options: PlanOptions | Non
         ModelError, ScenarioError: the model can't be used, or the scenario does not fit.
     """
     world = world or World.from_scenario(plan.scenario)
-    options = options or PlanOptions(transcription=_transcription(plan))
-    rung = options.rungs[0]
-    if plan.best.origin.rung is not None:
-        rung, algorithm = plan.best.origin.rung, cast(AlgorithmName, plan.best.origin.proposer)
-        options = dataclasses.replace(options, algorithm=algorithm)
-    problem = make_problem(world, plan.scenario, options)
-    shrinking = problem.make_algorithm(rung)
-    if isinstance(shrinking, Annealing):
-        shrinking = SlowMotion(shrinking)
-    result = problem.run_aigo(rung, shrinking)
+    problem = _make_problem(plan, world, options)
+    rung = plan.best.origin.rung or problem.options.ladder[0]
+    algorithm = problem.make_algorithm(rung)
+    if isinstance(algorithm, Annealing):
+        algorithm = SlowMotion(algorithm)
+    result = problem.run_aigo(rung, algorithm)
     return BoxRun(problem, rung, problem.start(rung.start).transcription, result)
 
 
-def _transcription(plan: Plan) -> Any:
-    """Returns the name of the plan's transcription, one of `TranscriptionName`."""
-    return plan.transcription
+def _make_problem(plan: Plan, world: World, options: SearchOptions | None) -> PlanningProblem:
+    """Returns the problem that the plan is of; without options, in its own transcription."""
+    if isinstance(options, PlanOptions) or (options is None and plan.transcription == "rigid"):
+        return make_problem(world, plan.scenario, options)
+    assert options is None or isinstance(options, LiteralOptions)
+    options = options or LiteralOptions()
+    if plan.best.origin.rung is not None:
+        algorithm = cast(AlgorithmName, plan.best.origin.proposer)
+        options = dataclasses.replace(options, algorithm=algorithm)
+    return make_literal_problem(world, plan.scenario, options)

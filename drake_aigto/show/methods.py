@@ -10,13 +10,17 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib.axes import Axes
 
-from drake_aigto.baselines import gradient_from_random
-from drake_aigto.planning import Candidate, LiteralProblem, Origin, Planner, PlanOptions
+from drake_aigto.paper import (
+    LiteralOptions,
+    gradient_from_random,
+    make_literal_problem,
+    plan_literal,
+)
+from drake_aigto.planning import Candidate, Origin
 from drake_aigto.show.box_run import run_boxes
 from drake_aigto.show.figures import plot_motions
 from drake_aigto.show.motion import Motion, color_of
 from drake_aigto.show.text import energy_text, length_text
-from drake_aigto.transcription import LiteralTranscription
 from drake_aigto.world import Scenario, World
 
 AIGTO, FROM_AIGTO, FROM_RANDOM = "AIGTO", "gradient from AIGTO", "gradient from a random guess"
@@ -55,14 +59,14 @@ def paper_methods(
         PlanningError: no candidate meets the transcription's rows.
     """
     world = world or World.from_scenario(scenario)
-    options = PlanOptions(transcription="literal", nonpenetration=nonpenetration, confirm=False)
-    plan = Planner(scenario, options, world).plan()
+    options = LiteralOptions(nonpenetration=nonpenetration, confirm=False)
+    plan = plan_literal(scenario, options, world)
     boxes = run_boxes(plan, world, options)
     center = boxes.problem.pull(boxes.result.box.center, boxes.rung)
     origin = Origin(options.algorithm, boxes.rung)
     shrunk = boxes.problem.judge(origin, center, boxes.transcription, center)
     snopt = dataclasses.replace(options, local_solver="snopt")
-    problem = LiteralProblem(LiteralTranscription(world, scenario, nonpenetration), snopt)
+    problem = make_literal_problem(world, scenario, snopt)
     random = gradient_from_random(problem, np.random.default_rng(seed))
     return {AIGTO: shrunk, FROM_AIGTO: plan.best, FROM_RANDOM: random}
 

@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from string import ascii_lowercase
 
-from drake_aigto.planning import Candidate, Plan, PlanOptions
+from drake_aigto.planning import Candidate, Plan, PlanOptions, SearchOptions
 from drake_aigto.show.text import (
     WIDTH,
     contact_names,
@@ -28,7 +28,7 @@ _MOST_BOUNCES = 6
 
 
 def format_plan(
-    plan: Plan, world: World, options: PlanOptions, contact_delay: float | None = None
+    plan: Plan, world: World, options: SearchOptions, contact_delay: float | None = None
 ) -> str:
     """Returns a plan with its verdict, its replays and its rivals, as text.
 
@@ -136,10 +136,10 @@ def _bounces(replay: Replay, names: Sequence[str]) -> str:
     return f"bounces at {times} s" + (f" and {more} times more" if more > 0 else "")
 
 
-def _search(plan: Plan, options: PlanOptions, names: Sequence[str]) -> Iterator[str]:
+def _search(plan: Plan, options: SearchOptions, names: Sequence[str]) -> Iterator[str]:
     steps = plan.scenario.num_steps
     boxes = [f"boxes of {steps} steps"]
-    if plan.transcription == "rigid":
+    if isinstance(options, PlanOptions):
         boxes = [
             f"boxes of {min(options.aigo_steps, steps)} steps",
             f"relaxation {options.relaxation:g}",

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from drake_aigto.baselines import gradient_from_zero, run_baseline
-from drake_aigto.planning import LiteralProblem, PlanOptions
+from drake_aigto.baselines import run_baseline
+from drake_aigto.paper import LiteralOptions, gradient_from_zero, make_literal_problem
 from drake_aigto.show.motion import PLAN_LABEL, SIMULATION_LABELS, Motion
 from drake_aigto.simulation.replay import replay_event_driven
-from drake_aigto.transcription import LiteralTranscription
 
 if TYPE_CHECKING:
     from drake_aigto.world import Scenario, World
@@ -32,9 +31,8 @@ def gradient_motions(world: World, scenario: Scenario, seed: int = 0) -> list[Mo
     """
     rigid = SIMULATION_LABELS["event-driven"]
     if world.num_contacts == 1:
-        options = PlanOptions(transcription="literal", nonpenetration=False, local_solver="snopt")
-        transcription = LiteralTranscription(world, scenario, options.nonpenetration)
-        run = gradient_from_zero(LiteralProblem(transcription, options))
+        options = LiteralOptions(nonpenetration=False, local_solver="snopt")
+        run = gradient_from_zero(make_literal_problem(world, scenario, options))
         planned = Motion.from_trajectory(run.trajectory, world, f"{_ONE_WALL}: {PLAN_LABEL}")
         simulated = Motion.from_replay(run.replay, f"{_ONE_WALL}: {rigid}")
         return [planned, simulated.under(run.trajectory.times, run.trajectory.controls)]

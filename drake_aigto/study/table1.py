@@ -13,24 +13,30 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drake_aigto.baselines import gradient_from_random, gradient_from_zero
 from drake_aigto.count import Count
+from drake_aigto.paper import (
+    LiteralOptions,
+    LiteralProblem,
+    gradient_from_random,
+    gradient_from_zero,
+    make_literal_problem,
+    plan_literal,
+)
+from drake_aigto.paper.options import AlgorithmName
 from drake_aigto.planning import (
     Candidate,
-    LiteralProblem,
     Plan,
     Planner,
     PlanningError,
     PlanOptions,
     Replays,
 )
-from drake_aigto.planning.options import AlgorithmName, LocalSolverName
+from drake_aigto.planning.options import LocalSolverName
 from drake_aigto.simulation import Replay
 from drake_aigto.simulation.material import contact_delay
 from drake_aigto.study.rigid_optimum import RigidOptimum, rigid_optimum
 from drake_aigto.study.workers import Workers
-from drake_aigto.transcription import LiteralTranscription
-from drake_aigto.world import Scenario
+from drake_aigto.world import Scenario, World
 
 _LOG = logging.getLogger(__name__)
 
@@ -168,12 +174,13 @@ def run_cell(
         confirm: whether the plans are also replayed on Drake's plant.
     """
     scenario = Scenario.named(f"table1/{row}")
-    options = PlanOptions(transcription="literal", nonpenetration=nonpenetration, confirm=confirm)
-    planner = Planner(scenario, options)
-    methods = list(_gradient_methods(planner, num_guesses, np.random.default_rng([seed, row])))
+    world = World.from_scenario(scenario)
+    options = LiteralOptions(nonpenetration=nonpenetration, confirm=confirm)
+    generator = np.random.default_rng([seed, row])
+    methods = list(_gradient_methods(world, scenario, options, num_guesses, generator))
     for name, algorithm in ALGORITHMS.items():
         chosen = dataclasses.replace(options, algorithm=algorithm)
-        methods.append(_aigto_method(name, Planner(scenario, chosen, planner.world)))
+        methods.append(_plan_method(name, plan_literal(scenario, chosen, world)))
     return Cell(row, nonpenetration, tuple(methods))
 
 
@@ -185,22 +192,13 @@ def run_rigid_cell(row: int, confirm: bool = True) -> RigidCell:
         confirm: whether the plan is also replayed on Drake's plant.
     """
     scenario = Scenario.named(f"table1/{row}")
-    planner = Planner(scenario, PlanOptions(transcription="rigid", confirm=confirm))
-    plan = _plan(planner)
-    entry = Entry(RIGID_METHOD, plan.best, plan.replay.drake, plan.holds)
-    method = Method(
-        RIGID_METHOD,
-        tuple(sorted(run.cost for run in plan.candidates if run.is_feasible)),
-        len(plan.candidates),
-        (entry,),
-        _seconds(plan),
-    )
+    planner = Planner(scenario, PlanOptions(confirm=confirm))
     return RigidCell(
         row,
         scenario.restitution,
         rigid_optimum(planner.world, scenario),
         contact_delay(planner.world),
-        (method,),
+        (_plan_method(RIGID_METHOD, _plan(planner)),),
     )
 
 
@@ -258,35 +256,52 @@ def run_table1(
 
 
 def _gradient_methods(
-    planner: Planner, num_guesses: int, generator: np.random.Generator
+    world: World,
+    scenario: Scenario,
+    options: LiteralOptions,
+    num_guesses: int,
+    generator: np.random.Generator,
 ) -> Iterator[Method]:
+    def problem_for(solver: LocalSolverName) -> LiteralProblem:
+        chosen = dataclasses.replace(options, local_solver=solver)
+        return make_literal_problem(world, scenario, chosen)
+
     for solver in GRADIENT_SOLVERS:
-        runs, seconds = _run_gradient(planner, solver, gradient_from_zero, 1)
-        yield _summarize(f"{solver.upper()}, from zero", planner, runs, seconds)
-    solver = GUESS_SOLVERS[planner.options.nonpenetration]
+        name = f"{solver.upper()}, from zero"
+        yield _run_gradient(name, problem_for(solver), gradient_from_zero)
+    solver = GUESS_SOLVERS[options.nonpenetration]
     guess = partial(gradient_from_random, generator=generator)
-    runs, seconds = _run_gradient(planner, solver, guess, num_guesses)
-    yield _summarize(solver.upper(), planner, runs, seconds, median=True)
+    yield _run_gradient(solver.upper(), problem_for(solver), guess, num_guesses)
 
 
 def _run_gradient(
-    planner: Planner,
-    solver: LocalSolverName,
+    name: str,
+    problem: LiteralProblem,
     run: Callable[[LiteralProblem], Candidate],
-    count: int,
-) -> tuple[list[Candidate], float]:
-    """Returns so many runs of a gradient solver, and their seconds."""
-    options = dataclasses.replace(planner.options, local_solver=solver)
-    transcription = LiteralTranscription(planner.world, planner.scenario, options.nonpenetration)
-    problem = LiteralProblem(transcription, options)
+    num_guesses: int | None = None,
+) -> Method:
+    """Returns a run of a gradient solver, or several, with those replayed that are shown."""
     start = time.perf_counter()
-    runs = [run(problem) for _ in range(count)]
-    return runs, time.perf_counter() - start
+    runs = [run(problem) for _ in range(num_guesses or 1)]
+    seconds = time.perf_counter() - start
+    feasible = sorted((run for run in runs if run.is_feasible), key=lambda run: run.cost)
+    ranked = feasible or sorted(runs, key=lambda run: run.max_defect)
+    shown = {name: ranked[0]}
+    if num_guesses is not None:
+        shown = {
+            f"{name}: median of {num_guesses}": ranked[len(ranked) // 2],
+            f"{name}: best of {num_guesses}": ranked[0],
+        }
+    entries = tuple(_entry(label, each, problem.confirm(each)) for label, each in shown.items())
+    return Method(name, tuple(each.cost for each in feasible), len(runs), entries, seconds)
 
 
-def _aigto_method(name: str, planner: Planner) -> Method:
-    plan = planner.plan()
-    return _summarize(name, planner, list(plan.candidates), _seconds(plan))
+def _plan_method(name: str, plan: Plan) -> Method:
+    """Returns a plan's summary; its time is without replays."""
+    costs = sorted(run.cost for run in plan.candidates if run.is_feasible)
+    seconds = sum(plan.stats.seconds[part] for part in ("build", "aigo", "polish"))
+    entry = _entry(name, plan.best, plan.replay)
+    return Method(name, tuple(costs), len(plan.candidates), (entry,), seconds)
 
 
 def _plan(planner: Planner) -> Plan:
@@ -299,27 +314,5 @@ def _plan(planner: Planner) -> Plan:
         return error.plan
 
 
-def _seconds(plan: Plan) -> float:
-    """Returns what the plan took, replays apart."""
-    return sum(plan.stats.seconds[part] for part in ("build", "aigo", "polish"))
-
-
-def _summarize(
-    name: str, planner: Planner, runs: list[Candidate], seconds: float, median: bool = False
-) -> Method:
-    """Returns a method's summary, with those runs replayed that are shown."""
-    feasible = sorted((run for run in runs if run.is_feasible), key=lambda run: run.cost)
-    ranked = feasible or sorted(runs, key=lambda run: run.max_defect)
-    shown = [(name, ranked[0])]
-    if median:
-        shown = [
-            (f"{name}: median of {len(runs)}", ranked[len(ranked) // 2]),
-            (f"{name}: best of {len(runs)}", ranked[0]),
-        ]
-    entries = tuple(_entry(label, planner, run) for label, run in shown)
-    return Method(name, tuple(run.cost for run in feasible), len(runs), entries, seconds)
-
-
-def _entry(label: str, planner: Planner, run: Candidate) -> Entry:
-    replays = planner.simulate(run.trajectory)
+def _entry(label: str, run: Candidate, replays: Replays) -> Entry:
     return Entry(label, run, replays.drake, run.holds(replays))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from pydrake.solvers import MathematicalProgram
@@ -68,6 +68,8 @@ class RigidTranscription(ImpactTranscription):
             force at each knot which such a motion goes along (`find_facings`), for to be outside of
             it is no polynomial inequality. If None, the straight line from start to goal.
     """
+
+    ROWS: ClassVar[tuple[str, ...]] = (FLIGHT, DYNAMICS, CONTACT, RESTITUTION, NONPENETRATION)
 
     def __init__(
         self,

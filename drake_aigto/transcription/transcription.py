@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterable
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from pydrake.solvers import MathematicalProgram, MathematicalProgramResult
@@ -47,7 +47,12 @@ class Transcription(Knots):
     made when it is first asked for.
 
     Shape letters: N time steps, nq positions, nv = nq velocities, nu controls, m contacts.
+
+    Attributes:
+        ROWS: names of the kinds of rows that there may be.
     """
+
+    ROWS: ClassVar[tuple[str, ...]]
 
     def __init__(self, world: World, scenario: Scenario) -> None:
         """Lays out the variables, and makes placeholders for those of a stage."""

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
 from pydrake.symbolic import Expression
 
 from drake_aigto.errors import ModelError
-from drake_aigto.transcription.contact_law import PolynomialLaw
+from drake_aigto.paper.contact_law import PolynomialLaw
+from drake_aigto.transcription.rigid_contact import DYNAMICS
 from drake_aigto.transcription.shared import as_expression, shared_constraint
 from drake_aigto.transcription.transcription import NONPENETRATION, Transcription
 from drake_aigto.world import Scenario, World
@@ -16,7 +17,7 @@ from drake_aigto.world import Scenario, World
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-KINEMATICS, DYNAMICS = "kinematics", "dynamics"
+KINEMATICS = "kinematics"
 
 
 class LiteralTranscription(Transcription):
@@ -38,6 +39,8 @@ class LiteralTranscription(Transcription):
         nonpenetration: whether φ(q_k) ≥ 0 is asked for. The paper's figures need it off.
         law: λ(φ) instead of ε/(φ + δ), so that nothing has to be multiplied out.
     """
+
+    ROWS: ClassVar[tuple[str, ...]] = (KINEMATICS, DYNAMICS, NONPENETRATION)
 
     def __init__(
         self,

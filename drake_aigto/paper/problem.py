@@ -1,34 +1,63 @@
-"""Literal plans: contact knots read off AIGO's boxes, polished, and moved to and fro."""
+"""The literal transcription, compiled: contact knots read off AIGO's boxes, and polished."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drake_aigto.aigo import AigoResult
-from drake_aigto.planning.options import Rung
-from drake_aigto.planning.plan import Candidate
-from drake_aigto.planning.problem import PlanningProblem
-from drake_aigto.planning.search import Search
-from drake_aigto.transcription import LiteralTranscription, Touch, Transcription
+from drake_aigto.aigo import AigoResult, Algorithm, Alternating, Annealing, FullGradient
+from drake_aigto.paper.literal import LiteralTranscription
+from drake_aigto.paper.options import LiteralOptions
+from drake_aigto.planning import PlanningProblem, Rung
+from drake_aigto.transcription import Transcription
+from drake_aigto.world import Scenario, World
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
 # A knot counts as a contact if it comes this much nearer to the wall than start and goal.
 _NEARER = 0.25
-
-# Contacts this many knots apart are one proposal of AIGO's; moving them tells them apart.
-_SAME = 2
+# Those that need no temperature.
+_ALGORITHMS: Mapping[str, Algorithm] = {
+    "full gradient": FullGradient(),
+    "alternating": Alternating(),
+}
 
 Knots = tuple[int, ...]
 
 
-class LiteralProblem(PlanningProblem[LiteralTranscription, Knots]):
+def make_literal_problem(
+    world: World, scenario: Scenario, options: LiteralOptions | None = None
+) -> LiteralProblem:
+    """Returns the scenario, literally transcribed and compiled."""
+    options = options or LiteralOptions()
+    return LiteralProblem(LiteralTranscription(world, scenario, options.nonpenetration), options)
+
+
+class LiteralProblem(PlanningProblem):
     """The literal transcription: a contact sequence is the knot at the wall, or ()."""
+
+    transcription: LiteralTranscription
+    options: LiteralOptions
+
+    def __init__(
+        self, transcription: LiteralTranscription, options: LiteralOptions | None = None
+    ) -> None:
+        """Compiles; whether φ ≥ 0 is asked for is the transcription's."""
+        super().__init__(transcription, options or LiteralOptions())
+
+    def make_algorithm(self, rung: Rung) -> Algorithm:
+        """Returns the options' algorithm."""
+        annealing = Annealing(initial_temperature=rung.temperature * self._cost_scale)
+        return _ALGORITHMS.get(self.options.algorithm, annealing)
+
+    @property
+    def algorithm_name(self) -> str:
+        """The options' algorithm."""
+        return self.options.algorithm
 
     def find_sequences(self, result: AigoResult, rung: Rung) -> list[Knots]:
         """Returns the contact sequences that AIGO proposes; () is a free flight.
@@ -48,58 +77,6 @@ class LiteralProblem(PlanningProblem[LiteralTranscription, Knots]):
         """
         guess = ballistic_guess(self.transcription, center, sequence)
         return self.transcription, self.solve_locally(guess)
-
-
-class LiteralSearch(Search[Knots]):
-    """AIGO proposes contact knots, and those of the best candidates are moved."""
-
-    def improve(self, sequence: Knots) -> None:
-        """Moves each contact of a candidate to and fro by so many knots, while that helps.
-
-        Each of the options' knot steps is repeated until it does not help any more.
-        """
-        for step in self.problem.options.knot_steps:
-            while (best := self._best([sequence, *self._neighbours(sequence, step)])) != sequence:
-                sequence = best
-
-    def finalists(self) -> list[Knots]:
-        """Returns sequences with contacts: first those that the polish left in contact."""
-        return sorted(
-            filter(None, self.by_sequence),
-            key=lambda knots: (
-                not self.by_sequence[knots].contacts,
-                *self.rank(self.by_sequence[knots]),
-            ),
-        )
-
-    def is_known(self, sequence: Knots) -> bool:
-        """Returns whether there is a candidate of nearly these knots."""
-        return any(
-            len(sequence) == len(known)
-            and all(abs(a - b) <= _SAME for a, b in zip(sequence, known, strict=True))
-            for known in self.by_sequence
-        )
-
-    def rank(self, candidate: Candidate) -> tuple[float, ...]:
-        """Orders by feasibility and by the cost that is promised."""
-        return not candidate.is_feasible, candidate.cost
-
-    def _best(self, sequences: list[Knots]) -> Knots:
-        return min(sequences, key=lambda knots: self.rank(self.by_sequence[knots]))
-
-    def _neighbours(self, knots: Knots, step: int) -> Iterator[Knots]:
-        """Yields the sequences with one contact moved, which are candidates by then."""
-        last = self.problem.transcription.num_samples() - 1
-        for i, shift in itertools.product(range(len(knots)), (-step, step)):
-            moved = tuple(k + shift if j == i else k for j, k in enumerate(knots))
-            if not all(a < b for a, b in itertools.pairwise((0, *moved, last))):
-                continue
-            if moved not in self.by_sequence:
-                times = self.problem.transcription.GetSampleTimes()[list(knots)]
-                touches = tuple(map(Touch.bounce, times))
-                origin = self.by_sequence[knots].origin.changed("moved", touches)
-                self.add(origin, self.centers[knots], moved)
-            yield moved
 
 
 def contact_knots(transcription: Transcription, x: npt.NDArray[np.float64]) -> Knots:

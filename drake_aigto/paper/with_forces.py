@@ -18,16 +18,16 @@ With λ a variable, the mean of (φ λ)² over a box is (φ² + w_φ²/3)(λ² +
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from pydrake.symbolic import Expression, MakeVectorVariable
 
 from drake_aigto.errors import OptionsError
-from drake_aigto.transcription.literal import DYNAMICS, LiteralTranscription
+from drake_aigto.paper.literal import LiteralTranscription
 from drake_aigto.transcription.penalties import cut_to_bounds
 from drake_aigto.transcription.rigid import RigidTranscription
-from drake_aigto.transcription.rigid_contact import CONTACT, RESTITUTION
+from drake_aigto.transcription.rigid_contact import CONTACT, DYNAMICS, RESTITUTION
 from drake_aigto.transcription.shared import as_expression, shared_constraint
 from drake_aigto.transcription.transcription import Transcription
 from drake_aigto.world import Scenario, World
@@ -131,6 +131,8 @@ class LiteralWithForces(ForceVariables, LiteralTranscription):
         impulse_width: see `ForceVariables`.
     """
 
+    ROWS: ClassVar[tuple[str, ...]] = (*LiteralTranscription.ROWS, CONTACT, PUSH)
+
     def __init__(
         self,
         world: World,
@@ -172,6 +174,8 @@ class RigidWithForces(ForceVariables, RigidTranscription):
         path: see `RigidTranscription`.
         impulse_width: see `ForceVariables`.
     """
+
+    ROWS: ClassVar[tuple[str, ...]] = (*RigidTranscription.ROWS, PUSH)
 
     def __init__(
         self,

@@ -1,0 +1,38 @@
+"""Gradient solvers from zero and from random guesses, as AIGTO Sec. IV compares itself with."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drake_aigto.paper.problem import LiteralProblem
+from drake_aigto.planning import Candidate, Origin
+from drake_aigto.transcription import Transcription
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+
+def gradient_from_zero(problem: LiteralProblem) -> Candidate:
+    """Returns what the problem's local solver makes of a guess of zeros."""
+    start = np.zeros(problem.transcription.prog().num_vars())
+    return _run(problem, "zero", start)
+
+
+def gradient_from_random(problem: LiteralProblem, generator: np.random.Generator) -> Candidate:
+    """Returns what the local solver makes of a guess, uniform over the first box of AIGO."""
+    return _run(problem, "random", random_guess(problem.transcription, generator))
+
+
+def random_guess(
+    transcription: Transcription, generator: np.random.Generator
+) -> npt.NDArray[np.float64]:
+    """Returns all decision variables, uniform over the first box of AIGO."""
+    center, half_width = transcription.initial_box()
+    return generator.uniform(center - half_width, center + half_width)
+
+
+def _run(problem: LiteralProblem, proposer: str, start: npt.NDArray[np.float64]) -> Candidate:
+    x = problem.solve_locally(start)
+    return problem.judge(Origin(proposer), start, problem.transcription, x)

@@ -1,0 +1,106 @@
+"""The paper's road: a plan is taken at its word, and simulations tell what it is worth."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+
+from drake_aigto.paper.options import LiteralOptions
+from drake_aigto.paper.problem import Knots, LiteralProblem, make_literal_problem
+from drake_aigto.planning import Candidate, Plan, Search, Stopwatch
+from drake_aigto.planning.search import Progress
+from drake_aigto.simulation.material import contact_delay
+from drake_aigto.transcription import Touch
+from drake_aigto.world import Scenario, World
+
+# Contacts this many knots apart are one proposal of AIGO's; moving them tells them apart.
+_SAME = 2
+
+
+def plan_literal(
+    scenario: Scenario,
+    options: LiteralOptions | None = None,
+    world: World | None = None,
+    progress: Progress | None = None,
+) -> Plan:
+    """Plans as the paper does (AIGTO Sec. IV): explicit Euler, with the contact force ε/(φ + δ).
+
+    The plan of least cost is the answer, whether simulations confirm it or not; see `Plan.holds`.
+    Ctrl-C ends the search; the best candidate so far is returned.
+
+    Args:
+        scenario: the question, with its ε and δ; a world with one wall.
+        options: numerics; the defaults if None.
+        world: a plant of your own (`World.from_diagram`); built from the scenario's model if None.
+        progress: called with a line of text before each candidate.
+
+    Raises:
+        ScenarioError: the scenario does not fit the world.
+        ModelError: the model can't be used, or has several contacts.
+        PlanningError: no candidate meets the transcription's rows.
+    """
+    options, clock = options or LiteralOptions(), Stopwatch()
+    world = world or World.from_scenario(scenario)
+    world.check(scenario)
+    if options.confirm:
+        contact_delay(world)  # A wall without stiffness is refused before long work.
+    with clock("build"):
+        problem = make_literal_problem(world, scenario, options)
+    search = LiteralSearch(problem, clock)
+    search.run(progress)
+    best = search.find_feasible()[0]
+    return search.make_plan(scenario, best, search.confirm(best))
+
+
+class LiteralSearch(Search):
+    """AIGO proposes contact knots, and those of the best candidates are moved."""
+
+    problem: LiteralProblem
+
+    def improve(self, sequence: Knots) -> None:
+        """Moves each contact of a candidate to and fro by so many knots, while that helps.
+
+        Each of the options' knot steps is repeated until it does not help any more.
+        """
+        for step in self.problem.options.knot_steps:
+            while (best := self._best([sequence, *self._neighbours(sequence, step)])) != sequence:
+                sequence = best
+
+    def finalists(self) -> list[Knots]:
+        """Returns sequences with contacts: first those that the polish left in contact."""
+        return sorted(
+            filter(None, self.by_sequence),
+            key=lambda knots: (
+                not self.by_sequence[knots].contacts,
+                *self.rank(self.by_sequence[knots]),
+            ),
+        )
+
+    def is_known(self, sequence: Knots) -> bool:
+        """Returns whether there is a candidate of nearly these knots."""
+        return any(
+            len(sequence) == len(known)
+            and all(abs(a - b) <= _SAME for a, b in zip(sequence, known, strict=True))
+            for known in self.by_sequence
+        )
+
+    def rank(self, candidate: Candidate) -> tuple[float, ...]:
+        """Orders by feasibility and by the cost that is promised."""
+        return not candidate.is_feasible, candidate.cost
+
+    def _best(self, sequences: list[Knots]) -> Knots:
+        return min(sequences, key=lambda knots: self.rank(self.by_sequence[knots]))
+
+    def _neighbours(self, knots: Knots, step: int) -> Iterator[Knots]:
+        """Yields the sequences with one contact moved, which are candidates by then."""
+        last = self.problem.transcription.num_samples() - 1
+        for i, shift in itertools.product(range(len(knots)), (-step, step)):
+            moved = tuple(k + shift if j == i else k for j, k in enumerate(knots))
+            if not all(a < b for a, b in itertools.pairwise((0, *moved, last))):
+                continue
+            if moved not in self.by_sequence:
+                times = self.problem.transcription.GetSampleTimes()[list(knots)]
+                touches = tuple(map(Touch.bounce, times))
+                origin = self.by_sequence[knots].origin.changed("moved", touches)
+                self.add(origin, self.centers[knots], moved)
+            yield moved
