@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 from collections.abc import Iterator
+from pathlib import Path
 
 
 def imported_modules(source: str, package: str) -> Iterator[str]:
@@ -15,3 +16,29 @@ def imported_modules(source: str, package: str) -> Iterator[str]:
             parents = package.split(".")[: len(package.split(".")) - node.level + 1]
             base = ".".join([*(parents if node.level else []), *filter(None, [node.module])])
             yield from (f"{base}.{alias.name}" for alias in node.names)
+
+
+def import_graph(root: Path) -> dict[str, set[str]]:
+    """Returns the modules that each module of a package imports, for type checkers alone too.
+
+    A package's door is a module of its own, with what its stub imports. That of the package itself
+    is left out, as it passes on names of all.
+    """
+    graph: dict[str, set[str]] = {}
+    for path in sorted([*root.rglob("*.py"), *root.rglob("*.pyi")]):
+        parts = path.relative_to(root.parent).with_suffix("").parts
+        module = ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+        source = path.read_text(encoding="utf-8")
+        graph.setdefault(module, set()).update(imported_modules(source, ".".join(parts[:-1])))
+    del graph[root.name]
+    return {
+        module: {found for name in names for found in [_module_of(name, graph)] if found}
+        for module, names in graph.items()
+    }
+
+
+def _module_of(name: str, modules: dict[str, set[str]]) -> str | None:
+    """Returns the module that a dotted name is, or is in."""
+    while name and name not in modules:
+        name = name.rpartition(".")[0]
+    return name or None

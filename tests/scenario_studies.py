@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from drake_aigto.baselines import Baseline, Recorder
+from drake_aigto.study.method_run import MethodRun
 from drake_aigto.study.scenario_question import ScenarioQuestion
-from drake_aigto.study.scenario_results import MethodRun, ScenarioResult, ScenarioStudy
+from drake_aigto.study.scenario_results import ScenarioResult, ScenarioStudy
 
 
 class Inline(Executor):

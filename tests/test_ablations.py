@@ -32,13 +32,10 @@ from drake_aigto.errors import ResultsFileError
 from drake_aigto.planning.options import RIGID_LADDER, Rung
 from drake_aigto.show.text import WIDTH
 from drake_aigto.study import rigid_optimum, scenario_study
-from drake_aigto.study.scenario_jobs import EXHAUSTIVE, Job
+from drake_aigto.study.method_run import Job, MethodRun
+from drake_aigto.study.scenario_jobs import EXHAUSTIVE
 from drake_aigto.study.scenario_question import ScenarioQuestion
-from drake_aigto.study.scenario_results import (
-    MethodRun,
-    ScenarioStudy,
-    calc_good_enough,
-)
+from drake_aigto.study.scenario_results import ScenarioStudy, calc_good_enough
 from drake_aigto.study.scenario_study import run_scenario_study
 from drake_aigto.study.spread import Spread
 

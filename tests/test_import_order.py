@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import graphlib
 import subprocess
 import sys
 from pathlib import Path
 
 import pytest
-from import_graph import imported_modules
+from import_graph import import_graph, imported_modules
 
 import drake_aigto
 
@@ -76,6 +77,26 @@ def test_a_step_imports_only_from_itself_and_those_before_it(path: Path) -> None
 )
 def test_an_import_is_seen_in_every_spelling(source: str) -> None:
     assert steps_imported(source, "drake_aigto.world") == {"planning"}
+
+
+def test_no_files_import_each_other_in_a_circle() -> None:
+    graphlib.TopologicalSorter(import_graph(PACKAGE)).prepare()  # Raises with the circle.
+
+
+def test_a_circle_is_found_behind_a_door_and_for_type_checkers(tmp_path: Path) -> None:
+    sources = {
+        "__init__.py": "from little.room import thing",
+        "room/__init__.pyi": "from .inner import thing as thing",
+        "room/inner.py": "if TYPE_CHECKING:\n    from little.other import Other",
+        "other.py": "def later():\n    from little.room import thing",
+    }
+    for name, source in sources.items():
+        path = tmp_path / "little" / name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(source, encoding="utf-8")
+    with pytest.raises(graphlib.CycleError) as error:
+        graphlib.TopologicalSorter(import_graph(tmp_path / "little")).prepare()
+    assert set(error.value.args[1]) == {"little.room", "little.room.inner", "little.other"}
 
 
 @pytest.mark.parametrize(

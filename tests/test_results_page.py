@@ -25,8 +25,9 @@ from drake_aigto.show.scenario_figures import (
 )
 from drake_aigto.show.scenario_page import command_of
 from drake_aigto.show.scenario_tables import ratio_text
+from drake_aigto.study.method_run import MethodRun
 from drake_aigto.study.scenario_question import ScenarioQuestion
-from drake_aigto.study.scenario_results import MethodRun, ScenarioStudy
+from drake_aigto.study.scenario_results import ScenarioStudy
 from drake_aigto.study.spread import Spread
 
 PNG = b"\x89PNG\r\n"

@@ -20,14 +20,9 @@ from scenario_studies import TOYS, Inline
 from drake_aigto.baselines import registry
 from drake_aigto.errors import ResultsFileError, StudyError
 from drake_aigto.study import scenario_jobs, scenario_study
-from drake_aigto.study.scenario_jobs import Job
+from drake_aigto.study.method_run import Job, MethodRun
 from drake_aigto.study.scenario_question import ScenarioQuestion
-from drake_aigto.study.scenario_results import (
-    DIED,
-    MethodRun,
-    ScenarioStudy,
-    calc_good_enough,
-)
+from drake_aigto.study.scenario_results import DIED, ScenarioStudy, calc_good_enough
 from drake_aigto.study.scenario_study import run_scenario_study
 from drake_aigto.study.scenario_summary import count_right_boxes, summarize
 from drake_aigto.study.spread import Spread

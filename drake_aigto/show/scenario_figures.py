@@ -14,7 +14,7 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator, PercentFormatter
 
-from drake_aigto.study.scenario_question import PLANNER
+from drake_aigto.study.method_run import PLANNER
 from drake_aigto.study.scenario_results import ScenarioResult, ScenarioStudy
 
 if TYPE_CHECKING:

@@ -14,7 +14,8 @@ from drake_aigto.plain import to_plain
 from drake_aigto.show.images import Images
 from drake_aigto.show.scenario_figures import plot_costs, plot_map, plot_success_over_time
 from drake_aigto.show.scenario_tables import describe_unit, markdown_study
-from drake_aigto.study.scenario_question import PLANNER, ScenarioQuestion
+from drake_aigto.study.method_run import PLANNER
+from drake_aigto.study.scenario_question import ScenarioQuestion
 from drake_aigto.study.scenario_results import ScenarioStudy
 
 _INTRODUCTION = """\

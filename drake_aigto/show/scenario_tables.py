@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 
 from drake_aigto.show.text import WIDTH, task_items
-from drake_aigto.study.scenario_question import PLANNER
+from drake_aigto.study.method_run import PLANNER
 from drake_aigto.study.scenario_results import ScenarioResult, ScenarioStudy
 from drake_aigto.study.scenario_summary import MethodSummary, count_right_boxes, summarize
 

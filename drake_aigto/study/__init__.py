@@ -2,9 +2,10 @@
 
 from drake_aigto.study.block_optimum import block_optimum
 from drake_aigto.study.masses_optimum import masses_optimum
+from drake_aigto.study.method_run import MethodRun
 from drake_aigto.study.rigid_optimum import RigidOptimum, bounce_costs, rigid_optimum
 from drake_aigto.study.scenario_question import ScenarioQuestion
-from drake_aigto.study.scenario_results import MethodRun, ScenarioResult, ScenarioStudy
+from drake_aigto.study.scenario_results import ScenarioResult, ScenarioStudy
 from drake_aigto.study.scenario_study import run_scenario_study
 from drake_aigto.study.spread import Spread
 from drake_aigto.study.table1 import (

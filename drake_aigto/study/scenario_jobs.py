@@ -3,16 +3,13 @@
 from __future__ import annotations
 
 import dataclasses
-import math
 import time
-from dataclasses import dataclass
 from functools import cache, lru_cache
 
 from drake_aigto.baselines import run_baseline
 from drake_aigto.planning import Plan, Planner, PlanOptions
+from drake_aigto.study.method_run import PLANNER, Job, MethodRun
 from drake_aigto.study.rigid_optimum import RigidOptimum, rigid_optimum
-from drake_aigto.study.scenario_question import PLANNER, Runner
-from drake_aigto.study.scenario_results import MethodRun
 from drake_aigto.world import Scenario, World
 
 OPTIONS = PlanOptions(confirm=False, threads=1)
@@ -20,32 +17,6 @@ OPTIONS = PlanOptions(confirm=False, threads=1)
 EXHAUSTIVE = dataclasses.replace(OPTIONS, exhaustive=True)
 # What a process does at first is not measured: it loads libraries and kernels. [s]
 _WARM_UP = 0.2
-
-
-@dataclass(frozen=True)
-class Job:
-    """One method on one scenario.
-
-    Attributes:
-        number: of the scenario in its study.
-        scenario: the task.
-        method: "aigto", or a baseline's name.
-        seconds: of one core that a baseline has.
-        good_enough: the cost at which a baseline may stop.
-        seed: of a baseline.
-        runner: what runs it, if not the planner or a baseline; a function of a module, so that it
-            can be sent to another process.
-        reads_boxes: whether it is kept what the planner's boxes say without any polish.
-    """
-
-    number: int
-    scenario: Scenario
-    method: str
-    seconds: float = 0.0
-    good_enough: float = -math.inf
-    seed: int = 0
-    reads_boxes: bool = False
-    runner: Runner | None = None
 
 
 def run_job(job: Job) -> MethodRun:

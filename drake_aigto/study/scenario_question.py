@@ -4,24 +4,17 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias
+from typing import Any, ClassVar
 
 import numpy as np
 
 from drake_aigto.baselines import check_baselines
 from drake_aigto.errors import OptionsError, ScenarioError
+from drake_aigto.study.method_run import PLANNER, Runner
 from drake_aigto.study.spread import Spread
 from drake_aigto.world import Scenario, World
-
-if TYPE_CHECKING:
-    from drake_aigto.study.scenario_jobs import Job
-    from drake_aigto.study.scenario_results import MethodRun
-
-Runner: TypeAlias = "Callable[[World, Job], MethodRun]"
-
-PLANNER = "aigto"
 
 # Field of the question → that of a scenario. In the order in which random numbers are used.
 _FIELDS = {

@@ -3,73 +3,26 @@
 from __future__ import annotations
 
 import json
-import math
 import os
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 
 from drake_aigto.errors import ResultsFileError
 from drake_aigto.plain import from_plain, to_plain
+from drake_aigto.study.method_run import COST_DIGITS, PLANNER, MethodRun
 from drake_aigto.study.results_file import read_results, refuse_damaged, round_to
-from drake_aigto.study.scenario_question import PLANNER, ScenarioQuestion
+from drake_aigto.study.scenario_question import ScenarioQuestion
 from drake_aigto.world import Scenario
 from drake_aigto.world.files import write_text
 
 # A method succeeds with a cost of at most so much more than the optimum: relative and absolute.
 RELATIVE, ABSOLUTE = 0.01, 1e-7
 DIED = "its process died"
-# Significant digits in files: of costs so that ratios near 1 are still told apart.
-COST_DIGITS, _SECONDS_DIGITS = 7, 4
 
 
 def calc_good_enough(optimum: float) -> float:
     """Returns the cost that counts as success, 1.01 J* + 1e-7."""
     return (1.0 + RELATIVE) * optimum + ABSOLUTE
-
-
-@dataclass(frozen=True)
-class MethodRun:
-    """What one method did on one scenario.
-
-    Attributes:
-        improvements: seconds of one core since it began, and the cost then, by event-driven replay
-            on the rigid wall; each cheaper than the one before. Only those that were the best when
-            a budget ended, and the last.
-        seconds: of one core, that it took.
-        evaluations: how many controls were replayed; of the planner, how many candidates it had.
-        error: what it failed with, if it did.
-        boxes: of the planner, if the question asks: the number of contacts in the last box of each
-            rung, before any polish.
-    """
-
-    improvements: tuple[tuple[float, float], ...]
-    seconds: float
-    evaluations: int = 0
-    error: str | None = None
-    boxes: tuple[int, ...] = ()
-
-    @property
-    def cost(self) -> float:
-        """The best; infinity if nothing was found."""
-        return self.cost_within(math.inf)
-
-    def cost_within(self, seconds: float) -> float:
-        """Returns the best after so many seconds, infinity if there was none."""
-        return min((cost for at, cost in self.improvements if at <= seconds), default=math.inf)
-
-    def thinned(self, ends: Iterable[float]) -> MethodRun:
-        """Returns this run as files have it: what was best at these times, and in the end.
-
-        Times are rounded down, so that what was in time still is.
-        """
-        kept = {}
-        for end in (*ends, math.inf):
-            for at, cost in [each for each in self.improvements if each[0] <= end][-1:]:
-                kept[round_to(at, _SECONDS_DIGITS, down=True)] = round_to(cost, COST_DIGITS)
-        seconds = round_to(self.seconds, _SECONDS_DIGITS)
-        return MethodRun(
-            tuple(sorted(kept.items())), seconds, self.evaluations, self.error, self.boxes
-        )
 
 
 @dataclass(frozen=True)

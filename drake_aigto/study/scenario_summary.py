@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drake_aigto.study.scenario_question import PLANNER
+from drake_aigto.study.method_run import PLANNER
 from drake_aigto.study.scenario_results import ABSOLUTE, ScenarioResult, ScenarioStudy
 
 

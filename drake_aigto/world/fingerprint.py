@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from drake_aigto.errors import ModelError
+from drake_aigto.world.world import World
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from drake_aigto.world.world import World
 
 _Rows = tuple[tuple[float, ...], ...]
 
@@ -80,7 +80,7 @@ class Fingerprint:
         Raises:
             ModelError: it is another; names the first thing that differs.
         """
-        for name, expected, got in self._differences(world.fingerprint):
+        for name, expected, got in self._differences(Fingerprint.of(world)):
             raise ModelError(
                 "the world has changed", got=f"{name} {got}", expected=expected, remedy=remedy
             )

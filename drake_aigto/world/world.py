@@ -23,7 +23,6 @@ from drake_aigto.world.diagram import (
     move_shape,
 )
 from drake_aigto.world.fields import as_number
-from drake_aigto.world.fingerprint import Fingerprint
 from drake_aigto.world.material import FRICTION, read_friction, set_material
 from drake_aigto.world.polynomials import PolynomialMap, evaluate_constants
 from drake_aigto.world.reach import ReachableFace, find_reachable_faces, find_sphere_body
@@ -161,11 +160,6 @@ class World:
     def num_solids(self) -> int:
         """The number of solids, S."""
         return len(self.solids)
-
-    @cached_property
-    def fingerprint(self) -> Fingerprint:
-        """What tells it from other worlds."""
-        return Fingerprint.of(self)
 
     @cached_property
     def solids(self) -> tuple[tuple[int, ...], ...]:

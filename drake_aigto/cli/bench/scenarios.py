@@ -11,7 +11,8 @@ from drake_aigto.cli.bench.scenario_flags import add_question, read_question
 from drake_aigto.cli.flags import add_command, share
 from drake_aigto.cli.status import FINE, NOTHING_HOLDS
 from drake_aigto.show.scenario_tables import format_study
-from drake_aigto.study.scenario_question import PLANNER, ScenarioQuestion
+from drake_aigto.study.method_run import PLANNER
+from drake_aigto.study.scenario_question import ScenarioQuestion
 from drake_aigto.study.scenario_study import run_scenario_study
 
 _ALL = "all"
