@@ -54,6 +54,10 @@ class UnsupportedTermError(AigtoError, ValueError):
     """A cost or constraint whose mean over a box has no closed form here."""
 
 
+class ProgramError(AigtoError, ValueError):
+    """A cost or constraint of a user that contradicts others, can't be carried, or comes late."""
+
+
 class PlanFileError(AigtoError, ValueError):
     """A plan file that is cut short, damaged, or from another version."""
 

@@ -241,8 +241,7 @@ def test_what_was_added_to_boxes_holds_in_phases(sequence: TouchSequence) -> Non
     boxes.AddFinalCost(2.0 * (v - 2.0) ** 2, "rush")
     boxes.AddConstraintToAllKnotPoints(u <= 4.0)
     boxes.AddConstraintToAllKnotPoints(np.array([u >= -3.0, v <= 1.25]))
-    phases = PhaseTranscription(world, scenario, sequence)
-    phases.add_what_was_added_to(boxes)
+    phases = PhaseTranscription(world, scenario, sequence, additions=boxes.additions())
     found = solve(phases)
     assert found.status is LocalStatus.CONVERGED
     motion = found.trajectory
@@ -263,8 +262,3 @@ def test_what_was_added_to_boxes_holds_in_phases(sequence: TouchSequence) -> Non
     assert costs["stay"] == pytest.approx(0.3 * tau @ (positions[:-1, 0] - 0.9) ** 2)
     assert costs["rush"] == pytest.approx(2.0 * 0.75**2)
     assert costs["control effort"] + costs["goal"] == pytest.approx(found.cost)
-    # And once more, from phases to phases.
-    again = PhaseTranscription(world, scenario, sequence)
-    again.add_what_was_added_to(phases)
-    assert len(again.prog().GetAllCosts()) == len(phases.prog().GetAllCosts())
-    assert len(again.prog().GetAllConstraints()) == len(phases.prog().GetAllConstraints())

@@ -334,7 +334,7 @@ def test_a_constraint_without_a_formula_is_refused_by_name() -> None:
     prog = MathematicalProgram()
     x = prog.NewContinuousVariables(1, "x")
     prog.AddConstraint(lambda z: np.sin(z), lb=[0.0], ub=[0.0], vars=x, description="opaque")
-    with pytest.raises(UnsupportedTermError, match="'opaque' can't be penalised"):
+    with pytest.raises(UnsupportedTermError, match="'opaque' can't be met"):
         penalize(prog)
 
 

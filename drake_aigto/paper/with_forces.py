@@ -192,9 +192,7 @@ class RigidWithForces(ForceVariables, RigidTranscription):
     def along(self, path: npt.NDArray[np.float64]) -> RigidWithForces:
         """Returns the same, with what users added, for boxes around another path."""
         args = self.world, self.scenario, self.relaxation, path, self.impulse_width
-        other = RigidWithForces(*args)
-        other.add_what_was_added_to(self)
-        return other
+        return RigidWithForces(*args).with_additions(self.additions())
 
     def _add_rows(self) -> None:
         L, T = self._units()

@@ -6,7 +6,7 @@ import json
 import math
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 from drake_aigto.errors import AigtoError, DamagedDataError, PlanFileError
@@ -65,12 +65,14 @@ class Candidate:
         start_cost: J of what the local solver started from: AIGO's result, or a baseline's guess.
         start_defects: its largest violation of each kind of row, in that row's unit.
         trajectory: after the polish.
-        cost: J of it.
+        cost: J of it, with what users added (`Planner.transcription`).
         goal_error: ‖q_N − goal‖ that it promises [m].
-        defects: its largest violation of each kind of row (m, m/s).
+        defects: its largest violation of each kind of row (m, m/s), and of each constraint that
+            users added, in parts of the task's scales.
         max_penetration: the deepest −φ ≥ 0 at its knots [m].
         contacts: its contact sequence, read off its impulses.
         replay: the control alone, on the exactly rigid wall.
+        added_costs: what of the cost users added, by name.
     """
 
     origin: Origin
@@ -83,6 +85,7 @@ class Candidate:
     max_penetration: float
     contacts: tuple[PlannedContact, ...]
     replay: Replay
+    added_costs: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def max_defect(self) -> float:
@@ -97,7 +100,16 @@ class Candidate:
     @property
     def is_confirmed(self) -> bool:
         """Whether the event-driven replay confirms it."""
-        return confirms(self.cost, self.replay, self.goal_error)
+        return self.is_confirmed_by(self.replay)
+
+    def is_confirmed_by(self, replay: Replay) -> bool:
+        """Returns whether a replay of its control confirms it (`replay.confirms`).
+
+        A replay that was run from a file knows no costs that users added: it is compared without.
+        """
+        is_known = replay.added_costs.keys() == self.added_costs.keys()
+        cost = self.cost if is_known else self.cost - sum(self.added_costs.values())
+        return confirms(cost, replay, self.goal_error)
 
     @property
     def energy_ratio(self) -> float | None:
@@ -112,7 +124,7 @@ class Candidate:
 
     def holds(self, replays: Replays) -> bool:
         """Returns whether all replays of this candidate's control confirm it."""
-        return all(confirms(self.cost, replay, self.goal_error) for replay in replays)
+        return all(map(self.is_confirmed_by, replays))
 
 
 @dataclass(frozen=True)

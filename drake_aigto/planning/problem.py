@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import os
 from abc import ABC, abstractmethod
@@ -36,7 +37,9 @@ from drake_aigto.planning.plan import Candidate, Replays
 from drake_aigto.simulation.contacts import find_contacts, max_penetration
 from drake_aigto.simulation.replay import Replay, replay_drake, replay_event_driven
 from drake_aigto.terms import parse_costs
+from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Transcription
+from drake_aigto.transcription.additions import Samples
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -78,7 +81,8 @@ class PlanningProblem(ABC):
     and how one is polished, is the subclass's.
 
     Attributes:
-        transcription: the constrained program.
+        transcription: the constrained program, as AIGO takes it (`OpenProgram.closed`).
+        additions: what users added to it.
         options: numerics.
     """
 
@@ -91,8 +95,11 @@ class PlanningProblem(ABC):
         Raises:
             UnsupportedTermError: a cost or constraint that has no mean in closed form.
             OptionsError: a rung has a weight for rows that there are none of.
+            ProgramError: what users added contradicts itself or the start, or can't be carried to
+                the knots of other programs.
         """
-        self.transcription = transcription
+        self.transcription = transcription = transcription.closed()
+        self.additions = transcription.additions()
         self.options = options
         first = Start(transcription, _compile(transcription), Box(*transcription.initial_box()))
         self._starts: dict[StartName, Start] = {"line": first}
@@ -280,17 +287,53 @@ class PlanningProblem(ABC):
         """
         world, scenario = solved.world, solved.scenario
         trajectory = solved.trajectory(x)
+        added = self.additions.costs(sample(trajectory))
+        replay = replay_event_driven(world, scenario, trajectory.times, trajectory.controls)
         return Candidate(
             origin=origin,
             start_cost=self.transcription.scenario_cost(start),
             start_defects=self.transcription.defects(start),
             trajectory=trajectory,
-            cost=solved.scenario_cost(x),
+            cost=solved.scenario_cost(x) + sum(added.values()),
             goal_error=float(np.linalg.norm(trajectory.positions[-1] - scenario.goal_position)),
-            defects=solved.defects(x),
+            defects=self.defects(solved, x),
             max_penetration=max_penetration(world, trajectory),
             contacts=find_contacts(world, trajectory),
-            replay=replay_event_driven(world, scenario, trajectory.times, trajectory.controls),
+            replay=self.add_to_replay(replay, trajectory),
+            added_costs=added,
+        )
+
+    def cost(self, solved: Transcription, x: npt.NDArray[np.float64]) -> float:
+        """Returns J of a solution, with what users added."""
+        added = self.additions.costs(sample(solved.trajectory(x))) if self.additions else {}
+        return solved.scenario_cost(x) + sum(added.values())
+
+    def defects(self, solved: Transcription, x: npt.NDArray[np.float64]) -> dict[str, float]:
+        """Returns a solution's largest violation of each kind of row, and of users' constraints."""
+        defects = solved.defects(x)
+        if self.additions:
+            for name, missed in self.additions.violations(sample(solved.trajectory(x))).items():
+                defects[name] = max(missed, defects.get(name, 0.0))
+        return defects
+
+    def add_to_replay(self, replay: Replay, trajectory: Trajectory) -> Replay:
+        """Returns a replay of a trajectory's control with the costs and constraints of users.
+
+        They are those of the simulated motion at the trajectory's knots. Constraints are missed by
+        what goes beyond the lengths that compliance explains.
+        """
+        if not self.additions:
+            return replay
+        q, v = replay.states_at(trajectory.times)
+        motion = Samples(trajectory.times, q, v, trajectory.controls)
+        explained = replay.compliance_error / self.additions.scales["q"]
+        missed = self.additions.violations(motion).items()
+        added = self.additions.costs(motion)
+        return dataclasses.replace(
+            replay,
+            cost=replay.cost + sum(added.values()),
+            added_costs=added,
+            violations={name: max(0.0, by - explained) for name, by in missed},
         )
 
     def confirm(self, candidate: Candidate) -> Replays:
@@ -298,13 +341,20 @@ class PlanningProblem(ABC):
         if not self.options.confirm:
             return Replays(candidate.replay, None)
         world, scenario = self.transcription.world, self.transcription.scenario
-        times, controls = candidate.trajectory.times, candidate.trajectory.controls
-        return Replays(candidate.replay, replay_drake(world, scenario, times, controls))
+        motion = candidate.trajectory
+        drake = replay_drake(world, scenario, motion.times, motion.controls)
+        return Replays(candidate.replay, self.add_to_replay(drake, motion))
 
     def _weights(self, rung: Rung) -> dict[str, float]:
         """Returns the rung's weights of the rows that this problem has."""
         unit = self._cost_scale
         return {name: unit * rung.weights.get(name, rung.others) for name in self._row_names}
+
+
+def sample(trajectory: Trajectory) -> Samples:
+    """Returns a trajectory at its knots."""
+    t = trajectory
+    return Samples(t.times, t.positions, t.velocities, t.controls)
 
 
 def _compile(transcription: Transcription) -> BoxPolynomial:

@@ -14,7 +14,9 @@ import numpy as np
 from drake_aigto.aigo import AigoResult, Algorithm, Annealing
 from drake_aigto.local import LocalResult, NewtonLagrange, PolynomialNlp, compile_nlp
 from drake_aigto.planning.arcs import solve_in_arcs
+from drake_aigto.planning.instants import keep_apart, moved_past
 from drake_aigto.planning.options import PlanOptions, Rung
+from drake_aigto.planning.plan import LARGEST_DEFECT
 from drake_aigto.planning.problem import PlanningProblem
 from drake_aigto.planning.touches import read_sequences
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription, TouchSequence
@@ -36,6 +38,8 @@ Solved = tuple[PhaseTranscription, "npt.NDArray[np.float64]"]
 
 # A touch this near to the start or the end, as a part of the duration, is none.
 _MARGIN = 1e-6
+# A touch is moved so often at most past times that users bound something to.
+_MOST_MOVES = 20
 # Of the local solver on arcs: what takes more is left to the general way.
 _ARC_ITERATIONS = 60
 # How far an anneal cools down. Which contacts a plan has, boxes show long before they are
@@ -148,8 +152,7 @@ class RigidProblem(PlanningProblem):
     ) -> tuple[PhaseTranscription, npt.NDArray[np.float64]]:
         """Returns the same, for a contact sequence along another path than a box center's.
 
-        Arcs, where they lead to the optimum, have the last polish's steps at once: their number
-        makes no difference.
+        A touch that is held up by a time that users bound something to is tried on its other side.
 
         Args:
             path: times and positions.
@@ -159,6 +162,40 @@ class RigidProblem(PlanningProblem):
 
         Raises:
             OptionsError, TrajectoryError, UnsupportedTermError: touches that no motion has.
+        """
+        counts = num_steps, max_iterations
+        if not self._instants.size:
+            return self._polish_once(path, sequence, *counts)
+        duration = self.transcription.scenario.duration
+        apart = keep_apart(sequence, self._instants, duration)
+        best = self._polish_once(path, apart, *counts)
+        for _ in range(_MOST_MOVES):
+            phases, x = best
+            along = phases.sample_times(x), phases.split(x)[0]
+            others = (self._polish_once(along, moved, *counts) for moved in moved_past(phases, x))
+            merit = self._merit(*best)
+            better = next((other for other in others if self._merit(*other) < merit), None)
+            if better is None:
+                break
+            best = better
+        return best
+
+    def _merit(self, phases: PhaseTranscription, x: npt.NDArray[np.float64]) -> tuple[float, float]:
+        """Returns what is less for a better solution: by how much it misses rows, then its cost."""
+        defect = max(self.defects(phases, x).values())
+        return max(defect, LARGEST_DEFECT), self.cost(phases, x)
+
+    def _polish_once(
+        self,
+        path: Path,
+        sequence: TouchSequence,
+        num_steps: int | None,
+        max_iterations: int | None,
+    ) -> Solved:
+        """Returns the local optimum of one multi-phase problem.
+
+        Arcs, where they lead to the optimum, have the last polish's steps at once: their number
+        makes no difference.
         """
         world, (times, positions) = self.transcription.world, path
         joints = joint_times(sequence)
@@ -203,7 +240,7 @@ class RigidProblem(PlanningProblem):
         """
         world, scenario = self.transcription.world, self.transcription.scenario
         w_u, w_f, T = scenario.control_weight, scenario.goal_weight, scenario.duration
-        is_known = world.has_constant_bias and not self.transcription.has_additions
+        is_known = world.has_constant_bias and not self.additions
         if not is_known or w_f == 0:
             return 0.0
         gain = np.linalg.solve(world.mass_matrix_values, world.actuation)
@@ -223,31 +260,38 @@ class RigidProblem(PlanningProblem):
         world, scenario = self.transcription.world, self.transcription.scenario
         return bool(
             world.has_constant_bias
-            and not self.transcription.has_additions
+            and not self.additions
             and world.num_solids == world.num_contacts
             and np.all(world.restitutions(scenario) > 0)
             and not np.any(world.drift)
         )
 
     @cached_property
+    def _instants(self) -> npt.NDArray[np.float64]:
+        """The times besides the ends that users bound something to, shape (I,) [s]."""
+        return self.additions.times[list(self.additions.instants)]
+
+    @cached_property
     def _has_arcs(self) -> bool:
-        is_ours = self.options.local_solver == "newton" and not self.transcription.has_additions
+        is_ours = self.options.local_solver == "newton" and not self.additions
         return is_ours and self.transcription.world.has_constant_bias
 
     def _phases(
         self, sequence: TouchSequence, facings: Iterable[Facing], num_steps: int | None
     ) -> PhaseTranscription:
         """Returns the multi-phase problem, with so many steps or this problem's."""
-        coarse = self.transcription
+        coarse, facings = self.transcription, tuple(facings)
         scenario = coarse.scenario
+        if self._instants.size:
+            turns = (facing.start for facing in facings)
+            phases = {0.0, *joint_times(sequence), *turns, *self._instants.tolist()}
+            num_steps = max(num_steps or scenario.num_steps, len(phases))
         if num_steps is not None:
             if num_steps not in self._scenarios:
                 finer = dataclasses.replace(scenario, time_step=scenario.duration / num_steps)
                 self._scenarios[num_steps] = finer
             scenario = self._scenarios[num_steps]
-        phases = PhaseTranscription(coarse.world, scenario, sequence, tuple(facings))
-        phases.add_what_was_added_to(coarse)
-        return phases
+        return PhaseTranscription(coarse.world, scenario, sequence, facings, self.additions)
 
 
 def _bend(path: Path, times: npt.NDArray[np.float64], stops: npt.NDArray[np.float64]) -> Path:

@@ -190,7 +190,7 @@ class RigidSearch(Search):
     def _is_promising(self, candidate: Candidate) -> bool:
         """Returns whether a candidate costs little enough for those near it to become the best."""
         costs = (other.replay.cost for other in self.by_sequence.values() if other.is_confirmed)
-        return candidate.cost <= _PROMISING * min(costs, default=np.inf)
+        return candidate.cost <= _times(_PROMISING, min(costs, default=np.inf))
 
     def _chatters(self, sequence: TouchSequence) -> bool:
         """Returns whether a wall is touched again at once: more touches make it no better."""
@@ -240,7 +240,7 @@ class RigidSearch(Search):
                 for sequence, candidate in self.by_sequence.items()
                 if sequence not in branched
                 and candidate.is_feasible
-                and candidate.replay.cost <= _GOOD * least
+                and candidate.replay.cost <= _times(_GOOD, least)
             ]
             if not good:
                 break
@@ -278,8 +278,9 @@ class RigidSearch(Search):
                 )
         except (OptionsError, TrajectoryError, UnsupportedTermError):
             return None
-        is_feasible = max(phases.defects(x).values()) <= LARGEST_DEFECT
-        return (phases, x) if is_feasible and phases.scenario_cost(x) <= _GOOD * least else None
+        is_feasible = max(self.problem.defects(phases, x).values()) <= LARGEST_DEFECT
+        is_good = self.problem.cost(phases, x) <= _times(_GOOD, least)
+        return (phases, x) if is_feasible and is_good else None
 
     def _rank_of(self, sequence: TouchSequence) -> tuple[float, ...]:
         return self.rank(self.by_sequence[sequence])
@@ -325,7 +326,7 @@ class RigidSearch(Search):
         """
         has_other_steps = len(candidate.trajectory.controls) != self._num_steps
         needs_more = has_other_steps and self._num_steps <= len(candidate.contacts)
-        price = candidate.replay.cost * (1 + _STEPS_PRICE * has_other_steps)
+        price = _times(1 + _STEPS_PRICE * has_other_steps, candidate.replay.cost)
         return not candidate.is_feasible, not candidate.is_confirmed, needs_more, price
 
     def _optimum(self, sequence: TouchSequence) -> TouchSequence:
@@ -337,3 +338,8 @@ class RigidSearch(Search):
         self, sequence: TouchSequence, others: Iterable[TouchSequence], share: float
     ) -> bool:
         return any(is_same(sequence, other, share * self._duration) for other in others)
+
+
+def _times(factor: float, cost: float) -> float:
+    """Returns so many times a cost; of one below 0, which users may add, as much more."""
+    return cost + (factor - 1) * abs(cost)

@@ -16,7 +16,7 @@ from drake_aigto.show.text import (
     task_items,
     time_text,
 )
-from drake_aigto.simulation import Replay, confirms
+from drake_aigto.simulation import Replay
 from drake_aigto.simulation.contacts import PlannedContact
 from drake_aigto.transcription.rigid_contact import DYNAMICS, RESTITUTION
 from drake_aigto.world import World
@@ -89,9 +89,7 @@ def describe_verdict(plan: Plan, world: World) -> str:
 
 
 def _verdict(plan: Plan, names: Sequence[str]) -> str:
-    against = [
-        replay for replay in plan.replay if not confirms(plan.cost, replay, plan.best.goal_error)
-    ]
+    against = [replay for replay in plan.replay if not plan.best.is_confirmed_by(replay)]
     where = " and ".join(_simulator(replay, names) for replay in against or plan.replay)
     if against:
         return f"fails: the control alone misses the plan's promise {where}"

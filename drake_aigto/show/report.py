@@ -28,7 +28,7 @@ from drake_aigto.show.text import (
     length_text,
     task_items,
 )
-from drake_aigto.simulation import Replay, confirms
+from drake_aigto.simulation import Replay
 from drake_aigto.simulation.material import contact_delay
 from drake_aigto.study.rigid_optimum import rigid_optimum
 from drake_aigto.world import Scenario, World
@@ -91,7 +91,7 @@ def add_verdict(page: Page, plan: Plan, world: World) -> None:
     verdict = describe_verdict(plan, world)
     page.verdict(f"{verdict[0].upper()}{verdict[1:]}.", plan.holds)
     for replay in plan.replay:
-        confirmed = confirms(plan.cost, replay, plan.best.goal_error)
+        confirmed = plan.best.is_confirmed_by(replay)
         label = SIMULATION_LABELS[replay.simulator]
         page.paragraph(
             f"{label[0].upper()}{label[1:]}: {'confirms' if confirmed else 'contradicts'} the "

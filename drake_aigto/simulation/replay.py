@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,6 +20,9 @@ from drake_aigto.trajectory import ArrayRecord, check_control, read_only
 
 if TYPE_CHECKING:
     from drake_aigto.world import Scenario, World
+
+# A row is at a knot but for this part of the duration: rounding.
+_AT_KNOT = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,6 +48,10 @@ class Replay(ArrayRecord):
             which the dissipation was set to give each impact its restitution [m/s]. Impacts below a
             twentieth of the fastest count as that, and return more. Empty: the model's own
             dissipation.
+        added_costs: what of the cost users added, by name (`Planner.transcription`).
+        violations: by how much the motion misses each constraint that users added, by name, in
+            parts of the task's scales (`Additions.violations`) and apart from what compliance
+            explains.
         times: shape (K,): the knots, and where contacts begin and end [s]. Never decreasing; a
             rigid impact has two rows of equal time.
         positions: shape (K, nq) [m].
@@ -64,6 +72,8 @@ class Replay(ArrayRecord):
     times: npt.NDArray[np.float64]
     positions: npt.NDArray[np.float64]
     velocities: npt.NDArray[np.float64]
+    added_costs: Mapping[str, float] = field(default_factory=dict)
+    violations: Mapping[str, float] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Converts lists to tuples, and makes the arrays read-only."""
@@ -77,6 +87,13 @@ class Replay(ArrayRecord):
         object.__setattr__(self, "bounce_contacts", tuple(map(int, self.bounce_contacts)))
         for name in ("times", "positions", "velocities"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    def states_at(
+        self, knots: npt.NDArray[np.float64]
+    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """Returns q and v at knots of the control (K+1,) [s], at an impact those before it."""
+        rows = np.searchsorted(self.times, knots - _AT_KNOT * knots[-1])
+        return self.positions[rows], self.velocities[rows]
 
     @property
     def energy_ratios(self) -> tuple[float, ...]:
@@ -193,11 +210,13 @@ def confirms(
     relative_cost: float = 0.05,
     absolute_cost: float = 4e-6,
     length: float = 2e-3,
+    violation: float = 2e-3,
 ) -> bool:
     """Returns whether a plan holds: its replay is nearly as cheap, and ends nearly as close.
 
-        replay.cost − compliance_cost        ≤ (1 + relative_cost) · cost + absolute_cost
+        replay.cost − compliance_cost        ≤ cost + relative_cost · |cost| + absolute_cost
         replay.goal_error − compliance_error ≤ goal_error + length
+        each of replay.violations            ≤ violation
 
     A replay that does better than its plan confirms it. The absolute parts are for plans that
     promise next to nothing: who ends 2 mm off where the plan claims 0 is still there, and at a goal
@@ -212,12 +231,13 @@ def confirms(
         relative_cost: how much more the replay may cost, as a part of the plan's cost.
         absolute_cost: how much more it may cost besides.
         length: how much farther from the goal the replay may end [m].
+        violation: by how much the replay may miss a constraint that users added.
     """
     replayed_cost = replay.cost - replay.compliance_cost
     replayed_error = replay.goal_error - replay.compliance_error
-    is_cheap = replayed_cost <= (1 + relative_cost) * cost + absolute_cost
+    is_cheap = replayed_cost <= cost + relative_cost * abs(cost) + absolute_cost
     is_near = goal_error is None or replayed_error <= goal_error + length
-    return is_cheap and is_near
+    return is_cheap and is_near and all(by <= violation for by in replay.violations.values())
 
 
 def _check_control(

@@ -20,7 +20,7 @@ def read_only(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
 
 
 class ArrayRecord:
-    """Base of frozen dataclasses whose fields are arrays, tuples, numbers or text.
+    """Base of frozen dataclasses whose fields are arrays, tuples, dicts, numbers or text.
 
     Subclass with ``@dataclass(frozen=True, eq=False)`` and let ``__post_init__`` check the fields
     and make the arrays read-only (`read_only`).
@@ -32,10 +32,7 @@ class ArrayRecord:
 
     def _key(self) -> tuple[object, ...]:
         """Returns the fields, arrays as their shape and values."""
-        return tuple(
-            (value.shape, *value.ravel().tolist()) if isinstance(value, np.ndarray) else value
-            for value in self._fields().values()
-        )
+        return tuple(map(_hashable, self._fields().values()))
 
     def __eq__(self, other: object) -> bool:
         """Two records are equal if all fields are, arrays element by element."""
@@ -48,3 +45,9 @@ class ArrayRecord:
     def __reduce__(self) -> tuple[Any, tuple[()]]:
         """Pickles and copies through the constructor, so that arrays stay read-only."""
         return partial(type(self), **self._fields()), ()
+
+
+def _hashable(value: object) -> object:
+    if isinstance(value, np.ndarray):
+        return value.shape, *value.ravel().tolist()
+    return frozenset(value.items()) if isinstance(value, dict) else value

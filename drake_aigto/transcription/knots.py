@@ -9,11 +9,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydrake.solvers import MathematicalProgram
 
+from drake_aigto.errors import ProgramError
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scenario, World
 
 if TYPE_CHECKING:
     import numpy.typing as npt
+
+# A time is that of a knot but for this part of the duration: rounding.
+_ON_KNOT = 1e-9
 
 
 class Layout:
@@ -35,6 +39,12 @@ class Layout:
         # Drake counts the variables of a matrix column by column. In C's order, as motions are: the
         # rounding of products depends on it.
         return np.ascontiguousarray(np.arange(first, self.size).reshape(shape, order="F"))
+
+    def copy(self) -> Layout:
+        """Returns a layout of the same variables, to which others may be added."""
+        other = Layout()
+        other.size, other._groups = self.size, [*self._groups]
+        return other
 
     def scatter(self, name: str, mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
         """Returns new variables where the mask is True, in an array of its shape; −1 elsewhere."""
@@ -118,6 +128,23 @@ class Knots(ABC):
     def GetSampleTimes(self) -> npt.NDArray[np.float64]:
         """Returns the knots' times, shape (N+1,) [s]."""
         return np.arange(self.num_samples()) * np.float64(self._dt)
+
+    def knot_at(self, time: float) -> int:
+        """Returns the knot at a time [s].
+
+        Raises:
+            ProgramError: there is none; the message has the nearest ones' times.
+        """
+        times = self.GetSampleTimes()
+        nearest = np.argsort(np.abs(times - time))[:2]
+        if not abs(times[nearest[0]] - time) <= _ON_KNOT * times[-1]:
+            raise ProgramError(
+                "time",
+                got=f"{time:g} s",
+                expected=f"a knot's, as {' and '.join(f'{t:g}' for t in np.sort(times[nearest]))}",
+                remedy="The number of knots is PlanOptions.aigo_steps + 1.",
+            )
+        return int(nearest[0])
 
     def sample_times(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns the knots' times at x, shape (N+1,) [s]."""

@@ -7,20 +7,15 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 import pydrake.symbolic as sym
-from pydrake.solvers import (
-    BoundingBoxConstraint,
-    Constraint,
-    ExpressionConstraint,
-    LinearConstraint,
-    MathematicalProgram,
-    QuadraticConstraint,
-)
-from pydrake.symbolic import Expression, MakeVectorVariable, Polynomial
+from pydrake.solvers import BoundingBoxConstraint, Constraint, MathematicalProgram
+from pydrake.symbolic import Expression, MakeVectorVariable
 
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.transcription.shared import (
     SharedEvaluator,
     as_expression,
+    formula_rows,
+    is_affine_in_one,
     shared_cost,
     substitutions,
 )
@@ -29,9 +24,6 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
 InequalityPenalty = Literal["squared hinge", "log barrier"]
-
-# Those whose residual Drake evaluates symbolically.
-_WITH_FORMULA = (LinearConstraint, QuadraticConstraint, ExpressionConstraint)
 
 
 def penalize(
@@ -124,16 +116,8 @@ def _penalty(
 ) -> SharedEvaluator | None:
     """Returns the cost over placeholders x that stands for lower ≤ g(x) ≤ upper; None if empty."""
     name = constraint.get_description() or type(constraint).__name__
-    if not isinstance(constraint, _WITH_FORMULA):
-        raise UnsupportedTermError(
-            f"the constraint '{name}' can't be penalised",
-            got=f"a {type(constraint).__name__}, whose formula Drake does not give back",
-            expected="a linear, quadratic or expression constraint, or bounds",
-            remedy="Write it as a symbolic expression: prog.AddConstraint(expression == 0).",
-        )
     total = Expression(0.0)
-    rows = zip(constraint.Eval(x), constraint.lower_bound(), constraint.upper_bound(), strict=True)
-    for y, lower, upper in rows:
+    for y, lower, upper in formula_rows(constraint, name, x):
         if lower == upper:
             if not isinstance(constraint, BoundingBoxConstraint):
                 total += scale * sym.pow((y - lower) / unit, 2)
@@ -149,7 +133,7 @@ def _penalty(
 
 def _inequality_penalty(name: str, y: Expression, inequality: InequalityPenalty) -> Expression:
     """Returns max(0, −y)² or −log y."""
-    if not y.is_polynomial() or len(y.GetVariables()) != 1 or Polynomial(y).TotalDegree() != 1:
+    if not is_affine_in_one(y):
         raise UnsupportedTermError(
             f"the constraint '{name}' can't be penalised",
             got=f"the inequality {y} ≥ 0",

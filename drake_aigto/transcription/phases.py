@@ -6,9 +6,11 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from pydrake.solvers import LinearEqualityConstraint
 from pydrake.symbolic import Expression, MakeVectorVariable, Variable
 
 from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription.additions import Additions
 from drake_aigto.transcription.facings import Facing, find_facings
 from drake_aigto.transcription.rigid_contact import (
     CONTACT,
@@ -67,6 +69,8 @@ class PhaseTranscription(ImpactTranscription):
         scenario: the task; its time step only says how many knots there are.
         sequence: the contacts in the order of time; () is a free flight.
         facings: which faces of boxes keep the motion out; if None, those of a straight guess.
+        additions: what users added to a transcription with other knots. Phases meet at each time
+            that something was bound to, too, and controls that were bound are held.
 
     Attributes:
         sequence: as given.
@@ -85,16 +89,20 @@ class PhaseTranscription(ImpactTranscription):
         scenario: Scenario,
         sequence: Sequence[Touch] = (),
         facings: Sequence[Facing] | None = None,
+        additions: Additions | None = None,
     ) -> None:
         """Spreads the knots by the sequence's times, and makes the program."""
         self.sequence: TouchSequence = tuple(sequence)
         check_sequence(world, self.sequence, scenario.duration)
         if facings is None:
             facings = find_facings(world, *straight_path(world, scenario, sequence), sequence)
-        self.timeline = make_timeline(world, scenario, self.sequence, facings)
+        added = additions or Additions()
+        instants = added.times[list(added.instants)]
+        self.timeline = make_timeline(world, scenario, self.sequence, facings, instants)
         self._facing_contacts = tuple(facing.contact for facing in facings)
         self.restitutions = world.restitutions(scenario)
         super().__init__(world, scenario)
+        self._take(added)
 
     def _is_bounded(self) -> npt.NDArray[np.bool_]:
         line = self.timeline
@@ -140,6 +148,7 @@ class PhaseTranscription(ImpactTranscription):
         self._bound_distances(line.beside, lower=-np.inf, upper=0.0)
         self._bound_distances(line.held, CONTACT, upper=0.0)
         self._add_touches()
+        self._hold_controls()
         rows: dict[bytes, list[SharedEvaluator]] = {}
         for k in range(len(self._u)):
             kind = line.struck[k].tobytes() + line.rests[k].tobytes()
@@ -155,13 +164,12 @@ class PhaseTranscription(ImpactTranscription):
         add = shared_constraint(self._clock[1] - self._clock[0] - self._step[0], "clock")
         for phase in self.timeline.phases:
             steps = self._variables_at(self._steps[phase.first : phase.last])
-            self._prog.AddBoundingBoxConstraint(self.least_step(phase), T, steps)
+            self._bound(steps, self.least_step(phase), T)
             self._bind_each(same, range(phase.first, phase.last - 1))
         self._bind_stages(add)
-        ends = self._variables_at(self._times[[0, -1]])
-        self._prog.AddBoundingBoxConstraint([0, T], [0, T], ends).evaluator().set_description(
-            "duration"
-        )
+        known = [0, *self.timeline.instants.values(), len(self._u)]
+        times = [0.0, *self.timeline.instants, T]
+        self._bound(self._variables_at(self._times[known]), times, times, "duration")
 
     def least_step(self, phase: Phase) -> float:
         """Returns the lower bound of a phase's steps [s]."""
@@ -175,15 +183,14 @@ class PhaseTranscription(ImpactTranscription):
             closing = self._variables_at(self._closing[k, i])
             self._add_speed(closing, self._contacts[i].jacobian, k)
             least = 0.0 if self.stays(k, i) else -np.inf
-            self._prog.AddBoundingBoxConstraint(least, 0.0, closing)
+            self._bound(closing, least, 0.0)
         for k, impact in self.impacts.items():
             pushes = self._variables_at(self._push[k, self._is_coupled[k]])
             for push, row in zip(pushes, impact.impulses[impact.coupled], strict=True):
                 self._add_speed(push, row, k)
         for unilateral in (self._push[self._is_coupled], self._forces[line.rests]):
             if unilateral.size:
-                variables = self._variables_at(unilateral)
-                self._prog.AddBoundingBoxConstraint(0.0, np.inf, variables)
+                self._bound(self._variables_at(unilateral), 0.0, np.inf)
 
     def stays(self, k: int, contact: int) -> bool:
         """Returns whether a contact that is touched at knot k must be at rest already.
@@ -193,13 +200,27 @@ class PhaseTranscription(ImpactTranscription):
         rests = self.timeline.rests
         return k < len(rests) and bool(rests[k, contact]) and self.restitutions[contact] > 0
 
+    def _hold_controls(self) -> None:
+        """Adds that controls which users bound are held as long as where they bound them."""
+        same = LinearEqualityConstraint(np.array([[1.0, -1.0]]), [0.0])
+        same.set_description("held")
+        for k in self._additions.held:
+            first, last = self._knot(k), self._knot(k + 1)
+            for j in range(first, last - 1):
+                for pair in self._u[j : j + 2].T:
+                    self._attach(same, self._variables_at(pair))
+
+    def _knot(self, k: int) -> int:
+        added = self._additions
+        ends = {0: 0, len(added.times) - 1: len(self._u)}
+        return ends[k] if k in ends else self.timeline.instants[float(added.times[k])]
+
     def _add_speed(self, variable: Variable, row: npt.NDArray[np.float64], k: int) -> None:
         """Adds the variable's definition, row · v_k."""
         variables = np.append(variable, self._variables_at(self._v[k]))
-        coefficients = np.append(-1.0, row)[np.newaxis]
-        self._prog.AddLinearEqualityConstraint(
-            coefficients, [0.0], variables
-        ).evaluator().set_description(RESTITUTION)
+        constraint = LinearEqualityConstraint(np.append(-1.0, row)[np.newaxis], [0.0])
+        constraint.set_description(RESTITUTION)
+        self._attach(constraint, variables)
 
     def _motion_rows(self, k: int) -> list[SharedEvaluator]:
         """Returns the flight and dynamics rows of stages like the k-th."""

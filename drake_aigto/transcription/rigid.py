@@ -92,8 +92,7 @@ class RigidTranscription(ImpactTranscription):
     def along(self, path: npt.NDArray[np.float64]) -> RigidTranscription:
         """Returns the same, with what users added, for boxes around another path."""
         other = RigidTranscription(self.world, self.scenario, self.relaxation, path)
-        other.add_what_was_added_to(self)
-        return other
+        return other.with_additions(self.additions())
 
     def _is_bounded(self) -> npt.NDArray[np.bool_]:
         return np.any(self._fronts[1:], axis=0)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
@@ -12,14 +12,21 @@ from pydrake.solvers import (
     Constraint,
     Cost,
     EvaluatorBase,
+    ExpressionConstraint,
     ExpressionCost,
+    LinearConstraint,
     MathematicalProgram,
     QuadraticConstraint,
 )
 from pydrake.symbolic import Expression, Polynomial, Variable
 
+from drake_aigto.errors import UnsupportedTermError
+
 if TYPE_CHECKING:
     import numpy.typing as npt
+
+# Constraints that Drake evaluates symbolically.
+_WITH_FORMULA = (LinearConstraint, QuadraticConstraint, ExpressionConstraint)
 
 
 @dataclass(frozen=True)
@@ -41,15 +48,24 @@ class SharedEvaluator:
             prog: the program.
             values: placeholder id → decision variable.
         """
-        variables = [values[identity] for identity in self._identities]
         if isinstance(self.evaluator, Cost):
-            prog.AddCost(self.evaluator, vars=variables)
+            prog.AddCost(self.evaluator, vars=self.variables(values))
         else:
-            prog.AddConstraint(self.evaluator, vars=variables)
+            prog.AddConstraint(self.evaluator, vars=self.variables(values))
+
+    def variables(self, values: dict[int, Variable]) -> list[Variable]:
+        """Returns the decision variables that it reads, of those for each placeholder's id."""
+        return [values[identity] for identity in self._identities]
 
     @cached_property
     def _identities(self) -> list[int]:
         return [placeholder.get_id() for placeholder in self.placeholders]
+
+
+def is_affine_in_one(y: Expression) -> bool:
+    """Returns whether an expression is affine in one variable, and reads no other."""
+    is_of_one = y.is_polynomial() and len(y.GetVariables()) == 1
+    return is_of_one and Polynomial(y).TotalDegree() == 1
 
 
 def as_expression(value: Any) -> Expression:
@@ -79,7 +95,7 @@ def shared_constraint(
 ) -> SharedEvaluator:
     """Returns lower ≤ expression ≤ upper, as special a constraint as Drake has for it."""
     scratch = _scratch_program(expression)
-    if Polynomial(expression).TotalDegree() == 2:
+    if expression.is_polynomial() and Polynomial(expression).TotalDegree() == 2:
         # Drake warns where its own test of convexity does not come to an end.
         kind = QuadraticConstraint.HessianType.kIndefinite
         binding = scratch.AddQuadraticConstraint(expression, lower, upper, hessian_type=kind)
@@ -88,6 +104,26 @@ def shared_constraint(
     evaluator: Constraint = binding.evaluator()
     evaluator.set_description(description)
     return SharedEvaluator(evaluator, tuple(binding.variables()))
+
+
+def formula_rows(
+    constraint: EvaluatorBase, name: str, x: npt.NDArray[Any]
+) -> Iterator[tuple[Expression, float, float]]:
+    """Yields each row of a constraint on x: its formula, and its lower and upper bound.
+
+    Raises:
+        UnsupportedTermError: Drake does not give the formula.
+    """
+    if not isinstance(constraint, _WITH_FORMULA):
+        raise UnsupportedTermError(
+            f"the constraint '{name}' can't be met",
+            got=f"a {type(constraint).__name__}, whose formula Drake does not give back",
+            expected="a linear, quadratic or expression constraint, or bounds",
+            remedy="Write it as a symbolic expression: prog.AddConstraint(expression == 0).",
+        )
+    bounds = constraint.lower_bound().tolist(), constraint.upper_bound().tolist()
+    for y, lower, upper in zip(constraint.Eval(x), *bounds, strict=True):
+        yield as_expression(y), lower, upper
 
 
 def substitutions(

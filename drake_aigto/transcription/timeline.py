@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING
@@ -39,6 +39,7 @@ class Timeline:
         times: when they meet, and both ends [s], shape (P+1,).
         spans: the first and the last knot of each touch.
         turns: the knot at which each facing starts.
+        instants: times that are asked for besides [s] → their knots.
         starts: which contacts are touched anew at each knot, shape (N+1, m).
         struck: those, and with them the ones that have been resting until then.
         held: φ = 0: struck, resting, or about to leave.
@@ -51,6 +52,7 @@ class Timeline:
     times: npt.NDArray[np.float64]
     spans: tuple[tuple[int, int], ...]
     turns: tuple[int, ...]
+    instants: Mapping[float, int]
     starts: Mask
     struck: Mask
     held: Mask
@@ -60,7 +62,11 @@ class Timeline:
 
 
 def make_timeline(
-    world: World, scenario: Scenario, sequence: TouchSequence, facings: Sequence[Facing] = ()
+    world: World,
+    scenario: Scenario,
+    sequence: TouchSequence,
+    facings: Sequence[Facing] = (),
+    instants: npt.ArrayLike = (),
 ) -> Timeline:
     """Spreads the knots over a sequence's phases.
 
@@ -69,13 +75,15 @@ def make_timeline(
         scenario: its duration and number of steps.
         sequence: the contacts, checked by `check_sequence`.
         facings: the faces of solids that have several; phases meet at their starts, too.
+        instants: other times at which phases are to meet, after the start and before the end [s].
 
     Raises:
         OptionsError: more phases than steps, or facings that leave out a box or what is touched.
     """
     N, m, T = scenario.num_steps, world.num_contacts, scenario.duration
     fronts = Fronts(world, facings, T)
-    inner = sorted({*joint_times(sequence), *fronts.times})
+    fixed = np.asarray(instants, dtype=float).tolist()
+    inner = sorted({*joint_times(sequence), *fronts.times, *fixed})
     times = np.array([0.0, *inner, T])
     if len(times) - 1 > N:
         raise OptionsError(
@@ -112,6 +120,7 @@ def make_timeline(
         times=times,
         spans=spans,
         turns=tuple(knot[facing.start] for facing in facings),
+        instants={time: knot[time] for time in fixed},
         starts=starts,
         struck=struck,
         held=held,

@@ -3,36 +3,29 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Callable, Iterable
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 from pydrake.solvers import MathematicalProgram, MathematicalProgramResult
-from pydrake.symbolic import Expression, Formula, MakeVectorVariable, Variable
+from pydrake.symbolic import Expression
 from pydrake.trajectories import PiecewisePolynomial
 
-from drake_aigto.transcription.knots import Knots
+from drake_aigto.transcription.open_program import OpenProgram
 from drake_aigto.transcription.penalties import InequalityPenalty, cut_to_bounds, penalize
-from drake_aigto.transcription.shared import (
-    SharedEvaluator,
-    as_expression,
-    shared_constraint,
-    shared_cost,
-    substitutions,
-)
-from drake_aigto.world import Scenario, World
+from drake_aigto.transcription.shared import as_expression, shared_constraint, shared_cost
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
 NONPENETRATION = "nonpenetration"
 CLEARANCE = "clearance"
+_START = "initial state"
 
 # The least part that a box around a motion has of its last knot's half widths.
 _LEAST_GROWN = 1e-2
 
 
-class Transcription(Knots):
+class Transcription(OpenProgram):
     """A contact problem as a MathematicalProgram over knots k = 0 … N (AIGTO Sec. III-B, IV).
 
         minimise over q_k, v_k, u_k    Σ_{k<N} dt g(x_k, u_k) + g_N(x_N),     x = [q, v]
@@ -54,59 +47,25 @@ class Transcription(Knots):
 
     ROWS: ClassVar[tuple[str, ...]]
 
-    def __init__(self, world: World, scenario: Scenario) -> None:
-        """Lays out the variables, and makes placeholders for those of a stage."""
-        # What users add: applied again to the phases of a contact sequence.
-        self._additions: list[Callable[[Transcription], None]] = []
-        self._made: MathematicalProgram | None = None
-        # Placeholder id → decision variable, of each stage that something was bound to.
-        self._chosen: dict[int, dict[int, Variable]] = {}
-        super().__init__(world, scenario)
-        self._make_placeholders()
-
     @property
-    def has_additions(self) -> bool:
-        """Whether users added costs or constraints, other than to the program itself."""
-        return bool(self._additions)
-
-    @property
-    def is_as_made(self) -> bool:
-        """Whether the program is what the class says, as nobody has asked for it yet."""
-        return self._made is None
-
-    @property
-    def _prog(self) -> MathematicalProgram:
-        if self._made is None:
-            self._made = MathematicalProgram()
-            self._layout.add_to(self._made)
-            self._variables = self._made.decision_variables()
-            self._add_scenario()
-        return self._made
-
-    def _num_variables(self) -> int:
-        return super()._num_variables() if self._made is None else self._made.num_vars()
-
-    def _make_placeholders(self) -> None:
-        """Makes the variables of a stage; its start and control are the world's own."""
-        world = self.world
-        self._next_q = MakeVectorVariable(world.num_positions, "q_next")
-        self._next_v = MakeVectorVariable(world.num_velocities, "v_next")
-        self._clearance = MakeVectorVariable(len(self._clearance_contacts), "s")
-        self._duration = Expression(self._dt)
+    def _always_met(self) -> tuple[str, ...]:
+        # Which face of a box keeps a motion out depends on the motion.
+        has_boxes = self.world.num_solids < self.world.num_contacts
+        return (_START, CLEARANCE) if has_boxes else (_START, CLEARANCE, NONPENETRATION)
 
     def _add_scenario(self) -> None:
         """Adds the initial state, the scenario's costs, then the subclass's rows."""
         world, scenario = self.world, self.scenario
         start = np.concatenate([scenario.initial_position, scenario.initial_velocity])
-        self._prog.AddBoundingBoxConstraint(
-            start, start, self.state(0)
-        ).evaluator().set_description("initial state")
+        self._bound(self.state(0), start, start, _START)
         # NumPy takes Drake's boxed constants for invalid numbers, and warns.
         with np.errstate(invalid="ignore"):
             u = world.controls
             error = world.positions - scenario.goal_position
-            self._add_running_cost(scenario.control_weight * u.dot(u), "control effort")
-            self._add_final_cost(scenario.goal_weight * error.dot(error), "goal")
+            effort = as_expression(scenario.control_weight * u.dot(u))
+            self._bind_stages(shared_cost(self._duration * effort, "control effort"))
+            miss = as_expression(scenario.goal_weight * error.dot(error))
+            self._bind(shared_cost(miss, "goal"), self.num_samples() - 1)
             for column, contact in enumerate(self._clearance_contacts):
                 self._add_clearance(column, contact)
             self._add_rows()
@@ -139,81 +98,6 @@ class Transcription(Knots):
         distance = self.world.contacts[contact].signed_distance
         row = shared_constraint(Expression(self._clearance[column]) - distance, CLEARANCE)
         self._bind_each(row, range(len(self._q)))
-
-    def prog(self) -> MathematicalProgram:
-        """Returns the constrained program; add costs and constraints until it is solved."""
-        return self._prog
-
-    def state(self, k: int | None = None) -> npt.NDArray[Any]:
-        """Returns x_k = [q_k, v_k], shape (nq + nv,); without k, placeholders for it."""
-        if k is None:
-            return np.concatenate([self.world.positions, self.world.velocities])
-        return self._variables_at(np.concatenate([self._q[k], self._v[k]]))
-
-    def input(self, k: int | None = None) -> npt.NDArray[Any]:
-        """Returns u_k, shape (nu,), 0 ≤ k < N; without k, placeholders for it."""
-        return self.world.controls if k is None else self._variables_at(self._u[k])
-
-    def _variables_at(self, indices: npt.NDArray[np.int64]) -> npt.NDArray[Any]:
-        """Returns the program's variables of these indices, in an array of their shape."""
-        self.prog()
-        return self._variables[indices]
-
-    def initial_state(self) -> npt.NDArray[Any]:
-        """Returns x_0."""
-        return self.state(0)
-
-    def final_state(self) -> npt.NDArray[Any]:
-        """Returns x_N."""
-        return self.state(self.num_samples() - 1)
-
-    def AddRunningCost(self, g: Any, description: str = "running cost") -> None:
-        """Adds Σ_{k<N} dt g(x_k, u_k).
-
-        Args:
-            g: polynomial in the placeholders `state()` and `input()`.
-            description: its name in the program and in costs by name.
-        """
-        self._additions.append(lambda other: other.AddRunningCost(g, description))
-        self._add_running_cost(g, description)
-
-    def _add_running_cost(self, g: Any, description: str) -> None:
-        self._bind_stages(shared_cost(self._duration * as_expression(g), description))
-
-    def AddFinalCost(self, e: Any, description: str = "final cost") -> None:
-        """Adds e(x_N), polynomial in the placeholders `state()`."""
-        self._additions.append(lambda other: other.AddFinalCost(e, description))
-        self._add_final_cost(e, description)
-
-    def _add_final_cost(self, e: Any, description: str) -> None:
-        self._bind(shared_cost(as_expression(e), description), self.num_samples() - 1)
-
-    def AddConstraintToAllKnotPoints(self, f: Formula | npt.NDArray[Any]) -> None:
-        """Adds a constraint on placeholders at every knot, as MultipleShooting does.
-
-        Constraints that read the control act at k < N. A bound on one variable, such as `input()[0]
-        <= 3`, becomes a bounding box.
-        """
-        self._additions.append(lambda other: other.AddConstraintToAllKnotPoints(f))
-        for formula in np.ravel(np.asarray(f, dtype=object)):
-            reads_control = any(formula.GetFreeVariables().include(u) for u in self.world.controls)
-            for k in range(len(self._u) if reads_control else self.num_samples()):
-                names, values = self.state(), self.state(k)
-                if reads_control:
-                    names = np.concatenate([names, self.input()])
-                    values = np.concatenate([values, self.input(k)])
-                self._prog.AddConstraint(
-                    formula.Substitute(dict(zip(names, map(Expression, values), strict=True)))
-                )
-
-    def add_what_was_added_to(self, other: Transcription) -> None:
-        """Adds what users added to another transcription: its costs and constraints.
-
-        Args:
-            other: of the same world; it may have other knots.
-        """
-        for addition in other._additions:
-            addition(self)
 
     def SetInitialTrajectory(
         self, traj_init_u: PiecewisePolynomial, traj_init_x: PiecewisePolynomial
@@ -298,6 +182,8 @@ class Transcription(Knots):
             4 * inertia * length / T**2 * np.broadcast_to(column[-1], self._u.shape),
             column * reach[self._clearance_contacts],
         )
+        for row in self._rows:
+            row.widen(center, half_width)
         return cut_to_bounds(self._prog, center, half_width)
 
     def penalized(self, inequality: InequalityPenalty = "squared hinge") -> MathematicalProgram:
@@ -306,20 +192,6 @@ class Transcription(Knots):
         So weights mean the same for every N.
         """
         return penalize(self._prog, inequality, scale=1 / self._dt)
-
-    def _bind_stages(self, shared: SharedEvaluator) -> None:
-        """Binds an evaluator to every step k = 0 … N−1."""
-        self._bind_each(shared, range(len(self._u)))
-
-    def _bind_each(self, shared: SharedEvaluator, knots: Iterable[int]) -> None:
-        for k in knots:
-            self._bind(shared, k)
-
-    def _bind(self, shared: SharedEvaluator, k: int) -> None:
-        """Binds an evaluator over the placeholders of knot k, its control and the next knot."""
-        if k not in self._chosen:
-            self._chosen[k] = substitutions(*zip(*self._stage(k), strict=True))
-        shared.bind(self._prog, self._chosen[k])
 
     def _stage(self, k: int) -> list[tuple[npt.NDArray[Any], npt.NDArray[Any]]]:
         """Returns pairs of placeholders and what they stand for at knot k."""

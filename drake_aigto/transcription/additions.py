@@ -1,0 +1,256 @@
+"""What users add to a program over knots, held to wherever the knots of another one lie."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import numpy as np
+from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
+from pydrake.solvers import Cost, EvaluatorBase
+from pydrake.symbolic import Variable
+
+from drake_aigto.errors import ProgramError
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    Floats = npt.NDArray[np.float64]
+
+Part = Literal["q", "v", "u"]
+
+# A knot is at a time if it is no farther than this part of the duration.
+_AT_TIME = 1e-9
+# A bound is met if it is missed by this part of 1 + its size: rounding.
+_ROUNDING = 1e-12
+
+_MOST_LISTED = 3  # Variables in a name.
+
+
+class Place(NamedTuple):
+    """One coordinate of the state or of the control at a knot.
+
+    Attributes:
+        part: "q", "v" or "u".
+        coordinate: which one.
+        knot: k of the transcription that users added to; None: any knot, one after the other.
+    """
+
+    part: Part
+    coordinate: int
+    knot: int | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Addition:
+    """A cost or a constraint of a user.
+
+    Attributes:
+        name: its description, or what it is about.
+        evaluator: as Drake made it.
+        places: what each of its variables is.
+    """
+
+    name: str
+    evaluator: EvaluatorBase
+    places: tuple[Place, ...]
+
+    @property
+    def is_cost(self) -> bool:
+        """Whether it is no constraint."""
+        return isinstance(self.evaluator, Cost)
+
+    @property
+    def reads_control(self) -> bool:
+        """Whether it reads any control."""
+        return any(place.part == "u" for place in self.places)
+
+    def knots(self, num_steps: int) -> range:
+        """Returns the knots that stand for a place of any knot, in a motion of so many steps."""
+        if all(place.knot is not None for place in self.places):
+            return range(1)
+        return range(num_steps if self.reads_control else num_steps + 1)
+
+    @property
+    def is_of_start(self) -> bool:
+        """Whether it reads nothing but the state at the first knot, where it counts."""
+        return not self.reads_control and all(not place.knot for place in self.places)
+
+
+class Samples(NamedTuple):
+    """A motion, planned or simulated, at the K + 1 knots where its control changes.
+
+    Attributes:
+        times: shape (K+1,) [s].
+        q: positions, shape (K+1, nq).
+        v: velocities, at an impact those before it, shape (K+1, nv).
+        u: controls, held from each knot to the next, shape (K, nu).
+    """
+
+    times: Floats
+    q: Floats
+    v: Floats
+    u: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Additions:
+    """All that users have added to a transcription.
+
+    What is bound to knot k is bound to its time t_k. A control u_k is that of all of t_k … t_{k+1}:
+    over this time it is held in any program that these are added to.
+
+    Attributes:
+        running: costs g(x_k, u_k) of every step, to be multiplied by its length.
+        final: costs of x_N.
+        everywhere: constraints on every x_k, or on every (x_k, u_k).
+        at_knots: costs and constraints on the variables of some knots.
+        times: t_k of the transcription that they were added to, shape (N+1,) [s].
+        scales: by how much "q", "v" and "u" differ in this task.
+    """
+
+    running: tuple[Addition, ...] = ()
+    final: tuple[Addition, ...] = ()
+    everywhere: tuple[Addition, ...] = ()
+    at_knots: tuple[Addition, ...] = ()
+    times: Floats = field(default_factory=lambda: np.zeros(1))
+    scales: Mapping[Part, float] = field(default_factory=dict)
+
+    def __bool__(self) -> bool:
+        """Returns whether there is anything."""
+        return bool(self.running or self.final or self.everywhere or self.at_knots)
+
+    def joined(self, other: Additions) -> Additions:
+        """Returns what is in either, with the knots of this one."""
+        return replace(
+            self,
+            running=(*self.running, *other.running),
+            final=(*self.final, *other.final),
+            everywhere=(*self.everywhere, *other.everywhere),
+            at_knots=(*self.at_knots, *other.at_knots),
+        )
+
+    @property
+    def held(self) -> tuple[int, ...]:
+        """The knots k whose control u_k something is bound to, in order."""
+        places = (place for each in self.at_knots for place in each.places)
+        return tuple(sorted({place.knot or 0 for place in places if place.part == "u"}))
+
+    @property
+    def instants(self) -> tuple[int, ...]:
+        """The knots, but for the first and last, at whose times another program needs one, too."""
+        places = (place for each in self.at_knots for place in each.places)
+        knots = {place.knot or 0 for place in places if place.part != "u"}
+        knots |= {k + after for k in self.held for after in (0, 1)}
+        return tuple(sorted(knots - {0, len(self.times) - 1}))
+
+    @property
+    def constraints(self) -> tuple[Addition, ...]:
+        """All that are no costs."""
+        return tuple(e for e in (*self.everywhere, *self.at_knots) if not e.is_cost)
+
+    def costs(self, motion: Samples) -> dict[str, float]:
+        """Returns each cost of a motion by name: Σ_k h_k g(x_k, u_k), e(x_N), or c(x_j, u_k, …)."""
+        found: dict[str, float] = {}
+        steps, last = np.diff(motion.times).tolist(), len(motion.u)
+        for each in self.running:
+            values = (h * self._value(each, motion, k)[0] for k, h in enumerate(steps))
+            found[each.name] = found.get(each.name, 0.0) + float(sum(values))
+        for each in (*self.final, *filter(lambda each: each.is_cost, self.at_knots)):
+            value = float(self._value(each, motion, last)[0])
+            found[each.name] = found.get(each.name, 0.0) + value
+        return found
+
+    def violations(self, motion: Samples) -> dict[str, float]:
+        """Returns by how much a motion misses each constraint, by name; 0 where it is met.
+
+        A row g(x) that misses its bound by r counts as r / Σ_i |∂g/∂x_i| s_i: to first order, each
+        x_i has to change by so many of the task's `scales` s_i to meet it.
+        """
+        found: dict[str, float] = {}
+        for each in self.constraints:
+            missed = (self._violation(each, motion, k) for k in each.knots(len(motion.u)))
+            found[each.name] = max(found.get(each.name, 0.0), *missed)
+        return found
+
+    def miss_at_start(self, addition: Addition, state: Floats) -> float:
+        """Returns by how much the initial state [q, v] misses a constraint, as `violations`."""
+        q, v = np.split(state[np.newaxis], 2, axis=1)
+        return self._violation(addition, Samples(np.zeros(1), q, v, np.empty((0, 0))), 0)
+
+    def units(self, addition: Addition) -> Floats:
+        """Returns Σ_i |∂g/∂x_i| s_i of each row of a constraint, the largest about 0 and ±s."""
+        s = self._scales(addition)
+        found = [np.abs(_slopes(addition, x)) @ s for x in (0 * s, s, -s)]
+        largest = np.max(found, axis=0)
+        return np.where(np.isfinite(largest) & (largest > 0), largest, 1.0)
+
+    def _violation(self, addition: Addition, motion: Samples, k: int) -> float:
+        value = self._value(addition, motion, k)
+        lower, upper = addition.evaluator.lower_bound(), addition.evaluator.upper_bound()
+        excess = np.maximum(lower - value, value - upper)
+        missed = ~(excess <= _ROUNDING * (1 + np.abs(np.where(lower > value, lower, upper))))
+        if not np.any(missed):
+            return 0.0
+        slopes = np.abs(_slopes(addition, self._values(addition, motion, k)))
+        with np.errstate(divide="ignore"):
+            parts = excess[missed] / (slopes[missed] @ self._scales(addition))
+        return float(np.max(np.nan_to_num(parts, nan=np.inf, posinf=np.inf)))
+
+    def _scales(self, addition: Addition) -> Floats:
+        return np.array([self.scales[place.part] for place in addition.places])
+
+    def _value(self, addition: Addition, motion: Samples, k: int) -> Floats:
+        return np.asarray(addition.evaluator.Eval(self._values(addition, motion, k)), dtype=float)
+
+    def _values(self, addition: Addition, motion: Samples, k: int) -> Floats:
+        """Returns what an addition reads of a motion, places of any knot at the motion's k-th."""
+        arrays = motion._asdict()
+        return np.array(
+            [
+                arrays[part][k if knot is None else self.row(knot, motion.times), coordinate]
+                for part, coordinate, knot in addition.places
+            ]
+        )
+
+    def row(self, knot: int, times: Floats) -> int:
+        """Returns which of a motion's knots is at the time of knot k here."""
+        tolerance = _AT_TIME * float(self.times[-1])
+        return int(np.searchsorted(times, self.times[knot] - tolerance))
+
+
+def _slopes(addition: Addition, x: Floats) -> Floats:
+    """Returns ∂g/∂x of each row, shape (rows, variables)."""
+    values = np.asarray(addition.evaluator.Eval(InitializeAutoDiff(x).ravel()))
+    return np.asarray(ExtractGradient(values), dtype=float)
+
+
+def read_binding(
+    evaluator: EvaluatorBase,
+    variables: Sequence[Variable] | npt.NDArray[Any],
+    places: Mapping[int, Place],
+    expected: str,
+    remedy: str,
+) -> Addition:
+    """Returns a cost or constraint with its variables as places.
+
+    Args:
+        evaluator: as Drake made it.
+        variables: that it is bound to.
+        places: of variables, by their ids.
+        expected: which variables these are, for messages.
+        remedy: what to do where there is another one.
+
+    Raises:
+        ProgramError: it reads another variable.
+    """
+    listed = ", ".join(map(str, variables[:_MOST_LISTED]))
+    more = ", …" if len(variables) > _MOST_LISTED else ""
+    role = "cost" if isinstance(evaluator, Cost) else "constraint"
+    name = evaluator.get_description() or f"{role} on {listed}{more}"
+    for variable in variables:
+        if variable.get_id() not in places:
+            got = f"the variable {variable}"
+            raise ProgramError(f"the {role} '{name}'", got, expected, remedy)
+    return Addition(name, evaluator, tuple(places[v.get_id()] for v in variables))

@@ -1,0 +1,99 @@
+"""Whether users' constraints leave any motion at all: asked before long work starts."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydrake.solvers import Binding, ClpSolver, MathematicalProgram, SolutionResult
+
+from drake_aigto.errors import ProgramError
+from drake_aigto.transcription.added_rows import SLACK
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    from drake_aigto.transcription.additions import Additions
+
+
+def check_bounds_of(additions: Additions) -> None:
+    """Refuses constraints that no number meets.
+
+    Raises:
+        ProgramError: a lower bound above its upper one, or one that is NaN.
+    """
+    for each in additions.constraints:
+        bounds = each.evaluator.lower_bound(), each.evaluator.upper_bound()
+        for lower, upper in zip(*bounds, strict=True):
+            if not lower <= upper or lower == np.inf or upper == -np.inf:
+                raise ProgramError(
+                    f"the bounds of the constraint '{each.name}'",
+                    got=f"[{lower:g}, {upper:g}]",
+                    expected="lower ≤ upper",
+                )
+
+
+def check_start(additions: Additions, state: npt.NDArray[np.float64]) -> None:
+    """Refuses constraints on the initial state alone, shape (nq + nv,), that it does not meet.
+
+    Raises:
+        ProgramError: there is one.
+    """
+    for each in additions.constraints:
+        if each.is_of_start and (missed := additions.miss_at_start(each, state)):
+            raise ProgramError(
+                f"the constraint '{each.name}'",
+                got=f"an initial state that misses it by {missed:.1g} of the task's scales",
+                expected="one that the scenario's start meets",
+                remedy="Leave out the first knot, or start elsewhere.",
+            )
+
+
+def check_linear(prog: MathematicalProgram, names: Collection[str]) -> None:
+    """Refuses bounds and linear constraints that contradict each other.
+
+    Args:
+        prog: has them.
+        names: descriptions of those that count.
+
+    Raises:
+        ProgramError: no point meets them; the message has few that contradict each other.
+    """
+    linear = (
+        *prog.bounding_box_constraints(),
+        *prog.linear_constraints(),
+        *prog.linear_equality_constraints(),
+    )
+    kept = [each for each in linear if each.evaluator().get_description() in names]
+    if _is_feasible(prog, kept):
+        return
+    for each in tuple(kept):  # What remains is contradictory, and nothing less than it is.
+        others = [other for other in kept if other is not each]
+        if not _is_feasible(prog, others):
+            kept = others
+    raise ProgramError(
+        "constraints contradict each other",
+        got=_describe(kept),
+        expected="some motion that meets all of them",
+        remedy="Relax or leave out one.",
+    )
+
+
+def _is_feasible(prog: MathematicalProgram, constraints: Sequence[Binding]) -> bool:
+    linear = MathematicalProgram()
+    linear.AddDecisionVariables(prog.decision_variables())
+    for each in constraints:
+        linear.AddConstraint(each.evaluator(), vars=each.variables())
+    status = ClpSolver().Solve(linear).get_solution_result()
+    return bool(status != SolutionResult.kInfeasibleConstraints)
+
+
+def _describe(constraints: Iterable[Binding]) -> str:
+    """Returns the names of constraints, each with the variables that users know."""
+    reads: dict[str, dict[str, None]] = {}
+    for each in constraints:
+        variables = (str(variable) for variable in each.variables())
+        known = (name for name in variables if not name.startswith(SLACK))
+        reads.setdefault(each.evaluator().get_description(), {}).update(dict.fromkeys(known))
+    return "; ".join(f"'{name}' on {', '.join(known)}" for name, known in reads.items())

@@ -1,0 +1,157 @@
+"""A MathematicalProgram over knots, in the words of Drake's MultipleShooting."""
+
+from __future__ import annotations
+
+import operator
+from abc import abstractmethod
+from collections.abc import Iterable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydrake.solvers import BoundingBoxConstraint, Cost, EvaluatorBase, MathematicalProgram
+from pydrake.symbolic import Expression, MakeVectorVariable, Variable
+
+from drake_aigto.errors import ProgramError
+from drake_aigto.transcription.knots import Knots
+from drake_aigto.transcription.shared import SharedEvaluator, substitutions
+from drake_aigto.world import Scenario, World
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+
+class KnotProgram(Knots):
+    """A program over knots, made when it is first asked for; it knows what is its own in it."""
+
+    def __init__(self, world: World, scenario: Scenario) -> None:
+        """Lays out the variables, and makes placeholders for those of a stage."""
+        self._forget_program()
+        super().__init__(world, scenario)
+        self._make_placeholders()
+
+    def _forget_program(self) -> None:
+        self._made: MathematicalProgram | None = None
+        # Placeholder id → decision variable, of each stage that something was bound to.
+        self._chosen: dict[int, dict[int, Variable]] = {}
+        # The evaluators of all rows and costs that the class bound, and how often it did.
+        self._own: set[EvaluatorBase] = set()
+        self._num_bound = 0
+
+    @property
+    def is_as_made(self) -> bool:
+        """Whether the program is what the class says, as nobody has asked for it yet."""
+        return self._made is None
+
+    @property
+    def _prog(self) -> MathematicalProgram:
+        if self._made is None:
+            self._made = MathematicalProgram()
+            self._layout.add_to(self._made)
+            self._variables = self._made.decision_variables()
+            self._add_all()
+        return self._made
+
+    @abstractmethod
+    def _add_all(self) -> None:
+        """Adds costs and rows."""
+
+    @abstractmethod
+    def _stage(self, k: int) -> list[tuple[npt.NDArray[Any], npt.NDArray[Any]]]:
+        """Returns pairs of placeholders and what they stand for at knot k."""
+
+    def _num_variables(self) -> int:
+        return super()._num_variables() if self._made is None else self._made.num_vars()
+
+    def _make_placeholders(self) -> None:
+        """Makes the variables of a stage; its start and control are the world's own."""
+        world = self.world
+        self._next_q = MakeVectorVariable(world.num_positions, "q_next")
+        self._next_v = MakeVectorVariable(world.num_velocities, "v_next")
+        self._clearance = MakeVectorVariable(len(self._clearance_contacts), "s")
+        self._duration = Expression(self._dt)
+
+    def prog(self) -> MathematicalProgram:
+        """Returns the constrained program; add costs and constraints until it is solved.
+
+        What is bound to variables of `state(k)` and `input(k)` is met at the time of knot k, or
+        over the time from it to the next, wherever the knots of a plan lie. Costs are linear,
+        quadratic or an ExpressionCost; constraints are bounds, linear, quadratic or other formulas.
+        An initial guess has no effect on plans: AIGO starts from a box.
+        """
+        return self._prog
+
+    def state(self, k: int | None = None) -> npt.NDArray[Any]:
+        """Returns x_k = [q_k, v_k], shape (nq + nv,); without k, placeholders for it.
+
+        Raises:
+            ProgramError: there is no such knot.
+        """
+        if k is None:
+            return np.concatenate([self.world.positions, self.world.velocities])
+        _check_knot("state", k, len(self._q))
+        return self._variables_at(np.concatenate([self._q[k], self._v[k]]))
+
+    def input(self, k: int | None = None) -> npt.NDArray[Any]:
+        """Returns u_k, held from knot k to the next, shape (nu,); without k, placeholders for it.
+
+        Raises:
+            ProgramError: there is no such knot, or it is the last.
+        """
+        if k is None:
+            return self.world.controls
+        _check_knot("input", k, len(self._u))
+        return self._variables_at(self._u[k])
+
+    def _variables_at(self, indices: npt.NDArray[np.int64]) -> npt.NDArray[Any]:
+        """Returns the program's variables of these indices, in an array of their shape."""
+        self.prog()
+        return self._variables[indices]
+
+    def initial_state(self) -> npt.NDArray[Any]:
+        """Returns x_0."""
+        return self.state(0)
+
+    def final_state(self) -> npt.NDArray[Any]:
+        """Returns x_N."""
+        return self.state(self.num_samples() - 1)
+
+    def _attach(self, evaluator: EvaluatorBase, variables: Iterable[Variable]) -> None:
+        """Adds a cost or a constraint of the class's own."""
+        self._own.add(evaluator)
+        self._num_bound += 1
+        if isinstance(evaluator, Cost):
+            self._prog.AddCost(evaluator, vars=variables)
+        else:
+            self._prog.AddConstraint(evaluator, vars=variables)
+
+    def _bound(self, variables: Any, lower: Any, upper: Any, name: str = "") -> None:
+        """Adds bounds, one for each variable or the same for all."""
+        flat = np.ravel(variables)
+        limits = (np.broadcast_to(bound, flat.shape) for bound in (lower, upper))
+        constraint = BoundingBoxConstraint(*limits)
+        constraint.set_description(name)
+        self._attach(constraint, flat)
+
+    def _bind_stages(self, shared: SharedEvaluator) -> None:
+        """Binds an evaluator to every step k = 0 … N−1."""
+        self._bind_each(shared, range(len(self._u)))
+
+    def _bind_each(self, shared: SharedEvaluator, knots: Iterable[int]) -> None:
+        for k in knots:
+            self._bind(shared, k)
+
+    def _bind(self, shared: SharedEvaluator, k: int) -> None:
+        """Binds an evaluator over the placeholders of knot k, its control and the next knot."""
+        if k not in self._chosen:
+            self._chosen[k] = substitutions(*zip(*self._stage(k), strict=True))
+        self._attach(shared.evaluator, shared.variables(self._chosen[k]))
+
+
+def _check_knot(name: str, k: int, count: int) -> None:
+    if not 0 <= operator.index(k) < count:
+        raise ProgramError(
+            f"{name}({k})",
+            got=f"knot {k}",
+            expected=f"one of 0 … {count - 1}",
+            remedy="GetSampleTimes() has their times, final_state() is the last one's.",
+        )

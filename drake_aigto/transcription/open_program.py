@@ -1,0 +1,273 @@
+"""A program over knots that users add to, and what they added, for AIGO and local solvers."""
+
+from __future__ import annotations
+
+import copy
+from abc import abstractmethod
+from functools import partial
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import numpy as np
+from pydrake.solvers import Binding, MathematicalProgram
+from pydrake.symbolic import Formula
+
+from drake_aigto.errors import ProgramError
+from drake_aigto.transcription.added_rows import SLACK, AddedRow, make_rows
+from drake_aigto.transcription.additions import Addition, Additions, Part, Place, read_binding
+from drake_aigto.transcription.consistency import check_bounds_of, check_linear, check_start
+from drake_aigto.transcription.knot_program import KnotProgram
+from drake_aigto.transcription.shared import SharedEvaluator, as_expression, shared_cost
+from drake_aigto.world import Scenario, World
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+_Self = TypeVar("_Self", bound="OpenProgram")
+
+
+class OpenProgram(KnotProgram):
+    """A program that users add to, by the calls that MultipleShooting has or to `prog()` itself.
+
+    `closed` is the program with what they added, for AIGO and local solvers.
+    """
+
+    def __init__(self, world: World, scenario: Scenario) -> None:
+        """Lays out the variables."""
+        # What the program has from its making on, and what users have added to it since.
+        self._additions, self._added = Additions(), Additions()
+        self._rows: list[AddedRow] = []
+        self._is_frozen = False
+        super().__init__(world, scenario)
+
+    @property
+    @abstractmethod
+    def _always_met(self) -> tuple[str, ...]:
+        """The names of linear rows of its own that every motion meets."""
+
+    @abstractmethod
+    def _add_scenario(self) -> None:
+        """Adds the initial state, the scenario's costs, and rows."""
+
+    def _add_all(self) -> None:
+        self._add_scenario()
+        self._bind_costs(self._additions)
+        for row in self._rows:
+            for read in row.reads:
+                self._attach(row.row, self._variables_at(read))
+            if row.slacks.size:
+                slacks = self._variables_at(row.slacks)
+                self._bound(slacks, *row.bounds, row.row.get_description())
+
+    def AddRunningCost(self, g: Any, description: str = "running cost") -> None:
+        """Adds Σ_{k<N} h_k g(x_k, u_k), where h_k is the time from knot k to the next.
+
+        Args:
+            g: polynomial in the placeholders `state()` and `input()`.
+            description: its name in the program and in costs by name.
+
+        Raises:
+            ProgramError: g reads other variables, or a plan was made already.
+        """
+        self._add(Additions(running=self._read(shared_cost(as_expression(g), description))))
+
+    def AddFinalCost(self, e: Any, description: str = "final cost") -> None:
+        """Adds e(x_N), polynomial in the placeholders `state()`.
+
+        Raises:
+            ProgramError: e reads other variables, or a plan was made already.
+        """
+        added = self._read(shared_cost(as_expression(e), description), reads_control=False)
+        self._add(Additions(final=added))
+
+    def AddConstraintToAllKnotPoints(
+        self, f: Formula | npt.NDArray[Any], description: str | None = None
+    ) -> None:
+        """Adds a constraint on placeholders at every knot, as MultipleShooting does.
+
+        Constraints that read the control act at k < N; the state is that before an impact.
+
+        Args:
+            f: a formula, or an array of them.
+            description: its name in verdicts; its text if None.
+
+        Raises:
+            ProgramError: f reads other variables than `state()` and `input()`, or a plan was made
+                already.
+        """
+        for formula in np.ravel(np.asarray(f, dtype=object)):
+            scratch = MathematicalProgram()
+            scratch.AddDecisionVariables(list(formula.GetFreeVariables()))
+            binding = scratch.AddConstraint(formula)
+            binding.evaluator().set_description(description or str(formula))
+            shared = SharedEvaluator(binding.evaluator(), tuple(binding.variables()))
+            self._add(Additions(everywhere=self._read(shared)))
+
+    def _add(self, more: Additions) -> None:
+        """Adds what is about every knot, as users wrote it."""
+        if self._is_frozen:
+            raise ProgramError(
+                "the program is planned with already",
+                got="another cost or constraint",
+                expected="all of them before the first plan",
+                remedy="Make a new Planner.",
+            )
+        self._bind_costs(more)
+        for each in more.everywhere:
+            for k in each.knots(len(self._u)):
+                self._attach(each.evaluator, self._variables_at(self._indices(each, k)))
+        self._added = self._added.joined(more)
+
+    def additions(self) -> Additions:
+        """Returns all that users have added so far.
+
+        Raises:
+            ProgramError: what was added is on variables that are not of the state or the control,
+                or the program's own costs and constraints are not all there.
+        """
+        foreign = self._foreign_bindings()
+        if not (foreign or self._added):
+            return self._additions
+        length, T = self.length_scale(), self.scenario.duration
+        scales: dict[Part, float] = {"q": length, "v": length / T}
+        scales["u"] = self.inertia() * length / T**2
+        places = self._places()
+        at_knots = tuple(
+            read_binding(
+                binding.evaluator(),
+                binding.variables(),
+                places,
+                expected="variables of state(k) and input(k)",
+                remedy="Write it as an expression of these: an inequality of several variables is "
+                "given one of its own.",
+            )
+            for binding in foreign
+        )
+        found = Additions(at_knots=at_knots, times=self.GetSampleTimes(), scales=scales)
+        return found.joined(self._additions).joined(self._added)
+
+    def closed(self: _Self) -> _Self:
+        """Returns this transcription with what users added, as AIGO and local solvers take it.
+
+        Inequalities of several variables have a variable of their own there.
+
+        Raises:
+            ProgramError: see `additions`; or what was added contradicts itself or the start.
+            UnsupportedTermError: a constraint whose formula Drake does not give.
+        """
+        additions = self.additions()
+        if additions is self._additions:
+            return self
+        start = self.scenario.initial_position, self.scenario.initial_velocity
+        check_bounds_of(additions)
+        check_start(additions, np.concatenate(start))
+        other = self.with_additions(additions)
+        check_linear(other.prog(), {*self._always_met, *(e.name for e in additions.constraints)})
+        return other
+
+    def with_additions(self: _Self, additions: Additions) -> _Self:
+        """Returns a copy of this transcription, as it was made, with these additions."""
+        other = copy.copy(self)
+        other._forget_program()
+        other._layout = self._layout.copy()
+        other._take(additions)
+        return other
+
+    def _take(self, additions: Additions) -> None:
+        """Lays out the variables that additions need; the program has them from its making on."""
+        self._additions, self._added, self._rows = additions, Additions(), []
+        for each in additions.constraints:
+            knots = each.knots(len(self._u))
+            reads = np.array([self._indices(each, k) for k in knots])
+            stages = np.array([self._stage_of(each, k) for k in knots])
+            new = partial(self._layout.new, SLACK)
+            self._rows += make_rows(each, additions, reads, stages, new)
+
+    def freeze(self) -> None:
+        """Refuses what is added from now on."""
+        self._is_frozen = True
+
+    def _foreign_bindings(self) -> list[Binding]:
+        """Returns the costs and constraints that were added to `prog()` itself."""
+        if self._made is None:
+            return []
+        bindings = [*self._made.GetAllCosts(), *self._made.GetAllConstraints()]
+        foreign = [each for each in bindings if each.evaluator() not in self._own]
+        if len(bindings) - len(foreign) != self._num_bound:
+            raise ProgramError(
+                "the program's own costs and constraints",
+                got=f"{len(bindings) - len(foreign)} of them",
+                expected=f"the {self._num_bound} that it was made with",
+                remedy="Add to it, but neither remove from it nor bind its own rows again.",
+            )
+        return foreign
+
+    @property
+    def _parts(self) -> dict[Part, npt.NDArray[np.int64]]:
+        return {"q": self._q, "v": self._v, "u": self._u}
+
+    @property
+    def _placeholders(self) -> dict[Part, npt.NDArray[Any]]:
+        world = self.world
+        return {"q": world.positions, "v": world.velocities, "u": world.controls}
+
+    def _places(self) -> dict[int, Place]:
+        """Returns the place of each variable of the state and the control, by its id."""
+        return {
+            self._variables[indices[k, i]].get_id(): Place(part, i, k)
+            for part, indices in self._parts.items()
+            for k, i in np.ndindex(*indices.shape)
+        }
+
+    def _read(self, shared: SharedEvaluator, reads_control: bool = True) -> tuple[Addition]:
+        """Returns what is about every knot, or about the last one, in placeholders."""
+        places = {
+            variable.get_id(): Place(part, i)
+            for part, variables in self._placeholders.items()
+            for i, variable in enumerate(variables)
+            if reads_control or part != "u"
+        }
+        expected = "the placeholders state() and input()" if reads_control else "those of state()"
+        remedy = "What is about one knot goes to prog()."
+        return (read_binding(shared.evaluator, shared.placeholders, places, expected, remedy),)
+
+    def _bind_costs(self, additions: Additions) -> None:
+        for each in additions.running:
+            read = [self._placeholders[place.part][place.coordinate] for place in each.places]
+            g = as_expression(each.evaluator.Eval(np.array(read))[0])
+            self._bind_stages(shared_cost(self._duration * g, each.name))
+        last = self.num_samples() - 1
+        for each in (*additions.final, *filter(lambda each: each.is_cost, additions.at_knots)):
+            self._attach(each.evaluator, self._variables_at(self._indices(each, last)))
+
+    def _stage_of(self, addition: Addition, k: int) -> int:
+        """Returns the last knot that an addition reads, places of any knot at k."""
+        return max(k if p.knot is None else self._knot(p.knot) for p in addition.places)
+
+    def _indices(self, addition: Addition, k: int) -> npt.NDArray[np.int64]:
+        """Returns the decision variables that an addition reads, places of any knot at k."""
+        return np.array(
+            [
+                self._parts[part][k if knot is None else self._knot(knot), coordinate]
+                for part, coordinate, knot in addition.places
+            ]
+        )
+
+    def _knot(self, k: int) -> int:
+        """Returns the knot at the time of knot k of the transcription that users added to."""
+        return k
+
+    def _stage_indices(self, k: int) -> npt.NDArray[np.int64]:
+        slacks = [row.slacks[row.stages == k] for row in self._rows if row.slacks.size]
+        return np.concatenate([super()._stage_indices(k), *slacks])
+
+    def vector_of(
+        self,
+        positions: npt.NDArray[np.float64],
+        velocities: npt.NDArray[np.float64],
+        controls: npt.NDArray[np.float64],
+    ) -> npt.NDArray[np.float64]:
+        """Returns all decision variables, for arrays as `split` returns them."""
+        x = super().vector_of(positions, velocities, controls)
+        for row in self._rows:
+            row.fill(x)
+        return x

@@ -1,0 +1,222 @@
+"""What users add to a program counts wherever the knots of a plan lie, or is refused by name."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from phase_solutions import MET, solve
+from pydrake.solvers import LorentzConeConstraint
+from pydrake.symbolic import sin
+from replay_worlds import shipped_world
+
+from drake_aigto.errors import AigtoError, ProgramError, UnsupportedTermError
+from drake_aigto.planning import RigidProblem
+from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch, TouchSequence
+from drake_aigto.transcription.additions import Samples
+from drake_aigto.world import Scenario
+
+# 1 m from a wall, towards it at 2 m/s.
+SCENARIO = Scenario(initial_position=1.0, initial_velocity=-2.0, goal_position=0.73, time_step=0.05)
+BOUNCE = (Touch.bounce(0.55),)
+
+
+def transcribe() -> RigidTranscription:
+    return RigidTranscription(shipped_world(), SCENARIO)
+
+
+def phases_with(boxes: RigidTranscription, sequence: TouchSequence = BOUNCE) -> Any:
+    """Returns the solved phases of a contact sequence, and their motion."""
+    phases = PhaseTranscription(shipped_world(), SCENARIO, sequence, additions=boxes.additions())
+    found = solve(phases)
+    motion = found.trajectory
+    samples = Samples(motion.times, motion.positions, motion.velocities, motion.controls)
+    return found, samples
+
+
+@pytest.mark.parametrize("sequence", [(), BOUNCE], ids=["flight", "bounce"])
+def test_a_state_is_met_at_its_time(sequence: TouchSequence) -> None:
+    boxes = transcribe()
+    k = boxes.knot_at(0.3)
+    boxes.prog().AddConstraint(boxes.state(k)[0] == 0.5)
+    boxes.prog().AddBoundingBoxConstraint(-0.1, 0.1, boxes.final_state()[1])
+    found, motion = phases_with(boxes, sequence)
+    row = int(np.searchsorted(motion.times, 0.3 - 1e-9))
+    assert motion.times[row] == pytest.approx(0.3, abs=1e-12)
+    assert motion.q[row, 0] == pytest.approx(0.5, abs=MET)
+    assert abs(motion.v[-1, 0]) <= 0.1 + MET
+    free, _ = phases_with(transcribe(), sequence)
+    assert found.cost > 1.5 * free.cost
+
+
+def test_a_control_is_held_where_it_is_bound_and_free_elsewhere() -> None:
+    boxes = transcribe()
+    boxes.prog().AddBoundingBoxConstraint(2.0, 2.0, boxes.input(4))
+    _, motion = phases_with(boxes)
+    inside = (motion.times[:-1] > 0.2 - 1e-9) & (motion.times[:-1] < 0.25 - 1e-9)
+    assert np.count_nonzero(inside) >= 1
+    np.testing.assert_allclose(motion.u[inside], 2.0, atol=MET)
+    assert np.all(np.abs(motion.u[~inside] - 2.0) > 1e-3)
+
+
+def test_what_couples_knots_is_carried() -> None:
+    boxes = transcribe()
+    early, late = boxes.state(4), boxes.state(9)
+    boxes.prog().AddConstraint(early[0] + late[0] <= 0.6)
+    boxes.prog().AddCost(10.0 * (boxes.input(15)[0] - boxes.input(16)[0] - 1.0) ** 2)
+    _, motion = phases_with(boxes)
+    q = np.interp([0.2, 0.45], motion.times, motion.q[:, 0])
+    assert 0.6 - 1e-6 < q.sum() <= 0.6 + MET
+    u = motion.u[np.searchsorted(motion.times, np.array([0.75, 0.8]) - 1e-9), 0]
+    assert u[0] - u[1] == pytest.approx(1.0, abs=0.05)
+
+
+def test_costs_and_violations_are_those_of_the_motion() -> None:
+    boxes = transcribe()
+    (u,), (q, v) = boxes.input(), boxes.state()
+    boxes.AddRunningCost(0.3 * q**2 * u, "mixed")
+    boxes.AddFinalCost(v, "end")
+    boxes.prog().AddCost(2.0 * boxes.state(3)[0] * boxes.state(5)[1])
+    boxes.AddConstraintToAllKnotPoints(u * v <= 0.5, "power")
+    boxes.prog().AddConstraint(sin(boxes.state(3)[0]) <= 0.1).evaluator().set_description("wave")
+    t = transcribe().GetSampleTimes()
+    x = np.random.default_rng(0).normal(size=(20, 3))
+    motion = Samples(t, np.append(x[:, :1], [[1.0]], 0), np.append(x[:, 1:2], [[2.0]], 0), x[:, 2:])
+    additions = boxes.additions()
+    costs = additions.costs(motion)
+    assert costs["mixed"] == pytest.approx(0.3 * 0.05 * np.sum(x[:, 0] ** 2 * x[:, 2]))
+    assert costs["end"] == 2.0
+    (unnamed,) = set(costs) - {"mixed", "end"}
+    assert re.fullmatch(r"cost on q\(3\), v\(5\)", unnamed)
+    assert costs[unnamed] == pytest.approx(2 * x[3, 0] * x[5, 1])
+    # Missed to first order by so many parts of lengths, speeds and forces of the task.
+    violations, s = additions.violations(motion), additions.scales
+    power = x[:, 1] * x[:, 2] - 0.5
+    parts = power / (np.abs(x[:, 1]) * s["u"] + np.abs(x[:, 2]) * s["v"])
+    assert violations["power"] == pytest.approx(np.max(parts))
+    over = (np.sin(x[3, 0]) - 0.1) / (np.abs(np.cos(x[3, 0])) * s["q"])
+    assert violations["wave"] == pytest.approx(max(over, 0.0))
+
+
+def test_inequalities_of_several_variables_shape_boxes_and_phases() -> None:
+    boxes = transcribe()
+    (u,), (_, v) = boxes.input(), boxes.state()
+    boxes.AddConstraintToAllKnotPoints(-u * v <= 0.4, "braking power")
+    boxes.prog().AddConstraint(boxes.state(4)[0] + boxes.input(4)[0] / 10 <= 0.55)
+    _, motion = phases_with(boxes)
+    assert np.max(-motion.u * motion.v[:-1]) <= 0.4 + MET
+    row = int(np.searchsorted(motion.times, 0.2 - 1e-9))
+    assert motion.q[row, 0] + motion.u[row, 0] / 10 <= 0.55 + MET
+    assert max(boxes.additions().violations(motion).values()) <= MET
+    closed = boxes.closed()
+    center, half_width = closed.initial_box()
+    assert center.size == half_width.size == closed.prog().num_vars()
+    assert closed.prog().num_vars() == boxes.prog().num_vars() + 20 + 1
+    np.testing.assert_array_equal(
+        np.sort(closed.elimination_order()), np.arange(closed.prog().num_vars())
+    )
+
+
+Add = Callable[[RigidTranscription], Any]
+
+
+def positive_definite(t: RigidTranscription) -> Any:
+    x = t.state(3)
+    return t.prog().AddPositiveSemidefiniteConstraint(np.array([[x[0], x[1]], [x[1], x[0]]]))
+
+
+def cone(t: RigidTranscription) -> Any:
+    constraint = LorentzConeConstraint(np.eye(2), np.zeros(2))
+    constraint.set_description("cone")
+    return t.prog().AddConstraint(constraint, vars=t.state(3))
+
+
+def of_python(t: RigidTranscription) -> Any:
+    return t.prog().AddConstraint(lambda x: x, [0.0], [1.0], t.state(3)[:1], "of Python")
+
+
+def cost_of_python(t: RigidTranscription) -> Any:
+    return t.prog().AddCost(lambda x: x[0], t.state(3), "of Python")
+
+
+@pytest.mark.parametrize(
+    ("add", "message"),
+    [
+        (positive_definite, "got a PositiveSemidefiniteConstraint, whose formula"),
+        (cone, "'cone' can't be met: got a LorentzConeConstraint"),
+        (of_python, "'of Python' can't be met: got a PyFunctionConstraint"),
+        (cost_of_python, "'of Python' of q(3), v(3) can't be integrated"),
+        (lambda t: t.prog().AddCost(t.state(3)[0] ** 4), "got a PolynomialCost"),
+    ],
+)
+def test_kinds_that_cannot_be_carried_are_refused_by_name(add: Add, message: str) -> None:
+    transcription = transcribe()
+    add(transcription)
+    with pytest.raises(UnsupportedTermError, match=re.escape(message)):
+        RigidProblem(transcription)
+
+
+def slack_of_ones_own(t: RigidTranscription) -> None:
+    (s,) = t.prog().NewContinuousVariables(1, "mine")
+    t.prog().AddConstraint(t.state(3)[0] == s)
+
+
+def contradicting(t: RigidTranscription) -> None:
+    t.prog().AddConstraint(t.state(3)[0] >= 0.7).evaluator().set_description("far")
+    t.prog().AddConstraint(t.state(3)[0] + t.state(3)[1] <= 0.1).evaluator().set_description("sum")
+    t.prog().AddConstraint(t.state(3)[1] >= -0.5).evaluator().set_description("slow")
+
+
+def removing(t: RigidTranscription) -> None:
+    prog = t.prog()
+    prog.RemoveConstraint(prog.GetAllConstraints()[0])
+
+
+@pytest.mark.parametrize(
+    ("add", "message"),
+    [
+        (slack_of_ones_own, "on q(3), mine(0)': got the variable mine(0), expected variables of"),
+        (removing, "the program's own costs and constraints: got"),
+        (
+            lambda t: t.prog().AddBoundingBoxConstraint(1.0, 0.5, t.state(3)[0]),
+            "the bounds of the constraint 'constraint on q(3)': got [1, 0.5]",
+        ),
+        (
+            lambda t: t.prog().AddBoundingBoxConstraint(1.1, 2.0, t.initial_state()[0]),
+            "the constraint 'constraint on q(0)': got an initial state that misses it by 0.1",
+        ),
+        (
+            lambda t: t.AddConstraintToAllKnotPoints(t.state()[1] ** 2 <= 1.0, "slow"),
+            "the constraint 'slow': got an initial state that misses it",
+        ),
+        (
+            contradicting,
+            "contradict each other: got 'sum' on q(3), v(3); 'far' on q(3); 'slow' on v(3),",
+        ),
+        (
+            lambda t: t.prog().AddConstraint(t.state(9)[0] <= -0.1),
+            "contradict each other: got 'nonpenetration' on q(9); 'constraint on q(9)' on q(9)",
+        ),
+        (lambda t: t.state(21), "state(21): got knot 21, expected one of 0 … 20"),
+        (lambda t: t.state(-1), "state(-1): got knot -1, expected one of 0 … 20"),
+        (lambda t: t.input(20), "input(20): got knot 20, expected one of 0 … 19"),
+        (lambda t: t.knot_at(0.31), "time: got 0.31 s, expected a knot's, as 0.3 and 0.35"),
+        (
+            lambda t: t.AddRunningCost(t.state(2)[0] ** 2, "one"),
+            "the cost 'one': got the variable q(2), expected the placeholders state()",
+        ),
+        (
+            lambda t: t.AddFinalCost(t.input()[0] ** 2, "end"),
+            "the cost 'end': got the variable",
+        ),
+    ],
+)
+def test_what_cannot_be_met_is_one_clear_error(add: Add, message: str) -> None:
+    transcription = transcribe()
+    with pytest.raises(ProgramError, match=re.escape(message)) as caught:
+        add(transcription)
+        RigidProblem(transcription)
+    assert isinstance(caught.value, AigtoError)
