@@ -6,3 +6,5 @@ from .nlp import PolynomialNlp as PolynomialNlp
 from .result import LocalIterate as LocalIterate
 from .result import LocalResult as LocalResult
 from .result import LocalStatus as LocalStatus
+
+__all__: list[str]

@@ -20,3 +20,5 @@ from .sums import TermBlock as TermBlock
 from .tables import FACTOR as FACTOR
 from .tables import StackedTerms as StackedTerms
 from .tables import stack_terms as stack_terms
+
+__all__: list[str]
