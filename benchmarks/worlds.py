@@ -137,10 +137,8 @@ def is_equivalent(world: World, one: Sequence[Touch], other: Sequence[Touch]) ->
 
     That is so if and only if the parts of both that are of any two contacts which do, are equal.
     """
-    q = world.plant.GetDefaultPositions()
-    coupling = world.calc_contact_jacobian(q) @ np.column_stack(
-        [world.calc_velocity_change(q, unit) for unit in np.eye(world.num_contacts)]
-    )
+    inertia = world.constant_inertia
+    coupling = inertia.jacobian @ inertia.kicks.T
     pairs = np.argwhere(np.abs(coupling) > 0).tolist()
     return all(
         [(touch.contact, touch.lasts) for touch in one if touch.contact in pair]

@@ -11,7 +11,7 @@ from replay_worlds import make_diagram, make_scenario, shipped_world
 from rigid_worlds import Array
 from several_walls import make_task, shipped
 
-from drake_aigto import Scenario, UnsupportedTermError, World
+from drake_aigto import ModelError, Scenario, UnsupportedTermError, World
 from drake_aigto.local import InteriorPoint, LocalResult, PolynomialNlp
 from drake_aigto.planning.arcs import Arcs, solve_in_arcs
 from drake_aigto.transcription import Facing, PhaseTranscription, Touch, TouchSequence
@@ -115,8 +115,9 @@ def test_a_motion_through_arcs_and_back_is_the_same() -> None:
 
 
 def test_springs_and_dampers_have_no_arcs() -> None:
-    assert World.from_diagram(make_diagram(gravity=3.0)).has_constant_bias
-    assert not World.from_diagram(make_diagram(spring=30.0)).has_constant_bias
+    world = World.from_diagram(make_diagram(spring=30.0))
+    with pytest.raises(ModelError, match=r"the bias h\(q, v\): got .*, expected a constant"):
+        Arcs(PhaseTranscription(world, make_scenario()))
 
 
 def test_no_arcs_where_the_solver_fails_or_walls_would_pull() -> None:

@@ -48,7 +48,7 @@ def roll_out(
 ) -> Recording:
     world = world_of(name)
     restitutions = np.full(world.num_contacts, e)
-    return Parabolas(world, restitutions, start, times).record(controls)
+    return Parabolas(world.constant_dynamics, restitutions, start, times).record(controls)
 
 
 def follows_chatter(recording: Recording) -> bool:
@@ -86,8 +86,8 @@ def test_the_road_is_chosen_by_what_the_world_does(monkeypatch: pytest.MonkeyPat
     monkeypatch.setattr("drake_aigto.simulation.replay.simulate_rigid_wall", refuse)
     heavy = World.from_diagram(make_diagram(gravity=3.0))
     springy = World.from_diagram(make_diagram(spring=3.0))
-    assert all(world_of(name).has_constant_bias for name in WORLDS)
-    assert heavy.has_constant_bias and not springy.has_constant_bias
+    assert all(world_of(name).has_constant_dynamics for name in WORLDS)
+    assert heavy.has_constant_dynamics and not springy.has_constant_dynamics
     assert replay_event_driven(heavy, make_scenario(), *hold(0.0)).bounce_times
     with pytest.raises(AssertionError, match="simulated"):
         replay_event_driven(springy, make_scenario(), *hold(0.0))
@@ -116,7 +116,8 @@ def test_a_parabola_over_a_block_comes_down_on_it() -> None:
     # In front of its left side until it is above; x passes that side once, y its top twice.
     world, e = shipped("room_with_block"), np.full(8, 1.0)
     start = np.array([0.3, 0.55]), np.array([0.5, 1.5])
-    recording = Parabolas(world, e, start, np.array([0.0, 0.5])).record(np.array([[0.0, -6.0]]))
+    walls = Parabolas(world.constant_dynamics, e, start, np.array([0.0, 0.5]))
+    recording = walls.record(np.array([[0.0, -6.0]]))
     (impact,) = recording.impacts
     assert world.contacts[impact.contact].name.endswith("+y face")
     fall = 0.55 + 1.5 * impact.time - 3 * impact.time**2
@@ -126,7 +127,7 @@ def test_a_parabola_over_a_block_comes_down_on_it() -> None:
 def test_the_edge_is_left_when_it_is_reached() -> None:
     times, start = np.linspace(0.0, 0.6, 4), (np.array([0.45, 0.6]), np.array([0.5, 0.0]))
     world, u = shipped("room_with_block"), np.tile([0.0, -5.0], (3, 1))
-    recording = Parabolas(world, np.zeros(8), start, times).record(u)
+    recording = Parabolas(world.constant_dynamics, np.zeros(8), start, times).record(u)
     edge = (0.6 - 0.45) / 0.5
     falls = np.maximum(times - edge, 0.0)
     np.testing.assert_allclose(np.array(recording.positions)[:, 1], 0.6 - 2.5 * falls**2, atol=1e-6)

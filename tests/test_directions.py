@@ -33,13 +33,13 @@ def world(request: pytest.FixtureRequest) -> World:
 
 
 def test_directions_hold_every_contact_and_tangents_none(world: World) -> None:
-    ways = ImpulseDirections.of(world)
+    ways = ImpulseDirections.of(world.constant_inertia)
     # What no direction holds and no tangent sees would be an impulse out of nowhere.
     assert np.linalg.matrix_rank(np.vstack([ways.readers, ways.tangents.T])) == world.num_velocities
     np.testing.assert_allclose(ways.jacobians @ ways.tangents, 0.0, atol=1e-14)
     assert np.all(np.any(ways.shares != 0, axis=0))
     np.testing.assert_allclose(ways.shares, ways.readers @ ways.jacobians.T, atol=1e-12)
-    M = world.mass_matrix_values
+    M = world.constant_inertia.mass_matrix
     np.testing.assert_allclose(ways.masses, [rho @ M @ rho for rho in ways.readers])
     np.testing.assert_allclose(np.max(np.abs(ways.shares), axis=1), 1.0)
     if ways.are_independent:
@@ -49,11 +49,11 @@ def test_directions_hold_every_contact_and_tangents_none(world: World) -> None:
 def test_only_bodies_in_a_row_push_in_directions_that_depend_on_each_other() -> None:
     for name in NAMES:
         expected = not name.startswith("two_masses")
-        assert ImpulseDirections.of(world_of(name)).are_independent is expected
+        assert ImpulseDirections.of(world_of(name).constant_inertia).are_independent is expected
 
 
 def pushes_of(world: World, one: Array, distances: Array) -> Array:
-    ways = ImpulseDirections.of(world)
+    ways = ImpulseDirections.of(world.constant_inertia)
     net = ways.jacobians.T @ one
     in_force = np.ones((1, world.num_contacts), dtype=bool)
     return ways.contact_impulses(net[np.newaxis], distances[np.newaxis], in_force)[0]
@@ -85,7 +85,7 @@ def test_two_walls_of_a_corner_push_at_once() -> None:
     normals = [contact.name for contact in world.contacts]
     impulses = np.zeros(4)
     # One of each axis: the walls are two and two.
-    J = ImpulseDirections.of(world).jacobians
+    J = ImpulseDirections.of(world.constant_inertia).jacobians
     first = 0
     second = next(i for i in range(4) if abs(J[i] @ J[first]) < 1e-12)
     impulses[[first, second]] = 2.0, 3.0
@@ -96,13 +96,13 @@ def test_two_walls_of_a_corner_push_at_once() -> None:
 
 
 def test_a_pull_is_the_nearest_walls() -> None:
-    ways = ImpulseDirections.of(world_of("floor/rebound"))
+    ways = ImpulseDirections.of(world_of("floor/rebound").constant_inertia)
     pull = ways.contact_impulses(np.array([[-2.0]]), np.array([[0.3]]), ALL)
     np.testing.assert_allclose(pull, [[-2.0]])
 
 
 def test_a_contact_that_is_not_in_force_pushes_nothing() -> None:
-    ways = ImpulseDirections.of(world_of("corridor/three_bounces"))
+    ways = ImpulseDirections.of(world_of("corridor/three_bounces").constant_inertia)
     net, distances = np.array([[1.5]]), np.array([[0.2, 0.8]])
     none = ways.contact_impulses(net, distances, np.array([[False, False]]))
     np.testing.assert_array_equal(none, 0.0)

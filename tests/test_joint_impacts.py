@@ -14,14 +14,13 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 from rest_solutions import least_rest
-from rigid_worlds import Array
 from unfolded_flights import MODELS, Flight
 
 from drake_aigto import OptionsError, Scenario, World
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import PhaseTranscription, Touch, TouchSequence, joint_times
-from drake_aigto.transcription.rigid_contact import JointImpact, RigidContact, rigid_defects
-from drake_aigto.world import files
+from drake_aigto.transcription.rigid_contact import JointImpact, rigid_defects
+from drake_aigto.world import ConstantInertia, files
 
 G = 9.81
 
@@ -40,18 +39,12 @@ def load(model: str, gravity: tuple[float, float, float] = (0.0, 0.0, -G)) -> Wo
 # Impact maps.
 
 
-def make_contacts(
-    rng: np.random.Generator, count: int, size: int
-) -> tuple[list[RigidContact], Array]:
-    """Returns contacts by chance, and the mass matrix."""
+def make_inertia(rng: np.random.Generator, count: int, size: int) -> ConstantInertia:
+    """Returns contacts and a mass matrix by chance."""
     root = rng.normal(size=(size, size))
-    M = root @ root.T + np.eye(size)
-    contacts = []
-    for J in rng.normal(size=(count, size)):
-        kick = np.linalg.solve(M, J)
-        mass = float(1 / (J @ kick))
-        contacts.append(RigidContact(J, mass * kick, mass))
-    return contacts, M
+    M, J = root @ root.T + np.eye(size), rng.normal(size=(count, size))
+    solids = tuple((i,) for i in range(count))
+    return ConstantInertia(M, np.eye(size), J, np.zeros(count), solids)
 
 
 @given(seed=st.integers(0, 1000), count=st.integers(1, 3))
@@ -59,34 +52,31 @@ def test_contacts_struck_at_once_return_their_speeds_and_nothing_else(
     seed: int, count: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    contacts, M = make_contacts(rng, count, size=3)
-    J = np.array([contact.jacobian for contact in contacts])
+    inertia = make_inertia(rng, count, size=3)
+    M, J, every = inertia.mass_matrix, inertia.jacobian, range(count)
     e, before = rng.uniform(0, 1, count), rng.normal(size=3)
-    impact = JointImpact.of(contacts, e)
+    impact = JointImpact.of(inertia, every, e)
     after = impact.velocities @ before
     np.testing.assert_allclose(J @ after, -e * (J @ before), atol=1e-7)
     # Nothing but these impulses acts.
     np.testing.assert_allclose(M @ (after - before), J.T @ impact.impulses @ before, atol=1e-7)
-    elastic = JointImpact.of(contacts, np.ones(count)).velocities @ before
+    elastic = JointImpact.of(inertia, every, np.ones(count)).velocities @ before
     assert elastic @ M @ elastic == pytest.approx(before @ M @ before)
     assert np.all(impact.coupled) == (count > 1)
 
 
 def test_walls_at_right_angles_do_not_feel_each_other() -> None:
-    contacts = [RigidContact.of(load("room"), i) for i in (0, 2)]
-    both = JointImpact.of(contacts, [1.0, 0.5])
+    inertia = load("room").constant_inertia
+    both = JointImpact.of(inertia, [0, 2], [1.0, 0.5])
     assert not both.coupled.any()
-    first, second = (
-        JointImpact.of([contact], [e]).velocities
-        for contact, e in zip(contacts, (1.0, 0.5), strict=True)
-    )
+    first = JointImpact.of(inertia, [0], [1.0]).velocities
+    second = JointImpact.of(inertia, [2], [0.5]).velocities
     np.testing.assert_allclose(both.velocities, first @ second, atol=1e-15)
 
 
 def test_contacts_that_imply_each_other_are_refused() -> None:
-    contacts = [RigidContact.of(load("corridor"), i) for i in (0, 1)]
     with pytest.raises(OptionsError) as error:
-        JointImpact.of(contacts, [1.0, 1.0])
+        JointImpact.of(load("corridor").constant_inertia, [0, 1], [1.0, 1.0])
     assert str(error.value) == (
         "sequence: got 2 contacts at once that can't all be told apart, expected contacts with "
         "independent Jacobians. Leave out those that the others imply."

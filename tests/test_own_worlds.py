@@ -98,7 +98,7 @@ def test_a_users_own_urdf_is_read_by_a_relative_path(
     (tmp_path / "own.urdf").write_text(URDF, encoding="utf-8")
     monkeypatch.chdir(tmp_path)
     world = World.from_scenario(make_scenario("own.urdf"))
-    assert world.mass_matrix_values.tolist() == [[2.0]]
+    assert world.constant_inertia.mass_matrix.tolist() == [[2.0]]
     assert differs_by_zero(world.bias[0], 0.4 * world.velocities[0])
     assert differs_by_zero(world.contacts[0].signed_distance, world.positions[0])
 

@@ -59,7 +59,7 @@ def test_other_quantities_are_parts_of_themselves() -> None:
     world, scenario = perturbation.apply(shipped_world(2.0), make_scenario(mass=2, restitution=0.8))
     assert scenario.initial_velocity == pytest.approx([-2.2])
     assert scenario.mass == world.mass == pytest.approx(1.6)
-    assert world.mass_matrix_values == pytest.approx(np.array([[1.6]]))
+    assert world.constant_inertia.mass_matrix == pytest.approx(np.array([[1.6]]))
     assert scenario.restitution == pytest.approx(0.84)
     assert scenario.initial_position == make_scenario().initial_position
 

@@ -19,7 +19,7 @@ from drake_aigto import ModelError, OptionsError, Scenario, World
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Transcription
-from drake_aigto.transcription.rigid_contact import JointImpact, RigidContact, rigid_defects
+from drake_aigto.transcription.rigid_contact import JointImpact, rigid_defects
 from drake_aigto.world.contact import Contact
 
 Array = npt.NDArray[np.float64]
@@ -256,8 +256,7 @@ def test_a_contact_that_turns_is_refused(
     with pytest.raises(ModelError) as error:
         kind(bent, make_scenario())
     assert str(error.value) == (
-        "the contact bent turns as the plant moves: got the signed distance pow(q(0), 2), expected "
-        "one that is affine in the positions. Use the literal transcription."
+        "∂φ/∂q of bent: got (2 * q(0)), expected a constant. Use the literal transcription."
     )
 
 
@@ -335,15 +334,15 @@ def test_flight_and_dynamics_defects_have_their_units() -> None:
 
 
 def test_the_impact_map_keeps_what_moves_along_the_wall(physics: Physics) -> None:
-    contact = RigidContact.of(physics.world)
-    assert contact.mass == pytest.approx(physics.contact_mass)
-    np.testing.assert_allclose(contact.lift, physics.lift)
-    assert np.all(np.abs(contact.lift) > 0.1)  # An impulse moves all of them.
+    inertia = physics.world.constant_inertia
+    assert inertia.masses == pytest.approx(physics.contact_mass)
+    np.testing.assert_allclose(inertia.lifts, [physics.lift])
+    assert np.all(np.abs(inertia.lifts) > 0.1)  # An impulse moves all of them.
     before = np.random.default_rng(0).normal(size=physics.size)
-    after = JointImpact.of([contact], [0.6]).velocities @ before
+    after = JointImpact.of(inertia, [0], [0.6]).velocities @ before
     assert physics.jacobian @ after == pytest.approx(-0.6 * (physics.jacobian @ before))
     # No impulse along the wall; and an elastic impact keeps the energy.
     jump = physics.mass @ (after - before)
     np.testing.assert_allclose(jump, physics.jacobian * (jump @ physics.lift), atol=1e-12)
-    elastic = JointImpact.of([contact], [1.0]).velocities @ before
+    elastic = JointImpact.of(inertia, [0], [1.0]).velocities @ before
     assert elastic @ physics.mass @ elastic == pytest.approx(before @ physics.mass @ before)

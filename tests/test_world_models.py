@@ -71,7 +71,7 @@ def test_a_shipped_world_is_what_its_brief_says(name: str) -> None:
     for contact, distance in zip(world.contacts, walls, strict=False):
         assert differs_by_zero(contact.signed_distance, distance)
     nq = world.num_positions
-    np.testing.assert_array_equal(world.mass_matrix_values, np.eye(nq))
+    np.testing.assert_array_equal(world.constant_inertia.mass_matrix, np.eye(nq))
     np.testing.assert_array_equal(world.actuation, np.eye(nq))
     weight = 9.81 if name == "floor" else 0.0
     for entry in world.bias:

@@ -347,7 +347,7 @@ def test_worlds_without_axes_of_their_own_are_refused(model: str, message: str) 
 
 def test_a_spring_is_refused() -> None:
     world = World.from_diagram(make_diagram(spring=3.0, reference=0.5))
-    with pytest.raises(ModelError, match=r"got a bias h\(q, v\) = .*3 \*.*, expected a constant"):
+    with pytest.raises(ModelError, match=r"the bias h\(q, v\): got .*3 \*.*, expected a constant"):
         walls_optimum(world, make_scenario())
 
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drake_aigto.baselines.baseline import Recorder
-from drake_aigto.errors import ModelError
 from drake_aigto.simulation.rollout import Parabolas
 from drake_aigto.transcription import RigidTranscription
 
@@ -47,26 +46,20 @@ class ControlSpace:
         recorder: of the question; it is offered what is worth it.
 
     Raises:
-        ModelError: flight is no parabola in this world.
+        ModelError: flight is no parabola in this world (`World.constant_dynamics`).
     """
 
     def __init__(self, recorder: Recorder) -> None:
         """Reads the scale and the walls."""
         world, scenario = recorder.world, recorder.scenario
-        if not world.has_constant_bias:
-            raise ModelError(
-                "sampling over controls",
-                got="a bias h(q, v) that varies",
-                expected="flight in parabolas under a held control",
-                remedy="In this world run the gradient solvers, smoothing or enumeration.",
-            )
+        dynamics = world.constant_dynamics
         coarse = dataclasses.replace(scenario, time_step=scenario.duration)
         transcription = RigidTranscription(world, coarse)
         self._scale = transcription.split(transcription.initial_box()[1])[2][0]
         self._recorder = recorder
         start = scenario.initial_position, scenario.initial_velocity
         times = np.linspace(0.0, scenario.duration, _PIECES * _STEPS + 1)
-        self._walls = Parabolas(world, world.restitutions(scenario), start, times)
+        self._walls = Parabolas(dynamics, world.restitutions(scenario), start, times)
         self._offered = np.inf
         self.dimension = _PIECES - 1 + 2 * _PIECES * self._scale.size
 

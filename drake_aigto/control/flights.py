@@ -11,7 +11,6 @@ from pydrake.polynomial import Polynomial
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.errors import TrajectoryError
-from drake_aigto.simulation.contact_motion import contact_motion
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -115,7 +114,7 @@ def _check(world: World, trajectory: Trajectory) -> None:
     several = np.flatnonzero(np.count_nonzero(impulses, axis=1) > 1)
     if several.size:
         raise _refuse(f"several at once, at {times[several[0]]:.3f} s", remedy)
-    speeds = trajectory.velocities[:-1] @ contact_motion(world).jacobian.T
+    speeds = trajectory.velocities[:-1] @ world.constant_inertia.jacobian.T
     slowest = -_GRAZE * float(np.max(np.linalg.norm(trajectory.velocities, axis=1)))
     grazes = np.flatnonzero(((impulses != 0) & (speeds >= slowest)).any(axis=1))
     if grazes.size:
@@ -182,16 +181,16 @@ def _make_bounce(world: World, scenario: Scenario, trajectory: Trajectory, k: in
     comes after, f⁺.
     """
     (contact,) = np.flatnonzero(trajectory.impulses[k])
-    motion, n = contact_motion(world), world.num_positions
+    inertia, n = world.constant_inertia, world.num_positions
     e = world.restitutions(scenario)[contact]
     D = np.eye(2 * n)
-    D[n:, n:] -= (1 + e) * np.outer(motion.lifts[contact], motion.jacobian[contact])
+    D[n:, n:] -= (1 + e) * np.outer(inertia.lifts[contact], inertia.jacobian[contact])
     q, v = trajectory.positions[k], trajectory.velocities[k]
     after = D[n:, n:] @ v
     before, later = (
         np.concatenate([speed, world.calc_acceleration(q, speed, u)])
         for speed, u in ((v, trajectory.controls[k - 1]), (after, trajectory.controls[k]))
     )
-    normal = np.concatenate([motion.jacobian[contact], np.zeros(n)])
+    normal = np.concatenate([inertia.jacobian[contact], np.zeros(n)])
     saltation = D + np.outer(later - D @ before, normal) / float(normal @ before)
     return Bounce(float(trajectory.times[k]), int(contact), saltation)

@@ -149,7 +149,7 @@ def _make_flight_system(world: World) -> Any:
     # NumPy takes Drake's boxed constants for invalid numbers, and warns.
     with np.errstate(invalid="ignore"):
         force = world.actuation @ world.controls - world.bias
-        acceleration = np.linalg.inv(world.mass_matrix_values) @ force
+        acceleration = world.constant_inertia.inverse_mass @ force
     return SymbolicVectorSystem(
         state=np.concatenate([world.positions, world.velocities]),
         input=world.controls,

@@ -129,15 +129,15 @@ class LiteralTranscription(Transcription):
         1e-5 m. As far as the defects can be actuated, nothing is left.
         """
         q, v, u = self.split(x)
-        gain = np.linalg.pinv(self.world.actuation) @ self.world.mass_matrix_values / self._dt
-        return self.vector_of(q, v, u + self._dynamics_defects(x) @ gain.T)
+        M, inverse = self.world.calc_mass_matrix(q[:-1]), np.linalg.pinv(self.world.actuation)
+        missed = np.einsum("kij,kj->ki", M, self._dynamics_defects(x)) / self._dt
+        return self.vector_of(q, v, u + missed @ inverse.T)
 
     def _dynamics_defects(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns v_{k+1} − v_k − dt M⁻¹ (B u_k − h + J_kᵀ λ_k), shape (N, nv) [m/s]."""
         q, v, u = self.split(x)
-        stages = list(zip(q, v, u, self.impulses(x), strict=False))
-        free = np.array([self.world.calc_acceleration(*stage[:3]) for stage in stages])
-        kick = np.array([self.world.calc_velocity_change(q_k, p) for q_k, _, _, p in stages])
+        free = self.world.calc_acceleration(q[:-1], v[:-1], u)
+        kick = self.world.calc_velocity_change(q, self.impulses(x))[:-1]
         defects: npt.NDArray[np.float64] = v[1:] - v[:-1] - self._dt * free - kick
         return defects
 

@@ -225,7 +225,7 @@ def _euler_step(
     force = world.actuation @ world.controls - world.bias
     for contact in world.contacts:
         force = force + contact.jacobian * law(contact.signed_distance)
-    acceleration = np.linalg.inv(world.mass_matrix_values) @ force
+    acceleration = world.constant_inertia.inverse_mass @ force
     slope = np.concatenate([world.velocities, acceleration])
     return names, [as_expression(part).Expand() for part in names + dt * slope]
 

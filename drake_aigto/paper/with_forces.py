@@ -197,15 +197,14 @@ class RigidWithForces(ForceVariables, RigidTranscription):
     def _add_rows(self) -> None:
         L, T = self._units()
         after, momentum = self._add_flight_rows()
-        self._add_impulse_rows(momentum, max(c.mass for c in self._contacts) * L / T)
+        self._add_impulse_rows(momentum, np.max(self._inertia.masses) * L / T)
         restitutions = self.world.restitutions(self.scenario)
         before = self.world.velocities
-        for i, contact in enumerate(self._contacts):
-            jump = self._impulse[i] / contact.mass * T / L
+        for i, d in enumerate(self._inertia.jacobian):
+            jump = self._impulse[i] / self._inertia.masses[i] * T / L
             phi = self.world.contacts[i].signed_distance / L
             pushed = jump * phi - self.relaxation * self._dt / T
-            d, e = contact.jacobian, float(restitutions[i])
-            returned = jump * (d @ after + e * (d @ before)) * T / L
+            returned = jump * (d @ after + float(restitutions[i]) * (d @ before)) * T / L
             knots = (np.flatnonzero(self._fronts[1:-1, i]) + 1).tolist()
             self._bind(shared_constraint(as_expression(jump), CONTACT), 0)
             self._bind_each(shared_constraint(as_expression(pushed), CONTACT), knots)

@@ -108,13 +108,7 @@ class Arcs:
         self._counts = np.diff(self._knots)
         self._roots = np.sqrt((self._counts**2 - 1) / 3) / self._counts  # √ρ
         self._rests = line.rests[self._knots[:-1]]
-        world, zero = phases.world, np.zeros(phases.world.num_positions)
-        inverse = np.linalg.inv(world.mass_matrix_values)
-        self._gain = inverse @ world.actuation
-        self._drift = world.drift
-        self._jacobian = world.calc_contact_jacobian(zero)
-        self._offsets = world.calc_signed_distance(zero)
-        self._kicks = inverse @ self._jacobian.T
+        self._dynamics = phases.world.constant_dynamics
         self._builder = NlpBuilder()
         self._make_variables()
         for rests in dict.fromkeys(map(tuple, self._rests.tolist())):
@@ -132,7 +126,7 @@ class Arcs:
 
     def _make_variables(self) -> None:
         new, bound, scenario = self._builder.new, self._builder.bound, self._phases.scenario
-        J, (nq, nu) = len(self._counts), self._gain.shape
+        J, (nq, nu) = len(self._counts), self._dynamics.gain.shape
         self._q, self._v, self._t = new(J + 1, nq), new(J + 1, nq), new(J + 1)
         self._a, self._b, self._h = new(J, nu), new(J, nu), new(J)
         self._f, self._g = new(*self._rests.shape), new(*self._rests.shape)
@@ -165,8 +159,8 @@ class Arcs:
         q, w, next_q, next_v, a, b, f, g, (H,), (r,) = (
             places.tolist() for places in np.split(np.arange(ends[-1]), ends[:-1])
         )
-        for i, drift in enumerate(self._drift):
-            pushes = [*self._gain[i], *self._kicks[i, rests]]
+        for i, drift in enumerate(self._dynamics.drift):
+            pushes = [*self._dynamics.gain[i], *self._dynamics.kicks[rests, i]]
             flight: list[Monomial] = [(1.0, (next_q[i],)), (-1.0, (q[i],))]
             flight += [(-0.5, (H, speed)) for speed in (w[i], next_v[i])]
             flight += [(push, (r, H, H, x)) for push, x in zip(pushes, [*b, *g], strict=True)]
@@ -206,7 +200,7 @@ class Arcs:
             (CONTACT, line.held, 0.0, 0.0),
         ):
             for j, i in np.argwhere(mask[self._knots[1:]]).tolist():
-                J, offset = self._jacobian[i], self._offsets[i]
+                J, offset = self._dynamics.jacobian[i], self._dynamics.offset[i]
                 self._builder.bound_sum(name, J, self._q[j + 1], lower, upper, offset)
 
     def _add_touches(self) -> None:
@@ -215,7 +209,9 @@ class Arcs:
         for j, k in enumerate(self._knots.tolist()):
             for i in np.flatnonzero(phases.timeline.starts[k]).tolist():
                 least = 0.0 if phases.stays(k, i) else -np.inf
-                self._builder.bound_sum(RESTITUTION, self._jacobian[i], self._v[j], least, 0.0)
+                self._builder.bound_sum(
+                    RESTITUTION, self._dynamics.jacobian[i], self._v[j], least, 0.0
+                )
             if k in phases.impacts:
                 impact = phases.impacts[k]
                 for row in impact.impulses[impact.coupled]:
@@ -234,7 +230,7 @@ class Arcs:
             ends += [
                 builder.new_sum(CONTACT, np.array([1.0, side]), both) for side in (-tilt, tilt)
             ]
-            builder.bound_sum(CONTACT, self._jacobian[i], self._v[j + 1], 0.0, 0.0)
+            builder.bound_sum(CONTACT, self._dynamics.jacobian[i], self._v[j + 1], 0.0, 0.0)
         self._end_forces = np.array(ends, dtype=np.int64)
         builder.bound(self._end_forces, 0.0, np.inf)
 
@@ -283,8 +279,10 @@ class Arcs:
         mean, tilt = x[self._a], x[self._b] / roots
         mean_force, tilt_force = x[self._f], x[self._g] / roots
         h = (x[self._h] / self._counts)[arc][:, np.newaxis]
-        mean_rate = (self._drift + mean @ self._gain.T + mean_force @ self._kicks.T)[arc]
-        tilt_rate = (tilt @ self._gain.T + tilt_force @ self._kicks.T)[arc]
+        mean_rate = (
+            self._dynamics.drift + mean @ self._dynamics.gain.T + mean_force @ self._dynamics.kicks
+        )[arc]
+        tilt_rate = (tilt @ self._dynamics.gain.T + tilt_force @ self._dynamics.kicks)[arc]
         w, s = x[self._w][arc], self._sigma[:, np.newaxis]
         v = w + h * k * (mean_rate + (k - n) / n * tilt_rate)
         bend = k / 2 * mean_rate + (2 * k**2 + 1 - 3 * n * k) / (6 * n) * tilt_rate

@@ -32,8 +32,8 @@ def find_insertions(phases: PhaseTranscription, x: npt.NDArray[np.float64]) -> l
     """
     world, T = phases.world, phases.scenario.duration
     times, distances = phases.sample_times(x), phases.signed_distances(x)
-    J = world.calc_contact_jacobian(world.plant.GetDefaultPositions())
-    felt = np.abs(J @ np.linalg.solve(world.mass_matrix_values, J.T)) > _FELT
+    J = world.constant_inertia.jacobian
+    felt = np.abs(J @ world.constant_inertia.kicks.T) > _FELT
     pulls = J @ world.calc_acceleration(
         phases.split(x)[0][-1], np.zeros(world.num_velocities), np.zeros(world.num_actuators)
     )

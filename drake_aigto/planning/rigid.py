@@ -27,7 +27,7 @@ from drake_aigto.transcription.touch import joint_times
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from drake_aigto.world import Scenario, World
+    from drake_aigto.world import ConstantDynamics, Scenario, World
 
 _LOG = logging.getLogger(__name__)
 
@@ -238,15 +238,14 @@ class RigidProblem(PlanningProblem):
 
             d = goal − q₀ − T v₀ − ½ T² a₀,   G = M⁻¹ B,   J ≥ dᵀ (I/w_f + T³/(3 w_u) G Gᵀ)⁻¹ d
         """
-        world, scenario = self.transcription.world, self.transcription.scenario
+        scenario = self.transcription.scenario
         w_u, w_f, T = scenario.control_weight, scenario.goal_weight, scenario.duration
-        is_known = world.has_constant_bias and not self.additions
-        if not is_known or w_f == 0:
+        dynamics = self._find_dynamics()
+        if dynamics is None or w_f == 0:
             return 0.0
-        gain = np.linalg.solve(world.mass_matrix_values, world.actuation)
         way = scenario.goal_position - scenario.initial_position
-        way = way - T * scenario.initial_velocity - T**2 / 2 * world.drift
-        compliance = np.eye(way.size) / w_f + T**3 / (3 * w_u) * gain @ gain.T
+        way = way - T * scenario.initial_velocity - T**2 / 2 * dynamics.drift
+        compliance = np.eye(way.size) / w_f + T**3 / (3 * w_u) * dynamics.gain @ dynamics.gain.T
         return float(way @ np.linalg.solve(compliance, way))
 
     @cached_property
@@ -257,13 +256,12 @@ class RigidProblem(PlanningProblem):
         motion is a free flight to the goal's image, and the cost of that is convex. A block can be
         passed on two sides, and under gravity a ball bounces high and late or low and early.
         """
-        world, scenario = self.transcription.world, self.transcription.scenario
+        world, dynamics = self.transcription.world, self._find_dynamics()
         return bool(
-            world.has_constant_bias
-            and not self.additions
+            dynamics is not None
             and world.num_solids == world.num_contacts
-            and np.all(world.restitutions(scenario) > 0)
-            and not np.any(world.drift)
+            and np.all(world.restitutions(self.transcription.scenario) > 0)
+            and not np.any(dynamics.drift)
         )
 
     @cached_property
@@ -273,8 +271,13 @@ class RigidProblem(PlanningProblem):
 
     @cached_property
     def _has_arcs(self) -> bool:
-        is_ours = self.options.local_solver == "newton" and not self.additions
-        return is_ours and self.transcription.world.has_constant_bias
+        return self.options.local_solver == "newton" and self._find_dynamics() is not None
+
+    def _find_dynamics(self) -> ConstantDynamics | None:
+        """Returns what has closed forms: flight in parabolas, and nothing that users added."""
+        world = self.transcription.world
+        is_known = world.has_constant_dynamics and not self.additions
+        return world.constant_dynamics if is_known else None
 
     def _phases(
         self, sequence: TouchSequence, facings: Iterable[Facing], num_steps: int | None

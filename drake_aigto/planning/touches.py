@@ -150,11 +150,9 @@ def _read_impulses(transcription: Transcription, x: npt.NDArray[np.float64]) -> 
     """Returns the impulses that belong to contacts, after the start, of every wall that has any."""
     world, q0 = transcription.world, transcription.scenario.initial_position
     impulses = transcription.impulses(x)
-    kicks = [
-        np.linalg.norm(world.calc_velocity_change(q0, one)) for one in np.eye(world.num_contacts)
-    ]
+    kicks = np.linalg.norm(world.calc_velocity_change(q0, np.eye(world.num_contacts)), axis=1)
     velocities = transcription.split(x)[1]
-    least = _SHARE * np.max(np.linalg.norm(velocities, axis=1)) / np.array(kicks)
+    least = _SHARE * np.max(np.linalg.norm(velocities, axis=1)) / kicks
     times, found = transcription.GetSampleTimes(), []
     for contact, sizes in enumerate(impulses.T):
         pushed = np.flatnonzero(sizes[1:] > least[contact]) + 1

@@ -53,14 +53,11 @@ def solid_regions(
     Returns:
         for each solid that is there, its corners in order, shape (k, 2) [m].
     """
-    zero = np.zeros(world.num_positions)
-    distances, slopes = world.calc_signed_distance(zero), world.calc_contact_jacobian(zero)
-    solids = np.array([contact.solid for contact in world.contacts])
+    distances, slopes = world.constant_inertia.offset, world.constant_inertia.jacobian
     others = np.setdiff1d(np.arange(world.num_positions), coordinates)
     regions = []
-    for solid in range(world.num_solids):
-        faces = np.flatnonzero(solids == solid)
-        if np.any(slopes[np.ix_(faces, others)]):
+    for faces in world.solids:
+        if np.any(slopes[list(faces)][:, others]):
             continue
         (x0, y0), (x1, y1) = window
         corners = np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]])
@@ -76,13 +73,12 @@ def wall_places(world: World, coordinate: int) -> list[tuple[int, float, float]]
 
     Of solids with one face only: those with several end somewhere along other coordinates.
     """
-    zero = np.zeros(world.num_positions)
-    distances, slopes = world.calc_signed_distance(zero), world.calc_contact_jacobian(zero)
-    solids = [contact.solid for contact in world.contacts]
+    distances, slopes = world.constant_inertia.offset, world.constant_inertia.jacobian
+    alone = [faces[0] for faces in world.solids if len(faces) == 1]
     return [
-        (i, -distances[i] / slope[coordinate], float(np.sign(slope[coordinate])))
-        for i, slope in enumerate(slopes)
-        if slope[coordinate] and np.count_nonzero(slope) == 1 and solids.count(solids[i]) == 1
+        (i, -distances[i] / slopes[i, coordinate], float(np.sign(slopes[i, coordinate])))
+        for i in alone
+        if slopes[i, coordinate] and np.count_nonzero(slopes[i]) == 1
     ]
 
 

@@ -187,7 +187,7 @@ class Effects:
 
     def _struck(self, contact: int) -> tuple[Actor, _Array]:
         """Returns the first mover that a contact pushes, and where it is touched, in its frame."""
-        slope = self._world.calc_contact_jacobian(np.zeros(self._world.num_positions))[contact]
+        slope = self._world.constant_inertia.jacobian[contact]
         for mover, directions in zip(self._stage.movers, self._stage.directions, strict=True):
             push = slope @ directions
             if np.any(push):

@@ -278,7 +278,7 @@ def _write_name(
     axes: Axes, touch: Touch, name: str, color: str, world: World, coordinate: int
 ) -> None:
     """Writes what is touched beside its line, where a motion that bounces there is not."""
-    slope = world.calc_contact_jacobian(np.zeros(world.num_positions))[touch.contact, coordinate]
+    slope = world.constant_inertia.jacobian[touch.contact, coordinate]
     height, side = (0.97, "top") if slope > 0 else (0.03, "bottom")
     places = axes.get_xaxis_transform()
     axes.annotate(name, (touch.start, height), xycoords=places, color=color, va=side, **_NAME)
@@ -286,7 +286,7 @@ def _write_name(
 
 def _pushes(world: World, contact: int, coordinate: int) -> bool:
     """Returns whether a contact's force acts on a coordinate."""
-    return not world.contacts[contact].jacobian[coordinate].EqualTo(0.0)
+    return bool(world.constant_inertia.jacobian[contact, coordinate])
 
 
 def _shade_forces(axes: Axes, motion: Motion, world: World, coordinate: int, color: str) -> None:

@@ -80,9 +80,7 @@ class Motion:
             world: has M and J.
             label: what it is.
         """
-        rows = zip(trajectory.positions, trajectory.impulses, strict=True)
-        pushes = [world.calc_contact_jacobian(q).T @ p for q, p in rows]
-        jumps = np.linalg.solve(world.mass_matrix_values, np.array(pushes).T).T
+        jumps = world.calc_velocity_change(trajectory.positions, trajectory.impulses)
         touches = tuple(
             Touch(c.time, c.last_time, c.contact) for c in find_contacts(world, trajectory)
         )

@@ -6,7 +6,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drake_aigto.simulation.contact_motion import contact_motion
 from drake_aigto.simulation.material import LEAST_RESTITUTION, contact_delays
 from drake_aigto.simulation.recording import Impact, Recording, Rest
 
@@ -56,14 +55,14 @@ def calc_compliance_error(
         restitutions: e of each contact, shape (m,).
         recording: its impacts and rests, its end, and how long its path is.
     """
-    motion, delays = contact_motion(world), contact_delays(world)
+    inertia, delays = world.constant_inertia, contact_delays(world)
     n = world.num_velocities
     total, later = 0.0, recording.times[-1]
     # Of the last position to (δq, δv) at `later`.
     sensitivity = np.eye(n, 2 * n)
     events: list[Impact | Rest] = [*recording.impacts, *recording.rests]
     for event in sorted(events, key=lambda event: event.time, reverse=True):
-        lift, J = motion.lifts[event.contact], motion.jacobian[event.contact]
+        lift, J = inertia.lifts[event.contact], inertia.jacobian[event.contact]
         sensitivity[:, n:] += (later - event.time) * sensitivity[:, :n]
         to_position, to_velocity = sensitivity[:, :n], sensitivity[:, n:]
         later = event.time

@@ -13,7 +13,6 @@ from drake_aigto.simulation.contact_motion import (
     Clearance,
     ContactMotion,
     calc_time_to_wall,
-    contact_motion,
 )
 from drake_aigto.simulation.controller import Controller, Held
 from drake_aigto.simulation.material import calc_dissipation, contact_delays, set_dissipation
@@ -86,7 +85,7 @@ def simulate_compliant_wall(
     simulator = Simulator(world.diagram, root)
     config = SimulatorConfig(integration_scheme=_SCHEME, accuracy=_ACCURACY, use_error_control=True)
     ApplySimulatorConfig(config, simulator)
-    delays, motion = contact_delays(world), contact_motion(world)
+    delays, motion = contact_delays(world), ContactMotion(world.constant_inertia)
     matching = _Matching(world, root, restitutions, delays)
     pace = _Pace(world, motion, delays, controller, matching)
     trace = _Trace(world, motion, delays)
@@ -364,7 +363,7 @@ class _Trace:
         if speed <= abs(touch.push) * self._delays[contact]:
             return None
         energies = (
-            self._motion.calc_kinetic_energy(np.split(row.x, 2)[1]) for row in (touch, release)
+            float(self._world.calc_kinetic_energy(*np.split(row.x, 2))) for row in (touch, release)
         )
         return Impact(touch.time, contact, speed, touch.push, *energies)
 

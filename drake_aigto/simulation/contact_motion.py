@@ -1,4 +1,4 @@
-"""How the contacts of a world move, in numbers: distances, rates, and what impulses do."""
+"""How contacts move while J is constant: distances, rates, and what impulses do."""
 
 from __future__ import annotations
 
@@ -10,10 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from drake_aigto.jit import inner, kernel
-from drake_aigto.world.once import once_per_world
 
 if TYPE_CHECKING:
-    from drake_aigto.world import World
+    from drake_aigto.world import ConstantInertia
 
 _Array = npt.NDArray[np.float64]
 
@@ -33,59 +32,45 @@ class Clearance(NamedTuple):
 
 
 class Walls(NamedTuple):
-    """What compiled code knows of a world's contacts; letters as in `ContactMotion`, S solids."""
+    """What compiled code knows of contacts (`ConstantInertia`), of S solids."""
 
     jacobian: _Array  # J, shape (m, nv)
     offset: _Array  # φ(0), shape (m,) [m]
-    lifts: _Array  # shape (m, nv)
+    lifts: _Array  # M⁻¹ J_iᵀ / (J_i M⁻¹ J_iᵀ), shape (m, nv)
     firsts: npt.NDArray[np.int64]  # the first contact of each solid, and m, shape (S+1,)
+
+    @classmethod
+    def of(cls, inertia: ConstantInertia) -> Walls:
+        """Returns copies: Numba compiles once more for arrays that are read-only."""
+        firsts = [*(faces[0] for faces in inertia.solids), len(inertia.offset)]
+        parts = inertia.jacobian, inertia.offset, inertia.lifts
+        jacobian, offset, lifts = (np.array(part, order="C") for part in parts)
+        return cls(jacobian, offset, lifts, np.array(firsts))
 
 
 class ContactMotion:
-    """The distances φ of a world's contacts along a motion x = (q, v), and impulses at them.
-
-    A distance that is polynomial in q comes from translations alone. So it is affine, and with the
-    constant M all of these are constant:
-
-        φ(q) = J q + φ(0),    φ̇ = J v,    φ̈ = J v̇,    A = J M⁻¹ Jᵀ
+    """The distances φ of contacts along a motion x = (q, v), and what impulses at them do.
 
     The faces of one box are one solid, which the ball is outside of while it is in front of one of
     them: its clearance is the largest of their φ. Beyond the box's edges that is a sharp corner,
     where Drake's geometry has one that is as round as the ball.
 
     Attributes:
-        jacobian: J, shape (m, nv).
-        lifts: M⁻¹ J_iᵀ / A_ii, shape (m, nv): how an impulse at contact i changes v when it changes
-            φ̇_i by one.
-        masses: what each contact feels, 1 / A_ii, shape (m,) [kg].
-        solids: the contacts of each solid (`World.solids`).
+        solids: the contacts of each solid.
         solid_of: the solid of each contact.
-        walls: all of it, for compiled code.
+        walls: the contacts, for compiled code.
     """
 
-    def __init__(self, world: World) -> None:
-        """Reads what is constant."""
-        origin = np.zeros(world.num_positions)
-        self._offset = world.calc_signed_distance(origin)
-        self._num_contacts = world.num_contacts
-        self._mass_matrix = world.mass_matrix_values
-        self.jacobian = world.calc_contact_jacobian(origin)
+    def __init__(self, inertia: ConstantInertia) -> None:
+        """Prepares what is asked in every step."""
+        self._num_contacts = len(inertia.offset)
+        self._jacobian = inertia.jacobian
         # (φ, φ̇) = rows x + (φ(0), 0).
-        self._rows = np.kron(np.eye(2), self.jacobian)
-        self._origin = np.concatenate([self._offset, np.zeros(self._num_contacts)])
-        kicks = np.linalg.solve(self._mass_matrix, self.jacobian.T).T
-        inertias = np.sum(self.jacobian * kicks, axis=1)
-        self.masses = 1 / inertias
-        self.lifts = kicks / inertias[:, np.newaxis]
-        self.solid_of = [contact.solid for contact in world.contacts]
-        self.solids = world.solids
-        # Copies: Numba compiles once more for arrays that are read-only, or in another order.
-        self.walls = Walls(
-            np.array(self.jacobian, order="C"),
-            np.array(self._offset),
-            np.array(self.lifts, order="C"),
-            np.array([*(faces[0] for faces in self.solids), self._num_contacts]),
-        )
+        self._rows = np.kron(np.eye(2), inertia.jacobian)
+        self._origin = np.concatenate([inertia.offset, np.zeros(self._num_contacts)])
+        self.solids = inertia.solids
+        self.solid_of = [solid for solid, faces in enumerate(self.solids) for _ in faces]
+        self.walls = Walls.of(inertia)
 
     def faces_beside(self, contact: int) -> tuple[int, ...]:
         """Returns all contacts of that one's solid, itself among them."""
@@ -105,19 +90,9 @@ class ContactMotion:
         ]
         return [Clearance(i, distances[i], rates[i]) for i in faces]
 
-    def calc_depth(self, positions: npt.ArrayLike) -> float:
-        """Returns how deep the ball is inside a solid at most, at least 0 [m].
-
-        Args:
-            positions: q of K moments, shape (K, nq) [m].
-        """
-        distances = np.asarray(positions) @ self.jacobian.T + self._offset
-        outside = np.maximum.reduceat(distances, self.walls.firsts[:-1], axis=1)
-        return max(0.0, -float(np.min(outside)))
-
     def calc_pushes(self, acceleration: _Array) -> list[float]:
         """Returns φ̈ of each contact [m/s²]; negative is into the wall."""
-        return (self.jacobian @ acceleration).tolist()
+        return (self._jacobian @ acceleration).tolist()
 
     def calc_supported(self, rates: _Array, contacts: Iterable[int]) -> _Array:
         """Returns the nearest rates of change of v, or of q, that enter none of these contacts.
@@ -140,15 +115,17 @@ class ContactMotion:
         support(self.walls, held, rates, x)
         return x
 
-    def calc_kinetic_energy(self, v: _Array) -> float:
-        """Returns ½ vᵀ M v [J]."""
-        return float(v @ self._mass_matrix @ v) / 2
 
+def calc_depth(walls: Walls, positions: npt.ArrayLike) -> float:
+    """Returns how deep the ball is inside a solid at most, at least 0 [m].
 
-@once_per_world
-def contact_motion(world: World) -> ContactMotion:
-    """Returns how a world's contacts move."""
-    return ContactMotion(world)
+    Args:
+        walls: the contacts.
+        positions: q of K moments, shape (K, nq) [m].
+    """
+    distances = np.asarray(positions) @ walls.jacobian.T + walls.offset
+    outside = np.maximum.reduceat(distances, walls.firsts[:-1], axis=1)
+    return max(0.0, -float(np.min(outside)))
 
 
 @inner

@@ -7,8 +7,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drake_aigto.simulation.contact_motion import contact_motion
-
 if TYPE_CHECKING:
     import numpy.typing as npt
 
@@ -52,22 +50,21 @@ def find_contacts(world: World, trajectory: Trajectory) -> tuple[PlannedContact,
     Where a wall pushes at every knot, large impulses are contacts, and those that follow each
     other soon are one. Where it does not, every impulse and every held force is one.
     """
-    motion = contact_motion(world)
     found = [
         contact
         for i in range(world.num_contacts)
-        for contact in _find_contacts(world, trajectory, motion.lifts[i] / motion.masses[i], i)
+        for contact in _find_contacts(world, trajectory, i)
     ]
     return tuple(sorted(found, key=lambda contact: (contact.time, contact.contact)))
 
 
-def _find_contacts(
-    world: World, trajectory: Trajectory, lift: npt.NDArray[np.float64], index: int
-) -> list[PlannedContact]:
-    """Returns those of one contact, whose impulses change v by `lift` a newton second."""
+def _find_contacts(world: World, trajectory: Trajectory, index: int) -> list[PlannedContact]:
+    """Returns those of one contact."""
     impulses, forces = trajectory.impulses[:, index], trajectory.forces[:, index]
     held = forces * np.diff(trajectory.times)
-    changes = np.outer(impulses + np.append(held, 0.0), lift)
+    alone = np.zeros(trajectory.impulses.shape)
+    alone[:, index] = impulses + np.append(held, 0.0)
+    changes = world.calc_velocity_change(trajectory.positions, alone)
     sizes = np.linalg.norm(changes, axis=1)
     largest = np.max(np.linalg.norm(trajectory.velocities, axis=1))
     if np.all(impulses[:-1]):
@@ -85,7 +82,7 @@ def _find_contacts(
 
 def max_penetration(world: World, trajectory: Trajectory) -> float:
     """Returns how deep the ball is inside a wall at most, over the knots, at least 0 [m]."""
-    return contact_motion(world).calc_depth(trajectory.positions)
+    return max(0.0, -float(np.min(world.calc_clearance(trajectory.positions))))
 
 
 def _contact(
@@ -97,30 +94,22 @@ def _contact(
     index: int,
 ) -> PlannedContact:
     """Returns the contact of knots first … last."""
-    before = trajectory.velocities[first]
-    kick = world.calc_velocity_change(trajectory.positions[last], trajectory.impulses[last])
-    after = trajectory.velocities[last] + kick
+    q, v = trajectory.positions, trajectory.velocities
+    after = v[last] + world.calc_velocity_change(q[last], trajectory.impulses[last])
+    energies = world.calc_kinetic_energy(q[[first, last]], np.array([v[first], after]))
     return PlannedContact(
         time=float(trajectory.times[first]),
         last_time=float(trajectory.times[last]),
         velocity_change=float(np.linalg.norm(changes[first : last + 1].sum(axis=0))),
-        energy_ratio=_energy_ratio(world, trajectory, before, after),
+        energy_ratio=_energy_ratio(energies, np.max(world.calc_kinetic_energy(q, v))),
         contact=index,
     )
 
 
-def _energy_ratio(
-    world: World,
-    trajectory: Trajectory,
-    before: npt.NDArray[np.float64],
-    after: npt.NDArray[np.float64],
-) -> float:
-    """Returns kinetic energy after / before; rounding has none."""
-    M = world.mass_matrix_values
-    v = trajectory.velocities
-    least = _STILL**2 * np.max(np.einsum("ki,ij,kj->k", v, M, v))
-    energies = (float(v @ M @ v) for v in (before, after))
-    given, returned = (energy if energy > least else 0.0 for energy in energies)
+def _energy_ratio(energies: npt.NDArray[np.float64], largest: float) -> float:
+    """Returns kinetic energy after / before; rounding of the largest on the way is none."""
+    least = _STILL**2 * largest
+    given, returned = (energy if energy > least else 0.0 for energy in energies.tolist())
     if given == 0:
         return 1.0 if returned == 0 else np.inf
     return returned / given

@@ -9,7 +9,6 @@ import scipy  # Not scipy.optimize, which takes a tenth of a second and few need
 from pydrake.geometry import GeometryId
 
 from drake_aigto.errors import ModelError
-from drake_aigto.simulation.contact_motion import contact_motion
 from drake_aigto.world.material import set_material
 
 if TYPE_CHECKING:
@@ -44,7 +43,7 @@ def contact_delay(world: World) -> float:
 
 def contact_delays(world: World) -> list[float]:
     """Returns `contact_delay` of each contact [s]."""
-    masses = contact_motion(world).masses
+    masses = world.constant_inertia.masses
     stiffnesses = [_calc_stiffness(world, shapes) for shapes in world.shapes]
     return [math.pi * math.sqrt(m / k) for m, k in zip(masses, stiffnesses, strict=True)]
 

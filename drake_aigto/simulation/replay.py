@@ -118,7 +118,7 @@ def replay_event_driven(
     """Replays a held control on exactly rigid walls (`RigidWall` has their equations).
 
     The judge of plans, for any restitution in [0, 1]. Where flight under a held control is a
-    parabola (`World.has_constant_bias`) it is exact but for rounding, by roots alone (`Parabolas`);
+    parabola (`World.constant_dynamics`) it is exact but for rounding, by roots alone (`Parabolas`);
     only hops too short to follow become rest. Elsewhere Drake's Simulator integrates, and touches
     shorter than a millionth of the duration may not be noticed.
 
@@ -162,7 +162,7 @@ def replay_costs(
     columns = u.transpose(1, 0, 2).reshape(u.shape[1], -1)
     t, _ = check_control(times, columns)
     _check_columns(world, u)
-    if world.has_constant_bias:
+    if world.has_constant_dynamics:
         ends = _roll_out(world, scenario, t).find_ends(u)
     else:
         runs = (_simulate_rigidly(world, scenario, t, control) for control in u)
@@ -266,7 +266,7 @@ def _simulate_rigidly(
     controls: npt.NDArray[np.float64],
 ) -> Recording:
     """Returns what a control does on exactly rigid walls, by the quickest road."""
-    if world.has_constant_bias:
+    if world.has_constant_dynamics:
         return _roll_out(world, scenario, times).record(controls)
     start = scenario.initial_position, scenario.initial_velocity
     controller = HeldControl(times, controls)
@@ -275,7 +275,7 @@ def _simulate_rigidly(
 
 def _roll_out(world: World, scenario: Scenario, times: npt.NDArray[np.float64]) -> Parabolas:
     start = scenario.initial_position, scenario.initial_velocity
-    return Parabolas(world, world.restitutions(scenario), start, times)
+    return Parabolas(world.constant_dynamics, world.restitutions(scenario), start, times)
 
 
 def _calc_cost(

@@ -18,7 +18,13 @@ from pydrake.systems.framework import (
 )
 
 from drake_aigto.simulation import impacts
-from drake_aigto.simulation.contact_motion import Clearance, calc_time_to_wall, contact_motion
+from drake_aigto.simulation.contact_motion import (
+    Clearance,
+    ContactMotion,
+    Walls,
+    calc_depth,
+    calc_time_to_wall,
+)
 from drake_aigto.simulation.controller import Controller
 from drake_aigto.simulation.impacts import HybridState, Rules
 from drake_aigto.simulation.recording import Recording
@@ -89,10 +95,8 @@ class RigidWall(LeafSystem):
         super().__init__()
         self._world = world
         self._nq = world.num_positions
-        # v̇ = gain u + drift, if the drift is constant.
-        self._drift = world.drift if world.has_constant_bias else None
-        self._gain = np.linalg.solve(world.mass_matrix_values, world.actuation)
-        self._motion = contact_motion(world)
+        self._inertia = world.constant_inertia
+        self._motion = ContactMotion(self._inertia)
         self._rules = Rules(restitutions, duration)
         self._log = impacts.make_log(impacts.MOST_IMPACTS, self._nq)
         self._recording = recording
@@ -143,9 +147,7 @@ class RigidWall(LeafSystem):
     def _calc_acceleration(self, context: Context, x: _Array) -> _Array:
         """Returns v̇ without contact."""
         u = self._control.Eval(context)
-        if self._drift is None:
-            return self._world.calc_acceleration(x[: self._nq], x[self._nq :], u)
-        return self._gain @ u + self._drift
+        return self._world.calc_acceleration(x[: self._nq], x[self._nq :], u)
 
     def _get_resting(self, context: Context) -> set[int]:
         bits = self._get_set(context, self._rest)
@@ -291,7 +293,7 @@ class RigidWall(LeafSystem):
         count = impacts.run_again(
             walls, rules, phase, supported, acceleration, time, left, first, log
         )
-        self._recording.add_impacts(log[:count], self._world.mass_matrix_values)
+        self._recording.add_impacts(log[:count], self._inertia.mass_matrix)
 
     def _trace_back(
         self, x: _Array, acceleration: _Array, clearance: Clearance
@@ -332,7 +334,7 @@ def simulate_rigid_wall(
     recording = Recording()
     wall = RigidWall(world, restitutions, duration, controller.longest_hold, recording)
     simulator = Simulator(wall)
-    varies = not world.has_constant_bias
+    varies = not world.has_constant_dynamics
     config = SimulatorConfig(
         # Second order is exact for constant acceleration; fifth takes few steps for any other.
         integration_scheme="runge_kutta5" if varies else "runge_kutta2",
@@ -359,7 +361,7 @@ def simulate_rigid_wall(
                 break
         wall.ExecuteForcedEvents(context, publish=False)
         recording.add(context.get_time(), *np.split(_get_state(context), 2))
-    recording.max_penetration = contact_motion(world).calc_depth(recording.positions)
+    recording.max_penetration = calc_depth(Walls.of(world.constant_inertia), recording.positions)
     return recording
 
 

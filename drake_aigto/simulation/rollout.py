@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from drake_aigto.jit import kernel
-from drake_aigto.simulation.contact_motion import Walls, contact_motion
+from drake_aigto.simulation.contact_motion import Walls, calc_depth
 from drake_aigto.simulation.impacts import (
     STATE,
     TIME,
@@ -23,7 +23,7 @@ from drake_aigto.simulation.impacts import (
 from drake_aigto.simulation.recording import Recording, list_impacts
 
 if TYPE_CHECKING:
-    from drake_aigto.world import World
+    from drake_aigto.world import ConstantDynamics
 
 _Array = npt.NDArray[np.float64]
 _Ints = npt.NDArray[np.int64]
@@ -44,24 +44,26 @@ class Parabolas:
     """
 
     def __init__(
-        self, world: World, restitutions: _Array, state: tuple[_Array, _Array], times: _Array
+        self,
+        dynamics: ConstantDynamics,
+        restitutions: _Array,
+        state: tuple[_Array, _Array],
+        times: _Array,
     ) -> None:
         """Reads what is constant.
 
         Args:
-            world: its bias has to be constant (`World.has_constant_bias`).
+            dynamics: with the contacts (`World.constant_dynamics`).
             restitutions: e of each contact, in [0, 1], shape (m,).
             state: the start, (q, v).
             times: of the knots, shape (N+1,) [s].
         """
-        self._motion = contact_motion(world)
-        self._mass_matrix = world.mass_matrix_values
+        self._dynamics = dynamics
+        self._walls = Walls.of(dynamics)
         self._rules = Rules(restitutions, float(times[-1] - times[0]))
         # A copy: Numba compiles once more for arrays that are read-only.
         self._times = np.array(times)
         self._start = np.array(state)
-        self._drift = world.drift
-        self._gain = np.linalg.solve(self._mass_matrix, world.actuation)
 
     def record(self, controls: _Array) -> Recording:
         """Returns the states at all knots, and before and after each impact.
@@ -71,7 +73,7 @@ class Parabolas:
         """
         knots, n = self._times.size, self._start.shape[1]
         states, impacts_until = np.empty((knots, 2, n)), np.zeros(knots, dtype=np.int64)
-        accelerations = controls @ self._gain.T + self._drift
+        accelerations = self._calc_accelerations(controls)
         log, count = make_log(_USUAL_IMPACTS, n), 0
         while (count := self._roll_out(accelerations, states, impacts_until, log)) > len(log):
             log = make_log(count, n)
@@ -93,14 +95,18 @@ class Parabolas:
             velocities=list(rows[:, 1]),
             control_times=self._times[:-1].tolist(),
             controls=list(controls),
-            impacts=list_impacts(log, self._mass_matrix),
-            max_penetration=self._motion.calc_depth(rows[:, 0]),
+            impacts=list_impacts(log, self._dynamics.mass_matrix),
+            max_penetration=calc_depth(self._walls, rows[:, 0]),
         )
+
+    def _calc_accelerations(self, controls: _Array) -> _Array:
+        """Returns v̇ without contact, shape (…, nv) [m/s²]."""
+        return controls @ self._dynamics.gain.T + self._dynamics.drift
 
     def _roll_out(
         self, accelerations: _Array, states: _Array, impacts_until: _Ints, log: _Array
     ) -> int:
-        walls, rules, phase = self._motion.walls, self._rules, self._make_phase()
+        walls, rules, phase = self._walls, self._rules, self._make_phase()
         return roll_out(walls, rules, phase, self._times, accelerations, states, impacts_until, log)
 
     def _make_phase(self) -> HybridState:
@@ -119,11 +125,11 @@ class Parabolas:
         times = np.broadcast_to(
             self._times if times is None else times, (len(controls), self._times.size)
         )
-        accelerations = controls @ self._gain.T + self._drift
+        accelerations = self._calc_accelerations(controls)
         ends = np.empty((len(controls), self._start.shape[1]))
         log = make_log(0, ends.shape[1])
         knots, phase = np.ascontiguousarray(times), self._make_phase()
-        roll_out_many(self._motion.walls, self._rules, phase, knots, accelerations, ends, log)
+        roll_out_many(self._walls, self._rules, phase, knots, accelerations, ends, log)
         return ends
 
 

@@ -11,10 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_aigto.errors import ModelError
 from drake_aigto.study.least_effort import Flights
-from drake_aigto.study.walls_optimum import ContactOptimum, KnownTouch
-from drake_aigto.world import Scenario, World
+from drake_aigto.study.walls_optimum import (
+    ContactOptimum,
+    KnownTouch,
+    calc_efforts,
+    refuse_world,
+)
+from drake_aigto.world import ConstantDynamics, Scenario, World
 
 Floats = NDArray[np.float64]
 
@@ -315,13 +319,13 @@ class _Sequence:
 
 def _make_room(world: World, scenario: Scenario) -> _Room:
     """Returns the problem in unit time."""
-    _check_world(world)
+    dynamics = world.constant_dynamics
+    _check_world(dynamics)
     q, T = scenario.initial_position, scenario.duration
-    distances, jacobian = world.calc_signed_distance(q), world.calc_contact_jacobian(q)
-    restitutions = world.restitutions(scenario)
+    distances, restitutions = world.calc_signed_distance(q), world.restitutions(scenario)
     solids = [contact.solid for contact in world.contacts]
     faces = []
-    for contact, slopes in enumerate(jacobian):
+    for contact, slopes in enumerate(dynamics.jacobian):
         axis = int(np.argmax(np.abs(slopes)))
         faces.append(
             _Face(
@@ -333,38 +337,23 @@ def _make_room(world: World, scenario: Scenario) -> _Room:
                 solids.count(solids[contact]) > 1,
             )
         )
-    masses = np.diag(world.mass_matrix_values)
     return _Room(
         position=q,
         velocity=scenario.initial_velocity * T,
         goal=scenario.goal_position,
-        efforts=masses**2 / np.sum(world.actuation**2, axis=1),
+        efforts=calc_efforts(dynamics),
         weight=scenario.goal_weight * T**3 / scenario.control_weight,
         faces=tuple(faces),
     )
 
 
-def _check_world(world: World) -> None:
+def _check_world(dynamics: ConstantDynamics) -> None:
     """Refuses what is no room with one box."""
-    squares = world.actuation @ world.actuation.T
-    faces = sorted(
-        tuple(float(slope.Evaluate()) for slope in contact.jacobian)
-        for contact in world.contacts
-        if all(slope.GetVariables().empty() for slope in contact.jacobian)
-    )
-    solids = [contact.solid for contact in world.contacts]
-    sizes = sorted(solids.count(solid) for solid in set(solids))
+    faces = sorted(map(tuple, dynamics.jacobian.tolist()))
+    sizes = sorted(map(len, dynamics.solids))
     expected = sorted(2 * [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
-    if (
-        faces != expected
-        or sizes != [1, 1, 1, 1, 4]
-        or any(not h.EqualTo(0.0) for h in world.bias)
-        or np.any(world.mass_matrix_values != np.diag(np.diag(world.mass_matrix_values)))
-        or np.any(squares != np.diag(np.diag(squares)))
-    ):
-        raise ModelError(
-            "the optimum of a room with a box",
-            f"∂φ/∂q = {faces} of solids with {sizes} faces",
+    if faces != expected or sizes != [1, 1, 1, 1, 4] or np.any(dynamics.bias):
+        raise refuse_world(
+            f"∂φ/∂q = {faces} of solids with {sizes} faces, h = {dynamics.bias.tolist()}",
             "four walls and one box across two axes, and no other force",
-            "For other worlds no optimum is known here.",
         )

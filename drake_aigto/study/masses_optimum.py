@@ -11,10 +11,14 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from drake_aigto.errors import ModelError
 from drake_aigto.study.least_effort import Flights, extremes, polynomial
-from drake_aigto.study.walls_optimum import ContactOptimum, KnownTouch
-from drake_aigto.world import Scenario, World
+from drake_aigto.study.walls_optimum import (
+    ContactOptimum,
+    KnownTouch,
+    calc_efforts,
+    refuse_world,
+)
+from drake_aigto.world import ConstantDynamics, Scenario, World
 
 Floats = NDArray[np.float64]
 
@@ -271,19 +275,19 @@ def _four(path: Polynomial) -> Floats:
 
 def _make_pair(world: World, scenario: Scenario) -> tuple[_Pair, list[int], float]:
     """Returns the problem in unit time, the contact of each kind, and the worth of a unit cost."""
-    contacts = _find_contacts(world)
+    dynamics = world.constant_dynamics
+    contacts = _find_contacts(dynamics)
     start, T = scenario.initial_position, scenario.duration
     gaps = world.calc_signed_distance(start)[contacts]
     # From coordinates to those in which the masses meet where they are equal.
     shifts = np.array([gaps[_LEFT], gaps[_LEFT] + gaps[_MEETING]]) - start
-    masses = np.diag(world.mass_matrix_values)
     price = scenario.control_weight / T**3
     pair = _Pair(
         positions=start + shifts,
         velocities=scenario.initial_velocity * T,
         goals=scenario.goal_position + shifts,
-        efforts=masses**2 / np.sum(world.actuation**2, axis=1),
-        masses=masses,
+        efforts=calc_efforts(dynamics),
+        masses=np.diag(dynamics.mass_matrix),
         weight=scenario.goal_weight / price,
         length=float(np.sum(gaps)),
         restitutions=tuple(world.restitutions(scenario)[contacts].tolist()),
@@ -291,21 +295,12 @@ def _make_pair(world: World, scenario: Scenario) -> tuple[_Pair, list[int], floa
     return pair, contacts, price
 
 
-def _find_contacts(world: World) -> list[int]:
+def _find_contacts(dynamics: ConstantDynamics) -> list[int]:
     """Returns which contact is of which kind."""
-    remedy = "For other worlds no optimum of two masses is known here."
-    expected = "two masses on a line: a wall, a mass, a mass, a wall, and no other force"
-    slopes = [contact.jacobian for contact in world.contacts]
-    squares = world.actuation @ world.actuation.T
-    if (
-        world.num_positions != 2
-        or any(not h.EqualTo(0.0) for h in world.bias)
-        or any(not s.GetVariables().empty() for slope in slopes for s in slope)
-        or np.any(world.mass_matrix_values != np.diag(np.diag(world.mass_matrix_values)))
-        or np.any(squares != np.diag(np.diag(squares)))
-    ):
-        raise ModelError("the optimum of two masses", "another world", expected, remedy)
-    found = [tuple(float(s.Evaluate()) for s in slope) for slope in slopes]
-    if sorted(found) != sorted(_JACOBIAN):
-        raise ModelError("the optimum of two masses", f"∂φ/∂q = {found}", expected, remedy)
+    found = list(map(tuple, dynamics.jacobian.tolist()))
+    if sorted(found) != sorted(_JACOBIAN) or np.any(dynamics.bias):
+        raise refuse_world(
+            f"∂φ/∂q = {found}, h = {dynamics.bias.tolist()}",
+            "two masses on a line: a wall, a mass, a mass, a wall, and no other force",
+        )
     return [found.index(slope) for slope in _JACOBIAN]

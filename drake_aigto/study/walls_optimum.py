@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from drake_aigto.errors import ModelError
 from drake_aigto.study.line_optimum import Line, LineMotion, Wall
-from drake_aigto.world import Scenario, World
+from drake_aigto.world import ConstantDynamics, Scenario, World
 
 Floats = NDArray[np.float64]
 
@@ -98,66 +97,61 @@ def walls_optimum(world: World, scenario: Scenario, most_touches: int = 6) -> Co
         ScenarioError: the scenario does not fit the world (`World.check`).
     """
     world.check(scenario)
-    _check_world(world)
-    walls = _find_walls(world, scenario)
+    dynamics = world.constant_dynamics
+    efforts, walls = calc_efforts(dynamics), _find_walls(world, scenario)
     cost, touches = 0.0, []
     for axis, found in enumerate(walls):
-        line, price = _make_line(world, scenario, axis, [wall for _, wall in found])
+        price = scenario.control_weight * efforts[axis] / scenario.duration**3
+        line = _make_line(dynamics, scenario, axis, [wall for _, wall in found], price)
         motion = line.optimum(most_touches)
         cost += price * motion.cost
-        touches += _make_touches(motion, [contact for contact, _ in found], world, scenario)
+        contacts = [contact for contact, _ in found]
+        touches += _make_touches(motion, contacts, dynamics, scenario.duration)
     return ContactOptimum(cost, tuple(sorted(touches)))
 
 
 def _find_walls(world: World, scenario: Scenario) -> list[list[tuple[int, Wall]]]:
     """Returns the contacts of each axis and where they are, the lower wall first."""
-    q = scenario.initial_position
-    distances, jacobian = world.calc_signed_distance(q), world.calc_contact_jacobian(q)
-    restitutions = world.restitutions(scenario)
-    walls: list[list[tuple[int, Wall]]] = [[] for _ in q]
-    for contact, J in enumerate(jacobian):
+    dynamics, restitutions = world.constant_dynamics, world.restitutions(scenario).tolist()
+    if world.num_solids < world.num_contacts:
+        raise refuse_world("a box with several faces", "walls")
+    walls: list[list[tuple[int, Wall]]] = [[] for _ in dynamics.mass_matrix]
+    for i, (J, offset) in enumerate(zip(dynamics.jacobian, dynamics.offset, strict=True)):
+        if np.count_nonzero(J) != 1:
+            got = f"∂φ/∂q = {J.tolist()} of {world.contacts[i].name}"
+            raise refuse_world(got, "a wall across one axis")
         axis = int(np.argmax(np.abs(J)))
-        side = 1 if J[axis] > 0 else -1
-        place = q[axis] - distances[contact] / J[axis]
-        walls[axis].append((contact, Wall(float(place), side, float(restitutions[contact]))))
+        wall = Wall(float(-offset / J[axis]), 1 if J[axis] > 0 else -1, restitutions[i])
+        walls[axis].append((i, wall))
     for found in walls:
         found.sort(key=lambda each: -each[1].side)
         sides = [wall.side for _, wall in found]
         if len(set(sides)) < len(sides):
             names = " and ".join(world.contacts[contact].name for contact, _ in found)
-            raise _refuse(f"{names} on one side", "one wall on each side at most")
+            raise refuse_world(f"{names} on one side", "one wall on each side at most")
     return walls
 
 
 def _make_line(
-    world: World, scenario: Scenario, axis: int, walls: list[Wall]
-) -> tuple[Line, float]:
-    """Returns one axis in unit time, and what its unit of cost is worth.
-
-    The least ‖u‖² for a force f is f² / ‖B_i‖².
-    """
-    T, m = scenario.duration, float(world.mass_matrix_values[axis, axis])
-    effort = m**2 / float(np.sum(world.actuation[axis] ** 2))
-    price = scenario.control_weight * effort / T**3
-    start, zeros = scenario.initial_position, np.zeros(world.num_actuators)
-    fall = -world.calc_acceleration(start, scenario.initial_velocity, zeros)[axis]
-    line = Line(
-        position=float(start[axis]),
+    dynamics: ConstantDynamics, scenario: Scenario, axis: int, walls: list[Wall], price: float
+) -> Line:
+    """Returns one axis in unit time, where a unit of cost is worth the price."""
+    T = scenario.duration
+    return Line(
+        position=float(scenario.initial_position[axis]),
         velocity=float(scenario.initial_velocity[axis] * T),
         goal=float(scenario.goal_position[axis]),
         weight=float(scenario.goal_weight / price),
-        gravity=float(fall * T**2),
+        gravity=float(-dynamics.drift[axis] * T**2),
         walls=tuple(walls),
     )
-    return line, price
 
 
 def _make_touches(
-    motion: LineMotion, contacts: list[int], world: World, scenario: Scenario
+    motion: LineMotion, contacts: list[int], dynamics: ConstantDynamics, duration: float
 ) -> list[KnownTouch]:
     """Returns the touches of one axis, in the scenario's units."""
-    T = scenario.duration
-    slopes = np.sum(np.abs(world.calc_contact_jacobian(scenario.initial_position)), axis=1)
+    T, slopes = duration, np.sum(np.abs(dynamics.jacobian), axis=1)
     touches = []
     for time, wall, speed in motion.bounces:
         contact = contacts[wall]
@@ -168,32 +162,23 @@ def _make_touches(
     return touches
 
 
-def _refuse(got: object, expected: str) -> ModelError:
+def refuse_world(got: object, expected: str) -> ModelError:
+    """Returns the error of a world whose optimum is not known."""
     remedy = "For other worlds no exact optimum is known here; judge a plan by its replays."
     return ModelError("the exact optimum", str(got), expected, remedy)
 
 
-def _check_world(world: World) -> None:
-    """Refuses what does not fall apart into axes, and walls that are not across one."""
-    for h in world.bias:
-        if not h.GetVariables().empty():
-            raise _refuse(f"a bias h(q, v) = {h}", "a constant")
-    squares = world.actuation @ world.actuation.T
-    for name, matrix in (("M", world.mass_matrix_values), ("B Bᵀ", squares)):
+def calc_efforts(dynamics: ConstantDynamics) -> Floats:
+    """Returns the least ‖u‖² for an acceleration of 1 along each axis, M_ii² / ‖B_i‖², (nv,).
+
+    Raises:
+        ModelError: M or B Bᵀ is not diagonal, so that axes are not on their own; or one of them
+            has no actuator.
+    """
+    squares = dynamics.actuation @ dynamics.actuation.T
+    for name, matrix in (("M", dynamics.mass_matrix), ("B Bᵀ", squares)):
         if np.any(matrix != np.diag(np.diag(matrix))):
-            raise _refuse(f"{name} = {matrix.tolist()}", "a diagonal matrix")
+            raise refuse_world(f"{name} = {matrix.tolist()}", "a diagonal matrix")
     if not np.all(np.diag(squares)):
-        raise _refuse("a coordinate without an actuator", "one for each")
-    for contact in world.contacts:
-        _check_wall(contact.name, contact.jacobian)
-    solids = [contact.solid for contact in world.contacts]
-    if len(set(solids)) < len(solids):
-        raise _refuse("a box with several faces", "walls")
-
-
-def _check_wall(name: str, jacobian: NDArray[Any]) -> None:
-    """Refuses a contact whose distance does not change with one coordinate alone, evenly."""
-    if any(not slope.GetVariables().empty() for slope in jacobian):
-        raise _refuse(f"∂φ/∂q = {list(map(str, jacobian))} of {name}", "a constant")
-    if sum(not slope.EqualTo(0.0) for slope in jacobian) != 1:
-        raise _refuse(f"∂φ/∂q = {list(map(str, jacobian))} of {name}", "a wall across one axis")
+        raise refuse_world("a coordinate without an actuator", "one for each")
+    return np.diag(dynamics.mass_matrix) ** 2 / np.diag(squares)

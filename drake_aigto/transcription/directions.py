@@ -9,12 +9,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 
-from drake_aigto.transcription.rigid_contact import rigid_contacts
-
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from drake_aigto.world import World
+    from drake_aigto.world import ConstantInertia
 
 # Jacobians are parallel, or directions dependent, within this.
 _PARALLEL = 1e-9
@@ -60,15 +58,9 @@ class ImpulseDirections:
     are_independent: bool
 
     @classmethod
-    def of(cls, world: World) -> ImpulseDirections:
-        """Returns the directions of a world.
-
-        Raises:
-            ModelError: some φ is not affine in q.
-        """
-        contacts = rigid_contacts(world)
-        J = np.array([contact.jacobian for contact in contacts])
-        inverse = np.linalg.inv(world.mass_matrix_values)
+    def of(cls, inertia: ConstantInertia) -> ImpulseDirections:
+        """Returns the directions of all contacts."""
+        J, inverse = inertia.jacobian, inertia.inverse_mass
         D = _distinct(J)
         _, sizes, basis = np.linalg.svd(J)
         rank = int(np.sum(sizes > _PARALLEL * sizes[0]))
@@ -76,10 +68,10 @@ class ImpulseDirections:
         if are_independent:
             R = np.asarray(np.linalg.solve(D @ inverse @ D.T, D @ inverse), dtype=np.float64)
         else:
-            R = _readers(D, np.asarray(inverse, dtype=np.float64), rank)
+            R = _readers(D, inverse, rank)
         shares = R @ J.T
         shares[np.abs(shares) < _PARALLEL] = 0.0
-        masses = np.array([float(rho @ world.mass_matrix_values @ rho) for rho in R])
+        masses = np.array([float(rho @ inertia.mass_matrix @ rho) for rho in R])
         return cls(J, D, R, shares, masses, basis[rank:].T, are_independent)
 
     def contact_impulses(

@@ -212,10 +212,9 @@ class Knots(ABC):
         return float(max(np.max(np.abs(goal - q0)), np.max(ways)))
 
     def inertia(self) -> float:
-        """Returns the largest entry of B⁺ M: control per acceleration [kg]."""
-        return float(
-            np.max(np.abs(np.linalg.pinv(self.world.actuation) @ self.world.mass_matrix_values))
-        )
+        """Returns the largest entry of B⁺ M at the start: control per acceleration [kg]."""
+        M = self.world.calc_mass_matrix(self.scenario.initial_position)
+        return float(np.max(np.abs(np.linalg.pinv(self.world.actuation) @ M)))
 
     def cost_scale(self) -> float:
         """Returns the unit of penalty weights and temperatures."""

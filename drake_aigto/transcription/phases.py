@@ -19,7 +19,6 @@ from drake_aigto.transcription.rigid_contact import (
     RESTITUTION,
     ImpactTranscription,
     JointImpact,
-    bias_at,
 )
 from drake_aigto.transcription.shared import SharedEvaluator, as_expression, shared_constraint
 from drake_aigto.transcription.timeline import Phase, check_sequence, make_timeline
@@ -137,8 +136,7 @@ class PhaseTranscription(ImpactTranscription):
         return len(self.timeline.phases) > 1
 
     def _impact(self, struck: npt.NDArray[np.bool_]) -> JointImpact:
-        contacts = [self._contacts[i] for i in np.flatnonzero(struck)]
-        return JointImpact.of(contacts, self.restitutions[struck])
+        return JointImpact.of(self._inertia, np.flatnonzero(struck), self.restitutions[struck])
 
     def _add_rows(self) -> None:
         if self._has_clock:
@@ -181,7 +179,7 @@ class PhaseTranscription(ImpactTranscription):
         line = self.timeline
         for k, i in np.argwhere(line.starts).tolist():
             closing = self._variables_at(self._closing[k, i])
-            self._add_speed(closing, self._contacts[i].jacobian, k)
+            self._add_speed(closing, self._inertia.jacobian[i], k)
             least = 0.0 if self.stays(k, i) else -np.inf
             self._bound(closing, least, 0.0)
         for k, impact in self.impacts.items():
@@ -229,11 +227,11 @@ class PhaseTranscription(ImpactTranscription):
         if k in self.impacts:
             start = self.impacts[k].velocities @ start
         mean = (start + self._next_v) / 2
-        force = world.actuation @ world.controls - bias_at(
-            world, (world.positions + self._next_q) / 2, mean
+        force = world.actuation @ world.controls - world.express_bias(
+            (world.positions + self._next_q) / 2, mean
         )
         for i in np.flatnonzero(self.timeline.rests[k]):
-            force = force + self._contacts[i].jacobian * self._force[i]
+            force = force + self._inertia.jacobian[i] * self._force[i]
         flight = self._next_q - world.positions - h * mean
         dynamics = world.mass_matrix @ (self._next_v - start) - h * force
         return [
@@ -320,8 +318,7 @@ class PhaseTranscription(ImpactTranscription):
         """Returns all decision variables of a trajectory at these knots; undoes `trajectory`."""
         x = self.vector_of(trajectory.positions, trajectory.velocities, trajectory.controls)
         line, v = self.timeline, trajectory.velocities
-        J = np.array([contact.jacobian for contact in self._contacts])
-        x[self._closing[line.starts]] = (v @ J.T)[line.starts]
+        x[self._closing[line.starts]] = (v @ self._inertia.jacobian.T)[line.starts]
         for k, impact in self.impacts.items():
             x[self._push[k, self._is_coupled[k]]] = impact.impulses[impact.coupled] @ v[k]
         x[self._forces[line.rests]] = trajectory.forces[line.rests]

@@ -20,7 +20,6 @@ from drake_aigto.transcription.rigid_contact import (
     FLIGHT,
     RESTITUTION,
     ImpactTranscription,
-    bias_at,
 )
 from drake_aigto.transcription.shared import as_expression, shared_constraint
 from drake_aigto.transcription.transcription import CLEARANCE, NONPENETRATION
@@ -82,7 +81,7 @@ class RigidTranscription(ImpactTranscription):
         if not 0 <= relaxation < np.inf:
             raise OptionsError("relaxation", got=relaxation, expected="a number, 0 or more")
         self.relaxation = relaxation
-        self.impulse_directions = ImpulseDirections.of(world)
+        self.impulse_directions = ImpulseDirections.of(world.constant_inertia)
         if path is None:
             ends = scenario.initial_position, scenario.goal_position
             path = np.linspace(*ends, scenario.num_steps + 1)
@@ -116,15 +115,16 @@ class RigidTranscription(ImpactTranscription):
 
     def _add_flight_rows(self) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         """Adds flight; returns v⁺_k and p_k of a stage, what flight leaves unexplained."""
-        world, dt = self.world, self._dt
-        inverse = np.linalg.inv(world.mass_matrix_values)
+        world, inertia, dt = self.world, self._inertia, self._dt
         mean_velocity = (self._next_q - world.positions) / dt
-        bias = bias_at(world, (world.positions + self._next_q) / 2, mean_velocity)
-        kick = dt * inverse @ (world.actuation @ world.controls - bias)  # of control and bias
+        bias = world.express_bias((world.positions + self._next_q) / 2, mean_velocity)
+        kick = (
+            dt * inertia.inverse_mass @ (world.actuation @ world.controls - bias)
+        )  # of control and bias
         after = self._next_v - kick
         for row in self._next_q - world.positions - dt * (self._next_v - kick / 2):
             self._bind_stages(shared_constraint(as_expression(row / self.length_scale()), FLIGHT))
-        return after, world.mass_matrix_values @ (after - world.velocities)
+        return after, inertia.mass_matrix @ (after - world.velocities)
 
     def _units(self) -> tuple[float, float]:
         """Returns what lengths [m] and times [s] in rows are divided by."""
@@ -200,7 +200,7 @@ class RigidTranscription(ImpactTranscription):
         q, v, u = self.split(x)
         means = (q[:-1] + q[1:]) / 2, np.diff(q, axis=0) / self._dt
         free = self.world.calc_acceleration(*means, u)
-        net = (np.diff(v, axis=0) - self._dt * free) @ self.world.mass_matrix_values
+        net = (np.diff(v, axis=0) - self._dt * free) @ self._inertia.mass_matrix
         distances = self.world.calc_signed_distance(q[:-1])
         found = self.impulse_directions.contact_impulses(net, distances, self._fronts[:-1])
         return np.vstack([found, np.zeros((1, self.world.num_contacts))])

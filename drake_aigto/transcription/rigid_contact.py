@@ -2,75 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drake_aigto.errors import ModelError, OptionsError
-from drake_aigto.transcription.shared import as_expression
+from drake_aigto.errors import OptionsError
 from drake_aigto.transcription.transcription import NONPENETRATION, Transcription
-from drake_aigto.world.once import once_per_world
-from drake_aigto.world.polynomials import evaluate_constants
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
     from drake_aigto.trajectory import Trajectory
-    from drake_aigto.world import Scenario, World
+    from drake_aigto.world import ConstantInertia, Scenario, World
 
 FLIGHT, DYNAMICS, CONTACT, RESTITUTION = "flight", "dynamics", "contact", "restitution"
 
-# Least eigenvalue of c contacts' inertia in units of their masses, 1 if they don't feel each other.
+# Least eigenvalue of J_C M⁻¹ J_Cᵀ in units of their masses, 1 if they don't feel each other.
 _DEPENDENT = 1e-9
-
-
-@dataclass(frozen=True, eq=False)
-class RigidContact:
-    """One contact of a world, frictionless, with a constant Jacobian.
-
-    Attributes:
-        jacobian: J = ∂φ/∂q, shape (nv,).
-        lift: how an impulse that changes φ̇ by one changes v, M⁻¹ Jᵀ / (J M⁻¹ Jᵀ), shape (nv,).
-        mass: what the wall feels, (J M⁻¹ Jᵀ)⁻¹ [kg].
-    """
-
-    jacobian: npt.NDArray[np.float64]
-    lift: npt.NDArray[np.float64]
-    mass: float
-
-    @classmethod
-    def of(cls, world: World, index: int = 0) -> RigidContact:
-        """Returns a contact of a world.
-
-        Raises:
-            ModelError: φ is not affine in q.
-        """
-        contact = world.contacts[index]
-        if any(not entry.GetVariables().empty() for entry in contact.jacobian):
-            raise ModelError(
-                f"the contact {contact.name} turns as the plant moves",
-                got=f"the signed distance {contact.signed_distance}",
-                expected="one that is affine in the positions",
-                remedy="Use the literal transcription.",
-            )
-        J = evaluate_constants(contact.jacobian)
-        impulse = np.zeros(world.num_contacts)
-        impulse[index] = 1.0
-        kick = world.calc_velocity_change(np.zeros(world.num_positions), impulse)
-        mass = 1 / float(J @ kick)
-        return cls(J, mass * kick, mass)
-
-
-@once_per_world
-def rigid_contacts(world: World) -> tuple[RigidContact, ...]:
-    """Returns all contacts of a world.
-
-    Raises:
-        ModelError: φ of one is not affine in q.
-    """
-    return tuple(RigidContact.of(world, i) for i in range(world.num_contacts))
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,31 +43,38 @@ class JointImpact:
     coupled: npt.NDArray[np.bool_]
 
     @classmethod
-    def of(cls, contacts: Sequence[RigidContact], restitutions: npt.ArrayLike) -> JointImpact:
-        """Returns the impact of c contacts, with their restitutions, shape (c,).
+    def of(
+        cls, inertia: ConstantInertia, contacts: npt.ArrayLike, restitutions: npt.ArrayLike
+    ) -> JointImpact:
+        """Returns the impact of c contacts.
+
+        Args:
+            inertia: M, and J of all contacts.
+            contacts: which of them, shape (c,).
+            restitutions: theirs, shape (c,).
 
         Raises:
             OptionsError: J_C has dependent rows: how they share an impulse is not defined.
         """
-        J = np.array([contact.jacobian for contact in contacts])
-        kicks = np.column_stack([contact.lift / contact.mass for contact in contacts])
+        chosen = np.asarray(contacts)
+        J, kicks = inertia.jacobian[chosen], inertia.kicks[chosen].T
         # In units of the contacts' own masses.
-        root = np.sqrt([contact.mass for contact in contacts])
-        inertia = root[:, np.newaxis] * (J @ kicks) * root
-        if np.linalg.eigvalsh(inertia)[0] < _DEPENDENT:
+        root = np.sqrt(inertia.masses[chosen])
+        coupling = root[:, np.newaxis] * (J @ kicks) * root
+        if np.linalg.eigvalsh(coupling)[0] < _DEPENDENT:
             raise OptionsError(
                 "sequence",
-                got=f"{len(contacts)} contacts at once that can't all be told apart",
+                got=f"{len(J)} contacts at once that can't all be told apart",
                 expected="contacts with independent Jacobians",
                 remedy="Leave out those that the others imply.",
             )
         closing = (1 + np.asarray(restitutions))[:, np.newaxis] * J
-        impulses = -root[:, np.newaxis] * np.linalg.solve(inertia, root[:, np.newaxis] * closing)
-        couplings = np.abs(inertia - np.diag(np.diag(inertia)))
+        impulses = -root[:, np.newaxis] * np.linalg.solve(coupling, root[:, np.newaxis] * closing)
+        others = np.abs(coupling - np.diag(np.diag(coupling)))
         return cls(
             impulses=impulses,
             velocities=np.eye(J.shape[1]) + kicks @ impulses,
-            coupled=np.any(couplings > _DEPENDENT, axis=1),
+            coupled=np.any(others > _DEPENDENT, axis=1),
         )
 
 
@@ -126,8 +82,8 @@ class ImpactTranscription(Transcription):
     """A transcription whose contacts are those of a rigid wall with Newton's restitution."""
 
     def __init__(self, world: World, scenario: Scenario) -> None:
-        """Reads the contacts, then makes the program."""
-        self._contacts = rigid_contacts(world)
+        """Reads M and J, then makes the program."""
+        self._inertia = world.constant_inertia
         super().__init__(world, scenario)
 
     def defects(self, x: npt.NDArray[np.float64]) -> dict[str, float]:
@@ -136,16 +92,6 @@ class ImpactTranscription(Transcription):
             self.world, self.world.restitutions(self.scenario), self.trajectory(x)
         )
         return {**found, NONPENETRATION: self._depth(x)}
-
-
-def bias_at(
-    world: World, positions: npt.NDArray[Any], velocities: npt.NDArray[Any]
-) -> npt.NDArray[np.object_]:
-    """Returns h at other expressions of q and v, shape (nv,)."""
-    values = np.concatenate([positions, velocities])
-    names = np.concatenate([world.positions, world.velocities])
-    table = dict(zip(names, map(as_expression, values), strict=True))
-    return np.array([entry.Substitute(table) for entry in world.bias], dtype=object)
 
 
 def rigid_defects(
@@ -168,10 +114,8 @@ def rigid_defects(
         restitution: e of every contact, shape (m,), or of all.
         trajectory: the motion.
     """
-    contacts = rigid_contacts(world)
-    J = np.array([contact.jacobian for contact in contacts])
-    kicks = np.array([contact.lift / contact.mass for contact in contacts])
-    masses = np.array([contact.mass for contact in contacts])
+    inertia = world.constant_inertia
+    J, kicks, masses = inertia.jacobian, inertia.kicks, inertia.masses
     tau = np.diff(trajectory.times)[:, np.newaxis]
     q, v, u = trajectory.positions, trajectory.velocities, trajectory.controls
     jumps, pushes = trajectory.impulses / masses, tau * trajectory.forces / masses

@@ -1,8 +1,19 @@
 """The world and the question: models, plants read symbolically, contact geometry, scenarios."""
 
+from drake_aigto.world.constant import ConstantDynamics, ConstantInertia
 from drake_aigto.world.contact import Contact
+from drake_aigto.world.equations import EquationsOfMotion
 from drake_aigto.world.fingerprint import Fingerprint
 from drake_aigto.world.scenario import Scenario, scenario_names
 from drake_aigto.world.world import World
 
-__all__ = ["Contact", "Fingerprint", "Scenario", "World", "scenario_names"]
+__all__ = [
+    "ConstantDynamics",
+    "ConstantInertia",
+    "Contact",
+    "EquationsOfMotion",
+    "Fingerprint",
+    "Scenario",
+    "World",
+    "scenario_names",
+]

@@ -44,11 +44,22 @@ def tidy(expressions: npt.NDArray[Any]) -> npt.NDArray[Any]:
     return result.reshape(expressions.shape)
 
 
-def evaluate_constants(expressions: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-    """Returns expressions without variables as read-only floats, of the same shape."""
-    values = np.array([expression.Evaluate() for expression in expressions.flat])
-    values.flags.writeable = False
-    return values.reshape(expressions.shape)
+def is_constant(expressions: Any) -> bool:
+    """Returns whether expressions, one or an array of them, have no variable."""
+    return all(expression.GetVariables().empty() for expression in np.ravel(expressions))
+
+
+def evaluate(
+    expressions: npt.NDArray[Any], at: dict[Any, float] | None = None
+) -> npt.NDArray[np.float64]:
+    """Returns the values of expressions, of the same shape.
+
+    Args:
+        expressions: any shape.
+        at: the value of each of their variables.
+    """
+    values = [expression.Evaluate(at or {}) for expression in expressions.flat]
+    return np.array(values, dtype=float).reshape(expressions.shape)
 
 
 def _coefficients(polynomial: Polynomial) -> dict[Any, float]:

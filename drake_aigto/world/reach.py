@@ -13,7 +13,7 @@ from pydrake.symbolic import Expression
 
 from drake_aigto.errors import ModelError
 from drake_aigto.world.contact import Contact, SphereAndFace, find_pairs
-from drake_aigto.world.polynomials import tidy
+from drake_aigto.world.polynomials import evaluate, is_constant, tidy
 from drake_aigto.world.symbolic_plant import SymbolicPlant
 
 if TYPE_CHECKING:
@@ -58,7 +58,7 @@ def find_reachable_faces(
             face, distance = pair[i], places[i][2]
             _check_line(face, places[i])
             name = f"{face.pair}, {face.face} face" if len(chosen) > 1 else face.pair
-            jacobian = tidy(_differentiate(distance, symbolic_plant.q))
+            jacobian = tidy(distance.Jacobian(symbolic_plant.q))
             contact = Contact(name, distance, jacobian, solid, face.restitution)
             found.append(ReachableFace(face, places[i][:2], contact))
         solid += bool(chosen)
@@ -97,15 +97,15 @@ def _choose(
 ) -> list[int]:
     """Returns the indices of the faces that count, none if the two shapes can't touch."""
     distances = [place[2] for place in places]
-    fixed = [i for i, distance in enumerate(distances) if _is_constant(distance)]
+    fixed = [i for i, distance in enumerate(distances) if is_constant(distance)]
     if any(distances[i].Evaluate() >= -_ROUNDING for i in fixed):
         return []
     at_default = dict(zip(q, default, strict=True))
     if len(pair) > 1:
-        rates = np.array([_differentiate(length, q) for length in places[0]])
-        if np.linalg.matrix_rank(_evaluate(rates, at_default)) > 1:
+        rates = np.array([length.Jacobian(q) for length in places[0]])
+        if np.linalg.matrix_rank(evaluate(rates, at_default)) > 1:
             return [i for i in range(len(pair)) if i not in fixed]
-    nearest = int(np.argmax(_evaluate(np.array(distances), at_default)))
+    nearest = int(np.argmax(evaluate(np.array(distances), at_default)))
     return [] if nearest in fixed else [nearest]
 
 
@@ -144,16 +144,3 @@ def _check_line(face: SphereAndFace, place: npt.NDArray[Any]) -> None:
             remedy="Change a collision shape, or exclude the pair with a "
             "<drake:collision_filter_group>.",
         )
-
-
-def _differentiate(expression: Expression, q: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    return np.array([expression.Differentiate(x) for x in q])
-
-
-def _evaluate(expressions: npt.NDArray[Any], at: dict[Any, float]) -> npt.NDArray[np.float64]:
-    values = [expression.Evaluate(at) for expression in expressions.flat]
-    return np.array(values).reshape(expressions.shape)
-
-
-def _is_constant(expression: Expression) -> bool:
-    return expression.GetVariables().empty()

@@ -12,7 +12,7 @@ from pydrake.symbolic import Expression, MakeVectorVariable, Variable
 from drake_aigto.errors import ModelError
 from drake_aigto.world.contact import SphereAndFace
 from drake_aigto.world.diagram import find_joint
-from drake_aigto.world.polynomials import evaluate_constants, find_nonpolynomial_variable, tidy
+from drake_aigto.world.polynomials import evaluate, find_nonpolynomial_variable, tidy
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -66,16 +66,13 @@ class SymbolicPlant:
         return self._tidy(np.array([x, y, distance]), what)
 
     def calc_mass_matrix(self) -> npt.NDArray[Any]:
-        """Returns M, shape (nv, nv) [kg], constant.
+        """Returns M(q), shape (nv, nv) [kg].
 
         Raises:
-            ModelError: it changes with q, or is singular.
+            ModelError: it is not polynomial, or singular at the default positions.
         """
         M = self._tidy(self._twin.CalcMassMatrix(self._context), "the mass matrix")
-        for entry in M.flat:
-            for variable in entry.GetVariables():
-                raise self._refusal(variable, "the mass matrix")
-        values = evaluate_constants(M)
+        values = evaluate(M, dict(zip(self.q, self._plant.GetDefaultPositions(), strict=True)))
         if np.linalg.matrix_rank(values) < len(values):
             raise ModelError(
                 "the mass matrix is singular",

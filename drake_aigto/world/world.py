@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.geometry import GeometryId, SceneGraph
@@ -14,7 +14,8 @@ from pydrake.symbolic import MakeVectorVariable
 from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.world.contact import Contact, SphereAndFace
+from drake_aigto.world.constant import read_only
+from drake_aigto.world.contact import SphereAndFace
 from drake_aigto.world.diagram import (
     build_diagram,
     check_plant,
@@ -22,9 +23,10 @@ from drake_aigto.world.diagram import (
     hide_half_space_warning,
     move_shape,
 )
+from drake_aigto.world.equations import EquationsOfMotion
 from drake_aigto.world.fields import as_number
 from drake_aigto.world.material import FRICTION, read_friction, set_material
-from drake_aigto.world.polynomials import PolynomialMap, evaluate_constants
+from drake_aigto.world.polynomials import PolynomialMap
 from drake_aigto.world.reach import ReachableFace, find_reachable_faces, find_sphere_body
 from drake_aigto.world.scenario import Scenario
 from drake_aigto.world.symbolic_plant import SymbolicPlant
@@ -34,18 +36,11 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, eq=False)
-class World:
-    """Everything that planning needs of a plant and its scene graph (AIGTO eq. (1)).
-
-        M v̇ + h(q, v) = B u + J(q)ᵀ λ,    0 ≤ φ(q) ⊥ λ ≥ 0,    q̇ = v
+class World(EquationsOfMotion):
+    """Equations of motion, and the plant and scene graph that they are read from.
 
     M, h and B come from the symbolic plant and φ from the scene graph's shapes: nothing is assumed
-    about masses, springs, dampers, gravity, or where the walls are. Letters: nq positions, nv = nq
-    velocities, nu actuators, m contacts, S solids.
-
-    A contact is a sphere and a flat face. One sphere and all that it can reach of one box make a
-    solid: the sphere is outside when it is in front of one face at least, max_i φ_i ≥ 0. Elsewhere
-    each contact is a solid of its own.
+    about masses, springs, dampers, gravity, or where the walls are.
 
     Attributes:
         diagram: holds the plant and its scene graph.
@@ -53,14 +48,6 @@ class World:
         scene_graph: its geometry.
         mass: replaces the model's mass of the only body with spheres that touch [kg], or None. The
             plant is not edited: it acts in all that is read here and in `create_context`.
-        positions: the variables q, shape (nq,) [m].
-        velocities: the variables v, shape (nv,) [m/s].
-        controls: the variables u, shape (nu,) [N].
-        mass_matrix: M, shape (nv, nv), constant Expressions [kg].
-        bias: h(q, v), shape (nv,), polynomial Expressions [N]: Coriolis and centrifugal terms,
-            gravity, springs and dampers, on the left side of the equation above.
-        actuation: B, shape (nv, nu).
-        contacts: φ and J of each contact, those of one solid in a row.
         model: what it was built from; None: a diagram of one's own.
     """
 
@@ -68,13 +55,6 @@ class World:
     plant: MultibodyPlant
     scene_graph: SceneGraph
     mass: float | None
-    positions: npt.NDArray[Any]
-    velocities: npt.NDArray[Any]
-    controls: npt.NDArray[Any]
-    mass_matrix: npt.NDArray[Any]
-    bias: npt.NDArray[Any]
-    actuation: npt.NDArray[np.float64]
-    contacts: tuple[Contact, ...]
     _reachable: tuple[ReachableFace, ...] = field(repr=False)
     model: str | None = None
 
@@ -126,77 +106,20 @@ class World:
             plant=plant,
             scene_graph=scene_graph,
             mass=mass,
-            positions=_read_only(symbolic_plant.q),
-            velocities=_read_only(symbolic_plant.v),
-            controls=_read_only(MakeVectorVariable(plant.num_actuated_dofs(), "u")),
+            positions=read_only(symbolic_plant.q),
+            velocities=read_only(symbolic_plant.v),
+            controls=read_only(MakeVectorVariable(plant.num_actuated_dofs(), "u")),
             mass_matrix=symbolic_plant.calc_mass_matrix(),
             bias=symbolic_plant.calc_bias(),
-            actuation=_read_only(plant.MakeActuationMatrix()),
+            actuation=read_only(plant.MakeActuationMatrix()),
             contacts=tuple(each.contact for each in reachable),
             _reachable=reachable,
         )
 
     @property
-    def num_positions(self) -> int:
-        """The number of generalized positions, nq."""
-        return len(self.positions)
-
-    @property
-    def num_velocities(self) -> int:
-        """The number of generalized velocities, nv = nq."""
-        return len(self.velocities)
-
-    @property
-    def num_actuators(self) -> int:
-        """The number of controls, nu."""
-        return len(self.controls)
-
-    @property
-    def num_contacts(self) -> int:
-        """The number of contacts, m."""
-        return len(self.contacts)
-
-    @property
-    def num_solids(self) -> int:
-        """The number of solids, S."""
-        return len(self.solids)
-
-    @cached_property
-    def solids(self) -> tuple[tuple[int, ...], ...]:
-        """The contacts of each solid, S of them."""
-        found: dict[int, list[int]] = {}
-        for i, contact in enumerate(self.contacts):
-            found.setdefault(contact.solid, []).append(i)
-        return tuple(map(tuple, found.values()))
-
-    @property
     def shapes(self) -> tuple[tuple[GeometryId, GeometryId], ...]:
         """The sphere and the shape that it touches, of each contact, in the scene graph."""
         return tuple(each.face.shapes for each in self._reachable)
-
-    @cached_property
-    def mass_matrix_values(self) -> npt.NDArray[np.float64]:
-        """M as floats, shape (nv, nv) [kg]; it is constant."""
-        return evaluate_constants(self.mass_matrix)
-
-    @cached_property
-    def has_constant_bias(self) -> bool:
-        """Whether h depends on neither q nor v, so that a held control flies parabolas."""
-        return all(expression.GetVariables().empty() for expression in self.bias)
-
-    def calc_signed_distance(self, q: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Returns φ(q), shape (…, m) [m], at q of shape (…, nq) [m]."""
-        return self._signed_distance_map(q)
-
-    def calc_clearance(self, q: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Returns how far the sphere is outside each solid, (…, S) [m], at q of shape (…, nq).
-
-        The largest φ_i of the solid's faces: at least 0 outside, and the distance itself where the
-        sphere's centre projects onto a face. Past an edge or a corner the distance is larger: the
-        corner counts as sharp though the sphere would round it.
-        """
-        firsts = [faces[0] for faces in self.solids]
-        return np.maximum.reduceat(self.calc_signed_distance(q), firsts, axis=-1)
 
     def is_on_face(self, q: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
         """Returns whether the sphere's centre projects onto each face, shape (m,)."""
@@ -227,41 +150,7 @@ class World:
             read_friction(self.plant, self.scene_graph, root, reachable.face)
             for reachable in self._reachable
         ]
-        return _read_only(each)
-
-    def calc_contact_jacobian(self, q: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-        """Returns J(q) = ∂φ/∂q, shape (m, nv), at q of shape (nq,) [m]."""
-        return self._jacobian_map(q).reshape(self.num_contacts, self.num_velocities)
-
-    def calc_velocity_change(
-        self, q: npt.NDArray[np.float64], impulses: npt.NDArray[np.float64]
-    ) -> npt.NDArray[np.float64]:
-        """Returns M⁻¹ J(q)ᵀ p, shape (nv,) [m/s], for contact impulses p of shape (m,) [N s]."""
-        return self._inverse_mass @ self.calc_contact_jacobian(q).T @ impulses
-
-    def calc_acceleration(
-        self,
-        q: npt.NDArray[np.float64],
-        v: npt.NDArray[np.float64],
-        u: npt.NDArray[np.float64],
-    ) -> npt.NDArray[np.float64]:
-        """Returns v̇ = M⁻¹ (B u − h(q, v)), without contact, shape (…, nv) [m/s²].
-
-        Args:
-            q: positions, shape (…, nq) [m].
-            v: velocities, shape (…, nv) [m/s].
-            u: controls, shape (…, nu) [N].
-        """
-        h = self._bias_map(np.concatenate([q, v], axis=-1))
-        return (u @ self.actuation.T - h) @ self._inverse_mass.T
-
-    @cached_property
-    def drift(self) -> npt.NDArray[np.float64]:
-        """v̇ without control at q = v = 0, shape (nv,) [m/s²]; anywhere if `has_constant_bias`."""
-        still = np.zeros(self.num_positions)
-        drift = self.calc_acceleration(still, still, np.zeros(self.num_actuators))
-        drift.flags.writeable = False
-        return drift
+        return read_only(each)
 
     def create_context(self) -> Context:
         """Returns a new root context of the diagram, at defaults, with the mass replaced."""
@@ -356,16 +245,6 @@ class World:
                 raise _refuse_beside(name, face, off)
 
     @cached_property
-    def _jacobian_map(self) -> PolynomialMap:
-        jacobians = np.concatenate([contact.jacobian for contact in self.contacts])
-        return PolynomialMap(jacobians, self.positions)
-
-    @cached_property
-    def _signed_distance_map(self) -> PolynomialMap:
-        distances = np.array([contact.signed_distance for contact in self.contacts])
-        return PolynomialMap(distances, self.positions)
-
-    @cached_property
     def _lateral_map(self) -> PolynomialMap:
         lateral = np.concatenate([each.lateral for each in self._reachable])
         return PolynomialMap(lateral, self.positions)
@@ -373,14 +252,6 @@ class World:
     @cached_property
     def _half_extents(self) -> npt.NDArray[np.float64]:
         return np.array([each.face.half_extents for each in self._reachable])
-
-    @cached_property
-    def _bias_map(self) -> PolynomialMap:
-        return PolynomialMap(self.bias, np.concatenate([self.positions, self.velocities]))
-
-    @cached_property
-    def _inverse_mass(self) -> npt.NDArray[np.floating]:
-        return np.linalg.inv(self.mass_matrix_values)
 
 
 def _refuse_inside(
@@ -424,10 +295,3 @@ def _check_sizes(plant: MultibodyPlant, scenario: Scenario) -> None:
                 got=f"{got} value{'s' if got > 1 else ''}",
                 expected=f"{size}, one for each coordinate of the model",
             )
-
-
-def _read_only(array: Any) -> npt.NDArray[Any]:
-    """Returns the array, locked."""
-    array = np.array(array)
-    array.flags.writeable = False
-    return array

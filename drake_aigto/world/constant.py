@@ -1,0 +1,110 @@
+"""The special case in which nothing but the state changes: what follows from it, derived once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from drake_aigto.errors import ModelError
+from drake_aigto.world.polynomials import evaluate, is_constant
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    _Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class ConstantInertia:
+    """Equations of motion whose M and J are constant, as those of bodies that only translate.
+
+        φ(q) = J q + φ(0),    φ̇ = J v,    φ̈ = J v̇
+
+    An impulse does the same anywhere, and so does a control; springs and dampers may still make
+    the bias h vary. What needs that says so by taking this instead of a World.
+
+    Letters as in `EquationsOfMotion`. Arrays are read-only.
+
+    Attributes:
+        mass_matrix: M, shape (nv, nv) [kg].
+        actuation: B, shape (nv, nu).
+        jacobian: J, shape (m, nv).
+        offset: φ(0), shape (m,) [m].
+        solids: the contacts of each solid, S of them.
+    """
+
+    mass_matrix: _Array
+    actuation: _Array
+    jacobian: _Array
+    offset: _Array
+    solids: tuple[tuple[int, ...], ...]
+
+    @cached_property
+    def inverse_mass(self) -> _Array:
+        """M⁻¹, shape (nv, nv) [1/kg]."""
+        return read_only(np.linalg.inv(self.mass_matrix))
+
+    @cached_property
+    def gain(self) -> _Array:
+        """M⁻¹ B, shape (nv, nu) [1/kg]: the acceleration by each control."""
+        return read_only(self.inverse_mass @ self.actuation)
+
+    @cached_property
+    def kicks(self) -> _Array:
+        """M⁻¹ J_iᵀ, shape (m, nv) [1/kg]: how v changes by an impulse of 1 N s at contact i."""
+        return read_only(self.jacobian @ self.inverse_mass.T)
+
+    @cached_property
+    def masses(self) -> _Array:
+        """1 / (J_i M⁻¹ J_iᵀ), shape (m,) [kg]: what each contact feels."""
+        return read_only(1 / np.sum(self.jacobian * self.kicks, axis=1))
+
+    @cached_property
+    def lifts(self) -> _Array:
+        """M⁻¹ J_iᵀ / (J_i M⁻¹ J_iᵀ), shape (m, nv): how v changes as contact i changes φ̇_i by 1."""
+        return read_only(self.kicks / np.sum(self.jacobian * self.kicks, axis=1)[:, np.newaxis])
+
+
+@dataclass(frozen=True, eq=False)
+class ConstantDynamics(ConstantInertia):
+    """Equations of motion whose bias is constant, too: a held control flies parabolas.
+
+        v̇ = M⁻¹ (B u − h)    without contact
+
+    Attributes:
+        bias: h, shape (nv,) [N].
+    """
+
+    bias: _Array
+
+    @cached_property
+    def drift(self) -> _Array:
+        """−M⁻¹ h, shape (nv,) [m/s²]: the acceleration without control."""
+        return read_only(-self.inverse_mass @ self.bias)
+
+
+def read_constant(name: str, expressions: npt.NDArray[Any], remedy: str) -> _Array:
+    """Returns the values of expressions, of the same shape, read-only.
+
+    Args:
+        name: what they are.
+        expressions: any shape.
+        remedy: where they vary.
+
+    Raises:
+        ModelError: they vary.
+    """
+    if not is_constant(expressions):
+        got = ", ".join(map(str, expressions.flat))
+        raise ModelError(name, got, expected="a constant", remedy=remedy)
+    return read_only(evaluate(expressions))
+
+
+def read_only(array: Any) -> npt.NDArray[Any]:
+    """Returns a copy of an array, locked."""
+    array = np.array(array)
+    array.flags.writeable = False
+    return array

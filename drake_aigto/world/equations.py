@@ -1,0 +1,214 @@
+"""The equations of motion with contact: as expressions, and the same compiled."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from pydrake.symbolic import Expression
+
+from drake_aigto.world.constant import ConstantDynamics, ConstantInertia, read_constant, read_only
+from drake_aigto.world.contact import Contact
+from drake_aigto.world.polynomials import PolynomialMap, is_constant
+
+if TYPE_CHECKING:
+    import numpy.typing as npt
+
+    _Array = npt.NDArray[np.float64]
+
+_INERTIA_REMEDY = "Use the literal transcription."
+_BIAS_REMEDY = (
+    "Exact optima and sampling over controls need flight in parabolas; plans, replays and gradient "
+    "solvers do not."
+)
+
+
+@dataclass(frozen=True, eq=False)
+class EquationsOfMotion:
+    """How a mechanism moves: M, h, B, φ and J of AIGTO eq. (1).
+
+        M(q) v̇ + h(q, v) = B u + J(q)ᵀ λ,    0 ≤ φ(q) ⊥ λ ≥ 0,    q̇ = v
+
+    The expressions are the one source: the functions of numbers are compiled from them, and
+    `constant_inertia` and `constant_dynamics` are read off them. Letters: nq positions, nv = nq
+    velocities, nu actuators, m contacts, S solids; a shape's "…" are axes of many states at once.
+
+    A contact is a sphere and a flat face. One sphere and all that it can reach of one box make a
+    solid: the sphere is outside when it is in front of one face at least, max_i φ_i ≥ 0. Elsewhere
+    each contact is a solid of its own.
+
+    Attributes:
+        positions: the variables q, shape (nq,) [m].
+        velocities: the variables v, shape (nv,) [m/s].
+        controls: the variables u, shape (nu,) [N].
+        mass_matrix: M(q), shape (nv, nv), polynomial Expressions [kg].
+        bias: h(q, v), shape (nv,), polynomial Expressions [N]: Coriolis and centrifugal terms,
+            gravity, springs and dampers, on the left side of the equation above.
+        actuation: B, shape (nv, nu).
+        contacts: φ and J of each contact, those of one solid in a row.
+    """
+
+    positions: npt.NDArray[Any]
+    velocities: npt.NDArray[Any]
+    controls: npt.NDArray[Any]
+    mass_matrix: npt.NDArray[Any]
+    bias: npt.NDArray[Any]
+    actuation: _Array
+    contacts: tuple[Contact, ...]
+
+    @property
+    def num_positions(self) -> int:
+        """The number of generalized positions, nq."""
+        return len(self.positions)
+
+    @property
+    def num_velocities(self) -> int:
+        """The number of generalized velocities, nv = nq."""
+        return len(self.velocities)
+
+    @property
+    def num_actuators(self) -> int:
+        """The number of controls, nu."""
+        return len(self.controls)
+
+    @property
+    def num_contacts(self) -> int:
+        """The number of contacts, m."""
+        return len(self.contacts)
+
+    @property
+    def num_solids(self) -> int:
+        """The number of solids, S."""
+        return len(self.solids)
+
+    @cached_property
+    def solids(self) -> tuple[tuple[int, ...], ...]:
+        """The contacts of each solid, S of them."""
+        found: dict[int, list[int]] = {}
+        for i, contact in enumerate(self.contacts):
+            found.setdefault(contact.solid, []).append(i)
+        return tuple(map(tuple, found.values()))
+
+    @cached_property
+    def has_constant_inertia(self) -> bool:
+        """Whether neither M nor J depends on q."""
+        jacobians = [contact.jacobian for contact in self.contacts]
+        return all(map(is_constant, [self.mass_matrix, *jacobians]))
+
+    @cached_property
+    def has_constant_dynamics(self) -> bool:
+        """Whether h depends on nothing either, so that a held control flies parabolas."""
+        return self.has_constant_inertia and is_constant(self.bias)
+
+    @cached_property
+    def constant_inertia(self) -> ConstantInertia:
+        """What follows where M and J are constant; ConstantDynamics if h is, too.
+
+        Raises:
+            ModelError: one of them varies.
+        """
+        if self.has_constant_dynamics:
+            return self.constant_dynamics
+        return ConstantInertia(*self._read_inertia())
+
+    @cached_property
+    def constant_dynamics(self) -> ConstantDynamics:
+        """What follows where M, J and h are constant.
+
+        Raises:
+            ModelError: one of them varies.
+        """
+        bias = read_constant("the bias h(q, v)", self.bias, _BIAS_REMEDY)
+        return ConstantDynamics(*self._read_inertia(), bias)
+
+    def _read_inertia(self) -> tuple[_Array, _Array, _Array, _Array, tuple[tuple[int, ...], ...]]:
+        """Returns M, B, J, φ(0) and the solids."""
+        mass_matrix = read_constant("the mass matrix M(q)", self.mass_matrix, _INERTIA_REMEDY)
+        slopes = [
+            read_constant(f"∂φ/∂q of {contact.name}", contact.jacobian, _INERTIA_REMEDY)
+            for contact in self.contacts
+        ]
+        offset = self.calc_signed_distance(np.zeros(self.num_positions))
+        return mass_matrix, self.actuation, read_only(slopes), read_only(offset), self.solids
+
+    def calc_mass_matrix(self, q: _Array) -> _Array:
+        """Returns M(q), shape (…, nv, nv) [kg], at q of shape (…, nq) [m]."""
+        n = self.num_velocities
+        return self._mass_map(q).reshape(*q.shape[:-1], n, n)
+
+    def calc_bias(self, q: _Array, v: _Array) -> _Array:
+        """Returns h(q, v), shape (…, nv) [N], at q of shape (…, nq) [m], v of (…, nv) [m/s]."""
+        return self._bias_map(np.concatenate([q, v], axis=-1))
+
+    def express_bias(self, q: npt.NDArray[Any], v: npt.NDArray[Any]) -> npt.NDArray[np.object_]:
+        """Returns h at other expressions of q and v, shape (nv,)."""
+        names = np.concatenate([self.positions, self.velocities])
+        # A sum with an Expression makes one of variables and floats.
+        values = [Expression(0.0) + each for each in (*q, *v)]
+        table = dict(zip(names, values, strict=True))
+        return np.array([entry.Substitute(table) for entry in self.bias], dtype=object)
+
+    def calc_signed_distance(self, q: _Array) -> _Array:
+        """Returns φ(q), shape (…, m) [m], at q of shape (…, nq) [m]."""
+        return self._signed_distance_map(q)
+
+    def calc_clearance(self, q: _Array) -> _Array:
+        """Returns how far the sphere is outside each solid, (…, S) [m], at q of shape (…, nq).
+
+        The largest φ_i of the solid's faces: at least 0 outside, and the distance itself where the
+        sphere's centre projects onto a face. Past an edge or a corner the distance is larger: the
+        corner counts as sharp though the sphere would round it.
+        """
+        firsts = [faces[0] for faces in self.solids]
+        return np.maximum.reduceat(self.calc_signed_distance(q), firsts, axis=-1)
+
+    def calc_contact_jacobian(self, q: _Array) -> _Array:
+        """Returns J(q) = ∂φ/∂q, shape (…, m, nv), at q of shape (…, nq) [m]."""
+        shape = self.num_contacts, self.num_velocities
+        return self._jacobian_map(q).reshape(*q.shape[:-1], *shape)
+
+    def calc_acceleration(self, q: _Array, v: _Array, u: _Array) -> _Array:
+        """Returns v̇ = M⁻¹ (B u − h(q, v)), without contact, shape (…, nv) [m/s²].
+
+        Args:
+            q: positions, shape (…, nq) [m].
+            v: velocities, shape (…, nv) [m/s].
+            u: controls, shape (…, nu) [N].
+        """
+        return self._divide_by_mass(q, u @ self.actuation.T - self.calc_bias(q, v))
+
+    def calc_velocity_change(self, q: _Array, impulses: _Array) -> _Array:
+        """Returns M⁻¹ J(q)ᵀ p, shape (…, nv) [m/s], for contact impulses p, (…, m) [N s]."""
+        J = self.calc_contact_jacobian(q)
+        return self._divide_by_mass(q, (impulses[..., np.newaxis, :] @ J)[..., 0, :])
+
+    def calc_kinetic_energy(self, q: _Array, v: _Array) -> _Array:
+        """Returns ½ vᵀ M(q) v, shape (…) [J]."""
+        return np.einsum("...i,...ij,...j->...", v, self.calc_mass_matrix(q), v) / 2
+
+    def _divide_by_mass(self, q: _Array, momentum: _Array) -> _Array:
+        """Returns M(q)⁻¹ times momenta or forces, shape (…, nv)."""
+        if self.has_constant_inertia:  # Simulations ask this in every step.
+            return momentum @ self.constant_inertia.inverse_mass.T
+        columns = np.linalg.solve(self.calc_mass_matrix(q), momentum[..., np.newaxis])
+        return np.asarray(columns[..., 0], dtype=np.float64)
+
+    @cached_property
+    def _mass_map(self) -> PolynomialMap:
+        return PolynomialMap(self.mass_matrix.ravel(), self.positions)
+
+    @cached_property
+    def _bias_map(self) -> PolynomialMap:
+        return PolynomialMap(self.bias, np.concatenate([self.positions, self.velocities]))
+
+    @cached_property
+    def _signed_distance_map(self) -> PolynomialMap:
+        distances = np.array([contact.signed_distance for contact in self.contacts])
+        return PolynomialMap(distances, self.positions)
+
+    @cached_property
+    def _jacobian_map(self) -> PolynomialMap:
+        jacobians = np.concatenate([contact.jacobian for contact in self.contacts])
+        return PolynomialMap(jacobians, self.positions)
