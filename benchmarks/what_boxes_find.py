@@ -15,6 +15,7 @@ from typing import get_args
 from drake_aigto.paper import LiteralOptions, LiteralProblem, make_literal_problem, plan_literal
 from drake_aigto.paper.options import AlgorithmName
 from drake_aigto.planning.plan import LARGEST_DEFECT
+from drake_aigto.transcription.rows import largest_defect
 from drake_aigto.world import Scenario, World
 
 STRIDE = 10
@@ -26,7 +27,11 @@ def grid_cost(problem: LiteralProblem) -> float:
     center = problem.box.center
     knots = range(STRIDE // 2, transcription.num_samples() - 1, STRIDE)
     polished = [problem.polish(center, (k,))[1] for k in knots]
-    solutions = [x for x in polished if max(transcription.defects(x).values()) <= LARGEST_DEFECT]
+    solutions = [
+        x
+        for x in polished
+        if largest_defect(transcription.defects(x), problem.scales) <= LARGEST_DEFECT
+    ]
     return min(transcription.scenario_cost(x) for x in solutions)
 
 

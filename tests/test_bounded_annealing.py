@@ -13,8 +13,7 @@ from drake_aigto.aigo import BoundedAnnealing, Box, BoxSearch, FaceFlow, Pace, m
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
 from drake_aigto.transcription import RigidTranscription
-from drake_aigto.transcription.rigid_contact import RESTITUTION
-from drake_aigto.transcription.transcription import NONPENETRATION
+from drake_aigto.transcription.rows import NONPENETRATION, RESTITUTION
 from drake_aigto.world import Scenario, World
 
 

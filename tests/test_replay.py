@@ -19,7 +19,9 @@ from drake_aigto.errors import DamagedDataError, ModelError
 from drake_aigto.plain import from_plain, to_plain
 from drake_aigto.simulation.material import calc_dissipation, contact_delay
 from drake_aigto.simulation.replay import Replay, confirms, replay_drake, replay_event_driven
-from drake_aigto.world import Scenario, World
+from drake_aigto.world import Scales, Scenario, World
+
+METRE = Scales(length=1.0, time=1.0, cost=1.0)
 
 # Drake's plant.
 
@@ -40,7 +42,7 @@ def test_drakes_elastic_wall_is_late_by_its_contact_and_else_agrees(row: int) ->
     assert drake.energy_ratio == pytest.approx(1.0, abs=3e-5)
     assert drake.matched_speeds == () and drake.bounce_contacts == (0,)
     assert np.all(np.diff(drake.times) >= 0) and len(drake.times) == len(control[0]) + 3
-    assert confirms(rigid.cost, drake, rigid.goal_error)
+    assert confirms(rigid.cost, drake, Scales.of(world, scenario), rigid.goal_error)
 
 
 @pytest.mark.parametrize("e", [0.9, 0.5, 0.2])
@@ -77,9 +79,9 @@ def test_only_what_compliance_explains_is_forgiven() -> None:
     drake = replay_drake(world, scenario, *hold(0.0))
     ends = drake.goal_error  # 4 mm short of where the rigid wall leads
     promised = ends - drake.compliance_error
-    assert confirms(promised**2, drake, promised - 0.0019)
-    assert not confirms(promised**2, drake, promised - 0.0021)
-    assert not confirms(promised**2, rigid, promised - 0.0021)
+    assert confirms(promised**2, drake, METRE, promised - 0.0019)
+    assert not confirms(promised**2, drake, METRE, promised - 0.0021)
+    assert not confirms(promised**2, rigid, METRE, promised - 0.0021)
 
 
 def test_drake_rests_under_a_push() -> None:
@@ -158,7 +160,8 @@ def test_the_exact_optimum_costs_what_it_is_known_to(
     assert rigid.cost == pytest.approx(cost, rel=1e-5)
     assert rigid.bounce_times == pytest.approx([bounce], abs=1e-12)
     assert drake.cost == pytest.approx(cost, rel=5e-3)
-    assert confirms(cost, rigid, rigid.goal_error) and confirms(cost, drake, rigid.goal_error)
+    for replay in (rigid, drake):
+        assert confirms(cost, replay, METRE, rigid.goal_error)
 
 
 # What a replay says.
@@ -218,13 +221,31 @@ def test_a_bad_control_is_refused(
 def test_a_plan_holds_if_its_replay_costs_and_misses_little_more() -> None:
     replay = replay_event_driven(shipped_world(), make_scenario(), *hold(0.0))
     cost, error = replay.cost, replay.goal_error  # 0.0729, 0.27 m
-    assert confirms(cost, replay, error) and confirms(cost, replay)
-    assert confirms(2 * cost, replay, 2 * error)  # better than promised
-    assert confirms(cost / 1.04, replay, error)
-    assert not confirms(cost / 1.06, replay, error)
-    assert confirms(cost, replay, error - 0.0019)
-    assert not confirms(cost, replay, error - 0.0021)
-    assert confirms(cost - 3.9e-6, replay, relative_cost=0.0)
-    assert not confirms(cost - 4.1e-6, replay, relative_cost=0.0)
-    assert not confirms(math.nan, replay)
-    assert not confirms(cost, replay, math.nan)
+    assert confirms(cost, replay, METRE, error) and confirms(cost, replay, METRE)
+    assert confirms(2 * cost, replay, METRE, 2 * error)  # better than promised
+    assert confirms(cost / 1.04, replay, METRE, error)
+    assert not confirms(cost / 1.06, replay, METRE, error)
+    assert confirms(cost, replay, METRE, error - 0.0019)
+    assert not confirms(cost, replay, METRE, error - 0.0021)
+    assert confirms(cost - 3.9e-6, replay, METRE, relative_cost=0.0)
+    assert not confirms(cost - 4.1e-6, replay, METRE, relative_cost=0.0)
+    assert not confirms(math.nan, replay, METRE)
+    assert not confirms(cost, replay, METRE, math.nan)
+
+
+@given(size=st.sampled_from([1e-3, 1e-2, 1.0, 1e3]), miss=st.floats(1e-4, 1e-2))
+def test_the_verdict_is_the_same_at_every_size(size: float, miss: float) -> None:
+    # The same motion a thousand times smaller, with the same miss in proportion.
+    verdicts = []
+    for unit in (1.0, size):
+        scenario = dataclasses.replace(
+            make_scenario(unit, -2.0 * unit), goal_position=0.73 * unit, time_step=0.1
+        )
+        scales = Scales.of(shipped_world(), scenario)
+        replay = replay_event_driven(shipped_world(), scenario, *hold(0.0))
+        verdicts += [
+            confirms(replay.cost, replay, scales, replay.goal_error - miss * unit),
+            confirms(replay.cost - (miss * unit) ** 2, replay, scales, relative_cost=0.0),
+        ]
+    assert verdicts[:2] == verdicts[2:]
+    assert verdicts[:2] == [miss < 2e-3] * 2 or miss == pytest.approx(2e-3, rel=1e-6)

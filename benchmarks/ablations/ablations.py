@@ -28,7 +28,7 @@ from drake_aigto.study.scenario_jobs import EXHAUSTIVE, read_boxes
 from drake_aigto.study.scenario_question import ScenarioQuestion
 from drake_aigto.study.scenario_results import ScenarioResult
 from drake_aigto.transcription import RigidTranscription, Touch, TouchSequence
-from drake_aigto.transcription.rigid_contact import CONTACT, DYNAMICS, RESTITUTION
+from drake_aigto.transcription.rows import CONTACT, DYNAMICS, RESTITUTION
 from drake_aigto.world import Scenario, World
 
 Way: TypeAlias = Literal["plan", "replay", "listed"]

@@ -11,6 +11,7 @@ from drake_aigto.baselines.baseline import Baseline, Recorder
 from drake_aigto.paper import LiteralOptions, make_literal_problem, random_guess
 from drake_aigto.planning import PlanningProblem, PlanOptions, make_problem
 from drake_aigto.planning.plan import LARGEST_DEFECT
+from drake_aigto.transcription.rows import largest_defect
 
 
 class GradientBaseline(Baseline):
@@ -40,7 +41,7 @@ class GradientBaseline(Baseline):
         transcription = problem.transcription
         while not recorder.is_over:
             x = problem.solve_locally(random_guess(transcription, generator))
-            is_met = max(transcription.defects(x).values()) <= LARGEST_DEFECT
+            is_met = largest_defect(transcription.defects(x), problem.scales) <= LARGEST_DEFECT
             claim = transcription.scenario_cost(x) if self._is_literal and is_met else math.inf
             recorder.offer(transcription.GetSampleTimes(), transcription.split(x)[2], claim)
 

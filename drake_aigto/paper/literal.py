@@ -9,15 +9,13 @@ from pydrake.symbolic import Expression
 
 from drake_aigto.errors import ModelError
 from drake_aigto.paper.contact_law import PolynomialLaw
-from drake_aigto.transcription.rigid_contact import DYNAMICS
+from drake_aigto.transcription.rows import DYNAMICS, KINEMATICS, NONPENETRATION
 from drake_aigto.transcription.shared import as_expression, shared_constraint
-from drake_aigto.transcription.transcription import NONPENETRATION, Transcription
+from drake_aigto.transcription.transcription import Transcription
 from drake_aigto.world import Scenario, World
 
 if TYPE_CHECKING:
     import numpy.typing as npt
-
-KINEMATICS = "kinematics"
 
 
 class LiteralTranscription(Transcription):

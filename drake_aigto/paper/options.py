@@ -5,10 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal, get_args
 
-from drake_aigto.paper.literal import KINEMATICS
 from drake_aigto.planning import Rung, SearchOptions
 from drake_aigto.transcription import NONPENETRATION
-from drake_aigto.transcription.rigid_contact import DYNAMICS
+from drake_aigto.transcription.rows import DYNAMICS, KINEMATICS
 
 AlgorithmName = Literal["annealing", "full gradient", "alternating"]
 

@@ -27,7 +27,7 @@ from drake_aigto.errors import OptionsError
 from drake_aigto.paper.literal import LiteralTranscription
 from drake_aigto.transcription.penalties import cut_to_bounds
 from drake_aigto.transcription.rigid import RigidTranscription
-from drake_aigto.transcription.rigid_contact import CONTACT, DYNAMICS, RESTITUTION
+from drake_aigto.transcription.rows import CONTACT, DYNAMICS, RESTITUTION
 from drake_aigto.transcription.shared import as_expression, shared_constraint
 from drake_aigto.transcription.transcription import Transcription
 from drake_aigto.world import Scenario, World

@@ -13,7 +13,7 @@ from drake_aigto.local import LocalResult, PolynomialNlp
 from drake_aigto.local.builder import Monomial, NlpBuilder
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import NONPENETRATION
-from drake_aigto.transcription.rigid_contact import CONTACT, DYNAMICS, FLIGHT, RESTITUTION
+from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, RESTITUTION
 
 if TYPE_CHECKING:
     from drake_aigto.transcription import PhaseTranscription

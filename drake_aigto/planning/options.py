@@ -8,7 +8,7 @@ from typing import ClassVar, Literal, get_args
 
 from drake_aigto.errors import OptionsError
 from drake_aigto.transcription import NONPENETRATION
-from drake_aigto.transcription.rigid_contact import CONTACT, DYNAMICS, FLIGHT, RESTITUTION
+from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, RESTITUTION
 
 LocalSolverName = Literal["newton", "ipopt", "snopt"]
 StartName = Literal["line", "coast"]

@@ -15,7 +15,8 @@ from drake_aigto.planning.origin import Origin
 from drake_aigto.simulation.contacts import PlannedContact
 from drake_aigto.simulation.replay import Replay, confirms, replay_drake, replay_event_driven
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.world import Scenario, World
+from drake_aigto.transcription.rows import largest_defect
+from drake_aigto.world import Scales, Scenario, World
 from drake_aigto.world.files import write_text
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ if TYPE_CHECKING:
 FORMAT = "drake_aigto plan"
 FORMAT_VERSION = 4
 
-# A candidate whose rows are off by more than this is no solution of the transcription [m, m/s].
+# A candidate whose rows are off by more than this part of the task's scales is no solution.
 LARGEST_DEFECT = 1e-6
 
 
@@ -72,6 +73,7 @@ class Candidate:
         max_penetration: the deepest −φ ≥ 0 at its knots [m].
         contacts: its contact sequence, read off its impulses.
         replay: the control alone, on the exactly rigid wall.
+        scales: of the task, which its verdict is relative to.
         added_costs: what of the cost users added, by name.
     """
 
@@ -85,17 +87,18 @@ class Candidate:
     max_penetration: float
     contacts: tuple[PlannedContact, ...]
     replay: Replay
+    scales: Scales
     added_costs: Mapping[str, float] = field(default_factory=dict)
 
     @property
     def max_defect(self) -> float:
-        """The largest of all defects."""
+        """The largest of all defects, whatever its unit."""
         return max(self.defects.values())
 
     @property
     def is_feasible(self) -> bool:
         """Whether it meets the transcription's rows."""
-        return self.max_defect <= LARGEST_DEFECT
+        return largest_defect(self.defects, self.scales) <= LARGEST_DEFECT
 
     @property
     def is_confirmed(self) -> bool:
@@ -109,7 +112,7 @@ class Candidate:
         """
         is_known = replay.added_costs.keys() == self.added_costs.keys()
         cost = self.cost if is_known else self.cost - sum(self.added_costs.values())
-        return confirms(cost, replay, self.goal_error)
+        return confirms(cost, replay, self.scales, self.goal_error)
 
     @property
     def energy_ratio(self) -> float | None:

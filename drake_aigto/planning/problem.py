@@ -40,6 +40,7 @@ from drake_aigto.terms import parse_costs
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Transcription
 from drake_aigto.transcription.additions import Samples
+from drake_aigto.world import Scales
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -196,6 +197,11 @@ class PlanningProblem(ABC):
         weighted = start.polynomial.with_weights(self._weights(rung))
         return minimize(weighted, start.box, algorithm, callback)
 
+    @cached_property
+    def scales(self) -> Scales:
+        """The task's own units."""
+        return Scales.of(self.transcription.world, self.transcription.scenario)
+
     @abstractmethod
     def make_algorithm(self, rung: Rung) -> Algorithm:
         """Returns how boxes shrink under a rung, with temperatures in the cost's unit."""
@@ -300,6 +306,7 @@ class PlanningProblem(ABC):
             max_penetration=max_penetration(world, trajectory),
             contacts=find_contacts(world, trajectory),
             replay=self.add_to_replay(replay, trajectory),
+            scales=self.scales,
             added_costs=added,
         )
 

@@ -22,6 +22,7 @@ from drake_aigto.planning.touches import read_sequences
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription, TouchSequence
 from drake_aigto.transcription.facings import Facing, find_facings
 from drake_aigto.transcription.phases import straight_path
+from drake_aigto.transcription.rows import largest_defect
 from drake_aigto.transcription.touch import joint_times
 
 if TYPE_CHECKING:
@@ -182,7 +183,7 @@ class RigidProblem(PlanningProblem):
 
     def _merit(self, phases: PhaseTranscription, x: npt.NDArray[np.float64]) -> tuple[float, float]:
         """Returns what is less for a better solution: by how much it misses rows, then its cost."""
-        defect = max(self.defects(phases, x).values())
+        defect = largest_defect(self.defects(phases, x), self.scales)
         return max(defect, LARGEST_DEFECT), self.cost(phases, x)
 
     def _polish_once(

@@ -18,6 +18,7 @@ from drake_aigto.planning.rigid import Path, RigidProblem, Solved
 from drake_aigto.planning.search import Progress, Search, Stopwatch
 from drake_aigto.planning.touches import are_near, are_neighbors, is_same, kinds, neighbors, swapped
 from drake_aigto.transcription import Touch, TouchSequence
+from drake_aigto.transcription.rows import largest_defect
 from drake_aigto.transcription.touch import joint_times
 
 if TYPE_CHECKING:
@@ -278,7 +279,8 @@ class RigidSearch(Search):
                 )
         except (OptionsError, TrajectoryError, UnsupportedTermError):
             return None
-        is_feasible = max(self.problem.defects(phases, x).values()) <= LARGEST_DEFECT
+        defects = self.problem.defects(phases, x)
+        is_feasible = largest_defect(defects, self.problem.scales) <= LARGEST_DEFECT
         is_good = self.problem.cost(phases, x) <= _times(_GOOD, least)
         return (phases, x) if is_feasible and is_good else None
 

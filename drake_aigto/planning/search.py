@@ -26,6 +26,7 @@ from drake_aigto.planning.plan import (
     Replays,
 )
 from drake_aigto.planning.problem import ContactSequence, PlanningProblem
+from drake_aigto.transcription.rows import largest_defect
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -235,12 +236,12 @@ class Search(ABC):
         """
         feasible = [candidate for candidate in self.ranked() if candidate.is_feasible]
         if not feasible:
-            defects = [candidate.max_defect for candidate in self.ranked()]
+            defects = [largest_defect(each.defects, each.scales) for each in self.ranked()]
             raise PlanningError(
                 "no candidate meets the transcription's rows",
                 got=f"{len(defects)} candidates from {len(self.problem.options.ladder)} rungs, the "
                 f"smallest defect {min(defects, default=np.inf):.1e}",
-                expected=f"at most {LARGEST_DEFECT:g}",
+                expected=f"at most {LARGEST_DEFECT:g} of the task's scales",
                 remedy="Try another ladder or local solver.",
             )
         return feasible

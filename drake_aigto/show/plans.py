@@ -18,7 +18,7 @@ from drake_aigto.show.text import (
 )
 from drake_aigto.simulation import Replay
 from drake_aigto.simulation.contacts import PlannedContact
-from drake_aigto.transcription.rigid_contact import DYNAMICS, RESTITUTION
+from drake_aigto.transcription.rows import UNITS
 from drake_aigto.world import World
 
 _LABEL = 12  # Columns of the labels at the left.
@@ -214,7 +214,7 @@ def _simulator(replay: Replay, names: Sequence[str]) -> str:
 
 def _defects(candidate: Candidate) -> Iterator[str]:
     for name, defect in candidate.defects.items():
-        unit = "m/s" if name in (DYNAMICS, RESTITUTION) else "m"
+        unit = UNITS.get(name, "of the task's scales")
         yield f"{name} {defect:.0e} {unit}" if defect else f"{name} 0 {unit}"
 
 

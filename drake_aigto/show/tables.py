@@ -23,7 +23,7 @@ _COLUMNS = (
 )
 _LEGEND = """\
 before   cost / largest defect of what the local solver began with (for AIGTO: AIGO's last box)
-cost     J of the plan;  defect: its largest dynamics defect, m or m/s (* above 1e-6: no solution)
+cost     J of the plan;  defect: its largest dynamics defect, m or m/s (* no solution)
 in wall  the plan's deepest penetration;  energy: kinetic energy after / before its contact
 rigid    J of its control alone on an exactly rigid wall (event-driven);  miss: goal error there
 Drake    J of its control alone on Drake's plant (compliant wall, Radau3), which is late: contact

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 # An impulse is a contact if it changes the velocity by this part of the largest one on the way. A
 # literal plan has some force at every distance; this tells the blow from the breeze.
 _SHARE = 0.05
-# Impulses that follow each other sooner than this are one contact [s].
+# Impulses that follow each other sooner than this part of the duration are one contact.
 _GAP = 0.1
 # An impulse below this part of the largest velocity is a solver's rounding.
 _ROUNDING = 1e-9
@@ -69,7 +69,7 @@ def _find_contacts(world: World, trajectory: Trajectory, index: int) -> list[Pla
     largest = np.max(np.linalg.norm(trajectory.velocities, axis=1))
     if np.all(impulses[:-1]):
         hit = np.flatnonzero(sizes > _SHARE * largest)
-        apart = np.diff(trajectory.times[hit]) >= _GAP
+        apart = np.diff(trajectory.times[hit]) >= _GAP * np.ptp(trajectory.times)
     else:
         touching = np.append(held != 0, False) | np.append(False, held != 0)
         hit = np.flatnonzero((sizes > _ROUNDING * largest) | touching)

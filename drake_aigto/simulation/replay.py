@@ -19,7 +19,7 @@ from drake_aigto.simulation.rollout import Parabolas
 from drake_aigto.trajectory import ArrayRecord, check_control, read_only
 
 if TYPE_CHECKING:
-    from drake_aigto.world import Scenario, World
+    from drake_aigto.world import Scales, Scenario, World
 
 # A row is at a knot but for this part of the duration: rounding.
 _AT_KNOT = 1e-9
@@ -205,39 +205,38 @@ def replay_drake(
 def confirms(
     cost: float,
     replay: Replay,
+    scales: Scales,
     goal_error: float | None = None,
     *,
     relative_cost: float = 0.05,
-    absolute_cost: float = 4e-6,
-    length: float = 2e-3,
-    violation: float = 2e-3,
+    nothing: float = 2e-3,
 ) -> bool:
     """Returns whether a plan holds: its replay is nearly as cheap, and ends nearly as close.
 
-        replay.cost − compliance_cost        ≤ cost + relative_cost · |cost| + absolute_cost
-        replay.goal_error − compliance_error ≤ goal_error + length
-        each of replay.violations            ≤ violation
+        replay.cost − compliance_cost        ≤ cost + relative_cost · |cost| + nothing² J₀
+        replay.goal_error − compliance_error ≤ goal_error + nothing · L
+        each of replay.violations            ≤ nothing
 
-    A replay that does better than its plan confirms it. The absolute parts are for plans that
-    promise next to nothing: who ends 2 mm off where the plan claims 0 is still there, and at a goal
-    weight of 1 that costs 4e-6. The defaults let pass what the compliant wall of the shipped models
+    with the task's scales L and J₀. A replay that does better than its plan confirms it. The parts
+    that do not grow with the cost are for plans that promise next to nothing: who ends 2 mm off the
+    goal in a task of a metre, where the plan claims 0, is still there, and J₀ is what missing the
+    goal by L costs. The defaults let pass what the compliant wall of the shipped models
     takes from the optimal plans of Table I's problems (0.1 ms late, so 0.2 mm off and 0.5 % dearer
     at most), and stop a plan whose bounce no rigid wall returns. NaN never holds.
 
     Args:
         cost: that the plan promises.
         replay: of the plan's control.
+        scales: of the task (`Scales.of`).
         goal_error: that the plan promises, ‖q_N − goal‖ [m]; None leaves out the second rule.
         relative_cost: how much more the replay may cost, as a part of the plan's cost.
-        absolute_cost: how much more it may cost besides.
-        length: how much farther from the goal the replay may end [m].
-        violation: by how much the replay may miss a constraint that users added.
+        nothing: what counts as nothing, as a part of the scales.
     """
     replayed_cost = replay.cost - replay.compliance_cost
     replayed_error = replay.goal_error - replay.compliance_error
-    is_cheap = replayed_cost <= cost + relative_cost * abs(cost) + absolute_cost
-    is_near = goal_error is None or replayed_error <= goal_error + length
-    return is_cheap and is_near and all(by <= violation for by in replay.violations.values())
+    is_cheap = replayed_cost <= cost + relative_cost * abs(cost) + nothing**2 * scales.cost
+    is_near = goal_error is None or replayed_error <= goal_error + nothing * scales.length
+    return is_cheap and is_near and all(by <= nothing for by in replay.violations.values())
 
 
 def _check_control(

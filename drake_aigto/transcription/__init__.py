@@ -4,8 +4,9 @@ from drake_aigto.transcription.facings import Facing, find_facings
 from drake_aigto.transcription.penalties import cut_to_bounds, penalize
 from drake_aigto.transcription.phases import PhaseTranscription
 from drake_aigto.transcription.rigid import RigidTranscription
+from drake_aigto.transcription.rows import NONPENETRATION
 from drake_aigto.transcription.touch import Touch, TouchSequence, joint_times
-from drake_aigto.transcription.transcription import NONPENETRATION, Transcription
+from drake_aigto.transcription.transcription import Transcription
 
 __all__ = [
     "NONPENETRATION",

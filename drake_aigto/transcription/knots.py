@@ -11,7 +11,8 @@ from pydrake.solvers import MathematicalProgram
 
 from drake_aigto.errors import ProgramError
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.world import Scenario, World
+from drake_aigto.world import Scales, Scenario, World
+from drake_aigto.world.scales import calc_inertia
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -205,16 +206,11 @@ class Knots(ABC):
 
     def length_scale(self) -> float:
         """Returns the longest of the ways to the goal and, from both ends, to the wall [m]."""
-        q0, goal = self.scenario.initial_position, self.scenario.goal_position
-        # A joint askew to the wall has to go farther than φ.
-        steepness = np.linalg.norm(self.world.calc_contact_jacobian(q0), axis=1)
-        ways = self.world.calc_signed_distance(np.array([q0, goal])) / steepness
-        return float(max(np.max(np.abs(goal - q0)), np.max(ways)))
+        return Scales.of(self.world, self.scenario).length
 
     def inertia(self) -> float:
         """Returns the largest entry of B⁺ M at the start: control per acceleration [kg]."""
-        M = self.world.calc_mass_matrix(self.scenario.initial_position)
-        return float(np.max(np.abs(np.linalg.pinv(self.world.actuation) @ M)))
+        return calc_inertia(self.world, self.scenario.initial_position)
 
     def cost_scale(self) -> float:
         """Returns the unit of penalty weights and temperatures."""

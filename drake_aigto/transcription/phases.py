@@ -12,14 +12,8 @@ from pydrake.symbolic import Expression, MakeVectorVariable, Variable
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription.additions import Additions
 from drake_aigto.transcription.facings import Facing, find_facings
-from drake_aigto.transcription.rigid_contact import (
-    CONTACT,
-    DYNAMICS,
-    FLIGHT,
-    RESTITUTION,
-    ImpactTranscription,
-    JointImpact,
-)
+from drake_aigto.transcription.rigid_contact import ImpactTranscription, JointImpact
+from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, RESTITUTION
 from drake_aigto.transcription.shared import SharedEvaluator, as_expression, shared_constraint
 from drake_aigto.transcription.timeline import Phase, check_sequence, make_timeline
 from drake_aigto.transcription.touch import Touch, TouchSequence, joint_times

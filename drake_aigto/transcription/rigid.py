@@ -14,15 +14,16 @@ from drake_aigto.errors import OptionsError
 from drake_aigto.transcription.directions import ImpulseDirections
 from drake_aigto.transcription.facings import Fronts, find_facings
 from drake_aigto.transcription.penalties import InequalityPenalty, penalize
-from drake_aigto.transcription.rigid_contact import (
+from drake_aigto.transcription.rigid_contact import ImpactTranscription
+from drake_aigto.transcription.rows import (
+    CLEARANCE,
     CONTACT,
     DYNAMICS,
     FLIGHT,
+    NONPENETRATION,
     RESTITUTION,
-    ImpactTranscription,
 )
 from drake_aigto.transcription.shared import as_expression, shared_constraint
-from drake_aigto.transcription.transcription import CLEARANCE, NONPENETRATION
 from drake_aigto.world import Scenario, World
 
 if TYPE_CHECKING:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drake_aigto.errors import OptionsError
-from drake_aigto.transcription.transcription import NONPENETRATION, Transcription
+from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, NONPENETRATION, RESTITUTION
+from drake_aigto.transcription.transcription import Transcription
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -16,7 +17,6 @@ if TYPE_CHECKING:
     from drake_aigto.trajectory import Trajectory
     from drake_aigto.world import ConstantInertia, Scenario, World
 
-FLIGHT, DYNAMICS, CONTACT, RESTITUTION = "flight", "dynamics", "contact", "restitution"
 
 # Least eigenvalue of J_C M⁻¹ J_Cᵀ in units of their masses, 1 if they don't feel each other.
 _DEPENDENT = 1e-9

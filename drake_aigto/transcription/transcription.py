@@ -12,13 +12,12 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.transcription.open_program import OpenProgram
 from drake_aigto.transcription.penalties import InequalityPenalty, cut_to_bounds, penalize
+from drake_aigto.transcription.rows import CLEARANCE, NONPENETRATION
 from drake_aigto.transcription.shared import as_expression, shared_constraint, shared_cost
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-NONPENETRATION = "nonpenetration"
-CLEARANCE = "clearance"
 _START = "initial state"
 
 # The least part that a box around a motion has of its last knot's half widths.

@@ -4,6 +4,7 @@ from drake_aigto.world.constant import ConstantDynamics, ConstantInertia
 from drake_aigto.world.contact import Contact
 from drake_aigto.world.equations import EquationsOfMotion
 from drake_aigto.world.fingerprint import Fingerprint
+from drake_aigto.world.scales import Scales
 from drake_aigto.world.scenario import Scenario, scenario_names
 from drake_aigto.world.world import World
 
@@ -13,6 +14,7 @@ __all__ = [
     "Contact",
     "EquationsOfMotion",
     "Fingerprint",
+    "Scales",
     "Scenario",
     "World",
     "scenario_names",
