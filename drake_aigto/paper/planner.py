@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterator
 
 from drake_aigto.paper.options import LiteralOptions
@@ -58,26 +57,23 @@ class LiteralSearch(Search):
     problem: LiteralProblem
 
     def improve(self, sequence: Knots) -> None:
-        """Moves each contact of a candidate to and fro by so many knots, while that helps.
+        """Moves a candidate's contact to and fro by so many knots, while that helps.
 
         Each of the options' knot steps is repeated until it does not help any more.
         """
         for step in self.problem.options.knot_steps:
-            while (best := self._best([sequence, *self._neighbours(sequence, step)])) != sequence:
+            while (best := min(self._around(sequence, step), key=self.rank_of)) != sequence:
                 sequence = best
 
     def finalists(self) -> list[Knots]:
-        """Returns sequences with contacts: first those that the polish left in contact."""
+        """Returns sequences with a contact: first those that the polish left in contact."""
         return sorted(
             filter(None, self.by_sequence),
-            key=lambda knots: (
-                not self.by_sequence[knots].contacts,
-                *self.rank(self.by_sequence[knots]),
-            ),
+            key=lambda knots: (not self.by_sequence[knots].contacts, *self.rank_of(knots)),
         )
 
     def is_known(self, sequence: Knots) -> bool:
-        """Returns whether there is a candidate of nearly these knots."""
+        """Returns whether there is a candidate of nearly this knot."""
         return any(
             len(sequence) == len(known)
             and all(abs(a - b) <= _SAME for a, b in zip(sequence, known, strict=True))
@@ -88,19 +84,14 @@ class LiteralSearch(Search):
         """Orders by feasibility and by the cost that is promised."""
         return not candidate.is_feasible, candidate.cost
 
-    def _best(self, sequences: list[Knots]) -> Knots:
-        return min(sequences, key=lambda knots: self.rank(self.by_sequence[knots]))
-
-    def _neighbours(self, knots: Knots, step: int) -> Iterator[Knots]:
-        """Yields the sequences with one contact moved, which are candidates by then."""
-        last = self.problem.transcription.num_samples() - 1
-        for i, shift in itertools.product(range(len(knots)), (-step, step)):
-            moved = tuple(k + shift if j == i else k for j, k in enumerate(knots))
-            if not all(a < b for a, b in itertools.pairwise((0, *moved, last))):
-                continue
-            if moved not in self.by_sequence:
-                times = self.problem.transcription.GetSampleTimes()[list(knots)]
-                touches = tuple(map(Touch.bounce, times))
-                origin = self.by_sequence[knots].origin.changed("moved", touches)
-                self.add(origin, self.centers[knots], moved)
-            yield moved
+    def _around(self, sequence: Knots, step: int) -> Iterator[Knots]:
+        """Yields a sequence and those with its contact moved, which are candidates by then."""
+        yield sequence
+        (knot,), times = sequence, self.problem.transcription.GetSampleTimes()
+        for moved in (knot - step, knot + step):
+            if 0 < moved < len(times) - 1:
+                if (moved,) not in self.by_sequence:
+                    touch = Touch.bounce(times[knot])
+                    origin = self.by_sequence[sequence].origin.changed("moved", (touch,))
+                    self.add(origin, self.centers[sequence], (moved,))
+                yield (moved,)

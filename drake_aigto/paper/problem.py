@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Mapping
 from typing import TYPE_CHECKING
 
@@ -111,13 +110,8 @@ def ballistic_guess(
     last = len(positions) - 1
     stops = {0: scenario.initial_position, last: scenario.goal_position}
     stops |= {k: _onto_wall(transcription, positions[k]) for k in knots}
-    path = np.vstack(
-        [scenario.initial_position]
-        + [
-            np.linspace(stops[first], stops[second], second - first + 1)[1:]
-            for first, second in itertools.pairwise(sorted(stops))
-        ]
-    )
+    ways = zip(*(stops[k] for k in sorted(stops)), strict=True)
+    path = np.column_stack([np.interp(range(last + 1), sorted(stops), way) for way in ways])
     steps = np.diff(path, axis=0) / transcription.time_step()
     velocities = np.vstack([steps, steps[-1:]])
     return transcription.vector_of(path, velocities, np.zeros(controls.shape))

@@ -245,7 +245,7 @@ class RigidSearch(Search):
             ]
             if not good:
                 break
-            best = min(good, key=self._rank_of)
+            best = min(good, key=self.rank_of)
             branched.add(best)
             self._branch(best)
 
@@ -284,9 +284,6 @@ class RigidSearch(Search):
         is_good = self.problem.cost(phases, x) <= _times(_GOOD, least)
         return (phases, x) if is_feasible and is_good else None
 
-    def _rank_of(self, sequence: TouchSequence) -> tuple[float, ...]:
-        return self.rank(self.by_sequence[sequence])
-
     def improve(self, sequence: TouchSequence) -> None:
         """Polishes a candidate with the scenario's time step, in its place."""
         coarse, optimum = self.by_sequence[sequence], self._optimum(sequence)
@@ -309,7 +306,7 @@ class RigidSearch(Search):
     def finalists(self) -> list[TouchSequence]:
         """Returns the sequences by rank, one of each optimum."""
         kept: list[TouchSequence] = []
-        for sequence in sorted(self.by_sequence, key=self._rank_of):
+        for sequence in sorted(self.by_sequence, key=self.rank_of):
             optima = map(self._optimum, kept)
             if not self._is_among(self._optimum(sequence), optima, _SAME_END):
                 kept.append(sequence)

@@ -291,6 +291,10 @@ class Search(ABC):
     def improve(self, sequence: ContactSequence) -> None:
         """Adds candidates near a sequence, or a better one in its place."""
 
+    def rank_of(self, sequence: ContactSequence) -> tuple[float, ...]:
+        """Returns what its candidate is ordered by."""
+        return self.rank(self.by_sequence[sequence])
+
     @abstractmethod
     def rank(self, candidate: Candidate) -> tuple[float, ...]:
         """Returns what candidates are ordered by, the best least."""
