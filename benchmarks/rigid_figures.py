@@ -3,7 +3,7 @@
     python -m benchmarks.rigid_figures
 
 For e = 1, 0.8 and 0.5: the plan's control, replayed event-driven and in Drake, against the exact
-optimum in continuous time (`study.rigid_optimum`, which the planner does not know). Then seconds:
+optimum in continuous time (`optima.rigid_optimum`, which the planner does not know). Then seconds:
 of a plan in a running process, and of ``drake-aigto plan table1/1`` with cached kernels and
 without. Exits with 1 if a figure is missed.
 """
@@ -19,9 +19,10 @@ import tempfile
 import time
 
 from benchmarks.measure import COMMAND
+from drake_aigto.optima import rigid_optimum
 from drake_aigto.planning import Planner
 from drake_aigto.simulation.material import contact_delay
-from drake_aigto.study import ROWS, rigid_optimum
+from drake_aigto.study import ROWS
 from drake_aigto.world import Scenario
 
 RESTITUTIONS = (1.0, 0.8, 0.5)

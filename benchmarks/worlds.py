@@ -36,9 +36,9 @@ from drake_aigto.baselines import Recorder
 from drake_aigto.baselines.enumeration import list_sequences
 from drake_aigto.baselines.polish import offer_polished
 from drake_aigto.errors import AigtoError
+from drake_aigto.optima import ContactOptimum
 from drake_aigto.planning import Planner, PlanOptions, RigidProblem, make_problem
 from drake_aigto.simulation.replay import replay_event_driven
-from drake_aigto.study.walls_optimum import ContactOptimum
 from drake_aigto.study.world_scenarios import WORLDS
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import Scenario, World

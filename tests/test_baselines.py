@@ -25,7 +25,7 @@ from drake_aigto.baselines.enumeration import list_sequences
 from drake_aigto.baselines.smoothing import GaussianSmoothing
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import MissingExtraError
-from drake_aigto.study import rigid_optimum
+from drake_aigto.optima import rigid_optimum
 from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock
 
 # Readings of the clock in the longest step of any baseline.

@@ -13,6 +13,7 @@ from matplotlib.figure import Figure
 from pydrake.solvers import ExpressionCost, MathematicalProgram
 
 from drake_aigto import ModelError, Planner, PlanOptions, Scenario, World
+from drake_aigto.optima import bounce_costs, rigid_optimum
 from drake_aigto.show import (
     Motion,
     plot_cost_history,
@@ -21,7 +22,6 @@ from drake_aigto.show import (
     plot_phase_portrait,
     run_boxes,
 )
-from drake_aigto.study import bounce_costs, rigid_optimum
 
 OPTIONS = PlanOptions(aigo_steps=20, confirm=False, finalists=1)
 

@@ -23,6 +23,7 @@ ROAD = (
     "terms",
     "world",
     "trajectory",
+    "optima",
     "simulation",
     "transcription",
     "box",

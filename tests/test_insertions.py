@@ -10,11 +10,11 @@ import pytest
 from several_walls import make_task, shipped
 
 from drake_aigto import PlanOptions, Scenario, World, plan
+from drake_aigto.optima import masses_optimum
 from drake_aigto.planning import make_problem
 from drake_aigto.planning.insertions import find_insertions
 from drake_aigto.planning.rigid_search import RigidSearch
 from drake_aigto.planning.touches import kinds
-from drake_aigto.study import masses_optimum
 from drake_aigto.study.world_scenarios import WORLDS
 from drake_aigto.transcription import PhaseTranscription, Touch, TouchSequence
 
@@ -75,7 +75,7 @@ def test_a_polish_passes_the_block_on_the_way_to_the_goal_where_the_box_center_m
     center = problem.transcription.split(result.box.center)[0]
     assert np.linalg.norm(center[-1] - scenario.goal_position) > 0.3
     phases, x = problem.polish(result.box.center, sequence)
-    # The best known (`study.block_optimum`).
+    # The best known (`optima.block_optimum`).
     assert phases.scenario_cost(x) == pytest.approx(3.9686e-4, rel=0.01)
 
 

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from line_rivals import bounces_by_chance, cost_of, legs_of, transcribe
 
-from drake_aigto.study.line_optimum import Line, LineBounce, LineMotion, Wall, _Sequence
+from drake_aigto.optima.line_optimum import Line, LineBounce, LineMotion, Wall, _Sequence
 
 
 def make_corridor(

@@ -18,8 +18,8 @@ from benchmarks.robustness.perturbation import (
 )
 from drake_aigto import ModelError
 from drake_aigto.errors import ScenarioError
+from drake_aigto.optima import rigid_optimum
 from drake_aigto.simulation import replay_event_driven
-from drake_aigto.study import rigid_optimum
 
 
 @pytest.mark.parametrize("part", [0.02, -0.02])

@@ -22,7 +22,7 @@ from unfolded_flights import (
 
 from drake_aigto import Scenario, World
 from drake_aigto.local import solve_with_drake
-from drake_aigto.study.walls_optimum import walls_optimum
+from drake_aigto.optima import walls_optimum
 from drake_aigto.transcription import PhaseTranscription, Touch, TouchSequence
 
 T = 1.5

@@ -15,8 +15,8 @@ from replay_worlds import make_diagram, make_scenario, shipped_world
 from rigid_rivals import follow, make_rivals, optimal_control, transcribe
 
 from drake_aigto.errors import ModelError, ScenarioError
+from drake_aigto.optima import RigidOptimum, rigid_optimum
 from drake_aigto.simulation import replay_event_driven
-from drake_aigto.study import RigidOptimum, rigid_optimum
 from drake_aigto.world import Contact, Scenario, World, files
 
 # Table I's row, e → cost, bounce time [s], impact velocity [m/s], cost of the flight; from a search

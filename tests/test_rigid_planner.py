@@ -19,6 +19,7 @@ from replay_worlds import make_diagram, shipped_world
 from drake_aigto import Scenario, World
 from drake_aigto.aigo import AigoResult, Iterate, Status
 from drake_aigto.errors import OptionsError
+from drake_aigto.optima import rigid_optimum
 from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal
 from drake_aigto.planning import (
     Origin,
@@ -34,7 +35,7 @@ from drake_aigto.planning import problem as planning_problem
 from drake_aigto.planning.options import RIGID_LADDER, Rung
 from drake_aigto.planning.rigid_search import RigidSearch
 from drake_aigto.simulation import Replay, replay_event_driven
-from drake_aigto.study import ScenarioQuestion, rigid_optimum
+from drake_aigto.study import ScenarioQuestion
 from drake_aigto.transcription import (
     PhaseTranscription,
     RigidTranscription,

@@ -33,9 +33,9 @@ from benchmarks.robustness.study import plan_without_contact, run_robustness, ru
 from drake_aigto import OptionsError, PlanningError, Scenario
 from drake_aigto.control import TrackingController, track_event_driven
 from drake_aigto.errors import ResultsFileError
+from drake_aigto.optima import rigid_optimum
 from drake_aigto.plain import from_plain, to_plain
 from drake_aigto.simulation import replay_event_driven
-from drake_aigto.study import rigid_optimum
 
 SMALL = RobustnessQuestion(rows=(1,), restitutions=(0.8,), samples=1, confirm=False)
 

@@ -8,9 +8,10 @@ import json
 import pytest
 from scenario_studies import Inline
 
+from drake_aigto.optima import RigidOptimum
 from drake_aigto.plain import to_plain
 from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions, Replays
-from drake_aigto.study import ROWS, Cell, RigidCell, RigidOptimum, run_rigid_cell, run_table1
+from drake_aigto.study import ROWS, Cell, RigidCell, run_rigid_cell, run_table1
 from drake_aigto.study import table1 as table1_module
 from drake_aigto.world import Scenario
 

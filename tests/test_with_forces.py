@@ -17,6 +17,7 @@ from benchmarks.ablations.ablations import Variant, VariantPlanner
 from drake_aigto import OptionsError, Scenario
 from drake_aigto.aigo import Annealing
 from drake_aigto.box import BoxPolynomial
+from drake_aigto.optima import rigid_optimum
 from drake_aigto.paper import (
     LiteralOptions,
     LiteralProblem,
@@ -27,7 +28,6 @@ from drake_aigto.paper import (
 )
 from drake_aigto.planning import PlanOptions, RigidProblem, Rung
 from drake_aigto.planning.options import RIGID_LADDER
-from drake_aigto.study import rigid_optimum
 from drake_aigto.transcription import RigidTranscription, Transcription
 
 Array = npt.NDArray[np.float64]

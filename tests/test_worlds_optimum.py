@@ -15,17 +15,17 @@ from line_rivals import SAMPLES, Leg, legs_of
 from replay_worlds import make_diagram, make_scenario, shipped_world
 
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.simulation import replay_event_driven
-from drake_aigto.study import (
-    WORLDS,
+from drake_aigto.optima import (
     ContactOptimum,
     block_optimum,
     masses_optimum,
     rigid_optimum,
     walls_optimum,
 )
-from drake_aigto.study.line_optimum import Line, LineBounce, Wall
-from drake_aigto.study.masses_optimum import _list_sequences, _make_pair, _Sequence
+from drake_aigto.optima.line_optimum import Line, LineBounce, Wall
+from drake_aigto.optima.masses_optimum import _list_sequences, _make_pair, _Sequence
+from drake_aigto.simulation import replay_event_driven
+from drake_aigto.study import WORLDS
 from drake_aigto.world import Scenario, World
 
 

@@ -10,9 +10,9 @@ from matplotlib.axes import Axes
 from matplotlib.colors import LogNorm
 from matplotlib.ticker import LogLocator, MaxNLocator
 
+from drake_aigto.optima import bounce_costs, rigid_optimum
 from drake_aigto.planning import Candidate
 from drake_aigto.show.motion import color_of
-from drake_aigto.study import bounce_costs, rigid_optimum
 from drake_aigto.world import Scenario, World
 
 if TYPE_CHECKING:
@@ -106,7 +106,7 @@ def plot_cost_landscape(
 ) -> None:
     """Draws the least cost over when and how fast a rigid wall is touched, and where methods end.
 
-    Of motions that touch it once (`study.bounce_costs`); white is where none does. A method's end
+    Of motions that touch it once (`optima.bounce_costs`); white is where none does. A method's end
     point is its plan's first contact. Where its legend says that it does not hold, its own cost is
     not the landscape's: a literal plan leaves the wall as it likes.
 

@@ -11,6 +11,7 @@ from matplotlib.figure import Figure
 
 from drake_aigto import __version__
 from drake_aigto.errors import ModelError
+from drake_aigto.optima import rigid_optimum
 from drake_aigto.planning import Candidate, Plan
 from drake_aigto.show.box_playback import play_boxes
 from drake_aigto.show.box_run import BoxRun, run_boxes
@@ -30,7 +31,6 @@ from drake_aigto.show.text import (
 )
 from drake_aigto.simulation import Replay
 from drake_aigto.simulation.material import contact_delay
-from drake_aigto.study.rigid_optimum import rigid_optimum
 from drake_aigto.world import Scenario, World
 
 _ANY_PORT = 0

@@ -7,9 +7,9 @@ import time
 from functools import cache, lru_cache
 
 from drake_aigto.baselines import run_baseline
+from drake_aigto.optima import RigidOptimum, rigid_optimum
 from drake_aigto.planning import Plan, Planner, PlanOptions
 from drake_aigto.study.method_run import PLANNER, Job, MethodRun
-from drake_aigto.study.rigid_optimum import RigidOptimum, rigid_optimum
 from drake_aigto.world import Scenario, World
 
 OPTIONS = PlanOptions(confirm=False, threads=1)

@@ -14,6 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drake_aigto.count import Count
+from drake_aigto.optima import RigidOptimum, rigid_optimum
 from drake_aigto.paper import (
     LiteralOptions,
     LiteralProblem,
@@ -34,7 +35,6 @@ from drake_aigto.planning import (
 from drake_aigto.planning.options import LocalSolverName
 from drake_aigto.simulation import Replay
 from drake_aigto.simulation.material import contact_delay
-from drake_aigto.study.rigid_optimum import RigidOptimum, rigid_optimum
 from drake_aigto.study.workers import Workers
 from drake_aigto.world import Scenario, World
 

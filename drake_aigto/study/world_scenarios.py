@@ -8,9 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_aigto.study.block_optimum import block_optimum
-from drake_aigto.study.masses_optimum import masses_optimum
-from drake_aigto.study.walls_optimum import ContactOptimum, walls_optimum
+from drake_aigto.optima import ContactOptimum, block_optimum, masses_optimum, walls_optimum
 from drake_aigto.world import Scenario, World
 
 Floats = NDArray[np.float64]

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_aigto.study.least_effort import Flights, extremes, polynomial
+from drake_aigto.optima.least_effort import Flights, extremes, polynomial
 
 Floats = NDArray[np.float64]
 

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_aigto.errors import ModelError
-from drake_aigto.study.line_optimum import Line, LineMotion, Wall
+from drake_aigto.optima.line_optimum import Line, LineMotion, Wall
 from drake_aigto.world import ConstantDynamics, Scenario, World
 
 Floats = NDArray[np.float64]

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import ArrayLike, NDArray
 
-from drake_aigto.study.walls_optimum import calc_efforts, refuse_world
+from drake_aigto.optima.walls_optimum import calc_efforts, refuse_world
 from drake_aigto.world import ConstantDynamics, Scenario, World
 
 

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_aigto.study.least_effort import Flights
-from drake_aigto.study.walls_optimum import (
+from drake_aigto.optima.least_effort import Flights
+from drake_aigto.optima.walls_optimum import (
     ContactOptimum,
     KnownTouch,
     calc_efforts,

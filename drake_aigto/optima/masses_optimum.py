@@ -11,8 +11,8 @@ import numpy as np
 from numpy.polynomial import Polynomial
 from numpy.typing import NDArray
 
-from drake_aigto.study.least_effort import Flights, extremes, polynomial
-from drake_aigto.study.walls_optimum import (
+from drake_aigto.optima.least_effort import Flights, extremes, polynomial
+from drake_aigto.optima.walls_optimum import (
     ContactOptimum,
     KnownTouch,
     calc_efforts,
