@@ -23,7 +23,7 @@ _INTRODUCTION = """\
 
 A point mass before a wall is to end at its goal, with little control. The exact optimum J* of each
 scenario is computed by algebra (`optima.rigid_optimum`), which no method knows. A method succeeds
-if the control that it offers, replayed event-driven on a rigid wall, costs at most 1.01 J* + 10⁻⁷ J.
+if the control that it offers, replayed event-driven on a rigid wall, costs at most 1.01 J* + 10⁻⁷.
 Time is CPU time of one core, libraries and kernels loaded. Methods other than `aigto`, the planner,
 end as soon as they succeed, or with their last budget.
 """
