@@ -7,9 +7,9 @@ from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.solvers import IpoptSolver, SnoptSolver, SolverOptions
 
+from drake_aigto.arrays import Floats
 from drake_aigto.local import PolynomialNlp
 from drake_aigto.paper import LiteralTranscription
 from drake_aigto.terms import Factor, TermBlock
@@ -20,7 +20,6 @@ try:
 except ModuleNotFoundError:
     casadi = None
 
-Floats = NDArray[np.float64]
 # Start, and whether it is near a solution → x, the solver's word, iterations (0 if not told).
 Solver = Callable[[Floats, bool], tuple[Floats, bool, int]]
 

@@ -21,7 +21,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from benchmarks.local_peers import Floats, Solver, casadi, casadi_ipopt, drake_solver
+from benchmarks.local_peers import Solver, casadi, casadi_ipopt, drake_solver
+from drake_aigto.arrays import Floats
 from drake_aigto.local import InteriorPoint, PolynomialNlp, compile_nlp
 from drake_aigto.paper import LiteralProblem, LiteralTranscription
 from drake_aigto.paper.problem import ballistic_guess

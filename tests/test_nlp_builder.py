@@ -7,8 +7,7 @@ import pytest
 from pydrake.solvers import MathematicalProgram
 
 from drake_aigto import UnsupportedTermError
-from drake_aigto.local import InteriorPoint, compile_nlp
-from drake_aigto.local.builder import NlpBuilder
+from drake_aigto.local import InteriorPoint, NlpBuilder, compile_nlp
 
 
 def test_a_built_problem_is_the_compiled_one() -> None:

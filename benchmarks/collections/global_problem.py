@@ -12,7 +12,8 @@ from pydrake.solvers import ExpressionCost, MathematicalProgram
 from pydrake.symbolic import Expression, MakeVectorVariable
 from pydrake.symbolic import cos as symbolic_cos
 
-from benchmarks.collections.known_optimum import Floats, KnownOptimum
+from benchmarks.collections.known_optimum import KnownOptimum
+from drake_aigto.arrays import Floats
 
 _COMPLEX_STEP = 1e-30  # its square is lost beside any number that is not tiny itself
 

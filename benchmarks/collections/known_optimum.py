@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from pydrake.solvers import MathematicalProgram
 
-Floats = NDArray[np.float64]
+from drake_aigto.arrays import Floats
 
 
 @dataclass(frozen=True, eq=False, init=False)

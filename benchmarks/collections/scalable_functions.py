@@ -17,7 +17,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.linalg import spsolve
 
 from benchmarks.collections.global_problem import GlobalProblem, Part, cos
-from benchmarks.collections.known_optimum import Floats
+from drake_aigto.arrays import Floats
 
 JAMIL = "Jamil & Yang (2013), Int. J. Math. Modelling and Numerical Optimisation 4:150-194"
 MGH = "Moré, Garbow & Hillstrom (1981), ACM Trans. Math. Software 7:17-41"

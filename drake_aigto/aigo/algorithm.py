@@ -10,6 +10,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
 from drake_aigto.linear import Storage
@@ -24,8 +25,8 @@ class Box:
         half_width: w ≥ 0, shape (n,), read-only; a scalar is spread over all variables.
     """
 
-    center: NDArray[np.float64]
-    half_width: NDArray[np.float64]
+    center: Floats
+    half_width: Floats
 
     def __post_init__(self) -> None:
         """Checks and locks both arrays."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_aigto.aigo.newton import PointObjective, newton
+from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial
 
 
@@ -34,9 +35,9 @@ class PenaltyContinuation:
         self,
         f: BoxPolynomial,
         penalties: Collection[str],
-        x: NDArray[np.float64],
+        x: Floats,
         free: NDArray[np.bool_],
-    ) -> NDArray[np.float64]:
+    ) -> Floats:
         """Returns the minimiser at the last weights.
 
         Args:

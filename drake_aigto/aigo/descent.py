@@ -15,7 +15,7 @@ from drake_aigto.aigo.systems import solve_system
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.box import Lanes, System, add_means
 from drake_aigto.jit import inner, kernel, pasted
-from drake_aigto.linear.pattern import Pattern
+from drake_aigto.linear import Pattern
 
 _ARMIJO = 1e-4  # share of the linear decrease that a step must reach
 _HARDER, _SOFTER = 4.0, 0.25  # factors on the damping after a failed and an immediate success

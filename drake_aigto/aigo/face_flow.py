@@ -7,11 +7,10 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drake_aigto.aigo.algorithm import Box, Iterate, as_positive
 from drake_aigto.aigo.coupling import CouplingGraph
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
 from drake_aigto.jit import kernel
@@ -102,7 +101,7 @@ class FaceFlow:
         first, _ = iterate.memory
         return _largest_part(iterate.box.half_width, first.half_width) <= self.final_width
 
-    def _groups(self, f: BoxPolynomial, box: Box) -> NDArray[np.int64]:
+    def _groups(self, f: BoxPolynomial, box: Box) -> Ints:
         """Returns the group of each coordinate, which moves by one time step; −1 where held."""
         if self.pace is Pace.COMPONENT:
             return CouplingGraph.of(f).components(box.free)
@@ -122,7 +121,7 @@ def _flow(
     share: float,
     beta: float,
     least_shrink: float,
-    groups: NDArray[np.int64],
+    groups: Ints,
     gradient: Floats,
     first_center: Floats,
     first_half_width: Floats,

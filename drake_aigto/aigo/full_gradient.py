@@ -7,10 +7,10 @@ from typing import ClassVar
 
 import numpy as np
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
-from numpy.typing import NDArray
 
 from drake_aigto.aigo.algorithm import Box, Iterate
 from drake_aigto.aigo.size_penalty import LEAST_LOG_WIDTH, SizePenalty
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.box import BoxPolynomial
 
 
@@ -80,13 +80,13 @@ class FullGradient(SizePenalty):
         return log_s <= log_s_thr
 
     def _minimize(
-        self, f: BoxPolynomial, box: Box, free: NDArray[np.int64], log_s: float
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64], int]:
+        self, f: BoxPolynomial, box: Box, free: Ints, log_s: float
+    ) -> tuple[Floats, Floats, int]:
         """Line 4: returns c, w and the number of steps."""
         n = free.size
         center, half_width = box.center.copy(), box.half_width.copy()
 
-        def penalized(y: NDArray[np.float64]) -> tuple[float, NDArray[np.float64]]:
+        def penalized(y: Floats) -> tuple[float, Floats]:
             center[free], half_width[free] = y[:n], np.exp(y[n:])
             mean, gradient_c, gradient_z = f.gradient(center, half_width)
             penalty, slope = self._penalty(y[n:], log_s)

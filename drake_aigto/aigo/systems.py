@@ -7,8 +7,7 @@ from numba import objmode
 from drake_aigto.aigo import banded
 from drake_aigto.arrays import Floats
 from drake_aigto.jit import inner, njit
-from drake_aigto.linear.pattern import Pattern
-from drake_aigto.linear.sparse import factorise
+from drake_aigto.linear import Pattern, factorise
 
 
 @inner

@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError
 from drake_aigto.simulation.replay import replay_event_driven
 from drake_aigto.trajectory import read_only
@@ -53,8 +54,8 @@ class BaselineRun:
     claims: tuple[Improvement, ...]
     seconds: float
     evaluations: int
-    times: npt.NDArray[np.float64] | None
-    controls: npt.NDArray[np.float64] | None
+    times: Floats | None
+    controls: Floats | None
 
     @property
     def cost(self) -> float:
@@ -108,8 +109,8 @@ class Recorder:
         self.improvements: list[Improvement] = []
         self.claims: list[Improvement] = []
         self.evaluations = 0
-        self.times: npt.NDArray[np.float64] | None = None
-        self.controls: npt.NDArray[np.float64] | None = None
+        self.times: Floats | None = None
+        self.controls: Floats | None = None
         self._seconds, self._good_enough = seconds, good_enough
         self._clock, self._began = clock, clock()
 

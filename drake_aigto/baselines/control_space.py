@@ -7,14 +7,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drake_aigto.arrays import Floats
 from drake_aigto.baselines.baseline import Recorder
 from drake_aigto.simulation.rollout import Parabolas
 from drake_aigto.transcription import RigidTranscription
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    _Array = npt.NDArray[np.float64]
+    _Array = Floats
 
 # Pieces, and held steps of each: a slope over ten steps costs 1/400 less without them at most.
 _PIECES, _STEPS = 3, 10

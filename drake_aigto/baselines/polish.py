@@ -3,23 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
 
+from drake_aigto.arrays import Floats
 from drake_aigto.baselines.baseline import Recorder
 from drake_aigto.errors import AigtoError
 from drake_aigto.planning import RigidProblem
 from drake_aigto.transcription import TouchSequence
-
-if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
 
 
 def offer_polished(
     recorder: Recorder,
     problem: RigidProblem,
     sequences: Iterable[TouchSequence],
-    x: npt.NDArray[np.float64],
+    x: Floats,
 ) -> None:
     """Polishes sequence after sequence until it is over, and offers the controls.
 

@@ -8,8 +8,8 @@ to 1019 and no others.
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from drake_aigto.arrays import Floats
 from drake_aigto.baselines.baseline import Baseline, Recorder
 from drake_aigto.baselines.control_space import ControlSpace, has_converged
 
@@ -124,7 +124,7 @@ class DualAnnealing(Baseline):
 
         space = ControlSpace(recorder)
 
-        def objective(point: npt.NDArray[np.float64]) -> float:
+        def objective(point: Floats) -> float:
             if recorder.is_over:
                 raise _IsOverError
             return float(space.costs(point)[0])

@@ -8,14 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drake_aigto.aigo.algorithm import Box, Iterate
+from drake_aigto.aigo import Box, Iterate
+from drake_aigto.arrays import Floats
 from drake_aigto.baselines.baseline import Baseline, Recorder
 from drake_aigto.baselines.polish import offer_polished
 from drake_aigto.planning import PlanOptions, make_problem
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
     from drake_aigto.box import BoxPolynomial
 
 # Adam's, of the gradient and of its square (D. P. Kingma and J. Ba, 2015, but for 0.999: runs are
@@ -28,8 +27,8 @@ _TINY = 1e-12
 class Moments:
     """What Adam carries along: means of the gradient and of its square, shape (n,), of k steps."""
 
-    mean: npt.NDArray[np.float64]
-    square: npt.NDArray[np.float64]
+    mean: Floats
+    square: Floats
     steps: int
     generator: np.random.Generator
 
@@ -86,7 +85,7 @@ class GaussianSmoothing:
 
     def _sample_gradient(
         self, f: BoxPolynomial, box: Box, generator: np.random.Generator
-    ) -> npt.NDArray[np.float64]:
+    ) -> Floats:
         """Returns the mean of sampled gradients, shape (n,), in units of 1 / D."""
         total, point = np.zeros(f.num_variables), np.zeros(f.num_variables)
         for _ in range(self.pairs):

@@ -22,8 +22,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drake_aigto.arrays import Floats
 from drake_aigto.jit import inner, kernel
 from drake_aigto.terms import WAVES, FunctionKind
 
@@ -48,7 +48,7 @@ _LOG_SERIES_RATIO = 0.3
 
 
 @inner
-def _power_mean(exponent: int, c: float, w: float, row: NDArray[np.float64]) -> None:
+def _power_mean(exponent: int, c: float, w: float, row: Floats) -> None:
     """Mean of y^p by the recurrence of its even and odd part.
 
     (c + w)^k = e_k + w o_k with e_{k+1} = c e_k + w² o_k and o_{k+1} = c o_k + e_k, in which all
@@ -76,7 +76,7 @@ def _power_mean(exponent: int, c: float, w: float, row: NDArray[np.float64]) -> 
 
 
 @inner
-def _squared_hinge_mean(c: float, w: float, row: NDArray[np.float64]) -> None:
+def _squared_hinge_mean(c: float, w: float, row: Floats) -> None:
     """Mean of max(0, −y)² for c > −w: 0 for c ≥ w, (w − c)³/(6w) below that.
 
     There, every derivative is a product of positive factors: nothing cancels near |c| = w.
@@ -122,7 +122,7 @@ def _log_deviation(r: float, gap: float) -> tuple[float, float, float]:
 
 
 @inner
-def _neg_log_mean(c: float, w: float, row: NDArray[np.float64]) -> None:
+def _neg_log_mean(c: float, w: float, row: Floats) -> None:
     """Mean of −log y: h(w/c) − log c, see `_log_deviation`; +∞ once the interval leaves y ≥ 0.
 
     Derivatives in c follow from h being a function of w/c alone: ∂h/∂c = −(1/c) ∂h/∂z.
@@ -160,9 +160,7 @@ def _exact_sum(a: float, b: float) -> tuple[float, float]:
 
 
 @inner
-def _fill_moments(
-    s: float, sine: float, cosine: float, sign: float, moments: NDArray[np.float64]
-) -> None:
+def _fill_moments(s: float, sine: float, cosine: float, sign: float, moments: Floats) -> None:
     """Moments m_j = ½ ∫ t^j g_j(st) dt over [−1, 1], g_j = cosh st for even j, else sinh st.
 
     By parts, j m_{j−1} = sinh s − s m_j for even j, and cosh s − s m_j for odd j. Upwards this is
@@ -205,13 +203,13 @@ def _fill_moments(
 def _wave_mean(
     exponent: int,
     rate: float,
-    moments: NDArray[np.float64],
+    moments: Floats,
     sign: float,
     even: float,
     odd: float,
     c: float,
     w: float,
-    row: NDArray[np.float64],
+    row: Floats,
 ) -> None:
     """Mean of x^p G(x) for a G with G″ = sign·rate² G, from the moments for s = rate·w ≥ 0.
 
@@ -262,7 +260,7 @@ def _trigonometric_mean(
     is_sine: bool,
     c: float,
     w: float,
-    row: NDArray[np.float64],
+    row: Floats,
 ) -> None:
     """Mean of x^p cos(scale·x + offset), or of x^p sin(…).
 
@@ -285,7 +283,7 @@ def _trigonometric_mean(
 
 @inner
 def _exponential_mean(
-    exponent: int, scale: float, offset: float, c: float, w: float, row: NDArray[np.float64]
+    exponent: int, scale: float, offset: float, c: float, w: float, row: Floats
 ) -> None:
     """Mean of x^p exp(scale·x + offset); ±∞ without derivatives where any of them overflows.
 
@@ -318,7 +316,7 @@ def factor_mean(
     offset: float,
     center: float,
     half_width: float,
-    row: NDArray[np.float64],
+    row: Floats,
     transcendental: bool | None = True,
 ) -> None:
     """Mean of a function g over |x − center| ≤ half_width, with derivatives in (c, log w).

@@ -25,7 +25,7 @@ from drake_aigto.box.functions import factor_mean
 from drake_aigto.box.lanes import Lanes
 from drake_aigto.box.tapes import MEAN, ONES
 from drake_aigto.jit import inner, kernel
-from drake_aigto.linear.pattern import Pattern, find_entry
+from drake_aigto.linear import Pattern, find_entry
 
 _PARTS = 6  # of a factor's mean: value and derivatives
 

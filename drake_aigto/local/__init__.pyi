@@ -1,3 +1,5 @@
+from .builder import Monomial as Monomial
+from .builder import NlpBuilder as NlpBuilder
 from .compile import compile_nlp as compile_nlp
 from .drake_solvers import solve_with_drake as solve_with_drake
 from .interior_point import InteriorPoint as InteriorPoint

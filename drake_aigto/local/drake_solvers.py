@@ -6,13 +6,11 @@ import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.solvers import IpoptSolver, MathematicalProgram, SnoptSolver, SolverOptions
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
+from drake_aigto.arrays import Floats
 
 # Rows are multiplied by distances of 1e-4 m near the wall: asked this tight, the true defects end
 # below 1e-8.
@@ -30,14 +28,14 @@ class DrakeSolution:
         status: the solver's status, in words.
     """
 
-    x: npt.NDArray[np.float64]
+    x: Floats
     is_success: bool
     status: str
 
 
 def solve_with_drake(
     prog: MathematicalProgram,
-    guess: npt.NDArray[np.float64],
+    guess: Floats,
     solver: str,
     max_iterations: int = 200,
 ) -> DrakeSolution:

@@ -6,9 +6,7 @@ import enum
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import NDArray
-
+from drake_aigto.arrays import Floats
 from drake_aigto.linear import Storage
 
 
@@ -67,15 +65,15 @@ class LocalResult:
         history: Every iterate, the start first.
     """
 
-    x: NDArray[np.float64]
+    x: Floats
     cost: float
     status: LocalStatus
     iterations: int
     residual: float
     optimality: float
-    multipliers: NDArray[np.float64]
-    lower_multipliers: NDArray[np.float64]
-    upper_multipliers: NDArray[np.float64]
+    multipliers: Floats
+    lower_multipliers: Floats
+    upper_multipliers: Floats
     storage: Storage = field(repr=False)
     history: tuple[LocalIterate, ...] = ()
 

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_aigto.arrays import Floats
-from drake_aigto.linear import Pattern
-from drake_aigto.linear.sparse import SparseFactors, factorise
+from drake_aigto.linear import Pattern, SparseFactors, factorise
 from drake_aigto.local.symmetric import SymmetricFactors, max_norm
 
 # Added to the diagonal of W, and the least that is taken off the zeros below A: a matrix with a

@@ -13,7 +13,7 @@ from scipy.linalg.blas import dsbmv
 
 from drake_aigto.arrays import Floats
 from drake_aigto.linear import Pattern
-from drake_aigto.linear.pattern import multiply as multiply_sparse
+from drake_aigto.linear import multiply as multiply_sparse
 
 _RESIDUAL = 1e-13  # of the largest entry on the right, where refinement stops
 

@@ -9,8 +9,8 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drake_aigto.arrays import Floats
 from drake_aigto.optima.least_effort import Flights
 from drake_aigto.optima.walls_optimum import (
     ContactOptimum,
@@ -19,8 +19,6 @@ from drake_aigto.optima.walls_optimum import (
     refuse_world,
 )
 from drake_aigto.world import ConstantDynamics, Scenario, World
-
-Floats = NDArray[np.float64]
 
 # Paths are looked at so many times, and may be this deep inside anything.
 _SAMPLES, _TOLERANCE = 4001, 1e-6

@@ -12,11 +12,10 @@ from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from drake_aigto.arrays import Floats
 from drake_aigto.jit import kernel
-
-Floats = NDArray[np.float64]
 
 # Newton's method: a predicted gain that is rounding, and the most steps.
 _RELATIVE, _ABSOLUTE, _MOST_STEPS = 1e-14, 1e-24, 80

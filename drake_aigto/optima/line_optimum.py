@@ -12,11 +12,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drake_aigto.arrays import Floats
 from drake_aigto.optima.least_effort import Flights, extremes, polynomial
-
-Floats = NDArray[np.float64]
 
 # Flights may leave the line by this much, for rounding; and one that is over sooner is none.
 _TOLERANCE = 1e-9

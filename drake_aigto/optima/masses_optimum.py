@@ -9,8 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import NDArray
 
+from drake_aigto.arrays import Floats
 from drake_aigto.optima.least_effort import Flights, extremes, polynomial
 from drake_aigto.optima.walls_optimum import (
     ContactOptimum,
@@ -19,8 +19,6 @@ from drake_aigto.optima.walls_optimum import (
     refuse_world,
 )
 from drake_aigto.world import ConstantDynamics, Scenario, World
-
-Floats = NDArray[np.float64]
 
 _TOLERANCE = 1e-9
 # Newton's starts of each sequence.

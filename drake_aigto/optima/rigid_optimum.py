@@ -12,8 +12,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.polynomial import Polynomial
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from drake_aigto.arrays import Floats
 from drake_aigto.optima.walls_optimum import calc_efforts, refuse_world
 from drake_aigto.world import ConstantDynamics, Scenario, World
 
@@ -93,9 +94,7 @@ def rigid_optimum(world: World, scenario: Scenario) -> RigidOptimum:
     return RigidOptimum(price * best.cost, (best.time * T,), (best.velocity / T,), flight_cost)
 
 
-def bounce_costs(
-    world: World, scenario: Scenario, times: ArrayLike, speeds: ArrayLike
-) -> NDArray[np.float64]:
+def bounce_costs(world: World, scenario: Scenario, times: ArrayLike, speeds: ArrayLike) -> Floats:
     """Returns the least cost of motions that touch a rigid wall once, at a time and a speed.
 
     In the units of `rigid_optimum`, the cubic to the touch (s, V), and the best flight after it:
@@ -195,7 +194,7 @@ class _Task:
         effort = 3 * (p + v * s) ** 2 / s**3 + 4 * (impact - free) ** 2 / s
         return effort + _calc_goal_price(self.weight, left) * (g + e * left * impact) ** 2
 
-    def way_is_clear(self, s: NDArray[np.float64], impact: NDArray[np.float64]) -> Any:
+    def way_is_clear(self, s: Floats, impact: Floats) -> Any:
         """Returns whether the cubic to the touch stays off the wall.
 
         With t in units of s it is (1 − t)(p + (p + v₀s) t − (2p + v₀s + V s) t²).

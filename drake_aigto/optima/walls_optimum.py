@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
 from drake_aigto.optima.line_optimum import Line, LineMotion, Wall
 from drake_aigto.world import ConstantDynamics, Scenario, World
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, order=True)

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_aigto.local import LocalResult, PolynomialNlp
-from drake_aigto.local.builder import Monomial, NlpBuilder
+from drake_aigto.arrays import Floats, Ints
+from drake_aigto.local import LocalResult, Monomial, NlpBuilder, PolynomialNlp
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import NONPENETRATION
 from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, RESTITUTION
@@ -18,8 +18,6 @@ from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, RESTITUTIO
 if TYPE_CHECKING:
     from drake_aigto.transcription import PhaseTranscription
 
-Floats = NDArray[np.float64]
-Ints = NDArray[np.int64]
 
 # Times that arcs are cut before the general way is tried instead.
 _MOST_ROUNDS = 6

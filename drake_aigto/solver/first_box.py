@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drake_aigto.aigo import Box
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.solver.options import AigoOptions
 from drake_aigto.solver.program import AigoProgram
 from drake_aigto.solver.ranges import sum_range
@@ -20,9 +21,7 @@ _LARGEST_MEAN = 1e20  # of costs or squared rows: beyond it, they hide all else
 _MOST_HALVINGS = 60  # of exponentials' variables
 
 
-def make_first_box(
-    program: AigoProgram, guess: npt.NDArray[np.float64], options: AigoOptions
-) -> Box:
+def make_first_box(program: AigoProgram, guess: Floats, options: AigoOptions) -> Box:
     """Returns the first box over y = (x, s).
 
     Between two bounds, it is all that the bounds leave. Otherwise it reaches R = first_half_width ·
@@ -60,8 +59,8 @@ def make_first_box(
 def _cut_exponentials(
     program: AigoProgram,
     bounds: Bounds,
-    start: npt.NDArray[np.float64],
-    reach: npt.NDArray[np.float64],
+    start: Floats,
+    reach: Floats,
 ) -> Box:
     """Returns the box, smaller in exponentials' variables where that makes means usable."""
     box = whole = _box(program, bounds, start, reach)
@@ -75,7 +74,7 @@ def _cut_exponentials(
     return whole
 
 
-def _exponents(program: AigoProgram) -> npt.NDArray[np.int64]:
+def _exponents(program: AigoProgram) -> Ints:
     """Returns the variables x that exponentials are of."""
     found = {
         variable
@@ -105,8 +104,8 @@ def _is_growing(program: AigoProgram, box: Box) -> npt.NDArray[np.bool_]:
 def _box(
     program: AigoProgram,
     bounds: Bounds,
-    start: npt.NDArray[np.float64],
-    reach: npt.NDArray[np.float64],
+    start: Floats,
+    reach: Floats,
 ) -> Box:
     """Returns the box of x within reach of a start and within tight bounds, with its slacks."""
     lower, upper = program.nlp.lower, program.nlp.upper

@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from drake_aigto.aigo import Box
+from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.solver.program import AigoProgram
 from drake_aigto.terms import TermBlock
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 
 class AugmentedLagrangian:
@@ -51,7 +47,7 @@ class AugmentedLagrangian:
         return bool(np.isfinite(self._unit))
 
     @property
-    def multipliers(self) -> npt.NDArray[np.float64]:
+    def multipliers(self) -> Floats:
         """λ, shape (m,)."""
         return self._multipliers.copy()
 
@@ -61,7 +57,7 @@ class AugmentedLagrangian:
         weights |= dict.fromkeys(self._penalties, factor * self._unit)
         return self._merged.with_weights(weights)
 
-    def update(self, factor: float, y: npt.NDArray[np.float64]) -> None:
+    def update(self, factor: float, y: Floats) -> None:
         """Moves the multipliers, y (n,) being a minimiser of the function of this factor."""
         _, residuals = self._nlp.evaluate(y)
         with np.errstate(invalid="ignore"):  # Rows that overflow move nothing.

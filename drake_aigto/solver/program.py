@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.solvers import MathematicalProgram
 from pydrake.symbolic import Variable
 
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.local import PolynomialNlp
@@ -32,9 +32,6 @@ from drake_aigto.terms import (
     term_blocks,
     to_terms,
 )
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 # A row of constants may miss its bounds by this.
 _ROUNDING = 1e-9
@@ -86,12 +83,12 @@ class AigoProgram:
         """Number of equality rows r."""
         return self.nlp.num_rows
 
-    def cost(self, x: npt.NDArray[np.float64]) -> float:
+    def cost(self, x: Floats) -> float:
         """Returns f at x (n,)."""
         values = [self.source.EvalBinding(cost, x)[0] for cost in self.source.GetAllCosts()]
         return float(sum(values))
 
-    def violation(self, x: npt.NDArray[np.float64]) -> float:
+    def violation(self, x: Floats) -> float:
         """Returns the largest violation of the source's constraints at x (n,); 0 without any."""
         worst = 0.0
         for binding in self.source.GetAllConstraints():
@@ -103,7 +100,7 @@ class AigoProgram:
             worst = max(worst, float(np.max(excess, initial=0.0)))
         return worst
 
-    def with_slacks(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def with_slacks(self, x: Floats) -> Floats:
         """Returns y = (x, s) with s = g(x), moved within the bounds."""
         y = np.concatenate([x, np.zeros(len(self.slacks))])
         if self.slacks:
@@ -168,7 +165,7 @@ class _Rows:
             else:
                 self._add_rows(label, alike, block)
 
-    def _bound(self, index: npt.NDArray[np.int64], low: float, high: float) -> None:
+    def _bound(self, index: Ints, low: float, high: float) -> None:
         np.maximum.at(self._lower, index, low)
         np.minimum.at(self._upper, index, high)
         lower, upper = self._lower[index], self._upper[index]

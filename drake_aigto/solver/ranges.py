@@ -4,14 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
+from drake_aigto.arrays import Floats
 from drake_aigto.jit import kernel
 from drake_aigto.terms import Factor, FunctionKind, Term
-
-if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
 
 # Exponentials of wide boxes overflow: their range ends here.
 LARGEST = 1e15
@@ -19,9 +15,7 @@ LARGEST = 1e15
 Range = tuple[float, float]
 
 
-def sum_range(
-    terms: Sequence[Term], low: npt.NDArray[np.float64], high: npt.NDArray[np.float64]
-) -> Range:
+def sum_range(terms: Sequence[Term], low: Floats, high: Floats) -> Range:
     """Returns bounds of a sum over low ≤ x ≤ high, term by term; at most 1e15 in size.
 
     Args:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import enum
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydrake.solvers import (
@@ -15,10 +15,8 @@ from pydrake.solvers import (
     SolverId,
 )
 
+from drake_aigto.arrays import Floats
 from drake_aigto.linear import Storage
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 # Drake compares ids by identity.
 SOLVER_ID = SolverId("AIGO")
@@ -77,14 +75,14 @@ class AigoDetails:
     iterations: int
     polishes: int
     origin: str
-    first_center: npt.NDArray[np.float64] = field(repr=False)
-    first_half_width: npt.NDArray[np.float64] = field(repr=False)
+    first_center: Floats = field(repr=False)
+    first_half_width: Floats = field(repr=False)
     widths: tuple[tuple[tuple[float, ...], ...], ...] = field(repr=False)
     box_storage: Storage | None = None
     kkt_storage: Storage | None = None
 
     @classmethod
-    def of_nothing(cls, status: AigoStatus, x: npt.NDArray[np.float64]) -> AigoDetails:
+    def of_nothing(cls, status: AigoStatus, x: Floats) -> AigoDetails:
         """Returns details of a solve that did not start."""
         return cls(status, np.inf, 0, 0, 0, "none", x, np.zeros(x.size), ())
 
@@ -109,7 +107,7 @@ class AigoProgramResult(MathematicalProgramResult):
 def fill_result(
     result: Any,
     prog: MathematicalProgram,
-    x: npt.NDArray[np.float64],
+    x: Floats,
     cost: float,
     details: AigoDetails,
 ) -> None:

@@ -6,11 +6,12 @@ import logging
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from drake_aigto.aigo import BoxSearch, LowPoint, SearchResult
+from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.linear import Storage
 from drake_aigto.local import InteriorPoint, solve_with_drake
@@ -20,12 +21,9 @@ from drake_aigto.solver.options import AigoOptions
 from drake_aigto.solver.program import AigoProgram
 from drake_aigto.solver.result import AigoDetails, AigoStatus
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
 _LOG = logging.getLogger(__name__)
 
-Observer = Callable[["npt.NDArray[np.float64]", str], Any]
+Observer = Callable[["Floats", str], Any]
 
 # Penalties Σ r² weigh so many times what the cost varies by over the first box, in turn.
 _PENALTIES = (1.0, 30.0, 1e3)
@@ -47,7 +45,7 @@ _FAR, _LOW = 1e8, -1e20
 class _Answer:
     """A point, what led to it, and f multiplied out, which is off by its rounding at most."""
 
-    x: npt.NDArray[np.float64]
+    x: Floats
     cost: float
     rounding: float
     violation: float
@@ -68,7 +66,7 @@ class Solve:
         self,
         program: AigoProgram,
         options: AigoOptions,
-        guess: npt.NDArray[np.float64],
+        guess: Floats,
         observers: list[Observer],
     ) -> None:
         """Makes the first box."""
@@ -81,7 +79,7 @@ class Solve:
         self._box_storage: Storage | None = None
         self._kkt_storage: Storage | None = None
 
-    def run(self) -> tuple[npt.NDArray[np.float64], float, AigoDetails]:
+    def run(self) -> tuple[Floats, float, AigoDetails]:
         """Returns the answer x (n,), its cost, and details."""
         status = None
         try:
@@ -121,7 +119,7 @@ class Solve:
             return AigoStatus.FALLS_WITHOUT_END
         return AigoStatus.SOLVED
 
-    def _bounds(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def _bounds(self) -> tuple[Floats, Floats]:
         return self._program.nlp.lower, self._program.nlp.upper
 
     def _search_all(self) -> None:
@@ -166,7 +164,7 @@ class Solve:
             raise KeyboardInterrupt
         return found
 
-    def _polish(self, y: npt.NDArray[np.float64], name: str) -> npt.NDArray[np.float64]:
+    def _polish(self, y: Floats, name: str) -> Floats:
         """Returns y = (x, s) improved on the true constraints; it is a candidate too."""
         n, program = self._guess.size, self._program
         if self._options.polish == "none":
@@ -182,7 +180,7 @@ class Solve:
         self._offer(x, f"polish{name}")
         return program.with_slacks(np.clip(x, *(bound[:n] for bound in self._bounds())))
 
-    def _offer(self, y: npt.NDArray[np.float64], origin: str) -> None:
+    def _offer(self, y: Floats, origin: str) -> None:
         """Keeps a point, x or (x, s), if it is the best so far."""
         n, program = self._guess.size, self._program
         x = np.clip(y[:n], *(bound[:n] for bound in self._bounds()))

@@ -14,6 +14,7 @@ from pydrake.solvers import (
     SolverOptions,
 )
 
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError
 from drake_aigto.solver.options import AigoOptions
 from drake_aigto.solver.program import ContradictionError, read_program
@@ -143,7 +144,7 @@ class AigoSolver(SolverInterface):
         return self.options.with_solver_options(values), bool(common.get("kPrintToConsole", 0))
 
 
-def _check_guess(prog: MathematicalProgram, guess: npt.ArrayLike | None) -> npt.NDArray[np.float64]:
+def _check_guess(prog: MathematicalProgram, guess: npt.ArrayLike | None) -> Floats:
     values = np.array(prog.initial_guess() if guess is None else guess, dtype=float)
     if values.shape != (prog.num_vars(),):
         raise OptionsError(

@@ -6,9 +6,8 @@ import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.jit import kernel
 from drake_aigto.solver.ranges import LARGEST, Range, affine, power_range, product
 from drake_aigto.terms import FunctionKind, stack_terms
@@ -94,10 +93,10 @@ def _tighten_factors(
     least: float,
     largest: float,
     table: Any,
-    places: NDArray[np.int64],
+    places: Ints,
     lower: Floats,
     upper: Floats,
-    members: NDArray[np.int64],
+    members: Ints,
 ) -> float:
     """Tightens the bounds of a term's variables in place, the term being in [least, largest]."""
     most = 0.0

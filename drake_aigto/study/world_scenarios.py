@@ -6,12 +6,11 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from drake_aigto.arrays import Floats
 from drake_aigto.optima import ContactOptimum, block_optimum, masses_optimum, walls_optimum
 from drake_aigto.world import Scenario, World
 
-Floats = NDArray[np.float64]
 Interval = tuple[float, float]
 
 # Two masses start, and end, this far apart at least [m].

@@ -19,6 +19,7 @@ from pydrake.solvers import (
 )
 from pydrake.symbolic import Expression
 
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.terms.expressions import expression_terms
 from drake_aigto.terms.products import NoClosedFormError, from_terms, to_terms
@@ -194,7 +195,7 @@ def _constant_term(value: float) -> tuple[Term, ...]:
     return (Term(float(value), ()),) if value else ()
 
 
-def quadratic_terms(q: NDArray[np.float64], b: ArrayLike, c: float) -> tuple[Term, ...]:
+def quadratic_terms(q: Floats, b: ArrayLike, c: float) -> tuple[Term, ...]:
     """The terms of ½ xᵀQx + bᵀx + c."""
     terms = []
     for i, j in np.argwhere(q).tolist():
