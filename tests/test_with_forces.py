@@ -207,7 +207,7 @@ def test_what_users_add_is_kept_along_another_path() -> None:
     transcription = RigidWithForces(shipped_world(), BOUNCE, impulse_width=0.3)
     (u,) = transcription.input()
     transcription.AddRunningCost(1.0 * u**2, "again")
-    other = transcription.along(np.ones((BOUNCE.num_steps + 1, 1)))
+    other = transcription.again(BOUNCE, np.ones((BOUNCE.num_steps + 1, 1)))
     assert other.impulse_width == 0.3
     named = {cost.evaluator().get_description() for cost in other.prog().GetAllCosts()}
     assert "again" in named

@@ -127,11 +127,9 @@ def make_lanes(stacked: StackedTerms, order: Order) -> Lanes:
     lanes["copy"] = copies
     lanes["first_variable"] = stacked.copies["first_variable"][copies]
     lanes["first_coefficient"] = stacked.sums["first_term"][sums[copies]]
-    coefficients = np.ascontiguousarray(stacked.terms["coefficient"])
-    for array in (lanes, coefficients):
-        array.setflags(write=False)
+    lanes.setflags(write=False)
     return Lanes(
-        *(lanes, stacked.copy_variables, coefficients, *stacks.records, *stacks.sizes),
+        *(lanes, stacked.copy_variables, stacked.coefficients, *stacks.records, *stacks.sizes),
         stacks.transcendental,
         False,
     )

@@ -138,6 +138,30 @@ class BoxPolynomial:
         other.copy_weights = other._make_copy_weights()
         return other
 
+    def with_coefficients(self, coefficients: Floats) -> BoxPolynomial:
+        """The same functions with other coefficients; nothing is parsed again.
+
+        Args:
+            coefficients: Of each term's, one sum after the other; blocks of equal terms are one
+                sum, whose place is that of the first of them.
+
+        Raises:
+            UnsupportedTermError: One is not finite.
+        """
+        other = object.__new__(BoxPolynomial)
+        other.__dict__.update(self.__dict__)
+        other._terms = self._terms.with_coefficients(coefficients)
+        changed = other._terms.coefficients
+        other._lanes = {
+            order: lanes._replace(coefficients=changed) for order, lanes in self._lanes.items()
+        }
+        places = self._terms.first_terms(len(block.variables) for block in self.blocks)
+        other.blocks = tuple(
+            block.with_coefficients(coefficients[place : place + len(block.terms)].tolist())
+            for block, place in zip(self.blocks, places, strict=True)
+        )
+        return other
+
     def mean(self, center: ArrayLike, half_width: ArrayLike) -> float:
         """f̄(c, w); f(c) at w = 0."""
         return self._add_means(center, half_width, self.copy_weights, Order.MEAN, NO_SYSTEM)[0]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from typing import TYPE_CHECKING, ClassVar
 
 import numpy as np
@@ -62,6 +63,11 @@ class LiteralTranscription(Transcription):
             )
         self.nonpenetration, self.law = nonpenetration, law
         super().__init__(world, scenario)
+
+    @property
+    def structure(self) -> Hashable:
+        """What rows and costs depend on besides the world, users, and `parameters`."""
+        return super().structure, self._dt
 
     def _is_bounded(self) -> npt.NDArray[np.bool_]:
         return np.full(self.world.num_contacts, self.nonpenetration)

@@ -25,7 +25,7 @@ from pydrake.symbolic import Expression, MakeVectorVariable
 
 from drake_aigto.errors import OptionsError
 from drake_aigto.paper.literal import LiteralTranscription
-from drake_aigto.transcription.penalties import cut_to_bounds
+from drake_aigto.transcription.penalties import cut_to
 from drake_aigto.transcription.rigid import RigidTranscription
 from drake_aigto.transcription.rows import CONTACT, DYNAMICS, RESTITUTION
 from drake_aigto.transcription.shared import as_expression, shared_constraint
@@ -71,10 +71,10 @@ class ForceVariables(Transcription):
             (self._impulse, self._variables_at(p_k)) for p_k in self._p[k : k + 1]
         ]
 
-    def _add_impulse_rows(self, momentum: npt.NDArray[Any], unit: float) -> None:
+    def _add_impulse_rows(self, momentum: npt.NDArray[Any], per_unit: Any) -> None:
         """Adds momentum = Jᵀ p, where momentum is what flight leaves unexplained, and p ≥ 0."""
         J = np.array([contact.jacobian for contact in self.world.contacts])
-        for row in (momentum - J.T @ self._impulse) / unit:
+        for row in (momentum - J.T @ self._impulse) * per_unit:
             self._bind_stages(shared_constraint(as_expression(row), DYNAMICS))
         for p_i in self._impulse:
             self._bind_stages(shared_constraint(Expression(p_i), PUSH, 0.0, np.inf))
@@ -112,7 +112,7 @@ class ForceVariables(Transcription):
         turned = 4 * self.inertia() * self.length_scale() / self.scenario.duration
         sizes = self.impulse_width * turned * shares[:-1]
         half_width[self.impulse_indices()] = np.repeat(sizes, self.world.num_contacts)
-        return cut_to_bounds(self._prog, center, half_width)
+        return cut_to(self.bounds(), center, half_width)
 
 
 class LiteralWithForces(ForceVariables, LiteralTranscription):
@@ -189,22 +189,24 @@ class RigidWithForces(ForceVariables, RigidTranscription):
         self._set_impulse_width(impulse_width)
         super().__init__(world, scenario, relaxation, path)
 
-    def along(self, path: npt.NDArray[np.float64]) -> RigidWithForces:
-        """Returns the same, with what users added, for boxes around another path."""
-        args = self.world, self.scenario, self.relaxation, path, self.impulse_width
+    def again(
+        self, scenario: Scenario, path: npt.NDArray[np.float64] | None = None
+    ) -> RigidWithForces:
+        """Returns the same, with what users added, for another scenario, or around another path."""
+        args = self.world, scenario, self.relaxation, path, self.impulse_width
         return RigidWithForces(*args).with_additions(self.additions())
 
     def _add_rows(self) -> None:
-        L, T = self._units()
+        per_speed, relaxation = self._per_speed, self.relaxation / self.scenario.num_steps
         after, momentum = self._add_flight_rows()
-        self._add_impulse_rows(momentum, np.max(self._inertia.masses) * L / T)
+        self._add_impulse_rows(momentum, per_speed / np.max(self._inertia.masses))
         restitutions = self.world.restitutions(self.scenario)
         before = self.world.velocities
         for i, d in enumerate(self._inertia.jacobian):
-            jump = self._impulse[i] / self._inertia.masses[i] * T / L
-            phi = self.world.contacts[i].signed_distance / L
-            pushed = jump * phi - self.relaxation * self._dt / T
-            returned = jump * (d @ after + float(restitutions[i]) * (d @ before)) * T / L
+            jump = self._impulse[i] / self._inertia.masses[i] * per_speed
+            phi = self.world.contacts[i].signed_distance * self._given.per_length
+            pushed = jump * phi - relaxation
+            returned = jump * (d @ after + float(restitutions[i]) * (d @ before)) * per_speed
             knots = (np.flatnonzero(self._fronts[1:-1, i]) + 1).tolist()
             self._bind(shared_constraint(as_expression(jump), CONTACT), 0)
             self._bind_each(shared_constraint(as_expression(pushed), CONTACT), knots)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.plan import Plan, PlanningError
-from drake_aigto.planning.rigid import RigidProblem, make_problem
+from drake_aigto.planning.rigid import make_problem
 from drake_aigto.planning.rigid_search import RigidSearch
 from drake_aigto.planning.search import Progress, Stopwatch
 from drake_aigto.simulation.material import contact_delay
@@ -51,40 +51,48 @@ class Planner:
             contact_delay(self.world)  # A wall without stiffness is refused before long work.
         self._build_clock = Stopwatch()
         with self._build_clock("build"):
-            self._problem = self.make_problem(scenario)
-
-    def make_problem(self, scenario: Scenario) -> RigidProblem:
-        """Returns a scenario of this world, transcribed and compiled."""
-        return make_problem(self.world, scenario, self.options)
+            self._problem = make_problem(self.world, scenario, self.options)
 
     def plan(
         self,
         initial_position: npt.ArrayLike | None = None,
         initial_velocity: npt.ArrayLike | None = None,
         goal_position: npt.ArrayLike | None = None,
+        control_weight: float | None = None,
+        goal_weight: float | None = None,
+        duration: float | None = None,
         progress: Progress | None = None,
     ) -> Plan:
-        """Plans, with the scenario's ends or with changed ones, whose program is compiled anew.
+        """Plans for the scenario, or for a changed one, with the program that is compiled already.
 
-        Ctrl-C ends the search; the best candidate so far is returned.
+        The plan is that of a new planner for the changed scenario, to the last bit. Programs are
+        compiled anew only where their structure is another: more steps, as a wall is touched sooner
+        (`coarsen`), or other faces of a block that are passed. Ctrl-C ends the search; the best
+        candidate so far is returned.
 
         Args:
             initial_position: instead of the scenario's, shape (nq,) [m].
             initial_velocity: instead of the scenario's, shape (nv,) [m/s].
             goal_position: instead of the scenario's, shape (nq,) [m].
+            control_weight: instead of the scenario's [1/(N² s)].
+            goal_weight: instead of the scenario's [1/m²].
+            duration: instead of the scenario's, of time steps of its length [s].
             progress: called with a line of text before each candidate.
 
         Raises:
-            ScenarioError: a changed end does not fit.
+            ScenarioError: a changed value does not fit.
             PlanningError: no candidate meets the transcription's rows, or none that does holds in
                 simulation.
         """
-        ends = {
+        given = {
             "initial_position": initial_position,
             "initial_velocity": initial_velocity,
             "goal_position": goal_position,
+            "control_weight": control_weight,
+            "goal_weight": goal_weight,
+            "duration": duration,
         }
-        changed: dict[str, Any] = {name: value for name, value in ends.items() if value is not None}
+        changed: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
         scenario = dataclasses.replace(self.scenario, **changed) if changed else self.scenario
         self.world.check(scenario)
         search = self._start_search(scenario)
@@ -100,7 +108,7 @@ class Planner:
             clock.seconds.update(self._build_clock.seconds)
             return RigidSearch(self._problem, clock)
         with clock("build"):
-            problem = self.make_problem(scenario)
+            problem = self._problem.again(scenario)
         return RigidSearch(problem, clock)
 
     def _choose(self, search: RigidSearch, scenario: Scenario) -> Plan:

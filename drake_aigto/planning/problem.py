@@ -22,7 +22,7 @@ from drake_aigto.aigo import (
     PenaltyContinuation,
     minimize,
 )
-from drake_aigto.box import BoxPolynomial, Order
+from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
 from drake_aigto.local import (
     InteriorPoint,
@@ -31,12 +31,12 @@ from drake_aigto.local import (
     compile_nlp,
     solve_with_drake,
 )
+from drake_aigto.planning.compiled import CompiledPrograms
 from drake_aigto.planning.options import Rung, SearchOptions, StartName
 from drake_aigto.planning.origin import Origin
 from drake_aigto.planning.plan import Candidate, Replays
 from drake_aigto.simulation.contacts import find_contacts, max_penetration
 from drake_aigto.simulation.replay import Replay, replay_drake, replay_event_driven
-from drake_aigto.terms import parse_costs
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Transcription
 from drake_aigto.transcription.additions import Samples
@@ -68,11 +68,13 @@ class Start:
         transcription: the constrained program.
         polynomial: its penalised cost.
         box: the first box.
+        row_names: of the rows that penalties stand for.
     """
 
     transcription: Transcription
     polynomial: BoxPolynomial
     box: Box
+    row_names: tuple[str, ...]
 
 
 class PlanningProblem(ABC):
@@ -90,8 +92,18 @@ class PlanningProblem(ABC):
     # Of the local solver's cost, in `cost_scale`, in turn until it converges.
     _cost_units: tuple[float, ...] = (1.0,)
 
-    def __init__(self, transcription: Transcription, options: SearchOptions) -> None:
-        """Compiles.
+    def __init__(
+        self,
+        transcription: Transcription,
+        options: SearchOptions,
+        programs: CompiledPrograms | None = None,
+    ) -> None:
+        """Compiles, unless there is a program of this structure already.
+
+        Args:
+            transcription: with what users added.
+            options: numerics.
+            programs: those of the same world, and the same additions.
 
         Raises:
             UnsupportedTermError: a cost or constraint that has no mean in closed form.
@@ -102,16 +114,12 @@ class PlanningProblem(ABC):
         self.transcription = transcription = transcription.closed()
         self.additions = transcription.additions()
         self.options = options
-        first = Start(transcription, _compile(transcription), Box(*transcription.initial_box()))
-        self._starts: dict[StartName, Start] = {"line": first}
-        rows = transcription.prog().GetAllConstraints()
-        named = {row.evaluator().get_description() for row in rows}
-        # Names of the rows that penalties stand for.
-        self._row_names = sorted(named & set(first.polynomial.weights))
-        self._check_ladder()
+        self._programs = programs or CompiledPrograms()
+        self._starts: dict[StartName, Start] = {}
+        self._check_ladder(self.start("line").row_names)
 
-    def _check_ladder(self) -> None:
-        known = dict.fromkeys((*self.transcription.ROWS, *self._row_names))
+    def _check_ladder(self, row_names: tuple[str, ...]) -> None:
+        known = dict.fromkeys((*self.transcription.ROWS, *row_names))
         for name in (name for rung in self.options.ladder for name in rung.weights):
             if name not in known:
                 raise OptionsError(
@@ -133,8 +141,14 @@ class PlanningProblem(ABC):
     def start(self, name: StartName) -> Start:
         """Returns where a rung of this start begins."""
         if name not in self._starts:
-            self._starts[name] = self._start_coasting()
+            start = self._start_on_line if name == "line" else self._start_coasting
+            self._starts[name] = start()
         return self._starts[name]
+
+    def _start_on_line(self) -> Start:
+        line = self.transcription
+        compiled = self._programs.compile(line)
+        return Start(line, compiled.at(line), Box(*line.initial_box()), compiled.row_names)
 
     @cached_property
     def coast(self) -> Replay:
@@ -151,8 +165,9 @@ class PlanningProblem(ABC):
         rows = np.searchsorted(coast.times, times - _ON_KNOT * times[-1])
         q, v = coast.positions[rows], coast.velocities[rows]
         around = self._transcribe_around(q)
-        polynomial = self.polynomial if around is self.transcription else _compile(around)
-        return Start(around, polynomial, Box(*around.box_around(q, v, _COAST_SHARE)))
+        compiled = self._programs.compile(around)
+        box = Box(*around.box_around(q, v, _COAST_SHARE))
+        return Start(around, compiled.at(around), box, compiled.row_names)
 
     def _transcribe_around(self, positions: npt.NDArray[np.float64]) -> Transcription:
         """Returns the transcription for boxes around a path, shape (N+1, nq) [m]."""
@@ -176,7 +191,6 @@ class PlanningProblem(ABC):
     def prepare(self, rungs: Iterable[Rung]) -> None:
         """Makes what these rungs share, so that they may run at once."""
         for rung in rungs:
-            self.start(rung.start)
             self._weights(rung)
 
     def run_aigo(
@@ -354,21 +368,11 @@ class PlanningProblem(ABC):
 
     def _weights(self, rung: Rung) -> dict[str, float]:
         """Returns the rung's weights of the rows that this problem has."""
-        unit = self._cost_scale
-        return {name: unit * rung.weights.get(name, rung.others) for name in self._row_names}
+        unit, names = self._cost_scale, self.start(rung.start).row_names
+        return {name: unit * rung.weights.get(name, rung.others) for name in names}
 
 
 def sample(trajectory: Trajectory) -> Samples:
     """Returns a trajectory at its knots."""
     t = trajectory
     return Samples(t.times, t.positions, t.velocities, t.controls)
-
-
-def _compile(transcription: Transcription) -> BoxPolynomial:
-    prog = transcription.penalized()
-    blocks, elimination = parse_costs(prog), transcription.elimination_order()
-    polynomial = BoxPolynomial(prog.num_vars(), blocks, elimination)
-    for order in (Order.MEAN, Order.BOXES):
-        polynomial.lanes(order)  # Made now, for all rungs.
-    _LOG.info("boxes: %s", polynomial.storage)
-    return polynomial

@@ -14,6 +14,7 @@ import numpy as np
 from drake_aigto.aigo import AigoResult, Algorithm, Annealing
 from drake_aigto.local import LocalResult, NewtonLagrange, PolynomialNlp, compile_nlp
 from drake_aigto.planning.arcs import solve_in_arcs
+from drake_aigto.planning.compiled import CompiledPrograms
 from drake_aigto.planning.instants import keep_apart, moved_past
 from drake_aigto.planning.options import PlanOptions, Rung
 from drake_aigto.planning.plan import LARGEST_DEFECT
@@ -92,15 +93,17 @@ class RigidProblem(PlanningProblem):
         transcription: RigidTranscription,
         options: PlanOptions | None = None,
         num_steps: int | None = None,
+        programs: CompiledPrograms | None = None,
     ) -> None:
-        """Compiles.
+        """Compiles, unless there is a program of this structure already.
 
         Args:
             transcription: for AIGO.
             options: numerics.
             num_steps: time steps that plans are to have; the transcription's if None.
+            programs: those of the same world, and the same additions.
         """
-        super().__init__(transcription, options or PlanOptions())
+        super().__init__(transcription, options or PlanOptions(), programs)
         self.num_steps = num_steps or transcription.scenario.num_steps
         self._scenarios: dict[int, Scenario] = {}  # By their number of steps.
 
@@ -115,6 +118,19 @@ class RigidProblem(PlanningProblem):
             narrowing=0.5,
         )
 
+    def again(self, scenario: Scenario) -> RigidProblem:
+        """Returns the problem of another scenario in the same world, with what users added.
+
+        A program is compiled for it only where its structure is a new one. What users bound to a
+        knot stays bound to it, so that there are as many as here.
+        """
+        coarse = coarsen(self.transcription.world, scenario, self.options)
+        if self.additions:
+            time_step = scenario.duration / self.transcription.scenario.num_steps
+            coarse = dataclasses.replace(scenario, time_step=time_step)
+        transcription = self.transcription.again(coarse)
+        return RigidProblem(transcription, self.options, scenario.num_steps, self._programs)
+
     def find_sequences(self, result: AigoResult, rung: Rung) -> list[TouchSequence]:
         """Returns the contact sequences that AIGO proposes (`read_sequences`) and that fit."""
         read = read_sequences(self.start(rung.start).transcription, result.box.center)
@@ -125,7 +141,7 @@ class RigidProblem(PlanningProblem):
         first = self.transcription
         if first.world.num_solids == first.world.num_contacts:
             return first
-        return first.along(positions)
+        return first.again(first.scenario, positions)
 
     def fits(self, sequence: TouchSequence) -> bool:
         """Returns whether all touches are within the duration."""

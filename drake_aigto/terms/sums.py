@@ -7,6 +7,7 @@ and derivatives as well: all that optimizers here ever see of a program.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -131,6 +132,22 @@ class TermBlock:
         block = object.__new__(TermBlock)
         block.__dict__.update(self.__dict__)
         block.weight = _finite_weight(self.name, weight)
+        return block
+
+    def with_coefficients(self, coefficients: Sequence[float]) -> TermBlock:
+        """The same functions, variables and weight, with other coefficients of the terms.
+
+        Raises:
+            UnsupportedTermError: One is not finite.
+        """
+        pairs = zip(coefficients, self.terms, strict=True)
+        terms = tuple(Term(number, term.factors) for number, term in pairs)
+        if not all(map(math.isfinite, coefficients)):
+            for term in terms:
+                _check_numbers(self.name, term)
+        block = object.__new__(TermBlock)
+        block.__dict__.update(self.__dict__)
+        block.terms = terms
         return block
 
 

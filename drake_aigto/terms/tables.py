@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from drake_aigto.arrays import Ints, Records
+from drake_aigto.arrays import Floats, Ints, Records
 from drake_aigto.terms.sums import Factor, Term, TermBlock
 
 # Records, so that kernels have few arrays to take and read one place in memory for each.
@@ -50,6 +50,26 @@ class StackedTerms(NamedTuple):
     terms: Records
     members: Ints
     most_factors: int
+
+    @property
+    def coefficients(self) -> Floats:
+        """Of the terms, one sum after the other, and one at the end (M + 1,), read-only."""
+        coefficients = np.ascontiguousarray(self.terms["coefficient"])
+        coefficients.setflags(write=False)
+        return coefficients
+
+    def with_coefficients(self, coefficients: Floats) -> StackedTerms:
+        """The same with other coefficients of the terms (M,)."""
+        terms = self.terms.copy()
+        terms["coefficient"][:-1] = coefficients
+        terms.setflags(write=False)
+        return self._replace(terms=terms)
+
+    def first_terms(self, counts: Iterable[int]) -> list[int]:
+        """Place of the first term of each of the blocks, which have so many copies."""
+        firsts = np.cumsum([0, *counts])[:-1]
+        places: list[int] = self.sums["first_term"][self.copies["sum_index"][firsts]].tolist()
+        return places
 
     def couplings(self) -> tuple[Ints, Ints]:
         """Pairs of variables that a term of a copy reads, each once and with itself.

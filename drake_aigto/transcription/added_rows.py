@@ -38,6 +38,7 @@ class AddedRow:
         stages: the last knot that it reads, shape (K,).
         slacks: which decision variable s is, shape (K,), or (0,) without slacks.
         bounds: of s.
+        unit: of y.
     """
 
     row: Constraint
@@ -45,6 +46,7 @@ class AddedRow:
     stages: Indices
     slacks: Indices
     bounds: tuple[float, float]
+    unit: float
 
     def fill(self, x: Floats) -> None:
         """Sets the slacks among decision variables (n,) to y(x)."""
@@ -91,4 +93,4 @@ def make_rows(
             shared, slacks = shared_constraint(y / unit - s, addition.name), new(len(reads))
             columns = np.column_stack([reads, slacks])
         order = [place[variable.get_id()] for variable in shared.placeholders]
-        yield AddedRow(shared.evaluator, columns[:, order], stages, slacks, bounds)
+        yield AddedRow(shared.evaluator, columns[:, order], stages, slacks, bounds, unit)

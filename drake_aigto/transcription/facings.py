@@ -20,6 +20,8 @@ if TYPE_CHECKING:
 
 # How finely a path is looked at to find the faces that it passes, in parts of the duration.
 _GRID = 200
+# Times that differ by less than this part of the duration are one.
+_ROUNDING = 1e-12
 
 
 @dataclass(frozen=True)
@@ -110,8 +112,12 @@ def find_facings(
     boxes = [faces for faces in world.solids if len(faces) > 1]
     if not boxes:
         return ()
-    joints = {time for touch in sequence for time in touch.joints}
-    grid = np.unique([*np.linspace(times[0], times[-1], _GRID + 1), *times, *joints])
+    joints = np.unique([time for touch in sequence for time in touch.joints])
+    others = np.unique([*np.linspace(times[0], times[-1], _GRID + 1), *times])
+    # A touch at one of them is at the same time, but for rounding, not a moment before or after.
+    gaps = np.abs(others[:, np.newaxis] - joints)
+    is_apart = np.all(gaps > _ROUNDING * (times[-1] - times[0]), axis=1)
+    grid = np.union1d(others[is_apart], joints)
     points = np.column_stack([np.interp(grid, times, column) for column in path.T])
     distances = world.calc_signed_distance(points)
     found: list[Facing] = []

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import copy
 import operator
 from abc import abstractmethod
-from collections.abc import Iterable
-from typing import TYPE_CHECKING, Any
+from collections.abc import Hashable, Iterable
+from functools import cached_property
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from pydrake.solvers import BoundingBoxConstraint, Cost, EvaluatorBase, MathematicalProgram
@@ -13,11 +15,15 @@ from pydrake.symbolic import Expression, MakeVectorVariable, Variable
 
 from drake_aigto.errors import ProgramError
 from drake_aigto.transcription.knots import Knots
+from drake_aigto.transcription.parameters import Parameters
+from drake_aigto.transcription.penalties import Bounds, read_bounds
 from drake_aigto.transcription.shared import SharedEvaluator, substitutions
 from drake_aigto.world import Scenario, World
 
 if TYPE_CHECKING:
     import numpy.typing as npt
+
+_Self = TypeVar("_Self", bound="KnotProgram")
 
 
 class KnotProgram(Knots):
@@ -26,11 +32,13 @@ class KnotProgram(Knots):
     def __init__(self, world: World, scenario: Scenario) -> None:
         """Lays out the variables, and makes placeholders for those of a stage."""
         self._forget_program()
+        self._symbols: Parameters | None = None  # In place of `parameters`, in a twin.
         super().__init__(world, scenario)
         self._make_placeholders()
 
     def _forget_program(self) -> None:
         self._made: MathematicalProgram | None = None
+        self._bounds: Bounds | None = None  # Where they are known without it.
         # Placeholder id → decision variable, of each stage that something was bound to.
         self._chosen: dict[int, dict[int, Variable]] = {}
         # The evaluators of all rows and costs that the class bound, and how often it did.
@@ -48,8 +56,50 @@ class KnotProgram(Knots):
             self._made = MathematicalProgram()
             self._layout.add_to(self._made)
             self._variables = self._made.decision_variables()
+            if self._symbols is not None:
+                self._made.AddDecisionVariables(self._symbols.vector())
             self._add_all()
         return self._made
+
+    @cached_property
+    def parameters(self) -> Parameters:
+        """The numbers of the scenario that rows and costs read; the start is a bound."""
+        return Parameters.of(self.scenario, self.length_scale())
+
+    @property
+    def _given(self) -> Parameters:
+        """What rows and costs are made with: the numbers, or symbols for them."""
+        return self._symbols or self.parameters
+
+    def twin(self: _Self) -> _Self:
+        """Returns a copy whose program has a decision variable for each of `parameters`.
+
+        They come after the others. Its penalties hold for all scenarios of one `structure`.
+        """
+        twin = copy.copy(self)
+        twin._forget_program()
+        twin._symbols = Parameters.symbols(self.world.num_positions)
+        twin._duration = Expression(twin._symbols.time_step)
+        return twin
+
+    @property
+    def structure(self) -> Hashable:
+        """What rows and costs depend on besides the world, users, and `parameters`."""
+        return self.scenario.num_steps
+
+    def bounds(self) -> Bounds:
+        """Returns the tightest lower and upper bound of each decision variable, shape (n,) each."""
+        if self._bounds is None:
+            return read_bounds(self._prog)
+        lower, upper = (bound.copy() for bound in self._bounds)
+        first = np.concatenate([self._q[0], self._v[0]])
+        start = np.concatenate([self.scenario.initial_position, self.scenario.initial_velocity])
+        lower[first], upper[first] = start, start
+        return lower, upper
+
+    def take_bounds(self, bounds: Bounds) -> None:
+        """Takes the bounds of another transcription of the same structure, but for x_0."""
+        self._bounds = bounds
 
     @abstractmethod
     def _add_all(self) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 from abc import abstractmethod
+from collections.abc import Hashable
 from functools import partial
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -181,6 +182,12 @@ class OpenProgram(KnotProgram):
             stages = np.array([self._stage_of(each, k) for k in knots])
             new = partial(self._layout.new, SLACK)
             self._rows += make_rows(each, additions, reads, stages, new)
+
+    @property
+    def structure(self) -> Hashable:
+        """What rows and costs depend on besides the world, users, and `parameters`."""
+        rows = tuple((row.bounds, row.unit) for row in self._rows)
+        return super().structure, rows
 
     def freeze(self) -> None:
         """Refuses what is added from now on."""

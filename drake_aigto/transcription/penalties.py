@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeAlias
 
 import numpy as np
 import pydrake.symbolic as sym
@@ -24,13 +24,15 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
 InequalityPenalty = Literal["squared hinge", "log barrier"]
+# Lower and upper bound of each variable, shape (n,) each.
+Bounds: TypeAlias = "tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]"
 
 
 def penalize(
     prog: MathematicalProgram,
     inequality: InequalityPenalty = "squared hinge",
     scale: float = 1.0,
-    units: Mapping[str, float] | None = None,
+    per_unit: Mapping[str, Any] | None = None,
 ) -> MathematicalProgram:
     """Returns a program over the same variables whose costs include penalties for the constraints.
 
@@ -46,7 +48,8 @@ def penalize(
         inequality: how inequalities are penalised. A log barrier needs boxes that stay on its
             feasible side.
         scale: common factor of all penalties.
-        units: description → what the residuals of such constraints are divided by; 1 if left out.
+        per_unit: description → what residuals of such constraints are multiplied by: a number, or
+            one of the program's variables; 1 if left out.
 
     Raises:
         UnsupportedTermError: a constraint whose formula Drake does not give, or an inequality of
@@ -56,17 +59,20 @@ def penalize(
     penalized.AddDecisionVariables(prog.decision_variables())
     for cost in prog.GetAllCosts():
         penalized.AddCost(cost.evaluator(), vars=cost.variables())
+    factors = {name: as_expression(factor) for name, factor in (per_unit or {}).items()}
+    read = [np.array(list(factor.GetVariables())) for factor in factors.values()]
+    themselves = substitutions(read, read)
     # Keyed by the evaluators themselves: ids repeat once an evaluator's Python object is gone.
     penalties: dict[Constraint, tuple[npt.NDArray[Any], SharedEvaluator | None]] = {}
     for binding in prog.GetAllConstraints():
         evaluator, variables = binding.evaluator(), binding.variables()
         if evaluator not in penalties:
             x = MakeVectorVariable(len(variables), "x")
-            unit = (units or {}).get(evaluator.get_description(), 1.0)
-            penalties[evaluator] = x, _penalty(evaluator, x, inequality, scale, unit)
+            factor = factors.get(evaluator.get_description(), Expression(1.0))
+            penalties[evaluator] = x, _penalty(evaluator, x, inequality, scale, factor)
         x, penalty = penalties[evaluator]
         if penalty is not None:
-            penalty.bind(penalized, substitutions([x], [variables]))
+            penalty.bind(penalized, themselves | substitutions([x], [variables]))
     fixed, values = fixed_variables(prog)
     if fixed.size:
         penalized.AddBoundingBoxConstraint(values, values, prog.decision_variables()[fixed])
@@ -77,7 +83,7 @@ def fixed_variables(
     prog: MathematicalProgram,
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
     """Returns the indices and values of the variables that equal lower and upper bounds fix."""
-    lower, upper = _bounds(prog)
+    lower, upper = read_bounds(prog)
     fixed = np.flatnonzero(lower == upper)
     return fixed, lower[fixed]
 
@@ -90,14 +96,21 @@ def cut_to_bounds(
     Where bounds fix a variable its half width is 0. A box outside of the bounds in some variable
     shrinks to the nearest bound there.
     """
-    lower, upper = _bounds(prog)
+    return cut_to(read_bounds(prog), center, half_width)
+
+
+def cut_to(
+    bounds: Bounds, center: npt.ArrayLike, half_width: npt.ArrayLike
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """Returns the same for the lower and upper bounds of the variables."""
+    lower, upper = bounds
     center, half_width = np.asarray(center, dtype=float), np.asarray(half_width, dtype=float)
     low = np.clip(center - half_width, lower, upper)
     high = np.clip(center + half_width, lower, upper)
     return (low + high) / 2, (high - low) / 2
 
 
-def _bounds(prog: MathematicalProgram) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def read_bounds(prog: MathematicalProgram) -> Bounds:
     """Returns the tightest lower and upper bound of each decision variable."""
     lower, upper = np.full(prog.num_vars(), -np.inf), np.full(prog.num_vars(), np.inf)
     for binding in prog.bounding_box_constraints():
@@ -112,7 +125,7 @@ def _penalty(
     x: npt.NDArray[Any],
     inequality: InequalityPenalty,
     scale: float,
-    unit: float,
+    factor: Expression,
 ) -> SharedEvaluator | None:
     """Returns the cost over placeholders x that stands for lower ≤ g(x) ≤ upper; None if empty."""
     name = constraint.get_description() or type(constraint).__name__
@@ -120,19 +133,21 @@ def _penalty(
     for y, lower, upper in formula_rows(constraint, name, x):
         if lower == upper:
             if not isinstance(constraint, BoundingBoxConstraint):
-                total += scale * sym.pow((y - lower) / unit, 2)
+                total += scale * sym.pow((y - lower) * factor, 2)
             continue
         sides = [y - lower] if np.isfinite(lower) else []
         sides += [upper - y] if np.isfinite(upper) else []
         for side in sides:
-            total += scale * _inequality_penalty(name, as_expression(side / unit), inequality)
+            total += scale * _inequality_penalty(name, as_expression(side), factor, inequality)
     if total.EqualTo(Expression(0.0)):
         return None
     return shared_cost(total, name)
 
 
-def _inequality_penalty(name: str, y: Expression, inequality: InequalityPenalty) -> Expression:
-    """Returns max(0, −y)² or −log y."""
+def _inequality_penalty(
+    name: str, y: Expression, factor: Expression, inequality: InequalityPenalty
+) -> Expression:
+    """Returns max(0, −y)² or −log y, of y times the factor."""
     if not is_affine_in_one(y):
         raise UnsupportedTermError(
             f"the constraint '{name}' can't be penalised",
@@ -140,4 +155,6 @@ def _inequality_penalty(name: str, y: Expression, inequality: InequalityPenalty)
             expected="inequalities that are affine in one variable",
             remedy="Give the expression a variable s of its own: expression == s, s ≥ 0.",
         )
-    return -sym.log(y) if inequality == "log barrier" else sym.pow(sym.max(0.0, -y), 2)
+    if inequality == "log barrier":
+        return -sym.log(y * factor)
+    return sym.pow(factor, 2) * sym.pow(sym.max(0.0, -y), 2)

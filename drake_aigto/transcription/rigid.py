@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -89,47 +89,56 @@ class RigidTranscription(ImpactTranscription):
         self._fronts = _find_fronts(world, scenario, path)
         super().__init__(world, scenario)
 
-    def along(self, path: npt.NDArray[np.float64]) -> RigidTranscription:
-        """Returns the same, with what users added, for boxes around another path."""
-        other = RigidTranscription(self.world, self.scenario, self.relaxation, path)
-        return other.with_additions(self.additions())
+    def again(
+        self, scenario: Scenario, path: npt.NDArray[np.float64] | None = None
+    ) -> RigidTranscription:
+        """Returns the same, with what users added, for another scenario, or around another path."""
+        other = RigidTranscription(self.world, scenario, self.relaxation, path)
+        additions = self.additions()
+        return other.with_additions(additions) if additions else other
+
+    @property
+    def structure(self) -> Hashable:
+        """What rows and costs depend on besides the world, users, and `parameters`."""
+        return super().structure, self._fronts.tobytes()
 
     def _is_bounded(self) -> npt.NDArray[np.bool_]:
         return np.any(self._fronts[1:], axis=0)
 
     def _add_rows(self) -> None:
-        ways, (L, T) = self.impulse_directions, self._units()
+        ways, per_speed = self.impulse_directions, self._per_speed
         after, impulse = self._add_flight_rows()
         for row in ways.tangents.T @ impulse:
-            row = row / np.max(ways.masses) * T / L
+            row = row / np.max(ways.masses) * per_speed
             self._bind_stages(shared_constraint(as_expression(row), DYNAMICS))
         jumps = ways.readers @ impulse / ways.masses
         for direction, jump in enumerate(jumps):
-            self._bind(shared_constraint(as_expression(jump * T / L), CONTACT), 0)
+            self._bind(shared_constraint(as_expression(jump * per_speed), CONTACT), 0)
             for members, knots in self._knots_by_members(direction).items():
                 pushed = self._pushed_row(direction, members, jump)
                 self._bind_each(shared_constraint(pushed, CONTACT), knots)
         for row in self._restitution_rows(jumps, impulse, after):
-            returned = shared_constraint(as_expression(row * (T / L) ** 2), RESTITUTION)
+            returned = shared_constraint(as_expression(row * per_speed**2), RESTITUTION)
             self._bind_each(returned, range(1, len(self._u)))
         self._bound_distances(self._fronts)
 
     def _add_flight_rows(self) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
         """Adds flight; returns v⁺_k and p_k of a stage, what flight leaves unexplained."""
-        world, inertia, dt = self.world, self._inertia, self._dt
-        mean_velocity = (self._next_q - world.positions) / dt
+        world, inertia, given = self.world, self._inertia, self._given
+        mean_velocity = (self._next_q - world.positions) * given.rate
         bias = world.express_bias((world.positions + self._next_q) / 2, mean_velocity)
-        kick = (
-            dt * inertia.inverse_mass @ (world.actuation @ world.controls - bias)
-        )  # of control and bias
+        force = world.actuation @ world.controls - bias
+        kick = given.time_step * inertia.inverse_mass @ force  # of control and bias
         after = self._next_v - kick
-        for row in self._next_q - world.positions - dt * (self._next_v - kick / 2):
-            self._bind_stages(shared_constraint(as_expression(row / self.length_scale()), FLIGHT))
+        for row in self._next_q - world.positions - given.time_step * (self._next_v - kick / 2):
+            row = as_expression(row * given.per_length)
+            self._bind_stages(shared_constraint(row, FLIGHT))
         return after, inertia.mass_matrix @ (after - world.velocities)
 
-    def _units(self) -> tuple[float, float]:
-        """Returns what lengths [m] and times [s] in rows are divided by."""
-        return self.length_scale(), self.scenario.duration
+    @property
+    def _per_speed(self) -> Any:
+        """T/L, what speeds in rows are multiplied by [s/m]."""
+        return self.scenario.num_steps * self._given.time_step * self._given.per_length
 
     def _knots_by_members(self, direction: int) -> dict[tuple[int, ...], list[int]]:
         """Returns the contacts in force that show in a direction → at which knots 1 … N−1."""
@@ -145,9 +154,10 @@ class RigidTranscription(ImpactTranscription):
         Distances are in units of L; that of a wall which is not the one touched, of two that face
         each other, as a part of the way between them, which is how far it is then.
         """
-        world, ways = self.world, self.impulse_directions
-        L, T = self.length_scale(), self.scenario.duration
-        phi = [world.contacts[i].signed_distance / L for i in members]
+        ways, per_length = self.impulse_directions, self._given.per_length
+        if not members:
+            return as_expression(jump * self._per_speed)
+        phi = [self.world.contacts[i].signed_distance for i in members]
         law = sum(
             (
                 ways.shares[direction, i] * _product(phi[:place] + phi[place + 1 :])
@@ -155,10 +165,14 @@ class RigidTranscription(ImpactTranscription):
             ),
             Expression(0.0),
         )
-        row = jump * T / L * _product(phi) - self.relaxation * self._dt / T * law
-        total = sum(phi, Expression(0.0)).Expand()
-        is_gap = len(phi) == 2 and total.GetVariables().empty()
-        return as_expression(row / total.Evaluate() if is_gap else row)
+        gap = sum(phi, Expression(0.0)).Expand()
+        is_gap = len(phi) == 2 and gap.GetVariables().empty()
+        # Of all distances but that of the wall which is touched.
+        per_others = 1 / gap.Evaluate() if is_gap else per_length ** (len(phi) - 1)
+        pushed = jump * self._per_speed * per_length * _product(phi)
+        return as_expression(
+            (pushed - self.relaxation / self.scenario.num_steps * law) * per_others
+        )
 
     def _restitution_rows(
         self, jumps: npt.NDArray[Any], impulse: npt.NDArray[Any], after: npt.NDArray[Any]
@@ -193,8 +207,8 @@ class RigidTranscription(ImpactTranscription):
         So weights mean the same for every N and T. Distances are in units of L here too: Drake
         makes φ/L ≥ 0 a bound on q, which has no unit left.
         """
-        units = dict.fromkeys((NONPENETRATION, CLEARANCE), self.length_scale())
-        return penalize(self._prog, inequality, scale=self.scenario.num_steps, units=units)
+        per_unit = dict.fromkeys((NONPENETRATION, CLEARANCE), self._given.per_length)
+        return penalize(self._prog, inequality, scale=self.scenario.num_steps, per_unit=per_unit)
 
     def impulses(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns λ_k, shape (N+1, m) [N s]; 0 at the last knot: no step follows."""

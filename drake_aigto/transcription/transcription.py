@@ -11,7 +11,7 @@ from pydrake.symbolic import Expression
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.transcription.open_program import OpenProgram
-from drake_aigto.transcription.penalties import InequalityPenalty, cut_to_bounds, penalize
+from drake_aigto.transcription.penalties import InequalityPenalty, cut_to, penalize
 from drake_aigto.transcription.rows import CLEARANCE, NONPENETRATION
 from drake_aigto.transcription.shared import as_expression, shared_constraint, shared_cost
 
@@ -54,16 +54,16 @@ class Transcription(OpenProgram):
 
     def _add_scenario(self) -> None:
         """Adds the initial state, the scenario's costs, then the subclass's rows."""
-        world, scenario = self.world, self.scenario
+        world, scenario, given = self.world, self.scenario, self._given
         start = np.concatenate([scenario.initial_position, scenario.initial_velocity])
         self._bound(self.state(0), start, start, _START)
         # NumPy takes Drake's boxed constants for invalid numbers, and warns.
         with np.errstate(invalid="ignore"):
             u = world.controls
-            error = world.positions - scenario.goal_position
-            effort = as_expression(scenario.control_weight * u.dot(u))
+            error = world.positions - given.goal
+            effort = as_expression(given.control_weight * u.dot(u))
             self._bind_stages(shared_cost(self._duration * effort, "control effort"))
-            miss = as_expression(scenario.goal_weight * error.dot(error))
+            miss = as_expression(given.goal_weight * error.dot(error))
             self._bind(shared_cost(miss, "goal"), self.num_samples() - 1)
             for column, contact in enumerate(self._clearance_contacts):
                 self._add_clearance(column, contact)
@@ -183,7 +183,7 @@ class Transcription(OpenProgram):
         )
         for row in self._rows:
             row.widen(center, half_width)
-        return cut_to_bounds(self._prog, center, half_width)
+        return cut_to(self.bounds(), center, half_width)
 
     def penalized(self, inequality: InequalityPenalty = "squared hinge") -> MathematicalProgram:
         """Returns `prog` with constraints as costs, each row r_k as r_k²/dt.
@@ -196,6 +196,8 @@ class Transcription(OpenProgram):
         """Returns pairs of placeholders and what they stand for at knot k."""
         clearances = self._variables_at(self._clearances[k])
         pairs = [(self.state(), self.state(k)), (self._clearance, clearances)]
+        if self._symbols is not None:
+            pairs.append((self._symbols.vector(), self._symbols.vector()))
         if k < len(self._u):
             pairs += [
                 (self.input(), self.input(k)),

@@ -1,0 +1,78 @@
+"""Penalised programs that are compiled once, for all ends, weights and durations."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Hashable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from drake_aigto.box import BoxPolynomial, ParametricPolynomial
+from drake_aigto.terms import parse_costs
+
+if TYPE_CHECKING:
+    from drake_aigto.transcription import Transcription
+    from drake_aigto.transcription.penalties import Bounds
+
+_LOG = logging.getLogger(__name__)
+
+# Programs that are kept; motions past a block have its faces at ever other knots.
+_MOST_KEPT = 32
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledProgram:
+    """The penalised program of all transcriptions of one structure.
+
+    Attributes:
+        polynomial: its costs, for any parameters.
+        bounds: of its variables.
+        row_names: of the rows that penalties stand for.
+    """
+
+    polynomial: ParametricPolynomial
+    bounds: Bounds
+    row_names: tuple[str, ...]
+
+    @classmethod
+    def of(cls, transcription: Transcription) -> CompiledProgram:
+        """Compiles.
+
+        Raises:
+            UnsupportedTermError: a cost or constraint that has no mean in closed form.
+        """
+        twin, order = transcription.twin(), transcription.elimination_order()
+        blocks = parse_costs(twin.penalized())
+        num_parameters = transcription.parameters.vector().size
+        polynomial = ParametricPolynomial(order.size, num_parameters, blocks, order)
+        _LOG.info("boxes: %s", polynomial.storage)
+        rows = {row.evaluator().get_description() for row in twin.prog().GetAllConstraints()}
+        names = tuple(sorted(rows & {block.name for block in blocks}))
+        lower, upper = (bound[: order.size] for bound in twin.bounds())
+        return cls(polynomial, (lower, upper), names)
+
+    def at(self, transcription: Transcription) -> BoxPolynomial:
+        """Returns the penalised cost of a transcription."""
+        return self.polynomial.at(transcription.parameters.vector())
+
+
+class CompiledPrograms:
+    """The programs of one world, and of what users added, by structure."""
+
+    def __init__(self) -> None:
+        """Starts with none."""
+        self._kept: dict[Hashable, CompiledProgram] = {}
+
+    def compile(self, transcription: Transcription) -> CompiledProgram:
+        """Returns a transcription's program, whose bounds it takes.
+
+        Raises:
+            UnsupportedTermError: a cost or constraint that has no mean in closed form.
+        """
+        key = transcription.structure
+        if key not in self._kept:
+            if len(self._kept) >= _MOST_KEPT:
+                del self._kept[next(iter(self._kept))]
+            self._kept[key] = CompiledProgram.of(transcription)
+        transcription.take_bounds(self._kept[key].bounds)
+        return self._kept[key]

@@ -1,0 +1,116 @@
+"""A planner plans again, with what it compiled once, as a new one of the changed scenario would."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import pytest
+from pydrake.solvers import MathematicalProgram
+from replay_worlds import make_diagram, shipped_world
+
+from drake_aigto import Scenario, World
+from drake_aigto.errors import ScenarioError
+from drake_aigto.planning import Plan, Planner, PlanOptions, compiled
+from drake_aigto.study import ScenarioQuestion
+from drake_aigto.study.world_scenarios import WORLDS
+from drake_aigto.terms import TermBlock, parse_costs
+
+UNCONFIRMED = PlanOptions(confirm=False)
+CHANGING = (
+    *("initial_position", "initial_velocity", "goal_position"),
+    *("control_weight", "goal_weight", "duration"),
+)
+
+
+def changes(scenario: Scenario) -> dict[str, Any]:
+    """Returns what `Planner.plan` is to be given to plan for a scenario."""
+    return {name: getattr(scenario, name) for name in CHANGING}
+
+
+def assert_same(one: Plan, other: Plan) -> None:
+    """Checks that two plans are equal to the last bit, and so are all their candidates."""
+    assert one.scenario == other.scenario
+    assert len(one.candidates) == len(other.candidates)
+    for mine, yours in zip(one.candidates, other.candidates, strict=True):
+        assert mine.trajectory == yours.trajectory
+        assert mine.origin == yours.origin
+        assert (mine.cost, mine.defects) == (yours.cost, yours.defects)
+
+
+def draw(world: str, count: int, seed: int) -> list[Scenario]:
+    """Returns random scenarios with one restitution, coarse ones."""
+    if world == "point mass":
+        found = list(ScenarioQuestion(count=count, seed=seed, num_steps=50).scenarios())
+    else:
+        found = list(WORLDS[world].draw(count, seed))
+    return [dataclasses.replace(s, restitution=0.8, time_step=s.duration / 50) for s in found]
+
+
+@pytest.mark.parametrize("world", ["point mass", *WORLDS])
+def test_a_changed_scenario_is_planned_as_by_a_new_planner_to_the_last_bit(world: str) -> None:
+    first, *others = draw(world, 2, seed=5)
+    planner = Planner(first, UNCONFIRMED)
+    for scenario in others:
+        assert_same(planner.plan(**changes(scenario)), Planner(scenario, UNCONFIRMED).plan())
+    assert_same(planner.plan(), Planner(first, UNCONFIRMED).plan())
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"duration": 1.4},
+        {"control_weight": 3e-3, "goal_weight": 5.0},
+        {"duration": 0.8, "goal_weight": 0.2, "goal_position": 0.6},
+    ],
+)
+def test_weights_and_duration_change_as_ends_do(changed: dict[str, Any]) -> None:
+    # Of a spring, as its bias reads the time step.
+    world = World.from_diagram(make_diagram(spring=3.0))
+    scenario = Scenario(
+        initial_position=0.5, initial_velocity=-1.0, goal_position=0.9, time_step=0.02
+    )
+    found = Planner(scenario, UNCONFIRMED, world).plan(**changed)
+    after = dataclasses.replace(scenario, **changed)
+    assert_same(found, Planner(after, UNCONFIRMED, world).plan())
+
+
+def test_a_goal_that_costs_nothing_at_first_counts_once_it_is_given_a_weight() -> None:
+    scenario = Scenario(
+        initial_position=0.5, initial_velocity=-1.0, goal_position=0.9, goal_weight=0.0
+    )
+    found = Planner(scenario, UNCONFIRMED, shipped_world()).plan(goal_weight=1.0)
+    after = dataclasses.replace(scenario, goal_weight=1.0)
+    assert_same(found, Planner(after, UNCONFIRMED, shipped_world()).plan())
+
+
+def test_programs_are_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    parsed: list[int] = []
+
+    def count(prog: MathematicalProgram) -> tuple[TermBlock, ...]:
+        parsed.append(prog.num_vars())
+        return parse_costs(prog)
+
+    monkeypatch.setattr(compiled, "parse_costs", count)
+    first, *others = draw("point mass", 6, seed=3)
+    planner = Planner(first, dataclasses.replace(UNCONFIRMED, aigo_steps=10))
+    for scenario in (first, *others, first):
+        planner.plan(**changes(scenario))
+    assert len(parsed) == len(set(parsed)), "once for each number of steps"
+    # Three steps to the wall are finer than the first plan's.
+    near: dict[str, Any] = {"initial_position": 0.1, "initial_velocity": -2.0}
+    planner.plan(**near)
+    planner.plan(**near, goal_position=0.7)
+    assert len(parsed) == len(set(parsed)) >= 2
+
+
+def test_what_does_not_fit_is_refused_by_name() -> None:
+    planner = Planner(draw("point mass", 1, seed=3)[0], UNCONFIRMED)
+    refused: list[tuple[dict[str, Any], str]] = [
+        ({"duration": 1.005}, "duration"),
+        ({"goal_weight": -1.0}, "goal_weight"),
+        ({"goal_position": -0.3}, "goal_position is inside"),
+    ]
+    for changed, message in refused:
+        with pytest.raises(ScenarioError, match=message):
+            planner.plan(**changed)
