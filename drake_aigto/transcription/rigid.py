@@ -169,10 +169,9 @@ class RigidTranscription(ImpactTranscription):
         is_gap = len(phi) == 2 and gap.GetVariables().empty()
         # Of all distances but that of the wall which is touched.
         per_others = 1 / gap.Evaluate() if is_gap else per_length ** (len(phi) - 1)
+        law = self.relaxation / self.scenario.num_steps * law
         pushed = jump * self._per_speed * per_length * _product(phi)
-        return as_expression(
-            (pushed - self.relaxation / self.scenario.num_steps * law) * per_others
-        )
+        return as_expression((pushed - law) * per_others)
 
     def _restitution_rows(
         self, jumps: npt.NDArray[Any], impulse: npt.NDArray[Any], after: npt.NDArray[Any]
