@@ -194,6 +194,10 @@ class VariantProblem(RigidProblem):
         transcription = transcribe(world, coarse, variant.options.relaxation)
         super().__init__(transcription, variant.options, scenario.num_steps)
 
+    def again(self, scenario: Scenario) -> VariantProblem:
+        """Returns the variant's problem of another scenario, compiled anew."""
+        return VariantProblem(self._variant, self.transcription.world, scenario)
+
     def make_algorithm(self, rung: Rung) -> Algorithm:
         """Returns the variant's, or the planner's."""
         return self._variant.algorithm or super().make_algorithm(rung)

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.plan import Plan, PlanningError
-from drake_aigto.planning.rigid import make_problem
+from drake_aigto.planning.rigid import RigidProblem, make_problem
 from drake_aigto.planning.rigid_search import RigidSearch
 from drake_aigto.planning.search import Progress, Stopwatch
 from drake_aigto.simulation.material import contact_delay
@@ -51,7 +51,11 @@ class Planner:
             contact_delay(self.world)  # A wall without stiffness is refused before long work.
         self._build_clock = Stopwatch()
         with self._build_clock("build"):
-            self._problem = make_problem(self.world, scenario, self.options)
+            self._problem = self.make_problem(scenario)
+
+    def make_problem(self, scenario: Scenario) -> RigidProblem:
+        """Returns a scenario of this world, transcribed and compiled."""
+        return make_problem(self.world, scenario, self.options)
 
     def plan(
         self,
