@@ -26,8 +26,8 @@ class LiteralTranscription(Transcription):
         M (v_{k+1} − v_k) = dt (B u_k − h(q_k, v_k) + J_kᵀ λ_k),   λ_k = ε/(φ_k + δ)     "dynamics"
         φ(q_k) ≥ 0, k ≥ 1, where asked for                                       "nonpenetration"
 
-    The dynamics rows that a contact acts on are multiplied out by every such (φ_k + δ), so that all
-    rows are polynomial: with one contact, (φ_k + δ)(M Δv − dt (B u − h)) − dt ε Jᵀ = 0.
+    The dynamics rows that the contact acts on are multiplied out, so that all rows are polynomial:
+    (φ_k + δ)(M Δv − dt (B u − h)) − dt ε Jᵀ = 0.
 
     The discrete contact is no rigid wall: a knot with φ_k + δ ≈ 0 makes dt λ_k an impulse of any
     size, also a pull where φ_k < −δ. Replay every plan before believing its cost.
@@ -73,7 +73,7 @@ class LiteralTranscription(Transcription):
         return np.full(self.world.num_contacts, self.nonpenetration)
 
     def _add_rows(self) -> None:
-        for row in self._kinematics_rows():
+        for row in self._next_q - self.world.positions - self._dt * self.world.velocities:
             self._bind_stages(shared_constraint(row, KINEMATICS))
         self._add_dynamics_rows()
         if self.nonpenetration:
@@ -81,35 +81,21 @@ class LiteralTranscription(Transcription):
                 np.ones((self.num_samples(), self.world.num_contacts), dtype=bool)
             )
 
-    def _kinematics_rows(self) -> npt.NDArray[np.object_]:
-        return self._next_q - self.world.positions - self._dt * self.world.velocities
-
     def _add_dynamics_rows(self) -> None:
-        for row in self._dynamics_rows():
-            self._bind_stages(shared_constraint(row, DYNAMICS))
+        (contact,), dt = self.world.contacts, self._dt
+        for row, direction in zip(self._momentum(), contact.jacobian, strict=True):
+            if self.law is not None:
+                row = row - dt * self.law(contact.signed_distance) * direction
+            elif not direction.Expand().EqualTo(Expression(0.0)):
+                gap = contact.signed_distance + self.scenario.delta
+                row = row * gap - dt * self.scenario.epsilon * direction
+            self._bind_stages(shared_constraint(as_expression(row), DYNAMICS))
 
     def _momentum(self) -> npt.NDArray[np.object_]:
         """Returns what contact has to explain, M Δv − dt (B u − h) [N s]."""
         world = self.world
         force = world.actuation @ world.controls - world.bias
         return world.mass_matrix @ (self._next_v - world.velocities) - self._dt * force
-
-    def _dynamics_rows(self) -> list[Expression]:
-        """Returns the momentum − Σ_i dt ε J_i/(φ_i + δ), times the denominators it has."""
-        world, dt, epsilon = self.world, self._dt, self.scenario.epsilon
-        if self.law is not None:
-            pushes = [dt * self.law(c.signed_distance) * c.jacobian for c in world.contacts]
-            return list(map(as_expression, self._momentum() - sum(pushes)))
-        gaps = [contact.signed_distance + self.scenario.delta for contact in world.contacts]
-        rows = []
-        for j, row in enumerate(self._momentum()):
-            acting = [i for i, c in enumerate(world.contacts) if not _is_zero(c.jacobian[j])]
-            row = row * _product([gaps[i] for i in acting])
-            for i in acting:
-                others = _product([gaps[other] for other in acting if other != i])
-                row -= dt * epsilon * world.contacts[i].jacobian[j] * others
-            rows.append(as_expression(row))
-        return rows
 
     def defects(self, x: npt.NDArray[np.float64]) -> dict[str, float]:
         """Returns the largest of each kind: kinematics [m], dynamics [m/s], nonpenetration [m].
@@ -155,11 +141,3 @@ class LiteralTranscription(Transcription):
         impulses = np.broadcast_to(self._dt * forces, distances.shape).copy()
         impulses[-1] = 0.0
         return impulses
-
-
-def _product(factors: list[Expression]) -> Expression:
-    return np.prod(factors) if factors else Expression(1.0)
-
-
-def _is_zero(expression: Expression) -> bool:
-    return expression.Expand().EqualTo(Expression(0.0))
