@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import json
 import os
+from dataclasses import fields, is_dataclass
 from functools import cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, TypeVar, get_args, get_origin
@@ -21,6 +22,9 @@ if TYPE_CHECKING:
     from cattrs import Converter
 
 _T = TypeVar("_T")
+
+# Metadata of a dataclass's field that is left out: written and read otherwise, or not at all.
+LEFT_OUT = {"plain": False}
 
 _EXPECTED = {str: "text", bool: "true or false", int: "a whole number", float: "a number"}
 
@@ -69,6 +73,7 @@ def read_json(path: str | os.PathLike[str], what: str, refuse: type[AigtoError])
 def _converter() -> Converter:
     # Loaded with the first file, not with this package.
     from cattrs import Converter
+    from cattrs.gen import make_dict_structure_fn, make_dict_unstructure_fn
     from cattrs.strategies import use_class_methods
 
     converter = Converter(forbid_extra_keys=True, unstruct_collection_overrides={tuple: list})
@@ -77,8 +82,29 @@ def _converter() -> Converter:
     converter.register_structure_hook_func(_is_choice, _check_choice)
     converter.register_unstructure_hook_func(_is_array, np.ndarray.tolist)
     converter.register_structure_hook_func(_is_array, lambda data, _: np.array(data, dtype=float))
+    converter.register_unstructure_hook_factory(
+        _leaves_out, lambda kind: make_dict_unstructure_fn(kind, converter, **_omissions(kind))
+    )
+    converter.register_structure_hook_factory(
+        _leaves_out,
+        lambda kind: make_dict_structure_fn(
+            kind, converter, _cattrs_forbid_extra_keys=True, **_omissions(kind)
+        ),
+    )
     use_class_methods(converter, "from_plain", "to_plain")
     return converter
+
+
+def _leaves_out(kind: Any) -> bool:
+    return bool(is_dataclass(kind) and _omissions(kind))
+
+
+def _omissions(kind: Any) -> dict[str, Any]:
+    """Returns how cattrs is told which fields of a dataclass are left out."""
+    from cattrs.gen import override
+
+    left_out = (field.name for field in fields(kind) if field.metadata == LEFT_OUT)
+    return {name: override(omit=True) for name in left_out}
 
 
 def _is_array(kind: Any) -> bool:

@@ -12,7 +12,10 @@ from meshcat_pages import clips, objects
 from pydrake.geometry import Meshcat
 
 from drake_aigto import Plan, Planner, PlanOptions, Scenario, World
-from drake_aigto.aigo import AigoResult, SlowMotion, minimize
+from drake_aigto.aigo import AigoResult, FullGradient, SlowMotion, minimize
+from drake_aigto.errors import OptionsError
+from drake_aigto.paper import LiteralOptions, plan_literal
+from drake_aigto.paper.options import LITERAL_LADDER
 from drake_aigto.planning import Origin, make_problem
 from drake_aigto.show.box_playback import play_boxes
 from drake_aigto.show.box_run import BoxRun, run_boxes
@@ -30,7 +33,7 @@ def plan() -> Plan:
 
 @pytest.fixture(scope="module")
 def run(plan: Plan) -> BoxRun:
-    return run_boxes(plan, options=OPTIONS)
+    return run_boxes(plan)
 
 
 @pytest.fixture(scope="module")
@@ -48,20 +51,28 @@ def test_the_rung_that_the_plan_came_from_is_run_again(plan: Plan, run: BoxRun) 
     np.testing.assert_allclose(run.result.box.half_width, last.half_width, rtol=1e-2)
 
 
-def test_a_plan_that_came_of_a_guess_has_boxes_of_the_first_rung(plan: Plan) -> None:
+def test_boxes_that_no_file_tells_of_are_refused(plan: Plan) -> None:
     best = dataclasses.replace(plan.best, origin=Origin("zero"))
-    other = dataclasses.replace(plan, candidates=(best,))
-    assert run_boxes(other, options=OPTIONS).rung == OPTIONS.ladder[0]
+    priced = dataclasses.replace(plan.best, added_costs={"tax": 1.0})
+    for other, lacks in (
+        (dataclasses.replace(plan, candidates=(best,)), "no rung of AIGO's ladder"),
+        (dataclasses.replace(plan, options=None), "no options"),
+        (dataclasses.replace(plan, candidates=(priced,)), r".* one's own, by name only \(tax\)"),
+    ):
+        with pytest.raises(OptionsError, match=f"got a plan that names {lacks}"):
+            run_boxes(other)
 
 
-def test_a_literal_plan_has_the_boxes_of_its_algorithm(
-    plan: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    seen: list[Any] = []
-    monkeypatch.setattr("drake_aigto.planning.problem.minimize", lambda *a: seen.append(a[2]))
-    best = dataclasses.replace(plan.best, origin=Origin("full gradient", OPTIONS.ladder[0]))
-    run_boxes(dataclasses.replace(plan, transcription="literal", candidates=(best,)))
-    assert type(seen[0]).__name__ == "FullGradient"
+def test_a_literal_plan_has_the_boxes_of_its_options() -> None:
+    scenario = dataclasses.replace(Scenario.named("table1/1"), time_step=0.05)
+    options = LiteralOptions(algorithm="full gradient", ladder=LITERAL_LADDER[3:4], confirm=False)
+    run = run_boxes(plan_literal(scenario, options))
+    assert run.problem.options is options
+    assert run.rung is options.ladder[0]
+    algorithm = run.problem.make_algorithm(run.rung)
+    assert isinstance(algorithm, FullGradient)
+    last = run.problem.run_aigo(run.rung).box
+    np.testing.assert_array_equal(run.result.box.center, last.center)
 
 
 def test_picked_iterates_shrink_evenly(run: BoxRun) -> None:
@@ -126,14 +137,9 @@ def test_each_coordinate_has_its_panel_and_nothing_passes_for_a_motion(
     painted: list[Figure],
 ) -> None:
     scenario = dataclasses.replace(Scenario.named("room/bank_shot"), time_step=0.1)
-    world = World.from_scenario(scenario)
-    q = np.linspace(scenario.initial_position, scenario.goal_position, 11)
-    best: Any = type("Best", (), {"origin": Origin("zero")})
-    trajectory: Any = type("Way", (), {"times": np.linspace(0, 1, 11), "positions": q})
-    plan: Any = type("Any", (), dict(scenario=scenario, best=best, trajectory=trajectory))
-    plan.transcription = "rigid"
+    options = PlanOptions(aigo_steps=10, confirm=False, finalists=1, branches=0)
     meshcat = Meshcat()
-    play_boxes(plan, meshcat, world, run_boxes(plan, world, PlanOptions(aigo_steps=10)))
+    play_boxes(Planner(scenario, options).plan(), meshcat)
     graph = painted[0]
     assert [axes.get_ylabel() for axes in graph.axes] == ["x position [m]", "y position [m]"]
     assert graph.texts[0].get_text() == "AIGO's boxes: the optimization, not a motion"

@@ -128,7 +128,7 @@ def test_plan_options_are_flags(
         seen.append(planner.options)
         return Plan.load(plan_file)
 
-    def remember_literal(scenario: Scenario, options: LiteralOptions, *arguments: Any) -> Plan:
+    def remember_literal(scenario: Scenario, options: LiteralOptions, **others: Any) -> Plan:
         seen.append(options)
         return Plan.load(plan_file)
 

@@ -58,7 +58,7 @@ def test_a_port_that_nobody_may_listen_at_is_told(
     ("change", "message"),
     [
         ({"version": 1}, "got version 1, expected version"),
-        ({"candidates": []}, "is damaged: got Plan: got candidates: got none"),
+        ({"candidates": []}, "is damaged: got plan: got candidates: got none"),
         (None, "is cut short or no JSON"),
     ],
 )

@@ -63,7 +63,7 @@ def test_the_integrated_product_is_aigos_mean_of_the_penalty(axes: Axes, half_wi
 
 
 def test_cost_falls_over_iterations_and_defects_have_their_own_scale(axes: Axes, plan: Any) -> None:
-    run = run_boxes(plan, options=OPTIONS)
+    run = run_boxes(plan)
     right = plot_cost_history(axes, run)
     mean, cost = axes.lines
     (defect,) = right.lines

@@ -25,23 +25,21 @@ def write_model(tmp_path: Path) -> ModelWriter:
 
 @pytest.mark.parametrize("name", OTHERS)
 def test_a_changed_model_has_another_fingerprint(write_model: ModelWriter, name: str) -> None:
-    shipped, changed = (
-        Fingerprint.of(make_world(write_model, each)) for each in ("as shipped", name)
-    )
+    shipped, changed = (make_world(write_model, each).fingerprint for each in ("as shipped", name))
     again = make_world(write_model, name)
-    changed.check(again, "")
+    changed.check(again.fingerprint, "")
     with pytest.raises(ModelError, match=r"the world has changed: got .*, expected .*Look\."):
-        shipped.check(again, "Look.")
+        shipped.check(again.fingerprint, "Look.")
 
 
 def test_a_fingerprint_survives_json_and_rounding(write_model: ModelWriter) -> None:
     world = make_world(write_model, "slope")
-    read = from_plain(Fingerprint, json.loads(json.dumps(to_plain(Fingerprint.of(world)))))
-    assert read == Fingerprint.of(world)
+    read = from_plain(Fingerprint, json.loads(json.dumps(to_plain(world.fingerprint))))
+    assert read == world.fingerprint
     rounded = dataclasses.replace(
         read, accelerations=tuple(tuple(row) for row in np.array(read.accelerations) * (1 + 1e-13))
     )
-    rounded.check(world, "")
+    rounded.check(world.fingerprint, "")
 
 
 def test_mass_walls_and_restitutions_count() -> None:
@@ -50,15 +48,15 @@ def test_mass_walls_and_restitutions_count() -> None:
     heavier = World.from_scenario(dataclasses.replace(scenario, mass=1.001))
     for other, what in ((heavier, "accelerations"), (world.with_wall_moved(3, 1e-7), "distances")):
         with pytest.raises(ModelError, match=f"got {what}"):
-            Fingerprint.of(world).check(other, "")
-    softer = dataclasses.replace(Fingerprint.of(world), restitutions=(None, None, None, 0.5))
+            world.fingerprint.check(other.fingerprint, "")
+    softer = dataclasses.replace(world.fingerprint, restitutions=(None, None, None, 0.5))
     with pytest.raises(ModelError, match="got restitutions"):
-        softer.check(world, "")
+        softer.check(world.fingerprint, "")
 
 
 def test_a_world_knows_the_model_that_it_was_built_from(write_model: ModelWriter) -> None:
     world = make_world(write_model, "as shipped")
-    assert world.model == str(write_model.path) == Fingerprint.of(world).model
+    assert world.model == str(write_model.path) == world.fingerprint.model
     own = World.from_diagram(world.diagram)
     assert own.model is None
-    Fingerprint.of(world).check(own, "")
+    world.fingerprint.check(own.fingerprint, "")

@@ -109,10 +109,8 @@ def test_friction_that_is_left_out_as_asked_changes_nothing_and_is_told(rough_ro
     assert Scenario.from_plain(found.scenario.to_plain()).friction == 0.0
     world = World.from_scenario(rough)
     said = "left out of the simulation, as asked: the model's, μ = 1"
-    assert said in format_plan(found, world, Planner(rough).options)
-    assert "friction" not in format_plan(
-        expected, World.from_scenario(smooth), Planner(smooth).options
-    )
+    assert said in format_plan(found)
+    assert "friction" not in format_plan(expected)
     # The model's own friction is what the plan would have met.
     control = found.trajectory.times, found.trajectory.controls
     met = replay_drake(world, dataclasses.replace(rough, friction=None), *control)

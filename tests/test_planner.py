@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import json
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,7 @@ import numpy as np
 import pytest
 from rigid_worlds import AXIS, write_model
 
-from drake_aigto import OutputFileError, PlanFileError, Scenario
+from drake_aigto import Scenario
 from drake_aigto.errors import OptionsError
 from drake_aigto.paper import (
     LITERAL_LADDER,
@@ -21,8 +20,7 @@ from drake_aigto.paper import (
     plan_literal,
 )
 from drake_aigto.paper.options import AlgorithmName
-from drake_aigto.plain import to_plain
-from drake_aigto.planning import Plan, PlanningError, PlanOptions, SearchOptions
+from drake_aigto.planning import PlanningError, PlanOptions, SearchOptions
 from drake_aigto.planning.options import LocalSolverName
 from drake_aigto.simulation.contacts import find_contacts
 from drake_aigto.trajectory import Trajectory
@@ -228,78 +226,3 @@ def test_a_flight_has_no_contact() -> None:
         np.linspace(0, 1, 11), still, still, zeros, np.full((11, 1), 1e-3), zeros
     )
     assert find_contacts(world, trajectory) == ()
-
-
-# Plan files
-
-
-@pytest.fixture(scope="module")
-def found() -> Plan:
-    return plan_literal(FLIGHT, dataclasses.replace(QUICK, ladder=QUICK.ladder[:1], confirm=True))
-
-
-def test_a_plan_file_reads_back_to_the_same_plan(found: Plan, tmp_path: Path) -> None:
-    path = tmp_path / "plan.json"
-    found.save(path)
-    loaded = Plan.load(path)
-    assert loaded == found
-    assert to_plain(loaded) == to_plain(found)
-    assert [p.name for p in tmp_path.iterdir()] == ["plan.json"]
-
-
-def test_a_plan_without_confirmation_reads_back_too(found: Plan, tmp_path: Path) -> None:
-    bare = dataclasses.replace(found, replay=dataclasses.replace(found.replay, drake=None))
-    bare.save(tmp_path / "plan.json")
-    assert Plan.load(tmp_path / "plan.json").replay.drake is None
-
-
-@pytest.mark.parametrize("kept", [0.0, 0.3, 0.999])
-def test_a_plan_file_cut_short_is_refused(found: Plan, tmp_path: Path, kept: float) -> None:
-    path = tmp_path / "plan.json"
-    found.save(path)
-    text = path.read_text(encoding="utf-8").rstrip()
-    path.write_text(text[: int(kept * len(text))], encoding="utf-8")
-    with pytest.raises(PlanFileError, match=r"plan\.json is cut short or no JSON"):
-        Plan.load(path)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"version": 99}, r"version 99, expected version 4\. Plan again"),
-        (
-            {"format": "poem"},
-            "is not a plan file: expected an object with the format 'drake_aigto plan'",
-        ),
-        ({"candidates": []}, "is damaged: got Plan: got candidates: got none"),
-        (
-            {"replay": {}},
-            r"is damaged: got Plan\.replay\.event_driven: got nothing, expected a value",
-        ),
-        ({"stats": {"pace": 3}}, r"is damaged: got Plan\.stats\.aigo_steps: got nothing"),
-        (
-            {"scenario": {"initial_position": 1}},
-            r"is damaged: got Plan\.scenario: got missing",
-        ),
-        ({"transcription": 3}, r"is damaged: got Plan\.transcription: got 3, expected text"),
-    ],
-)
-def test_a_damaged_plan_file_is_refused(
-    found: Plan, tmp_path: Path, change: dict[str, Any], message: str
-) -> None:
-    path = tmp_path / "plan.json"
-    found.save(path)
-    data = json.loads(path.read_text(encoding="utf-8"))
-    path.write_text(json.dumps({**data, **change}), encoding="utf-8")
-    with pytest.raises(PlanFileError, match=message):
-        Plan.load(path)
-
-
-def test_files_that_cannot_be_read_or_written_are_named(found: Plan, tmp_path: Path) -> None:
-    with pytest.raises(PlanFileError, match=r"nowhere\.json can't be read"):
-        Plan.load(tmp_path / "nowhere.json")
-    with pytest.raises(OutputFileError, match=r"can't be written.*a folder that exists"):
-        found.save(tmp_path / "no folder" / "plan.json")
-    (tmp_path / "list.json").write_text("[1, 2]", encoding="utf-8")
-    with pytest.raises(PlanFileError, match=r"list\.json is not a plan file: expected an object"):
-        Plan.load(tmp_path / "list.json")

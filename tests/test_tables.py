@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from drake_aigto.optima import RigidOptimum
-from drake_aigto.planning import Candidate, Origin, Plan, Planner, PlanOptions, Replays, Rung
+from drake_aigto.planning import Candidate, Origin, Plan, Planner, Replays, Rung
 from drake_aigto.show.plans import format_plan, format_replays
 from drake_aigto.show.tables import format_table1
 from drake_aigto.simulation import Replay
@@ -18,14 +18,13 @@ from drake_aigto.simulation.contacts import PlannedContact
 from drake_aigto.study import Cell, Entry, Method, RigidCell, Table1
 from drake_aigto.world import Scenario, World
 
-OPTIONS = PlanOptions()
 WIDTH = 100
 
 
 @pytest.fixture(scope="module")
 def plan() -> Plan:
     scenario = dataclasses.replace(Scenario.named("table1/1"), time_step=0.02)
-    return Planner(scenario, OPTIONS).plan()
+    return Planner(scenario).plan()
 
 
 @pytest.fixture(scope="module")
@@ -106,7 +105,7 @@ def test_no_line_of_the_table_is_too_long(plan: Plan, optimum: float) -> None:
 def test_a_plan_begins_with_its_verdict_and_the_costs_that_it_rests_on(
     plan: Plan, world: World
 ) -> None:
-    verdict, costs = format_plan(plan, world, OPTIONS, 1e-4).splitlines()[:2]
+    verdict, costs = format_plan(plan, world, 1e-4).splitlines()[:2]
     assert verdict == (
         "verdict     holds: the control alone keeps the plan's promise on a rigid wall and on "
         "Drake's plant"
@@ -133,7 +132,7 @@ def test_a_failing_verdict_names_the_simulation(
         return dataclasses.replace(replay, cost=1.0) if is_wrong else replay
 
     replays = Replays(*(spoil(*pair) for pair in zip(plan.replay, wrong, strict=True)))
-    text = format_plan(dataclasses.replace(plan, replay=replays), world, OPTIONS)
+    text = format_plan(dataclasses.replace(plan, replay=replays), world)
     assert text.startswith("verdict     fails: ")
     assert f" the control alone misses the plan's promise {where}\n" in text
 
@@ -142,7 +141,7 @@ def test_what_is_not_known_is_left_out(plan: Plan, world: World) -> None:
     assert "ms late" in format_replays(plan, world, 1e-4)
     assert "ms late" not in format_replays(plan, world)
     alone = dataclasses.replace(plan, replay=Replays(plan.replay.event_driven, None))
-    assert "Drake" not in format_plan(alone, world, OPTIONS, 1e-4)
+    assert "Drake" not in format_plan(alone, world, 1e-4)
     still = with_replays(
         plan, bounce_times=(), bounce_contacts=(), energies_before=(), energies_after=()
     )
@@ -152,9 +151,7 @@ def test_what_is_not_known_is_left_out(plan: Plan, world: World) -> None:
 
 def test_a_matched_dissipation_says_for_which_impacts(plan: Plan, world: World) -> None:
     matched = with_replays(plan, matched_speeds=(1.234, 0.98765))
-    assert "restitution matched for impacts at 1.23, 0.99 m/s" in format_plan(
-        matched, world, OPTIONS
-    )
+    assert "restitution matched for impacts at 1.23, 0.99 m/s" in format_plan(matched, world)
 
 
 def test_what_compliance_explains_is_told(plan: Plan, world: World) -> None:
@@ -165,9 +162,7 @@ def test_what_compliance_explains_is_told(plan: Plan, world: World) -> None:
 
 def test_contacts_that_last_show_when_they_end(plan: Plan, world: World) -> None:
     contacts = (PlannedContact(0.25, 0.5, 3.0, 0.0), PlannedContact(0.75, 0.75, 1.5, 0.64))
-    text = format_plan(
-        with_best(plan, dataclasses.replace(plan.best, contacts=contacts)), world, OPTIONS
-    )
+    text = format_plan(with_best(plan, dataclasses.replace(plan.best, contacts=contacts)), world)
     assert "\ncontacts    0.250–0.500 s (Δv 3.00 m/s), 0.750 s (Δv 1.50 m/s),\n" in text
     assert re.search(r" mm  0\.250–0\.500, 0\.750 s\n", text)
 
@@ -184,7 +179,7 @@ def test_no_line_of_a_plan_is_too_long(plan: Plan, world: World, transcription: 
     )
     busy = dataclasses.replace(plan, transcription=transcription, candidates=(crowded,) * 12)
     bounces = {"bounce_times": tuple(range(1000, 1400)), "bounce_contacts": (0,) * 400}
-    text = format_plan(with_replays(busy, **bounces), world, OPTIONS, 1e-4)
+    text = format_plan(with_replays(busy, **bounces), world, 1e-4)
     assert max(map(len, text.splitlines())) <= WIDTH
     assert "and 4 more" in text
     assert "and 394 times more" in text
@@ -203,11 +198,12 @@ def between_walls(plan: Plan) -> Plan:
     )
     bounces = {"bounce_times": (0.15, 0.66, 1.18), "bounce_contacts": (0, 1, 0)}
     told = with_replays(plan, **bounces, energies_before=(1.0,) * 3, energies_after=(1.0,) * 3)
-    return with_best(told, dataclasses.replace(plan.best, contacts=contacts))
+    elsewhere = dataclasses.replace(told, made_in=None, world=None)
+    return with_best(elsewhere, dataclasses.replace(plan.best, contacts=contacts))
 
 
 def test_contacts_between_several_walls_say_which(plan: Plan, corridor: World) -> None:
-    text = format_plan(between_walls(plan), corridor, OPTIONS, 1e-4)
+    text = format_plan(between_walls(plan), corridor, 1e-4)
     assert text.startswith(
         "verdict     holds: the control alone keeps the plan's promise on rigid w"
     )
@@ -226,7 +222,7 @@ def test_contacts_between_several_walls_say_which(plan: Plan, corridor: World) -
 
 
 def test_one_wall_needs_no_letters(plan: Plan, world: World) -> None:
-    text = format_plan(plan, world, OPTIONS, 1e-4)
+    text = format_plan(plan, world, 1e-4)
     assert "pairs" not in text and "ball" not in text
 
 
@@ -245,5 +241,5 @@ def test_a_models_own_restitution_is_told(plan: Plan, corridor: World) -> None:
 def test_letters_do_not_run_out(plan: Plan, corridor: World) -> None:
     many = dataclasses.replace(corridor, contacts=corridor.contacts * 14)
     last = dataclasses.replace(plan.best, contacts=(PlannedContact(0.5, 0.5, 1.0, 1.0, 27),))
-    text = format_plan(with_best(plan, last), many, OPTIONS)
+    text = format_plan(dataclasses.replace(with_best(plan, last), made_in=None), many)
     assert "b1 ball against right wall" in text and "  b1 at 0.500 s\n" in text

@@ -13,11 +13,11 @@ from drake_aigto.cli.status import FINE, NOTHING_HOLDS
 from drake_aigto.errors import OptionsError
 from drake_aigto.paper import LiteralOptions, plan_literal
 from drake_aigto.paper.options import AlgorithmName
-from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions, Replays
+from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions
 from drake_aigto.planning.options import LocalSolverName
 from drake_aigto.show.plans import format_plan, format_replays
 from drake_aigto.simulation.material import contact_delay
-from drake_aigto.world import Scenario, World, scenario_names
+from drake_aigto.world import Scenario, scenario_names
 from drake_aigto.world.files import check_writable
 
 _VECTORS = ("initial_position", "initial_velocity", "goal_position")
@@ -148,33 +148,27 @@ def _plan(options: argparse.Namespace) -> int:
     scenario, chosen = _load_scenario(options), _read_options(options)
     try:
         with show_progress(options, "transcribing") as progress:
-            world = World.from_scenario(scenario)
             if isinstance(chosen, LiteralOptions):
-                plan = plan_literal(scenario, chosen, world, progress)
+                plan = plan_literal(scenario, chosen, progress=progress)
             else:
-                plan = Planner(scenario, chosen, world).plan(progress=progress)
+                plan = Planner(scenario, chosen).plan(progress=progress)
     except PlanningError as error:
         if error.plan is not None:
-            _answer_plan(options, error.plan, world, chosen)
+            _answer_plan(options, error.plan)
         raise
-    return _answer_plan(options, plan, world, chosen)
+    return _answer_plan(options, plan)
 
 
-def _answer_plan(
-    options: argparse.Namespace, plan: Plan, world: World, chosen: PlanOptions | LiteralOptions
-) -> int:
-    return _answer(options, plan, format_plan(plan, world, chosen, _delay(plan, world)))
+def _answer_plan(options: argparse.Namespace, plan: Plan) -> int:
+    return _answer(options, plan, format_plan(plan, contact_delay=_delay(plan)))
 
 
 def _replay(options: argparse.Namespace) -> int:
     check_writable(options.json)
     plan = Plan.load(options.plan)
     with show_progress(options, "simulating"):
-        world = World.from_scenario(plan.scenario)
-        world.check(plan.scenario)
-        replays = Replays.of(world, plan.scenario, plan.trajectory, options.confirm)
-        replayed = dataclasses.replace(plan, replay=replays)
-    return _answer(options, replayed, format_replays(replayed, world, _delay(replayed, world)))
+        replayed = plan.replayed(confirm=options.confirm)
+    return _answer(options, replayed, format_replays(replayed, contact_delay=_delay(replayed)))
 
 
 def _load_scenario(options: argparse.Namespace) -> Scenario:
@@ -195,6 +189,6 @@ def _answer(options: argparse.Namespace, plan: Plan, text: str) -> int:
     return FINE if plan.holds else NOTHING_HOLDS
 
 
-def _delay(plan: Plan, world: World) -> float | None:
+def _delay(plan: Plan) -> float | None:
     """Returns by how much walls in Drake are late at most [s], if the plan was replayed there."""
-    return None if plan.replay.drake is None else contact_delay(world)
+    return None if plan.replay.drake is None else contact_delay(plan.find_world())

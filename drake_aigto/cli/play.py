@@ -11,7 +11,6 @@ from drake_aigto.cli.flags import add_command
 from drake_aigto.cli.progress import show_progress
 from drake_aigto.cli.status import FINE
 from drake_aigto.planning import Plan
-from drake_aigto.world import World
 from drake_aigto.world.files import check_writable
 
 _ANY_PORT = 0
@@ -50,7 +49,7 @@ def _play(options: argparse.Namespace) -> int:
 
     check_writable(options.html)
     plan = Plan.load(options.plan)
-    world = World.from_scenario(plan.scenario)
+    world = plan.find_world()
     # A page needs Meshcat, too, but nobody looks for it at a port.
     meshcat = open_meshcat(_ANY_PORT if options.html and options.port is None else options.port)
     if options.optimization:

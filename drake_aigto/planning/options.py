@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pkgutil import resolve_name
 from typing import ClassVar, Literal, get_args
 
 from drake_aigto.errors import OptionsError
@@ -12,6 +13,12 @@ from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, RESTITUTIO
 
 LocalSolverName = Literal["newton", "ipopt", "snopt"]
 StartName = Literal["line", "coast"]
+
+# Transcription → its options, by name, as the paper's are further down the road than this.
+_KINDS = {
+    "rigid": "drake_aigto.planning.options:PlanOptions",
+    "literal": "drake_aigto.paper.options:LiteralOptions",
+}
 
 
 @dataclass(frozen=True)
@@ -97,6 +104,19 @@ class SearchOptions:
             raise OptionsError("threads", got=self.threads, expected="1 or more, or None")
         if not self.ladder:
             raise OptionsError("ladder", got="no rung", expected="at least one")
+
+    @staticmethod
+    def kind_of(transcription: str) -> type[SearchOptions]:
+        """Returns the options that a transcription has, by its name in files.
+
+        Raises:
+            OptionsError: there is no such transcription.
+        """
+        if transcription not in _KINDS:
+            known = ", ".join(_KINDS)
+            raise OptionsError("transcription", got=repr(transcription), expected=f"one of {known}")
+        kind: type[SearchOptions] = resolve_name(_KINDS[transcription])
+        return kind
 
     def _check_choice(self, name: str, known: tuple[str, ...]) -> None:
         if (got := getattr(self, name)) not in known:

@@ -43,7 +43,8 @@ class Origin:
 
     Attributes:
         proposer: AIGO's algorithm, as the options name it, or another's guess: "zero", "random".
-        rung: where AIGO started; None for another's guess.
+        rung: where AIGO started; None for another's guess, and in plan files of version 3, whose
+            whole sentence is the proposer.
         changes: of the contact sequence that was proposed, in order.
     """
 

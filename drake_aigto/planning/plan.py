@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from drake_aigto.errors import AigtoError, DamagedDataError, PlanFileError
-from drake_aigto.plain import from_plain, read_json, to_plain
+from drake_aigto.errors import AigtoError, DamagedDataError, ModelError, PlanFileError
+from drake_aigto.plain import LEFT_OUT, from_plain, read_json, to_plain
+from drake_aigto.planning.options import SearchOptions
 from drake_aigto.planning.origin import Origin
 from drake_aigto.simulation.contacts import PlannedContact
 from drake_aigto.simulation.replay import Replay, confirms, replay_drake, replay_event_driven
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription.rows import largest_defect
-from drake_aigto.world import Scales, Scenario, World
+from drake_aigto.world import Fingerprint, Scales, Scenario, World
 from drake_aigto.world.files import write_text
 
 if TYPE_CHECKING:
@@ -170,6 +172,11 @@ class Plan:
         candidates: all of them, the best first.
         replay: simulations of the best one's control.
         stats: iterations and seconds.
+        made_in: what tells the world that it was made in from others; None: a file of version 3
+            did not say.
+        options: that it was made with; None: a file of version 3 did not say.
+        world: that it was made in, while it is in memory: neither files nor copies in other
+            processes have it (`find_world`).
     """
 
     scenario: Scenario
@@ -177,11 +184,18 @@ class Plan:
     candidates: tuple[Candidate, ...]
     replay: Replays
     stats: PlanStats
+    made_in: Fingerprint | None
+    options: SearchOptions | None = field(default=None, metadata=LEFT_OUT)
+    world: World | None = field(default=None, compare=False, repr=False, metadata=LEFT_OUT)
 
     def __post_init__(self) -> None:
         """Refuses a plan without candidates."""
         if not self.candidates:
             raise PlanFileError("candidates", got="none", expected="at least one")
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Returns what is copied and sent to other processes: all but the world."""
+        return {**self.__dict__, "world": None}
 
     @property
     def best(self) -> Candidate:
@@ -208,6 +222,51 @@ class Plan:
         """Whether every replay that was run confirms the chosen trajectory (`replay.confirms`)."""
         return self.best.holds(self.replay)
 
+    def find_world(self, world: World | None = None) -> World:
+        """Returns the world that the plan was made in.
+
+        Args:
+            world: it, to be checked; its own, or built from its model, if None.
+
+        Raises:
+            ModelError: it was made in a diagram of one's own, which is needed; or the world that is
+                given, or the model, is not as it was.
+        """
+        if world is None:
+            world = self.world or self._build_world()
+        if self.made_in and world is not self.world:
+            remedy = "Give the diagram that the plan was made in."
+            if world.model is not None:
+                remedy = f"Plan again: {world.model} is not as it was when the plan was made."
+            self.made_in.check(world.fingerprint, remedy)
+        return world
+
+    def _build_world(self) -> World:
+        """Returns the world of the model that the plan was made in."""
+        if self.made_in is None:
+            return World.from_scenario(self.scenario)
+        if self.made_in.model is None:
+            raise ModelError(
+                "the plan was made in a diagram of one's own",
+                expected="that diagram, which no file has",
+                remedy="In Python, load the plan, and give world=World.from_diagram(diagram).",
+            )
+        return World.from_scenario(dataclasses.replace(self.scenario, model=self.made_in.model))
+
+    def replayed(self, world: World | None = None, confirm: bool = True) -> Plan:
+        """Returns the plan with new simulations of its control.
+
+        Args:
+            world: see `find_world`.
+            confirm: whether its control is also run on Drake's plant.
+
+        Raises:
+            ModelError: from `find_world`.
+        """
+        world = self.find_world(world)
+        replays = Replays.of(world, self.scenario, self.trajectory, confirm)
+        return dataclasses.replace(self, replay=replays, world=world)
+
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes a JSON file that `load` reads back to the same numbers, whole or not at all.
 
@@ -215,11 +274,12 @@ class Plan:
             OutputFileError: the file can't be written.
         """
         head = {"format": FORMAT, "version": FORMAT_VERSION}
-        write_text(path, json.dumps({**head, **to_plain(self)}) + "\n")
+        data = {**head, **to_plain(self), "options": to_plain(self.options)}
+        write_text(path, json.dumps(data) + "\n")
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Plan:
-        """Reads a plan file.
+        """Reads a plan file, of this version or the one before.
 
         Raises:
             PlanFileError: no such file, cut short, not a plan, or of another version.
@@ -231,16 +291,41 @@ class Plan:
                 expected=f"an object with the format {FORMAT!r}",
                 remedy="Write one with `drake-aigto plan SCENARIO --json FILE`.",
             )
-        if (version := data.pop("version", None)) != FORMAT_VERSION:
+        if (version := data.pop("version", None)) not in (3, FORMAT_VERSION):
             raise PlanFileError(
                 f"plan file {path}",
                 got=f"version {version!r}",
-                expected=f"version {FORMAT_VERSION}",
+                expected=f"version {FORMAT_VERSION}, or 3",
                 remedy="Plan again with this version of drake_aigto.",
             )
         try:
-            return from_plain(cls, data)
-        except DamagedDataError as error:
+            return _read_version_3(data) if version == 3 else _read(data)
+        except (AigtoError, AttributeError, TypeError) as error:
             raise PlanFileError(
                 f"plan file {path} is damaged", got=error, remedy="Plan again."
             ) from error
+
+
+def _read(data: dict[str, Any]) -> Plan:
+    """Returns the plan of a file; its options are those of its transcription."""
+    if "options" not in data:
+        raise DamagedDataError("plan.options", got="nothing", expected="a value")
+    options = data.pop("options")
+    plan = from_plain(Plan, data, "plan")
+    if options is None:
+        return plan
+    kind = SearchOptions.kind_of(plan.transcription)
+    return dataclasses.replace(plan, options=from_plain(kind, options, "plan.options"))
+
+
+def _read_version_3(data: dict[str, Any]) -> Plan:
+    """Returns the plan of a file that has sentences as origins, and neither options nor world.
+
+    Tolerances were absolute then: parts of 1 m, 1 s, and a cost of 1.
+    """
+    scales = {"length": 1.0, "time": 1.0, "cost": 1.0}
+    candidates = [
+        {**candidate, "origin": {"proposer": candidate.get("origin")}, "scales": scales}
+        for candidate in data.get("candidates", ())
+    ]
+    return from_plain(Plan, {**data, "candidates": candidates, "made_in": None}, "plan")

@@ -264,8 +264,17 @@ class Search(ABC):
         )
         took = ", ".join(f"{part} {seconds:.2f}" for part, seconds in stats.seconds.items())
         _LOG.info("%d inner steps of AIGO; seconds: %s", stats.aigo_steps, took)
-        name = self.problem.options.transcription
-        return Plan(scenario, name, (best, *rest), replays, stats)
+        options, world = self.problem.options, self.problem.transcription.world
+        return Plan(
+            scenario=scenario,
+            transcription=options.transcription,
+            candidates=(best, *rest),
+            replay=replays,
+            stats=stats,
+            made_in=world.fingerprint,
+            options=options,
+            world=world,
+        )
 
     @abstractmethod
     def is_known(self, sequence: ContactSequence) -> bool:

@@ -60,13 +60,13 @@ def play_boxes(
     Args:
         plan: that came of it.
         meshcat: where to show it, instead of what was shown below `ROOT` before.
-        world: that of the plan's scenario; built from its model if None.
+        world: that it was made in, if it has to be given (`Plan.find_world`).
         run: the boxes; run again (`run_boxes`) if None.
 
     Raises:
-        ModelError: the scenario's model can't be used.
+        ModelError: from `Plan.find_world`.
     """
-    world = world or World.from_scenario(plan.scenario)
+    world = plan.find_world(world)
     graph = _Graph(run or run_boxes(plan, world), plan, world)
     clear(meshcat)
     X_WF = RigidTransform(RotationMatrix.MakeXRotation(np.pi / 2), [0, 0, 0])

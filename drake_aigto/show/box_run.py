@@ -2,17 +2,15 @@
 
 from __future__ import annotations
 
-import dataclasses
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, cast
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from drake_aigto.aigo import Annealing, SlowMotion
+from drake_aigto.errors import OptionsError
 from drake_aigto.paper import LiteralOptions, make_literal_problem
-from drake_aigto.paper.options import AlgorithmName
 from drake_aigto.planning import PlanOptions, make_problem
-from drake_aigto.world import World
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -20,6 +18,7 @@ if TYPE_CHECKING:
     from drake_aigto.aigo import AigoResult, Iterate
     from drake_aigto.planning import Plan, PlanningProblem, Rung, SearchOptions
     from drake_aigto.transcription import Transcription
+    from drake_aigto.world import Scenario, World
 
     _Array = npt.NDArray[np.float64]
 
@@ -64,25 +63,25 @@ class BoxRun:
         return sorted({*found, len(sizes) - 1})
 
 
-def run_boxes(
-    plan: Plan, world: World | None = None, options: SearchOptions | None = None
-) -> BoxRun:
-    """Runs that rung of AIGO's ladder again which the plan came from.
-
-    The same input gives the same boxes. Of options that are not the planner's own the plan's file
-    says nothing but the algorithm and the rung; without a rung, the first one is run.
+def run_boxes(plan: Plan, world: World | None = None) -> BoxRun:
+    """Runs that rung of AIGO's ladder again which the plan came from: the same boxes.
 
     Args:
         plan: the plan.
-        world: that of its scenario; built from the model if None.
-        options: that it was made with; if None, the planner's own for its transcription.
+        world: that it was made in, if it has to be given (`Plan.find_world`).
 
     Raises:
-        ModelError, ScenarioError: the model can't be used, or the scenario does not fit.
+        OptionsError: the boxes can't be had again; says why.
+        ModelError: from `Plan.find_world`.
     """
-    world = world or World.from_scenario(plan.scenario)
-    problem = _make_problem(plan, world, options)
-    rung = plan.best.origin.rung or problem.options.ladder[0]
+    world, rung = plan.find_world(world), plan.best.origin.rung
+    if plan.options is None:
+        raise _refuse("no options")
+    if rung is None:
+        raise _refuse("no rung of AIGO's ladder")
+    if added := {**plan.best.added_costs, **plan.best.replay.violations}:
+        raise _refuse(f"costs or constraints of one's own, by name only ({', '.join(added)})")
+    problem = _make_problem(plan.scenario, world, plan.options)
     algorithm = problem.make_algorithm(rung)
     if isinstance(algorithm, Annealing):
         algorithm = SlowMotion(algorithm)
@@ -90,13 +89,17 @@ def run_boxes(
     return BoxRun(problem, rung, problem.start(rung.start).transcription, result)
 
 
-def _make_problem(plan: Plan, world: World, options: SearchOptions | None) -> PlanningProblem:
-    """Returns the problem that the plan is of; without options, in its own transcription."""
-    if isinstance(options, PlanOptions) or (options is None and plan.transcription == "rigid"):
-        return make_problem(world, plan.scenario, options)
-    assert options is None or isinstance(options, LiteralOptions)
-    options = options or LiteralOptions()
-    if plan.best.origin.rung is not None:
-        algorithm = cast(AlgorithmName, plan.best.origin.proposer)
-        options = dataclasses.replace(options, algorithm=algorithm)
-    return make_literal_problem(world, plan.scenario, options)
+def _refuse(what: str) -> OptionsError:
+    return OptionsError(
+        "the plan's boxes can't be had again",
+        got=f"a plan that names {what}",
+        expected="its options and the rung that it came from, of a program without additions",
+    )
+
+
+def _make_problem(scenario: Scenario, world: World, options: SearchOptions) -> PlanningProblem:
+    """Returns the problem that a plan with such options is of."""
+    if isinstance(options, LiteralOptions):
+        return make_literal_problem(world, scenario, options)
+    assert isinstance(options, PlanOptions)
+    return make_problem(world, scenario, options)

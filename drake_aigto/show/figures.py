@@ -56,14 +56,17 @@ _SYMBOLS: dict[Quantity, str] = {"position": "q", "velocity": "v", "control": "u
 _UNITS: dict[Quantity, str] = {"position": "m", "velocity": "m/s", "control": "N"}
 
 
-def plot_plan(axes: Sequence[Any] | npt.NDArray[Any], plan: Plan, world: World) -> None:
+def plot_plan(
+    axes: Sequence[Any] | npt.NDArray[Any], plan: Plan, world: World | None = None
+) -> None:
     """Draws a plan against what simulations made of its control.
 
     Args:
         axes: as `plot_motions` takes them.
         plan: the plan.
-        world: that of its scenario.
+        world: that it was made in, if it has to be given (`Plan.find_world`).
     """
+    world = plan.find_world(world)
     plot_motions(axes, motions_of_plan(plan, world), world, plan.scenario)
 
 

@@ -61,7 +61,7 @@ def paper_methods(
     world = world or World.from_scenario(scenario)
     options = LiteralOptions(nonpenetration=nonpenetration, confirm=False)
     plan = plan_literal(scenario, options, world)
-    boxes = run_boxes(plan, world, options)
+    boxes = run_boxes(plan, world)
     center = boxes.problem.pull(boxes.result.box.center, boxes.rung)
     origin = Origin(options.algorithm, boxes.rung)
     shrunk = boxes.problem.judge(origin, center, boxes.transcription, center)

@@ -112,9 +112,9 @@ class Motion:
         return dataclasses.replace(self, control_times=times, controls=controls)
 
 
-def motions_of_plan(plan: Plan, world: World) -> list[Motion]:
+def motions_of_plan(plan: Plan, world: World | None = None) -> list[Motion]:
     """Returns a plan's trajectory and what simulations made of its control, each labelled."""
-    planned = Motion.from_trajectory(plan.trajectory, world)
+    planned = Motion.from_trajectory(plan.trajectory, plan.find_world(world))
     return [planned, *(Motion.from_replay(replay) for replay in plan.replay)]
 
 

@@ -6,7 +6,7 @@ import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from string import ascii_lowercase
 
-from drake_aigto.planning import Candidate, Plan, PlanOptions, SearchOptions
+from drake_aigto.planning import Candidate, Plan, PlanOptions
 from drake_aigto.show.text import (
     WIDTH,
     contact_names,
@@ -27,32 +27,31 @@ _MOST_CANDIDATES = 8
 _MOST_BOUNCES = 6
 
 
-def format_plan(
-    plan: Plan, world: World, options: SearchOptions, contact_delay: float | None = None
-) -> str:
+def format_plan(plan: Plan, world: World | None = None, contact_delay: float | None = None) -> str:
     """Returns a plan with its verdict, its replays and its rivals, as text.
 
     Of several contacts, each has its letter.
 
     Args:
         plan: to show.
-        world: that of its scenario.
-        options: that it was made with.
+        world: that it was made in, if it has to be given (`Plan.find_world`).
         contact_delay: by how much Drake's walls are late at most [s]; None leaves that out.
     """
-    names = contact_names(world)
-    return "\n".join([*_answer(plan, world, contact_delay), *_search(plan, options, names)])
+    world = plan.find_world(world)
+    return "\n".join([*_answer(plan, world, contact_delay), *_search(plan, contact_names(world))])
 
 
-def format_replays(plan: Plan, world: World, contact_delay: float | None = None) -> str:
+def format_replays(
+    plan: Plan, world: World | None = None, contact_delay: float | None = None
+) -> str:
     """Returns what simulations of a plan's control say, as text.
 
     Args:
         plan: with its replays.
-        world: that of its scenario.
+        world: that it was made in, if it has to be given (`Plan.find_world`).
         contact_delay: by how much Drake's walls are late at most [s]; None leaves that out.
     """
-    return "\n".join(_answer(plan, world, contact_delay))
+    return "\n".join(_answer(plan, plan.find_world(world), contact_delay))
 
 
 def _answer(plan: Plan, world: World, contact_delay: float | None) -> Iterator[str]:
@@ -134,9 +133,9 @@ def _bounces(replay: Replay, names: Sequence[str]) -> str:
     return f"bounces at {times} s" + (f" and {more} times more" if more > 0 else "")
 
 
-def _search(plan: Plan, options: SearchOptions, names: Sequence[str]) -> Iterator[str]:
-    steps = plan.scenario.num_steps
-    boxes = [f"boxes of {steps} steps"]
+def _search(plan: Plan, names: Sequence[str]) -> Iterator[str]:
+    steps, options = plan.scenario.num_steps, plan.options
+    boxes = [f"boxes of {steps} steps"] if options else []
     if isinstance(options, PlanOptions):
         boxes = [
             f"boxes of {min(options.aigo_steps, steps)} steps",

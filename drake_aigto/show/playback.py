@@ -93,14 +93,14 @@ def play(
     Args:
         plan: the plan; its trajectory is labelled as no simulation.
         meshcat: where to show it.
-        world: that of the plan's scenario; built from its model if None.
+        world: that it was made in, if it has to be given (`Plan.find_world`).
         beside: motions to compare with, of the same world, such as `gradient_motions` returns. Of
             the plan's simulations the exactly rigid one is shown then.
 
     Raises:
-        ModelError: the scenario's model can't be used.
+        ModelError: from `Plan.find_world`.
     """
-    world = world or World.from_scenario(plan.scenario)
+    world = plan.find_world(world)
     planned, *simulated = motions_of_plan(plan, world)
     control = plan.trajectory.times, plan.trajectory.controls
     motions = [planned, *(motion.under(*control) for motion in simulated)]

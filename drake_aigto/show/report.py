@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import platform
 from collections.abc import Callable, Iterator
+from dataclasses import fields
 from importlib import metadata
 
 import yaml
 from matplotlib.figure import Figure
 
 from drake_aigto import __version__
-from drake_aigto.errors import ModelError
+from drake_aigto.errors import ModelError, OptionsError
 from drake_aigto.optima import rigid_optimum
-from drake_aigto.planning import Candidate, Plan
+from drake_aigto.planning import Candidate, Plan, SearchOptions
 from drake_aigto.show.box_playback import play_boxes
 from drake_aigto.show.box_run import BoxRun, run_boxes
 from drake_aigto.show.figures import plot_boxes, plot_path, plot_plan
@@ -56,16 +57,20 @@ def report_plan(
 
     Args:
         plan: the plan.
-        world: that of its scenario; built from its model if None.
+        world: that it was made in, if it has to be given (`Plan.find_world`).
         progress: called with a line of text before each part that takes time.
 
     Raises:
-        ModelError: the scenario's model can't be used.
+        ModelError: from `Plan.find_world`.
     """
     say = progress or (lambda line: None)
-    world = world or World.from_scenario(plan.scenario)
+    world = plan.find_world(world)
     say("running AIGO again, for its boxes")
-    run = run_boxes(plan, world)
+    run: BoxRun | None = None
+    try:
+        run = run_boxes(plan, world)
+    except OptionsError as error:
+        no_boxes = str(error)
     start, _, goal = task_items(plan.scenario)
     page = Page(f"Plan: {start}, {goal}")
     add_verdict(page, plan, world)
@@ -78,6 +83,8 @@ def report_plan(
     page.heading("Figures")
     for figure, caption in figures_of_plan(plan, world, run):
         page.figure(figure, caption)
+    if run is None:
+        page.paragraph(f"{no_boxes[0].upper()}{no_boxes[1:]}")
     _add_candidates(page, plan)
     page.heading("All numbers")
     drake = plan.replay.drake
@@ -127,7 +134,7 @@ def add_question(page: Page, scenario: Scenario, world: World) -> None:
         ("restitution e", f"{scenario.restitution:g}"),
         ("weights", f"w_u = {scenario.control_weight:g}, w_f = {scenario.goal_weight:g}"),
         ("contacts", ", ".join(contact_names(world))),
-        ("model", scenario.model),
+        ("model", world.model or "a diagram of one's own"),
     ]
     if scenario.mass is not None:
         rows.append(("mass", f"{scenario.mass:g} kg"))
@@ -187,29 +194,32 @@ def _replay_row(replay: Replay) -> tuple[str, ...]:
     )
 
 
-def _record(plan: Plan, world: World, run: BoxRun) -> dict[str, str]:
-    """Returns Meshcat's pages of the plan and of the boxes, by title."""
+def _record(plan: Plan, world: World, run: BoxRun | None) -> dict[str, str]:
+    """Returns Meshcat's pages of the plan and of the boxes, if there are any, by title."""
     meshcat = open_meshcat(_ANY_PORT)
     play(plan, meshcat, world)
     scenes = {"Plan and simulations": meshcat.StaticHtml()}
+    if run is None:
+        return scenes
     play_boxes(plan, meshcat, world, run)
     return {**scenes, "AIGO's boxes": meshcat.StaticHtml()}
 
 
-def figures_of_plan(plan: Plan, world: World, run: BoxRun) -> Iterator[tuple[Figure, str]]:
+def figures_of_plan(plan: Plan, world: World, run: BoxRun | None) -> Iterator[tuple[Figure, str]]:
     """Yields the figures of a report, each with its caption.
 
     Args:
         plan: the plan.
         world: that of its scenario.
-        run: AIGO's boxes.
+        run: AIGO's boxes, if there are any.
     """
     n = world.num_positions
     figure = Figure(figsize=(4.5 * max(n, 2), 7), layout="constrained")
     plot_plan(figure.subplots(3, n, sharex=True), plan, world)
     yield figure, "Positions, velocities and controls: the plan, and simulations of its control."
     yield _draw_states(plan, world)
-    yield _draw_boxes(run, n)
+    if run is not None:
+        yield _draw_boxes(run, n)
 
 
 def _draw_boxes(run: BoxRun, num_positions: int) -> tuple[Figure, str]:
@@ -297,19 +307,41 @@ def _add_reproduction(page: Page, plan: Plan) -> None:
     page.heading("How to reproduce it")
     page.paragraph(
         f"Save these lines as scenario.yaml and plan again with drake_aigto {__version__}. Nothing "
-        "in a search is random; if the plan was made with options of its own, give the same ones."
+        f"in a search is random. {describe_options(plan.options)}"
     )
     page.code(yaml.safe_dump(plan.scenario.to_plain(), sort_keys=False, allow_unicode=True))
-    literal = " --transcription literal" if plan.transcription == "literal" else ""
-    page.code(
-        f"drake-aigto plan scenario.yaml{literal} --json plan.json\n"
-        "drake-aigto report plan.json --html report.html"
-    )
+    page.code(_command(plan))
     seconds = sum(plan.stats.seconds.values())
     page.paragraph(
         f"Planned in {seconds:.1f} s, with {plan.stats.aigo_steps} iterations of AIGO. "
         f"{describe_versions()}"
     )
+
+
+def _command(plan: Plan) -> str:
+    """Returns how the page is made again: of a diagram of one's own, only in Python."""
+    if plan.made_in and plan.made_in.model is None:
+        return (
+            'scenario, world = Scenario.load("scenario.yaml"), World.from_diagram(diagram)\n'
+            "page = report_plan(plan(scenario, world=world))"
+        )
+    literal = " --transcription literal" if plan.transcription == "literal" else ""
+    return (
+        f"drake-aigto plan scenario.yaml{literal} --json plan.json\n"
+        "drake-aigto report plan.json --html report.html"
+    )
+
+
+def describe_options(options: SearchOptions | None) -> str:
+    """Returns which options of a plan are not the defaults, as a sentence."""
+    if options is None:
+        return "The plan's file does not say its options."
+    changed = [
+        "a ladder of one's own" if field.name == "ladder" else f"{field.name} = {value}"
+        for field in fields(options)
+        if (value := getattr(options, field.name)) != field.default
+    ]
+    return f"Options: {', '.join(changed)}." if changed else "All options are the defaults."
 
 
 def describe_versions() -> str:

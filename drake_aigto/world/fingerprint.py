@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from drake_aigto.errors import ModelError
-from drake_aigto.world.world import World
+from drake_aigto.world.equations import EquationsOfMotion
 
 if TYPE_CHECKING:
     import numpy.typing as npt
-
 
 _Rows = tuple[tuple[float, ...], ...]
 
@@ -52,35 +51,41 @@ class Fingerprint:
     kicks: _Rows
 
     @classmethod
-    def of(cls, world: World) -> Fingerprint:
-        """Returns that of a world."""
-        numbers = np.arange(1.0, 1.0 + world.num_positions)
+    def of(
+        cls,
+        motion: EquationsOfMotion,
+        model: str | None,
+        coordinates: Sequence[str],
+        actuators: Sequence[str],
+    ) -> Fingerprint:
+        """Returns that of a world: of its equations, its model, and the names that these lack."""
+        numbers = np.arange(1.0, 1.0 + motion.num_positions)
         q, v = np.sin(numbers), np.cos(numbers)
-        controls = np.vstack([np.zeros(world.num_actuators), np.eye(world.num_actuators)])
-        impulses = np.eye(world.num_contacts)
+        controls = np.vstack([np.zeros(motion.num_actuators), np.eye(motion.num_actuators)])
+        impulses = np.eye(motion.num_contacts)
         return cls(
-            model=world.model,
-            coordinates=tuple(world.plant.GetPositionNames()),
-            actuators=tuple(world.plant.GetActuatorNames()),
-            contacts=tuple(contact.name for contact in world.contacts),
-            restitutions=tuple(contact.restitution for contact in world.contacts),
-            accelerations=_rows([world.calc_acceleration(q, v, u) for u in controls]),
-            distances=tuple(world.calc_signed_distance(q).tolist()),
-            jacobian=_rows(world.calc_contact_jacobian(q)),
-            kicks=_rows([world.calc_velocity_change(q, impulse) for impulse in impulses]),
+            model=model,
+            coordinates=tuple(coordinates),
+            actuators=tuple(actuators),
+            contacts=tuple(contact.name for contact in motion.contacts),
+            restitutions=tuple(contact.restitution for contact in motion.contacts),
+            accelerations=_rows([motion.calc_acceleration(q, v, u) for u in controls]),
+            distances=tuple(motion.calc_signed_distance(q).tolist()),
+            jacobian=_rows(motion.calc_contact_jacobian(q)),
+            kicks=_rows([motion.calc_velocity_change(q, impulse) for impulse in impulses]),
         )
 
-    def check(self, world: World, remedy: str) -> None:
-        """Checks that a world is this one, wherever it was built from.
+    def check(self, other: Fingerprint, remedy: str) -> None:
+        """Checks that another world is the same, wherever it was built from.
 
         Args:
-            world: any.
-            remedy: what to do if it is another.
+            other: that world's.
+            remedy: what to do if it is not.
 
         Raises:
-            ModelError: it is another; names the first thing that differs.
+            ModelError: it is not; names the first thing that differs.
         """
-        for name, expected, got in self._differences(Fingerprint.of(world)):
+        for name, expected, got in self._differences(other):
             raise ModelError(
                 "the world has changed", got=f"{name} {got}", expected=expected, remedy=remedy
             )

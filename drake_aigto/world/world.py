@@ -25,6 +25,7 @@ from drake_aigto.world.diagram import (
 )
 from drake_aigto.world.equations import EquationsOfMotion
 from drake_aigto.world.fields import as_number
+from drake_aigto.world.fingerprint import Fingerprint
 from drake_aigto.world.material import FRICTION, read_friction, set_material
 from drake_aigto.world.polynomials import PolynomialMap
 from drake_aigto.world.reach import ReachableFace, find_reachable_faces, find_sphere_body
@@ -120,6 +121,12 @@ class World(EquationsOfMotion):
     def shapes(self) -> tuple[tuple[GeometryId, GeometryId], ...]:
         """The sphere and the shape that it touches, of each contact, in the scene graph."""
         return tuple(each.face.shapes for each in self._reachable)
+
+    @cached_property
+    def fingerprint(self) -> Fingerprint:
+        """What tells it from other worlds."""
+        names = self.plant.GetPositionNames(), self.plant.GetActuatorNames()
+        return Fingerprint.of(self, self.model, *names)
 
     def is_on_face(self, q: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
         """Returns whether the sphere's centre projects onto each face, shape (m,)."""

@@ -1,0 +1,217 @@
+"""A plan survives its file, knows how and where it was made, and takes no other world for that."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import json
+import pickle
+from pathlib import Path
+from typing import Any
+
+import pytest
+from pydrake.geometry import Meshcat
+from replay_worlds import make_diagram
+from rigid_worlds import write_model
+
+from drake_aigto import (
+    ModelError,
+    OutputFileError,
+    Plan,
+    PlanFileError,
+    Planner,
+    PlanOptions,
+    Scenario,
+    World,
+)
+from drake_aigto.cli import main
+from drake_aigto.cli.status import BAD_INPUT, FINE
+from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal
+from drake_aigto.planning.options import RIGID_LADDER
+from drake_aigto.show import play, play_boxes, report_plan, run_boxes
+from drake_aigto.show.plans import format_plan
+
+QUICK = PlanOptions(aigo_steps=20, finalists=1, ladder=RIGID_LADDER[:2])
+LITERAL = LiteralOptions(ladder=LITERAL_LADDER[2:3], knot_steps=(2,), finalists=1)
+FLIGHT = Scenario(
+    initial_position=1.0, initial_velocity=-0.3, goal_position=1.2, time_step=0.02, epsilon=1e-9
+)
+
+
+@pytest.fixture(scope="module", params=["rigid", "literal"])
+def found(request: pytest.FixtureRequest) -> Plan:
+    rigid = request.param == "rigid"
+    return Planner(FLIGHT, QUICK).plan() if rigid else plan_literal(FLIGHT, LITERAL)
+
+
+@pytest.fixture(scope="module")
+def rigid() -> Plan:
+    return Planner(FLIGHT, QUICK).plan()
+
+
+@pytest.fixture(scope="module")
+def own() -> Plan:
+    """Returns a plan of a diagram made in code, whose scenario names the shipped model."""
+    return Planner(FLIGHT, QUICK, World.from_diagram(make_diagram(gravity=1.0))).plan()
+
+
+def rewrite(plan: Plan, path: Path, **changes: Any) -> None:
+    """Saves a plan with some fields of its file changed."""
+    plan.save(path)
+    data = json.loads(path.read_text(encoding="utf-8"))
+    path.write_text(json.dumps({**data, **changes}), encoding="utf-8")
+
+
+# The file.
+
+
+def test_a_plan_file_reads_back_to_the_same_plan(found: Plan, tmp_path: Path) -> None:
+    path = tmp_path / "plan.json"
+    found.save(path)
+    loaded = Plan.load(path)
+    assert loaded == found
+    assert type(loaded.options) is type(found.options)
+    assert [p.name for p in tmp_path.iterdir()] == ["plan.json"]
+    written = path.read_bytes()
+    loaded.save(path)
+    assert path.read_bytes() == written
+
+
+def test_a_plan_without_confirmation_reads_back_too(rigid: Plan, tmp_path: Path) -> None:
+    bare = dataclasses.replace(rigid, replay=dataclasses.replace(rigid.replay, drake=None))
+    bare.save(tmp_path / "plan.json")
+    assert Plan.load(tmp_path / "plan.json").replay.drake is None
+
+
+@pytest.mark.parametrize("kept", [0.0, 0.3, 0.999])
+def test_a_plan_file_cut_short_is_refused(rigid: Plan, tmp_path: Path, kept: float) -> None:
+    path = tmp_path / "plan.json"
+    rigid.save(path)
+    text = path.read_text(encoding="utf-8").rstrip()
+    path.write_text(text[: int(kept * len(text))], encoding="utf-8")
+    with pytest.raises(PlanFileError, match=r"plan\.json is cut short or no JSON"):
+        Plan.load(path)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"version": 99}, r"version 99, expected version 4, or 3\. Plan again"),
+        ({"format": "poem"}, "is not a plan file: expected an object with the format 'drake_aig"),
+        ({"candidates": []}, "is damaged: got plan: got candidates: got none"),
+        ({"candidates": 3, "version": 3}, "is damaged: got 'int' object is not iterable"),
+        ({"replay": {}}, r"is damaged: got plan\.replay\.event_driven: got nothing, expected a v"),
+        ({"stats": {"pace": 3}}, r"is damaged: got plan\.stats\.aigo_steps: got nothing"),
+        ({"scenario": {"initial_position": 1}}, r"is damaged: got plan\.scenario: got missing"),
+        ({"transcription": 3}, r"is damaged: got plan\.transcription: got 3, expected text"),
+        ({"transcription": "prose"}, "is damaged: got transcription: got 'prose', expected one"),
+        ({"options": {"pace": 3}}, r"is damaged: got plan\.options: got unknown pace"),
+        ({"made_in": {}}, r"is damaged: got plan\.made_in\.model: got nothing"),
+    ],
+)
+def test_a_damaged_plan_file_is_refused(
+    rigid: Plan, tmp_path: Path, change: dict[str, Any], message: str
+) -> None:
+    rewrite(rigid, tmp_path / "plan.json", **change)
+    with pytest.raises(PlanFileError, match=message):
+        Plan.load(tmp_path / "plan.json")
+
+
+def test_files_that_cannot_be_read_or_written_are_named(rigid: Plan, tmp_path: Path) -> None:
+    with pytest.raises(PlanFileError, match=r"nowhere\.json can't be read"):
+        Plan.load(tmp_path / "nowhere.json")
+    with pytest.raises(OutputFileError, match=r"can't be written.*a folder that exists"):
+        rigid.save(tmp_path / "no folder" / "plan.json")
+    (tmp_path / "list.json").write_text("[1, 2]", encoding="utf-8")
+    with pytest.raises(PlanFileError, match=r"list\.json is not a plan file: expected an object"):
+        Plan.load(tmp_path / "list.json")
+
+
+def test_a_file_of_the_version_before_is_read_and_what_it_lacks_is_told(
+    rigid: Plan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "plan.json"
+    rigid.save(path)
+    data = json.loads(path.read_text(encoding="utf-8"))
+    for written, candidate in zip(data["candidates"], rigid.candidates, strict=True):
+        written["origin"] = str(candidate.origin)
+    del data["options"], data["made_in"]
+    path.write_text(json.dumps({**data, "version": 3}), encoding="utf-8")
+    old = Plan.load(path)
+    assert str(old.best.origin) == str(rigid.best.origin)
+    assert old.trajectory == rigid.trajectory
+    assert old.replayed().replay == rigid.replay
+    assert main(["play", str(path), "--optimization", "--html", str(tmp_path / "p.html")]) == (
+        BAD_INPUT
+    )
+    assert "got a plan that names no options" in capsys.readouterr().err
+    assert "The plan's file does not say its options." in html.unescape(report_plan(old))
+
+
+# The world.
+
+
+def test_a_plan_keeps_its_world_but_takes_it_nowhere(rigid: Plan) -> None:
+    assert rigid.find_world() is rigid.world
+    sent = pickle.loads(pickle.dumps(rigid))
+    assert sent == rigid
+    assert sent.world is None
+    assert sent.find_world().fingerprint == rigid.made_in
+
+
+def test_a_plan_of_ones_own_diagram_is_shown_without_more_words(own: Plan) -> None:
+    meshcat = Meshcat()
+    play(own, meshcat)
+    play_boxes(own, meshcat)
+    assert own.replayed().replay == own.replay
+    assert "holds" in format_plan(own)
+    page = html.unescape(report_plan(own))
+    assert "a diagram of one's own" in page
+    assert "World.from_diagram(diagram)" in page
+
+
+def test_a_file_of_a_plan_of_ones_own_diagram_takes_that_and_no_other(
+    own: Plan, tmp_path: Path
+) -> None:
+    own.save(tmp_path / "own.json")
+    loaded = Plan.load(tmp_path / "own.json")
+    assert loaded == own
+    for use in (Plan.replayed, run_boxes, report_plan, format_plan):
+        with pytest.raises(ModelError, match=r"a diagram of one's own: .*world=World\.from_diag"):
+            use(loaded)
+        with pytest.raises(ModelError, match=r"got accelerations .*Give the diagram that"):
+            use(loaded, World.from_diagram(make_diagram(gravity=1.1)))
+    again = World.from_diagram(make_diagram(gravity=1.0))
+    replayed = loaded.replayed(again)
+    assert replayed.replay == own.replay
+    assert replayed.world is again
+    assert run_boxes(loaded, again).rung in QUICK.ladder
+
+
+@pytest.mark.parametrize("command", ["replay", "play", "report"])
+def test_the_command_line_says_that_it_has_no_diagram(
+    command: str, own: Plan, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    own.save(tmp_path / "own.json")
+    page = [] if command == "replay" else ["--html", str(tmp_path / "page.html")]
+    assert main([command, str(tmp_path / "own.json"), *page]) == BAD_INPUT
+    assert capsys.readouterr().err == (
+        "drake-aigto: the plan was made in a diagram of one's own: expected that diagram, which "
+        "no file has. In Python, load the plan, and give world=World.from_diagram(diagram).\n"
+    )
+    assert not (tmp_path / "page.html").exists()
+
+
+def test_a_model_that_was_changed_since_is_told(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mass = "<mass>1.0</mass>"
+    model, path = write_model(tmp_path, mass, mass), tmp_path / "plan.json"
+    Planner(dataclasses.replace(FLIGHT, model=model), QUICK).plan().save(path)
+    assert main(["replay", str(path), "--quiet"]) == FINE
+    write_model(tmp_path, mass, "<mass>1.1</mass>")
+    capsys.readouterr()
+    assert main(["replay", str(path), "--quiet"]) == BAD_INPUT
+    told = capsys.readouterr().err
+    assert "the world has changed: got accelerations" in told
+    assert f"Plan again: {model} is not as it was when the plan was made." in told
