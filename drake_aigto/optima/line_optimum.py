@@ -243,8 +243,9 @@ class _Sequence:
         for wall in self.line.walls:
             lower, upper = (wall.place, upper) if wall.side > 0 else (lower, wall.place)
         place = self.line.position
-        for flight in self.flights.values(z):
-            if flight[3] < _TOLERANCE:
+        for number, flight in enumerate(self.flights.values(z)):
+            # The first one may be as short as the way to the wall is.
+            if flight[3] <= (_TOLERANCE if number else 0.0):
                 return False
             least, largest = extremes(polynomial(flight), 0.0, flight[3])
             if place + least < lower - _TOLERANCE or place + largest > upper + _TOLERANCE:

@@ -20,11 +20,16 @@ from drake_aigto.planning.options import PlanOptions, Rung
 from drake_aigto.planning.plan import LARGEST_DEFECT
 from drake_aigto.planning.problem import PlanningProblem
 from drake_aigto.planning.touches import read_sequences
-from drake_aigto.transcription import PhaseTranscription, RigidTranscription, TouchSequence
+from drake_aigto.transcription import (
+    PhaseTranscription,
+    RigidTranscription,
+    TouchSequence,
+    touches_at_once,
+)
 from drake_aigto.transcription.facings import Facing, find_facings
 from drake_aigto.transcription.phases import straight_path
 from drake_aigto.transcription.rows import largest_defect
-from drake_aigto.transcription.touch import joint_times
+from drake_aigto.transcription.touch import AT_ONCE, joint_times
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -42,6 +47,8 @@ Solved = tuple[PhaseTranscription, "npt.NDArray[np.float64]"]
 _MARGIN = 1e-6
 # A touch is moved so often at most past times that users bound something to.
 _MOST_MOVES = 20
+# Boxes show a bounce that comes at once after so many steps at the latest.
+_STEPS_OF_START = 3
 # Of the local solver on arcs: what takes more is left to the general way.
 _ARC_ITERATIONS = 60
 # How far an anneal cools down. Which contacts a plan has, boxes show long before they are
@@ -72,11 +79,15 @@ def coarsen(world: World, scenario: Scenario, options: PlanOptions) -> Scenario:
 
 
 def _count_steps(world: World, scenario: Scenario) -> int:
-    """Returns into how many steps T has to be cut for the ball to fly three before the wall."""
+    """Returns into how many steps T has to be cut for the ball to fly three before the wall.
+
+    No number would do for a wall that is touched at once, which needs no box to be seen.
+    """
     distances = world.calc_signed_distance(scenario.initial_position)
     jacobian = world.calc_contact_jacobian(scenario.initial_position)
-    speeds = np.maximum(-jacobian @ scenario.initial_velocity, 0.0)
-    return math.ceil(_STEPS_TO_WALL * scenario.duration * float(np.max(speeds / distances)))
+    speeds, T = -jacobian @ scenario.initial_velocity, scenario.duration
+    counts = T * speeds[distances > 0] / distances[distances > 0]
+    return math.ceil(_STEPS_TO_WALL * np.max(counts[counts < 1 / AT_ONCE], initial=0.0))
 
 
 class RigidProblem(PlanningProblem):
@@ -134,7 +145,21 @@ class RigidProblem(PlanningProblem):
     def find_sequences(self, result: AigoResult, rung: Rung) -> list[TouchSequence]:
         """Returns the contact sequences that AIGO proposes (`read_sequences`) and that fit."""
         read = read_sequences(self.start(rung.start).transcription, result.box.center)
-        return list(filter(self.fits, read))
+        return [self._with_touches_at_once(sequence) for sequence in filter(self.fits, read)]
+
+    def _with_touches_at_once(self, sequence: TouchSequence) -> TouchSequence:
+        """Returns a sequence with the bounces that come at once, which boxes show late or never."""
+        soon = _STEPS_OF_START * self.transcription.time_step()
+        for touch in reversed(self._at_once):
+            late = [
+                other for other in sequence if other.contact == touch.contact and other.start < soon
+            ]
+            sequence = (touch, *(other for other in sequence if other not in late[:1]))
+        return sequence
+
+    @cached_property
+    def _at_once(self) -> TouchSequence:
+        return touches_at_once(self.transcription.world, self.transcription.scenario)
 
     def _transcribe_around(self, positions: npt.NDArray[np.float64]) -> RigidTranscription:
         """Returns the transcription with those faces of boxes in force that a path goes along."""
@@ -146,8 +171,9 @@ class RigidProblem(PlanningProblem):
     def fits(self, sequence: TouchSequence) -> bool:
         """Returns whether all touches are within the duration."""
         T = self.transcription.scenario.duration
+        first = min([_MARGIN * T, *(touch.start / 2 for touch in self._at_once)])
         joints = (t for touch in sequence for t in touch.joints)
-        return all(_MARGIN * T < t < (1 - _MARGIN) * T for t in joints)
+        return all(first < t < (1 - _MARGIN) * T for t in joints)
 
     def polish(
         self, center: npt.NDArray[np.float64], sequence: TouchSequence

@@ -41,6 +41,10 @@ _SETTLED = 3.0
 # … or as slow as this part of the fastest approach so far. Then they may be so long.
 _SLOW = 1e-2
 _COARSE_STEP = 10.0
+# Radau's rule has its Jacobian from differences of √ε, and nearer to a wall than this part of the
+# largest position, or of 1 m, takes it for touched. What leaves a wall goes on in fine steps until
+# it is farther, unless that takes so many durations of a contact.
+_BLURRED, _LINGERS = 1e-7, 30.0
 # Dissipation is matched to no speed below this part of the fastest approach so far: it grows as
 # speeds fall, and with it the number of steps that bodies take which are pressed together.
 _SLOWEST_MATCH = 5e-2
@@ -174,8 +178,9 @@ class _Pace:
         clearances = self._motion.calc_clearances(x)
         acceleration = _calc_acceleration(self._world, self._motion, x, control, clearances)
         pushes = self._motion.calc_pushes(acceleration)
+        blurred = _BLURRED * max(1.0, float(np.max(np.abs(x[: x.size // 2]))))
         plans = [
-            pace.plan(time, near, pushes[near.contact])
+            pace.plan(time, near, pushes[near.contact], blurred)
             for pace, near in zip(self._solids, clearances, strict=True)
         ]
         return min(stretch for stretch, _ in plans), min(step for _, step in plans)
@@ -193,9 +198,23 @@ class _SolidPace:
         self._is_matched = False
         self._fastest = 0.0  # approach so far [m/s]
 
-    def plan(self, time: float, near: Clearance, push: float) -> tuple[float, float]:
-        """Returns how long to go on before planning again, and the longest step [s]."""
+    def plan(
+        self, time: float, near: Clearance, push: float, blurred: float
+    ) -> tuple[float, float]:
+        """Returns how long to go on before planning again, and the longest step [s].
+
+        Args:
+            time: now [s].
+            near: where the ball is.
+            push: φ̈ without this contact [m/s²].
+            blurred: how near an integrator takes a wall for touched [m].
+        """
         self._fastest = max(self._fastest, -near.rate)
+        if 0 < near.distance < blurred:
+            leaving = calc_time_to_wall(blurred - near.distance, -near.rate, -push)
+            if leaving < _LINGERS * self._delay:
+                step = _FINE_STEP * self._delay
+                return max(leaving, step), step
         if near.distance > 0:
             fall = calc_time_to_wall(near.distance, near.rate, push)
             if fall > _NEAR * self._delay:

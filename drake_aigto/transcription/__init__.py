@@ -5,7 +5,7 @@ from drake_aigto.transcription.penalties import cut_to_bounds, penalize
 from drake_aigto.transcription.phases import PhaseTranscription
 from drake_aigto.transcription.rigid import RigidTranscription
 from drake_aigto.transcription.rows import NONPENETRATION
-from drake_aigto.transcription.touch import Touch, TouchSequence, joint_times
+from drake_aigto.transcription.touch import Touch, TouchSequence, joint_times, touches_at_once
 from drake_aigto.transcription.transcription import Transcription
 
 __all__ = [
@@ -20,4 +20,5 @@ __all__ = [
     "find_facings",
     "joint_times",
     "penalize",
+    "touches_at_once",
 ]

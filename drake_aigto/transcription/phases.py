@@ -16,15 +16,20 @@ from drake_aigto.transcription.rigid_contact import ImpactTranscription, JointIm
 from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, RESTITUTION
 from drake_aigto.transcription.shared import SharedEvaluator, as_expression, shared_constraint
 from drake_aigto.transcription.timeline import Phase, check_sequence, make_timeline
-from drake_aigto.transcription.touch import Touch, TouchSequence, joint_times
+from drake_aigto.transcription.touch import (
+    Touch,
+    TouchSequence,
+    joint_times,
+    touches_at_once,
+)
 from drake_aigto.world import Scenario, World
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
 # The least parts of the duration. Flights: times of a trajectory have to increase, and a bounce may
-# come right after the start. Contacts that last: what is shorter is a bounce, and without a bound
-# the solver would chase a contact that wants to vanish.
+# come right after the start, or sooner still (`touches_at_once`). Contacts that last: what is
+# shorter is a bounce, and without a bound the solver would chase a contact that wants to vanish.
 _SHORTEST_FLIGHT, _SHORTEST_CONTACT = 1e-7, 1e-3
 # A wall is grazed where it is nearer than this part of the length scale.
 _GRAZE = 1e-5
@@ -94,6 +99,7 @@ class PhaseTranscription(ImpactTranscription):
         self.timeline = make_timeline(world, scenario, self.sequence, facings, instants)
         self._facing_contacts = tuple(facing.contact for facing in facings)
         self.restitutions = world.restitutions(scenario)
+        self._at_once = touches_at_once(world, scenario)
         super().__init__(world, scenario)
         self._take(added)
 
@@ -166,7 +172,10 @@ class PhaseTranscription(ImpactTranscription):
     def least_step(self, phase: Phase) -> float:
         """Returns the lower bound of a phase's steps [s]."""
         least = _SHORTEST_CONTACT if phase.rests else _SHORTEST_FLIGHT
-        return least * self.scenario.duration / (phase.last - phase.first)
+        shortest = least * self.scenario.duration
+        if self.timeline.phases.index(phase) < len(self._at_once):
+            shortest = min(shortest, self._at_once[0].start / 2)
+        return shortest / (phase.last - phase.first)
 
     def _add_touches(self) -> None:
         """Adds how the ball comes to walls, and that no wall pulls."""

@@ -4,6 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from drake_aigto.simulation.contact_motion import calc_time_to_wall
+
+if TYPE_CHECKING:
+    from drake_aigto.world import Scenario, World
+
+# What is touched within this part of the duration without control is touched whatever the control:
+# to brake before would take the inverse of that in force.
+AT_ONCE = 1e-6
 
 
 @dataclass(frozen=True)
@@ -44,3 +56,25 @@ TouchSequence = tuple[Touch, ...]
 def joint_times(sequence: Sequence[Touch]) -> tuple[float, ...]:
     """Returns when a sequence's phases meet, each time once, in order [s]."""
     return tuple(sorted({time for touch in sequence for time in touch.joints}))
+
+
+def touches_at_once(world: World, scenario: Scenario) -> TouchSequence:
+    """Returns the bounces right after the start, which no control of any reasonable size prevents.
+
+    A solid is entered as the last of its faces is passed.
+    """
+    q, v = scenario.initial_position, scenario.initial_velocity
+    J, u = world.calc_contact_jacobian(q), np.zeros(world.num_actuators)
+    curves = zip(
+        world.calc_signed_distance(q).tolist(),
+        (J @ v).tolist(),
+        (J @ world.calc_acceleration(q, v, u)).tolist(),
+        strict=True,
+    )
+    times = [calc_time_to_wall(*curve) if curve[0] > 0 else 0.0 for curve in curves]
+    entries = ((max(times[i] for i in faces), faces) for faces in world.solids)
+    return tuple(
+        Touch.bounce(time, max(faces, key=lambda i: times[i]))
+        for time, faces in sorted(entries)
+        if time < AT_ONCE * scenario.duration
+    )
