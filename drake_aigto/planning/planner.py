@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import dataclasses
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.plan import Plan, PlanningError
-from drake_aigto.planning.rigid import RigidProblem, make_problem
+from drake_aigto.planning.rigid import RigidProblem, transcribe
 from drake_aigto.planning.rigid_search import RigidSearch
 from drake_aigto.planning.search import Progress, Stopwatch
 from drake_aigto.simulation.material import contact_delay
+from drake_aigto.transcription import RigidTranscription
 from drake_aigto.world import Scenario, World
 
 if TYPE_CHECKING:
@@ -42,7 +44,7 @@ class Planner:
         options: PlanOptions | None = None,
         world: World | None = None,
     ) -> None:
-        """Builds the world, checks the scenario against it, and compiles its program."""
+        """Builds the world, and checks the scenario against it; programs are compiled later."""
         self.scenario = scenario
         self.options = options or PlanOptions()
         self.world = world or World.from_scenario(scenario)
@@ -51,11 +53,30 @@ class Planner:
             contact_delay(self.world)  # A wall without stiffness is refused before long work.
         self._build_clock = Stopwatch()
         with self._build_clock("build"):
-            self._problem = self.make_problem(scenario)
+            self._transcription = transcribe(self.world, scenario, self.options)
 
-    def make_problem(self, scenario: Scenario) -> RigidProblem:
-        """Returns a scenario of this world, transcribed and compiled."""
-        return make_problem(self.world, scenario, self.options)
+    @property
+    def transcription(self) -> RigidTranscription:
+        """The program, open until the first plan: costs and constraints that are added count.
+
+        They count in AIGO's boxes, in the polish, in `Plan.cost`, and in simulations, whose motion
+        has to meet the constraints, too. `AddRunningCost`, `AddFinalCost` and
+        `AddConstraintToAllKnotPoints` are about every knot of the plan, wherever it has them. What
+        is added to `prog()`, on variables of `state(k)` and `input(k)`, is about knot k of this
+        program: the state at its time (`GetSampleTimes`, `knot_at`), and the control that is held
+        from it to the next, in plans as here. The knots are those of AIGO's boxes
+        (`PlanOptions.aigo_steps`); where `plan` is given another duration, k/N of it.
+        """
+        return self._transcription
+
+    @cached_property
+    def _problem(self) -> RigidProblem:
+        """The program, compiled; nothing can be added from now on."""
+        with self._build_clock("build"):
+            num_steps = self.scenario.num_steps
+            problem = RigidProblem(self._transcription, self.options, num_steps)
+        self._transcription.freeze()
+        return problem
 
     def plan(
         self,
@@ -85,6 +106,9 @@ class Planner:
 
         Raises:
             ScenarioError: a changed value does not fit.
+            ProgramError: what was added to the program contradicts itself or the start, can't be
+                carried to other knots, or came after the first plan.
+            UnsupportedTermError: what was added is of a kind that has no mean over boxes.
             PlanningError: no candidate meets the transcription's rows, or none that does holds in
                 simulation.
         """
@@ -99,6 +123,7 @@ class Planner:
         changed: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
         scenario = dataclasses.replace(self.scenario, **changed) if changed else self.scenario
         self.world.check(scenario)
+        self._transcription.check_frozen()
         search = self._start_search(scenario)
         search.run(progress)
         found = self._choose(search, scenario)
@@ -108,11 +133,12 @@ class Planner:
 
     def _start_search(self, scenario: Scenario) -> RigidSearch:
         clock = Stopwatch()
+        problem = self._problem
         if scenario is self.scenario:
             clock.seconds.update(self._build_clock.seconds)
-            return RigidSearch(self._problem, clock)
+            return RigidSearch(problem, clock)
         with clock("build"):
-            problem = self._problem.again(scenario)
+            problem = problem.again(scenario)
         return RigidSearch(problem, clock)
 
     def _choose(self, search: RigidSearch, scenario: Scenario) -> Plan:
@@ -139,6 +165,9 @@ def _nothing_holds(found: Plan, num_rungs: int) -> PlanningError:
     drake = found.replay.drake
     if drake is not None and found.best.is_confirmed:
         tried[0] += f", in Drake {drake.cost:.2e} and {drake.goal_error:.1e} m off the goal"
+    broken = dict.fromkeys(name for replay in found.replay for name in replay.broken)
+    if broken:
+        tried[0] += f"; there it breaks {', '.join(map(repr, broken))}"
     error = PlanningError(
         "nothing that was planned holds in simulation",
         got=f"{len(tried)} candidates from {num_rungs} rungs of AIGO ({'; '.join(tried)})",

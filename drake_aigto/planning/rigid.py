@@ -64,9 +64,12 @@ def make_problem(
 ) -> RigidProblem:
     """Returns the scenario, transcribed with the time steps of `coarsen`, and compiled."""
     options = options or PlanOptions()
-    coarse = coarsen(world, scenario, options)
-    transcription = RigidTranscription(world, coarse, options.relaxation)
-    return RigidProblem(transcription, options, scenario.num_steps)
+    return RigidProblem(transcribe(world, scenario, options), options, scenario.num_steps)
+
+
+def transcribe(world: World, scenario: Scenario, options: PlanOptions) -> RigidTranscription:
+    """Returns the scenario, transcribed with the time steps of `coarsen`."""
+    return RigidTranscription(world, coarsen(world, scenario, options), options.relaxation)
 
 
 def coarsen(world: World, scenario: Scenario, options: PlanOptions) -> Scenario:

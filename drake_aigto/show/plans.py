@@ -56,7 +56,7 @@ def format_replays(
 
 def _answer(plan: Plan, world: World, contact_delay: float | None) -> Iterator[str]:
     best, scenario, names = plan.best, plan.scenario, contact_names(world)
-    yield from _row("verdict", [_verdict(plan, names)])
+    yield from _row("verdict", _verdict(plan, names))
     costs = [f"{_simulator(replay, names)} {replay.cost:.3e}" for replay in plan.replay]
     yield from _row("", [f"cost {plan.cost:.3e}", *costs])
     mass = [] if scenario.mass is None else [f"mass {scenario.mass:g} kg"]
@@ -76,6 +76,7 @@ def _answer(plan: Plan, world: World, contact_delay: float | None) -> Iterator[s
             f"deepest penetration {length_text(best.max_penetration)}",
         ],
     )
+    yield from _row("added", _additions(plan))
     yield from _row("defects", _defects(best))
     yield from _row("contacts", _contacts(best, names))
     for replay in plan.replay:
@@ -84,15 +85,18 @@ def _answer(plan: Plan, world: World, contact_delay: float | None) -> Iterator[s
 
 def describe_verdict(plan: Plan, world: World) -> str:
     """Returns whether simulations of a plan's control confirm it, and which do not."""
-    return _verdict(plan, contact_names(world))
+    return ", ".join(_verdict(plan, contact_names(world)))
 
 
-def _verdict(plan: Plan, names: Sequence[str]) -> str:
+def _verdict(plan: Plan, names: Sequence[str]) -> Iterator[str]:
     against = [replay for replay in plan.replay if not plan.best.is_confirmed_by(replay)]
     where = " and ".join(_simulator(replay, names) for replay in against or plan.replay)
     if against:
-        return f"fails: the control alone misses the plan's promise {where}"
-    return f"holds: the control alone keeps the plan's promise {where}"
+        yield f"fails: the control alone misses the plan's promise {where}"
+        broken = dict.fromkeys(name for replay in against for name in replay.broken)
+        yield from (f"breaks '{name}'" for name in broken)
+    else:
+        yield f"holds: the control alone keeps the plan's promise {where}"
 
 
 def _pairs(world: World, names: Sequence[str]) -> Iterator[str]:
@@ -215,6 +219,21 @@ def _defects(candidate: Candidate) -> Iterator[str]:
     for name, defect in candidate.defects.items():
         unit = UNITS.get(name, "of the task's scales")
         yield f"{name} {defect:.0e} {unit}" if defect else f"{name} 0 {unit}"
+
+
+def _additions(plan: Plan) -> Iterator[str]:
+    """Yields costs and constraints that users added, and what simulations make of them."""
+    costs, constraints = plan.best.added_costs, plan.best.replay.violations
+    for name, cost in costs.items():
+        yield f"{name} {cost:.3e}"
+    known = costs.keys(), constraints.keys()
+    if any((each.added_costs.keys(), each.violations.keys()) != known for each in plan.replay):
+        yield from constraints
+        yield "of which a plan file has the names alone: simulated and compared without"
+        return
+    for name in constraints:
+        missed = max(replay.violations[name] for replay in plan.replay)
+        yield f"{name} missed by {missed:.0e} of the task's scales" if missed else f"{name} met"
 
 
 def _contacts(candidate: Candidate, names: Sequence[str]) -> Iterator[str]:

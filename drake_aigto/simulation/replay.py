@@ -21,6 +21,8 @@ from drake_aigto.trajectory import ArrayRecord, check_control, read_only
 if TYPE_CHECKING:
     from drake_aigto.world import Scales, Scenario, World
 
+# What counts as nothing in a simulation, as a part of the task's scales: 2 mm in a task of a metre.
+_NOTHING = 2e-3
 # A row is at a knot but for this part of the duration: rounding.
 _AT_KNOT = 1e-9
 
@@ -87,6 +89,11 @@ class Replay(ArrayRecord):
         object.__setattr__(self, "bounce_contacts", tuple(map(int, self.bounce_contacts)))
         for name in ("times", "positions", "velocities"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    @property
+    def broken(self) -> tuple[str, ...]:
+        """The constraints that it misses by more than simulations may, by name."""
+        return tuple(n for n, by in self.violations.items() if not by <= _NOTHING)
 
     def states_at(
         self, knots: npt.NDArray[np.float64]
@@ -209,7 +216,7 @@ def confirms(
     goal_error: float | None = None,
     *,
     relative_cost: float = 0.05,
-    nothing: float = 2e-3,
+    nothing: float = _NOTHING,
 ) -> bool:
     """Returns whether a plan holds: its replay is nearly as cheap, and ends nearly as close.
 

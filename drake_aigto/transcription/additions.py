@@ -20,10 +20,10 @@ if TYPE_CHECKING:
 
 Part = Literal["q", "v", "u"]
 
-# A knot is at a time if it is no farther than this part of the duration.
-_AT_TIME = 1e-9
 # A bound is met if it is missed by this part of 1 + its size: rounding.
 _ROUNDING = 1e-12
+# A knot is at a time if it is no farther from it than this part of the duration: rounding.
+_LATE = 1e-9
 
 _MOST_LISTED = 3  # Variables in a name.
 
@@ -166,13 +166,22 @@ class Additions:
         """Returns by how much a motion misses each constraint, by name; 0 where it is met.
 
         A row g(x) that misses its bound by r counts as r / Σ_i |∂g/∂x_i| s_i: to first order, each
-        x_i has to change by so many of the task's `scales` s_i to meet it.
+        x_i has to change by so many of the task's `scales` s_i to meet it. Where the motion has no
+        knot at a constraint's time, that counts as so many parts of the duration as it is off.
         """
         found: dict[str, float] = {}
         for each in self.constraints:
             missed = (self._violation(each, motion, k) for k in each.knots(len(motion.u)))
-            found[each.name] = max(found.get(each.name, 0.0), *missed)
+            off = self._lateness(each, motion.times)
+            found[each.name] = max(found.get(each.name, 0.0), off, *missed)
         return found
+
+    def _lateness(self, addition: Addition, times: Floats) -> float:
+        """Returns how far a motion's knots are from an addition's, as a part of the duration."""
+        knots = {place.knot for place in addition.places if place.knot is not None}
+        late = [abs(times[self._row(k, times)] - self.times[k]) for k in knots]
+        parts = max(late, default=0.0) / float(self.times[-1])
+        return parts if parts > _LATE else 0.0
 
     def miss_at_start(self, addition: Addition, state: Floats) -> float:
         """Returns by how much the initial state [q, v] misses a constraint, as `violations`."""
@@ -209,15 +218,14 @@ class Additions:
         arrays = motion._asdict()
         return np.array(
             [
-                arrays[part][k if knot is None else self.row(knot, motion.times), coordinate]
+                arrays[part][k if knot is None else self._row(knot, motion.times), coordinate]
                 for part, coordinate, knot in addition.places
             ]
         )
 
-    def row(self, knot: int, times: Floats) -> int:
-        """Returns which of a motion's knots is at the time of knot k here."""
-        tolerance = _AT_TIME * float(self.times[-1])
-        return int(np.searchsorted(times, self.times[knot] - tolerance))
+    def _row(self, knot: int, times: Floats) -> int:
+        """Returns which of a motion's knots is at the time of knot k here, or nearest to it."""
+        return int(np.argmin(np.abs(times - self.times[knot])))
 
 
 def _slopes(addition: Addition, x: Floats) -> Floats:

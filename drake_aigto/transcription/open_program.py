@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 from abc import abstractmethod
 from collections.abc import Hashable
 from functools import partial
@@ -37,7 +38,7 @@ class OpenProgram(KnotProgram):
         # What the program has from its making on, and what users have added to it since.
         self._additions, self._added = Additions(), Additions()
         self._rows: list[AddedRow] = []
-        self._is_frozen = False
+        self._frozen_size: tuple[int, ...] | None = None
         super().__init__(world, scenario)
 
     @property
@@ -105,13 +106,8 @@ class OpenProgram(KnotProgram):
 
     def _add(self, more: Additions) -> None:
         """Adds what is about every knot, as users wrote it."""
-        if self._is_frozen:
-            raise ProgramError(
-                "the program is planned with already",
-                got="another cost or constraint",
-                expected="all of them before the first plan",
-                remedy="Make a new Planner.",
-            )
+        if self._frozen_size is not None:
+            raise _late()
         self._bind_costs(more)
         for each in more.everywhere:
             for k in each.knots(len(self._u)):
@@ -128,9 +124,6 @@ class OpenProgram(KnotProgram):
         foreign = self._foreign_bindings()
         if not (foreign or self._added):
             return self._additions
-        length, T = self.length_scale(), self.scenario.duration
-        scales: dict[Part, float] = {"q": length, "v": length / T}
-        scales["u"] = self.inertia() * length / T**2
         places = self._places()
         at_knots = tuple(
             read_binding(
@@ -143,8 +136,15 @@ class OpenProgram(KnotProgram):
             )
             for binding in foreign
         )
-        found = Additions(at_knots=at_knots, times=self.GetSampleTimes(), scales=scales)
-        return found.joined(self._additions).joined(self._added)
+        found = Additions(at_knots=at_knots).joined(self._additions).joined(self._added)
+        return self._at_own_knots(found)
+
+    def _at_own_knots(self, additions: Additions) -> Additions:
+        """Returns additions with the times of the knots here, and the scales."""
+        length, T = self.length_scale(), self.scenario.duration
+        scales: dict[Part, float] = {"q": length, "v": length / T}
+        scales["u"] = self.inertia() * length / T**2
+        return dataclasses.replace(additions, times=self.GetSampleTimes(), scales=scales)
 
     def closed(self: _Self) -> _Self:
         """Returns this transcription with what users added, as AIGO and local solvers take it.
@@ -156,21 +156,25 @@ class OpenProgram(KnotProgram):
             UnsupportedTermError: a constraint whose formula Drake does not give.
         """
         additions = self.additions()
-        if additions is self._additions:
-            return self
-        start = self.scenario.initial_position, self.scenario.initial_velocity
-        check_bounds_of(additions)
-        check_start(additions, np.concatenate(start))
-        other = self.with_additions(additions)
-        check_linear(other.prog(), {*self._always_met, *(e.name for e in additions.constraints)})
-        return other
+        return self if additions is self._additions else self.with_additions(additions)
 
     def with_additions(self: _Self, additions: Additions) -> _Self:
-        """Returns a copy of this transcription, as it was made, with these additions."""
+        """Returns a copy of this transcription, as it was made, with these additions.
+
+        Raises:
+            ProgramError: they contradict each other or the start.
+            UnsupportedTermError: a constraint whose formula Drake does not give.
+        """
+        start = self.scenario.initial_position, self.scenario.initial_velocity
         other = copy.copy(self)
         other._forget_program()
         other._layout = self._layout.copy()
+        additions = self._at_own_knots(additions)
+        check_bounds_of(additions)
+        check_start(additions, np.concatenate(start))
         other._take(additions)
+        names = {*self._always_met, *(each.name for each in additions.constraints)}
+        check_linear(other.prog(), names)
         return other
 
     def _take(self, additions: Additions) -> None:
@@ -190,8 +194,23 @@ class OpenProgram(KnotProgram):
         return super().structure, rows
 
     def freeze(self) -> None:
-        """Refuses what is added from now on."""
-        self._is_frozen = True
+        """Refuses what is added from now on, to `prog()` itself by `check_frozen`."""
+        self._frozen_size = self._size()
+
+    def check_frozen(self) -> None:
+        """Checks that nothing was added since it was frozen.
+
+        Raises:
+            ProgramError: something was.
+        """
+        if self._frozen_size not in (None, self._size()):
+            raise _late()
+
+    def _size(self) -> tuple[int, ...]:
+        prog = self._made
+        if prog is None:
+            return ()
+        return prog.num_vars(), len(prog.GetAllCosts()), len(prog.GetAllConstraints())
 
     def _foreign_bindings(self) -> list[Binding]:
         """Returns the costs and constraints that were added to `prog()` itself."""
@@ -278,3 +297,12 @@ class OpenProgram(KnotProgram):
         for row in self._rows:
             row.fill(x)
         return x
+
+
+def _late() -> ProgramError:
+    return ProgramError(
+        "the program of this planner",
+        got="a cost or constraint after the first plan",
+        expected="all of them before",
+        remedy="Make a new Planner.",
+    )

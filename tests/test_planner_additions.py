@@ -1,0 +1,193 @@
+"""What users add to a planner's program counts to the end: in plans, simulations, and files."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from replay_worlds import make_diagram
+
+from drake_aigto import Plan, Planner, PlanOptions, Scenario, World
+from drake_aigto.cli import main
+from drake_aigto.errors import ProgramError
+from drake_aigto.planning import PlanningError, RigidProblem, make_problem
+from drake_aigto.show.plans import format_plan
+from drake_aigto.transcription import Touch
+
+# 1 m from a wall, towards it at 2 m/s. Free plans bounce at 0.55 s and end at 0.7 m/s.
+SCENARIO = Scenario(initial_position=1.0, initial_velocity=-2.0, goal_position=0.73, time_step=0.02)
+
+
+def planner(confirm: bool = False) -> Planner:
+    return Planner(SCENARIO, PlanOptions(confirm=confirm))
+
+
+@cache
+def free_plan() -> Plan:
+    return planner().plan()
+
+
+@cache
+def through_waypoint() -> tuple[Planner, Plan]:
+    """Returns a plan that is at 0.6 m at 0.3 s, ends slowly, and pays for its way."""
+    found = planner(confirm=True)
+    program = found.transcription
+    q, v = program.state()
+    program.AddRunningCost(1e-2 * q**2, "near the wall")
+    program.AddFinalCost(1e-2 * v**2, "slow end")
+    at = program.state(program.knot_at(0.3))
+    program.prog().AddConstraint(at[0] == 0.6).evaluator().set_description("waypoint")
+    return found, found.plan()
+
+
+def test_a_waypoint_is_met_by_the_plan_and_in_both_simulations() -> None:
+    _, found = through_waypoint()
+    assert found.holds and found.replay.drake is not None
+    for times, positions in [
+        (found.trajectory.times, found.trajectory.positions),
+        *((replay.times, replay.positions) for replay in found.replay),
+    ]:
+        row = int(np.argmin(np.abs(times - 0.3)))
+        assert times[row] == pytest.approx(0.3, abs=1e-9)
+        assert positions[row, 0] == pytest.approx(0.6, abs=1e-6)
+    before = np.interp(0.3, free_plan().trajectory.times, free_plan().trajectory.positions[:, 0])
+    assert abs(before - 0.6) > 0.1
+
+
+def test_costs_of_users_are_part_of_the_plans_cost_and_of_its_replays() -> None:
+    _, found = through_waypoint()
+    motion, scenario = found.trajectory, found.scenario
+    steps = np.diff(motion.times)
+    effort = scenario.control_weight * steps @ np.sum(motion.controls**2, axis=1)
+    missed = scenario.goal_weight * found.best.goal_error**2
+    added = {
+        "near the wall": 1e-2 * steps @ motion.positions[:-1, 0] ** 2,
+        "slow end": 1e-2 * motion.velocities[-1, 0] ** 2,
+    }
+    assert found.best.added_costs == pytest.approx(added)
+    assert found.cost == pytest.approx(effort + missed + sum(added.values()))
+    assert motion.velocities[-1, 0] < 0.9 * free_plan().trajectory.velocities[-1, 0]
+    for replay in found.replay:
+        assert replay.cost == pytest.approx(found.cost, rel=0.02)
+        assert replay.added_costs == pytest.approx(added, rel=0.02)
+        assert replay.violations["waypoint"] <= 1e-3
+
+
+def test_a_final_state_is_met() -> None:
+    stop = planner()
+    program = stop.transcription
+    program.prog().AddConstraint(program.final_state()[1] == 0.0)
+    found = stop.plan()
+    assert found.trajectory.velocities[-1, 0] == pytest.approx(0.0, abs=1e-9)
+    assert found.holds and found.cost > 10 * free_plan().cost
+
+
+def test_a_control_is_bounded_while_it_is_held() -> None:
+    strong = planner()
+    program = strong.transcription
+    k = program.knot_at(0.2)
+    program.prog().AddBoundingBoxConstraint(1.0, 2.0, program.input(k)[0])
+    found = strong.plan()
+    times, controls = found.trajectory.times[:-1], found.trajectory.controls
+    is_held = (times >= 0.2 - 1e-9) & (times < 0.22 - 1e-9)
+    assert np.min(controls[is_held]) >= 1.0 - 1e-9
+    assert np.max(controls[~is_held]) < 0.9
+    assert found.holds
+
+
+def test_a_cost_at_one_knot_draws_the_motion_there() -> None:
+    drawn = planner()
+    program = drawn.transcription
+    program.prog().AddQuadraticErrorCost([[9.0]], [0.5], [program.state(program.knot_at(0.7))[0]])
+    found = drawn.plan()
+    before, after = (
+        np.interp(0.7, each.trajectory.times, each.trajectory.positions[:, 0])
+        for each in (free_plan(), found)
+    )
+    assert abs(after - 0.5) < 0.1 * abs(before - 0.5)
+
+
+def test_a_plan_moves_its_bounce_past_a_time_that_is_bound() -> None:
+    # A cost that changes next to nothing, but phases have to meet at its time.
+    program = make_problem(World.from_scenario(SCENARIO), SCENARIO).transcription
+    program.prog().AddCost(1e-9 * program.state(program.knot_at(0.5))[0])
+    held = RigidProblem(program)
+    path = held.transcription.GetSampleTimes(), held.transcription.split(held.box.center)[0]
+    for time in (0.45, 0.5, 0.55):
+        phases, x = held.polish_along(path, (Touch.bounce(time),))
+        (touch,) = phases.contact_sequence(x)
+        assert touch.start == pytest.approx(free_plan().best.contacts[0].time, abs=1e-4)
+        assert held.cost(phases, x) == pytest.approx(free_plan().cost, rel=1e-3)
+
+
+def test_a_spring_is_taken_through_a_waypoint() -> None:
+    # Neither flight nor costs have a closed form there: replays integrate.
+    world = World.from_diagram(make_diagram(spring=3.0))
+    swinging = Planner(SCENARIO, PlanOptions(confirm=False), world)
+    program = swinging.transcription
+    at = program.state(program.knot_at(0.3))
+    program.prog().AddConstraint(at[0] == 0.6).evaluator().set_description("waypoint")
+    found = swinging.plan()
+    assert found.holds
+    assert found.replay.event_driven.violations["waypoint"] <= 1e-3
+
+
+def test_changed_ends_keep_what_was_added() -> None:
+    found, _ = through_waypoint()
+    again = found.plan(initial_velocity=-1.5, goal_position=0.9)
+    row = int(np.argmin(np.abs(again.trajectory.times - 0.3)))
+    assert again.trajectory.positions[row, 0] == pytest.approx(0.6, abs=1e-9)
+    assert set(again.best.added_costs) == {"near the wall", "slow end"}
+    assert again.holds
+
+
+def test_nothing_is_added_after_the_first_plan() -> None:
+    found, _ = through_waypoint()
+    program = found.transcription
+    with pytest.raises(ProgramError, match="after the first plan, expected all of them before"):
+        program.AddFinalCost(program.state()[0])
+    late = planner()
+    late.plan()
+    late.transcription.prog().AddConstraint(late.transcription.state(3)[0] >= 0.0)
+    with pytest.raises(ProgramError, match="after the first plan"):
+        late.plan()
+
+
+def test_a_plan_that_a_simulation_breaks_a_constraint_of_does_not_hold() -> None:
+    found, plan = through_waypoint()
+    drake = plan.replay.drake
+    assert drake is not None
+    broken = dataclasses.replace(drake, violations={"waypoint": 3e-3})
+    failing = dataclasses.replace(plan, replay=dataclasses.replace(plan.replay, drake=broken))
+    assert plan.holds and not failing.holds
+    text = format_plan(failing, found.world)
+    assert "on Drake's plant, breaks 'waypoint'" in " ".join(text.split())
+    assert "waypoint missed by 3e-03 of the task's scales" in text
+
+
+def test_what_no_motion_meets_is_an_error_that_names_it() -> None:
+    pushed = planner()
+    program = pushed.transcription
+    u = program.input()[0]
+    program.AddConstraintToAllKnotPoints([u <= 0.1, u >= -0.1], "weak")
+    at = program.state(program.knot_at(0.3))
+    program.prog().AddConstraint(at[0] == 0.6).evaluator().set_description("waypoint")
+    with pytest.raises(PlanningError, match="no candidate meets the transcription's rows"):
+        pushed.plan()
+
+
+def test_a_saved_plan_names_what_was_added_and_replays_without_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, plan = through_waypoint()
+    path = tmp_path / "plan.json"
+    plan.save(path)
+    assert Plan.load(path) == plan
+    assert main(["replay", str(path), "--no-confirm"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert re.search(r"near the wall \d\S+, slow end \d\S+, waypoint, of which a plan file", text)
+    assert "simulated and compared without" in text
