@@ -141,6 +141,9 @@ def test_a_file_of_the_version_before_is_read_and_what_it_lacks_is_told(
     assert str(old.best.origin) == str(rigid.best.origin)
     assert old.trajectory == rigid.trajectory
     assert old.replayed().replay == rigid.replay
+    corridor = World.from_scenario(Scenario.named("corridor/three_bounces"))
+    with pytest.raises(ModelError, match=r"1 actuators, 2 contacts, expected 1, 1, 1\. Give"):
+        old.replayed(corridor)
     assert main(["play", str(path), "--optimization", "--html", str(tmp_path / "p.html")]) == (
         BAD_INPUT
     )
@@ -179,7 +182,7 @@ def test_a_file_of_a_plan_of_ones_own_diagram_takes_that_and_no_other(
     for use in (Plan.replayed, run_boxes, report_plan, format_plan):
         with pytest.raises(ModelError, match=r"a diagram of one's own: .*world=World\.from_diag"):
             use(loaded)
-        with pytest.raises(ModelError, match=r"got accelerations .*Give the diagram that"):
+        with pytest.raises(ModelError, match=r"got accelerations .*Give the world that"):
             use(loaded, World.from_diagram(make_diagram(gravity=1.1)))
     again = World.from_diagram(make_diagram(gravity=1.0))
     replayed = loaded.replayed(again)

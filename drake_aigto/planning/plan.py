@@ -231,15 +231,33 @@ class Plan:
         Raises:
             ModelError: it was made in a diagram of one's own, which is needed; or the world that is
                 given, or the model, is not as it was.
+            ScenarioError: the scenario does not fit the world that is given.
         """
-        if world is None:
-            world = self.world or self._build_world()
-        if self.made_in and world is not self.world:
-            remedy = "Give the diagram that the plan was made in."
-            if world.model is not None:
+        world = world or self.world or self._build_world()
+        if world is self.world:
+            return world
+        if self.made_in is None:
+            self._check_sizes(world)
+        else:
+            remedy = "Give the world that the plan was made in."
+            if world.model is not None and world.model == self.made_in.model:
                 remedy = f"Plan again: {world.model} is not as it was when the plan was made."
             self.made_in.check(world.fingerprint, remedy)
+        world.check(self.scenario)
         return world
+
+    def _check_sizes(self, world: World) -> None:
+        """Refuses a world that can't be that of a file which does not tell its own."""
+        q, u, p = self.trajectory.positions, self.trajectory.controls, self.trajectory.impulses
+        there = q.shape[1], u.shape[1], p.shape[1]
+        here = world.num_positions, world.num_actuators, world.num_contacts
+        if here != there:
+            raise ModelError(
+                "the world is not the one that the plan was made in",
+                got="{} coordinates, {} actuators, {} contacts".format(*here),
+                expected="{}, {}, {}".format(*there),
+                remedy="Give the world that the plan was made in.",
+            )
 
     def _build_world(self) -> World:
         """Returns the world of the model that the plan was made in."""
