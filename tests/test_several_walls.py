@@ -9,7 +9,7 @@ import exact_wall
 import numpy as np
 import numpy.typing as npt
 import pytest
-from hypothesis import assume, given, settings
+from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from several_walls import hold_still, make_line, make_task, make_wedge, shipped
 
@@ -223,6 +223,8 @@ def test_a_block_is_bounced_off_on_every_side(
     held_forces(2),
     st.sampled_from(RESTITUTIONS),
 )
+# Beside the block it falls, and is below as it comes to where the block is.
+@example((0.2, 0.5), (0.0, 0.5), ([0.0, 0.375], np.array([[3.0, -5.0]])), 1.0)
 def test_nothing_gets_into_a_block_whatever_is_done(
     q: tuple[float, float], v: tuple[float, float], control: Any, e: float
 ) -> None:

@@ -239,6 +239,8 @@ def _find_entry(
             if rate >= -still and push >= 0:
                 return math.inf, -1
             distance = 0.0
+        if distance < 0 and rate < 0:  # It rises past 0 before, and never falls again.
+            return math.inf, -1
         wait, passed = calc_time_to_wall(distance, rate, push), face
         if wait > horizon:
             return math.inf, -1
