@@ -104,6 +104,10 @@ def test_many_states_at_once_are_each_on_its_own(world: World) -> None:
         places = [[tuple(each[i, j] for each in arguments) for j in range(3)] for i in range(4)]
         alone = [[function(*place) for place in row] for row in places]
         agree(function(*arguments), alone, str(function))
+    # One state goes with many controls, and with many impulses.
+    still, moving = np.broadcast_to(q[0, 0], q.shape), np.broadcast_to(v[0, 0], v.shape)
+    agree(world.calc_acceleration(q[0, 0], v[0, 0], u), world.calc_acceleration(still, moving, u))
+    agree(world.calc_velocity_change(q[0, 0], p), world.calc_velocity_change(still, p))
 
 
 def test_inertia_and_bias_are_the_plants(straight: World) -> None:

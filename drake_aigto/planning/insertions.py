@@ -33,7 +33,7 @@ def find_insertions(phases: PhaseTranscription, x: npt.NDArray[np.float64]) -> l
     world, T = phases.world, phases.scenario.duration
     times, distances = phases.sample_times(x), phases.signed_distances(x)
     J = world.constant_inertia.jacobian
-    felt = np.abs(J @ world.constant_inertia.kicks.T) > _FELT
+    felt = np.abs(world.constant_inertia.delassus) > _FELT
     pulls = J @ world.calc_acceleration(
         phases.split(x)[0][-1], np.zeros(world.num_velocities), np.zeros(world.num_actuators)
     )

@@ -58,14 +58,19 @@ class ConstantInertia:
         return read_only(self.jacobian @ self.inverse_mass.T)
 
     @cached_property
+    def delassus(self) -> _Array:
+        """A = J M⁻¹ Jᵀ, shape (m, m) [1/kg]: how φ̇_i changes by 1 N s at contact j."""
+        return read_only(self.jacobian @ self.kicks.T)
+
+    @cached_property
     def masses(self) -> _Array:
-        """1 / (J_i M⁻¹ J_iᵀ), shape (m,) [kg]: what each contact feels."""
-        return read_only(1 / np.sum(self.jacobian * self.kicks, axis=1))
+        """1 / A_ii, shape (m,) [kg]: what each contact feels."""
+        return read_only(1 / np.diag(self.delassus))
 
     @cached_property
     def lifts(self) -> _Array:
-        """M⁻¹ J_iᵀ / (J_i M⁻¹ J_iᵀ), shape (m, nv): how v changes as contact i changes φ̇_i by 1."""
-        return read_only(self.kicks / np.sum(self.jacobian * self.kicks, axis=1)[:, np.newaxis])
+        """M⁻¹ J_iᵀ / A_ii, shape (m, nv): how v changes as contact i changes φ̇_i by 1."""
+        return read_only(self.kicks / np.diag(self.delassus)[:, np.newaxis])
 
 
 @dataclass(frozen=True, eq=False)

@@ -34,6 +34,7 @@ class EquationsOfMotion:
     The expressions are the one source: the functions of numbers are compiled from them, and
     `constant_inertia` and `constant_dynamics` are read off them. Letters: nq positions, nv = nq
     velocities, nu actuators, m contacts, S solids; a shape's "…" are axes of many states at once.
+    One state goes with many controls or impulses, too.
 
     A contact is a sphere and a flat face. One sphere and all that it can reach of one box make a
     solid: the sphere is outside when it is in front of one face at least, max_i φ_i ≥ 0. Elsewhere

@@ -62,17 +62,16 @@ class Fingerprint:
         numbers = np.arange(1.0, 1.0 + motion.num_positions)
         q, v = np.sin(numbers), np.cos(numbers)
         controls = np.vstack([np.zeros(motion.num_actuators), np.eye(motion.num_actuators)])
-        impulses = np.eye(motion.num_contacts)
         return cls(
             model=model,
             coordinates=tuple(coordinates),
             actuators=tuple(actuators),
             contacts=tuple(contact.name for contact in motion.contacts),
             restitutions=tuple(contact.restitution for contact in motion.contacts),
-            accelerations=_rows([motion.calc_acceleration(q, v, u) for u in controls]),
+            accelerations=_rows(motion.calc_acceleration(q, v, controls)),
             distances=tuple(motion.calc_signed_distance(q).tolist()),
             jacobian=_rows(motion.calc_contact_jacobian(q)),
-            kicks=_rows([motion.calc_velocity_change(q, impulse) for impulse in impulses]),
+            kicks=_rows(motion.calc_velocity_change(q, np.eye(motion.num_contacts))),
         )
 
     def check(self, other: Fingerprint, remedy: str) -> None:
