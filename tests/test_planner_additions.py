@@ -191,3 +191,41 @@ def test_a_saved_plan_names_what_was_added_and_replays_without_it(
     text = " ".join(capsys.readouterr().out.split())
     assert re.search(r"near the wall \d\S+, slow end \d\S+, waypoint, of which a plan file", text)
     assert "simulated and compared without" in text
+
+
+def test_a_report_names_what_was_added_and_a_gradient_solver_does_without(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, plan = through_waypoint()
+    assert plan.additions == ("near the wall", "slow end", "waypoint")
+    path, page = tmp_path / "plan.json", tmp_path / "page.html"
+    plan.save(path)
+    assert main(["report", str(path), "--html", str(page)]) == 0
+    text = page.read_text(encoding="utf-8")
+    names = "near the wall, slow end, waypoint"
+    assert f"program in Python: {names}." in text
+    assert re.search(rf"boxes can.{{1,6}}t be had again: .* by name only \({names}\)", text)
+    assert main(["play", str(path), "--html", str(page), "--beside", "gradient"]) == 0
+    assert f"SNOPT plans without what was added: {names}" in capsys.readouterr().out
+    assert main(["play", str(path), "--html", str(page), "--optimization"]) == 2
+
+
+def test_a_rest_goes_on_past_a_time_that_is_bound() -> None:
+    # Without rebound, on a floor: staying there costs nothing, and hovering does.
+    world = World.from_diagram(make_diagram(gravity=9.81))
+    scenario = Scenario(
+        initial_position=0.3,
+        initial_velocity=0.0,
+        goal_position=0.5,
+        duration=2.0,
+        time_step=0.02,
+        restitution=0.0,
+    )
+    resting = Planner(scenario, PlanOptions(confirm=False), world)
+    program = resting.transcription
+    state = program.state(program.knot_at(0.8))
+    program.prog().AddConstraint(state[0] <= 1e-3).evaluator().set_description("down")
+    program.prog().AddCost(1e-6 * program.input(program.knot_at(0.6))[0] ** 2)
+    found = resting.plan()
+    (contact,) = found.best.contacts
+    assert found.holds and contact.time < 0.3 and contact.last_time > 1.0

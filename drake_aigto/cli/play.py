@@ -58,6 +58,8 @@ def _play(options: argparse.Namespace) -> int:
     elif options.beside:
         with show_progress(options, "running the gradient solver"):
             play(plan, meshcat, world, gradient_motions(world, plan.scenario))
+        if plan.additions:
+            print(f"SNOPT plans without what was added: {', '.join(plan.additions)}")
     else:
         with show_progress(options, "simulating"):
             play(plan, meshcat, world)

@@ -203,6 +203,11 @@ class Plan:
         return self.candidates[0]
 
     @property
+    def additions(self) -> tuple[str, ...]:
+        """The costs and constraints that users added (`Planner.transcription`), by name."""
+        return tuple({**self.best.added_costs, **self.best.replay.violations})
+
+    @property
     def cost(self) -> float:
         """J = w_u Σ dt ‖u_k‖² + w_f ‖q_N − goal‖², and costs of users, of the chosen trajectory."""
         return self.best.cost

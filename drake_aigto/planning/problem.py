@@ -38,8 +38,7 @@ from drake_aigto.planning.plan import Candidate, Replays
 from drake_aigto.simulation.contacts import find_contacts, max_penetration
 from drake_aigto.simulation.replay import Replay, replay_drake, replay_event_driven
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import Transcription
-from drake_aigto.transcription.additions import Samples
+from drake_aigto.transcription import Samples, Transcription
 from drake_aigto.world import Scales
 
 if TYPE_CHECKING:

@@ -79,8 +79,9 @@ def run_boxes(plan: Plan, world: World | None = None) -> BoxRun:
         raise _refuse("no options")
     if rung is None:
         raise _refuse("no rung of AIGO's ladder")
-    if added := {**plan.best.added_costs, **plan.best.replay.violations}:
-        raise _refuse(f"costs or constraints of one's own, by name only ({', '.join(added)})")
+    if plan.additions:
+        names = ", ".join(plan.additions)
+        raise _refuse(f"costs or constraints of one's own, by name only ({names})")
     problem = _make_problem(plan.scenario, world, plan.options)
     algorithm = problem.make_algorithm(rung)
     if isinstance(algorithm, Annealing):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
 from importlib import metadata
 
@@ -74,7 +74,7 @@ def report_plan(
     start, _, goal = task_items(plan.scenario)
     page = Page(f"Plan: {start}, {goal}")
     add_verdict(page, plan, world)
-    add_question(page, plan.scenario, world)
+    add_question(page, plan.scenario, world, plan.additions)
     _add_answer(page, plan, world)
     say("recording the plan, its simulations, and the boxes")
     page.heading("In motion")
@@ -124,8 +124,17 @@ def describe_difference(cost: float, replay: Replay) -> str:
     )
 
 
-def add_question(page: Page, scenario: Scenario, world: World) -> None:
-    """Adds what was asked."""
+def add_question(
+    page: Page, scenario: Scenario, world: World, additions: Sequence[str] = ()
+) -> None:
+    """Adds what was asked.
+
+    Args:
+        page: to add to.
+        scenario: the question.
+        world: that it fits.
+        additions: names of costs and constraints besides the scenario's.
+    """
     page.heading("The question")
     page.code(PROBLEM)
     rows = [
@@ -140,6 +149,8 @@ def add_question(page: Page, scenario: Scenario, world: World) -> None:
         rows.append(("mass", f"{scenario.mass:g} kg"))
     if left_out := friction_items(scenario, world):
         rows.append(("friction", "; ".join(left_out)))
+    if additions:
+        rows.append(("costs and constraints besides", ", ".join(additions)))
     page.table(("", ""), rows)
 
 
@@ -311,6 +322,11 @@ def _add_reproduction(page: Page, plan: Plan) -> None:
     )
     page.code(yaml.safe_dump(plan.scenario.to_plain(), sort_keys=False, allow_unicode=True))
     page.code(_command(plan))
+    if plan.additions:
+        names = ", ".join(plan.additions)
+        page.paragraph(
+            f"That leaves out what was added to the planner's program in Python: {names}."
+        )
     seconds = sum(plan.stats.seconds.values())
     page.paragraph(
         f"Planned in {seconds:.1f} s, with {plan.stats.aigo_steps} iterations of AIGO. "

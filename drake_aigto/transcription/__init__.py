@@ -1,5 +1,6 @@
 """Contact problems as MathematicalPrograms, and their constraints as polynomial penalties."""
 
+from drake_aigto.transcription.additions import Additions, Samples
 from drake_aigto.transcription.facings import Facing, find_facings
 from drake_aigto.transcription.penalties import cut_to_bounds, penalize
 from drake_aigto.transcription.phases import PhaseTranscription
@@ -10,9 +11,11 @@ from drake_aigto.transcription.transcription import Transcription
 
 __all__ = [
     "NONPENETRATION",
+    "Additions",
     "Facing",
     "PhaseTranscription",
     "RigidTranscription",
+    "Samples",
     "Touch",
     "TouchSequence",
     "Transcription",
