@@ -4,7 +4,7 @@
 
 Boxes shrink over a few temperatures (`aigo.Annealing`), and the local solver solves a program: the
 least time by trapezoids that share one free time step, and the control of −Δq + q³ = u on a grid.
-Each in a process of its own, one thread, as the package chooses and, where a factorisation is
+Each in a process of its own, one thread, as the package chooses and, where a factorization is
 predicted to take no more than some seconds, without sparse factors: CPU seconds an iteration, the
 largest memory that the process had, less what it had before, and where it ends. Last, `AigoSolver`
 on a MathematicalProgram of 10,000 variables that share one. Writes wide_bands.csv; exits with 1
@@ -44,7 +44,7 @@ from drake_aigto.local import InteriorPoint, PolynomialNlp, compile_nlp
 from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock
 
 SIZES = (100, 400, 1000, 4000, 10_000, 20_000)
-MOST_BAND_WORK = 2e10  # size · b², of a factorisation without sparse factors: some three seconds
+MOST_BAND_WORK = 2e10  # size · b², of a factorization without sparse factors: some three seconds
 LARGEST_GROWTH = 3.0
 SAME = 1e-6  # relative, of two optima
 ARROW, GRID = "arrow", "grid"
@@ -60,7 +60,7 @@ class Run:
     method: str
     variables: int
     may_be_sparse: bool
-    factorisation: str
+    factorization: str
     unknowns: int
     bandwidth: int
     fill: int | None
@@ -76,7 +76,7 @@ class Run:
 
     @property
     def band_work(self) -> float:
-        """Multiplications that a factorisation of the band takes."""
+        """Multiplications that a factorization of the band takes."""
         return float(self.unknowns) * float(self.bandwidth) ** 2
 
 
@@ -107,7 +107,7 @@ def compare(family: str, method: str, variables: int) -> list[Run]:
     """Returns a run as the package chooses and, where that would not take long, one of bands."""
     chosen = start(family, method, variables, True)
     other = None
-    if "sparse" in chosen.factorisation and chosen.band_work <= MOST_BAND_WORK:
+    if "sparse" in chosen.factorization and chosen.band_work <= MOST_BAND_WORK:
         other = start(family, method, variables, False)
     tell(chosen, other)
     return [chosen] if other is None else [chosen, other]
@@ -135,7 +135,7 @@ def measure(family: str, method: str, variables: int, may_be_sparse: bool) -> Ru
     memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
     return Run(
         *(family, method, variables, may_be_sparse),
-        *(storage.factorisation.value, storage.size, storage.bandwidth, storage.fill),
+        *(storage.factorization.value, storage.size, storage.bandwidth, storage.fill),
         *(iterations, seconds, float(memory * RESIDENT_UNIT), optimum),
     )
 
@@ -277,14 +277,14 @@ def tell(chosen: Run, other: Run | None) -> None:
     """Prints a run, and how many times as long the other one takes."""
     fill = "" if chosen.fill is None else f", L of {chosen.fill:,}"
     line = (
-        f"{chosen.family:5} {chosen.method:12} n = {chosen.variables:6}  {chosen.factorisation:22} "
+        f"{chosen.family:5} {chosen.method:12} n = {chosen.variables:6}  {chosen.factorization:22} "
         f"{chosen.unknowns:6} unknowns, b = {chosen.bandwidth:5}{fill}: "
         f"{1e3 * chosen.seconds_each:8.2f} ms an iteration, {chosen.iterations} iterations, "
         f"{chosen.memory / 2**20:.0f} MiB"
     )
     if other is not None:
         line += (
-            f"; {other.factorisation}: {other.seconds_each / chosen.seconds_each:.1f} × as long, "
+            f"; {other.factorization}: {other.seconds_each / chosen.seconds_each:.1f} × as long, "
             f"{other.memory / 2**20:.0f} MiB"
         )
     print(line, flush=True)

@@ -24,7 +24,7 @@ from drake_aigto.aigo import (
     Status,
     minimize,
 )
-from drake_aigto.aigo.banded import factorise, solve
+from drake_aigto.aigo.banded import factorize, solve
 from drake_aigto.aigo.descent import leave_out
 from drake_aigto.aigo.newton import PointObjective, SmoothedObjective, newton
 from drake_aigto.box import BoxPolynomial
@@ -288,16 +288,16 @@ def test_band_factors_solve_what_is_positive_definite_and_tell_what_is_not(
         band[: size - d, d] = np.diag(matrix, -d)
     x = rng.normal(size=size)
     factors, solution = band.copy(), matrix @ x
-    assert factorise(factors)
+    assert factorize(factors)
     solve(factors, solution)
     np.testing.assert_allclose(solution, x, rtol=0, atol=1e-14 * np.linalg.cond(matrix) * size)
     least = np.linalg.eigvalsh(matrix)[0]
     for shift, is_definite in ((-0.9 * least, True), (-1.1 * least, False)):
         shifted = band.copy()
         shifted[:, 0] += shift
-        assert factorise(shifted) == is_definite
+        assert factorize(shifted) == is_definite
     band[size // 2, 0] = np.nan
-    assert not factorise(band)
+    assert not factorize(band)
 
 
 def test_newton_on_a_quadratic_takes_one_step() -> None:

@@ -11,9 +11,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sparse_matrices import arrow, grid, whole
 
-from drake_aigto.linear import Factorisation, Pattern, Storage, choose_storage, make_pattern, spread
+from drake_aigto.linear import Factorization, Pattern, Storage, choose_storage, make_pattern, spread
 from drake_aigto.linear.pattern import find_entry, multiply
-from drake_aigto.linear.sparse import count_fill, factorise, minimum_degree
+from drake_aigto.linear.sparse import count_fill, factorize, minimum_degree
 
 
 @st.composite
@@ -73,7 +73,7 @@ def test_sparse_factors_solve_and_count_negative_eigenvalues(
     signs = np.where(rng.random(size) < share, -1.0, 1.0)
     values[:size] = signs * (1.0 + np.abs(whole(pattern, values)).sum(axis=0))
     matrix = whole(pattern, values)
-    factors = factorise(pattern, values)
+    factors = factorize(pattern, values)
     assert factors is not None
     assert factors.num_negative == np.count_nonzero(np.linalg.eigvalsh(matrix) < 0.0)
     right = rng.normal(size=size)
@@ -84,7 +84,7 @@ def test_sparse_factors_solve_and_count_negative_eigenvalues(
 def test_matrices_without_pivots_have_no_factors(junk: float) -> None:
     pattern = make_pattern(3, np.array([[0, 1], [1, 2]]))
     values = np.array([2.0, 2.0, junk, 1.0, 0.0])
-    assert factorise(pattern, values) is None
+    assert factorize(pattern, values) is None
 
 
 @given(patterns())
@@ -131,24 +131,24 @@ def choose(size: int, edges: np.ndarray, may_be_dense: bool = False) -> Storage:
 @pytest.mark.parametrize(
     ("size", "edges", "may_be_dense", "choice"),
     [
-        (28, arrow(28), True, Factorisation.DENSE),
-        (28, arrow(28), False, Factorisation.BAND),
-        (150, arrow(150), True, Factorisation.DENSE),
-        (5000, arrow(5000)[:, : 2 * 4996], True, Factorisation.BAND),
-        (900, grid(30), True, Factorisation.BAND),
-        (10000, grid(100), False, Factorisation.BAND),
-        (62500, grid(250), False, Factorisation.SPARSE),
-        (1000, arrow(1000), True, Factorisation.SPARSE),
-        (400, np.indices((400, 400)).reshape(2, -1), True, Factorisation.DENSE),
-        (400, np.indices((400, 400)).reshape(2, -1), False, Factorisation.BAND),
+        (28, arrow(28), True, Factorization.DENSE),
+        (28, arrow(28), False, Factorization.BAND),
+        (150, arrow(150), True, Factorization.DENSE),
+        (5000, arrow(5000)[:, : 2 * 4996], True, Factorization.BAND),
+        (900, grid(30), True, Factorization.BAND),
+        (10000, grid(100), False, Factorization.BAND),
+        (62500, grid(250), False, Factorization.SPARSE),
+        (1000, arrow(1000), True, Factorization.SPARSE),
+        (400, np.indices((400, 400)).reshape(2, -1), True, Factorization.DENSE),
+        (400, np.indices((400, 400)).reshape(2, -1), False, Factorization.BAND),
     ],
 )
 def test_the_cheapest_storage_is_chosen(
-    size: int, edges: np.ndarray, may_be_dense: bool, choice: Factorisation
+    size: int, edges: np.ndarray, may_be_dense: bool, choice: Factorization
 ) -> None:
     storage = choose(size, edges, may_be_dense)
-    assert storage.factorisation is choice
-    assert (storage.pattern is not None) == (choice is Factorisation.SPARSE)
+    assert storage.factorization is choice
+    assert (storage.pattern is not None) == (choice is Factorization.SPARSE)
     assert choice.value in str(storage)
     assert f"{size:,} unknowns" in str(storage)
     assert sorted(storage.places) == list(range(size))

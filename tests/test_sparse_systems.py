@@ -17,7 +17,7 @@ from drake_aigto import AigoOptions, AigoSolver
 from drake_aigto.aigo import Annealing, BoundedAnnealing, Box, Status, minimize
 from drake_aigto.aigo.newton import PointObjective, bold_newton, newton
 from drake_aigto.box import BoxPolynomial
-from drake_aigto.linear import Factorisation, storage
+from drake_aigto.linear import Factorization, storage
 from drake_aigto.local import InteriorPoint, LocalStatus, compile_nlp
 from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock
 
@@ -71,8 +71,8 @@ def test_sparse_hessians_are_the_banded_ones(centers_only: bool) -> None:
     f = shared_variable(250)
     with only_bands():
         g = shared_variable(250)
-    assert f.storage.factorisation is Factorisation.SPARSE
-    assert g.storage.factorisation is Factorisation.BAND
+    assert f.storage.factorization is Factorization.SPARSE
+    assert g.storage.factorization is Factorization.BAND
     rng = np.random.default_rng(0)
     box = rng.normal(size=250), rng.uniform(0.1, 1.0, 250)
     sparse, band = (h.newton_system(*box, centers_only) for h in (f, g))
@@ -106,8 +106,8 @@ def test_boxes_end_where_banded_systems_lead(make, algorithm) -> None:  # type: 
     ]
     sparse, band = results
     assert (sparse.status, band.status) == (Status.CONVERGED, Status.CONVERGED)
-    assert sparse.storage.factorisation is Factorisation.SPARSE
-    assert band.storage.factorisation is Factorisation.BAND
+    assert sparse.storage.factorization is Factorization.SPARSE
+    assert band.storage.factorization is Factorization.BAND
     assert sparse.box.center[7] == 0.1
     np.testing.assert_allclose(sparse.box.center, band.box.center, atol=1e-6)
     assert sparse.cost == pytest.approx(band.cost, rel=1e-9)
@@ -169,8 +169,8 @@ def test_a_shared_time_step_is_found_by_sparse_kkt_systems(
     assert "sparse LDLᵀ" in caplog.text
     with only_bands():
         other = InteriorPoint().solve(compile_nlp(shortest_time(steps)), start)
-    assert sparse.storage.factorisation is Factorisation.SPARSE
-    assert other.storage.factorisation is not Factorisation.SPARSE
+    assert sparse.storage.factorization is Factorization.SPARSE
+    assert other.storage.factorization is not Factorization.SPARSE
     for result in (sparse, other):
         assert result.status is LocalStatus.CONVERGED
         assert result.residual <= 1e-10
@@ -193,7 +193,7 @@ def test_a_program_with_a_shared_variable_is_solved_and_the_choice_reported() ->
     result = AigoSolver(AigoOptions(rounds=2)).Solve(prog)
     details = result.get_solver_details()
     assert result.is_success()
-    assert details.box_storage.factorisation is Factorisation.SPARSE
+    assert details.box_storage.factorization is Factorization.SPARSE
     assert details.kkt_storage.size == n + 1
     # All x alike: least (a² − b)² + 0.2 a b on a fine grid.
     grid_a, grid_b = np.meshgrid(np.linspace(-2, 2, 2001), np.linspace(0.5, 2, 1501))

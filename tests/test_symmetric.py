@@ -58,7 +58,7 @@ def test_factors_solve_and_count_negative_eigenvalues(
         return  # too near singular for either to count
     band[beyond(band)] = 1e9  # nobody may read it
     factors = kind(size, bandwidth)
-    assert factors.factorise(band) == np.count_nonzero(eigenvalues < 0.0)
+    assert factors.factorize(band) == np.count_nonzero(eigenvalues < 0.0)
     x = rng.normal(size=size)
     right = matrix @ x
     found = factors.solve(right)
@@ -81,7 +81,7 @@ def test_a_matrix_with_an_empty_row_is_singular(kind: type, size: int, data: st.
         if d <= empty:
             band[d, empty - d] = 0.0
     factors = kind(size, bandwidth)
-    assert factors.factorise(band) == -1
+    assert factors.factorize(band) == -1
     assert np.all(np.isnan(factors.solve(np.ones(size))))
 
 
@@ -89,9 +89,9 @@ def test_a_matrix_with_an_empty_row_is_singular(kind: type, size: int, data: st.
 @pytest.mark.parametrize("junk", [np.nan, np.inf])
 def test_a_matrix_that_is_not_finite_has_no_inertia(kind: type, junk: float) -> None:
     on_diagonal = np.array([[1.0, junk]], order="F")
-    assert kind(2, 0).factorise(on_diagonal) == -1
+    assert kind(2, 0).factorize(on_diagonal) == -1
     beside_it = np.array([[1.0, 1.0], [junk, 0.0]], order="F")
-    assert kind(2, 1).factorise(beside_it) == -1
+    assert kind(2, 1).factorize(beside_it) == -1
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -100,7 +100,7 @@ def test_factors_serve_one_matrix_after_another(kind: type) -> None:
     factors = kind(12, 5)
     for _ in range(3):
         for band in (random_kkt(rng, 12, 5, 0.4, 1.0), np.zeros((6, 12), order="F")):
-            negative = factors.factorise(band)
+            negative = factors.factorize(band)
             assert negative == (np.count_nonzero(np.linalg.eigvalsh(dense(band)) < 0) or -1)
             if negative >= 0:
                 right = rng.normal(size=12)
@@ -112,7 +112,7 @@ def test_factors_serve_one_matrix_after_another(kind: type) -> None:
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_system_without_unknowns_is_solved(kind: type) -> None:
     factors = kind(0, 0)
-    assert factors.factorise(np.empty((1, 0), order="F")) == 0
+    assert factors.factorize(np.empty((1, 0), order="F")) == 0
     assert factors.solve(np.empty(0)).size == 0
 
 
@@ -140,7 +140,7 @@ def test_sparse_kkt_factors_solve_and_count_negative_eigenvalues(
     if np.min(np.abs(eigenvalues)) < 1e-5 * max(1.0, np.max(np.abs(eigenvalues))):
         return  # The shift that keeps pivots off zero could count.
     factors = SparseKktFactors(pattern, is_row)
-    found = factors.factorise(values[np.newaxis])
+    found = factors.factorize(values[np.newaxis])
     assert found == np.count_nonzero(eigenvalues < 0.0)
     right = rng.normal(size=size)
     np.testing.assert_allclose(
@@ -153,5 +153,5 @@ def test_sparse_factors_without_accuracy_count_as_singular() -> None:
     # solution for one of the almost parallel rows is off.
     pattern = make_pattern(2, np.array([[0], [1]]))
     factors = SparseKktFactors(pattern, np.zeros(2, dtype=bool))
-    assert factors.factorise(np.array([[1.0, 1.0, 1.0]])) == -1
+    assert factors.factorize(np.array([[1.0, 1.0, 1.0]])) == -1
     assert np.isnan(factors.solve(np.ones(2))).all()

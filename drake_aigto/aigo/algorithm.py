@@ -79,8 +79,8 @@ class Iterate:
         box: the current box.
         mean: f̄ over it.
         temperature: μ that the box is stationary for, or will be asked to be.
-        inner_steps: iterations of the inner minimisation in this outer step.
-        residual: scaled size of the gradient that the inner minimisation left.
+        inner_steps: iterations of the inner minimization in this outer step.
+        residual: scaled size of the gradient that the inner minimization left.
         memory: whatever the algorithm carries along.
     """
 
@@ -118,7 +118,7 @@ class AigoResult:
         box: the last box; its center is the answer.
         cost: f(c).
         history: every iterate, the start first, for plots without a second run.
-        storage: how Newton systems are ordered, stored and factorised, and why.
+        storage: how Newton systems are ordered, stored and factorized, and why.
     """
 
     status: Status

@@ -105,7 +105,7 @@ class Alternating(SizePenalty):
         return box.center
 
     def _fit_widths(self, f: BoxPolynomial, box: Box, first: Box, log_s: float) -> tuple[Box, int]:
-        """Returns the box after BFGS in log w on the penalised mean, and the number of steps."""
+        """Returns the box after BFGS in log w on the penalized mean, and the number of steps."""
         free = np.flatnonzero(first.free)
         center, half_width = box.center, box.half_width.copy()
         room = first.half_width[free] - np.abs(center[free] - first.center[free])

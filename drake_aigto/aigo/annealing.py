@@ -31,7 +31,7 @@ class AnnealingMemory(NamedTuple):
 class Annealing:
     """Lowers a temperature μ, and at each keeps the box stationary.
 
-        minimise over (c, z = log w)   f̄(c, e^z) − μ Σ_i z_i
+        minimize over (c, z = log w)   f̄(c, e^z) − μ Σ_i z_i
 
     This is Algorithm 1 of AIGTO with ζ → ∞: the box of least mean among those of its size, μ being
     the multiplier of log S(w) = log s. Lowering μ shrinks s, and unlike the penalty on S it keeps
@@ -41,7 +41,7 @@ class Annealing:
         initial_temperature: first μ > 0, in units of the cost.
         final_temperature: the run has converged below this μ.
         cooling: factor on μ after each outer step, in (0, 1).
-        tolerance: the inner minimisation ends at √(mean of g_i²/(μ D_i)) ≤ tolerance, where μD = μ
+        tolerance: the inner minimization ends at √(mean of g_i²/(μ D_i)) ≤ tolerance, where μD = μ
             diag(3/w², 2) is the Hessian of a separable cost's stationary box.
         max_newton_steps: the most Newton steps at one temperature.
         narrowing: half widths are multiplied by this power of the ratio before Newton's steps at a
@@ -79,7 +79,7 @@ class Annealing:
         return Iterate(box, mean, start, memory=AnnealingMemory(start))
 
     def step(self, f: BoxPolynomial, iterate: Iterate) -> Iterate:
-        """Minimises at the temperature, then lowers it."""
+        """Minimizes at the temperature, then lowers it."""
         known = iterate.memory.objective
         if known is None or known.f is not f:
             known = SmoothedObjective(f, iterate.box.free, iterate.temperature, self.tolerance)
@@ -88,7 +88,7 @@ class Annealing:
     def _cool(
         self, iterate: Iterate, objective: SmoothedObjective, memory: AnnealingMemory
     ) -> Iterate:
-        """Returns the objective's minimiser at the next temperature."""
+        """Returns the objective's minimizer at the next temperature."""
         y = objective.unknowns(iterate.box)
         if self.narrowing:
             y[1::2] += self.narrowing * np.log(iterate.temperature / memory.temperature)

@@ -13,8 +13,8 @@ from drake_aigto.jit import njit
 
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
-def factorise(band: Floats) -> bool:
-    """Overwrite a matrix with its factors, L and in place of its ones D⁻¹.
+def factorize(band: Floats) -> bool:
+    """Overwrites a matrix with its factors, L and in place of its ones D⁻¹.
 
     Returns:
         Whether it is positive definite; if not, it is spoilt.
@@ -37,7 +37,7 @@ def factorise(band: Floats) -> bool:
 
 @njit(nogil=True, error_model="numpy", fastmath={"contract"})
 def solve(factors: Floats, x: Floats) -> None:
-    """Overwrite a right-hand side (size,) with the solution."""
+    """Overwrites a right-hand side (size,) with the solution."""
     size, width = factors.shape
     for j in range(size):
         for a in range(1, min(width, size - j)):

@@ -16,7 +16,7 @@ from drake_aigto.box import BoxPolynomial
 class BoundedAnnealing(Annealing):
     """Annealing for any cost: nothing of its scale has to be known, and no box leaves the first.
 
-        minimise over (c, z = log w)   f̄(c, e^z) − μ Σ_i z_i
+        minimize over (c, z = log w)   f̄(c, e^z) − μ Σ_i z_i
         subject to   |c_i − c_i⁰| ≤ w_i⁰,   w_i ≤ w_i⁰
 
     As `Annealing`, with μ in units of the mean |w_i ∂f̄/∂w_i| of the first box. A variable that f
@@ -26,7 +26,7 @@ class BoundedAnnealing(Annealing):
         initial_temperature: first μ > 0, in units of the first box's mean slope.
         final_temperature: the run has converged below this μ, in the same units.
         cooling: factor on μ after each outer step, in (0, 1).
-        tolerance: of the inner minimisation, see `Annealing`.
+        tolerance: of the inner minimization, see `Annealing`.
         max_newton_steps: the most Newton steps at one temperature.
     """
 
@@ -47,7 +47,7 @@ class BoundedAnnealing(Annealing):
         return Iterate(box, mean, start, memory=(box, unit, memory))
 
     def step(self, f: BoxPolynomial, iterate: Iterate) -> Iterate:
-        """Minimises at the temperature, then lowers it."""
+        """Minimizes at the temperature, then lowers it."""
         first, unit, memory = iterate.memory
         objective = SmoothedObjective(f, first.free, iterate.temperature, self.tolerance, first)
         cooled = self._cool(iterate, objective, memory)

@@ -93,7 +93,7 @@ class BoxSearch:
 
     Neither face flow nor annealing is better everywhere: measured, the flow solves the family of
     [5], where annealing's boxes collapse onto the middle, and annealing finds the bounces of
-    penalised contact, which the flow misses. The search starts from the best of all.
+    penalized contact, which the flow misses. The search starts from the best of all.
 
     Attributes:
         first: the algorithms that shrink the first box, each from the start.
@@ -108,7 +108,7 @@ class BoxSearch:
             rest only if they have led below the best.
         polished_renewals: of the renewals of all variables, every second is polished, whether it
             is lower or not, and so many at most: for an f that stands in for what a polish
-            minimises, as penalties do for constraints.
+            minimizes, as penalties do for constraints.
         seed: of the renewed boxes and clusters.
     """
 
@@ -328,7 +328,7 @@ class _Sizes:
     """Goes around the sizes of clusters; one that fails rests, longer each time it fails again."""
 
     def __init__(self, sizes: tuple[int, ...], all_variables: int) -> None:
-        """Every second turn is that of all variables."""
+        """Begins: every second turn is that of all variables."""
         smaller = sorted({size for size in sizes if size < all_variables})
         self._turns = [turn for size in smaller for turn in (all_variables, size)]
         self._turns = self._turns or [all_variables]

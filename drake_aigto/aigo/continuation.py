@@ -15,7 +15,7 @@ from drake_aigto.box import BoxPolynomial
 
 @dataclass(frozen=True, kw_only=True)
 class PenaltyContinuation:
-    """Raises penalty weights in steps, and at each minimises f(x) itself by a banded Newton method.
+    """Raises penalty weights in steps, and at each minimizes f(x) itself by a banded Newton method.
 
     A penalty W r² leaves a residual of (multiplier)/(2W): weights raised by R shrink it by 1/R.
 
@@ -23,7 +23,7 @@ class PenaltyContinuation:
         raises: how often the weights are raised.
         factor: by how much each time.
         max_newton_steps: the most Newton steps at each weight.
-        tolerance: each minimisation ends at √(gᵀ diag(H)⁻¹ g) ≤ tolerance.
+        tolerance: each minimization ends at √(gᵀ diag(H)⁻¹ g) ≤ tolerance.
     """
 
     raises: int = 5
@@ -38,10 +38,10 @@ class PenaltyContinuation:
         x: Floats,
         free: NDArray[np.bool_],
     ) -> Floats:
-        """Returns the minimiser at the last weights.
+        """Returns the minimizer at the last weights.
 
         Args:
-            f: the penalised cost.
+            f: the penalized cost.
             penalties: names of the blocks that are penalties.
             x: where to start, shape (n,).
             free: which variables may move, shape (n,).

@@ -1,4 +1,4 @@
-"""The hot loop of Newton's method on means over boxes: evaluate, factorise, solve, compare.
+"""The hot loop of Newton's method on means over boxes: evaluate, factorize, solve, compare.
 
 Shape letters: n variables of u unknowns each, (c_i, z_i = log w_i) or c_i alone; size = u n.
 Unknowns are in elimination order, those of one variable next to each other.
@@ -26,7 +26,7 @@ _SMALLEST_SCALE = float(np.finfo(float).tiny)
 
 
 class Problem(NamedTuple):
-    """What is minimised: f̄(c, w) over c, or f̄(c, e^z) − μ Σ z over c and z.
+    """What is minimized: f̄(c, w) over c, or f̄(c, e^z) − μ Σ z over c and z.
 
     Attributes:
         lanes: the sums, for CENTERS or BOXES.
@@ -68,7 +68,7 @@ def _evaluate(
     gradient: Floats,
     band: Floats,
 ) -> tuple[float, float]:
-    """Fill center and half width (n,), gradient (size,) and Hessian (size, diagonals) at y.
+    """Fills center and half width (n,), gradient (size,) and Hessian (size, diagonals) at y.
 
     Returns:
         The objective, and the mean f̄.
@@ -103,7 +103,7 @@ def _evaluate(
 
 @inner
 def _copy(band: Floats, copy: Floats) -> None:
-    """Copy a matrix: slices take Numba seconds to compile, for the sake of their messages."""
+    """Copies a matrix: slices take Numba seconds to compile, for the sake of their messages."""
     for k in range(band.shape[0]):
         for d in range(band.shape[1]):
             copy[k, d] = band[k, d]
@@ -111,7 +111,7 @@ def _copy(band: Floats, copy: Floats) -> None:
 
 @kernel
 def leave_out(pattern: Pattern | None, k: int, gradient: Floats, band: Floats) -> None:
-    """Make the row and column of an unknown the identity's, and its slope 0."""
+    """Makes the row and column of an unknown the identity's, and its slope 0."""
     gradient[k] = 0.0
     if pattern is not None:
         for e in range(pattern.beside_starts[k], pattern.beside_starts[k + 1]):
@@ -128,7 +128,7 @@ def leave_out(pattern: Pattern | None, k: int, gradient: Floats, band: Floats) -
 def _fill_scale(
     free_places: Ints, mu: float, half_width: Floats, band: Floats, scale: Floats
 ) -> None:
-    """Fill the diagonal D > 0 (size,) that the damping λD and the residual are measured in.
+    """Fills the diagonal D > 0 (size,) that the damping λD and the residual are measured in.
 
     For boxes that is the Hessian μ (3/w², 2) of a separable cost where w ∂f̄/∂w = μ; for centers
     alone, |diag H|, kept off zero.
@@ -149,7 +149,7 @@ def _fill_scale(
 
 @inner
 def _residual(gradient: Floats, scale: Floats) -> float:
-    """Return √(Σ g²/D); infinity where that is too large for a number."""
+    """Returns √(Σ g²/D); infinity where that is too large for a number."""
     total = 0.0
     for k in range(gradient.size):
         total += gradient[k] * gradient[k] / scale[k]
@@ -158,7 +158,7 @@ def _residual(gradient: Floats, scale: Floats) -> float:
 
 @inner
 def _move(lower: Floats, upper: Floats, y: Floats, step: Floats, moved: Floats) -> None:
-    """Fill moved with where a step leads, within bounds; the step becomes what was taken of it."""
+    """Fills moved with where a step leads, within bounds; the step becomes what was taken of it."""
     for k in range(y.size):
         moved[k] = y[k] + step[k]
     if lower.size == 0:
@@ -171,7 +171,7 @@ def _move(lower: Floats, upper: Floats, y: Floats, step: Floats, moved: Floats) 
 
 @inner
 def _shorten(step: Floats, with_z: bool) -> None:
-    """Cut a step down so that no half width changes by more than a factor e."""
+    """Cuts a step down so that no half width changes by more than a factor e."""
     if not with_z:
         return
     largest = 0.0
@@ -186,7 +186,7 @@ def _shorten(step: Floats, with_z: bool) -> None:
 def descend(
     problem: Problem, y: Floats, largest_residual: float, max_steps: int, damping: float
 ) -> tuple[float, float, int, float, float]:
-    """Minimise from y, which is overwritten, by steps (H + λD) s = −g.
+    """Minimizes from y, which is overwritten, by steps (H + λD) s = −g.
 
     λ is raised until H + λD is positive definite and s descends (Armijo), and lowered after a step
     that did so at once.
@@ -239,7 +239,7 @@ def descend(
 
 @kernel
 def descend_boldly(problem: Problem, y: Floats, largest_residual: float, max_steps: int) -> int:
-    """Take Newton steps of many problems at once, that are not coupled, without looking back.
+    """Takes Newton steps of many problems at once, that are not coupled, without looking back.
 
     Where the Hessian is not positive definite, its diagonal is raised until it dominates. No step
     is damped, as damping would bind the problems together: the caller judges each problem's end.
@@ -271,7 +271,7 @@ def descend_boldly(problem: Problem, y: Floats, largest_residual: float, max_ste
 
 @inner
 def _dominate(pattern: Pattern | None, band: Floats, raised: Floats) -> None:
-    """Fill raised with the Hessian, and H_ii raised to 1.1 Σ_j≠i |H_ij|, or to |H_ii| if more."""
+    """Fills raised with the Hessian, and H_ii raised to 1.1 Σ_j≠i |H_ij|, or to |H_ii| if more."""
     _copy(band, raised)
     if pattern is not None:
         for k in range(pattern.starts.size - 1):

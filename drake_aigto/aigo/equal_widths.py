@@ -1,4 +1,4 @@
-"""Boxes of one shape: only the center is optimised, and all half widths shrink together."""
+"""Boxes of one shape: only the center is optimized, and all half widths shrink together."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ class EqualWidths:
 
         s ← first_share
         while s ≥ final_share
-            c ← minimise over c   f̄(c, s w⁰)
+            c ← minimize over c   f̄(c, s w⁰)
             s ← s · shrink
 
     with w⁰ the first box's half widths, so that in its units all are equal. Sec. II-B says why w
-    should be optimised too; this is what to compare that with. At `first_share` = `final_share` =
-    0 it minimises f itself, once: no boxes at all.
+    should be optimized too; this is what to compare that with. At `first_share` = `final_share` =
+    0 it minimizes f itself, once: no boxes at all.
 
     Attributes:
         first_share: s at first, in [0, ∞).
         final_share: the last s is the last one that is not below, in [0, first_share].
         shrink: factor on s after each outer step, in (0, 1).
-        tolerance: of the inner minimisation, √(gᵀ diag(H)⁻¹ g).
+        tolerance: of the inner minimization, √(gᵀ diag(H)⁻¹ g).
         max_newton_steps: the most Newton steps for one s.
     """
 
@@ -74,7 +74,7 @@ class EqualWidths:
         return Iterate(Box(box.center, half_width), mean, np.inf, memory=(box, 0, 0.0))
 
     def step(self, f: BoxPolynomial, iterate: Iterate) -> Iterate:
-        """Minimises over the center at one share."""
+        """Minimizes over the center at one share."""
         first, steps, damping = iterate.memory
         half_width = self.first_share * self.shrink**steps * first.half_width
         objective = PointObjective(f, first.free, self.tolerance, half_width=half_width)

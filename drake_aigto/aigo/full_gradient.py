@@ -20,7 +20,7 @@ class FullGradient(SizePenalty):
 
         2   s ← S(w)
         3   while s > s_thr
-        4       c, w ← minimise over (c, w)   I_p(c, w, s, ζ)
+        4       c, w ← minimize over (c, w)   I_p(c, w, s, ζ)
         5       w ← w − β |Δc|
         6       s ← min(S(w), s/γ)
 
@@ -52,12 +52,12 @@ class FullGradient(SizePenalty):
     _counts: ClassVar[tuple[str, ...]] = ("inner_steps", "max_steps")
 
     def init(self, f: BoxPolynomial, box: Box) -> Iterate:
-        """Line 2; the memory is log s, and log s_thr."""
+        """Does line 2; the memory is log s, and log s_thr."""
         mean = f.mean(box.center, box.half_width)
         return Iterate(box, mean, np.inf, memory=self._sizes(box))
 
     def step(self, f: BoxPolynomial, iterate: Iterate) -> Iterate:
-        """Lines 4 to 6."""
+        """Does lines 4 to 6."""
         log_s, log_s_thr = iterate.memory
         free = np.flatnonzero(iterate.box.free)
         center, half_width, inner_steps = self._minimize(f, iterate.box, free, log_s)
@@ -75,14 +75,14 @@ class FullGradient(SizePenalty):
         )
 
     def terminate(self, f: BoxPolynomial, iterate: Iterate) -> bool:
-        """Line 3."""
+        """Does line 3."""
         log_s, log_s_thr = iterate.memory
         return log_s <= log_s_thr
 
     def _minimize(
         self, f: BoxPolynomial, box: Box, free: Ints, log_s: float
     ) -> tuple[Floats, Floats, int]:
-        """Line 4: returns c, w and the number of steps."""
+        """Does line 4; returns c, w and the number of steps."""
         n = free.size
         center, half_width = box.center.copy(), box.half_width.copy()
 

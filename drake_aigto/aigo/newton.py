@@ -167,7 +167,7 @@ class NewtonResult:
 
 
 def newton(objective: Objective, y: Floats, max_steps: int, damping: float) -> NewtonResult:
-    """Minimises by damped steps, see `descent.descend`."""
+    """Minimizes by damped steps, see `descent.descend`."""
     y = np.array(y, dtype=float)
     found = descend(objective.problem, y, objective.largest_residual, max_steps, damping)
     return NewtonResult(y, *found)

@@ -7,12 +7,12 @@ from numba import objmode
 from drake_aigto.aigo import banded
 from drake_aigto.arrays import Floats
 from drake_aigto.jit import inner, njit
-from drake_aigto.linear import Pattern, factorise
+from drake_aigto.linear import Pattern, factorize
 
 
 @inner
 def solve_system(pattern: Pattern | None, matrix: Floats, x: Floats) -> bool:
-    """Overwrite a right-hand side (size,) with the solution, and the matrix with its factors.
+    """Overwrites a right-hand side (size,) with the solution, and the matrix with its factors.
 
     Args:
         pattern: Of the matrix, None for a band.
@@ -23,7 +23,7 @@ def solve_system(pattern: Pattern | None, matrix: Floats, x: Floats) -> bool:
         Whether the matrix is positive definite; if not, x stays.
     """
     if pattern is None:  # An argument of its own, for then Numba leaves out the other case.
-        if not banded.factorise(matrix):
+        if not banded.factorize(matrix):
             return False
         banded.solve(matrix, x)
         return True
@@ -39,7 +39,7 @@ def _solve_sparse(pattern: Pattern, matrix: Floats, x: Floats) -> bool:
 
 
 def _solve_in_python(pattern: Pattern, matrix: Floats, x: Floats) -> bool:
-    factors = factorise(pattern, matrix[:, 0])
+    factors = factorize(pattern, matrix[:, 0])
     if factors is None or factors.num_negative:
         return False
     x[:] = factors.solve(x)

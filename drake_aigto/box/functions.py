@@ -1,6 +1,6 @@
 """Means of one-variable functions over an interval, in closed form.
 
-A box mean factorises over the coordinates (AIGTO Sec. II-B), so all that the optimizer ever
+A box mean factorizes over the coordinates (AIGTO Sec. II-B), so all that the optimizer ever
 integrates are functions of one variable. A function g takes part once it has a closed-form mean
 
     μ(g; c, w) = 1/(2w) ∫_{c−w}^{c+w} g(x) dx,        μ(g; c, 0) = g(c),
@@ -49,7 +49,7 @@ _LOG_SERIES_RATIO = 0.3
 
 @inner
 def _power_mean(exponent: int, c: float, w: float, row: Floats) -> None:
-    """Mean of y^p by the recurrence of its even and odd part.
+    """Fills a row with the mean of y^p by the recurrence of its even and odd part.
 
     (c + w)^k = e_k + w o_k with e_{k+1} = c e_k + w² o_k and o_{k+1} = c o_k + e_k, in which all
     summands have one sign, so that nothing cancels; μ_p = o_{p+1}/(p + 1), ∂μ_p/∂c = o_p. With
@@ -77,7 +77,7 @@ def _power_mean(exponent: int, c: float, w: float, row: Floats) -> None:
 
 @inner
 def _squared_hinge_mean(c: float, w: float, row: Floats) -> None:
-    """Mean of max(0, −y)² for c > −w: 0 for c ≥ w, (w − c)³/(6w) below that.
+    """Fills a row with the mean of max(0, −y)² for c > −w: 0 for c ≥ w, (w − c)³/(6w) below that.
 
     There, every derivative is a product of positive factors: nothing cancels near |c| = w.
     """
@@ -96,7 +96,7 @@ def _squared_hinge_mean(c: float, w: float, row: Floats) -> None:
 
 @inner
 def _log_deviation(r: float, gap: float) -> tuple[float, float, float]:
-    """How far the mean of −log y lies above −log c: h(r), ∂h/∂z and ∂²h/∂z².
+    """Returns how far the mean of −log y lies above −log c: h(r), ∂h/∂z and ∂²h/∂z².
 
     h = Σ_{j≥1} r^{2j}/(2j (2j+1)) = 1 − [(1+r) log(1+r) − (1−r) log(1−r)]/(2r) at r = w/c, with
     gap = 1 − r given apart, as it is small where the interval nearly touches y = 0.
@@ -123,7 +123,9 @@ def _log_deviation(r: float, gap: float) -> tuple[float, float, float]:
 
 @inner
 def _neg_log_mean(c: float, w: float, row: Floats) -> None:
-    """Mean of −log y: h(w/c) − log c, see `_log_deviation`; +∞ once the interval leaves y ≥ 0.
+    """Fills a row with the mean of −log y; +∞ once the interval leaves y ≥ 0.
+
+    It is h(w/c) − log c, see `_log_deviation`.
 
     Derivatives in c follow from h being a function of w/c alone: ∂h/∂c = −(1/c) ∂h/∂z.
     """
@@ -141,7 +143,7 @@ def _neg_log_mean(c: float, w: float, row: Floats) -> None:
 
 @inner
 def _exact_product(a: float, b: float) -> tuple[float, float]:
-    """Product a·b as rounded, and what its rounding left out (Dekker, 1971)."""
+    """Returns the product a·b as rounded, and what its rounding left out (Dekker, 1971)."""
     product = a * b
     a_high = _SPLITTER * a - (_SPLITTER * a - a)
     b_high = _SPLITTER * b - (_SPLITTER * b - b)
@@ -152,7 +154,7 @@ def _exact_product(a: float, b: float) -> tuple[float, float]:
 
 @inner
 def _exact_sum(a: float, b: float) -> tuple[float, float]:
-    """Sum a + b as rounded, and what its rounding left out (Knuth)."""
+    """Returns the sum a + b as rounded, and what its rounding left out (Knuth)."""
     total = a + b
     shift = total - a
     rest = (a - (total - shift)) + (b - shift)
@@ -161,7 +163,9 @@ def _exact_sum(a: float, b: float) -> tuple[float, float]:
 
 @inner
 def _fill_moments(s: float, sine: float, cosine: float, sign: float, moments: Floats) -> None:
-    """Moments m_j = ½ ∫ t^j g_j(st) dt over [−1, 1], g_j = cosh st for even j, else sinh st.
+    """Fills in the moments m_j = ½ ∫ t^j g_j(st) dt over [−1, 1].
+
+    Here g_j(st) = cosh st for even j, else sinh st.
 
     By parts, j m_{j−1} = sinh s − s m_j for even j, and cosh s − s m_j for odd j. Upwards this is
     stable up to j ≤ s; beyond, downwards, from any start that is far enough above.
@@ -211,7 +215,7 @@ def _wave_mean(
     w: float,
     row: Floats,
 ) -> None:
-    """Mean of x^p G(x) for a G with G″ = sign·rate² G, from the moments for s = rate·w ≥ 0.
+    """Fills a row with the mean of x^p G(x), G″ = sign·rate² G, from the moments for s = rate·w.
 
     With x = c + wt, and G(c + wt) = even·cosh st + odd·sinh st (cos and sin for sign −1),
 
@@ -262,7 +266,7 @@ def _trigonometric_mean(
     w: float,
     row: Floats,
 ) -> None:
-    """Mean of x^p cos(scale·x + offset), or of x^p sin(…).
+    """Fills a row with the mean of x^p cos(scale·x + offset), or of x^p sin(…).
 
     The angles at c and over w are taken with what their rounding leaves out, so that thousands of
     periods cost no digits.
@@ -285,7 +289,9 @@ def _trigonometric_mean(
 def _exponential_mean(
     exponent: int, scale: float, offset: float, c: float, w: float, row: Floats
 ) -> None:
-    """Mean of x^p exp(scale·x + offset); ±∞ without derivatives where any of them overflows.
+    """Fills a row with the mean of x^p exp(scale·x + offset).
+
+    Where it or a derivative overflows, it is ±∞ without derivatives.
 
     The greatest value of the exponential is taken out of the moments: only the result overflows.
     """
@@ -319,7 +325,7 @@ def factor_mean(
     row: Floats,
     transcendental: bool | None = True,
 ) -> None:
-    """Mean of a function g over |x − center| ≤ half_width, with derivatives in (c, log w).
+    """Fills a row with a function's mean over |x − c| ≤ w, and its derivatives in (c, log w).
 
     Args:
         kind: A `FunctionKind`.

@@ -62,7 +62,7 @@ NO_SYSTEM = System(
 
 @inner
 def _choose(lanes: Records, weights: Floats, at: int, last: int, chosen: Ints) -> tuple[int, int]:
-    """Fill chosen with the lanes from `at` on, up to `last`, that are not off.
+    """Fills chosen with the lanes from `at` on, up to `last`, that are not off.
 
     Returns:
         How many they are, and the lane to go on from.
@@ -87,7 +87,7 @@ def _load_arguments(
     half_width: Floats,
     rows: Floats,
 ) -> int:
-    """Set the rows of ones and of a tape's arguments; returns the next row."""
+    """Sets the rows of ones and of a tape's arguments; returns the next row."""
     row = MEAN + 1
     for k in range(count):
         rows[ONES, k] = 1.0
@@ -117,7 +117,7 @@ def _load_functions(
     rows: Floats,
     row: int,
 ) -> int:
-    """Set the rows of a tape's functions, from `row` on; returns the next row."""
+    """Sets the rows of a tape's functions, from `row` on; returns the next row."""
     for f in range(tape.first_function, after.first_function):
         it = functions[f]
         for k in range(count):
@@ -141,7 +141,7 @@ def _load_coefficients(
     rows: Floats,
     row: int,
 ) -> int:
-    """Set the rows of a tape's coefficients times factors, from `row` on; returns the next row."""
+    """Sets the rows of a tape's coefficients times factors, from `row` on; returns the next row."""
     first = lanes[chosen[0]].first_coefficient
     last = lanes[chosen[count - 1]].first_coefficient
     for m in range(num_terms):
@@ -157,7 +157,7 @@ def _load_coefficients(
 
 @inner
 def _run(operations: Records, tape: Any, after: Any, count: int, rows: Floats) -> None:
-    """Run operations in the first lanes of rows (rows, lanes)."""
+    """Runs operations in the first lanes of rows (rows, lanes)."""
     for o in range(tape.first_operation, after.first_operation):
         operation = operations[o]
         to, a, b, factor = operation.to, operation.a, operation.b, operation.factor
@@ -171,7 +171,7 @@ def _run(operations: Records, tape: Any, after: Any, count: int, rows: Floats) -
 
 @inner
 def _add_entry(pattern: Pattern | None, band: Floats, i: int, j: int, value: float) -> None:
-    """Add to entry (i, j) of a matrix, a band if it has no pattern."""
+    """Adds to entry (i, j) of a matrix, a band if it has no pattern."""
     if pattern is None:  # An argument of its own, for then Numba leaves out the other case.
         band[min(i, j), abs(i - j)] += value
     else:
@@ -191,7 +191,7 @@ def _add_slopes(
     band: Floats,
     pattern: Pattern | None,
 ) -> None:
-    """Add the lanes' first derivatives to the gradient, or to A.
+    """Adds the lanes' first derivatives to the gradient, or to A.
 
     Args:
         slopes: Of all tapes.
@@ -230,7 +230,7 @@ def _add_curvatures(
     band: Floats,
     pattern: Pattern | None,
 ) -> None:
-    """Add the lanes' second derivatives, times their factors, to W; otherwise as `_add_slopes`."""
+    """Adds the lanes' second derivatives, times their factors, to W; otherwise as `_add_slopes`."""
     for c in range(tape.first_curvature, after.first_curvature):
         it = curvatures[c]
         row, variable, unknown = it.row, it.variable, it.unknown
@@ -251,7 +251,7 @@ def add_means(
     values: Floats,
     system: System,
 ) -> float:
-    """Add the derivatives of copies' means, as far as the tables have them, to a system.
+    """Adds the derivatives of copies' means, as far as the tables have them, to a system.
 
     Args:
         tables: The sums, for order MEAN; for CENTERS, with unknowns c_i; or for GRADIENT or BOXES,

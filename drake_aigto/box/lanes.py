@@ -96,7 +96,7 @@ class _Bytes(NamedTuple):
     dtype: np.dtype[Any]
 
     def array(self) -> NDArray[Any]:
-        """The array again, read-only."""
+        """Returns the array again, read-only."""
         return np.frombuffer(self.content, self.dtype)
 
 
@@ -117,7 +117,7 @@ class _Stacks(NamedTuple):
 
 
 def make_lanes(stacked: StackedTerms, order: Order) -> Lanes:
-    """The lanes of some sums, for derivatives of an order."""
+    """Returns the lanes of some sums, for derivatives of an order."""
     sums = stacked.copies["sum_index"]
     parts = stacked.factors, stacked.members, stacked.terms["first_member"], stacked.sums, sums
     make = _make_and_keep if stacked.members.size + sums.size <= _FEW else _make_stacks
@@ -143,7 +143,7 @@ def _make_stacks(
     sums: _Bytes,
     sum_of_copy: _Bytes,
 ) -> _Stacks:
-    """The stacks of sums as `StackedTerms` has them."""
+    """Returns the stacks of sums as `StackedTerms` has them."""
     all_factors, all_members = factors.array().tolist(), members.array().tolist()
     starts = first_members.array().tolist()
     number_of: dict[Tape, int] = {}
@@ -173,7 +173,7 @@ _make_and_keep = lru_cache(maxsize=64)(_make_stacks)
 def _stack(
     tapes: tuple[Tape, ...], counts: Ints
 ) -> tuple[Records, Records, Records, Records, Records, Records]:
-    """The tapes, operations, arguments, functions, slopes and curvatures."""
+    """Returns the tapes, operations, arguments, functions, slopes and curvatures."""
     starts = np.zeros(6, dtype=np.int64)
     records = []
     for tape, count in zip(tapes, counts.tolist(), strict=True):

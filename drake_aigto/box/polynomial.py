@@ -40,7 +40,7 @@ class NewtonSystem:
 
 
 def _band_places(num_variables: int, edges: Ints, order: ArrayLike | None) -> Ints:
-    """Place of each variable in the order that was given, or in one of a narrow band."""
+    """Returns each variable's place in the order that was given, or in one of a narrow band."""
     if order is not None:
         return np.argsort(as_order(order, num_variables))
     if not edges.size:
@@ -83,7 +83,7 @@ class BoxPolynomial:
         blocks: tuple[TermBlock, ...],
         order: ArrayLike | None = None,
     ) -> None:
-        """Stack the blocks and find the Hessian's bandwidth under the elimination order."""
+        """Stacks the blocks and finds the Hessian's bandwidth under the elimination order."""
         self.num_variables = num_variables
         self.blocks = tuple(blocks)
         self._terms = stack_terms(self.blocks)
@@ -99,12 +99,12 @@ class BoxPolynomial:
         self._patterns: dict[Order, Pattern] = {}
 
     def _make_copy_weights(self) -> Floats:
-        """Weight of each copy, in the kernels' order."""
+        """Returns the weight of each copy, in the kernels' order."""
         copies = [block.variables.shape[0] for block in self.blocks]
         return np.repeat(np.array([block.weight for block in self.blocks], dtype=float), copies)
 
     def couplings(self) -> Ints:
-        """Pairs of variables that a term reads, each variable with itself among them: (P, 2)."""
+        """Returns pairs of variables that a term reads, each with itself among them: (P, 2)."""
         return self._terms.couplings()[1]
 
     @property
@@ -118,7 +118,7 @@ class BoxPolynomial:
         return {block.name: block.weight for block in self.blocks}
 
     def with_weights(self, weights: Mapping[str, float]) -> BoxPolynomial:
-        """The same table with the named blocks' weights replaced; nothing is parsed again.
+        """Returns the same table with the named blocks' weights replaced; nothing is parsed again.
 
         Raises:
             OptionsError: A name is not that of a block, or a weight is not finite.
@@ -139,7 +139,7 @@ class BoxPolynomial:
         return other
 
     def with_coefficients(self, coefficients: Floats) -> BoxPolynomial:
-        """The same functions with other coefficients; nothing is parsed again.
+        """Returns the same functions with other coefficients; nothing is parsed again.
 
         Args:
             coefficients: Of each term's, one sum after the other; blocks of equal terms are one
@@ -163,15 +163,15 @@ class BoxPolynomial:
         return other
 
     def mean(self, center: ArrayLike, half_width: ArrayLike) -> float:
-        """f̄(c, w); f(c) at w = 0."""
+        """Returns f̄(c, w); f(c) at w = 0."""
         return self._add_means(center, half_width, self.copy_weights, Order.MEAN, NO_SYSTEM)[0]
 
     def __call__(self, x: ArrayLike) -> float:
-        """f(x)."""
+        """Returns f(x)."""
         return self.mean(x, np.zeros(self.num_variables))
 
     def mean_by_block(self, center: ArrayLike, half_width: ArrayLike) -> dict[str, float]:
-        """Each block's share of f̄, divided by its weight."""
+        """Returns each block's share of f̄, divided by its weight."""
         ones = np.ones_like(self.copy_weights)
         _, means = self._add_means(center, half_width, ones, Order.MEAN, NO_SYSTEM)
         shares = dict.fromkeys(self.weights, 0.0)
@@ -183,7 +183,7 @@ class BoxPolynomial:
         return shares
 
     def gradient(self, center: ArrayLike, half_width: ArrayLike) -> tuple[float, Floats, Floats]:
-        """f̄, ∂f̄/∂c (n,) and ∂f̄/∂z (n,), z = log w."""
+        """Returns f̄, ∂f̄/∂c (n,) and ∂f̄/∂z (n,), z = log w."""
         places = 2 * np.arange(self.num_variables)
         system = self._make_system(places, Order.GRADIENT, (places.size, 0), None)
         value, _ = self._add_means(center, half_width, self.copy_weights, Order.GRADIENT, system)
@@ -192,7 +192,7 @@ class BoxPolynomial:
     def _make_system(
         self, places: Ints, order: Order, shape: tuple[int, int], pattern: Pattern | None
     ) -> System:
-        """A system of zeros in which the first unknowns of the variables have these places."""
+        """Returns a system of zeros; the variables' first unknowns have these places."""
         size = order.num_unknowns * self.num_variables
         no_places = np.full(self.copy_weights.size, -1)
         multipliers = np.ones_like(self.copy_weights)
@@ -206,20 +206,20 @@ class BoxPolynomial:
         order: Order,
         system: System,
     ) -> tuple[float, Floats]:
-        """The weighted mean and its parts by copy; derivatives are added to the system."""
+        """Returns the weighted mean and its parts by copy; derivatives are added to the system."""
         c, w = self._box(center, half_width)
         means = np.empty(weights.size)
         return add_means(self.lanes(order), weights, c, w, means, system), means
 
     def hessian_shape(self, order: Order) -> tuple[int, int]:
-        """Of the array that kernels add Hessians to: a lower band (u n, diagonals), or (E, 1)."""
+        """Returns the shape of what Hessians are added to: a band (u n, diagonals), or (E, 1)."""
         pattern, stride = self.pattern(order), order.num_unknowns
         if pattern is not None:
             return pattern.rows.size, 1
         return stride * self.num_variables, stride * (self.bandwidth + 1)
 
     def pattern(self, order: Order) -> Pattern | None:
-        """Of Hessians for derivatives of an order, made when it is first asked for; None: bands."""
+        """Returns the pattern of Hessians, made when first asked for; None: they are bands."""
         if self.storage.pattern is None:
             return None
         if order not in self._patterns:
@@ -227,7 +227,7 @@ class BoxPolynomial:
         return self._patterns[order]
 
     def lanes(self, order: Order) -> Lanes:
-        """The kernels' tables for derivatives of an order, made when they are first asked for."""
+        """Returns the kernels' tables for derivatives of an order, made when first asked for."""
         if order not in self._lanes:
             self._lanes[order] = make_lanes(self._terms, order)
         return self._lanes[order]
@@ -235,7 +235,7 @@ class BoxPolynomial:
     def newton_system(
         self, center: ArrayLike, half_width: ArrayLike, centers_only: bool = False
     ) -> NewtonSystem:
-        """f̄ with gradient and Hessian in (c, z), or in c alone.
+        """Returns f̄ with gradient and Hessian in (c, z), or in c alone.
 
         `to_variables` undoes the ordering.
         """
@@ -246,7 +246,7 @@ class BoxPolynomial:
         return NewtonSystem(value, system.gradient, system.band.T, pattern)
 
     def to_variables(self, ordered: Floats) -> Iterator[Floats]:
-        """Split a vector in elimination order into its parts, c and then z, in variable order."""
+        """Splits a vector in elimination order into its parts, c and then z, in variable order."""
         stride = ordered.size // self.num_variables
         return (ordered[part::stride][self.position] for part in range(stride))
 

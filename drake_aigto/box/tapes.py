@@ -104,7 +104,7 @@ class Tape:
 def make_tape(
     factors: tuple[Function, ...], members: tuple[tuple[int, ...], ...], order: Order
 ) -> Tape:
-    """The tape of a sum.
+    """Returns the tape of a sum.
 
     Args:
         factors: Its different factors.
@@ -130,7 +130,7 @@ class _Writer:
     def __init__(
         self, factors: tuple[Function, ...], members: tuple[tuple[int, ...], ...], order: Order
     ) -> None:
-        """Assign the rows that operations do not set."""
+        """Assigns the rows that operations do not set."""
         self._factors, self._members, self._order = factors, members, order
         self._operations: list[tuple[int, bool, int, int, float]] = []
         self._num_rows = MEAN + 1
@@ -147,7 +147,7 @@ class _Writer:
         self._curvatures: dict[tuple[int, int, int, int], int] = {}
 
     def write(self) -> Tape:
-        """The tape: factors, then terms, then what they make of the variables."""
+        """Returns the tape: factors, then terms, then what they make of the variables."""
         parts = [self._parts(factor) for factor in self._factors]
         values = [part[VALUE][1] for part in parts]
         self._operations.append((MEAN, False, ONES, ONES, 0.0))
@@ -172,27 +172,27 @@ class _Writer:
         )
 
     def _new_rows(self, keys: Iterable[_Key], each: int = 1) -> dict[_Key, int]:
-        """Give each key so many rows; returns the first ones."""
+        """Gives each key so many rows; returns the first ones."""
         rows = dict(zip(keys, itertools.count(self._num_rows, each), strict=False))
         self._num_rows += each * len(rows)
         return rows
 
     def _set(self, a: int, b: int, to: int | None = None) -> int:
-        """Set a row, a new one if None, to a product; returns it."""
+        """Sets a row, a new one if None, to a product; returns it."""
         if to is None:
             (to,) = self._new_rows((None,)).values()
         self._operations.append((to, False, a, b, 1.0))
         return to
 
     def _add(self, sums: dict[_Key, int], key: _Key, a: _Scaled, b: _Scaled) -> None:
-        """Add a product to one of some sums, whose row the first product sets."""
+        """Adds a product to one of some sums, whose row the first product sets."""
         adds = key in sums
         if not adds:
             sums |= self._new_rows((key,))
         self._operations.append((sums[key], adds, a[1], b[1], a[0] * b[0]))
 
     def _parts(self, factor: Function) -> dict[int, _Scaled]:
-        """Value and derivatives of a factor, those left out being 0 or not needed."""
+        """Returns the value and derivatives of a factor, those left out being 0 or not needed."""
         needed = {VALUE, *self._order.value}
         if not _is_power(factor):
             first = self._functions[factor]
@@ -215,7 +215,10 @@ class _Writer:
         return found
 
     def _moment(self, y: Argument, p: int, times: int) -> _Scaled:
-        """(w ∂/∂w)^times of the mean of y^p: Σ_j C(p, 2j)/(2j + 1) (2j)^times y^{p−2j} w^{2j}."""
+        """Returns (w ∂/∂w)^times of the mean of y^p.
+
+        It is Σ_j C(p, 2j)/(2j + 1) (2j)^times y^{p−2j} w^{2j}.
+        """
         key = y, p, times
         if key not in self._moments:
             summands = [
@@ -231,7 +234,7 @@ class _Writer:
         return self._moments[key]
 
     def _monomial(self, y: Argument, p: int, j: int) -> int:
-        """The row of y^{p−2j} w^{2j}."""
+        """Returns the row of y^{p−2j} w^{2j}."""
         powers = p - 2 * j, j
         if powers in ((0, 0), (1, 0), (0, 1)):
             return ONES if powers == (0, 0) else self._arguments[y] + powers[1]
@@ -246,7 +249,7 @@ class _Writer:
         return self._monomials[key]
 
     def _write_term(self, coefficient: int, term: tuple[int, ...], values: list[int]) -> None:
-        """Add coefficient · ∏ μ to the mean, and its derivatives by each μ, and each two of them.
+        """Adds coefficient · ∏ μ to the mean, and its derivatives by each μ, and each two of them.
 
         before[a] is the coefficient times the μ that stand before the term's factor a.
         """
@@ -275,7 +278,7 @@ class _Writer:
         return value if product == ONES else self._set(product, value, to)
 
     def _write_variable(self, variable: int, partial: int, parts: dict[int, _Scaled]) -> None:
-        """Add P_f times a factor's derivatives to those by its variable."""
+        """Adds P_f times a factor's derivatives to those by its variable."""
         for part, scaled in parts.items():
             if part in _SLOPES:
                 self._add(self._slopes, (variable, _SLOPES.index(part)), (1.0, partial), scaled)
@@ -292,7 +295,7 @@ class _Writer:
         parts: dict[int, _Scaled],
         other_parts: dict[int, _Scaled],
     ) -> None:
-        """Add P_fg ∂μ_f ∂μ_g to the derivatives by the variables of f and g."""
+        """Adds P_fg ∂μ_f ∂μ_g to the derivatives by the variables of f and g."""
         half, *_ = self._scratch.values()
         for unknown, part in enumerate(_SLOPES):
             if part not in parts:
@@ -306,7 +309,7 @@ class _Writer:
 
 
 def _is_power(factor: Function) -> bool:
-    """Whether a tape evaluates it, rather than the kernel."""
+    """Returns whether a tape evaluates it, rather than the kernel."""
     return factor[1] == FunctionKind.POWER and factor[2] <= _LARGEST_POWER
 
 

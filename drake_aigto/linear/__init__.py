@@ -1,17 +1,17 @@
-"""Symmetric matrices of one sparsity: which order, which storage, which factorisation."""
+"""Symmetric matrices of one sparsity: which order, which storage, which factorization."""
 
 from drake_aigto.linear.pattern import Pattern, find_entry, make_pattern, multiply
-from drake_aigto.linear.sparse import SparseFactors, factorise
-from drake_aigto.linear.storage import Factorisation, Storage, as_order, choose_storage, spread
+from drake_aigto.linear.sparse import SparseFactors, factorize
+from drake_aigto.linear.storage import Factorization, Storage, as_order, choose_storage, spread
 
 __all__ = [
-    "Factorisation",
+    "Factorization",
     "Pattern",
     "SparseFactors",
     "Storage",
     "as_order",
     "choose_storage",
-    "factorise",
+    "factorize",
     "find_entry",
     "make_pattern",
     "multiply",

@@ -45,7 +45,7 @@ class Pattern(NamedTuple):
 
 
 def make_pattern(size: int, edges: Ints) -> Pattern:
-    """The pattern with a full diagonal and an entry for each pair of unknowns in edges (2, P)."""
+    """Returns the pattern with a full diagonal and an entry for each pair in edges (2, P)."""
     low, high = np.minimum(*edges), np.maximum(*edges)
     below_columns, below_rows = np.divmod(np.unique((low * size + high)[low != high]), size)
     diagonal = np.arange(size)
@@ -74,14 +74,14 @@ def make_pattern(size: int, edges: Ints) -> Pattern:
 
 
 def _by_columns(size: int, rows: Ints, columns: Ints) -> tuple[Ints, Ints, Ints]:
-    """An order of entries by columns and rows, their rows in it, and where columns start."""
+    """Returns an order of entries by columns and rows, their rows, and where columns start."""
     order = np.lexsort((rows, columns))
     return order, rows[order], np.searchsorted(columns[order], np.arange(size + 1))
 
 
 @kernel
 def find_entry(pattern: Pattern, i: int, j: int) -> int:
-    """The place of entry (i, j) of a matrix, which the pattern has to have."""
+    """Returns the place of entry (i, j) of a matrix, which the pattern has to have."""
     column, row = min(i, j), max(i, j)
     if column == row:
         return column
@@ -96,7 +96,7 @@ def find_entry(pattern: Pattern, i: int, j: int) -> int:
 
 
 def multiply(pattern: Pattern, values: Floats, x: Floats) -> Floats:
-    """The product of a matrix (E,) with a vector (size,)."""
+    """Returns the product of a matrix (E,) with a vector (size,)."""
     size = pattern.size
     rows, columns, below = pattern.rows[size:], pattern.columns[size:], values[size:]
     return (

@@ -19,7 +19,7 @@ from drake_aigto.arrays import Floats, Ints
 from drake_aigto.linear.pattern import Pattern
 
 # Unknowns coupled to more than this times √size others are eliminated last: an order that looks at
-# them again after each of their neighbours takes a time that grows with the square of the size
+# them again after each of their neighbors takes a time that grows with the square of the size
 # (Amestoy, Davis & Duff 1996, "An approximate minimum degree ordering algorithm", SIAM J. Matrix
 # Anal. Appl. 17:886-905, sec. 5).
 _DENSE = 10.0
@@ -39,12 +39,12 @@ class SparseFactors:
     _factors: Any
 
     def solve(self, right: Floats) -> Floats:
-        """The solution for a right-hand side (size,), as the factors have it."""
+        """Returns the solution for a right-hand side (size,), as the factors have it."""
         return self._factors.solve(right)
 
 
-def factorise(pattern: Pattern, values: Floats) -> SparseFactors | None:
-    """The factors of a matrix (E,), unknowns in the pattern's order; None if a pivot is 0.
+def factorize(pattern: Pattern, values: Floats) -> SparseFactors | None:
+    """Returns the factors of a matrix (E,), unknowns in the pattern's order; None if a pivot is 0.
 
     So are those of a matrix that is not finite.
     """
@@ -52,7 +52,7 @@ def factorise(pattern: Pattern, values: Floats) -> SparseFactors | None:
         return None
     whole = values[pattern.whole], pattern.whole_rows, pattern.whole_starts
     try:
-        factors = _factorise(csc_matrix(whole, shape=(pattern.size, pattern.size)), "NATURAL")
+        factors = _factorize(csc_matrix(whole, shape=(pattern.size, pattern.size)), "NATURAL")
     except RuntimeError:  # A column of zeros is left.
         return None
     pivots = factors.U.diagonal()
@@ -63,7 +63,7 @@ def factorise(pattern: Pattern, values: Floats) -> SparseFactors | None:
 
 
 def minimum_degree(pattern: Pattern) -> Ints:
-    """Place of each unknown in an order of little fill (size,): multiple minimum degree.
+    """Returns the places of the unknowns in an order of little fill: multiple minimum degree.
 
     Liu 1985, "Modification of the minimum-degree algorithm by multiple elimination", ACM TOMS
     11:141-153, as SuperLU has it.
@@ -74,25 +74,25 @@ def minimum_degree(pattern: Pattern) -> Ints:
     if first.size:
         whole = _dominant(pattern)[pattern.whole], pattern.whole_rows, pattern.whole_starts
         part = csc_matrix(whole, shape=(pattern.size, pattern.size))[first][:, first].tocsc()
-        first = first[np.argsort(_factorise(part, "MMD_AT_PLUS_A").perm_c)]
+        first = first[np.argsort(_factorize(part, "MMD_AT_PLUS_A").perm_c)]
     last = last[np.argsort(degrees[last], kind="stable")]
     return np.argsort(np.concatenate([first, last]))
 
 
 def count_fill(pattern: Pattern) -> int:
-    """Number of entries of L below its diagonal, unknowns in the pattern's order."""
-    factors = factorise(pattern, _dominant(pattern))
+    """Returns the number of entries of L below its diagonal, unknowns in the pattern's order."""
+    factors = factorize(pattern, _dominant(pattern))
     assert factors is not None, "a matrix whose diagonal dominates is positive definite"
     return factors.num_entries
 
 
 def _dominant(pattern: Pattern) -> Floats:
-    """A matrix that is positive definite, as its diagonal dominates (E,)."""
+    """Returns a matrix that is positive definite, as its diagonal dominates (E,)."""
     values = np.full(pattern.rows.size, -1.0)
     values[: pattern.size] = np.diff(pattern.beside_starts) + 1.0
     return values
 
 
-def _factorise(matrix: csc_matrix, order: str) -> Any:
-    """SuperLU's factors, with pivots from the diagonal."""
+def _factorize(matrix: csc_matrix, order: str) -> Any:
+    """Returns SuperLU's factors, with pivots from the diagonal."""
     return splu(matrix, permc_spec=order, diag_pivot_thresh=0.0, options={"SymmetricMode": True})

@@ -1,4 +1,4 @@
-"""Which storage and factorisation the Newton systems of a problem get."""
+"""Which storage and factorization the Newton systems of a problem get."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drake_aigto.errors import OptionsError
 from drake_aigto.linear.pattern import Pattern, make_pattern
 from drake_aigto.linear.sparse import count_fill, minimum_degree
 
-# Microseconds that factorisations take, measured on one core: what they are predicted from.
+# Microseconds that factorizations take, measured on one core: what they are predicted from.
 _BAND_UNIT = 1.4e-4  # times Σ min(b, size − j)²
 _DENSE_UNIT = 2e-5  # times size³: LAPACK's blocks are quicker per entry
 _SPARSE_UNIT = 0.12  # times entries of L
@@ -27,8 +27,8 @@ _SMALL = 100
 _MOST_DENSITY = 0.25  # of the matrix, beyond which no order is looked for that keeps L sparse
 
 
-class Factorisation(enum.Enum):
-    """How a symmetric matrix is stored and factorised."""
+class Factorization(enum.Enum):
+    """How a symmetric matrix is stored and factorized."""
 
     BAND = "banded LDLᵀ"
     DENSE = "dense LDLᵀ (LAPACK)"
@@ -40,7 +40,7 @@ class Storage:
     """The choice for all matrices of one sparsity, and what it was made from.
 
     Attributes:
-        factorisation: The choice.
+        factorization: The choice.
         size: Number of unknowns.
         bandwidth: Half bandwidth b of the narrowest band that was found.
         fill: Entries of a sparse L below the diagonal; None where bands were so cheap that no order
@@ -49,7 +49,7 @@ class Storage:
         pattern: Of a matrix with one unknown in each group, in that order, if it is to be sparse.
     """
 
-    factorisation: Factorisation
+    factorization: Factorization
     size: int
     bandwidth: int
     fill: int | None
@@ -62,8 +62,8 @@ class Storage:
         return self.size > _SMALL
 
     def __str__(self) -> str:
-        """The choice and its reasons in a line."""
-        text = f"{self.factorisation.value}, {self.size:,} unknowns, half bandwidth "
+        """Returns the choice and its reasons in a line."""
+        text = f"{self.factorization.value}, {self.size:,} unknowns, half bandwidth "
         text += f"{self.bandwidth:,}"
         return text if self.fill is None else f"{text}, sparse L of {self.fill:,} entries"
 
@@ -75,7 +75,7 @@ def choose_storage(
     group_size: int = 1,
     may_be_dense: bool = False,
 ) -> Storage:
-    """Order the unknowns, and choose by predicted work what their matrices are stored as.
+    """Orders the unknowns, and chooses by predicted work what their matrices are stored as.
 
     A band takes O(size · b²), a dense matrix O(size³), a sparse one as many operations as its
     order's L asks for. Bands are preferred: the others have to be several times as quick.
@@ -86,19 +86,19 @@ def choose_storage(
         orders: Give places of the groups in orders (num_groups,) that bands are tried in, one or
             more; the first of the narrowest is taken.
         group_size: Unknowns in each group.
-        may_be_dense: Whether there is a dense factorisation.
+        may_be_dense: Whether there is a dense factorization.
     """
     size = group_size * num_groups
     found = [order() for order in orders]
     widths = [_bandwidth(places, edges) for places in found]
     places, width = found[int(np.argmin(widths))], min(widths)
     bandwidth = group_size * (width + 1) - 1
-    best = Factorisation.BAND
+    best = Factorization.BAND
     cost = _BAND_UNIT * (size - 2 / 3 * bandwidth) * float(bandwidth) ** 2
     if may_be_dense:
         dense = _DENSE_UNIT * float(size) ** 3
         if size <= _SMALL or dense < cost:
-            best, cost = Factorisation.DENSE, dense
+            best, cost = Factorization.DENSE, dense
     storage = Storage(best, size, bandwidth, None, places, None)
     if size <= _SMALL or cost <= _HYSTERESIS * _SPARSE_CALL:
         return storage
@@ -110,11 +110,11 @@ def choose_storage(
     fill = group_size**2 * count_fill(pattern) + within
     if _HYSTERESIS * (_SPARSE_CALL + _SPARSE_UNIT * fill) >= cost:
         return replace(storage, fill=fill)
-    return Storage(Factorisation.SPARSE, size, bandwidth, fill, places, pattern)
+    return Storage(Factorization.SPARSE, size, bandwidth, fill, places, pattern)
 
 
 def spread(pattern: Pattern, group_size: int) -> Pattern:
-    """The pattern where each unknown is replaced by a group of them, side by side."""
+    """Returns the pattern where each unknown is replaced by a group of them, side by side."""
     entries = group_size * np.vstack([pattern.rows, pattern.columns])
     within = np.indices((group_size, group_size)).reshape(2, -1)
     pairs = entries[:, :, np.newaxis] + within[:, np.newaxis]
@@ -126,7 +126,7 @@ def _bandwidth(places: Ints, edges: Ints) -> int:
 
 
 def as_order(order: ArrayLike, num_variables: int) -> Ints:
-    """An elimination order as a read-only array (n,).
+    """Returns an elimination order as a read-only array (n,).
 
     Raises:
         OptionsError: It is no permutation of the variables.

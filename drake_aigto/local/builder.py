@@ -33,20 +33,20 @@ class NlpBuilder:
         self._sums: list[tuple[int, Floats, Ints, float]] = []
 
     def new(self, *shape: int) -> Ints:
-        """New variables without bounds: their indices, of this shape."""
+        """Returns new variables without bounds: their indices, of this shape."""
         first, self._size = self._size, self._size + math.prod(shape)
         return np.arange(first, self._size).reshape(shape)
 
     def bound(self, variables: Ints | int, lower: ArrayLike, upper: ArrayLike) -> None:
-        """Add lower ≤ x ≤ upper; the tightest of a variable's bounds count."""
+        """Adds lower ≤ x ≤ upper; the tightest of a variable's bounds count."""
         self._bounds.append((variables, lower, upper))
 
     def add_cost(self, name: str, monomials: Iterable[Monomial], copies: ArrayLike) -> None:
-        """Add a cost over local variables 0 … L−1, once for each row of `copies` (K, L)."""
+        """Adds a cost over local variables 0 … L−1, once for each row of `copies` (K, L)."""
         self._costs.append(TermBlock(name, _terms(monomials), copies))
 
     def add_row(self, name: str, monomials: Iterable[Monomial], copies: ArrayLike) -> None:
-        """Add rows sum = 0 over local variables 0 … L−1, one for each row of `copies` (K, L)."""
+        """Adds rows sum = 0 over local variables 0 … L−1, one for each row of `copies` (K, L)."""
         self._rows.append(TermBlock(name, _terms(monomials), copies))
 
     def bound_sum(
@@ -58,7 +58,7 @@ class NlpBuilder:
         upper: float,
         offset: float = 0.0,
     ) -> None:
-        """Add lower ≤ coefficients · x + offset ≤ upper: of one variable bounds, of several a row.
+        """Adds lower ≤ coefficients · x + offset ≤ upper: of one variable bounds, of several a row.
 
         An inequality of several has a variable for the sum.
         """
@@ -73,7 +73,7 @@ class NlpBuilder:
             self.bound(self.new_sum(name, scales, read, offset), lower, upper)
 
     def new_sum(self, name: str, coefficients: Floats, variables: Ints, offset: float = 0.0) -> int:
-        """A new variable that equals coefficients · x + offset."""
+        """Returns a new variable that equals coefficients · x + offset."""
         (total,) = self.new(1).tolist()
         self._sums.append((total, coefficients, variables, offset))
         row = [*_affine(coefficients), (offset, ()), (-1.0, (variables.size,))]
@@ -81,14 +81,14 @@ class NlpBuilder:
         return int(total)
 
     def complete(self, x: Floats) -> Floats:
-        """A point (n,) whose other variables are given, with the sums that have a variable."""
+        """Returns a point (n,): the variables given, and the sums that have a variable."""
         complete = np.append(x, np.zeros(self._size - x.size))
         for total, coefficients, variables, offset in self._sums:
             complete[total] = coefficients @ complete[variables] + offset
         return complete
 
     def build(self) -> PolynomialNlp:
-        """The problem, to be eliminated in the order in which variables were made if it is small.
+        """Returns the problem; a small one is eliminated in the order in which variables were made.
 
         Raises:
             UnsupportedTermError: Bounds contradict each other.
@@ -106,7 +106,7 @@ def _affine(coefficients: Floats) -> list[Monomial]:
 
 
 def _terms(monomials: Iterable[Monomial]) -> tuple[Term, ...]:
-    """The monomials that are not zero."""
+    """Returns the monomials that are not zero."""
     return tuple(
         Term(float(coefficient), _factors(variables))
         for coefficient, variables in monomials

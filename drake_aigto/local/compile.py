@@ -23,7 +23,7 @@ from drake_aigto.terms import (
 
 
 def compile_nlp(prog: MathematicalProgram, order: ArrayLike | None = None) -> PolynomialNlp:
-    """Compile costs, equality constraints and bounds of a program; a shared evaluator once.
+    """Compiles costs, equality constraints and bounds of a program; a shared evaluator once.
 
     Rows that are affine in one variable become bounds, and equal bounds hold their variable.
 
@@ -57,7 +57,7 @@ def compile_nlp(prog: MathematicalProgram, order: ArrayLike | None = None) -> Po
 
 
 def _equality_terms(label: str, row: ConstraintRow) -> tuple[Term, ...]:
-    """The terms of row − value = 0."""
+    """Returns the terms of row − value = 0."""
     if row.lower != row.upper:
         raise UnsupportedTermError(
             f"{label} can't be compiled",

@@ -15,7 +15,7 @@ class DenseFactors(SymmetricFactors):
     """P A Pᵀ = L D Lᵀ with 1×1 and 2×2 pivots (Bunch & Kaufman 1977): n³/3 work, n² memory."""
 
     def __init__(self, size: int, bandwidth: int) -> None:
-        """Allocate."""
+        """Allocates."""
         # Below and on the diagonal, entry (i, j) of a matrix in Fortran's order is i + j size =
         # (i − j) + j (size + 1) away from its start: the rows of the second view are its columns
         # from the diagonal on. What they have too many ends up above it, where nobody reads.
@@ -24,7 +24,7 @@ class DenseFactors(SymmetricFactors):
         self._columns = entries.reshape(size, size + 1)[:, : bandwidth + 1]
         self._lower, self._pivots = self._whole, np.zeros(size, dtype=np.int32)
 
-    def _factorise(self, matrix: Floats) -> int:
+    def _factorize(self, matrix: Floats) -> int:
         size = matrix.shape[1]
         if size == 0:
             return 0

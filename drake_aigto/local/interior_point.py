@@ -16,7 +16,7 @@ from drake_aigto.local.nlp import PolynomialNlp
 from drake_aigto.local.progress import Progress
 from drake_aigto.local.restoration import Restoration
 from drake_aigto.local.result import LocalIterate, LocalResult, LocalStatus
-from drake_aigto.local.scaled import Duals, Linearisation, Point, ScaledProblem, longest
+from drake_aigto.local.scaled import Duals, Linearization, Point, ScaledProblem, longest
 from drake_aigto.local.symmetric import max_norm
 
 # Wächter & Biegler's names and values.
@@ -34,7 +34,7 @@ _EXTRA_STEPS = 3  # from a solution within the tolerances on, for residuals down
 
 @dataclass(frozen=True)
 class InteriorPoint:
-    """Minimises f(x) subject to c(x) = 0, lower ≤ x ≤ upper from a start, to a local optimum.
+    """Minimizes f(x) subject to c(x) = 0, lower ≤ x ≤ upper from a start, to a local optimum.
 
     Newton's method with the exact Hessian on
 
@@ -68,7 +68,7 @@ class InteriorPoint:
     bound_push: float = 1e-2
 
     def __post_init__(self) -> None:
-        """Check the ranges."""
+        """Checks the ranges."""
         for name in ("tolerance", "feasibility", "initial_barrier", "cost_unit", "bound_push"):
             value = getattr(self, name)
             if not 0.0 < value < np.inf:
@@ -80,11 +80,11 @@ class InteriorPoint:
 
     @classmethod
     def warm(cls, **options: Any) -> InteriorPoint:
-        """Options for a start near a solution: a small first μ, and almost no push off bounds."""
+        """Returns options for a start near a solution: a small μ, and almost no push off bounds."""
         return cls(**{"initial_barrier": 1e-6, "bound_push": 1e-9, **options})
 
     def solve(self, nlp: PolynomialNlp, x0: ArrayLike) -> LocalResult:
-        """Solve from x0 (n,), which is moved into the bounds first.
+        """Solves from x0 (n,), which is moved into the bounds first.
 
         Raises:
             OptionsError: x0 has another shape, or is not finite.
@@ -111,7 +111,7 @@ class _Optimality:
     bound_scale: float
 
     def error(self, mu: float) -> float:
-        """How far the barrier problem's optimality conditions are from holding."""
+        """Returns how far the barrier problem's optimality conditions are from holding."""
         return max(self.stationarity, max_norm(self.products - mu) / self.bound_scale)
 
 
@@ -136,7 +136,7 @@ class _Solve:
         self._is_solution = False
 
     def run(self) -> LocalResult:
-        """Iterate until a status is found."""
+        """Iterates until a status is found."""
         if not np.isfinite(self._point.barrier(self._mu) + self._point.violation):
             return self._result(LocalStatus.NOT_FINITE)
         if self._problem.held_residual > self._options.tolerance:
@@ -145,13 +145,13 @@ class _Solve:
         step: NewtonStep | None = None
         status, length = None, 0.0
         while True:
-            linearisation = self._problem.linearise(self._point.y, self._duals.rows)
-            optimality = self._optimality(linearisation)
+            linearization = self._problem.linearize(self._point.y, self._duals.rows)
+            optimality = self._optimality(linearization)
             self._record(optimality, step, length)
             status = self._status(optimality)
             if status is None:
                 self._lower_barrier(optimality)
-                step = self._search.step(self._point, self._duals, linearisation, self._mu)
+                step = self._search.step(self._point, self._duals, linearization, self._mu)
                 self._iterations += 1
                 status, length = self._advance(step, optimality)
             if status is not None:
@@ -159,7 +159,7 @@ class _Solve:
         return self._result(status)
 
     def _status(self, optimality: _Optimality) -> LocalStatus | None:
-        """Whether the current point ends the run."""
+        """Returns whether the current point ends the run."""
         tolerance, residual = self._options.tolerance, max_norm(self._point.rows)
         self._is_solution = optimality.error(0.0) <= tolerance and residual <= tolerance
         if self._is_solution:
@@ -172,9 +172,9 @@ class _Solve:
             return LocalStatus.ITERATION_LIMIT
         return None
 
-    def _optimality(self, linearisation: Linearisation) -> _Optimality:
+    def _optimality(self, linearization: Linearization) -> _Optimality:
         z, multipliers = self._duals.bounds, self._duals.rows
-        force = linearisation.gradient + linearisation.row_force - self._problem.bound_force(z)
+        force = linearization.gradient + linearization.row_force - self._problem.bound_force(z)
         of_bounds = float(np.sum(z))
         of_all = of_bounds + float(np.sum(np.abs(multipliers)))
         scale = max(_S_MAX, of_all / max(1, z.size + multipliers.size)) / _S_MAX
@@ -182,7 +182,7 @@ class _Solve:
         return _Optimality(max_norm(force) / scale, z * self._point.slacks, bound_scale)
 
     def _lower_barrier(self, optimality: _Optimality) -> None:
-        """Lower μ for as long as its barrier problem is solved well enough, eq. (7), or can be."""
+        """Lowers μ for as long as its barrier problem is solved well enough, eq. (7), or can be."""
         while self._mu > self._least_mu:
             error = max(optimality.error(self._mu), max_norm(self._point.rows))
             if error > _KAPPA_EPSILON * self._mu and not self._progress.has_ended:
@@ -194,7 +194,11 @@ class _Solve:
     def _advance(
         self, step: NewtonStep | None, optimality: _Optimality
     ) -> tuple[LocalStatus | None, float]:
-        """Take a step, or restore feasibility; the status if neither works, and the step length."""
+        """Takes a step, or restores feasibility.
+
+        Returns:
+            The status if neither works, and the step length.
+        """
         if step is None:
             return (LocalStatus.CONVERGED if self._is_solution else LocalStatus.STALLED), 0.0
         fraction = max(_TAU_MIN, 1.0 - self._mu)
@@ -222,7 +226,7 @@ class _Solve:
         return None, length
 
     def _stuck(self, step: NewtonStep, optimality: _Optimality, rounding: float) -> LocalStatus:
-        """The status of a run that gets no further: converged, as far as rounding lets one tell?
+        """Returns the status of a run that gets no further: converged, as far as rounding allows?
 
         A gradient beyond the tolerance is overlooked where Newton's step changes φ by less than its
         rounding, unless it is the shift that makes the step short.
@@ -240,14 +244,14 @@ class _Solve:
         return LocalStatus.CONVERGED if is_solution else LocalStatus.STALLED
 
     def _rows_hold(self) -> bool:
-        """Whether residuals are within the tolerance, as far as rounding lets one tell."""
+        """Returns whether residuals are within the tolerance, as far as rounding lets one tell."""
         residuals, tolerance = np.abs(self._point.rows), self._options.tolerance
         if max_norm(residuals) <= tolerance:
             return True
         return bool(np.all(residuals <= tolerance + self._problem.row_roundings(self._point.y)))
 
     def _restore(self) -> LocalStatus | None:
-        """Move to a point of less violation that the filter accepts."""
+        """Moves to a point of less violation that the filter accepts."""
         violation = self._point.violation
         self._filter.add(violation, self._point.barrier(self._mu))
         point, taken = self._restoration.run(
@@ -271,13 +275,13 @@ class _Solve:
         return Duals(multipliers, self._mu / point.slacks)
 
     def _record(self, optimality: _Optimality, step: NewtonStep | None, length: float) -> None:
-        """Add the current point to the history."""
+        """Adds the current point to the history."""
         cost, residual = self._point.cost / self._problem.cost_scale, max_norm(self._point.rows)
         shift, error = step.shift if step else 0.0, optimality.error(0.0)
         self._history.append(LocalIterate(cost, residual, error, self._mu, shift, length))
 
     def _result(self, status: LocalStatus) -> LocalResult:
-        """Unscale."""
+        """Unscales."""
         problem, nlp = self._problem, self._nlp
         free, scale = problem.structure.free, problem.cost_scale
         x = problem.full(self._point.y)

@@ -40,7 +40,7 @@ class KktStructure:
         row_places: Place of each of these rows (ma,).
         size: Number of unknowns nf + ma.
         is_row: Which of the unknowns, in their places, belong to rows (size,).
-        storage: How the matrices are stored and factorised, and why.
+        storage: How the matrices are stored and factorized, and why.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class KktStructure:
         is_free: NDArray[np.bool_],
         order: Ints | None,
     ) -> None:
-        """Order the unknowns.
+        """Orders the unknowns.
 
         Args:
             terms: The costs and, behind them, the rows.
@@ -89,7 +89,7 @@ class KktStructure:
         return self.storage.bandwidth
 
     def _reads(self, position: Ints) -> tuple[Ints, Ints, Ints]:
-        """What the copies read of the free variables.
+        """Returns what the copies read of the free variables.
 
         Returns:
             A row, and a free variable that it reads, for each such pair; and pairs of free
@@ -103,14 +103,14 @@ class KktStructure:
         return rows[is_read], found[0, is_read], found
 
     def _orders(self, position: Ints, edges: Ints, incidence: Ints) -> list[Callable[[], Ints]]:
-        """What gives the place of every unknown, in orders that may have a narrow band."""
+        """Returns what gives the place of every unknown, in orders that may have a narrow band."""
         order = self._order
         kept = position if order is None else position[order]
         by_stages = partial(self._by_stages, kept[kept >= 0], incidence)
         if self.size <= _FEW:
             return [by_stages]
-        by_neighbours = partial(self._cuthill_mckee, edges)
-        return [by_neighbours] if order is None else [by_neighbours, by_stages]
+        by_neighbors = partial(self._cuthill_mckee, edges)
+        return [by_neighbors] if order is None else [by_neighbors, by_stages]
 
     def _cuthill_mckee(self, edges: Ints) -> Ints:
         graph = coo_array((np.ones(edges.shape[1]), tuple(edges)), shape=(self.size, self.size))
@@ -118,7 +118,7 @@ class KktStructure:
         return np.argsort(order)
 
     def _by_stages(self, order: Ints, incidence: Ints) -> Ints:
-        """Variables as given, each row in the middle of those that it reads."""
+        """Returns variables as given, each row in the middle of those that it reads."""
         first, last = np.full(self.size, self.size), np.zeros(self.size, dtype=np.int64)
         first[: order.size] = last[: order.size] = rank = np.argsort(order)
         np.minimum.at(first, incidence[0], rank[incidence[1]])
@@ -128,7 +128,7 @@ class KktStructure:
     def assemble(
         self, x: Floats, scales: Floats, multipliers: Floats, values: Floats | None = None
     ) -> tuple[Floats, Floats]:
-        """Gradient s ∇f (nf,), and the KKT matrix as `symmetric` has it, (b + 1, size) or (1, E).
+        """Returns the gradient s ∇f (nf,) and the KKT matrix, (b + 1, size) or (1, E).
 
         Args:
             x: The point (n,).
@@ -151,11 +151,11 @@ class KktStructure:
         return gradient[self.variable_places], band.T
 
     def multiply(self, matrix: Floats, x: Floats) -> Floats:
-        """The product of a matrix with a vector over all unknowns (size,)."""
+        """Returns the product of a matrix with a vector over all unknowns (size,)."""
         return multiply(matrix, x, self.storage.pattern)
 
     def without_couplings(self, matrix: Floats) -> Floats:
-        """A copy of a matrix with W = 0."""
+        """Returns a copy of a matrix with W = 0."""
         matrix, pattern = matrix.copy(order="F"), self.storage.pattern
         if pattern is not None:
             matrix[0, ~(self.is_row[pattern.rows] | self.is_row[pattern.columns])] = 0.0
@@ -167,7 +167,7 @@ class KktStructure:
         return matrix
 
     def steepest_slopes(self, matrix: Floats) -> Floats:
-        """Largest entry of each row of A in absolute value (ma,)."""
+        """Returns the largest entry of each row of A in absolute value (ma,)."""
         largest, pattern = np.zeros(self.size), self.storage.pattern
         if pattern is not None:
             for ends in (pattern.rows, pattern.columns):
@@ -180,12 +180,12 @@ class KktStructure:
         return largest[self.row_places]
 
     def join(self, variables: Floats | float, rows: Floats | float) -> Floats:
-        """A vector over all unknowns (size,) from its parts (nf,) and (ma,)."""
+        """Returns a vector over all unknowns (size,) from its parts (nf,) and (ma,)."""
         joined = np.empty(self.size)
         joined[self.variable_places] = variables
         joined[self.row_places] = rows
         return joined
 
     def split(self, unknowns: Floats) -> tuple[Floats, Floats]:
-        """Undo `join`."""
+        """Undoes `join`."""
         return unknowns[self.variable_places], unknowns[self.row_places]

@@ -25,17 +25,17 @@ class Filter:
     """Pairs (θ, φ); a point that is worse than one of them in both is not accepted."""
 
     def __init__(self, first_violation: float) -> None:
-        """Start with θ ≥ 10⁴ max(1, θ(x₀)) shut off."""
+        """Starts with θ ≥ 10⁴ max(1, θ(x₀)) shut off."""
         self.least_violation = 1e-4 * max(1.0, first_violation)
         self._largest_violation = 1e4 * max(1.0, first_violation)
         self._entries: list[tuple[float, float]] = []
 
     def clear(self) -> None:
-        """Forget all entries, as φ changes with μ."""
+        """Forgets all entries, as φ changes with μ."""
         self._entries = []
 
     def accepts(self, violation: float, barrier: float) -> bool:
-        """Whether a finite point is better than every entry in θ or in φ."""
+        """Returns whether a finite point is better than every entry in θ or in φ."""
         return (
             violation < self._largest_violation
             and math.isfinite(barrier)
@@ -43,7 +43,7 @@ class Filter:
         )
 
     def add(self, violation: float, barrier: float) -> None:
-        """Shut off what is not better than this by the margins."""
+        """Shuts off what is not better than this by the margins."""
         entry = (1 - _GAMMA_THETA) * violation, barrier - _GAMMA_PHI * violation
         self._entries.append(entry)
 
@@ -73,7 +73,7 @@ class LineSearch:
         return ROUNDING * abs(self.point.barrier(self.mu)) + of_cost
 
     def run(self, step: NewtonStep) -> tuple[Point, float] | None:
-        """The next point and the step length; None where only a restoration can help."""
+        """Returns the next point and the step length; None where only a restoration can help."""
         longest = length = self.problem.longest(self.point, step.dy, self.fraction)
         if max_norm(step.dy / (1 + np.abs(self.point.y))) < ROUNDING:
             return self.problem.point(self.point.y + length * step.dy), length
@@ -90,7 +90,7 @@ class LineSearch:
         return None
 
     def _correct(self, step: NewtonStep, tried: Point, length: float) -> Point | None:
-        """Second-order corrections: the rows' curvature along the step is taken out."""
+        """Tries second-order corrections: the rows' curvature along the step is taken out."""
         rows, violation, last = self.point.rows, self.point.violation, tried
         for _ in range(_CORRECTIONS):
             rows = length * rows + last.rows
@@ -107,7 +107,7 @@ class LineSearch:
         return None
 
     def _take(self, tried: Point, length: float, slope: float) -> bool:
-        """Whether a point is accepted; the filter learns of the step's start unless φ decided."""
+        """Returns whether a point is accepted; unless φ decided, the filter learns of the start."""
         violation, barrier = self.point.violation, self.point.barrier(self.mu)
         new_violation, new_barrier = tried.violation, tried.barrier(self.mu)
         if not self.filter.accepts(new_violation, new_barrier):
@@ -126,7 +126,7 @@ class LineSearch:
         return True
 
     def _least_length(self, slope: float) -> float:
-        """α_min: eq. (23) near c = 0; far from it, where a restoration is quick, much more."""
+        """Returns α_min: eq. (23) near c = 0; far off, where restoration is quick, much more."""
         violation = self.point.violation
         if violation > self.filter.least_violation:
             return _LEAST_FAR_LENGTH

@@ -1,6 +1,6 @@
 """LDLᵀ of symmetric indefinite band matrices: solutions and inertia.
 
-LAPACK has no such factorisation that keeps the band: its symmetric indefinite routines fill it, and
+LAPACK has no such factorization that keeps the band: its symmetric indefinite routines fill it, and
 its banded LU does not tell how many eigenvalues are negative. This one eliminates unknowns in order
 from a small dense front, like a multifrontal method on a chain (Duff & Reid 1983, "The multifrontal
 solution of indefinite sparse symmetric linear equations", ACM TOMS 9:302-325): an unknown may be
@@ -27,7 +27,7 @@ _THRESHOLD = 1e-8
 
 @kernel
 def _swap(front: Floats, active: Ints, i: int, j: int, count: int) -> None:
-    """Exchange two unknowns of the front."""
+    """Exchanges two unknowns of the front."""
     if i == j:
         return
     active[i], active[j] = active[j], active[i]
@@ -39,7 +39,7 @@ def _swap(front: Floats, active: Ints, i: int, j: int, count: int) -> None:
 
 @kernel
 def _largest(front: Floats, i: int, without: int, count: int) -> float:
-    """Largest entry of row i in absolute value, but for columns i and `without`."""
+    """Returns the largest entry of row i in absolute value, but for columns i and `without`."""
     largest = 0.0
     for k in range(count):
         if k not in (i, without):
@@ -49,7 +49,7 @@ def _largest(front: Floats, i: int, without: int, count: int) -> float:
 
 @kernel
 def _is_pair_stable(front: Floats, i: int, j: int, count: int) -> bool:
-    """The threshold test of a 2×2 pivot: |P⁻¹| times its rows' largest entries is at most 1/u."""
+    """Tests a 2×2 pivot: whether |P⁻¹| times its rows' largest entries is at most 1/u."""
     a, b, c = abs(front[i, i]), abs(front[i, j]), abs(front[j, j])
     determinant = abs(front[i, i] * front[j, j] - front[i, j] * front[i, j])
     if not determinant > 1e-14 * b * b:
@@ -61,7 +61,7 @@ def _is_pair_stable(front: Floats, i: int, j: int, count: int) -> bool:
 
 @kernel
 def _choose_pivot(front: Floats, active: Ints, count: int, summed: int) -> tuple[int, int]:
-    """The first pivot that passes among unknowns below `summed`: (i, −1), (i, j) or (−1, −1)."""
+    """Returns the first pivot that passes, of those `summed`: (i, −1), (i, j) or (−1, −1)."""
     for i in range(count):
         if active[i] >= summed:
             continue
@@ -82,7 +82,7 @@ def _choose_pivot(front: Floats, active: Ints, count: int, summed: int) -> tuple
 
 @kernel
 def _force_pivot(front: Floats, active: Ints, count: int, summed: int) -> int:
-    """The largest diagonal entry among unknowns below `summed`, −1 if all are 0."""
+    """Returns the largest diagonal entry among unknowns below `summed`, −1 if all are 0."""
     chosen, largest = -1, 0.0
     for i in range(count):
         if active[i] < summed and abs(front[i, i]) > largest:
@@ -92,7 +92,7 @@ def _force_pivot(front: Floats, active: Ints, count: int, summed: int) -> int:
 
 @kernel
 def _enter(band: Floats, front: Floats, active: Ints, count: int, unknown: int) -> None:
-    """Put an unknown's row into the front, as its last."""
+    """Puts an unknown's row into the front, as its last."""
     bandwidth = band.shape[0] - 1
     for k in range(count):
         distance = unknown - active[k]
@@ -106,7 +106,7 @@ def _enter(band: Floats, front: Floats, active: Ints, count: int, unknown: int) 
 def _eliminate_one(
     front: Floats, active: Ints, count: int, indices: Ints, entries: Floats, fill: int
 ) -> int:
-    """Take unknown `count` out of those before it; append its column of L, return the new fill."""
+    """Takes unknown `count` out, appends its column of L, and returns the new fill."""
     pivot = front[count, count]
     for k in range(count):
         factor = front[count, k] / pivot
@@ -123,7 +123,7 @@ def _eliminate_one(
 def _eliminate_pair(
     front: Floats, active: Ints, count: int, indices: Ints, entries: Floats, fill: int
 ) -> int:
-    """Take unknowns `count` and `count` + 1 out together, as `_eliminate_one` does with one."""
+    """Takes unknowns `count` and `count` + 1 out together, as `_eliminate_one` does with one."""
     a, b, c = front[count, count], front[count, count + 1], front[count + 1, count + 1]
     determinant = a * c - b * b
     for k in range(count):
@@ -140,7 +140,7 @@ def _eliminate_pair(
 
 
 @kernel
-def _factorise(
+def _factorize(
     band: Floats,
     front: Floats,
     active: Ints,
@@ -150,7 +150,7 @@ def _factorise(
     indices: Ints,
     entries: Floats,
 ) -> int:
-    """Factorise; return the number of negative eigenvalues, −1 if singular.
+    """Factorizes; returns the number of negative eigenvalues, −1 if singular.
 
     Args:
         band: Lower band storage (b + 1, size).
@@ -205,7 +205,7 @@ def _factorise(
 def _solve(
     pivots: Ints, inverses: Floats, starts: Ints, indices: Ints, entries: Floats, x: Floats
 ) -> None:
-    """Overwrite a right-hand side (size,) with the solution; arguments as in `_factorise`."""
+    """Overwrites a right-hand side (size,) with the solution; arguments as in `_factorize`."""
     size, k = pivots.size, 0
     while k < size:
         if pivots[k] >= 0:
@@ -238,7 +238,7 @@ def _solve(
 
 @dataclass(frozen=True)
 class _Storage:
-    """The arrays of `_factorise`, kept: allocating them costs as much as filling them."""
+    """The arrays of `_factorize`, kept: allocating them costs as much as filling them."""
 
     front: Floats
     active: Ints
@@ -253,7 +253,7 @@ class BandFactors(SymmetricFactors):
     """LDLᵀ that keeps the band: O(n b²) work, O(n b) memory."""
 
     def __init__(self, size: int, bandwidth: int) -> None:
-        """Allocate."""
+        """Allocates."""
         capacity = 4 * (bandwidth + 2)
         self._storage = _Storage(
             np.empty((capacity, capacity)),
@@ -265,9 +265,9 @@ class BandFactors(SymmetricFactors):
             np.empty(size * capacity),
         )
 
-    def _factorise(self, matrix: Floats) -> int:
+    def _factorize(self, matrix: Floats) -> int:
         s = self._storage
-        return _factorise(
+        return _factorize(
             matrix, s.front, s.active, s.pivots, s.inverses, s.starts, s.indices, s.entries
         )
 

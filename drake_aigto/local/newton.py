@@ -8,7 +8,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.local.factors import make_factors
-from drake_aigto.local.scaled import Duals, Linearisation, Point, ScaledProblem
+from drake_aigto.local.scaled import Duals, Linearization, Point, ScaledProblem
 from drake_aigto.local.symmetric import max_norm
 
 # Wächter & Biegler 2006, sec. 3.1: shifts δ_w of the Hessian.
@@ -57,7 +57,7 @@ class NewtonStep:
         return self.shift > _DISTORTING_SHIFT
 
     def corrected(self, rows: Floats) -> Floats:
-        """The step dy for other residuals of the rows (second-order correction)."""
+        """Returns the step dy for other residuals of the rows (second-order correction)."""
         return self._search.solve(-self._force, -rows)[0]
 
 
@@ -65,48 +65,48 @@ class NewtonSearch:
     """Finds steps, and remembers the last shift."""
 
     def __init__(self, problem: ScaledProblem) -> None:
-        """Allocate the factors."""
+        """Allocates the factors."""
         self._problem = problem
         self._structure = problem.structure
         self._factors = make_factors(self._structure.storage, self._structure.is_row)
         self._last_shift = 0.0
 
     def solve(self, variables: Floats | float, rows: Floats | float) -> tuple[Floats, Floats]:
-        """Solve with the matrix that was factorised last."""
+        """Solves with the matrix that was factorized last."""
         right = self._structure.join(variables, rows)
         return self._structure.split(self._factors.solve(right))
 
-    def factorise(self, band: Floats, diagonal: Floats | float, row_shift: float) -> bool:
-        """Factorise [W + diagonal, Aᵀ; A, −row_shift]; tell whether W + … is convex on A's kernel.
+    def factorize(self, band: Floats, diagonal: Floats | float, row_shift: float) -> bool:
+        """Factorizes [W + diagonal, Aᵀ; A, −row_shift]; tells if W + … is convex on A's kernel.
 
         By the inertia: as many negative eigenvalues as rows. The band is changed.
         """
         structure = self._structure
         band[0, structure.variable_places] = diagonal
         band[0, structure.row_places] = -row_shift
-        return self._factors.factorise(band) == structure.rows.size
+        return self._factors.factorize(band) == structure.rows.size
 
     def step(
-        self, point: Point, duals: Duals, linearisation: Linearisation, mu: float
+        self, point: Point, duals: Duals, linearization: Linearization, mu: float
     ) -> NewtonStep | None:
-        """The step at a point; None if no shift makes the Hessian convex."""
+        """Returns the step at a point; None if no shift makes the Hessian convex."""
         problem, slacks = self._problem, point.slacks
         sigma = duals.bounds / slacks
-        descent = linearisation.gradient - problem.bound_force(mu / slacks)
-        shift = self._factorise_convex(linearisation.band, problem.bound_curvature(sigma))
+        descent = linearization.gradient - problem.bound_force(mu / slacks)
+        shift = self._factorize_convex(linearization.band, problem.bound_curvature(sigma))
         if shift is None:
             return None
-        force = descent + linearisation.row_force
+        force = descent + linearization.row_force
         dy, dl = self.solve(-force, -point.rows)
         dz = mu / slacks - duals.bounds - sigma * problem.slack_step(dy)
         return NewtonStep(dy, Duals(dl, dz), float(descent @ dy), shift, self, force)
 
-    def _factorise_convex(self, band: Floats, curvature: Floats) -> float | None:
+    def _factorize_convex(self, band: Floats, curvature: Floats) -> float | None:
         diagonal = band[0, self._structure.variable_places] + curvature
         if not np.all(np.isfinite(diagonal)):
             return None
         shift, last = 0.0, self._last_shift
-        while not self.factorise(band, diagonal + shift, ROW_SHIFT):
+        while not self.factorize(band, diagonal + shift, ROW_SHIFT):
             if shift == 0.0:
                 shift = max(_LEAST_SHIFT, _LOWER * last) if last else _FIRST_SHIFT
             else:
@@ -118,11 +118,11 @@ class NewtonSearch:
         return shift
 
     def least_squares_multipliers(self, point: Point, mu: float) -> Floats:
-        """λ that minimises ‖∇φ_μ + Aᵀλ‖; 0 where that is too large to mean anything."""
+        """Returns λ that minimizes ‖∇φ_μ + Aᵀλ‖; 0 where that is too large to mean anything."""
         problem, structure = self._problem, self._structure
-        linearisation = problem.linearise(point.y, np.zeros(structure.rows.size))
-        descent = linearisation.gradient - problem.bound_force(mu / point.slacks)
-        self.factorise(structure.without_couplings(linearisation.band), 1.0, ROW_SHIFT)
+        linearization = problem.linearize(point.y, np.zeros(structure.rows.size))
+        descent = linearization.gradient - problem.bound_force(mu / point.slacks)
+        self.factorize(structure.without_couplings(linearization.band), 1.0, ROW_SHIFT)
         estimate = self.solve(-descent, 0.0)[1]
         if not max_norm(estimate) <= _LARGEST_ESTIMATE:
             return np.zeros(structure.rows.size)

@@ -18,10 +18,10 @@ _ROUNDING = 1e-13
 
 @dataclass(frozen=True)
 class NewtonLagrange:
-    """Minimises f(x) subject to c(x) = 0 by full Newton steps, where no bound is in the way.
+    """Minimizes f(x) subject to c(x) = 0 by full Newton steps, where no bound is in the way.
 
     They are on the conditions ∇f + Aᵀλ = 0, c = 0, and neither shortened nor bent towards a
-    minimum: each takes one factorisation. From a start where they lead to nothing, or to something
+    minimum: each takes one factorization. From a start where they lead to nothing, or to something
     else, that shows after a few, and `InteriorPoint` remains, whose barriers and filter take three
     times as long where both get there.
 
@@ -58,7 +58,7 @@ class NewtonLagrange:
             residuals = values[nlp.num_costs :]
             of_rows = structure.multiply(band, structure.join(0.0, multipliers))
             force = gradient + structure.split(of_rows)[0]
-            num_negative = factors.factorise(band)
+            num_negative = factors.factorize(band)
             optimality, residual = max_norm(force), max_norm(residuals)
             if optimality <= self.tolerance and residual <= self.feasibility:
                 break

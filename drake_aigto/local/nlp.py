@@ -17,7 +17,7 @@ from drake_aigto.terms import TermBlock, stack_terms
 
 
 def check_bounds(lower: Floats, upper: Floats, name: Callable[[int], str]) -> None:
-    """Refuse bounds (n,) that contradict each other; messages call a variable by its name.
+    """Refuses bounds (n,) that contradict each other; messages call a variable by its name.
 
     Raises:
         UnsupportedTermError: A variable has no value.
@@ -36,7 +36,7 @@ def check_bounds(lower: Floats, upper: Floats, name: Callable[[int], str]) -> No
 class PolynomialNlp:
     """A program with equality constraints and bounds, of sums of products.
 
-        minimise f(x)    subject to    c(x) = 0,    lower ≤ x ≤ upper
+        minimize f(x)    subject to    c(x) = 0,    lower ≤ x ≤ upper
 
     with n variables and m rows. f and every c_i are sums of terms a ∏_j g_j(x_j) as in
     `BoxPolynomial`; copies of one sum share one table.
@@ -63,7 +63,7 @@ class PolynomialNlp:
         upper: Floats,
         order: ArrayLike | None = None,
     ) -> None:
-        """Stack the blocks."""
+        """Stacks the blocks."""
         self.num_variables = num_variables
         self.lower, self.upper = lower, upper
         self.order = None if order is None else as_order(order, num_variables)
@@ -100,20 +100,20 @@ class PolynomialNlp:
         return len(self.row_names)
 
     def evaluate(self, x: ArrayLike) -> tuple[float, Floats]:
-        """f(x) and c(x) (m,)."""
+        """Returns f(x) and c(x) (m,)."""
         costs, rows = self._sums(x)
         return float(np.sum(costs)), rows
 
     def cost_magnitude(self, x: ArrayLike) -> float:
-        """Σ |terms| of f at x: f(x) is known to some roundings of it, whatever cancels."""
+        """Returns Σ |terms| of f at x: f(x) is known to some roundings of it, whatever cancels."""
         return float(np.sum(self._sums(x, are_magnitudes=True)[0]))
 
     def row_magnitudes(self, x: ArrayLike) -> Floats:
-        """Σ |terms| of every row at x (m,)."""
+        """Returns Σ |terms| of every row at x (m,)."""
         return self._sums(x, are_magnitudes=True)[1]
 
     def _sums(self, x: ArrayLike, are_magnitudes: bool = False) -> tuple[Floats, Floats]:
-        """The weighted costs, and the rows (m,), of terms or of their absolute values."""
+        """Returns the weighted costs, and the rows (m,), of terms or of their absolute values."""
         x, weights = self._checked(x), self.copy_weights.copy()
         values = np.empty(weights.size)
         lanes = self._magnitude_lanes if are_magnitudes else self._lanes

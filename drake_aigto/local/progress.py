@@ -29,7 +29,7 @@ class Progress:
         return self._idle_steps >= _PATIENCE
 
     def restart(self) -> None:
-        """Forget all steps."""
+        """Forgets all steps."""
         self._idle_steps, self._least_barrier, self._least_error = 0, math.inf, math.inf
 
     def add(
@@ -39,7 +39,7 @@ class Progress:
         rounding: float,
         error: float,
     ) -> None:
-        """Count a step.
+        """Counts a step.
 
         Args:
             violations: θ before and after.

@@ -19,15 +19,15 @@ _NOISE = 1e-15  # relative rounding of ‖c‖²
 
 
 class Restoration:
-    """Minimises ½‖c‖² by Levenberg-Marquardt steps, interior to the bounds.
+    """Minimizes ½‖c‖² by Levenberg-Marquardt steps, interior to the bounds.
 
-        minimise over d   ½‖c + A d‖² + ν/2 Σ_i d_i² (1 + Σ 1/slack²)
+        minimize over d   ½‖c + A d‖² + ν/2 Σ_i d_i² (1 + Σ 1/slack²)
 
     The metric keeps steps away from bounds that are near, as in affine scaling (Dikin 1967).
     """
 
     def __init__(self, problem: ScaledProblem, search: NewtonSearch) -> None:
-        """Share the search's factors."""
+        """Shares the search's factors."""
         self._problem = problem
         self._structure = problem.structure
         self._search = search
@@ -35,7 +35,7 @@ class Restoration:
     def run(
         self, point: Point, is_done: Callable[[Point], bool], max_steps: int
     ) -> tuple[Point | None, int]:
-        """The first point that is done, None where none is found, and the number of steps."""
+        """Returns the first point that is done, None if none is found, and the number of steps."""
         damping = _FIRST_DAMPING
         for taken in range(1, max_steps + 1):
             moved = self._step(point, damping)
@@ -47,16 +47,16 @@ class Restoration:
         return None, max_steps
 
     def _step(self, point: Point, damping: float) -> tuple[Point, float] | None:
-        """The next point and damping; None where c is stationary but for rounding."""
-        linearisation = self._problem.linearise(point.y, point.rows)
-        gradient = linearisation.row_force  # Aᵀc
+        """Returns the next point and damping; None where c is stationary but for rounding."""
+        linearization = self._problem.linearize(point.y, point.rows)
+        gradient = linearization.row_force  # Aᵀc
         metric = self._metric(point)
         steepness = np.linalg.norm(gradient / np.sqrt(metric))
         if not steepness > _STATIONARY * np.linalg.norm(point.rows):
             return None
-        band = self._structure.without_couplings(linearisation.band)
+        band = self._structure.without_couplings(linearization.band)
         while damping <= _LARGEST_DAMPING:
-            self._search.factorise(band, damping * metric, 1.0)
+            self._search.factorize(band, damping * metric, 1.0)
             step = self._search.solve(0.0, -point.rows)[0]
             length = self._problem.longest(point, step, _FRACTION)
             change = length * float(gradient @ step)

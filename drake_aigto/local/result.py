@@ -61,7 +61,7 @@ class LocalResult:
         lower_multipliers: z_lower ≥ 0 of the lower bounds (n,), 0 where there is none, and where
             equal bounds hold a variable; read-only.
         upper_multipliers: z_upper ≥ 0 of the upper bounds (n,); read-only.
-        storage: How KKT matrices were ordered, stored and factorised, and why.
+        storage: How KKT matrices were ordered, stored and factorized, and why.
         history: Every iterate, the start first.
     """
 
@@ -78,7 +78,7 @@ class LocalResult:
     history: tuple[LocalIterate, ...] = ()
 
     def __post_init__(self) -> None:
-        """Lock the arrays."""
+        """Locks the arrays."""
         for array in (self.x, self.multipliers, self.lower_multipliers, self.upper_multipliers):
             array.setflags(write=False)
 

@@ -40,7 +40,7 @@ class Point:
         return float(np.sum(np.log(self.slacks)))
 
     def barrier(self, mu: float) -> float:
-        """φ_μ = s f − μ Σ log slack."""
+        """Returns φ_μ = s f − μ Σ log slack."""
         return self.cost - mu * self._log_slacks if self.slacks.size else self.cost
 
 
@@ -53,7 +53,7 @@ class Duals:
 
 
 @dataclass(frozen=True)
-class Linearisation:
+class Linearization:
     """Derivatives at a point: s ∇f (nf,), Aᵀλ (nf,) and the KKT matrix [W Aᵀ; A 0] as stored."""
 
     gradient: Floats
@@ -62,7 +62,7 @@ class Linearisation:
 
 
 class ScaledProblem:
-    """Minimise s f(y) subject to s c(y) = 0 and bounds, over the variables that are not held.
+    """Minimize s f(y) subject to s c(y) = 0 and bounds, over the variables that are not held.
 
     Bounds are numbered: nb of them, the lower ones first. The cost is divided by its unit; then,
     factors ≤ 1 keep its and every row's largest slope at the start from exceeding a hundred.
@@ -79,7 +79,7 @@ class ScaledProblem:
     """
 
     def __init__(self, nlp: PolynomialNlp, x: Floats, cost_unit: float = 1.0) -> None:
-        """Hold the variables with equal bounds, and scale at x (n,), which is within bounds."""
+        """Holds the variables with equal bounds, and scales at x (n,), which is within bounds."""
         self._nlp = nlp
         self.structure = nlp.kkt_structure
         free = self.structure.free
@@ -111,13 +111,13 @@ class ScaledProblem:
         )
 
     def full(self, y: Floats) -> Floats:
-        """All variables x (n,), held ones included."""
+        """Returns all variables x (n,), held ones included."""
         x = self._x.copy()
         x[self.structure.free] = y
         return x
 
     def start(self, x: Floats, push: float) -> Point:
-        """The point of x (n,), moved inside bounds by `push` of their size and distance."""
+        """Returns the point of x (n,), moved inside bounds by `push` of their size and distance."""
         y, low, high = x[self.structure.free], *np.split(self.bounded, [self.num_lower])
         room = np.minimum(
             np.maximum(1.0, np.abs(self._limits)), (self.upper - self.lower)[self.bounded]
@@ -128,46 +128,46 @@ class ScaledProblem:
         return self.point(y)
 
     def point(self, y: Floats) -> Point:
-        """Evaluate."""
+        """Evaluates."""
         cost, rows = self._nlp.evaluate(self.full(y))
         slacks = np.maximum(self._signs * y[self.bounded] - self._limits, self._least_slacks)
         return Point(y, self.cost_scale * cost, self.row_scales * rows[self.structure.rows], slacks)
 
     def cost_rounding(self, y: Floats) -> float:
-        """How far s f may be off: relative to its terms, not to what is left once they cancel."""
+        """Returns how far s f may be off: relative to its terms, not to what they leave."""
         return ROUNDING * self.cost_scale * self._nlp.cost_magnitude(self.full(y))
 
     def row_roundings(self, y: Floats) -> Floats:
-        """How far each s c may be off (ma,)."""
+        """Returns how far each s c may be off (ma,)."""
         magnitudes = self._nlp.row_magnitudes(self.full(y))[self.structure.rows]
         return ROUNDING * self.row_scales * magnitudes
 
-    def linearise(self, y: Floats, multipliers: Floats) -> Linearisation:
-        """Differentiate, with W for these multipliers of the rows."""
+    def linearize(self, y: Floats, multipliers: Floats) -> Linearization:
+        """Differentiates, with W for these multipliers of the rows."""
         gradient, band = self.structure.assemble(self.full(y), self._scales, multipliers)
         force = self.structure.multiply(band, self.structure.join(0.0, multipliers))
-        return Linearisation(gradient, self.structure.split(force)[0], band)
+        return Linearization(gradient, self.structure.split(force)[0], band)
 
     def bound_force(self, pushes: Floats) -> Floats:
-        """Σ over bounds of a push away from each (nb,), over the free variables (nf,)."""
+        """Returns Σ over bounds of a push away from each (nb,), over the free variables (nf,)."""
         return self.bound_curvature(self._signs * pushes)
 
     def bound_curvature(self, curvatures: Floats) -> Floats:
-        """Σ over bounds of a curvature of each (nb,), over the free variables (nf,)."""
+        """Returns Σ over bounds of a curvature of each (nb,), over the free variables (nf,)."""
         total = np.zeros(self.lower.size)
         np.add.at(total, self.bounded, curvatures)
         return total
 
     def slack_step(self, step: Floats) -> Floats:
-        """Change of the slacks (nb,) with a step of the free variables."""
+        """Returns the change of the slacks (nb,) with a step of the free variables."""
         return self._signs * step[self.bounded]
 
     def longest(self, point: Point, step: Floats, fraction: float) -> float:
-        """The part of a step, up to 1, that uses at most a fraction of any slack."""
+        """Returns the part of a step, up to 1, that uses at most a fraction of any slack."""
         return longest(point.slacks, self.slack_step(step), fraction)
 
 
 def longest(values: Floats, steps: Floats, fraction: float) -> float:
-    """The part of a step, up to 1, that uses at most a fraction of any of these positive values."""
+    """Returns the part of a step, up to 1, that uses at most a fraction of any of these values."""
     falling = np.max(-steps / values, initial=0.0)
     return 1.0 if falling <= fraction else float(fraction / falling)

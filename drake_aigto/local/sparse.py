@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_aigto.arrays import Floats
-from drake_aigto.linear import Pattern, SparseFactors, factorise
+from drake_aigto.linear import Pattern, SparseFactors, factorize
 from drake_aigto.local.symmetric import SymmetricFactors, max_norm
 
 # Added to the diagonal of W, and the least that is taken off the zeros below A: a matrix with a
@@ -28,17 +28,17 @@ class SparseKktFactors(SymmetricFactors):
     _factors: SparseFactors
 
     def __init__(self, pattern: Pattern, is_row: NDArray[np.bool_]) -> None:
-        """Take the pattern, and which unknowns are multipliers of rows (size,)."""
+        """Takes the pattern, and which unknowns are multipliers of rows (size,)."""
         self._pattern = self._sparsity = pattern
         self._is_row = is_row
         self._probe = np.where(np.arange(is_row.size) % 2, -1.0, 1.0)
 
-    def _factorise(self, matrix: Floats) -> int:
+    def _factorize(self, matrix: Floats) -> int:
         values = matrix[0].copy()
         diagonal = values[: self._is_row.size]
         shifted = np.where(self._is_row, np.minimum(diagonal, -_ROW_SHIFT), diagonal + _SHIFT)
         values[: shifted.size] = shifted
-        factors = factorise(self._sparsity, values)
+        factors = factorize(self._sparsity, values)
         if factors is None:
             return -1
         self._factors, self._is_singular = factors, False

@@ -1,4 +1,4 @@
-"""Symmetric indefinite matrices: what all their factorisations share.
+"""Symmetric indefinite matrices: what all their factorizations share.
 
 A matrix is kept in LAPACK's lower band storage (b + 1, size), in Fortran's order; or, where there
 is a `Pattern`, as its entries (1, E). Its diagonal is the beginning of the first row either way.
@@ -26,8 +26,8 @@ class SymmetricFactors(ABC):
     _matrix: Floats
     _is_singular: bool
 
-    def factorise(self, matrix: Floats) -> int:
-        """Factorise a matrix in place of the one before.
+    def factorize(self, matrix: Floats) -> int:
+        """Factorizes a matrix in place of the one before.
 
         Args:
             matrix: It is kept, and must not change as long as `solve` is called.
@@ -36,12 +36,12 @@ class SymmetricFactors(ABC):
             The number of negative eigenvalues, −1 if the matrix is singular or not finite.
         """
         self._matrix = matrix
-        negative = self._factorise(matrix) if np.isfinite(matrix).all() else -1
+        negative = self._factorize(matrix) if np.isfinite(matrix).all() else -1
         self._is_singular = negative < 0
         return negative
 
     def solve(self, right: Floats) -> Floats:
-        """The solution for a right-hand side (size,), refined; NaN where `factorise` gave −1."""
+        """Returns the refined solution for a right-hand side (size,); NaN after a −1."""
         if self._is_singular:
             return np.full(right.size, np.nan)
         solution = self._solve(right)
@@ -57,16 +57,16 @@ class SymmetricFactors(ABC):
         return multiply(self._matrix, x, self._pattern)
 
     @abstractmethod
-    def _factorise(self, matrix: Floats) -> int:
-        """As `factorise`, of finite entries; no `solve` follows where it is −1."""
+    def _factorize(self, matrix: Floats) -> int:
+        """As `factorize`, of finite entries; no `solve` follows where it is −1."""
 
     @abstractmethod
     def _solve(self, right: Floats) -> Floats:
-        """The solution (size,) as the factors have it."""
+        """Returns the solution (size,) as the factors have it."""
 
 
 def multiply(matrix: Floats, x: Floats, pattern: Pattern | None = None) -> Floats:
-    """The product of a symmetric matrix with a vector (size,)."""
+    """Returns the product of a symmetric matrix with a vector (size,)."""
     if x.size == 0:
         return x
     if pattern is not None:
@@ -75,5 +75,5 @@ def multiply(matrix: Floats, x: Floats, pattern: Pattern | None = None) -> Float
 
 
 def max_norm(values: Floats) -> float:
-    """Largest absolute value, 0 of nothing."""
+    """Returns the largest absolute value, 0 of nothing."""
     return float(np.abs(values).max()) if values.size else 0.0

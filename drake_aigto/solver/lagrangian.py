@@ -1,4 +1,4 @@
-"""Augmented Lagrangians: what boxes minimise in place of a program with equality rows."""
+"""Augmented Lagrangians: what boxes minimize in place of a program with equality rows."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from drake_aigto.terms import TermBlock
 class AugmentedLagrangian:
     """f + λᵀr + W Σ r² of a program, whose mean over boxes is as closed as that of f.
 
-    Multipliers start at 0 and follow the method of multipliers, λ ← λ + 2 W r at a minimiser for λ
+    Multipliers start at 0 and follow the method of multipliers, λ ← λ + 2 W r at a minimizer for λ
     and W (Hestenes 1969, Powell 1969): there, constraints hold without W having to grow until f no
     longer counts. Rows have no mean of their own in a penalty; λᵀr gives each one.
 
@@ -58,7 +58,7 @@ class AugmentedLagrangian:
         return self._merged.with_weights(weights)
 
     def update(self, factor: float, y: Floats) -> None:
-        """Moves the multipliers, y (n,) being a minimiser of the function of this factor."""
+        """Moves the multipliers, y (n,) being a minimizer of the function of this factor."""
         _, residuals = self._nlp.evaluate(y)
         with np.errstate(invalid="ignore"):  # Rows that overflow move nothing.
             moved = self._multipliers + 2 * factor * self._unit * residuals

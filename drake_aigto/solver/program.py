@@ -58,7 +58,7 @@ class Slack:
 
 @dataclass(frozen=True, eq=False)
 class AigoProgram:
-    """Minimise f(x) subject to r(y) = 0, lower ≤ y ≤ upper, over y = (x, s).
+    """Minimize f(x) subject to r(y) = 0, lower ≤ y ≤ upper, over y = (x, s).
 
     An inequality of several variables, or one that is not affine, has a slack s of its own: lower ≤
     g(x) ≤ upper becomes g(x) − s = 0 with s between the bounds. Inequalities that are affine in one
@@ -229,7 +229,7 @@ def _square(label: str, row: ConstraintRow, terms: tuple[Term, ...]) -> tuple[Te
         return to_terms(power(from_terms(terms), 2))
     except NoClosedFormError as error:
         raise UnsupportedTermError(
-            f"{label} can't be penalised",
+            f"{label} can't be penalized",
             got=f"the row {row}, in whose square {error}",
             expected="rows whose square has a mean in closed form",
             remedy="Give one of the two functions a variable s of its own: s == exp(x).",

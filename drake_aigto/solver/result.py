@@ -64,7 +64,7 @@ class AigoDetails:
         first_half_width: of the first box, shape (n,).
         widths: for each weight of the penalties, for each first algorithm: geometric-mean half
             widths of the first box as it shrank.
-        box_storage: how Newton systems over boxes were ordered, stored and factorised, and why;
+        box_storage: how Newton systems over boxes were ordered, stored and factorized, and why;
             None where no box was shrunk.
         kkt_storage: the same of the local solver's; None where there was no polish of ours.
     """

@@ -1,4 +1,4 @@
-"""One solve: boxes shrink on the penalised cost, their centers are polished, the best is kept."""
+"""One solve: boxes shrink on the penalized cost, their centers are polished, the best is kept."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ class Solve:
             )
             name = f", penalties {factor:g}"
             found = self._search(search, lagrangian.function(factor), name)
-            # The least penalised cost need not lead to the least feasible one.
+            # The least penalized cost need not lead to the least feasible one.
             for candidate in found.candidates[:-1][::-_EVERY][:_POLISHED]:
                 self._polish(candidate.x, name)
             lagrangian.update(factor, found.unpolished.x)

@@ -45,7 +45,7 @@ _SUPPORTED = {
 class AigoSolver(SolverInterface):
     """Global minima of polynomial programs, by boxes that shrink, without sampling.
 
-        minimise f(x)  subject to  lower ≤ g(x) ≤ upper
+        minimize f(x)  subject to  lower ≤ g(x) ≤ upper
 
     Costs are sums of products of one-variable functions (`drake_aigto.terms.parse_costs` lists
     them); constraints are bounds, and rows that are sums of products of powers, sin, cos and exp.
@@ -54,7 +54,7 @@ class AigoSolver(SolverInterface):
         result = AigoSolver().Solve(prog)
         result.get_solver_details()      # an `AigoDetails`
 
-    The mean of f over boxes, or with constraints that of its augmented Lagrangian, is minimised
+    The mean of f over boxes, or with constraints that of its augmented Lagrangian, is minimized
     in closed form while they shrink (AIGTO Sec. II; Labbe & Del Prete 2025); a local solver then
     improves their centers on the true constraints. An answer is called a solution if its
     constraints hold; that it is the global one is likely, not proven.

@@ -41,7 +41,7 @@ class ConstraintRow:
     formula: Expression | None = None
 
     def __str__(self) -> str:
-        """The formula, or the beginning of a long one."""
+        """Returns the formula, or the beginning of a long one."""
         text = " + ".join(map(str, self.terms)) if self.formula is None else str(self.formula)
         return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]} …"
 
@@ -49,7 +49,7 @@ class ConstraintRow:
 def parse_rows(
     label: str, constraint: EvaluatorBase, copies: Sequence[Sequence[int]]
 ) -> Iterator[tuple[ConstraintRow, Ints]]:
-    """The rows of one constraint, each over the variables 0 … L−1 that it reads.
+    """Yields the rows of one constraint, each over the variables 0 … L−1 that it reads.
 
     Args:
         label: How messages call it.
@@ -83,7 +83,7 @@ def parse_rows(
 
 
 def _renumbered(terms: tuple[Term, ...], read: Sequence[int]) -> tuple[Term, ...]:
-    """The terms over the variables that they read, counted anew."""
+    """Returns the terms over the variables that they read, counted anew."""
     number = {variable: i for i, variable in enumerate(read)}
     if len(read) == max(read, default=-1) + 1:
         return terms
@@ -97,7 +97,7 @@ def _renumbered(terms: tuple[Term, ...], read: Sequence[int]) -> tuple[Term, ...
 
 
 def _row_sums(label: str, constraint: EvaluatorBase) -> list[tuple[Term, ...]]:
-    """The terms of each row."""
+    """Returns the terms of each row."""
     if isinstance(constraint, BoundingBoxConstraint):
         return [
             (Term(1.0, (Factor(i, FunctionKind.POWER),)),) for i in range(constraint.num_vars())
@@ -121,7 +121,7 @@ def _row_sums(label: str, constraint: EvaluatorBase) -> list[tuple[Term, ...]]:
 
 
 def as_bound(row: ConstraintRow) -> tuple[int, float, float] | None:
-    """The local variable and its bounds, if the row is scale · x + offset."""
+    """Returns the local variable and its bounds, if the row is scale · x + offset."""
     constant = sum(term.coefficient for term in row.terms if not term.factors)
     linear = [term for term in row.terms if term.factors]
     if len(linear) != 1 or len(linear[0].factors) != 1:

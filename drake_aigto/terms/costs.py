@@ -57,7 +57,7 @@ def parse_costs(prog: MathematicalProgram) -> tuple[TermBlock, ...]:
 
 
 def _parse_alike(costs: Sequence[_Labelled]) -> list[tuple[Term, ...]]:
-    """The terms of costs of the same variables, those of polynomials as one sum where it fits.
+    """Returns the terms of costs of the same variables, of polynomials as one sum where it fits.
 
     Where they share their monomials, as sums of squares do, that is most of the work saved.
     """
@@ -79,7 +79,7 @@ def _parse_alike(costs: Sequence[_Labelled]) -> list[tuple[Term, ...]]:
 
 
 def _merged(summands: Sequence[tuple[Term, ...]]) -> tuple[Term, ...]:
-    """One sum of several, like terms added up."""
+    """Returns one sum of several, like terms added up."""
     if len(summands) == 1:
         return summands[0]
     total: dict[tuple[Factor, ...], float] = {}
@@ -91,7 +91,7 @@ def _merged(summands: Sequence[tuple[Term, ...]]) -> tuple[Term, ...]:
 def shared_evaluators(
     prog: MathematicalProgram, bindings: Sequence[Binding]
 ) -> Iterator[tuple[str, EvaluatorBase, list[list[int]]]]:
-    """Group bindings by evaluator, so that each is parsed once.
+    """Groups bindings by evaluator, so that each is parsed once.
 
     Yields:
         How messages call it, the evaluator, and the variables' indices of each of its bindings.
@@ -107,14 +107,14 @@ def shared_evaluators(
 
 
 def evaluator_name(evaluator: EvaluatorBase) -> str:
-    """The description, or else the type."""
+    """Returns the description, or else the type."""
     return evaluator.get_description() or type(evaluator).__name__
 
 
 def term_blocks(
     name: str, terms: tuple[Term, ...], copies: Sequence[Sequence[int]]
 ) -> Iterator[TermBlock]:
-    """Blocks of one sum of terms over the variables of its copies, some of which may repeat."""
+    """Yields blocks of one sum over the variables of its copies, some of which may repeat."""
     by_pattern: dict[tuple[int, ...], list[Sequence[int]]] = {}
     for variables in copies:
         by_pattern.setdefault(_repetition(variables), []).append(variables)
@@ -123,7 +123,7 @@ def term_blocks(
 
 
 def _label(binding: Binding) -> str:
-    """How messages call a cost or constraint: its name and its first variables."""
+    """Returns how messages call a cost or constraint: its name and its first variables."""
     evaluator = binding.evaluator()
     role = "cost" if isinstance(evaluator, Cost) else "constraint"
     variables = [str(v) for v in binding.variables()[:4]]
@@ -133,7 +133,7 @@ def _label(binding: Binding) -> str:
 
 
 def _repetition(variables: Sequence[int]) -> tuple[int, ...]:
-    """For each place of a binding, the first place that holds the same variable."""
+    """Returns for each place of a binding the first place that holds the same variable."""
     if len(set(variables)) == len(variables):
         return tuple(range(len(variables)))
     first: dict[int, int] = {}
@@ -141,7 +141,7 @@ def _repetition(variables: Sequence[int]) -> tuple[int, ...]:
 
 
 def _identify(name: str, terms: tuple[Term, ...], pattern: tuple[int, ...]) -> tuple[Term, ...]:
-    """The terms once places that hold one variable are identified: x·y ↦ x² where y is x.
+    """Returns the terms once places that hold one variable are identified: x·y ↦ x² where y is x.
 
     A cost may be bound to the same variable twice, and mean(x·x) is not mean(x)².
     """
@@ -159,7 +159,7 @@ def _identify(name: str, terms: tuple[Term, ...], pattern: tuple[int, ...]) -> t
 
 
 def _parse_cost(label: str, cost: EvaluatorBase) -> tuple[Term, ...]:
-    """The terms of one cost over its own variables 0 … L−1."""
+    """Returns the terms of one cost over its own variables 0 … L−1."""
     if isinstance(cost, LinearCost):
         return affine_terms(cost.a(), cost.b())
     if isinstance(cost, QuadraticCost):
@@ -179,13 +179,13 @@ def _parse_cost(label: str, cost: EvaluatorBase) -> tuple[Term, ...]:
 def _expression_terms(
     label: str, expression: Expression, variables: NDArray[Any]
 ) -> tuple[Term, ...]:
-    """The terms of an expression, local variables counted as they stand."""
+    """Returns the terms of an expression, local variables counted as they stand."""
     index = {variable.get_id(): i for i, variable in enumerate(variables)}
     return expression_terms(label, expression, lambda v: index[v.get_id()])
 
 
 def affine_terms(a: ArrayLike, b: float) -> tuple[Term, ...]:
-    """The terms of aᵀx + b."""
+    """Returns the terms of aᵀx + b."""
     a = np.asarray(a, dtype=float)
     linear = (Term(float(a[i]), (_power(i, 1),)) for i in np.flatnonzero(a).tolist())
     return (*linear, *_constant_term(b))
@@ -196,7 +196,7 @@ def _constant_term(value: float) -> tuple[Term, ...]:
 
 
 def quadratic_terms(q: Floats, b: ArrayLike, c: float) -> tuple[Term, ...]:
-    """The terms of ½ xᵀQx + bᵀx + c."""
+    """Returns the terms of ½ xᵀQx + bᵀx + c."""
     terms = []
     for i, j in np.argwhere(q).tolist():
         if i == j:

@@ -51,7 +51,7 @@ _WAVES = {
 def expression_terms(
     label: str, expression: Expression, index: LocalIndex, is_row: bool = False
 ) -> tuple[Term, ...]:
-    """The terms of a sum of products of one-variable functions, multiplied out.
+    """Returns the terms of a sum of products of one-variable functions, multiplied out.
 
     Args:
         label: How messages call what the expression is the formula of.
@@ -78,7 +78,7 @@ def expression_terms(
 
 
 def polynomial_terms(expression: Expression, index: LocalIndex) -> tuple[Term, ...]:
-    """The terms of a polynomial expression, multiplied out."""
+    """Returns the terms of a polynomial expression, multiplied out."""
     terms = []
     known: dict[tuple[int, int], Factor] = {}  # few factors make up many terms
     for monomial, coefficient in Polynomial(expression).monomial_to_coefficient_map().items():
@@ -94,7 +94,7 @@ def polynomial_terms(expression: Expression, index: LocalIndex) -> tuple[Term, .
 
 
 def _summands(expression: Expression) -> Iterator[Expression]:
-    """The summands, as they stand; a polynomial is one."""
+    """Yields the summands, as they stand; a polynomial is one."""
     if expression.get_kind() == ExpressionKind.Add and not expression.is_polynomial():
         yield from _operands(expression)
     else:
@@ -102,13 +102,13 @@ def _summands(expression: Expression) -> Iterator[Expression]:
 
 
 def _operands(expression: Expression) -> list[Expression]:
-    """Arguments of an operation; Drake gives constants back as floats."""
+    """Returns arguments of an operation; Drake gives constants back as floats."""
     _, operands = cast("tuple[Any, list[Any]]", expression.Unapply())
     return [e if isinstance(e, Expression) else Expression(e) for e in operands]
 
 
 def _summand_terms(label: str, summand: Expression, index: LocalIndex, is_row: bool) -> Sum:
-    """The terms of one summand, or a refusal that names it."""
+    """Returns the terms of one summand, or refuses it by name."""
     try:
         total = _expand(summand, index)
         if is_row:
@@ -128,21 +128,21 @@ def _summand_terms(label: str, summand: Expression, index: LocalIndex, is_row: b
 
 
 def _check_smooth(total: Sum) -> None:
-    """A row's square must have a mean too."""
+    """Refuses what a row can't have, as its square must have a mean too."""
     kinds = {part.kind for parts in total for part in parts}
     if not kinds <= {FunctionKind.POWER, *WAVES}:
         raise NoClosedFormError("max(0, y)² or log(y) stands in a constraint")
 
 
 def _check_barriers(label: str, summand: Expression, total: Sum) -> None:
-    """Logarithms must be alone, and with the sign of a barrier."""
+    """Refuses logarithms that are not alone, or have not the sign of a barrier."""
     for parts, coefficient in total.items():
         if any(part.kind == FunctionKind.NEG_LOG for part in parts):
             if len(parts) > 1:
                 raise NoClosedFormError("a logarithm is multiplied by another function")
             if coefficient < 0.0:
                 raise UnsupportedTermError(
-                    f"{label} can't be minimised",
+                    f"{label} can't be minimized",
                     got=f"the term {_shown(summand)}, which falls to minus infinity where the "
                     "logarithm's argument is 0",
                     expected="logarithms as barriers, -a*log(y) with a > 0",
@@ -151,7 +151,7 @@ def _check_barriers(label: str, summand: Expression, total: Sum) -> None:
 
 
 def _shown(expression: Expression) -> str:
-    """Its formula, or the beginning of a long one."""
+    """Returns its formula, or the beginning of a long one."""
     text = str(expression)
     return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]} …"
 
@@ -171,7 +171,7 @@ def _too_many(label: str, count: int) -> UnsupportedTermError:
 
 
 def _expand(e: Expression, index: LocalIndex) -> Sum:
-    """The terms of an expression.
+    """Returns the terms of an expression.
 
     Raises:
         NoClosedFormError: Something in it is no sum of products of factors.
@@ -227,7 +227,7 @@ def _expand_power(e: Expression, index: LocalIndex) -> Sum:
 
 
 def _split_constant(expression: Expression) -> tuple[float, Expression]:
-    """Write an expression as constant · rest."""
+    """Writes an expression as constant · rest."""
     constant, rest = 1.0, expression
     if rest.get_kind() == ExpressionKind.Div and not _operands(rest)[1].GetVariables():
         rest, divisor = _operands(rest)
@@ -246,7 +246,7 @@ def _of_one_variable(
     argument: Expression,
     index: LocalIndex,
 ) -> Sum:
-    """The coefficient times the function of an affine argument, which e names in messages."""
+    """Returns coefficient times function of an affine argument, shown as e in messages."""
     scales, offset = _affine(e, argument)
     if len(scales) != 1:
         raise NoClosedFormError(f"{e} is a function of {len(scales)} variables at once")
@@ -256,7 +256,7 @@ def _of_one_variable(
 
 
 def _affine(e: Expression, argument: Expression) -> tuple[list[tuple[Variable, float]], float]:
-    """The parts [(x, scale), …] and offset of the argument Σ scale·x + offset of a function e."""
+    """Returns [(x, scale), …] and the offset of e's argument Σ scale·x + offset."""
     if not argument.is_polynomial():
         raise NoClosedFormError(f"the argument of {e} is not affine")
     scales, offset = [], 0.0
@@ -273,7 +273,7 @@ def _affine(e: Expression, argument: Expression) -> tuple[list[tuple[Variable, f
 
 
 def _count_monomials(e: Expression | float) -> tuple[int, int]:
-    """A bound on the monomials of a polynomial expression, found without expanding it; its degree.
+    """Returns a bound on the monomials of a polynomial, without expanding it, and its degree.
 
     Of n variables and degree d there are at most C(n + d, d).
     """

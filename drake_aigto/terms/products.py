@@ -36,7 +36,7 @@ class TooManyTermsError(Exception):
     """A product of more than MAX_TERMS terms; `count` says how many, before like ones merge."""
 
     def __init__(self, count: int) -> None:
-        """Store the count."""
+        """Stores the count."""
         super().__init__(count)
         self.count = count
 
@@ -56,14 +56,14 @@ Sum = dict[tuple[Part, ...], float]
 
 
 def constant(value: float) -> Sum:
-    """A number."""
+    """Returns a number."""
     return {(): value}
 
 
 def function(
     variable: int, kind: FunctionKind, exponent: int = 1, scale: float = 1.0, offset: float = 0.0
 ) -> Sum:
-    """The function that a `Factor` of these attributes is, times 1."""
+    """Returns the function that a `Factor` of these attributes is, times 1."""
     if kind == _POWER:
         return {(Part(variable, kind, exponent),): 1.0} if exponent else constant(1.0)
     if kind in (FunctionKind.SQUARED_HINGE, FunctionKind.NEG_LOG):
@@ -73,7 +73,7 @@ def function(
 
 
 def wave_of_sum(kind: FunctionKind, scales: Sequence[tuple[int, float]], offset: float) -> Sum:
-    """The cosine, sine or exponential of Σ scale·x + offset, by the addition theorems.
+    """Returns the cosine, sine or exponential of Σ scale·x + offset, by the addition theorems.
 
     A cosine or sine of n variables has 2ⁿ⁻¹ terms.
 
@@ -103,7 +103,7 @@ def wave_of_sum(kind: FunctionKind, scales: Sequence[tuple[int, float]], offset:
 
 
 def add(*sums: Sum) -> Sum:
-    """The sum, without terms that cancel."""
+    """Returns the sum, without terms that cancel."""
     total: Sum = {}
     for summand in sums:
         _add_into(total, summand.items())
@@ -111,7 +111,7 @@ def add(*sums: Sum) -> Sum:
 
 
 def multiply(first: Sum, second: Sum) -> Sum:
-    """The product, multiplied out."""
+    """Returns the product, multiplied out."""
     if len(first) * len(second) > MAX_TERMS:
         raise TooManyTermsError(len(first) * len(second))
     total: Sum = {}
@@ -122,7 +122,7 @@ def multiply(first: Sum, second: Sum) -> Sum:
 
 
 def power(base: Sum, exponent: int) -> Sum:
-    """The whole power ≥ 0, multiplied out."""
+    """Returns the whole power ≥ 0, multiplied out."""
     result, steps = constant(1.0), exponent * len(base)  # at least
     for _ in range(exponent):
         steps += (len(result) - 1) * len(base)
@@ -133,7 +133,7 @@ def power(base: Sum, exponent: int) -> Sum:
 
 
 def to_terms(sums: Sum) -> tuple[Term, ...]:
-    """As terms of floats."""
+    """Returns a sum as terms of floats."""
     return tuple(
         Term(
             coefficient,
@@ -149,7 +149,7 @@ def to_terms(sums: Sum) -> tuple[Term, ...]:
 
 
 def from_terms(terms: Iterable[Term], places: Sequence[int] | None = None) -> Sum:
-    """The sum of terms whose variables are called places[variable], some of which may be equal.
+    """Returns the sum of terms with variables renamed places[variable], some of them equal.
 
     Its powers are those of x alone, without scale and offset.
     """
@@ -164,7 +164,7 @@ def from_terms(terms: Iterable[Term], places: Sequence[int] | None = None) -> Su
 
 
 def _sum(a: Fraction | float, b: Fraction | float) -> Fraction | float:
-    """The exact sum, as a float where one has its value."""
+    """Returns the exact sum, as a float where one has its value."""
     if isinstance(a, float) and isinstance(b, float):
         total = a + b
         shift = total - a
@@ -183,7 +183,7 @@ def _add_into(total: Sum, terms: Iterable[tuple[tuple[Part, ...], float]]) -> No
 def _times(
     first: tuple[Part, ...], second: tuple[Part, ...], coefficient: float
 ) -> Iterator[tuple[tuple[Part, ...], float]]:
-    """The terms of a product of two terms: two for each variable with waves in both."""
+    """Yields the terms of a product of two terms: two for each variable with waves in both."""
     of_first = {part.variable: part for part in first}
     shared = [part for part in second if part.variable in of_first]
     apart = {part.variable: part for part in (*first, *second)}
@@ -202,7 +202,7 @@ def _times(
 
 
 def _times_part(a: Part, b: Part) -> Iterator[tuple[float, Part | None]]:
-    """The product of two functions of one variable: coefficients, and None for a constant."""
+    """Yields the terms of a product of two functions of one variable; None for a constant."""
     kinds = {a.kind, b.kind}
     if kinds & {FunctionKind.SQUARED_HINGE, FunctionKind.NEG_LOG}:
         raise NoClosedFormError("max(0, y)² or log(y) is multiplied by a function of its variable")
@@ -229,7 +229,7 @@ def _times_part(a: Part, b: Part) -> Iterator[tuple[float, Part | None]]:
 
 
 def _wave(part: Part) -> tuple[float, Part | None]:
-    """The coefficient and canonical part of x^p times a cosine, sine or exponential.
+    """Returns the coefficient and canonical part of x^p times a cosine, sine or exponential.
 
     A scale of 0 leaves the power; a cosine's and sine's scale is made positive.
     """

@@ -45,7 +45,7 @@ WAVES = (FunctionKind.COSINE, FunctionKind.SINE, FunctionKind.EXPONENTIAL)
 
 @dataclass(frozen=True)
 class Factor:
-    """A one-variable function of the local variable `variable` of a block, see `functions`.
+    """A one-variable function of the local variable `variable` of a block, see `FunctionKind`.
 
     Attributes:
         variable: Local index of x.
@@ -62,7 +62,7 @@ class Factor:
     offset: float = 0.0
 
     def __str__(self) -> str:
-        """The formula, with x0 for local variable 0."""
+        """Returns the formula, with x0 for local variable 0."""
         x = y = f"x{self.variable}"
         if (self.scale, self.offset) != (1.0, 0.0):
             y = f"({self.scale:g}*{x} + {self.offset:g})"
@@ -81,7 +81,7 @@ class Term:
     factors: tuple[Factor, ...]
 
     def __str__(self) -> str:
-        """The formula."""
+        """Returns the formula."""
         return " * ".join([f"{self.coefficient:g}", *map(str, self.factors)])
 
 
@@ -103,7 +103,7 @@ class TermBlock:
     def __init__(
         self, name: str, terms: tuple[Term, ...], variables: ArrayLike, weight: float = 1.0
     ) -> None:
-        """Check the terms."""
+        """Checks the terms."""
         self.name = name
         self.terms = tuple(terms)
         self.weight = _finite_weight(name, weight)
@@ -114,7 +114,7 @@ class TermBlock:
         self._check_distinct()
 
     def _check_distinct(self) -> None:
-        """Refuse a term of which two factors read one variable, in the block or in one copy."""
+        """Refuses a term of which two factors read one variable, in the block or in one copy."""
         read = [[factor.variable for factor in term.factors] for term in self.terms]
         for term, places in zip(self.terms, read, strict=True):
             if len(set(places)) < len(places):
@@ -128,14 +128,14 @@ class TermBlock:
                 raise _repeated_variable(self.name, got)
 
     def with_weight(self, weight: float) -> TermBlock:
-        """The same block under another weight; terms and variables are shared."""
+        """Returns the same block under another weight; terms and variables are shared."""
         block = object.__new__(TermBlock)
         block.__dict__.update(self.__dict__)
         block.weight = _finite_weight(self.name, weight)
         return block
 
     def with_coefficients(self, coefficients: Sequence[float]) -> TermBlock:
-        """The same functions, variables and weight, with other coefficients of the terms.
+        """Returns the same functions, variables and weight, with other coefficients of the terms.
 
         Raises:
             UnsupportedTermError: One is not finite.
@@ -152,7 +152,7 @@ class TermBlock:
 
 
 def _repeats(variables: Ints) -> tuple[Ints, Ints]:
-    """Rows that hold a number twice, and that number."""
+    """Returns rows that hold a number twice, and that number."""
     ordered = np.sort(variables, axis=1)
     row, place = np.nonzero(ordered[:, 1:] == ordered[:, :-1])
     return row, ordered[row, place]

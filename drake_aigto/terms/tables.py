@@ -59,20 +59,20 @@ class StackedTerms(NamedTuple):
         return coefficients
 
     def with_coefficients(self, coefficients: Floats) -> StackedTerms:
-        """The same with other coefficients of the terms (M,)."""
+        """Returns the same with other coefficients of the terms (M,)."""
         terms = self.terms.copy()
         terms["coefficient"][:-1] = coefficients
         terms.setflags(write=False)
         return self._replace(terms=terms)
 
     def first_terms(self, counts: Iterable[int]) -> list[int]:
-        """Place of the first term of each of the blocks, which have so many copies."""
+        """Returns the place of the first term of each of the blocks, which have so many copies."""
         firsts = np.cumsum([0, *counts])[:-1]
         places: list[int] = self.sums["first_term"][self.copies["sum_index"][firsts]].tolist()
         return places
 
     def couplings(self) -> tuple[Ints, Ints]:
-        """Pairs of variables that a term of a copy reads, each once and with itself.
+        """Returns pairs of variables that a term of a copy reads, each once and with itself.
 
         Returns:
             The copies (P,), and the pairs (P, 2).
@@ -97,7 +97,7 @@ class StackedTerms(NamedTuple):
 
 
 def stack_terms(blocks: Sequence[TermBlock]) -> StackedTerms:
-    """The arrays of some blocks; copies in the blocks' order, equal sums stored once."""
+    """Returns the arrays of some blocks; copies in the blocks' order, equal sums stored once."""
     place_of: dict[tuple[Term, ...], int] = {}
     block_sums = [place_of.setdefault(block.terms, len(place_of)) for block in blocks]
     factors: list[tuple[float, ...]] = []
@@ -134,6 +134,6 @@ def stack_terms(blocks: Sequence[TermBlock]) -> StackedTerms:
 
 
 def _ranges(lengths: Ints) -> tuple[Ints, Ints]:
-    """Numbers 0 … lengths[k] − 1 for every k, one range after the other: k, and the number."""
+    """Returns every k and every number 0 … lengths[k] − 1, one range after the other."""
     k = np.repeat(np.arange(lengths.size), lengths)
     return k, np.arange(k.size) - (np.cumsum(lengths) - lengths)[k]
