@@ -25,6 +25,7 @@ import numpy as np
 
 from benchmarks.collections.chain import REACH, chain_problem
 from benchmarks.figures import draw_gaps
+from benchmarks.jobs import run_as
 from benchmarks.measure import machine
 from benchmarks.peers import (
     OUR_NAMES,
@@ -179,4 +180,4 @@ def draw(records: Sequence[Record], path: Path) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_as("benchmarks.chain")

@@ -21,6 +21,7 @@ from pydrake.solvers import SnoptSolver
 
 from benchmarks.collections.constrained_problem import ConstrainedProblem
 from benchmarks.collections.constrained_programs import constrained_problems
+from benchmarks.jobs import run_as
 from benchmarks.measure import machine
 from benchmarks.peers import OURS, Record, add_arguments, collect, make_record
 from drake_aigto.solver import AigoOptions, AigoSolver
@@ -134,4 +135,4 @@ def run_snopt(problem: ConstrainedProblem, seconds: float) -> Record:
 
 
 if __name__ == "__main__":
-    main()
+    run_as("benchmarks.constrained_programs")

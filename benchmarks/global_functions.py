@@ -28,6 +28,7 @@ import numpy as np
 from benchmarks.collections.global_functions import global_problems, random_univariate
 from benchmarks.collections.global_problem import GlobalProblem
 from benchmarks.figures import draw_shares
+from benchmarks.jobs import run_as
 from benchmarks.measure import machine
 from benchmarks.peers import (
     OUR_NAMES,
@@ -212,4 +213,4 @@ def summarise_univariate(records: Sequence[Record]) -> None:
 
 
 if __name__ == "__main__":
-    main()
+    run_as("benchmarks.global_functions")

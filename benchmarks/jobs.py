@@ -1,45 +1,58 @@
-"""Independent jobs on several cores, each in a process of one thread, until time is up."""
+"""Independent jobs, each in a process of one thread, until time is up."""
 
 from __future__ import annotations
 
 import argparse
+import importlib
 import math
-import time
+import sys
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, Future, wait
-from typing import Any
+from concurrent.futures import Future
+from typing import Any, NoReturn
 
-from drake_aigto.study.workers import Workers
+from drake_aigto.cli.flags import add_workers, read_workers
+from drake_aigto.cli.status import BAD_INPUT
+from drake_aigto.errors import AigtoError
+from drake_aigto.study.jobs import open_jobs
 
 
-def add_options(parser: argparse.ArgumentParser, workers: int = 1) -> None:
+def add_options(parser: argparse.ArgumentParser, workers: int | None = 1) -> None:
     """Adds what all scripts with jobs take."""
-    parser.add_argument("--workers", type=int, default=workers, help="jobs at once, one core each")
+    add_workers(parser, workers)
     parser.add_argument(
         "--minutes", type=float, default=math.inf, help="then what runs is ended, the rest reported"
     )
 
 
 def run_jobs(
-    work: Callable[[Any], Any], jobs: Sequence[Any], workers: int, minutes: float = math.inf
+    work: Callable[[Any], Any], jobs: Sequence[Any], options: argparse.Namespace
 ) -> Iterator[tuple[int, Future[Any]]]:
     """Starts jobs in this order and yields each one's number as it ends, with result or exception.
 
     Jobs that have not ended when time is up are not yielded: nobody knows what would have come of
     them.
+
+    Args:
+        work: a function of a module.
+        jobs: what it is called with.
+        options: the parsed ones of `add_options`.
     """
-    deadline = time.monotonic() + 60.0 * minutes
-    with Workers(workers) as pool:
-        numbers = {pool.submit(work, job): number for number, job in enumerate(jobs)}
-        pending = set(numbers)
-        while pending:
-            left = None if math.isinf(deadline) else max(0.0, deadline - time.monotonic())
-            done, pending = wait(pending, left, FIRST_COMPLETED)
-            if not done:
-                running = sum(future.running() for future in pending)
-                idle = len(pending) - running
-                print(f"TIME IS UP: {idle} jobs not begun, {running} ended", flush=True)
-                pool.kill()
-                return
-            for future in done:
-                yield numbers[future], future
+    with open_jobs(read_workers(options)) as under_way:
+        for number, job in enumerate(jobs):
+            under_way.start(number, work, job)
+        num_left = len(jobs)
+        try:
+            for number, future in under_way.ended(60.0 * options.minutes):
+                num_left -= 1
+                yield number, future
+        except TimeoutError:
+            print(f"TIME IS UP: {num_left} jobs not done", flush=True)
+
+
+def run_as(name: str) -> NoReturn:
+    """Runs `main` of a module under its name, by which workers find its functions, and exits."""
+    try:
+        sys.exit(importlib.import_module(name).main())
+    except AigtoError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        sys.exit(BAD_INPUT)

@@ -295,19 +295,26 @@ def collect(
     Tells what a job records as it ends, and keeps all that is done in a CSV file.
     """
     path = arguments.out / name
+    where = (
+        f"workers of {arguments.scheduler}"
+        if arguments.scheduler
+        else f"{arguments.workers} runs at once"
+    )
     if arguments.reread:
         return read_csv(path)
+    scheduler, workers = arguments.scheduler, arguments.workers
+    where = f"on workers of {scheduler}" if scheduler else f"{workers} runs at once"
     records: list[Record] = []
     order = sorted(range(len(jobs)), key=lambda number: -effort(jobs[number]))
     done: dict[int, list[Record]] = {}
     in_order = [jobs[number] for number in order]
-    for number, future in run_jobs(work, in_order, arguments.workers, arguments.minutes):
+    for number, future in run_jobs(work, in_order, arguments):
         if error := future.exception():
             print(f"FAILED {in_order[number]}: {''.join(traceback.format_exception(error))}")
             continue
         done[order[number]] = future.result()
         records = [record for place in sorted(done) for record in done[place]]
-        write_csv(path, records, f"{arguments.workers} runs at once, a core each")
+        write_csv(path, records, f"{where}, a core each")
         tell(future.result())
     print(f"{name}: {len(done)} of {len(jobs)} jobs done\n", flush=True)
     return records

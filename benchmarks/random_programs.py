@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import argparse
 import os
-import sys
 import time
 import traceback
 from collections import Counter
@@ -18,7 +17,7 @@ from collections import Counter
 import numpy as np
 
 from benchmarks.collections.random_programs import random_program
-from benchmarks.jobs import add_options, run_jobs
+from benchmarks.jobs import add_options, run_as, run_jobs
 from drake_aigto.solver import AigoOptions, AigoSolver
 
 # Of constraint violations; Drake compares with this itself.
@@ -57,7 +56,7 @@ def main() -> int:
     start = time.perf_counter()
     outcomes: Counter[str] = Counter()
     wrong = 0
-    for number, future in run_jobs(run, jobs, options.workers, options.minutes):
+    for number, future in run_jobs(run, jobs, options):
         died = future.exception()
         outcome = f"WORKER DIED on {number}: {died!r}" if died else future.result()
         if " " in outcome:
@@ -77,4 +76,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_as("benchmarks.random_programs")

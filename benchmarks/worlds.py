@@ -21,7 +21,6 @@ with any peer. What costs less than J* is reported: then J* is not what it is sa
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -31,7 +30,7 @@ from typing import Any
 
 import numpy as np
 
-from benchmarks.jobs import add_options, run_jobs
+from benchmarks.jobs import add_options, run_as, run_jobs
 from drake_aigto.baselines import Recorder
 from drake_aigto.baselines.enumeration import list_sequences
 from drake_aigto.baselines.polish import offer_polished
@@ -229,7 +228,7 @@ def main() -> int:
     scenarios = WORLDS[options.world].draw(options.count, options.seed)
     jobs = [Job(options.world, each, tuple(options.peers), options.factor) for each in scenarios]
     outcomes: dict[int, Any] = {}
-    for number, future in run_jobs(run, jobs, options.workers, options.minutes):
+    for number, future in run_jobs(run, jobs, options):
         if error := future.exception():
             print(f"FAILED {jobs[number].scenario}: {error!r}", flush=True)
         else:
@@ -240,4 +239,4 @@ def main() -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_as("benchmarks.worlds")

@@ -15,7 +15,7 @@ from drake_aigto.study.scenario_results import ScenarioResult, ScenarioStudy
 
 
 class Inline(Executor):
-    """Runs a job as it is submitted, and takes whatever `Workers` takes."""
+    """Runs a job as it is submitted, and takes whatever `open_workers` takes."""
 
     def __init__(self, *arguments: Any) -> None:
         self.num_jobs = 0

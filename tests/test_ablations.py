@@ -32,7 +32,7 @@ from drake_aigto.errors import ResultsFileError
 from drake_aigto.optima import rigid_optimum
 from drake_aigto.planning.options import RIGID_LADDER, Rung
 from drake_aigto.show.text import WIDTH
-from drake_aigto.study import scenario_study
+from drake_aigto.study import scenario_study, workers
 from drake_aigto.study.method_run import Job, MethodRun
 from drake_aigto.study.scenario_jobs import EXHAUSTIVE
 from drake_aigto.study.scenario_question import ScenarioQuestion
@@ -245,7 +245,7 @@ def test_the_page_has_the_table_the_figure_and_what_to_make_of_it(tmp_path: Path
 def test_the_command_runs_what_it_is_asked_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scenario_study, "Workers", Inline)
+    monkeypatch.setattr(workers, "open_workers", Inline)
     path = tmp_path / "study.json"
     words = ["ablations", "--quiet", "--count", "1", "--seed", "3", "--steps", "20"]
     words += ["--restitution", "0.5:1", "--variants", "no neighbours", "bare, no boxes"]

@@ -17,6 +17,7 @@ from benchmarks.robustness.question import RobustnessQuestion
 from benchmarks.robustness.results import RobustnessStudy
 from benchmarks.robustness.study import run_robustness
 from drake_aigto.cli import BAD_INPUT, FINE
+from drake_aigto.study import workers
 
 
 def test_the_command_prints_the_table_and_writes_the_file(
@@ -24,12 +25,16 @@ def test_the_command_prints_the_table_and_writes_the_file(
 ) -> None:
     seen: list[RobustnessQuestion] = []
 
-    def run(question: RobustnessQuestion, *args: Any, workers: int, **named: Any) -> Any:
-        assert workers == 1
+    def run(question: RobustnessQuestion, *args: Any, **named: Any) -> Any:
         seen.append(question)
-        return run_robustness(question, *args, executor=Inline(), **named)
+        return run_robustness(question, *args, **named)
+
+    def open_inline(count: int, scheduler: None) -> Inline:
+        assert count == 1
+        return Inline()
 
     monkeypatch.setattr("benchmarks.robustness.command.run_robustness", run)
+    monkeypatch.setattr(workers, "open_workers", open_inline)
     monkeypatch.setattr(robustness, "run_task", lambda task, _: make_result(task.name))
     path = tmp_path / "results.json"
     flags = "--rows 1 --restitutions 1 0.5 --percent 2 --samples 3 --seed 4 --no-confirm"

@@ -79,8 +79,6 @@ def quick_cells(monkeypatch: pytest.MonkeyPatch) -> list[object]:
     def run_rigid(row: int, confirm: bool) -> object:
         return make((row, "rigid"), RigidCell(row, 1.0, NOTHING, 1e-4, ()))
 
-    # Those of `Inline` are all complete by then; in which order they come is up to their addresses.
-    monkeypatch.setattr(table1_module, "as_completed", iter)
     monkeypatch.setattr(table1_module, "run_cell", run_cell)
     monkeypatch.setattr(table1_module, "run_rigid_cell", run_rigid)
     return interrupted

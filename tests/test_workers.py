@@ -1,21 +1,34 @@
-"""Processes that work side by side: what one does to itself is no other's business."""
+"""Processes that work side by side, with Dask and without: what one does is no other's business."""
 
 from __future__ import annotations
 
 import os
 import signal
 import time
-from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
 
 import pytest
 
-from drake_aigto.errors import OptionsError
-from drake_aigto.study.workers import Workers
+from drake_aigto.errors import MissingExtraError, OptionsError
+from drake_aigto.study import workers
+from drake_aigto.study.jobs import ProcessDiedError, open_jobs
+from drake_aigto.study.workers import open_workers
+
+
+@pytest.fixture(params=["with Dask", "without Dask"])
+def kind(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    if request.param == "without Dask":
+        monkeypatch.setattr(workers, "find_spec", lambda name: None)
+
+
+def die_unless(path: Path) -> int:
+    """Is killed, as if memory ran out, unless the path is there; returns the process's id."""
+    if not path.exists():
+        os.kill(os.getpid(), signal.SIGKILL)
+    return os.getpid()
 
 
 def die_at_first(path: Path) -> int:
-    """Is killed, as if memory ran out, unless the path is there; returns the process's id."""
     if not path.exists():
         path.touch()
         os.kill(os.getpid(), signal.SIGKILL)
@@ -26,46 +39,71 @@ def fail() -> None:
     raise ValueError("a job's own failure")
 
 
-def test_a_killed_worker_is_replaced_and_names_its_job(tmp_path: Path) -> None:
-    with Workers(1) as workers:
-        first, second = (workers.submit(die_at_first, tmp_path / "been") for _ in range(2))
-        assert isinstance(first.exception(), BrokenProcessPool)
-        assert second.result() != os.getpid()
+@pytest.mark.slow
+@pytest.mark.usefixtures("kind")
+def test_a_killed_worker_is_replaced_and_only_a_job_that_kills_again_fails(tmp_path: Path) -> None:
+    with open_jobs(open_workers(1)) as jobs:
+        jobs.start("once", die_at_first, tmp_path / "been")
+        jobs.start("always", die_unless, tmp_path / "never")
+        jobs.start("well", os.getpid)
+        ended = dict(jobs.ended())
+    assert os.getpid() not in (ended["once"].result(), ended["well"].result())
+    with pytest.raises(ProcessDiedError, match=r"^always: got two processes that died of it"):
+        ended["always"].result()
 
 
-def test_a_worker_stays_though_its_job_raises() -> None:
-    with Workers(1) as workers:
-        before, failed, after = map(workers.submit, (os.getpid, fail, os.getpid))
-        assert isinstance(failed.exception(), ValueError)
-        assert before.result() == after.result()
-
-
-def test_workers_have_one_thread_and_leave_the_environment_as_it_was(
+@pytest.mark.slow
+@pytest.mark.usefixtures("kind")
+def test_workers_have_one_thread_outlive_failures_and_see_no_ctrl_c(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     monkeypatch.setenv("OMP_NUM_THREADS", "7")
-    monkeypatch.delenv("MKL_NUM_THREADS", raising=False)
-    with Workers(1) as workers:
-        threads = workers.submit(os.getenv, "OMP_NUM_THREADS").result()
-    assert threads == "1"
-    assert os.getenv("OMP_NUM_THREADS") == "7"
-    assert os.getenv("MKL_NUM_THREADS") is None
-
-
-def test_ctrl_c_reaches_no_worker_and_ends_all() -> None:
-    started = time.monotonic()
-    with pytest.raises(KeyboardInterrupt), Workers(1) as workers:
-        number = workers.submit(os.getpid).result()
-        long, waiting = workers.submit(time.sleep, 600.0), workers.submit(os.getpid)
+    monkeypatch.delenv("NUMBA_NUM_THREADS", raising=False)
+    with open_workers(1) as executor:
+        before, failed = executor.submit(os.getpid), executor.submit(fail)
+        threads = [
+            executor.submit(os.getenv, f"{name}_NUM_THREADS").result() for name in ("OMP", "NUMBA")
+        ]
+        assert threads == ["1", "1"]
+        assert isinstance(failed.exception(), ValueError)
+        number, long = before.result(), executor.submit(time.sleep, 0.5)
         os.kill(number, signal.SIGINT)
-        time.sleep(0.2)
-        assert not long.done()
+        assert long.exception() is None
+        assert executor.submit(os.getpid).result() == number
+    assert os.getenv("OMP_NUM_THREADS") == "7"
+    assert os.getenv("NUMBA_NUM_THREADS") is None
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("kind")
+def test_ctrl_c_ends_all_at_once() -> None:
+    with pytest.raises(KeyboardInterrupt), open_workers(1) as executor:
+        number = executor.submit(os.getpid).result()
+        for _ in range(2):
+            executor.submit(time.sleep, 600.0)
+        started = time.monotonic()
         raise KeyboardInterrupt
-    assert isinstance(long.exception(), BrokenProcessPool)
-    assert waiting.cancelled()
-    assert time.monotonic() - started < 60.0
+    assert time.monotonic() - started < 10.0
+    with pytest.raises(ProcessLookupError):
+        os.kill(number, 0)
 
 
-def test_no_workers_are_refused() -> None:
-    with pytest.raises(OptionsError, match=r"workers: got 0, expected 1 or more"):
-        Workers(0)
+@pytest.mark.parametrize(
+    ("count", "scheduler", "message"),
+    [
+        (0, None, r"^workers: got 0, expected 1 or more"),
+        (2, "tcp://10.0.0.1:8786", r"^workers: got 2 beside a scheduler, expected 1 or more, or"),
+    ],
+)
+def test_where_jobs_can_not_run_is_refused(count: int, scheduler: str | None, message: str) -> None:
+    with pytest.raises(OptionsError, match=message), open_workers(count, scheduler):
+        pass
+
+
+def test_a_scheduler_needs_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(workers, "find_spec", lambda name: None)
+    told = (
+        r"^scheduler tcp://a:1: got no module 'distributed'.*pip install 'drake_aigto\[cluster\]'"
+    )
+    with pytest.raises(MissingExtraError, match=told), open_workers(None, "tcp://a:1"):
+        pass

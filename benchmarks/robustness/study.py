@@ -5,7 +5,8 @@ from __future__ import annotations
 import logging
 import os
 from collections.abc import Callable
-from concurrent.futures import BrokenExecutor, Executor, as_completed
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager
 
 from benchmarks.robustness.question import RobustnessQuestion, Task
 from benchmarks.robustness.results import (
@@ -22,15 +23,15 @@ from benchmarks.robustness.results import (
 )
 from drake_aigto.control import TrackingController, track_drake, track_event_driven
 from drake_aigto.count import Count
-from drake_aigto.errors import AigtoError, StudyError
+from drake_aigto.errors import AigtoError
 from drake_aigto.local import solve_with_drake
 from drake_aigto.optima import rigid_optimum
 from drake_aigto.plain import to_plain
 from drake_aigto.planning import Planner, PlanOptions
 from drake_aigto.simulation import Replay, replay_event_driven
 from drake_aigto.simulation.contacts import find_contacts
+from drake_aigto.study.jobs import Jobs, open_jobs
 from drake_aigto.study.results_file import check_results_file, check_same_question
-from drake_aigto.study.workers import Workers
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import PhaseTranscription
 from drake_aigto.world import Scenario, World
@@ -45,8 +46,7 @@ def run_robustness(
     path: str | os.PathLike[str] | None = None,
     *,
     resume: bool = False,
-    executor: Executor | None = None,
-    workers: int | None = None,
+    executor: AbstractContextManager[Executor] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> RobustnessStudy:
     """Plans for all tasks, and replays every plan under all perturbations.
@@ -57,8 +57,8 @@ def run_robustness(
         question: what to run.
         path: of the results; None keeps them in memory only.
         resume: go on from the results that are there.
-        executor: where tasks run; `Workers` if None.
-        workers: processes, if no executor is given; None: one a core.
+        executor: where tasks run, entered once all is checked; `open_workers`, with a process a
+            core, if None.
         progress: called with a line of text after each task.
 
     Raises:
@@ -66,50 +66,37 @@ def run_robustness(
         OutputFileError: the results can't be written.
         ResultsFileError: there are results and they are not to be gone on from; or they are damaged
             or another study's.
-        StudyError: a worker died.
+        StudyError: from `open_workers`; or the processes that ran a task died: the others are done.
     """
     question.check()
     known = RobustnessStudy(question)
     if path and check_results_file(path, resume):
         known = RobustnessStudy.load(path)
         check_same_question(path, to_plain(known.question), to_plain(question))
-    if executor is None:
-        with Workers(workers) as pool:
-            return _run(known, path, pool, progress)
-    return _run(known, path, executor, progress)
+    with open_jobs(executor) as jobs:
+        return _run(known, path, jobs, progress)
 
 
 def _run(
     known: RobustnessStudy,
     path: str | os.PathLike[str] | None,
-    executor: Executor,
+    jobs: Jobs,
     progress: Callable[[str], None] | None,
 ) -> RobustnessStudy:
     """Returns a study with those tasks run that were not."""
     study = known
     done = {result.name for result in known.results}
     tasks = known.question.tasks()
-    jobs = [
-        executor.submit(run_task, task, known.question) for task in tasks if task.name not in done
-    ]
-    try:
-        for job in as_completed(jobs):
-            result = job.result()
-            study = study.with_result(result)
-            _LOG.info("%s: done", result.name)
-            if path:
-                study.save(path)
-            if progress:
-                progress(Count(len(study.results), len(tasks), "tasks done"))
-    except BrokenExecutor as error:
-        raise StudyError(
-            "a worker died",
-            got=error,
-            remedy="Go on from what was done (--resume)." if path else None,
-        ) from error
-    finally:
-        for job in jobs:
-            job.cancel()
+    for task in tasks:
+        if task.name not in done:
+            jobs.start(task.name, run_task, task, known.question)
+    for name, future in jobs.ended():
+        study = study.with_result(future.result())
+        _LOG.info("%s: done", name)
+        if path:
+            study.save(path)
+        if progress:
+            progress(Count(len(study.results), len(tasks), "tasks done"))
     return study
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 import textwrap
 from collections.abc import Callable
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager
 from typing import Any
 
 
@@ -67,6 +69,38 @@ def add_confirm(command: Any) -> None:
 def add_json(command: Any, text: str) -> None:
     """Adds --json FILE; the text says what it has."""
     command.add_argument("--json", metavar="FILE", help=text)
+
+
+def add_workers(command: Any, count: int | None = None) -> None:
+    """Adds where jobs run.
+
+    Args:
+        command: to add flags to.
+        count: of processes if nothing is said; None: one a core.
+    """
+    where = command.add_mutually_exclusive_group()
+    usual = "one a core" if count is None else count
+    where.add_argument(
+        "--workers",
+        type=positive,
+        metavar="N",
+        default=count,
+        help=f"processes of this machine (default: {usual})",
+    )
+    where.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="of Dask: run on its workers, on any machines, which need the same version of "
+        "drake_aigto and of Drake, and one thread each: dask worker ADDRESS --nthreads 1",
+    )
+
+
+def read_workers(options: argparse.Namespace) -> AbstractContextManager[Executor]:
+    """Returns where jobs run, as the flags of `add_workers` ask; nothing starts yet."""
+    from drake_aigto.study.workers import open_workers  # Drake takes its time.
+
+    count = None if options.scheduler is not None else options.workers
+    return open_workers(count, options.scheduler)
 
 
 def positive(text: str) -> int:

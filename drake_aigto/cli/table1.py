@@ -6,7 +6,15 @@ import argparse
 import json
 from typing import Any
 
-from drake_aigto.cli.flags import add_command, add_confirm, add_json, natural, positive
+from drake_aigto.cli.flags import (
+    add_command,
+    add_confirm,
+    add_json,
+    add_workers,
+    natural,
+    positive,
+    read_workers,
+)
 from drake_aigto.cli.progress import show_progress
 from drake_aigto.cli.status import FINE
 from drake_aigto.plain import to_plain
@@ -44,6 +52,7 @@ def add_table1(commands: Any) -> None:
         "--seed", type=natural, default=0, help="of the guesses (default: %(default)s)"
     )
     add_confirm(table1)
+    add_workers(table1)
     add_json(table1, "write all plans and figures")
     table1.add_argument("--html", metavar="FILE", help="write one self-contained page")
 
@@ -57,6 +66,7 @@ def _table1(options: argparse.Namespace) -> int:
             num_guesses=options.guesses,
             seed=options.seed,
             confirm=options.confirm,
+            executor=read_workers(options),
             progress=progress,
         )
     if options.json:

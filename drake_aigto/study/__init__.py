@@ -17,7 +17,7 @@ from drake_aigto.study.table1 import (
     run_rigid_cell,
     run_table1,
 )
-from drake_aigto.study.workers import Workers
+from drake_aigto.study.workers import open_workers
 from drake_aigto.study.world_scenarios import WORLDS, WorldStudy
 
 __all__ = [
@@ -34,8 +34,8 @@ __all__ = [
     "ScenarioStudy",
     "Spread",
     "Table1",
-    "Workers",
     "WorldStudy",
+    "open_workers",
     "run_cell",
     "run_rigid_cell",
     "run_scenario_study",

@@ -7,13 +7,12 @@ import logging
 import os
 import time
 from collections.abc import Callable, Iterable
-from concurrent.futures import BrokenExecutor, CancelledError, Executor, Future
-from queue import SimpleQueue
-from typing import TypeAlias
+from concurrent.futures import Executor, Future
+from contextlib import AbstractContextManager
 
 from drake_aigto.count import Count
-from drake_aigto.errors import StudyError
 from drake_aigto.plain import to_plain
+from drake_aigto.study.jobs import Jobs, ProcessDiedError, open_jobs
 from drake_aigto.study.method_run import COST_DIGITS, PLANNER, Job, MethodRun
 from drake_aigto.study.results_file import (
     check_results_file,
@@ -23,14 +22,9 @@ from drake_aigto.study.results_file import (
 from drake_aigto.study.scenario_jobs import find_optimum, run_job
 from drake_aigto.study.scenario_question import ScenarioQuestion
 from drake_aigto.study.scenario_results import DIED, ScenarioResult, ScenarioStudy
-from drake_aigto.study.workers import Workers
 
 _LOG = logging.getLogger(__name__)
 
-_Answer: TypeAlias = Future[MethodRun]
-
-# A job whose process dies may have been in the way of something else: it is tried so often.
-_ATTEMPTS = 2
 _SECONDS_BETWEEN_SAVES = 5.0
 
 
@@ -39,8 +33,7 @@ def run_scenario_study(
     path: str | os.PathLike[str] | None = None,
     *,
     resume: bool = False,
-    executor: Executor | None = None,
-    workers: int | None = None,
+    executor: AbstractContextManager[Executor] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> ScenarioStudy:
     """Runs all methods on all scenarios.
@@ -54,9 +47,8 @@ def run_scenario_study(
         path: of the results; None keeps them in memory only.
         resume: go on from the results that are there. Theirs may be of fewer scenarios and methods;
             all else has to be the same. Jobs whose process died are tried again.
-        executor: where jobs run; `Workers` if None. Any will do that pickles, such as Dask's
-            ``client.get_executor()``; its processes should have one thread each.
-        workers: processes, if no executor is given; None: one a core.
+        executor: where jobs run, entered once all is checked; `open_workers`, with a process a
+            core, if None. Any will do that pickles; its processes should have one thread each.
         progress: called with a line of text after each job.
 
     Raises:
@@ -64,15 +56,12 @@ def run_scenario_study(
         OutputFileError: the results can't be written.
         ResultsFileError: there are results and they are not to be gone on from; or they are damaged
             or another study's.
-        StudyError: the executor that was given broke.
+        StudyError: from `open_workers`; or the executor broke.
     """
     question.check()
     known = _load(question, path) if path and check_results_file(path, resume) else ()
-    sweep = _Sweep(question, path, known, progress)
-    if executor is None:
-        with Workers(workers) as pool:
-            return sweep.run(pool)
-    return sweep.run(executor)
+    with open_jobs(executor) as jobs:
+        return _Sweep(question, path, known, jobs, progress).run()
 
 
 def _load(question: ScenarioQuestion, path: str | os.PathLike[str]) -> tuple[ScenarioResult, ...]:
@@ -95,30 +84,21 @@ class _Sweep:
         question: ScenarioQuestion,
         path: str | os.PathLike[str] | None,
         known: Iterable[ScenarioResult],
+        jobs: Jobs,
         progress: Callable[[str], None] | None,
     ) -> None:
-        self._question, self._path, self._progress = question, path, progress
+        self._question, self._path, self._jobs, self._progress = question, path, jobs, progress
         self._results = {result.number: result for result in known}
-        self._under_way: dict[_Answer, tuple[Job, int]] = {}  # and at which attempt
-        self._ended: SimpleQueue[_Answer] = SimpleQueue()
         self._saved = time.monotonic()
 
-    def run(self, executor: Executor) -> ScenarioStudy:
+    def run(self) -> ScenarioStudy:
         """Runs what is not done, and returns all."""
         try:
             for number in range(self._question.count):
-                self._submit(executor, number, self._ready_methods(number))
-            while self._under_way:
-                self._take(executor, self._ended.get())
-        except BrokenExecutor as error:
-            raise StudyError(
-                "the pool of workers broke",
-                got=error,
-                remedy="Go on from what was done (--resume)." if self._path else None,
-            ) from error
+                self._start(number, self._ready_methods(number))
+            for job, future in self._jobs.ended():
+                self._take(job, future)
         finally:
-            for future in self._under_way:
-                future.cancel()
             self._save()
         return self._study()
 
@@ -134,13 +114,14 @@ class _Sweep:
         result = self._results.get(number)
         return self._question.seconds_per_unit or (result.planner_seconds if result else None)
 
-    def _submit(self, executor: Executor, number: int, methods: Iterable[str]) -> None:
+    def _start(self, number: int, methods: Iterable[str]) -> None:
         """Has those of the methods run that are not done."""
         result = self._results.get(number)
         for method in methods:
             run = result.runs.get(method) if result else None
             if run is None or run.error == DIED:
-                self._start(executor, self._make_job(number, method))
+                job = self._make_job(number, method)
+                self._jobs.start(job, run_job, job)
 
     def _make_job(self, number: int, method: str) -> Job:
         question = self._question
@@ -158,25 +139,16 @@ class _Sweep:
             seed=question.method_seed(number),
         )
 
-    def _start(self, executor: Executor, job: Job, attempt: int = 1) -> None:
-        future = executor.submit(run_job, job)
-        self._under_way[future] = job, attempt
-        future.add_done_callback(self._ended.put)
-
-    def _take(self, executor: Executor, future: _Answer) -> None:
+    def _take(self, job: Job, future: Future[MethodRun]) -> None:
         """Keeps what came of a job, and starts what waited for it."""
-        job, attempt = self._under_way.pop(future)
         try:
             run = future.result()
-        except (BrokenExecutor, CancelledError):
-            if attempt < _ATTEMPTS:
-                self._start(executor, job, attempt + 1)
-                return
+        except ProcessDiedError:
             run = MethodRun((), 0.0, error=DIED)
         self._keep(job, run)
         if job.method == PLANNER and self._question.seconds_per_unit is None:
             waiting = [name for name in self._ready_methods(job.number) if name != PLANNER]
-            self._submit(executor, job.number, waiting)
+            self._start(job.number, waiting)
 
     def _keep(self, job: Job, run: MethodRun) -> None:
         result = self._result(job.number)

@@ -6,7 +6,8 @@ import dataclasses
 import logging
 import time
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future, as_completed
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -35,7 +36,7 @@ from drake_aigto.planning import (
 from drake_aigto.planning.options import LocalSolverName
 from drake_aigto.simulation import Replay
 from drake_aigto.simulation.material import contact_delay
-from drake_aigto.study.workers import Workers
+from drake_aigto.study.jobs import open_jobs
 from drake_aigto.world import Scenario, World
 
 _LOG = logging.getLogger(__name__)
@@ -207,51 +208,52 @@ def run_table1(
     num_guesses: int = 10,
     seed: int = 0,
     confirm: bool = True,
-    executor: Executor | None = None,
+    executor: AbstractContextManager[Executor] | None = None,
     progress: Callable[[str], None] | None = None,
 ) -> Table1:
     """Runs the table: with φ free as the paper must have had it, with φ ≥ 0, and on a rigid wall.
 
     Args:
-        rows: which.
+        rows: which, each shown once.
         num_guesses: random guesses of the gradient solvers.
         seed: of the guesses.
         confirm: whether the plans are also replayed on Drake's plant.
-        executor: where cells run; processes of one thread, one a core, if None.
+        executor: where cells run, entered here; `open_workers`, with a process a core, if None.
         progress: called with a line of text after each cell.
 
     Returns:
         The table. Ctrl-C leaves those cells that were done.
+
+    Raises:
+        StudyError: from `open_workers`; or the processes that ran a cell died.
     """
-    if executor is None:
-        with Workers() as pool:
-            table = run_table1(rows, num_guesses, seed, confirm, pool, progress)
-            pool.kill()  # After Ctrl-C, cells that nobody waits for are still worked on.
-            return table
-    literal = [
-        executor.submit(run_cell, row, nonpenetration, num_guesses, seed, confirm)
-        for nonpenetration in (False, True)
+    calls: dict[str, tuple[Any, ...]] = {
+        f"Table I, row {row}, φ {'≥ 0' if bounded else 'free'}": (
+            run_cell,
+            *(row, bounded, num_guesses, seed, confirm),
+        )
+        for bounded in (False, True)
         for row in rows
-    ]
-    rigid = [executor.submit(run_rigid_cell, row, confirm) for row in rows]
-    jobs: list[Future[Any]] = [*literal, *rigid]
-    done = set()
-    try:
-        for job in as_completed(jobs):
-            cell = job.result()
-            took = "; ".join(f"{each.name} {each.seconds:.1f} s" for each in cell.methods)
-            _LOG.info("row %d: %s", cell.row, took)
-            done.add(job)
-            if progress:
-                progress(Count(len(done), len(jobs), "cells of Table I done"))
-    except KeyboardInterrupt:
-        for job in jobs:
-            job.cancel()
-        if not done:
-            raise
+    }
+    calls |= {f"Table I, row {row}, rigid": (run_rigid_cell, row, confirm) for row in rows}
+    done: dict[str, Any] = {}
+    with open_jobs(executor) as jobs:
+        for name, call in calls.items():
+            jobs.start(name, *call)
+        try:
+            for name, future in jobs.ended():
+                done[name] = cell = future.result()
+                took = "; ".join(f"{each.name} {each.seconds:.1f} s" for each in cell.methods)
+                _LOG.info("%s: %s", name, took)
+                if progress:
+                    progress(Count(len(done), len(calls), "cells of Table I done"))
+        except KeyboardInterrupt:
+            if not done:
+                raise
+    cells = [done[name] for name in calls if name in done]
     return Table1(
-        tuple(job.result() for job in literal if job in done),
-        tuple(job.result() for job in rigid if job in done),
+        tuple(cell for cell in cells if isinstance(cell, Cell)),
+        tuple(cell for cell in cells if isinstance(cell, RigidCell)),
     )
 
 

@@ -1,4 +1,4 @@
-"""Processes that work side by side, and outlive each other."""
+"""Where jobs run: processes of this machine, or the workers of a Dask scheduler."""
 
 from __future__ import annotations
 
@@ -6,15 +6,15 @@ import contextlib
 import faulthandler
 import os
 import signal
-from collections import deque
-from collections.abc import Callable
+import threading
+from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import get_context
-from types import TracebackType
+from importlib.util import find_spec
+from multiprocessing import get_context, resource_tracker
 from typing import Any, ParamSpec, TypeVar
 
-from drake_aigto.errors import OptionsError
+from drake_aigto.errors import MissingExtraError, OptionsError
 
 _P = ParamSpec("_P")
 _T = TypeVar("_T")
@@ -25,98 +25,124 @@ _ONE_THREAD = {
 }
 
 
-class Workers(Executor):
-    """Runs jobs in processes of one thread each; one that dies takes only its own job with it.
+@contextlib.contextmanager
+def open_workers(count: int | None = None, scheduler: str | None = None) -> Iterator[Executor]:
+    """Yields an executor whose processes have one thread each, and ends them afterwards.
 
-    That job's future raises BrokenProcessPool, and the next job gets a new process. The processes
-    are spawned, as forking one whose libraries have threads is not safe, and stay for further jobs:
-    what a job has cached is there for the next. Ctrl-C does not reach them. An exception that
-    leaves the `with` block, KeyboardInterrupt too, kills them.
+    Nothing starts before the block is entered. What still runs when it is left is broken off; a
+    job that has begun elsewhere runs to its end. Ctrl-C does not reach the processes of this
+    machine: it is for whoever waits for them to handle.
+
+    Args:
+        count: of processes on this machine, which are a Dask cluster if the extra "cluster" is
+            installed; None: one a core.
+        scheduler: address of a Dask scheduler whose workers are to run the jobs instead, such as
+            "tcp://10.0.0.1:8786".
+
+    Raises:
+        OptionsError: less than one process, or a count beside a scheduler.
+        MissingExtraError: a scheduler, without the extra "cluster".
+        StudyError: the scheduler does not answer or has no workers, or one of those has another
+            version of this package or several threads.
     """
+    if count is not None and (count < 1 or scheduler is not None):
+        got = f"{count} beside a scheduler" if scheduler is not None else count
+        raise OptionsError("workers", got=got, expected="1 or more, or a scheduler")
+    has_dask = find_spec("distributed") is not None
+    if scheduler is not None and not has_dask:
+        raise MissingExtraError(f"scheduler {scheduler}", "distributed", "cluster")
+    with _one_thread_each(), _choose(count or os.cpu_count() or 1, scheduler, has_dask) as executor:
+        yield executor
 
-    def __init__(self, count: int | None = None) -> None:
-        """Starts nothing yet.
 
-        Args:
-            count: of processes; as many as there are cores if None.
+def _choose(
+    count: int, scheduler: str | None, has_dask: bool
+) -> contextlib.AbstractContextManager[Executor]:
+    if not has_dask:
+        return Processes(count)
+    from drake_aigto.study import cluster  # Dask takes its time.
 
-        Raises:
-            OptionsError: less than one.
-        """
-        if count is not None and count < 1:
-            raise OptionsError("workers", got=count, expected="1 or more")
-        self._before = {name: os.environ.get(name) for name in _ONE_THREAD}
-        os.environ.update(_ONE_THREAD)
-        self._processes: dict[ProcessPoolExecutor, int] = {}  # each of one process, and its id
-        self._idle: deque[ProcessPoolExecutor] = deque()
-        self._is_closed = False
-        # Each thread waits for one process at a time.
-        self._threads = ThreadPoolExecutor(count or os.cpu_count(), initializer=_block_ctrl_c)
+    return cluster.start_cluster(count) if scheduler is None else cluster.connect(scheduler)
 
-    def submit(self, fn: Callable[_P, _T], /, *args: _P.args, **kwargs: _P.kwargs) -> Future[_T]:
-        """Has a call made by the next process that is free, in the order of submission."""
-        return self._threads.submit(self._call, fn, args, kwargs)
 
-    def _call(self, fn: Callable[..., _T], args: Any, kwargs: Any) -> _T:
-        process = self._idle.pop() if self._idle else self._start()
-        try:
-            result = process.submit(fn, *args, **kwargs).result()
-        except BrokenProcessPool:
-            self._processes.pop(process, None)
-            process.shutdown()
-            raise
-        except BaseException:
-            self._idle.append(process)  # It was the job that failed.
-            raise
-        self._idle.append(process)
-        return result
-
-    def _start(self) -> ProcessPoolExecutor:
-        # A crash in C++ prints the Python stack.
-        process = ProcessPoolExecutor(1, get_context("spawn"), faulthandler.enable)
-        number = process.submit(os.getpid).result()
-        self._processes[process] = number
-        if self._is_closed:
-            _kill(number)
-        return process
-
-    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Ends the processes, once their jobs are done."""
-        self._threads.shutdown(wait, cancel_futures=cancel_futures)
-        for process in list(self._processes):
-            process.shutdown(wait)
-        for name, value in self._before.items():
+@contextlib.contextmanager
+def _one_thread_each() -> Iterator[None]:
+    """Has processes that are started in this block load their libraries with one thread."""
+    before = {name: os.environ.get(name) for name in _ONE_THREAD}
+    os.environ.update(_ONE_THREAD)
+    try:
+        yield
+    finally:
+        for name, value in before.items():
             if value is None:
                 os.environ.pop(name, None)
             else:
                 os.environ[name] = value
 
-    def kill(self) -> None:
-        """Ends the processes at once; jobs that have not begun are cancelled, others broken off."""
+
+@contextlib.contextmanager
+def without_ctrl_c() -> Iterator[None]:
+    """Has threads that are started in this block, and processes of theirs, never see Ctrl-C."""
+    resource_tracker.ensure_running()  # Else whatever needs it first would be seeing it again.
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
+class Processes(Executor):
+    """Runs jobs in processes of this machine; one that dies takes only its own job with it.
+
+    That job's future raises BrokenProcessPool, and the next job gets a new process. The processes
+    are spawned, as forking one whose libraries have threads is not safe, and stay for further jobs:
+    what a job has cached is there for the next.
+    """
+
+    def __init__(self, count: int) -> None:
+        """Starts nothing yet."""
+        self._numbers: dict[ProcessPoolExecutor, int] = {}  # each of one process, and its id
+        self._is_closed = False
+        self._own = threading.local()
+        # Each thread waits for one process at a time.
+        self._threads = ThreadPoolExecutor(count)
+
+    def submit(self, fn: Callable[_P, _T], /, *args: _P.args, **kwargs: _P.kwargs) -> Future[_T]:
+        """Has a call made by the next process that is free, in the order of submission."""
+        with without_ctrl_c():
+            return self._threads.submit(self._call, fn, args, kwargs)
+
+    def _call(self, fn: Callable[..., _T], args: Any, kwargs: Any) -> _T:
+        if not hasattr(self._own, "process"):
+            self._own.process = self._start()
+        process = self._own.process
+        try:
+            return process.submit(fn, *args, **kwargs).result()
+        except BrokenProcessPool:
+            del self._own.process, self._numbers[process]
+            raise
+
+    def _start(self) -> ProcessPoolExecutor:
+        # A crash in C++ prints the Python stack.
+        process = ProcessPoolExecutor(1, get_context("spawn"), faulthandler.enable)
+        number = process.submit(os.getpid).result()
+        self._numbers[process] = number
+        if self._is_closed:
+            _kill(number)
+        return process
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Ends the processes at once, whatever they do; jobs that have not begun are cancelled."""
         self._is_closed = True
         self._threads.shutdown(wait=False, cancel_futures=True)
-        for number in list(self._processes.values()):
+        processes = dict(self._numbers)
+        for number in processes.values():
             _kill(number)
-        self.shutdown()
-
-    def __exit__(
-        self,
-        kind: type[BaseException] | None,
-        error: BaseException | None,
-        traceback: TracebackType | None,
-    ) -> None:
-        """Waits for all jobs; after an exception, for none."""
-        if kind is None:
-            self.shutdown()
-        else:
-            self.kill()
+        self._threads.shutdown()
+        for process in processes:
+            process.shutdown()
 
 
 def _kill(number: int) -> None:
     with contextlib.suppress(ProcessLookupError):
         os.kill(number, signal.SIGKILL)
-
-
-def _block_ctrl_c() -> None:
-    """Has this thread's processes never see Ctrl-C: it is for who waits for them to handle."""
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from drake_aigto.cli.flags import add_json, positive
+from drake_aigto.cli.flags import add_json, add_workers, read_workers
 from drake_aigto.cli.progress import show_progress
 
 _Study = TypeVar("_Study")
@@ -15,9 +15,7 @@ _Study = TypeVar("_Study")
 
 def add_running(command: Any) -> None:
     """Adds how it is run, and where its results go."""
-    command.add_argument(
-        "--workers", type=positive, metavar="N", help="processes at once (default: one a core)"
-    )
+    add_workers(command)
     add_json(command, "write the results, again and again")
     command.add_argument(
         "--resume", action="store_true", help="go on from the results that are there"
@@ -40,7 +38,7 @@ def run_study(options: argparse.Namespace, run: Callable[..., _Study], question:
                 question,
                 options.json,
                 resume=options.resume,
-                workers=options.workers,
+                executor=read_workers(options),
                 progress=progress,
             )
     except KeyboardInterrupt:

@@ -1,0 +1,128 @@
+"""Dask's workers as an executor: some on this machine, or those of any scheduler."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import logging
+from collections.abc import Iterator, Mapping
+from concurrent.futures import Executor, ThreadPoolExecutor
+
+import dask
+from distributed import Client, LocalCluster, Security, rpc
+from distributed.utils import silence_logging_cmgr
+from distributed.versions import get_package_info
+
+from drake_aigto.errors import StudyError
+from drake_aigto.study.workers import without_ctrl_c
+
+# How long a scheduler may take to answer. [s]
+_PATIENCE = 5.0
+# How long a process may take to end before it is killed, as nobody waits for its job. [s]
+_GRACE = 0.1
+_LOCAL = {
+    # `Jobs` tells apart what dies from what waited beside it.
+    "distributed.scheduler.allowed-failures": 0,
+    # A job that waits at a worker is blamed with the one that kills it: let none wait there.
+    "distributed.scheduler.worker-saturation": 1.0,
+    # These take CPU time all along, in processes where it is measured: 5 % and 2 %.
+    "distributed.worker.profile.enabled": False,
+    "distributed.admin.tick.interval": "1s",
+}
+# What must be the same everywhere, for a plan to be the same anywhere.
+_PACKAGES = ("drake_aigto", "drake")
+
+
+@contextlib.contextmanager
+def start_cluster(count: int) -> Iterator[Executor]:
+    """Yields as many processes of this machine, and ends them at once when the block is left."""
+    with contextlib.ExitStack() as stack:
+        with dask.config.set(_LOCAL), without_ctrl_c():
+            cluster = LocalCluster(
+                n_workers=count,
+                threads_per_worker=1,
+                memory_limit=0,  # Nothing pauses or is killed for what it takes.
+                dashboard_address=None,
+                silence_logs=logging.CRITICAL,  # The study tells what matters of it.
+            )
+            stack.callback(_end, cluster)
+        client = stack.enter_context(Client(cluster, set_as_default=False))
+        yield client.get_executor(pure=False)
+
+
+def _end(cluster: LocalCluster) -> None:
+    async def end() -> None:
+        closing = (nanny.close(timeout=_GRACE) for nanny in cluster.workers.values())
+        await asyncio.gather(*closing, return_exceptions=True)
+
+    cluster.sync(end)
+    cluster.close()
+
+
+@contextlib.contextmanager
+def connect(address: str) -> Iterator[Executor]:
+    """Yields the workers of a scheduler, once they are found fit.
+
+    Raises:
+        StudyError: it does not answer, or has no workers, or one that is not fit.
+    """
+    name = f"Dask scheduler {address}"
+    try:
+        # A client would wait for ever for one that takes the call and says nothing. In a thread, as
+        # there may be a loop in this one (Jupyter).
+        with ThreadPoolExecutor(1) as thread:
+            asked = thread.submit(asyncio.run, asyncio.wait_for(_ask(address), _PATIENCE))
+            threads, versions = asked.result()
+    except (OSError, TypeError, ValueError, asyncio.TimeoutError) as error:
+        raise StudyError(
+            f"{name} does not answer",
+            got=str(error) or f"nothing within {_PATIENCE:g} s",
+            remedy="Start one (dask scheduler), and give the address that it tells.",
+        ) from error
+    if not threads:
+        raise StudyError(name, got="no workers", expected="some", remedy=_how_to_start(address))
+    for worker in sorted(threads.keys() & versions.keys()):
+        _check_worker(worker, threads[worker], versions[worker], address)
+    # That a scheduler is lost is told by its jobs.
+    with (
+        silence_logging_cmgr(logging.CRITICAL),
+        Client(address, timeout=_PATIENCE, set_as_default=False) as client,
+    ):
+        yield client.get_executor(pure=False)
+
+
+async def _ask(address: str) -> tuple[dict[str, int], dict[str, dict[str, str | None]]]:
+    """Returns how many threads each worker of a scheduler has, and which packages."""
+    security = Security().get_connection_args("client")
+    async with rpc(address, connection_args=security) as scheduler:
+        workers = (await scheduler.identity())["workers"]
+        ask = {"op": "versions", "packages": _PACKAGES}
+        versions = await scheduler.broadcast(msg=ask)
+    threads = {worker: each["nthreads"] for worker, each in workers.items()}
+    return threads, {worker: each["packages"] for worker, each in versions.items()}
+
+
+def _check_worker(
+    worker: str, threads: int, packages: Mapping[str, str | None], scheduler: str
+) -> None:
+    """Refuses a worker that would plan otherwise than this process, or measure other times."""
+    here = get_package_info(_PACKAGES)
+    for package in _PACKAGES:
+        if packages[package] != here[package]:
+            raise StudyError(
+                f"Dask worker {worker}",
+                got=f"{package} {packages[package] or 'missing'}",
+                expected=f"{here[package]}, as here",
+                remedy="Install the same there.",
+            )
+    if threads != 1:
+        raise StudyError(
+            f"Dask worker {worker}",
+            got=f"{threads} threads",
+            expected="one, as the CPU time of its process is measured",
+            remedy=_how_to_start(scheduler),
+        )
+
+
+def _how_to_start(scheduler: str) -> str:
+    return f"Start workers so: dask worker {scheduler} --nworkers N --nthreads 1."
