@@ -3,6 +3,7 @@ from .errors import ModelError as ModelError
 from .errors import OptionsError as OptionsError
 from .errors import OutputFileError as OutputFileError
 from .errors import PlanFileError as PlanFileError
+from .errors import ProgramError as ProgramError
 from .errors import ResultsFileError as ResultsFileError
 from .errors import ScenarioError as ScenarioError
 from .errors import StudyError as StudyError

@@ -176,7 +176,9 @@ def test_what_no_motion_meets_is_an_error_that_names_it() -> None:
     program.AddConstraintToAllKnotPoints([u <= 0.1, u >= -0.1], "weak")
     at = program.state(program.knot_at(0.3))
     program.prog().AddConstraint(at[0] == 0.6).evaluator().set_description("waypoint")
-    with pytest.raises(PlanningError, match="no candidate meets the transcription's rows"):
+    with pytest.raises(
+        PlanningError, match=r"no candidate meets .* smallest defect .*waypoint.* Relax what"
+    ):
         pushed.plan()
 
 

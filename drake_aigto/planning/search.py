@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import math
 import threading
 import time
 from abc import ABC, abstractmethod
@@ -26,7 +27,7 @@ from drake_aigto.planning.plan import (
     Replays,
 )
 from drake_aigto.planning.problem import ContactSequence, PlanningProblem
-from drake_aigto.transcription.rows import largest_defect
+from drake_aigto.transcription.rows import scaled_defects
 
 if TYPE_CHECKING:
     import numpy.typing as npt
@@ -236,13 +237,16 @@ class Search(ABC):
         """
         feasible = [candidate for candidate in self.ranked() if candidate.is_feasible]
         if not feasible:
-            defects = [largest_defect(each.defects, each.scales) for each in self.ranked()]
+            polished = [scaled_defects(each.defects, each.scales) for each in self.ranked()]
+            nearest = min(polished, key=lambda by: max(by.values()), default={"rows": math.inf})
+            missed = [name for name, by in nearest.items() if by > LARGEST_DEFECT]
+            relax = "Relax what was added, or try" if self.problem.additions else "Try"
             raise PlanningError(
                 "no candidate meets the transcription's rows",
-                got=f"{len(defects)} candidates from {len(self.problem.options.ladder)} rungs, the "
-                f"smallest defect {min(defects, default=np.inf):.1e}",
+                got=f"{len(polished)} candidates from {len(self.problem.options.ladder)} rungs, "
+                f"the smallest defect {max(nearest.values()):.1e}, in {', '.join(missed)}",
                 expected=f"at most {LARGEST_DEFECT:g} of the task's scales",
-                remedy="Try another ladder or local solver.",
+                remedy=f"{relax} another ladder or local solver.",
             )
         return feasible
 

@@ -17,7 +17,12 @@ UNITS: Mapping[str, str] = {
 }
 
 
-def largest_defect(defects: Mapping[str, float], scales: Scales) -> float:
-    """Returns the largest defect, each as a part of the task's scale in its unit."""
+def scaled_defects(defects: Mapping[str, float], scales: Scales) -> dict[str, float]:
+    """Returns each defect as a part of the task's scale in its unit."""
     units = {"m": scales.length, "m/s": scales.velocity}
-    return max(value / units.get(UNITS.get(name, ""), 1.0) for name, value in defects.items())
+    return {name: by / units.get(UNITS.get(name, ""), 1.0) for name, by in defects.items()}
+
+
+def largest_defect(defects: Mapping[str, float], scales: Scales) -> float:
+    """Returns the largest of `scaled_defects`."""
+    return max(scaled_defects(defects, scales).values())
