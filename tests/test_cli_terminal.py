@@ -232,7 +232,7 @@ def test_verbose_tells_what_the_planner_does(capsys: pytest.CaptureFixture[str])
     printed = capsys.readouterr()
     log = re.sub(r"^ +\d+\.\d\d s  ", "", printed.err, flags=re.MULTILINE)
     for told in (
-        r"^transcribing \(rigid\)\nboxes: banded LDLᵀ, \d+ unknowns, half bandwidth \d+\n"
+        r"^boxes: banded LDLᵀ, \d+ unknowns, half bandwidth \d+\n"
         r"AIGO 1 of 5: annealing from temperature 3; ",
         r"\n  converged after \d+ inner steps; contact sequences: \d\n",
         r"\n  free flight: cost \d\.\d{3}e.*, replayed .*, largest defect .*, in 50 steps\n",
@@ -254,7 +254,7 @@ def test_the_log_moves_progress_aside(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = open_terminal(monkeypatch)
     assert main([*FLIGHT, "-v"]) == FINE
     shown = terminal.shown()
-    assert any(re.match(r" +\d+\.\d\d s  transcribing \(rigid\)", line) for line in shown)
+    assert any(re.match(r" +\d+\.\d\d s  boxes: banded", line) for line in shown)
     assert max(map(len, shown)) <= 60
 
 

@@ -138,7 +138,7 @@ def test_a_plan_is_shown_with_its_simulations_each_labelled(
 ) -> None:
     control = BOUNCE.times, BOUNCE.controls
     replays = [simulate(world, scenario, *control) for simulate in SIMULATE]
-    plan: Any = SimpleNamespace(trajectory=BOUNCE, replay=replays)
+    plan: Any = SimpleNamespace(trajectory=BOUNCE, replay=replays, find_world=lambda given: given)
     motions = motions_of_plan(plan, world)
     assert [motion.label for motion in motions] == [
         "plan (not a simulation)",

@@ -145,7 +145,12 @@ def make_plan() -> Any:
     trajectory = Trajectory(**rows, **control, impulses=np.zeros((3, 1)))
     replay = SimpleNamespace(simulator="drake", bounce_times=(), bounce_contacts=(), **rows)
     scenario = Scenario.named("table1/1")
-    return SimpleNamespace(trajectory=trajectory, replay=[replay, replay], scenario=scenario)
+    return SimpleNamespace(
+        trajectory=trajectory,
+        replay=[replay, replay],
+        scenario=scenario,
+        find_world=lambda given: given or World.from_scenario(scenario),
+    )
 
 
 def paths_of(meshcat: Meshcat, name: str) -> set[str]:
