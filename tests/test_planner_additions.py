@@ -152,6 +152,8 @@ def test_nothing_is_added_after_the_first_plan() -> None:
         program.AddFinalCost(program.state()[0])
     late = planner()
     late.plan()
+    assert late.transcription.prog().num_vars() > 0  # Looking at it is no addition.
+    late.plan()
     late.transcription.prog().AddConstraint(late.transcription.state(3)[0] >= 0.0)
     with pytest.raises(ProgramError, match="after the first plan"):
         late.plan()

@@ -124,8 +124,9 @@ class KnotProgram(Knots):
         """Returns the constrained program; add costs and constraints until it is solved.
 
         What is bound to variables of `state(k)` and `input(k)` is met at the time of knot k, or
-        over the time from it to the next, wherever the knots of a plan lie. Costs are linear,
-        quadratic or an ExpressionCost; constraints are bounds, linear, quadratic or other formulas.
+        over the time from it to the next, wherever the knots of a plan lie; at an impact, before
+        it. Costs are linear, quadratic or an ExpressionCost; constraints are bounds, linear,
+        quadratic or other formulas.
         An initial guess has no effect on plans: AIGO starts from a box.
         """
         return self._prog

@@ -38,7 +38,7 @@ class OpenProgram(KnotProgram):
         # What the program has from its making on, and what users have added to it since.
         self._additions, self._added = Additions(), Additions()
         self._rows: list[AddedRow] = []
-        self._frozen_size: tuple[int, ...] | None = None
+        self._frozen_count: tuple[int, int] | None = None
         super().__init__(world, scenario)
 
     @property
@@ -106,7 +106,7 @@ class OpenProgram(KnotProgram):
 
     def _add(self, more: Additions) -> None:
         """Adds what is about every knot, as users wrote it."""
-        if self._frozen_size is not None:
+        if self._frozen_count is not None:
             raise _late()
         self._bind_costs(more)
         for each in more.everywhere:
@@ -195,7 +195,7 @@ class OpenProgram(KnotProgram):
 
     def freeze(self) -> None:
         """Refuses what is added from now on, to `prog()` itself by `check_frozen`."""
-        self._frozen_size = self._size()
+        self._frozen_count = self._num_foreign()
 
     def check_frozen(self) -> None:
         """Checks that nothing was added since it was frozen.
@@ -203,14 +203,16 @@ class OpenProgram(KnotProgram):
         Raises:
             ProgramError: something was.
         """
-        if self._frozen_size not in (None, self._size()):
+        if self._frozen_count not in (None, self._num_foreign()):
             raise _late()
 
-    def _size(self) -> tuple[int, ...]:
+    def _num_foreign(self) -> tuple[int, int]:
+        """Returns how many variables, costs and constraints are not the class's own."""
         prog = self._made
         if prog is None:
-            return ()
-        return prog.num_vars(), len(prog.GetAllCosts()), len(prog.GetAllConstraints())
+            return 0, 0
+        bindings = len(prog.GetAllCosts()) + len(prog.GetAllConstraints())
+        return prog.num_vars() - self._layout.size, bindings - self._num_bound
 
     def _foreign_bindings(self) -> list[Binding]:
         """Returns the costs and constraints that were added to `prog()` itself."""
