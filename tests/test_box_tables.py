@@ -188,12 +188,16 @@ def test_boxes_and_points_share_one_compilation() -> None:
     assert len(signatures) == compilations, "each costs seconds when the package first runs"
 
 
-def test_only_transcendental_functions_cost_another_compilation() -> None:
-    x = np.ones(2)
-    BoxPolynomial(2, (block(BARRIER),)).gradient(x, 0.5)
-    hinge = Term(1.0, (Factor(0, FunctionKind.SQUARED_HINGE),))
-    BoxPolynomial(2, (block(hinge),)).gradient(x, 0.5)
-    assert len(add_means.signatures) == 2  # type: ignore[attr-defined]
+def test_all_transcendental_functions_share_a_compilation_and_so_do_all_others() -> None:
+    hinge, cosine = (
+        Term(1.0, (Factor(0, kind),)) for kind in (FunctionKind.SQUARED_HINGE, FunctionKind.COSINE)
+    )
+    for first, second in ((Term(1.0, (X0,)), hinge), (BARRIER, cosine)):
+        compilations = []
+        for term in (first, second):
+            BoxPolynomial(2, (block(term),)).gradient(np.ones(2), 0.5)
+            compilations.append(len(add_means.signatures))  # type: ignore[attr-defined]
+        assert compilations[0] == compilations[1]
 
 
 def test_nothing_to_integrate_is_zero() -> None:
