@@ -17,7 +17,7 @@ from drake_aigto.world import Scenario, World
 
 if TYPE_CHECKING:
     import numpy as np
-    import numpy.typing as npt
+    from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True)
@@ -134,9 +134,7 @@ class Recorder:
         """Whether time is up, or the best so far is good enough."""
         return self.cost <= self._good_enough or self.seconds_left <= 0
 
-    def offer(
-        self, times: npt.ArrayLike, controls: npt.ArrayLike, claim: float = math.inf
-    ) -> float:
+    def offer(self, times: ArrayLike, controls: ArrayLike, claim: float = math.inf) -> float:
         """Replays a held control, keeps it if none was cheaper, and returns its cost.
 
         Args:

@@ -7,6 +7,8 @@ to 1019 and no others.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from drake_aigto.arrays import Floats
@@ -25,19 +27,10 @@ class CovarianceAdaptation(Baseline):
 
     def search(self, recorder: Recorder, generator: np.random.Generator) -> None:
         """Adapts until a population has converged, and starts again with twice its size."""
-        import cma
-
         space = ControlSpace(recorder)
         size = 4 + int(3 * np.log(space.dimension))  # The default of `cma`.
         while not recorder.is_over:
-            options = {
-                "popsize": size,
-                "randn": lambda *shape: generator.standard_normal(shape),
-                "seed": np.nan,  # It is not to seed a generator of its own.
-                "verbose": -9,
-            }
-            start = generator.uniform(-1.0, 1.0, space.dimension)
-            strategy = cma.CMAEvolutionStrategy(start, _SPREAD, options)
+            strategy = _make_strategy(space.dimension, size, generator)
             is_done = False
             while not (is_done or strategy.stop() or recorder.is_over):
                 points = strategy.ask()
@@ -45,6 +38,19 @@ class CovarianceAdaptation(Baseline):
                 strategy.tell(points, costs.tolist())
                 is_done = has_converged(costs)
             size *= 2
+
+
+def _make_strategy(dimension: int, size: int, generator: np.random.Generator) -> Any:
+    """Returns CMA-ES with a population of a size, from a random start."""
+    import cma
+
+    options = {
+        "popsize": size,
+        "randn": lambda *shape: generator.standard_normal(shape),
+        "seed": np.nan,  # It is not to seed a generator of its own.
+        "verbose": -9,
+    }
+    return cma.CMAEvolutionStrategy(generator.uniform(-1.0, 1.0, dimension), _SPREAD, options)
 
 
 class CrossEntropy(Baseline):

@@ -39,10 +39,8 @@ class Bar:
         cut = Column(ratio=1, no_wrap=True, overflow="ellipsis")
         text = TextColumn("{task.description}", markup=False, table_column=cut)
         remaining = TimeRemainingColumn(table_column=Column(no_wrap=True))
-        self._with_total: tuple[ProgressColumn, ...] = (
-            *(elapsed, BarColumn(_BAR_WIDTH)),
-            *(remaining, TextColumn("left;"), text),
-        )
+        bar, left = BarColumn(_BAR_WIDTH), TextColumn("left;")
+        self._with_total: tuple[ProgressColumn, ...] = (elapsed, bar, remaining, left, text)
         self._progress = Progress(
             SpinnerColumn("line"),
             elapsed,

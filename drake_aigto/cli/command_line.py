@@ -55,20 +55,18 @@ def run(
     options = (make or make_parser)(words).parse_args(words, unset)
     try:
         with show_log(options):
-            status: int = options.run(options)
-        return status
-    except BrokenPipeError:
-        # Who reads has seen enough, `head` for one.
+            return int(options.run(options))
+    except BrokenPipeError:  # Who reads has seen enough, `head` for one.
         _forget_output()
         return UNREAD
     except Exception as error:
-        if options.verbose:
-            traceback.print_exc()
-        return _tell(error)
+        return _tell(error, options.verbose)
 
 
-def _tell(error: Exception) -> int:
+def _tell(error: Exception, verbose: bool) -> int:
     """Says what went wrong, and returns the exit status."""
+    if verbose:
+        traceback.print_exception(error)
     if isinstance(error, AigtoError):
         text, status = str(error), BAD_INPUT
         if isinstance(error, PlanningError):

@@ -11,12 +11,7 @@ from typing import Any
 
 
 def add_command(
-    commands: Any,
-    name: str,
-    run: Callable[..., int],
-    text: str,
-    examples: str,
-    notes: str = "",
+    commands: Any, name: str, run: Callable[..., int], text: str, examples: str, notes: str = ""
 ) -> Any:
     """Adds a command to those of a parser, and returns its own.
 
@@ -28,12 +23,9 @@ def add_command(
         examples: command lines, as they are typed.
         notes: what else there is to know, in lines of at most 100 columns.
     """
-    command = commands.add_parser(
-        name,
-        help=text,
-        description=f"{text[0].upper()}{text[1:]}.",
-        epilog="\n".join(filter(None, [format_examples(examples), notes])),
-    )
+    sentence = f"{text[0].upper()}{text[1:]}."
+    epilog = "\n".join(filter(None, [format_examples(examples), notes]))
+    command = commands.add_parser(name, help=text, description=sentence, epilog=epilog)
     add_common(command)
     command.set_defaults(run=run)
     return command

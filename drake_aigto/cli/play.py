@@ -5,13 +5,18 @@ from __future__ import annotations
 import argparse
 import sys
 import threading
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from drake_aigto.cli.flags import add_command
 from drake_aigto.cli.progress import show_progress
 from drake_aigto.cli.status import FINE
 from drake_aigto.planning import Plan
 from drake_aigto.world.files import check_writable
+
+if TYPE_CHECKING:
+    from pydrake.geometry import Meshcat
+
+    from drake_aigto.world import World
 
 _ANY_PORT = 0
 
@@ -45,13 +50,27 @@ def add_play(commands: Any) -> None:
 
 
 def _play(options: argparse.Namespace) -> int:
-    from drake_aigto.show import gradient_motions, open_meshcat, play, play_boxes, save_html
+    from drake_aigto.show import open_meshcat, save_html
 
     check_writable(options.html)
     plan = Plan.load(options.plan)
     world = plan.find_world()
     # A page needs Meshcat, too, but nobody looks for it at a port.
     meshcat = open_meshcat(_ANY_PORT if options.html and options.port is None else options.port)
+    _publish(options, plan, meshcat, world)
+    if options.html:
+        save_html(meshcat, options.html)
+        print(f"wrote {options.html}")
+        return FINE
+    key = "Enter" if sys.stdin and sys.stdin.isatty() else "Ctrl-C"
+    print(f"Meshcat plays at {meshcat.web_url()}; press {key} to stop.", flush=True)
+    _wait()
+    return FINE
+
+
+def _publish(options: argparse.Namespace, plan: Plan, meshcat: Meshcat, world: World) -> None:
+    from drake_aigto.show import gradient_motions, play, play_boxes
+
     if options.optimization:
         with show_progress(options, "running AIGO again"):
             play_boxes(plan, meshcat, world)
@@ -63,14 +82,6 @@ def _play(options: argparse.Namespace) -> int:
     else:
         with show_progress(options, "simulating"):
             play(plan, meshcat, world)
-    if options.html:
-        save_html(meshcat, options.html)
-        print(f"wrote {options.html}")
-        return FINE
-    key = "Enter" if sys.stdin and sys.stdin.isatty() else "Ctrl-C"
-    print(f"Meshcat plays at {meshcat.web_url()}; press {key} to stop.", flush=True)
-    _wait()
-    return FINE
 
 
 def _wait() -> None:

@@ -105,11 +105,7 @@ class AigoProgramResult(MathematicalProgramResult):
 
 
 def fill_result(
-    result: Any,
-    prog: MathematicalProgram,
-    x: Floats,
-    cost: float,
-    details: AigoDetails,
+    result: Any, prog: MathematicalProgram, x: Floats, cost: float, details: AigoDetails
 ) -> None:
     """Writes a solution into a MathematicalProgramResult.
 

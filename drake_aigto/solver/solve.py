@@ -90,12 +90,16 @@ class Solve:
             self._search_all()
         except KeyboardInterrupt:
             status = AigoStatus.INTERRUPTED
-        best, n = self._best, self._guess.size
+        best = self._best
         if best is None:
-            x = self._first.center[:n]
+            x = self._first.center[: self._guess.size]
             return x, np.inf, AigoDetails.of_nothing(AigoStatus.NOT_FINITE, x)
-        details = AigoDetails(
-            status=status or self._judge(best),
+        return best.x, self._program.cost(best.x), self._details(best, status or self._judge(best))
+
+    def _details(self, best: _Answer, status: AigoStatus) -> AigoDetails:
+        n = self._guess.size
+        return AigoDetails(
+            status=status,
             violation=best.violation,
             boxes=self._boxes,
             iterations=self._iterations,
@@ -107,7 +111,6 @@ class Solve:
             box_storage=self._box_storage,
             kkt_storage=self._kkt_storage,
         )
-        return best.x, self._program.cost(best.x), details
 
     def _judge(self, best: _Answer) -> AigoStatus:
         lower, upper = (bound[: best.x.size] for bound in self._bounds())
@@ -132,8 +135,11 @@ class Solve:
             self._search(search, program.costs, "")
             return
         lagrangian = AugmentedLagrangian(program, self._first)
-        if not lagrangian.is_finite:
-            return
+        if lagrangian.is_finite:
+            self._search_lagrangians(lagrangian)
+
+    def _search_lagrangians(self, lagrangian: AugmentedLagrangian) -> None:
+        options = self._options
         for number, factor in enumerate(_PENALTIES):
             search = BoxSearch(
                 rounds=math.ceil(options.rounds / len(_PENALTIES)),

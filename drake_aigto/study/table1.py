@@ -179,9 +179,7 @@ def run_cell(
     options = LiteralOptions(nonpenetration=nonpenetration, confirm=confirm)
     generator = np.random.default_rng([seed, row])
     methods = list(_gradient_methods(world, scenario, options, num_guesses, generator))
-    for name, algorithm in ALGORITHMS.items():
-        chosen = dataclasses.replace(options, algorithm=algorithm)
-        methods.append(_plan_method(name, plan_literal(scenario, chosen, world)))
+    methods += _aigo_methods(world, scenario, options)
     return Cell(row, nonpenetration, tuple(methods))
 
 
@@ -255,6 +253,12 @@ def run_table1(
         tuple(cell for cell in cells if isinstance(cell, Cell)),
         tuple(cell for cell in cells if isinstance(cell, RigidCell)),
     )
+
+
+def _aigo_methods(world: World, scenario: Scenario, options: LiteralOptions) -> Iterator[Method]:
+    for name, algorithm in ALGORITHMS.items():
+        chosen = dataclasses.replace(options, algorithm=algorithm)
+        yield _plan_method(name, plan_literal(scenario, chosen, world))
 
 
 def _gradient_methods(

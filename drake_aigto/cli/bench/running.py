@@ -33,13 +33,10 @@ def run_study(options: argparse.Namespace, run: Callable[..., _Study], question:
         question: what to run.
     """
     try:
-        with show_progress(options) as progress:
+        with show_progress(options) as say:
+            executor = read_workers(options)
             return run(
-                question,
-                options.json,
-                resume=options.resume,
-                executor=read_workers(options),
-                progress=progress,
+                question, options.json, resume=options.resume, executor=executor, progress=say
             )
     except KeyboardInterrupt:
         if options.json:

@@ -26,29 +26,19 @@ def add_question(command: Any, usual: ScenarioQuestion) -> None:
         command: to add flags to.
         usual: has the defaults.
     """
-    command.add_argument(
-        "--count", type=int, default=usual.count, help="of scenarios (default: %(default)s)"
-    )
-    command.add_argument(
-        "--seed", type=int, default=usual.seed, help="of all chance (default: %(default)s)"
-    )
-    command.add_argument(
-        "--steps",
-        type=int,
-        default=usual.num_steps,
-        metavar="N",
-        help="time steps of a scenario (default: %(default)s)",
-    )
+    counts = {
+        "--count": ("COUNT", usual.count, "of scenarios"),
+        "--seed": ("SEED", usual.seed, "of all chance"),
+        "--steps": ("N", usual.num_steps, "time steps of a scenario"),
+    }
+    for flag, (metavar, default, meaning) in counts.items():
+        text = f"{meaning} (default: {default})"
+        command.add_argument(flag, type=int, metavar=metavar, default=default, help=text)
     spreads = command.add_argument_group("spreads of the scenarios")
     for name, meaning in _SPREADS.items():
-        default = str(getattr(usual, name))
-        spreads.add_argument(
-            f"--{name}",
-            nargs="+",
-            metavar="X",
-            default=default.split(),
-            help=f"{meaning} (default: {default})",
-        )
+        usual_spread = str(getattr(usual, name))
+        text, words = f"{meaning} (default: {usual_spread})", usual_spread.split()
+        spreads.add_argument(f"--{name}", nargs="+", metavar="X", default=words, help=text)
 
 
 def read_question(options: argparse.Namespace) -> dict[str, Any]:

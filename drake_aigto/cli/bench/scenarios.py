@@ -39,28 +39,7 @@ def add_scenarios(commands: Any) -> None:
     command = add_command(commands, "scenarios", _scenarios, text, _EXAMPLES, _NOTES)
     usual = ScenarioQuestion()
     add_question(command, usual)
-    names = ", ".join(f"'{name}'" if " " in name else name for name in BASELINES)
-    command.add_argument(
-        "--methods",
-        nargs="+",
-        metavar="NAME",
-        default=[PLANNER],
-        help=f"{PLANNER}, the planner (default); {names}; or {_ALL}",
-    )
-    command.add_argument(
-        "--budgets",
-        type=float,
-        nargs="+",
-        metavar="B",
-        default=list(usual.budgets),
-        help="units of time at which the others are judged (default: 1 10 100)",
-    )
-    command.add_argument(
-        "--seconds-per-unit",
-        type=float,
-        metavar="S",
-        help=f"of one core (default: what {PLANNER} takes on the same scenario)",
-    )
+    _add_rivals(command, usual)
     command.add_argument(
         "--read-boxes",
         action="store_true",
@@ -74,6 +53,24 @@ def add_scenarios(commands: Any) -> None:
         help=f"of scenarios whose optimum {PLANNER} is to find, else exit with 1",
     )
     add_running(command)
+
+
+def _add_rivals(command: Any, usual: ScenarioQuestion) -> None:
+    names = ", ".join(f"'{name}'" if " " in name else name for name in BASELINES)
+    command.add_argument(
+        "--methods",
+        nargs="+",
+        metavar="NAME",
+        default=[PLANNER],
+        help=f"{PLANNER}, the planner (default); {names}; or {_ALL}",
+    )
+    budgets, text = list(usual.budgets), "units of time at which the others are judged"
+    text += f" (default: {' '.join(f'{budget:g}' for budget in budgets)})"
+    command.add_argument(
+        "--budgets", type=float, nargs="+", metavar="B", default=budgets, help=text
+    )
+    text = f"of one core (default: what {PLANNER} takes on the same scenario)"
+    command.add_argument("--seconds-per-unit", type=float, metavar="S", help=text)
 
 
 def _scenarios(options: argparse.Namespace) -> int:
