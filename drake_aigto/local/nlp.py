@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Callable
 from functools import cached_property
 
@@ -78,6 +79,23 @@ class PolynomialNlp:
         self.row_names = tuple(block.name for block in rows for _ in block.variables)
         for array in (self.lower, self.upper, self.copy_weights):
             array.setflags(write=False)
+
+    def with_bounds(self, lower: Floats, upper: Floats) -> PolynomialNlp:
+        """The same costs and rows within other bounds.
+
+        Raises:
+            UnsupportedTermError: They contradict each other.
+        """
+        check_bounds(lower, upper, "unknown {}".format)
+        other = copy.copy(self)
+        if np.array_equal(lower != upper, self.lower != self.upper):
+            other.__dict__["kkt_structure"] = self.kkt_structure
+        else:
+            other.__dict__.pop("kkt_structure", None)
+        other.lower, other.upper = lower, upper
+        for array in (lower, upper):
+            array.setflags(write=False)
+        return other
 
     @cached_property
     def kkt_structure(self) -> KktStructure:

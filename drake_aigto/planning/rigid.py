@@ -13,6 +13,7 @@ import numpy as np
 
 from drake_aigto.aigo import AigoResult, Algorithm, Annealing
 from drake_aigto.local import LocalResult, NewtonLagrange, PolynomialNlp, compile_nlp
+from drake_aigto.planning.arc_program import ArcPrograms
 from drake_aigto.planning.arcs import solve_in_arcs
 from drake_aigto.planning.compiled import CompiledPrograms
 from drake_aigto.planning.instants import keep_apart, moved_past
@@ -119,6 +120,7 @@ class RigidProblem(PlanningProblem):
         """
         super().__init__(transcription, options or PlanOptions(), programs)
         self.num_steps = num_steps or transcription.scenario.num_steps
+        self._arc_programs = ArcPrograms()
         self._scenarios: dict[int, Scenario] = {}  # By their number of steps.
 
     def make_algorithm(self, rung: Rung) -> Algorithm:
@@ -143,7 +145,9 @@ class RigidProblem(PlanningProblem):
             time_step = scenario.duration / self.transcription.scenario.num_steps
             coarse = dataclasses.replace(scenario, time_step=time_step)
         transcription = self.transcription.again(coarse)
-        return RigidProblem(transcription, self.options, scenario.num_steps, self._programs)
+        other = RigidProblem(transcription, self.options, scenario.num_steps, self._programs)
+        other._arc_programs = self._arc_programs
+        return other
 
     def find_sequences(self, result: AigoResult, rung: Rung) -> list[TouchSequence]:
         """Returns the contact sequences that AIGO proposes (`read_sequences`) and that fit."""
@@ -256,7 +260,10 @@ class RigidProblem(PlanningProblem):
             phases = self._phases(sequence, facings, self.num_steps if fits else None)
             most = min(_ARC_ITERATIONS, max_iterations or _ARC_ITERATIONS)
             x = solve_in_arcs(
-                phases, phases.guess(through), lambda nlp, start: self._settle(nlp, start, most)
+                phases,
+                phases.guess(through),
+                lambda nlp, start: self._settle(nlp, start, most),
+                self._arc_programs,
             )
             if x is not None:
                 return phases, x

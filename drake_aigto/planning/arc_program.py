@@ -1,0 +1,262 @@
+"""What arcs of one shape share: unknowns, costs and rows, built once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from drake_aigto.arrays import Floats, Ints
+from drake_aigto.local import Monomial, NlpBuilder
+from drake_aigto.transcription import NONPENETRATION
+from drake_aigto.transcription.rigid_contact import JointImpact
+from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, RESTITUTION
+
+if TYPE_CHECKING:
+    from drake_aigto.transcription import PhaseTranscription
+    from drake_aigto.world.constant import ConstantDynamics
+
+    Mask = NDArray[np.bool_]
+
+# Programs that are kept, of contact sequences that a search comes back to.
+_MOST_KEPT = 64
+
+
+@dataclass(frozen=True, eq=False)
+class ArcShape:
+    """Arcs of a multi-phase problem, but for the numbers that bounds can hold.
+
+    Letters: J arcs between J + 1 joints, m contacts.
+
+    Attributes:
+        counts: steps of each arc, shape (J,); where no row reads them, 1 for one and 2 for more.
+        phases: which phase each arc is a part of, shape (J,).
+        rests: which contacts last during each arc, shape (J, m).
+        starts: which contacts are touched anew at each joint, shape (J+1, m).
+        struck: as `Timeline` has it, shape (J+1, m).
+        held: likewise.
+        apart: likewise.
+        beside: likewise.
+        restitutions: of the contacts, shape (m,).
+        weights: w_u and w_f.
+    """
+
+    counts: Ints
+    phases: Ints
+    rests: Mask
+    starts: Mask
+    struck: Mask
+    held: Mask
+    apart: Mask
+    beside: Mask
+    restitutions: Floats
+    weights: Floats
+
+    @classmethod
+    def of(cls, phases: PhaseTranscription, knots: Ints) -> ArcShape:
+        """Returns the shape of arcs between these knots of the phases."""
+        line, scenario, counts = phases.timeline, phases.scenario, np.diff(knots)
+        rests = line.rests[knots[:-1]]
+        if counts.size == len(line.phases) and not np.any(rests):
+            counts = np.minimum(counts, 2)
+        ends = [phase.last for phase in line.phases]
+        return cls(
+            counts=counts,
+            phases=np.searchsorted(ends, knots[:-1], side="right"),
+            rests=rests,
+            starts=line.starts[knots],
+            struck=line.struck[knots],
+            held=line.held[knots],
+            apart=line.apart[knots],
+            beside=line.beside[knots],
+            restitutions=phases.restitutions,
+            weights=np.array([scenario.control_weight, scenario.goal_weight]),
+        )
+
+    @property
+    def key(self) -> tuple[bytes, ...]:
+        """What differs between shapes."""
+        return tuple(getattr(self, field.name).tobytes() for field in fields(self))
+
+
+class ArcPrograms:
+    """Programs of the same constant dynamics, by the shape of their arcs."""
+
+    def __init__(self) -> None:
+        """Starts with none."""
+        self._kept: dict[tuple[bytes, ...], ArcProgram] = {}
+
+    def of(self, phases: PhaseTranscription, knots: Ints) -> ArcProgram:
+        """Returns the program of arcs between these knots of the phases.
+
+        Raises:
+            ModelError: the dynamics are not constant.
+            UnsupportedTermError: walls leave a joint no place.
+        """
+        shape = ArcShape.of(phases, knots)
+        if shape.key not in self._kept:
+            program = ArcProgram(phases.world.constant_dynamics, shape)
+            if len(self._kept) >= _MOST_KEPT:
+                del self._kept[next(iter(self._kept))]
+            self._kept[shape.key] = program
+        return self._kept[shape.key]
+
+
+class ArcProgram:
+    """The problem of arcs of one shape (`Arcs` has its equations).
+
+    What else differs between problems (the start, the goal, durations, and √ρ/2) are unknowns that
+    bounds hold, so that tables and the order of unknowns are made once.
+
+    Attributes:
+        nlp: the problem, whose `held` unknowns, and h, are to be given their bounds.
+        q: positions at the joints, shape (J+1, nq).
+        v: velocities there, at an impact those before it.
+        t: times there.
+        w: velocities with which arcs start, shape (J, nv).
+        a: mean controls, shape (J, nu).
+        b: tilts of the controls.
+        h: durations, shape (J,).
+        f: mean forces, shape (J, m).
+        g: tilts of the forces.
+        half_root: √ρ/2, shape (J,).
+        goal: shape (nq,).
+        phases: which phase each arc is a part of, shape (J,).
+        end_forces: λ at both ends of arcs, where contacts last.
+    """
+
+    def __init__(self, dynamics: ConstantDynamics, shape: ArcShape) -> None:
+        """Builds the problem."""
+        self._dynamics, self._shape, self.phases = dynamics, shape, shape.phases
+        self._builder = NlpBuilder()
+        self._make_variables()
+        for rests in dict.fromkeys(map(tuple, shape.rests.tolist())):
+            self._add_motion(np.array(rests, dtype=bool))
+        self._add_costs()
+        self._add_clock()
+        self._add_distances()
+        self._add_touches()
+        self._add_forces()
+        self.nlp = self._builder.build()
+
+    def complete(self, x: Floats) -> Floats:
+        """Returns a point (n,) whose other unknowns are given, with the sums that have one."""
+        return self._builder.complete(x)
+
+    def _make_variables(self) -> None:
+        new, rests, (nq, nu) = self._builder.new, self._shape.rests, self._dynamics.gain.shape
+        J, m = rests.shape
+        self.q, self.v, self.t = new(J + 1, nq), new(J + 1, nq), new(J + 1)
+        self.a, self.b, self.h = new(J, nu), new(J, nu), new(J)
+        self.f, self.g = new(J, m), new(J, m)
+        # Held unknowns also make all arcs copies of one sum.
+        self.half_root, self.goal = new(J), new(nq)
+        is_short = (self._shape.counts == 1)[:, np.newaxis]
+        no_forces = self.f[~rests], self.g[~rests | is_short]
+        for held in (self.q[0], self.v[0], self.t[[0, -1]], self.half_root, self.goal, *no_forces):
+            self._builder.bound(held, 0.0, 0.0)
+        self.w = self.v[:-1].copy()
+        for j in np.flatnonzero(np.any(self._shape.struck[:-1], axis=1)).tolist():
+            self._add_impact(j, self._impact(j).velocities)
+
+    def _impact(self, joint: int) -> JointImpact:
+        struck, restitutions = self._shape.struck[joint], self._shape.restitutions
+        return JointImpact.of(self._dynamics, np.flatnonzero(struck), restitutions[struck])
+
+    def _add_impact(self, j: int, velocities: Floats) -> None:
+        """Adds w = R v at a joint, for the speeds that an impact changes."""
+        for i in np.flatnonzero(np.any(velocities != np.eye(len(velocities)), axis=1)):
+            self.w[j, i] = self._builder.new_sum(RESTITUTION, velocities[i], self.v[j])
+
+    def _add_motion(self, rests: NDArray[np.bool_]) -> None:
+        """Adds flight and dynamics of the arcs during which these contacts last."""
+        columns = (
+            *(self.q[:-1], self.w, self.q[1:], self.v[1:], self.a, self.b),
+            *(self.f[:, rests], self.g[:, rests]),
+            *(self.h[:, np.newaxis], self.half_root[:, np.newaxis]),
+        )
+        copies = np.hstack(columns)[np.all(self._shape.rests == rests, axis=1)]
+        ends = np.cumsum([column.shape[1] for column in columns])
+        q, w, next_q, next_v, a, b, f, g, (H,), (r,) = (
+            places.tolist() for places in np.split(np.arange(ends[-1]), ends[:-1])
+        )
+        for i, drift in enumerate(self._dynamics.drift):
+            pushes = [*self._dynamics.gain[i], *self._dynamics.kicks[rests, i]]
+            flight: list[Monomial] = [(1.0, (next_q[i],)), (-1.0, (q[i],))]
+            flight += [(-0.5, (H, speed)) for speed in (w[i], next_v[i])]
+            flight += [(push, (r, H, H, x)) for push, x in zip(pushes, [*b, *g], strict=True)]
+            self._builder.add_row(FLIGHT, flight, copies)
+            dynamics: list[Monomial] = [(1.0, (next_v[i],)), (-1.0, (w[i],)), (-drift, (H,))]
+            dynamics += [(-push, (H, x)) for push, x in zip(pushes, [*a, *f], strict=True)]
+            self._builder.add_row(DYNAMICS, dynamics, copies)
+
+    def _add_costs(self) -> None:
+        (w_u, w_f), (nq, nu) = self._shape.weights.tolist(), self._dynamics.gain.shape
+        effort = [(w_u, (0, i, i)) for i in range(1, 2 * nu + 1)]
+        copies = np.column_stack([self.h, self.a, self.b])
+        self._builder.add_cost("control effort", effort, copies)
+        miss = [
+            monomial
+            for i in range(nq)
+            for monomial in ((w_f, (i, i)), (-2 * w_f, (i, nq + i)), (w_f, (nq + i, nq + i)))
+        ]
+        self._builder.add_cost("goal", miss, np.append(self.q[-1], self.goal))
+
+    def _add_clock(self) -> None:
+        """Adds t' = t + H, and equal steps within a phase."""
+        add: list[Monomial] = [(1.0, (0,)), (-1.0, (1,)), (-1.0, (2,))]
+        copies = np.column_stack([self.t[1:], self.t[:-1], self.h])
+        self._builder.add_row("clock", add, copies)
+        counts, phases = self._shape.counts, self._shape.phases
+        for j in np.flatnonzero(phases[1:] == phases[:-1]).tolist():
+            same = [(1.0, (0,)), (-counts[j] / counts[j + 1], (1,))]
+            self._builder.add_row("clock", same, self.h[j : j + 2])
+
+    def _add_distances(self) -> None:
+        shape = self._shape
+        for name, mask, lower, upper in (
+            (NONPENETRATION, shape.apart, 0.0, np.inf),
+            (NONPENETRATION, shape.beside, -np.inf, 0.0),
+            (CONTACT, shape.held, 0.0, 0.0),
+        ):
+            for j, i in np.argwhere(mask[1:]).tolist():
+                J, offset = self._dynamics.jacobian[i], self._dynamics.offset[i]
+                self._builder.bound_sum(name, J, self.q[j + 1], lower, upper, offset)
+
+    def _add_touches(self) -> None:
+        """Adds how the ball comes to walls, and that no wall pulls in an impact."""
+        builder, shape = self._builder, self._shape
+        for j, i in np.argwhere(shape.starts).tolist():
+            # Only a ball that does not rebound can stay; else it must be at rest already.
+            stays = j < len(shape.rests) and shape.rests[j, i] and shape.restitutions[i] > 0
+            least = 0.0 if stays else -np.inf
+            builder.bound_sum(RESTITUTION, self._dynamics.jacobian[i], self.v[j], least, 0.0)
+        for j in np.flatnonzero(np.any(shape.struck, axis=1)).tolist():
+            impact = self._impact(j)
+            for row in impact.impulses[impact.coupled]:
+                builder.bound_sum(RESTITUTION, row, self.v[j], 0.0, np.inf)
+
+    def _add_forces(self) -> None:
+        """Adds λ ≥ 0 at both ends of arcs, and that contacts stay at rest."""
+        builder = self._builder
+        ends: list[int] = []
+        for j, i in np.argwhere(self._shape.rests).tolist():
+            n, both = self._shape.counts[j], np.array([self.f[j, i], self.g[j, i]])
+            if n == 1:
+                ends.append(int(both[0]))
+                continue
+            tilt = (n - 1) / n / calc_root(n)
+            ends += [
+                builder.new_sum(CONTACT, np.array([1.0, side]), both) for side in (-tilt, tilt)
+            ]
+            builder.bound_sum(CONTACT, self._dynamics.jacobian[i], self.v[j + 1], 0.0, 0.0)
+        self.end_forces = np.array(ends, dtype=np.int64)
+        builder.bound(self.end_forces, 0.0, np.inf)
+
+
+def calc_root(counts: Ints) -> Floats:
+    """Returns √ρ_n of arcs of so many steps."""
+    roots: Floats = np.sqrt((counts**2 - 1) / 3) / counts
+    return roots
