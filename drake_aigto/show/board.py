@@ -147,20 +147,24 @@ class Board:
         (left, bottom), (width, height) = low.tolist(), (high - low).tolist()
         tint = 1 - _TINT * (1 - color)
         axes.add_patch(Rectangle((left, bottom), width, height, facecolor=tint))
+        middle = left + width / 2
         lines = self.labels[index].replace(": ", ":\n", 1)
         lines = lines if "\n" in lines else lines.replace(" (", "\n(")
-        rise = min(_HIDDEN * self.depth, _MOST_HIDDEN * self.size) + self.space
-        middle = left + width / 2
-        fitting = width / (_BOLD_WIDTH * max(map(len, lines.split("\n"))))
-        look: dict[str, Any] = {"color": _SHADE * color, "ha": "center", "va": "bottom"}
-        look["size"] = self._font_size(min(self.letter, fitting))
-        self._write(axes, middle, high[1] + rise, lines, **look)
+        self._paint_title(axes, middle, high[1], lines, _SHADE * color)
         for way in self.ways[index]:
             axes.plot(*(way + aside).T, color=color, linewidth=3, alpha=0.7, zorder=2)
         axes.plot(*(self.dots[index] + aside).T, "o", color=color, markersize=7, zorder=2)
         self._paint_marks(axes, aside, middle)
         self._paint_touches(axes, index, middle)
         self._paint_scale(axes, low, high, aside)
+
+    def _paint_title(self, axes: Axes, x: float, top: float, lines: str, color: _Array) -> None:
+        (left, _), (right, _) = self.panel
+        fitting = (right - left) / (_BOLD_WIDTH * max(map(len, lines.split("\n"))))
+        look: dict[str, Any] = {"color": color, "ha": "center", "va": "bottom"}
+        look["size"] = self._font_size(min(self.letter, fitting))
+        rise = min(_HIDDEN * self.depth, _MOST_HIDDEN * self.size) + self.space
+        self._write(axes, x, top + rise, lines, **look)
 
     def _paint_marks(self, axes: Axes, aside: _Array, middle: float) -> None:
         """Draws starts and goals, with their names on the side that has more room."""

@@ -143,10 +143,8 @@ class _Graph:
             axes.tick_params(labelsize=14, labelbottom=i == len(panels) - 1)
         panels[-1].set_xlabel("time t [s]", fontsize=16)
         legend = "box: center ± half width;  ■ start  ★ goal"
-        row = 1 - _TITLE_TOP / self._height
-        figure.text(0.02, row, TITLE, size=18, weight="bold", va="top")
-        row = 1 - _LEGEND_TOP / self._height
-        figure.text(0.02, row, legend, size=13, va="top")
+        figure.text(0.02, 1 - _TITLE_TOP / self._height, TITLE, size=18, weight="bold", va="top")
+        figure.text(0.02, 1 - _LEGEND_TOP / self._height, legend, size=13, va="top")
         return figure
 
     def add_boxes(self, meshcat: Meshcat, animation: MeshcatAnimation) -> None:

@@ -26,12 +26,7 @@ def coordinate_names(world: World) -> list[str]:
         for joint in moving
         if isinstance(joint, PrismaticJoint)
     ]
-    letters = [
-        name
-        for axis in axes
-        for name, e in zip("xyz", np.eye(3), strict=True)
-        if axis @ e > 1 - 1e-9
-    ]
+    letters = ["xyz"[int(np.argmax(axis))] for axis in axes if np.max(axis) > 1 - 1e-9]
     if len(set(letters)) == len(moving):
         return letters
     return [joint.name().replace("_", " ") for joint in moving]

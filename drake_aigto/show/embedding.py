@@ -24,15 +24,9 @@ def embed_scenes(scenes: Mapping[str, str], height: int = 560) -> str:
         scenes: title → `Meshcat.StaticHtml()`; at least one.
         height: of the frame [px].
     """
-    pages = list(scenes.values())
-    start = _common_start(pages) if len(pages) > 1 else ""
-    rests = [page[len(start) :][::-1] for page in pages]
-    end = _common_start(rests)[::-1] if len(pages) > 1 else ""
-    parts = {"start": start, "end": end}
-    parts |= {str(i): page[len(start) : len(page) - len(end)] for i, page in enumerate(pages)}
     stored = "\n".join(
         f'<script type="text/plain" id="scene-{name}">{pack(text)}</script>'
-        for name, text in parts.items()
+        for name, text in _share(list(scenes.values())).items()
     )
     buttons = "".join(
         f'<button type="button" data-scene="{i}">{html.escape(title)}</button>'
@@ -40,6 +34,15 @@ def embed_scenes(scenes: Mapping[str, str], height: int = 560) -> str:
     )
     player = resources.files("drake_aigto.show").joinpath("player.html").read_text("utf-8")
     return player.format(buttons=buttons, height=height) + stored + _script()
+
+
+def _share(pages: Sequence[str]) -> dict[str, str]:
+    """Returns the start and the end that pages share, and by number what each has in between."""
+    start = _common_start(pages) if len(pages) > 1 else ""
+    rests = [page[len(start) :][::-1] for page in pages]
+    end = _common_start(rests)[::-1] if len(pages) > 1 else ""
+    middles = {str(i): page[len(start) : len(page) - len(end)] for i, page in enumerate(pages)}
+    return {"start": start, "end": end, **middles}
 
 
 def _common_start(texts: Sequence[str]) -> str:

@@ -115,12 +115,15 @@ def write_numbers(axes: Axes, runs: Mapping[str, Candidate]) -> None:
     for i, run in enumerate(runs.values()):
         y = _TOP - (i + 1) * _LINE
         axes.text(0, y, "■", color=color_of(i), **look)
-        cells = (
-            f"{run.cost:.1e}",
-            f"{run.max_defect:.0e}",
-            length_text(run.max_penetration),
-            energy_text(run.energy_ratio),
-            f"{run.replay.cost:.1e}",
-        )
-        for x, cell in zip(ends, cells, strict=True):
+        for x, cell in zip(ends, _cells(run), strict=True):
             axes.text(x, y, cell, ha="right", **look)
+
+
+def _cells(run: Candidate) -> tuple[str, ...]:
+    return (
+        f"{run.cost:.1e}",
+        f"{run.max_defect:.0e}",
+        length_text(run.max_penetration),
+        energy_text(run.energy_ratio),
+        f"{run.replay.cost:.1e}",
+    )

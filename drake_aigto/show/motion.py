@@ -9,13 +9,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drake_aigto.arrays import Floats
 from drake_aigto.simulation.contacts import find_contacts
 from drake_aigto.trajectory import read_only
 from drake_aigto.transcription import Touch
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
     from drake_aigto.planning import Plan
     from drake_aigto.simulation import Replay
     from drake_aigto.trajectory import Trajectory
@@ -54,12 +53,12 @@ class Motion:
     """
 
     label: str
-    times: npt.NDArray[np.float64]
-    positions: npt.NDArray[np.float64]
-    velocities: npt.NDArray[np.float64]
-    control_times: npt.NDArray[np.float64] | None = None
-    controls: npt.NDArray[np.float64] | None = None
-    forces: npt.NDArray[np.float64] | None = None
+    times: Floats
+    positions: Floats
+    velocities: Floats
+    control_times: Floats | None = None
+    controls: Floats | None = None
+    forces: Floats | None = None
     touches: tuple[Touch, ...] = ()
     impacts: tuple[Touch, ...] = ()
 
@@ -107,7 +106,7 @@ class Motion:
         bounces = zip(replay.bounce_times, replay.bounce_contacts, strict=True)
         return cls(label, *rows, impacts=tuple(Touch.bounce(*bounce) for bounce in bounces))
 
-    def under(self, times: npt.NDArray[np.float64], controls: npt.NDArray[np.float64]) -> Motion:
+    def under(self, times: Floats, controls: Floats) -> Motion:
         """Returns the same motion with the control that it is a simulation of."""
         return dataclasses.replace(self, control_times=times, controls=controls)
 
@@ -128,11 +127,7 @@ def time_span(motions: Sequence[Motion]) -> tuple[float, float]:
     return min(m.times[0] for m in motions), max(m.times[-1] for m in motions)
 
 
-def _fill_in(
-    times: npt.NDArray[np.float64],
-    positions: npt.NDArray[np.float64],
-    velocities: npt.NDArray[np.float64],
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def _fill_in(times: Floats, positions: Floats, velocities: Floats) -> tuple[Floats, Floats, Floats]:
     """Returns the rows with more between those far apart, on cubics that have both ends' slopes."""
     h = np.diff(times)
     counts = np.maximum(np.ceil(h / _LONGEST_STEP), 1).astype(int)

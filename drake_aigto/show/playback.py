@@ -201,18 +201,22 @@ def _lay_track(
     start = min([stage.lowest, *(x for x, side in walls if side > 0)]) - stage.radius
     highest = max([stage.highest, *(x for x, side in walls if side < 0)])
     end = max(highest + 2 * stage.radius, start + _LEAST_LENGTH * lane_width)
-    ends = {"start": scenario.initial_position, "goal": scenario.goal_position}
-    marks = {
-        f"{body}{end}": float(stage.places(mover, q[np.newaxis])[0, 0])
-        for end, q in ends.items()
-        for body, mover in zip(_name_bodies(stage), stage.movers, strict=True)
-    }
     legs = [
         [[stage.places(mover, q)[:, 0] for q in traces.find_legs(motion)] for mover in stage.movers]
         for motion in motions
     ]
     labels = [motion.label for motion in motions]
-    return Track(labels, start, end, lane_width, marks, legs, notes)
+    return Track(labels, start, end, lane_width, _mark_ends(stage, scenario), legs, notes)
+
+
+def _mark_ends(stage: Stage, scenario: Scenario) -> dict[str, float]:
+    """Returns where each body's start and goal are along the track, by name."""
+    ends = {"start": scenario.initial_position, "goal": scenario.goal_position}
+    return {
+        f"{body}{end}": float(stage.places(mover, q[np.newaxis])[0, 0])
+        for end, q in ends.items()
+        for body, mover in zip(_name_bodies(stage), stage.movers, strict=True)
+    }
 
 
 def _name_bodies(stage: Stage) -> list[str]:

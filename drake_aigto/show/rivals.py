@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from drake_aigto.world import Scenario, World
 
 _ONE_WALL, _SEVERAL = "SNOPT from zero", "SNOPT from a random guess"
+_RIGID = SIMULATION_LABELS["event-driven"]
 # Of `run_baseline`: no clock ends the only guess, and any result does.
 _SECONDS, _ANY_COST = 3600.0, 1e300
 
@@ -29,15 +30,18 @@ def gradient_motions(world: World, scenario: Scenario, seed: int = 0) -> list[Mo
         scenario: the question.
         seed: of the random guess.
     """
-    rigid = SIMULATION_LABELS["event-driven"]
     if world.num_contacts == 1:
-        options = LiteralOptions(nonpenetration=False, local_solver="snopt")
-        run = gradient_from_zero(make_literal_problem(world, scenario, options))
-        planned = Motion.from_trajectory(run.trajectory, world, f"{_ONE_WALL}: {PLAN_LABEL}")
-        simulated = Motion.from_replay(run.replay, f"{_ONE_WALL}: {rigid}")
-        return [planned, simulated.under(run.trajectory.times, run.trajectory.controls)]
+        return _literal_motions(world, scenario)
     found = run_baseline("snopt", world, scenario, _SECONDS, seed, _ANY_COST)
     assert found.times is not None and found.controls is not None
     replay = replay_event_driven(world, scenario, found.times, found.controls)
-    simulated = Motion.from_replay(replay, f"{_SEVERAL}: {rigid}")
+    simulated = Motion.from_replay(replay, f"{_SEVERAL}: {_RIGID}")
     return [simulated.under(found.times, found.controls)]
+
+
+def _literal_motions(world: World, scenario: Scenario) -> list[Motion]:
+    options = LiteralOptions(nonpenetration=False, local_solver="snopt")
+    run = gradient_from_zero(make_literal_problem(world, scenario, options))
+    planned = Motion.from_trajectory(run.trajectory, world, f"{_ONE_WALL}: {PLAN_LABEL}")
+    simulated = Motion.from_replay(run.replay, f"{_ONE_WALL}: {_RIGID}")
+    return [planned, simulated.under(run.trajectory.times, run.trajectory.controls)]

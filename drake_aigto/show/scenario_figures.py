@@ -57,19 +57,17 @@ def plot_success_over_time(
         done = [result for result in results if method in result.runs]
         times = np.sort([_solving_time(study, result, method) for result in done])
         reached = times[times <= last]
-        shares = np.arange(1, len(reached) + 1) / max(1, len(done))
-        axes.step(
-            [first, *np.maximum(reached, first), last],
-            [0.0, *shares, shares[-1] if len(shares) else 0.0],
-            where="post",
-            label=method,
-            **style,
-        )
+        shares = np.arange(len(reached) + 1) / max(1, len(done))
+        ends = [first, *np.maximum(reached, first), last]
+        axes.step(ends, [*shares, shares[-1]], where="post", label=method, **style)
+    _scale_shares(axes, budgets)
+
+
+def _scale_shares(axes: Axes, budgets: Sequence[float]) -> None:
+    first, last = 0.1 * budgets[0], budgets[-1]
     for budget in budgets:
         axes.axvline(budget, color="0.85", linewidth=0.8, zorder=0)
-    axes.set_xscale("log")
-    axes.set_xlim(first, last)
-    axes.set_ylim(-0.02, 1.03)
+    axes.set(xscale="log", xlim=(first, last), ylim=(-0.02, 1.03))
     axes.xaxis.set_major_locator(FixedLocator([first, *budgets]))
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}×"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 
 from matplotlib.axes import Axes
@@ -16,7 +16,7 @@ from drake_aigto.show.scenario_figures import plot_costs, plot_map, plot_success
 from drake_aigto.show.scenario_tables import describe_unit, markdown_study
 from drake_aigto.study.method_run import PLANNER
 from drake_aigto.study.scenario_question import ScenarioQuestion
-from drake_aigto.study.scenario_results import ScenarioStudy
+from drake_aigto.study.scenario_results import ScenarioResult, ScenarioStudy
 
 _INTRODUCTION = """\
 ## Random scenarios
@@ -65,23 +65,9 @@ def _study_parts(study: ScenarioStudy, name: str, images: Images) -> Iterator[st
     yield f"{markdown_study(study)}\n"
     if not study.is_complete:
         yield "Not all of these scenarios are done with all methods.\n"
-    if has_rivals:
-        yield images.add(
-            f"{name}_success",
-            draw_success(study),
-            "Share of scenarios solved over time, a panel for each restitution",
-        )
-        yield images.add(
-            f"{name}_costs",
-            draw_costs(study),
-            "How far above the exact optimum each method ends: shares of scenarios, after each "
-            "budget",
-        )
-    yield images.add(
-        f"{name}_map",
-        draw_map(study),
-        "Scenarios over initial velocity and goal: which mode is optimal, and which are missed",
-    )
+    for kind in _FIGURES if has_rivals else ("map",):
+        draw, caption = _FIGURES[kind]
+        yield images.add(f"{name}_{kind}", draw(study), caption)
 
 
 def command_of(question: ScenarioQuestion, flags: Mapping[str, str] = _FLAGS) -> str:
@@ -137,12 +123,7 @@ def draw_costs(study: ScenarioStudy) -> Figure:
 
 def draw_map(study: ScenarioStudy) -> Figure:
     """Returns maps over (v₀, p_f), one for each method; of one method, one for each restitution."""
-    methods, groups = study.question.methods, study.groups()
-    panels = (
-        [("", method, study.results) for method in methods]
-        if len(methods) > 1
-        else [(f"{name}, ", methods[0], results) for name, results in groups.items()]
-    )
+    panels = _map_panels(study)
     columns = min(len(panels), 4 if len(panels) > 6 else 3)
     rows = math.ceil(len(panels) / columns)
     width = max(_LEGEND_WIDTH, 2.7 * columns + 0.6)
@@ -160,6 +141,28 @@ def draw_map(study: ScenarioStudy) -> Figure:
     labels = figure.axes[0].get_legend_handles_labels()
     figure.legend(*labels, loc="outside upper center", ncols=4, frameon=False)
     return figure
+
+
+def _map_panels(study: ScenarioStudy) -> list[tuple[str, str, tuple[ScenarioResult, ...]]]:
+    """Returns what each map's title starts with, whose it is, and its results."""
+    methods, groups = study.question.methods, study.groups()
+    if len(methods) > 1:
+        return [("", method, study.results) for method in methods]
+    return [(f"{name}, ", methods[0], results) for name, results in groups.items()]
+
+
+# Name → what draws it, and its caption; of the planner alone there is the map.
+_FIGURES: dict[str, tuple[Callable[[ScenarioStudy], Figure], str]] = {
+    "success": (draw_success, "Share of scenarios solved over time, a panel for each restitution"),
+    "costs": (
+        draw_costs,
+        "How far above the exact optimum each method ends: shares of scenarios, after each budget",
+    ),
+    "map": (
+        draw_map,
+        "Scenarios over initial velocity and goal: which mode is optimal, and which are missed",
+    ),
+}
 
 
 def _span(question: ScenarioQuestion, name: str) -> str:

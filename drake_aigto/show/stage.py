@@ -19,11 +19,10 @@ from pydrake.geometry import (
 )
 from pydrake.math import RigidTransform, RotationMatrix
 
+from drake_aigto.arrays import Floats
 from drake_aigto.show.coordinates import wall_places
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
     from drake_aigto.world import World
 
 _GRAY = Rgba(0.6, 0.6, 0.6)
@@ -57,7 +56,7 @@ class Actor:
     color: Rgba
     body: str
     moves: bool
-    corners: npt.NDArray[np.float64]
+    corners: Floats
 
     @property
     def radius(self) -> float:
@@ -85,7 +84,7 @@ class Stage:
         highest: the largest [m].
     """
 
-    def __init__(self, world: World, positions: npt.NDArray[np.float64]) -> None:
+    def __init__(self, world: World, positions: Floats) -> None:
         """Reads the shapes, and looks how they move through positions, shape (K, nq) [m]."""
         self._world = world
         self._root = world.create_context()
@@ -94,22 +93,22 @@ class Stage:
         self.movers = list({a.body: a for a in reversed(self.actors) if a.moves}.values())[::-1]
         lead = self.movers[0]
         self.radius = lead.radius
-        zero = np.zeros(world.num_positions)
-        origin = self.pose(lead, zero).translation()
-        ways = [
-            [
-                self.pose(mover, q).translation() - self.pose(mover, zero).translation()
-                for q in np.eye(world.num_positions)
-            ]
-            for mover in self.movers
-        ]
-        self.directions = np.array(ways)
+        origin = self.pose(lead, np.zeros(world.num_positions)).translation()
+        self.directions = np.array([self._ways(mover) for mover in self.movers])
         self.is_line, R_WT = _face(self.directions.reshape(-1, 3))
         self.X_WT = RigidTransform(R_WT, origin - self.radius * R_WT.matrix()[:, 2])
         along = [self.places(mover, positions)[:, 0] for mover in self.movers]
         self.lowest, self.highest = float(np.min(along)), float(np.max(along))
 
-    def pose(self, actor: Actor, q: npt.NDArray[np.float64]) -> RigidTransform:
+    def _ways(self, mover: Actor) -> list[Floats]:
+        """Returns by how much a shape moves in the world with each coordinate."""
+        origin, *moved = (
+            self.pose(mover, q).translation()
+            for q in (np.zeros(self._world.num_positions), *np.eye(self._world.num_positions))
+        )
+        return [place - origin for place in moved]
+
+    def pose(self, actor: Actor, q: Floats) -> RigidTransform:
         """Returns the pose of an actor's drawn shape in the world, at q of shape (nq,) [m]."""
         plant, scene_graph = self._world.plant, self._world.scene_graph
         plant.SetPositions(plant.GetMyMutableContextFromRoot(self._root), q)
@@ -122,12 +121,12 @@ class Stage:
         """Returns R_WS of an actor's drawn shape: nothing turns as it moves."""
         return self.pose(actor, np.zeros(self._world.num_positions)).rotation()
 
-    def places(self, actor: Actor, positions: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def places(self, actor: Actor, positions: Floats) -> Floats:
         """Returns where in T an actor's middle is, shape (K, 3), at positions of shape (K, nq)."""
         X_TW = self.X_WT.inverse()
         return np.array([X_TW.multiply(self.pose(actor, q).translation()) for q in positions])
 
-    def extent(self, positions: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def extent(self, positions: Floats) -> Floats:
         """Returns opposite corners in T of all shapes over positions, shape (2, 3) [m]."""
         found = []
         for actor in self.actors:
@@ -187,7 +186,12 @@ def _read_actor(world: World, inspector: SceneGraphInspector, geometry: Geometry
     return Actor(path, geometry, shape, X_GS, color, name, moves, corners)
 
 
-def _face(ways: npt.NDArray[np.float64]) -> tuple[bool, RotationMatrix]:
+def _unit(vector: Floats) -> Floats:
+    unit: Floats = vector / np.linalg.norm(vector)
+    return unit
+
+
+def _face(ways: Floats) -> tuple[bool, RotationMatrix]:
     """Returns whether shapes move along a level line, and R_WT, for the ways that they can move.
 
     Args:
@@ -197,14 +201,12 @@ def _face(ways: npt.NDArray[np.float64]) -> tuple[bool, RotationMatrix]:
     first = directions[0] if directions[0] @ ways.sum(axis=0) >= 0 else -directions[0]
     upright = bool(np.hypot(*first[:2]) < _UPRIGHT)
     if sizes[1:].max(initial=0.0) < _UPRIGHT * sizes[0] and not upright:
-        y = np.cross(_UP, first)
-        y /= np.linalg.norm(y)
+        y = _unit(np.cross(_UP, first))
         return True, RotationMatrix(np.column_stack([first, y, np.cross(first, y)]))
     # Towards who looks on: the plane's normal, up if it can be, or against the world's y axis.
     normal = directions[2] if sizes[1:].max(initial=0.0) >= _UPRIGHT * sizes[0] else -_FORWARDS
     level = abs(normal @ _UP) > 1 - _UPRIGHT
     normal = normal if normal @ (_UP if level else -_FORWARDS - 1e-6 * _SIDE) >= 0 else -normal
     y = _FORWARDS if level else _UP
-    y = y - (y @ normal) * normal
-    y /= np.linalg.norm(y)
+    y = _unit(y - (y @ normal) * normal)
     return False, RotationMatrix(np.column_stack([np.cross(y, normal), y, normal]))
