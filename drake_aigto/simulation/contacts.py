@@ -50,16 +50,21 @@ def find_contacts(world: World, trajectory: Trajectory) -> tuple[PlannedContact,
     Where a wall pushes at every knot, large impulses are contacts, and those that follow each
     other soon are one. Where it does not, every impulse and every held force is one.
     """
+    q, v = trajectory.positions, trajectory.velocities
+    after = v + world.calc_velocity_change(q, trajectory.impulses)
+    energies = np.array([world.calc_kinetic_energy(q, each) for each in (v, after)])
     found = [
         contact
         for i in range(world.num_contacts)
-        for contact in _find_contacts(world, trajectory, i)
+        for contact in _find_contacts(world, trajectory, energies, i)
     ]
     return tuple(sorted(found, key=lambda contact: (contact.time, contact.contact)))
 
 
-def _find_contacts(world: World, trajectory: Trajectory, index: int) -> list[PlannedContact]:
-    """Returns those of one contact."""
+def _find_contacts(
+    world: World, trajectory: Trajectory, energies: npt.NDArray[np.float64], index: int
+) -> list[PlannedContact]:
+    """Returns those of one contact; with the energies before and after each knot, (2, N+1) [J]."""
     impulses, forces = trajectory.impulses[:, index], trajectory.forces[:, index]
     held = forces * np.diff(trajectory.times)
     alone = np.zeros(trajectory.impulses.shape)
@@ -77,7 +82,7 @@ def _find_contacts(world: World, trajectory: Trajectory, index: int) -> list[Pla
     if not hit.size:
         return []
     runs = np.split(hit, np.flatnonzero(apart) + 1)
-    return [_contact(world, trajectory, changes, run[0], run[-1], index) for run in runs]
+    return [_contact(trajectory, energies, changes, run[0], run[-1], index) for run in runs]
 
 
 def max_penetration(world: World, trajectory: Trajectory) -> float:
@@ -86,30 +91,27 @@ def max_penetration(world: World, trajectory: Trajectory) -> float:
 
 
 def _contact(
-    world: World,
     trajectory: Trajectory,
+    energies: npt.NDArray[np.float64],
     changes: npt.NDArray[np.float64],
     first: int,
     last: int,
     index: int,
 ) -> PlannedContact:
     """Returns the contact of knots first … last."""
-    q, v = trajectory.positions, trajectory.velocities
-    after = v[last] + world.calc_velocity_change(q[last], trajectory.impulses[last])
-    energies = world.calc_kinetic_energy(q[[first, last]], np.array([v[first], after]))
     return PlannedContact(
         time=float(trajectory.times[first]),
         last_time=float(trajectory.times[last]),
         velocity_change=float(np.linalg.norm(changes[first : last + 1].sum(axis=0))),
-        energy_ratio=_energy_ratio(energies, np.max(world.calc_kinetic_energy(q, v))),
+        energy_ratio=_energy_ratio(energies[0, first], energies[1, last], np.max(energies[0])),
         contact=index,
     )
 
 
-def _energy_ratio(energies: npt.NDArray[np.float64], largest: float) -> float:
+def _energy_ratio(before: float, after: float, largest: float) -> float:
     """Returns kinetic energy after / before; rounding of the largest on the way is none."""
     least = _STILL**2 * largest
-    given, returned = (energy if energy > least else 0.0 for energy in energies.tolist())
+    given, returned = (float(energy) if energy > least else 0.0 for energy in (before, after))
     if given == 0:
         return 1.0 if returned == 0 else np.inf
     return returned / given

@@ -60,7 +60,7 @@ class JointImpact:
         J, kicks = inertia.jacobian[chosen], inertia.kicks[chosen].T
         # In units of the contacts' own masses.
         root = np.sqrt(inertia.masses[chosen])
-        coupling = root[:, np.newaxis] * inertia.delassus[np.ix_(chosen, chosen)] * root
+        coupling = root[:, np.newaxis] * (J @ kicks) * root
         if np.linalg.eigvalsh(coupling)[0] < _DEPENDENT:
             raise OptionsError(
                 "sequence",

@@ -178,10 +178,15 @@ class EquationsOfMotion:
             v: velocities, shape (…, nv) [m/s].
             u: controls, shape (…, nu) [N].
         """
-        return self._divide_by_mass(q, u @ self.actuation.T - self.calc_bias(q, v))
+        force = u @ self.actuation.T - self.calc_bias(q, v)
+        if self.has_constant_inertia:  # Simulations ask this in every step.
+            return force @ self.constant_inertia.inverse_mass.T
+        return self._divide_by_mass(q, force)
 
     def calc_velocity_change(self, q: _Array, impulses: _Array) -> _Array:
         """Returns M⁻¹ J(q)ᵀ p, shape (…, nv) [m/s], for contact impulses p, (…, m) [N s]."""
+        if self.has_constant_inertia:
+            return impulses @ self.constant_inertia.kicks
         J = self.calc_contact_jacobian(q)
         return self._divide_by_mass(q, (impulses[..., np.newaxis, :] @ J)[..., 0, :])
 
@@ -191,8 +196,6 @@ class EquationsOfMotion:
 
     def _divide_by_mass(self, q: _Array, momentum: _Array) -> _Array:
         """Returns M(q)⁻¹ times momenta or forces, shape (…, nv)."""
-        if self.has_constant_inertia:  # Simulations ask this in every step.
-            return momentum @ self.constant_inertia.inverse_mass.T
         columns = np.linalg.solve(self.calc_mass_matrix(q), momentum[..., np.newaxis])
         return np.asarray(columns[..., 0], dtype=np.float64)
 
