@@ -92,7 +92,7 @@ def test_friction_that_acts_is_refused_before_any_work(
     rough_room: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scenario = dataclasses.replace(Scenario.named("room/bank_shot"), model=str(rough_room))
-    monkeypatch.setattr(planner, "make_problem", refuse_work)
+    monkeypatch.setattr(planner, "RigidProblem", refuse_work)
     with pytest.raises(ModelError, match=r"friction of ball against left_wall: got μ = 1 where .*"):
         Planner(scenario)
 

@@ -9,7 +9,7 @@ from typing import Any, get_args
 
 from drake_aigto.cli.flags import add_command, add_confirm, add_json
 from drake_aigto.cli.progress import show_progress
-from drake_aigto.cli.status import FINE, NOTHING_HOLDS
+from drake_aigto.cli.status import FINE, INTERRUPTED, NOTHING_HOLDS
 from drake_aigto.errors import OptionsError
 from drake_aigto.paper import LiteralOptions, plan_literal
 from drake_aigto.paper.options import AlgorithmName
@@ -160,7 +160,8 @@ def _plan(options: argparse.Namespace) -> int:
 
 
 def _answer_plan(options: argparse.Namespace, plan: Plan) -> int:
-    return _answer(options, plan, format_plan(plan, contact_delay=_delay(plan)))
+    status = _answer(options, plan, format_plan(plan, contact_delay=_delay(plan)))
+    return INTERRUPTED if plan.is_interrupted else status
 
 
 def _replay(options: argparse.Namespace) -> int:

@@ -48,7 +48,8 @@ def plan_literal(
     search = LiteralSearch(problem, clock)
     search.run(progress)
     best = search.find_feasible()[0]
-    return search.make_plan(scenario, best, search.confirm(best))
+    search.confirm(best)
+    return search.make_plan(scenario, best)
 
 
 class LiteralSearch(Search):

@@ -2,7 +2,7 @@
 
 from drake_aigto.planning.options import PlanOptions, Rung, SearchOptions
 from drake_aigto.planning.origin import Origin
-from drake_aigto.planning.plan import Candidate, Plan, PlanningError, PlanStats, Replays
+from drake_aigto.planning.plan import Candidate, Plan, PlanningError, PlanStats, Replays, Veto
 from drake_aigto.planning.planner import Planner, plan
 from drake_aigto.planning.problem import PlanningProblem
 from drake_aigto.planning.rigid import RigidProblem, coarsen, make_problem
@@ -25,6 +25,7 @@ __all__ = [
     "Search",
     "SearchOptions",
     "Stopwatch",
+    "Veto",
     "coarsen",
     "make_problem",
     "plan",

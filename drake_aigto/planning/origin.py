@@ -20,6 +20,9 @@ _WORDS: dict[ChangeName, str] = {
     "left out": "left out at first",
 }
 
+# The proposer of doing nothing.
+NO_CONTROL = "no control"
+
 
 @dataclass(frozen=True)
 class Change:
@@ -42,7 +45,8 @@ class Origin:
     """Where a candidate came from.
 
     Attributes:
-        proposer: AIGO's algorithm, as the options name it, or another's guess: "zero", "random".
+        proposer: AIGO's algorithm, as the options name it, or another's guess: "zero", "random",
+            or "no control", which is what the world does by itself.
         rung: where AIGO started; None for another's guess, and in plan files of version 3, whose
             whole sentence is the proposer.
         changes: of the contact sequence that was proposed, in order.

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import json
 import math
 import os
@@ -13,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 from drake_aigto.errors import AigtoError, DamagedDataError, ModelError, PlanFileError
 from drake_aigto.plain import LEFT_OUT, from_plain, read_json, to_plain
 from drake_aigto.planning.options import SearchOptions
-from drake_aigto.planning.origin import Origin
+from drake_aigto.planning.origin import NO_CONTROL, Origin
 from drake_aigto.simulation.contacts import PlannedContact
 from drake_aigto.simulation.replay import Replay, confirms, replay_drake, replay_event_driven
 from drake_aigto.trajectory import Trajectory
@@ -29,6 +30,11 @@ FORMAT_VERSION = 4
 
 # A candidate whose rows are off by more than this part of the task's scales is no solution.
 LARGEST_DEFECT = 1e-6
+# Touches that are no farther apart than this part of the duration are one.
+_SAME_TIME = 1e-3
+
+# When [s], and which of the world's contacts.
+TimedContact = tuple[float, int]
 
 
 @dataclass(frozen=True)
@@ -77,6 +83,7 @@ class Candidate:
         replay: the control alone, on the exactly rigid wall.
         scales: of the task, which its verdict is relative to.
         added_costs: what of the cost users added, by name.
+        drake: its control on Drake's plant, if that was to be the plan's, and another's is.
     """
 
     origin: Origin
@@ -91,6 +98,12 @@ class Candidate:
     replay: Replay
     scales: Scales
     added_costs: Mapping[str, float] = field(default_factory=dict)
+    drake: Replay | None = None
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether it is doing nothing: what the world does without control."""
+        return self.origin.proposer == NO_CONTROL
 
     @property
     def max_defect(self) -> float:
@@ -130,6 +143,33 @@ class Candidate:
     def holds(self, replays: Replays) -> bool:
         """Returns whether all replays of this candidate's control confirm it."""
         return all(map(self.is_confirmed_by, replays))
+
+
+@dataclass(frozen=True)
+class Veto:
+    """A candidate that promises less than the plan costs, but is contradicted by a simulation.
+
+    Attributes:
+        candidate: what was to be the plan.
+        replay: of its control, which does not do what it promises.
+    """
+
+    candidate: Candidate
+    replay: Replay
+
+    @property
+    def first_difference(self) -> tuple[TimedContact | None, TimedContact | None]:
+        """The first contact that was planned and was not simulated at that time, and the other way.
+
+        Each is its time [s] and which of the world's contacts; None where there is none any more.
+        """
+        near = _SAME_TIME * self.candidate.scales.time
+        planned = [(each.time, each.contact) for each in self.candidate.contacts]
+        seen = zip(self.replay.bounce_times, self.replay.bounce_contacts, strict=True)
+        for one, other in itertools.zip_longest(planned, seen):
+            if one is None or other is None or one[1] != other[1] or abs(one[0] - other[0]) > near:
+                return one, other
+        return None, None
 
 
 @dataclass(frozen=True)
@@ -174,6 +214,7 @@ class Plan:
         stats: iterations and seconds.
         made_in: what tells the world that it was made in from others; None: a file of version 3
             did not say.
+        is_interrupted: whether Ctrl-C ended the search before it was done.
         options: that it was made with; None: a file of version 3 did not say.
         world: that it was made in, while it is in memory: neither files nor copies in other
             processes have it (`find_world`).
@@ -185,6 +226,7 @@ class Plan:
     replay: Replays
     stats: PlanStats
     made_in: Fingerprint | None
+    is_interrupted: bool = False
     options: SearchOptions | None = field(default=None, metadata=LEFT_OUT)
     world: World | None = field(default=None, compare=False, repr=False, metadata=LEFT_OUT)
 
@@ -226,6 +268,22 @@ class Plan:
     def holds(self) -> bool:
         """Whether every replay that was run confirms the chosen trajectory (`replay.confirms`)."""
         return self.best.holds(self.replay)
+
+    @property
+    def vetoes(self) -> tuple[Veto, ...]:
+        """The candidates that promise less, and the first simulation that contradicts each."""
+        found = []
+        for candidate in self.candidates[1:]:
+            replays = (candidate.replay, *filter(None, [candidate.drake]))
+            against = [replay for replay in replays if not candidate.is_confirmed_by(replay)]
+            if candidate.is_feasible and candidate.cost < self.cost and against:
+                found.append(Veto(candidate, against[0]))
+        return tuple(found)
+
+    @property
+    def idle(self) -> Candidate | None:
+        """Doing nothing, which a plan has to beat; None where the search did not look at it."""
+        return next((candidate for candidate in self.candidates if candidate.is_idle), None)
 
     def find_world(self, world: World | None = None) -> World:
         """Returns the world that the plan was made in.

@@ -126,6 +126,7 @@ class Planner:
         self._transcription.check_frozen()
         search = self._start_search(scenario)
         search.run(progress)
+        search.add_idle()
         found = self._choose(search, scenario)
         if not found.holds:
             raise _nothing_holds(found, len(self.options.ladder))
@@ -144,15 +145,12 @@ class Planner:
     def _choose(self, search: RigidSearch, scenario: Scenario) -> Plan:
         """Returns the plan of the first candidate that all replays confirm, or else the first."""
         best = search.find_feasible()[0]
-        replays = search.confirm(best)
-        if not best.holds(replays):
+        if not search.confirm(best):
             search.add_left_out()
-            for other in search.find_feasible():
-                if other is not best and other.is_confirmed:
-                    again = search.confirm(other)
-                    if other.holds(again):
-                        return search.make_plan(scenario, other, again)
-        return search.make_plan(scenario, best, replays)
+            others = (other for other in search.find_feasible() if other.is_confirmed)
+            holds = (other for other in others if other is not best and search.confirm(other))
+            best = next(holds, best)
+        return search.make_plan(scenario, best)
 
 
 def _nothing_holds(found: Plan, num_rungs: int) -> PlanningError:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import math
 import threading
@@ -73,6 +74,8 @@ class Search(ABC):
         aigo_steps: inner iterations of AIGO so far.
         shown: the rungs so far, each with the contact sequences that its last box shows, the most
             literal first.
+        others: candidates that no sequence was polished for.
+        is_interrupted: whether Ctrl-C ended it.
     """
 
     def __init__(self, problem: PlanningProblem, clock: Stopwatch | None = None) -> None:
@@ -83,6 +86,9 @@ class Search(ABC):
         self.solved: dict[ContactSequence, tuple[Any, npt.NDArray[np.float64]]] = {}
         self.aigo_steps = 0
         self.shown: list[tuple[Rung, list[ContactSequence]]] = []
+        self.others: list[Candidate] = []
+        self.is_interrupted = False
+        self._replays: dict[int, Replays] = {}  # Of those that were to be the plan, by id.
 
     def run(self, progress: Progress | None = None) -> None:
         """Runs the ladder, and refines what comes out.
@@ -112,6 +118,7 @@ class Search(ABC):
         except KeyboardInterrupt:
             if not self.by_sequence:
                 raise
+            self.is_interrupted = True
             _LOG.info("interrupted: going on with what was found")
 
     def rungs(self) -> Iterator[tuple[Rung, ...]]:
@@ -227,7 +234,7 @@ class Search(ABC):
 
     def ranked(self) -> list[Candidate]:
         """Returns all candidates, the best first."""
-        return sorted(self.by_sequence.values(), key=self.rank)
+        return sorted([*self.by_sequence.values(), *self.others], key=self.rank)
 
     def find_feasible(self) -> list[Candidate]:
         """Returns the candidates that meet the rows, the best first.
@@ -250,18 +257,45 @@ class Search(ABC):
             )
         return feasible
 
-    def confirm(self, candidate: Candidate) -> Replays:
-        """Returns the replays of a candidate's control."""
-        _LOG.info("replaying the best of %d candidates", len(self.by_sequence))
-        with self.clock("replay"):
-            return self.problem.confirm(candidate)
+    def confirm(self, candidate: Candidate) -> bool:
+        """Replays a candidate's control, and returns whether the replays confirm it.
 
-    def make_plan(self, scenario: Scenario, best: Candidate, replays: Replays) -> Plan:
-        """Returns the plan with this candidate as its best, and the others by rank."""
-        rest = [candidate for candidate in self.ranked() if candidate is not best]
+        Ctrl-C leaves out what has not been simulated by then.
+        """
+        _LOG.info("replaying the best of %d candidates", len(self.ranked()))
+        self._replays[id(candidate)] = Replays(candidate.replay, None)
+        try:
+            with self.clock("replay"):
+                self._replays[id(candidate)] = self.problem.confirm(candidate)
+        except KeyboardInterrupt:
+            self.is_interrupted = True
+        replays = self._replays[id(candidate)]
+        for replay in replays:
+            if not candidate.is_confirmed_by(replay):
+                _LOG.info(
+                    "  vetoed by the %s replay: %s promises cost %.3e and %.1e m off the goal; "
+                    "simulated %.3e and %.1e m",
+                    replay.simulator,
+                    candidate.describe_contacts(),
+                    candidate.cost,
+                    candidate.goal_error,
+                    replay.cost,
+                    replay.goal_error,
+                )
+        return candidate.holds(replays)
+
+    def make_plan(self, scenario: Scenario, best: Candidate) -> Plan:
+        """Returns the plan with this candidate, which was replayed, and the others by rank."""
+        rest = [
+            dataclasses.replace(other, drake=self._replays[id(other)].drake)
+            if id(other) in self._replays
+            else other
+            for other in self.ranked()
+            if other is not best
+        ]
         stats = PlanStats(
             self.aigo_steps,
-            sum(candidate.is_feasible for candidate in (best, *rest)),
+            sum(candidate.is_feasible for candidate in self.by_sequence.values()),
             dict(self.clock.seconds),
             self.box_contacts,
             self.flight_left_out,
@@ -273,9 +307,10 @@ class Search(ABC):
             scenario=scenario,
             transcription=options.transcription,
             candidates=(best, *rest),
-            replay=replays,
+            replay=self._replays[id(best)],
             stats=stats,
             made_in=world.fingerprint,
+            is_interrupted=self.is_interrupted,
             options=options,
             world=world,
         )

@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from string import ascii_lowercase
 
 from drake_aigto.planning import Candidate, Plan, PlanOptions
+from drake_aigto.show.remarks import INTERRUPTED, describe_idle, describe_vetoes
 from drake_aigto.show.text import (
     WIDTH,
     contact_names,
@@ -25,6 +26,7 @@ _LABEL = 12  # Columns of the labels at the left.
 _COLUMNS = (9, 8, 9, 8, 10, 10)  # Of the table of candidates, before their contacts.
 _MOST_CANDIDATES = 8
 _MOST_BOUNCES = 6
+_MOST_CONTACTS = 12
 
 
 def format_plan(plan: Plan, world: World | None = None, contact_delay: float | None = None) -> str:
@@ -59,6 +61,11 @@ def _answer(plan: Plan, world: World, contact_delay: float | None) -> Iterator[s
     yield from _row("verdict", _verdict(plan, names))
     costs = [f"{_simulator(replay, names)} {replay.cost:.3e}" for replay in plan.replay]
     yield from _row("", [f"cost {plan.cost:.3e}", *costs])
+    if plan.is_interrupted:
+        yield from _text("interrupted", INTERRUPTED)
+    for veto in describe_vetoes(plan, world):
+        yield from _text("vetoed", veto)
+    yield from _text("no control", describe_idle(plan))
     mass = [] if scenario.mass is None else [f"mass {scenario.mass:g} kg"]
     span = f"T = {scenario.duration:g} s in {scenario.num_steps} steps"
     restitution = f"restitution {scenario.restitution:g}"
@@ -154,7 +161,7 @@ def _search(plan: Plan, names: Sequence[str]) -> Iterator[str]:
         ["1, the plan", iterations]
         if count == 1
         else [
-            f"{count}, of which {plan.stats.polished} feasible",
+            f"{count}, of which {sum(each.is_feasible for each in plan.candidates)} feasible",
             f"{iterations}; the first is the plan",
         ],
     )
@@ -172,6 +179,7 @@ def _search(plan: Plan, names: Sequence[str]) -> Iterator[str]:
 
 def _candidate_line(candidate: Candidate, names: Sequence[str]) -> str:
     times = ", ".join(map(_when, candidate.contacts))
+    alone = "no control: " if candidate.is_idle else ""
     if len(names) > 1:
         times = " at ".join(["".join(_letter(c.contact) for c in candidate.contacts), times])
     return _line(
@@ -181,7 +189,7 @@ def _candidate_line(candidate: Candidate, names: Sequence[str]) -> str:
         energy_text(candidate.energy_ratio),
         f"{candidate.replay.cost:.2e}",
         length_text(candidate.replay.goal_error),
-        f"{times} s" if candidate.contacts else "none",
+        alone + (f"{times} s" if candidate.contacts else "none"),
     )
 
 
@@ -193,10 +201,10 @@ def _line(*texts: str) -> str:
     return line + textwrap.shorten(last, WIDTH - len(line), placeholder=" …")
 
 
-def _row(label: str, items: Iterable[str]) -> list[str]:
+def _row(label: str, items: Iterable[str], between: str = ", ") -> list[str]:
     """Returns a label and items, or nothing without items; lines break between items."""
     # Lines do not break at no-break spaces.
-    text = ", ".join(item.replace(" ", "\u00a0") for item in items)
+    text = between.join(item.replace(" ", "\u00a0") for item in items)
     if not text:
         return []
     lines = textwrap.wrap(
@@ -207,6 +215,11 @@ def _row(label: str, items: Iterable[str]) -> list[str]:
         break_on_hyphens=False,
     )
     return [line.replace("\u00a0", " ") for line in lines]
+
+
+def _text(label: str, text: str | None) -> list[str]:
+    """Returns a label and a sentence, which breaks between words; nothing for None."""
+    return [] if text is None else _row(label, text.split(" "), " ")
 
 
 def _simulator(replay: Replay, names: Sequence[str]) -> str:
@@ -240,9 +253,11 @@ def _contacts(candidate: Candidate, names: Sequence[str]) -> Iterator[str]:
     if not candidate.contacts:
         yield "none"
         return
-    for contact in candidate.contacts:
+    for contact in candidate.contacts[:_MOST_CONTACTS]:
         where = f"{names[contact.contact]} at " if len(names) > 1 else ""
         yield f"{where}{_when(contact)} s (Δv {contact.velocity_change:.2f} m/s)"
+    if (more := len(candidate.contacts) - _MOST_CONTACTS) > 0:
+        yield f"{more} more"
     all_of_them = " in all" if len(candidate.contacts) > 1 else ""
     yield f"kinetic energy after / before {energy_text(candidate.energy_ratio)}{all_of_them}"
 

@@ -23,6 +23,7 @@ from drake_aigto.show.page import Page
 from drake_aigto.show.plans import describe_verdict, format_replays
 from drake_aigto.show.playback import open_meshcat, play
 from drake_aigto.show.portraits import plot_phase_portrait
+from drake_aigto.show.remarks import INTERRUPTED, describe_idle, describe_vetoes
 from drake_aigto.show.text import (
     contact_names,
     energy_text,
@@ -106,6 +107,12 @@ def add_verdict(page: Page, plan: Plan, world: World) -> None:
             f"{length_text(replay.goal_error)} off the goal, the plan "
             f"{length_text(plan.best.goal_error)}."
         )
+    if plan.is_interrupted:
+        page.paragraph(f"Interrupted: {INTERRUPTED}.")
+    for veto in describe_vetoes(plan, world):
+        page.paragraph(f"Vetoed: {veto}.")
+    if idle := describe_idle(plan):
+        page.paragraph(f"Without control: {idle}.")
 
 
 def describe_difference(cost: float, replay: Replay) -> str:
@@ -287,11 +294,11 @@ _CANDIDATE_HEADER = (
 
 def _add_candidates(page: Page, plan: Plan) -> None:
     page.heading("Candidates")
-    count = len(plan.candidates)
+    count, feasible = len(plan.candidates), sum(each.is_feasible for each in plan.candidates)
     page.paragraph(
         "There was one candidate, the plan."
         if count == 1
-        else f"There were {count} candidates, of which {plan.stats.polished} are feasible; the "
+        else f"There were {count} candidates, of which {feasible} are feasible; the "
         "first is the plan."
     )
     if plan.stats.flight_left_out is not None:
@@ -310,7 +317,8 @@ def _candidate_rows(plan: Plan) -> Iterator[tuple[str, ...]]:
             energy_text(run.energy_ratio),
             f"{run.replay.cost:.2e}",
             length_text(run.replay.goal_error),
-            ", ".join(f"{contact.time:.3f} s" for contact in run.contacts) or "none",
+            ("no control: " if run.is_idle else "")
+            + (", ".join(f"{contact.time:.3f} s" for contact in run.contacts) or "none"),
         )
 
 

@@ -1,0 +1,189 @@
+"""What simulations veto, doing nothing, and Ctrl-C: nothing of it in silence."""
+
+from __future__ import annotations
+
+import dataclasses
+import html
+import logging
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from replay_worlds import make_diagram, shipped_world
+from several_walls import make_wedge
+
+from drake_aigto import Scenario, World, plan
+from drake_aigto.cli import INTERRUPTED, main
+from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions, RigidProblem
+from drake_aigto.planning import problem as planning_problem
+from drake_aigto.planning.idle import idle_candidate
+from drake_aigto.show.page import Page
+from drake_aigto.show.plans import format_plan
+from drake_aigto.show.report import add_verdict
+from drake_aigto.simulation import Replay, replay_event_driven
+
+COARSE: dict[str, Any] = {"time_step": 0.02}
+MODELS = "package://drake_aigto_models"
+UNCONFIRMED = PlanOptions(confirm=False)
+
+
+def table1(row: int, **fields: Any) -> Scenario:
+    return dataclasses.replace(Scenario.named(f"table1/{row}"), **fields)
+
+
+@cache
+def bounce_plan() -> Plan:
+    return plan(table1(1, **COARSE))
+
+
+# What Drake contradicts.
+
+
+def contradict(number: int) -> Any:
+    """Returns Drake's replay of a plan, but for the first so many, which miss by a metre."""
+    calls = []
+
+    def replay(world: World, scenario: Scenario, *control: Any) -> Replay:
+        calls.append(control)
+        found = replay_event_driven(world, scenario, *control)
+        miss = 1.0 if len(calls) <= number else 0.0
+        return dataclasses.replace(
+            found, simulator="drake", cost=found.cost + miss, goal_error=found.goal_error + miss
+        )
+
+    return replay
+
+
+def test_the_next_candidate_is_taken_if_drake_contradicts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(planning_problem, "replay_drake", contradict(1))
+    found = plan(table1(1, **COARSE))
+    assert found.holds and found.cost > bounce_plan().cost
+    assert found.candidates[1].cost == bounce_plan().cost
+
+
+def test_a_candidate_that_drake_contradicts_is_told_in_the_plan_and_wherever_it_is_shown(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, tmp_path: Path
+) -> None:
+    caplog.set_level(logging.INFO, "drake_aigto")
+    monkeypatch.setattr(planning_problem, "replay_drake", contradict(1))
+    found = plan(table1(1, **COARSE))
+    found.save(tmp_path / "plan.json")
+    (veto,) = Plan.load(tmp_path / "plan.json").vetoes
+    assert veto.candidate == found.candidates[1]
+    assert veto.candidate.cost < found.cost
+    assert veto.replay.simulator == "drake"
+    assert [veto.replay.cost, veto.replay.goal_error] == pytest.approx([1.0, 1.0], rel=1e-3)
+    assert "vetoed by the drake replay: contact at 0.550 s promises cost 2.181e-04" in caplog.text
+    page = Page("")
+    add_verdict(page, found, shipped_world())
+    for told in (format_plan(found), page.to_html()):
+        words = " ".join(html.unescape(told).split())
+        assert (
+            "a candidate with contacts at 0.550 s promises 2.18e-04, but on Drake's plant costs "
+            "1.00e+00 and ends 1.00 m off the goal" in words
+        )
+    assert not bounce_plan().vetoes
+
+
+def test_nothing_that_holds_is_an_error_that_says_what_was_tried(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    cost = bounce_plan().cost
+    monkeypatch.setattr(planning_problem, "replay_drake", contradict(99))
+    message = (
+        r"nothing that was planned holds in simulation: got \d candidates from 5 rungs of AIGO "
+        r"\(contact at 0\.550 s for 2\.18e-04, replayed 2\.18e-04, in Drake 1\.00e\+00 and "
+        r"1\.0e\+00 m off the goal; .*free flight for 8\.95e-03, .*, expected simulations .* Allow"
+    )
+    with pytest.raises(PlanningError, match=message) as caught:
+        plan(table1(1, **COARSE))
+    assert caught.value.plan is not None and not caught.value.plan.holds
+    assert caught.value.plan.cost == cost
+
+
+def test_where_no_polish_succeeds_there_is_still_doing_nothing(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(RigidProblem, "_has_arcs", False)
+    monkeypatch.setattr(RigidProblem, "solve_program", lambda self, prog, guess, *_: guess)
+    found = plan(table1(1, **COARSE))
+    assert found.best.is_idle
+    assert not any(candidate.is_feasible for candidate in found.candidates[1:])
+    assert "this is the plan: nothing that was found and holds costs less" in format_plan(found)
+
+
+# Doing nothing.
+
+
+def one_coordinate(model: str, start: float, velocity: float, **fields: Any) -> Scenario:
+    ends: dict[str, Any] = {"goal_position": 0.7, **fields}
+    return Scenario(
+        model=f"{MODELS}/{model}.sdf", initial_position=start, initial_velocity=velocity, **ends
+    )
+
+
+@pytest.mark.parametrize(
+    "scenario",
+    [
+        one_coordinate("corridor", 0.5, 20.0),  # 20 bounces.
+        one_coordinate("floor", 0.29, -0.07, duration=0.9, goal_position=0.3, restitution=0.3),
+    ],
+    ids=["corridor", "floor"],
+)
+def test_no_plan_is_worse_than_doing_nothing(scenario: Scenario) -> None:
+    world = World.from_scenario(scenario)
+    nothing = np.zeros((1, world.num_actuators))
+    free = replay_event_driven(world, scenario, [0.0, scenario.duration], nothing)
+    found = plan(scenario, UNCONFIRMED, world)
+    assert found.holds
+    assert found.cost <= free.cost * (1 + 1e-9)
+    assert found.idle is not None
+    assert found.idle.cost == pytest.approx(free.cost, rel=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("world", "fields"),
+    [
+        (None, {"model": f"{MODELS}/floor.sdf", "initial_position": 0.3, "restitution": 0.5}),
+        (None, {"model": f"{MODELS}/floor.sdf", "initial_position": 0.01, "restitution": 0.8}),
+        (None, {"model": f"{MODELS}/corridor.sdf", "initial_velocity": 30.0}),
+        (World.from_diagram(make_diagram(gravity=9.81, spring=3.0)), {"initial_velocity": -1.0}),
+        (make_wedge(1.5), {"initial_position": [0.5, 0.5], "initial_velocity": [-2.0, -2.0]}),
+    ],
+    ids=["comes to rest", "chatters", "bounces often", "on a spring", "into a corner"],
+)
+def test_doing_nothing_obeys_the_rows_of_a_plan(world: World | None, fields: Any) -> None:
+    ends = {"initial_position": 0.5, "initial_velocity": 0.0, **fields}
+    goal = np.full(np.size(ends["initial_position"]), 0.7)
+    scenario = Scenario(**ends, goal_position=goal)
+    problem = Planner(scenario, UNCONFIRMED, world)._problem
+    idle = idle_candidate(problem, scenario.num_steps)
+    assert idle.is_feasible and idle.is_confirmed and idle.is_idle
+    assert not np.any(idle.trajectory.controls)
+    assert np.any(idle.trajectory.impulses) == bool(idle.replay.bounce_times)
+
+
+# Ctrl-C.
+
+
+def test_ctrl_c_gives_the_best_so_far_and_says_so(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def interrupt(self: RigidProblem, candidate: Any) -> Any:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(RigidProblem, "confirm", interrupt)
+    out = tmp_path / "plan.json"
+    assert main(["plan", "table1/1", "--time-step", "0.02", "--json", str(out)]) == INTERRUPTED
+    saved = Plan.load(out)
+    assert saved.is_interrupted and saved.replay.drake is None
+    assert saved.cost == bounce_plan().cost
+    assert "interrupted the search was ended by Ctrl-C" in " ".join(capsys.readouterr().out.split())
+    page = Page("")
+    add_verdict(page, saved, shipped_world())
+    assert "Interrupted: the search was ended by Ctrl-C" in page.to_html()
+    monkeypatch.undo()
+    assert main(["replay", str(out)]) == 0
+    assert not bounce_plan().is_interrupted
