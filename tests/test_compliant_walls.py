@@ -93,6 +93,15 @@ def test_the_models_own_restitution_is_matched_at_its_wall_only() -> None:
     np.testing.assert_allclose(drake.velocities[-1], [1.0, 1.0], atol=1e-4)
 
 
+@pytest.mark.parametrize("speed", [20.0, 50.0, 100.0])
+def test_what_a_dead_stop_gives_back_is_explained_and_no_more(speed: float) -> None:
+    # No finite dissipation takes all of the speed: Drake's wall returns a thousandth.
+    world = shipped("corridor")
+    rigid, drake = run_both(world, 0.5, -speed, *hold_still(world), 0.0)
+    missed = miss(rigid, drake)
+    assert 0.9e-3 * speed < missed < drake.compliance_error < 1.1e-3 * speed
+
+
 @pytest.mark.parametrize("e", [1.0, 0.7])
 def test_bodies_that_meet_do_as_rigid_ones(e: float) -> None:
     world = shipped("two_masses")

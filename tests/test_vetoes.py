@@ -16,6 +16,7 @@ from several_walls import make_wedge
 
 from drake_aigto import Scenario, World, plan
 from drake_aigto.cli import INTERRUPTED, main
+from drake_aigto.optima import rigid_optimum
 from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions, RigidProblem
 from drake_aigto.planning import problem as planning_problem
 from drake_aigto.planning.idle import idle_candidate
@@ -112,6 +113,13 @@ def test_where_no_polish_succeeds_there_is_still_doing_nothing(
     assert found.best.is_idle
     assert not any(candidate.is_feasible for candidate in found.candidates[1:])
     assert "this is the plan: nothing that was found and holds costs less" in format_plan(found)
+
+
+def test_a_dead_stop_from_high_speed_is_no_reason_for_a_veto() -> None:
+    scenario = table1(1, initial_velocity=-100.0, restitution=0.0)
+    found = plan(scenario)
+    assert found.holds and not found.vetoes
+    assert found.cost == pytest.approx(rigid_optimum(shipped_world(), scenario).cost, rel=1e-3)
 
 
 # Doing nothing.
