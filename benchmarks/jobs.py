@@ -13,7 +13,7 @@ from typing import Any, NoReturn
 from drake_aigto.cli.flags import add_workers, read_workers
 from drake_aigto.cli.status import BAD_INPUT
 from drake_aigto.errors import AigtoError
-from drake_aigto.study.jobs import open_jobs
+from drake_aigto.jobs import open_jobs
 
 
 def add_options(parser: argparse.ArgumentParser, workers: int | None = 1) -> None:

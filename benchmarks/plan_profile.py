@@ -27,8 +27,9 @@ from typing import Any
 import numpy as np
 
 from benchmarks.measure import clock, write_csv
+from drake_aigto.paper import ROWS
 from drake_aigto.planning import Planner, PlanOptions
-from drake_aigto.study import ROWS, ScenarioQuestion
+from drake_aigto.study import ScenarioQuestion
 from drake_aigto.world import Scenario
 
 PARTS = ("aigo", "polish", "replay")

@@ -35,10 +35,10 @@ import numpy.typing as npt
 from benchmarks.local_peers import Solver, casadi, casadi_ipopt, drake_solver
 from benchmarks.measure import Spread, clock, is_met, write_csv
 from drake_aigto.local import compile_nlp
-from drake_aigto.paper import LiteralTranscription, random_guess
+from drake_aigto.paper import ROWS, LiteralTranscription, random_guess
 from drake_aigto.planning import Planner, PlanOptions
 from drake_aigto.simulation import replay_event_driven
-from drake_aigto.study import ROWS, ScenarioQuestion
+from drake_aigto.study import ScenarioQuestion
 from drake_aigto.world import Scenario, World
 
 PLAN, CASADI, CASADI_RANDOM = "plan", "CasADi + IPOPT from zero", "CasADi + IPOPT from random"

@@ -11,8 +11,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 
-from drake_aigto.paper import LiteralOptions, plan_literal
-from drake_aigto.study import PAPER_COSTS
+from drake_aigto.paper import PAPER_COSTS, LiteralOptions, plan_literal
 from drake_aigto.world import Scenario
 
 DURATIONS = (0.9, 1.0, 1.1)  # [s]

@@ -11,7 +11,7 @@ from __future__ import annotations
 import sys
 import time
 
-from drake_aigto.study import PAPER_COSTS, Cell, RigidCell, run_table1
+from drake_aigto.paper import PAPER_COSTS, Cell, RigidCell, run_table1
 
 # Row 4 of the paper needs settings that it does not print.
 TARGETS = {1: PAPER_COSTS[1].aigto, 2: PAPER_COSTS[2].aigto, 3: PAPER_COSTS[3].aigto, 4: 1e-4}

@@ -29,10 +29,11 @@ from benchmarks.ablations.tables import format_ablations
 from drake_aigto import OptionsError, PlanOptions, Scenario
 from drake_aigto.cli import BAD_INPUT, FINE
 from drake_aigto.errors import ResultsFileError
+from drake_aigto.jobs import workers
 from drake_aigto.optima import rigid_optimum
 from drake_aigto.planning.options import RIGID_LADDER, Rung
 from drake_aigto.show.text import WIDTH
-from drake_aigto.study import scenario_study, workers
+from drake_aigto.study import scenario_study
 from drake_aigto.study.method_run import Job, MethodRun
 from drake_aigto.study.scenario_jobs import EXHAUSTIVE
 from drake_aigto.study.scenario_question import ScenarioQuestion

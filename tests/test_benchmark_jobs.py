@@ -12,8 +12,7 @@ from scenario_studies import Inline
 
 from benchmarks.jobs import add_options, run_as, run_jobs
 from drake_aigto.cli import BAD_INPUT
-from drake_aigto.study import workers
-from drake_aigto.study.jobs import ProcessDiedError
+from drake_aigto.jobs import ProcessDiedError, workers
 
 
 def parse(*flags: str) -> argparse.Namespace:

@@ -12,9 +12,10 @@ from drake_aigto.baselines import registry
 from drake_aigto.cli import BAD_INPUT, FINE, INTERRUPTED, NOTHING_HOLDS, main
 from drake_aigto.cli.bench import scenarios
 from drake_aigto.errors import PlanFileError
+from drake_aigto.jobs import workers
 from drake_aigto.planning import Planner
 from drake_aigto.show.text import WIDTH
-from drake_aigto.study import scenario_jobs, scenario_study, workers
+from drake_aigto.study import scenario_jobs, scenario_study
 from drake_aigto.study.scenario_results import ScenarioStudy
 from drake_aigto.study.spread import Spread
 

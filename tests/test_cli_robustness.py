@@ -17,7 +17,7 @@ from benchmarks.robustness.question import RobustnessQuestion
 from benchmarks.robustness.results import RobustnessStudy
 from benchmarks.robustness.study import run_robustness
 from drake_aigto.cli import BAD_INPUT, FINE
-from drake_aigto.study import workers
+from drake_aigto.jobs import workers
 
 
 def test_the_command_prints_the_table_and_writes_the_file(

@@ -18,7 +18,8 @@ from distributed.versions import get_package_info
 from scenario_studies import Inline
 
 from drake_aigto.errors import StudyError
-from drake_aigto.study import ScenarioQuestion, cluster, open_workers, run_scenario_study
+from drake_aigto.jobs import cluster, open_workers
+from drake_aigto.study import ScenarioQuestion, run_scenario_study
 from drake_aigto.study.scenario_results import ScenarioStudy
 from drake_aigto.study.spread import Spread
 

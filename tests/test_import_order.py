@@ -16,6 +16,7 @@ PACKAGE = Path(drake_aigto.__file__).parent
 ROAD = (
     "errors",
     "count",
+    "jobs",
     "plain",
     "arrays",
     "jit",

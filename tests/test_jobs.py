@@ -12,7 +12,7 @@ import pytest
 from scenario_studies import Inline
 
 from drake_aigto.errors import StudyError
-from drake_aigto.study.jobs import ProcessDiedError, open_jobs
+from drake_aigto.jobs import ProcessDiedError, open_jobs
 
 
 class Blaming(Inline):

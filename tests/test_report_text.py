@@ -12,6 +12,7 @@ import pytest
 
 from drake_aigto import Plan, Planner, PlanOptions, Scenario, World, __version__
 from drake_aigto.optima import RigidOptimum
+from drake_aigto.paper import Entry, Method, RigidCell, Table1
 from drake_aigto.planning import Replays
 from drake_aigto.show.embedding import embed_scenes, pack
 from drake_aigto.show.page import Page
@@ -22,7 +23,6 @@ from drake_aigto.show.report import (
     report_plan,
 )
 from drake_aigto.show.table_report import report_table1
-from drake_aigto.study import Entry, Method, RigidCell, Table1
 
 
 def unpack(packed: str) -> str:

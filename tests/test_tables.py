@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from drake_aigto.optima import RigidOptimum
+from drake_aigto.paper import Cell, Entry, Method, RigidCell, Table1
 from drake_aigto.planning import Candidate, Origin, Plan, Planner, Replays, Rung
 from drake_aigto.show.plans import format_plan, format_replays
 from drake_aigto.show.tables import format_table1
 from drake_aigto.simulation import Replay
 from drake_aigto.simulation.contacts import PlannedContact
-from drake_aigto.study import Cell, Entry, Method, RigidCell, Table1
 from drake_aigto.world import Scenario, World
 
 WIDTH = 100

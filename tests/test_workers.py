@@ -10,9 +10,7 @@ from pathlib import Path
 import pytest
 
 from drake_aigto.errors import MissingExtraError, OptionsError
-from drake_aigto.study import workers
-from drake_aigto.study.jobs import ProcessDiedError, open_jobs
-from drake_aigto.study.workers import open_workers
+from drake_aigto.jobs import ProcessDiedError, open_jobs, open_workers, workers
 
 
 @pytest.fixture(params=["with Dask", "without Dask"])

@@ -11,7 +11,7 @@ from benchmarks.robustness.study import run_robustness
 from drake_aigto.cli.bench.running import add_running, run_study
 from drake_aigto.cli.flags import add_command, add_confirm
 from drake_aigto.cli.status import FINE
-from drake_aigto.study.table1 import ROWS
+from drake_aigto.paper import ROWS
 
 _EXAMPLES = """\
 python -m benchmarks robustness --rows 1 --restitutions 1 0.8 --scenarios 0   # minutes

@@ -13,8 +13,8 @@ from benchmarks.robustness.perturbation import (
     perturb_one_at_a_time,
 )
 from drake_aigto.errors import OptionsError, ScenarioError
+from drake_aigto.paper import ROWS
 from drake_aigto.study.scenario_question import ScenarioQuestion
-from drake_aigto.study.table1 import ROWS
 from drake_aigto.world import Scenario, World
 
 

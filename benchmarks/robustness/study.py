@@ -24,13 +24,13 @@ from benchmarks.robustness.results import (
 from drake_aigto.control import TrackingController, track_drake, track_event_driven
 from drake_aigto.count import Count
 from drake_aigto.errors import AigtoError
+from drake_aigto.jobs import Jobs, open_jobs
 from drake_aigto.local import solve_with_drake
 from drake_aigto.optima import rigid_optimum
 from drake_aigto.plain import to_plain
 from drake_aigto.planning import Planner, PlanOptions
 from drake_aigto.simulation import Replay, replay_event_driven
 from drake_aigto.simulation.contacts import find_contacts
-from drake_aigto.study.jobs import Jobs, open_jobs
 from drake_aigto.study.results_file import check_results_file, check_same_question
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import PhaseTranscription

@@ -89,7 +89,7 @@ def add_workers(command: Any, count: int | None = None) -> None:
 
 def read_workers(options: argparse.Namespace) -> AbstractContextManager[Executor]:
     """Returns where jobs run, as the flags of `add_workers` ask; nothing starts yet."""
-    from drake_aigto.study.workers import open_workers  # Drake takes its time.
+    from drake_aigto.jobs import open_workers  # Most commands need no processes.
 
     count = None if options.scheduler is not None else options.workers
     return open_workers(count, options.scheduler)

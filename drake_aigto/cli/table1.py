@@ -17,9 +17,9 @@ from drake_aigto.cli.flags import (
 )
 from drake_aigto.cli.progress import show_progress
 from drake_aigto.cli.status import FINE
+from drake_aigto.paper import ROWS, run_table1
 from drake_aigto.plain import to_plain
 from drake_aigto.show.tables import format_table1
-from drake_aigto.study import ROWS, run_table1
 from drake_aigto.world.files import check_writable, write_text
 
 _EXAMPLES = """\

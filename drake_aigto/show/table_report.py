@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from matplotlib.figure import Figure
 
 from drake_aigto import __version__
+from drake_aigto.paper import PAPER_COSTS, Cell, Entry, RigidCell, Table1
 from drake_aigto.show.figures import plot_motions
 from drake_aigto.show.motion import PLAN_LABEL, SIMULATION_LABELS, Motion
 from drake_aigto.show.page import Page
@@ -14,7 +15,6 @@ from drake_aigto.show.playback import open_meshcat, publish
 from drake_aigto.show.report import PROBLEM, describe_versions
 from drake_aigto.show.tables import format_table1
 from drake_aigto.show.text import energy_text, length_text, task_items
-from drake_aigto.study import PAPER_COSTS, Cell, Entry, RigidCell, Table1
 from drake_aigto.world import Scenario, World
 
 _ANY_PORT = 0

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 
+from drake_aigto.paper import PAPER_COSTS, Cell, Entry, Method, RigidCell, Table1
 from drake_aigto.show.text import WIDTH, energy_text, length_text, task_items, time_text
-from drake_aigto.study import PAPER_COSTS, Cell, Entry, Method, RigidCell, Table1
 from drake_aigto.world import Scenario
 
 _COLUMNS = (

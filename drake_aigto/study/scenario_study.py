@@ -11,8 +11,8 @@ from concurrent.futures import Executor, Future
 from contextlib import AbstractContextManager
 
 from drake_aigto.count import Count
+from drake_aigto.jobs import Jobs, ProcessDiedError, open_jobs
 from drake_aigto.plain import to_plain
-from drake_aigto.study.jobs import Jobs, ProcessDiedError, open_jobs
 from drake_aigto.study.method_run import COST_DIGITS, PLANNER, Job, MethodRun
 from drake_aigto.study.results_file import (
     check_results_file,

@@ -15,16 +15,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drake_aigto.count import Count
+from drake_aigto.jobs import open_jobs
 from drake_aigto.optima import RigidOptimum, rigid_optimum
-from drake_aigto.paper import (
-    LiteralOptions,
-    LiteralProblem,
-    gradient_from_random,
-    gradient_from_zero,
-    make_literal_problem,
-    plan_literal,
-)
-from drake_aigto.paper.options import AlgorithmName
+from drake_aigto.paper.gradient import gradient_from_random, gradient_from_zero
+from drake_aigto.paper.options import AlgorithmName, LiteralOptions
+from drake_aigto.paper.planner import plan_literal
+from drake_aigto.paper.problem import LiteralProblem, make_literal_problem
 from drake_aigto.planning import (
     Candidate,
     Plan,
@@ -36,7 +32,6 @@ from drake_aigto.planning import (
 from drake_aigto.planning.options import LocalSolverName
 from drake_aigto.simulation import Replay
 from drake_aigto.simulation.material import contact_delay
-from drake_aigto.study.jobs import open_jobs
 from drake_aigto.world import Scenario, World
 
 _LOG = logging.getLogger(__name__)

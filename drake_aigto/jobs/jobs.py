@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 from drake_aigto import __version__
 from drake_aigto.errors import StudyError
-from drake_aigto.study.workers import open_workers
+from drake_aigto.jobs.workers import open_workers
 
 
 class ProcessDiedError(StudyError):

@@ -9,7 +9,7 @@ from concurrent.futures import Executor
 from importlib.util import find_spec
 
 from drake_aigto.errors import MissingExtraError, OptionsError
-from drake_aigto.study.processes import Processes
+from drake_aigto.jobs.processes import Processes
 
 # Read by libraries when they are loaded: processes inherit it.
 _ONE_THREAD = {
@@ -52,7 +52,7 @@ def _choose(
 ) -> contextlib.AbstractContextManager[Executor]:
     if not has_dask:
         return Processes(count)
-    from drake_aigto.study import cluster  # Dask takes its time.
+    from drake_aigto.jobs import cluster  # Dask takes its time.
 
     return cluster.start_cluster(count) if scheduler is None else cluster.connect(scheduler)
 

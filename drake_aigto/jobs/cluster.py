@@ -14,7 +14,7 @@ from distributed.utils import silence_logging_cmgr
 from distributed.versions import get_package_info
 
 from drake_aigto.errors import StudyError
-from drake_aigto.study.processes import without_ctrl_c
+from drake_aigto.jobs.processes import without_ctrl_c
 
 # How long a scheduler may take to answer. [s]
 _PATIENCE = 5.0
