@@ -36,7 +36,7 @@ def scheduler(workers: int = 1, threads: int = 1) -> Iterator[LocalCluster]:
         threads_per_worker=threads,
         processes=False,
         protocol="tcp://",
-        dashboard_address=None,
+        dashboard_address=":0",
     ) as local:
         yield local
 

@@ -105,3 +105,9 @@ def test_a_scheduler_needs_the_extra(monkeypatch: pytest.MonkeyPatch) -> None:
     )
     with pytest.raises(MissingExtraError, match=told), open_workers(None, "tcp://a:1"):
         pass
+
+
+@pytest.mark.slow
+def test_two_clusters_on_one_machine_share_no_port() -> None:
+    with open_workers(1) as one, open_workers(1) as other:
+        assert one.submit(int, "3").result() + other.submit(int, "4").result() == 7

@@ -42,7 +42,8 @@ def start_cluster(count: int) -> Iterator[Executor]:
                 n_workers=count,
                 threads_per_worker=1,
                 memory_limit=0,  # Nothing pauses or is killed for what it takes.
-                dashboard_address=None,
+                dashboard_address=":0",  # No fixed port: a second study warns of nothing.
+                scheduler_kwargs={"dashboard": False},
                 silence_logs=logging.CRITICAL,  # The study tells what matters of it.
             )
             stack.callback(_end, cluster)
