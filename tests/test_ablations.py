@@ -26,10 +26,9 @@ from benchmarks.ablations.ablations import (
 )
 from benchmarks.ablations.figures import plot_variants
 from benchmarks.ablations.tables import format_ablations
-from drake_aigto import OptionsError, PlanOptions, Scenario
+from drake_aigto import OptionsError, PlanOptions, Scenario, jobs
 from drake_aigto.cli import BAD_INPUT, FINE
 from drake_aigto.errors import ResultsFileError
-from drake_aigto.jobs import workers
 from drake_aigto.optima import rigid_optimum
 from drake_aigto.planning.options import RIGID_LADDER, Rung
 from drake_aigto.show.text import WIDTH
@@ -246,7 +245,7 @@ def test_the_page_has_the_table_the_figure_and_what_to_make_of_it(tmp_path: Path
 def test_the_command_runs_what_it_is_asked_for(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(workers, "open_workers", Inline)
+    monkeypatch.setattr(jobs, "open_workers", Inline)
     path = tmp_path / "study.json"
     words = ["ablations", "--quiet", "--count", "1", "--seed", "3", "--steps", "20"]
     words += ["--restitution", "0.5:1", "--variants", "no neighbours", "bare, no boxes"]

@@ -11,6 +11,7 @@ import pytest
 from scenario_studies import Inline
 
 from benchmarks.jobs import add_options, run_as, run_jobs
+from drake_aigto import jobs
 from drake_aigto.cli import BAD_INPUT
 from drake_aigto.jobs import ProcessDiedError, workers
 
@@ -30,7 +31,7 @@ class Some(Inline):
 
 @pytest.fixture(autouse=True)
 def inline(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workers, "open_workers", Some)
+    monkeypatch.setattr(jobs, "open_workers", Some)
 
 
 def work(job: str) -> str:

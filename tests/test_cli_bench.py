@@ -8,11 +8,11 @@ import pytest
 from refusals import check_refused
 from scenario_studies import TOYS, Inline
 
+from drake_aigto import jobs
 from drake_aigto.baselines import registry
 from drake_aigto.cli import BAD_INPUT, FINE, INTERRUPTED, NOTHING_HOLDS, main
 from drake_aigto.cli.bench import scenarios
 from drake_aigto.errors import PlanFileError
-from drake_aigto.jobs import workers
 from drake_aigto.planning import Planner
 from drake_aigto.show.text import WIDTH
 from drake_aigto.study import scenario_jobs, scenario_study
@@ -27,7 +27,7 @@ TOY_METHODS = ["--methods", "coast", "crash", "--seconds-per-unit", "0.5"]
 @pytest.fixture(autouse=True)
 def toys(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry, "BASELINES", TOYS)
-    monkeypatch.setattr(workers, "open_workers", Inline)
+    monkeypatch.setattr(jobs, "open_workers", Inline)
     scenario_jobs._warm_up.cache_clear()
 
 

@@ -16,8 +16,8 @@ from benchmarks.robustness.figures import format_robustness
 from benchmarks.robustness.question import RobustnessQuestion
 from benchmarks.robustness.results import RobustnessStudy
 from benchmarks.robustness.study import run_robustness
+from drake_aigto import jobs
 from drake_aigto.cli import BAD_INPUT, FINE
-from drake_aigto.jobs import workers
 
 
 def test_the_command_prints_the_table_and_writes_the_file(
@@ -34,7 +34,7 @@ def test_the_command_prints_the_table_and_writes_the_file(
         return Inline()
 
     monkeypatch.setattr("benchmarks.robustness.command.run_robustness", run)
-    monkeypatch.setattr(workers, "open_workers", open_inline)
+    monkeypatch.setattr(jobs, "open_workers", open_inline)
     monkeypatch.setattr(robustness, "run_task", lambda task, _: make_result(task.name))
     path = tmp_path / "results.json"
     flags = "--rows 1 --restitutions 1 0.5 --percent 2 --samples 3 --seed 4 --no-confirm"

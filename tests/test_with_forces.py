@@ -13,7 +13,7 @@ from replay_worlds import make_scenario, shipped_world
 from rigid_worlds import NAMES, make_motion, physics_of
 from several_walls import make_task, shipped
 
-from benchmarks.ablations.ablations import Variant, VariantPlanner
+from benchmarks.ablations.ablations import Variant, VariantProblem
 from drake_aigto import OptionsError, Scenario
 from drake_aigto.aigo import Annealing
 from drake_aigto.box import BoxPolynomial
@@ -26,7 +26,7 @@ from drake_aigto.paper import (
     LiteralWithForces,
     RigidWithForces,
 )
-from drake_aigto.planning import PlanOptions, RigidProblem, Rung
+from drake_aigto.planning import PlanOptions, RigidProblem, RigidSearch, Rung, run_search
 from drake_aigto.planning.options import RIGID_LADDER
 from drake_aigto.transcription import RigidTranscription, Transcription
 
@@ -171,7 +171,8 @@ def test_they_do_not_always_collapse() -> None:
 
 def test_a_plan_with_forces_is_polished_like_any_other() -> None:
     variant = Variant("forces", force_variables=True)
-    found = VariantPlanner(variant, shipped_world(), BOUNCE).plan()
+    search = RigidSearch(VariantProblem(variant, shipped_world(), BOUNCE))
+    found = run_search(search, BOUNCE)
     exact = rigid_optimum(shipped_world(), BOUNCE).cost
     assert found.replay.event_driven.cost == pytest.approx(exact, rel=1e-3)
     assert len(found.stats.box_contacts) == len(RIGID_LADDER)

@@ -14,12 +14,12 @@ from drake_aigto.errors import OptionsError
 from drake_aigto.paper import RigidWithForces
 from drake_aigto.planning import (
     Origin,
-    Planner,
     PlanOptions,
     RigidProblem,
     RigidSearch,
     Rung,
     coarsen,
+    run_search,
 )
 from drake_aigto.planning.options import RIGID_LADDER
 from drake_aigto.simulation import replay_event_driven
@@ -194,10 +194,6 @@ class VariantProblem(RigidProblem):
         transcription = transcribe(world, coarse, variant.options.relaxation)
         super().__init__(transcription, variant.options, scenario.num_steps)
 
-    def again(self, scenario: Scenario) -> VariantProblem:
-        """Returns the variant's problem of another scenario, compiled anew."""
-        return VariantProblem(self._variant, self.transcription.world, scenario)
-
     def make_algorithm(self, rung: Rung) -> Algorithm:
         """Returns the variant's, or the planner's."""
         return self._variant.algorithm or super().make_algorithm(rung)
@@ -216,22 +212,9 @@ class VariantProblem(RigidProblem):
         return super().find_sequences(result, rung)
 
 
-class VariantPlanner(Planner):
-    """The planner with one part changed."""
-
-    def __init__(self, variant: Variant, world: World, scenario: Scenario) -> None:
-        """Builds the variant's problem."""
-        self._variant = variant
-        super().__init__(scenario, variant.options, world)
-
-    def make_problem(self, scenario: Scenario) -> RigidProblem:
-        """Returns the variant's problem."""
-        return VariantProblem(self._variant, self.world, scenario)
-
-
 def _plan(world: World, scenario: Scenario, variant: Variant) -> _Found:
     """Returns a plan's cost when replayed, and how many contacts the box of each rung shows."""
-    plan = VariantPlanner(variant, world, scenario).plan()
+    plan = run_search(RigidSearch(VariantProblem(variant, world, scenario)), scenario)
     return plan.replay.event_driven.cost, read_boxes(plan)
 
 

@@ -3,7 +3,7 @@
 from drake_aigto.planning.options import PlanOptions, Rung, SearchOptions
 from drake_aigto.planning.origin import Origin
 from drake_aigto.planning.plan import Candidate, Plan, PlanningError, PlanStats, Replays, Veto
-from drake_aigto.planning.planner import Planner, plan
+from drake_aigto.planning.planner import Planner, plan, run_search
 from drake_aigto.planning.problem import PlanningProblem
 from drake_aigto.planning.rigid import RigidProblem, coarsen, make_problem
 from drake_aigto.planning.rigid_search import RigidSearch
@@ -29,4 +29,5 @@ __all__ = [
     "coarsen",
     "make_problem",
     "plan",
+    "run_search",
 ]

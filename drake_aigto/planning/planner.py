@@ -124,13 +124,7 @@ class Planner:
         scenario = dataclasses.replace(self.scenario, **changed) if changed else self.scenario
         self.world.check(scenario)
         self._transcription.check_frozen()
-        search = self._start_search(scenario)
-        search.run(progress)
-        search.add_idle()
-        found = self._choose(search, scenario)
-        if not found.holds:
-            raise _nothing_holds(found, len(self.options.ladder))
-        return found
+        return run_search(self._start_search(scenario), scenario, progress)
 
     def _start_search(self, scenario: Scenario) -> RigidSearch:
         clock = Stopwatch()
@@ -142,15 +136,31 @@ class Planner:
             problem = problem.again(scenario)
         return RigidSearch(problem, clock)
 
-    def _choose(self, search: RigidSearch, scenario: Scenario) -> Plan:
-        """Returns the plan of the first candidate that all replays confirm, or else the first."""
-        best = search.find_feasible()[0]
-        if not search.confirm(best):
-            search.add_left_out()
-            others = (other for other in search.find_feasible() if other.is_confirmed)
-            holds = (other for other in others if other is not best and search.confirm(other))
-            best = next(holds, best)
-        return search.make_plan(scenario, best)
+
+def run_search(search: RigidSearch, scenario: Scenario, progress: Progress | None = None) -> Plan:
+    """Returns the plan that a search ends with: the first candidate that all replays confirm.
+
+    Args:
+        search: that has not begun.
+        scenario: of the plan.
+        progress: called with a line of text before each candidate.
+
+    Raises:
+        PlanningError: no candidate meets the transcription's rows, or none that does holds in
+            simulation.
+    """
+    search.run(progress)
+    search.add_idle()
+    best = search.find_feasible()[0]
+    if not search.confirm(best):
+        search.add_left_out()
+        others = (other for other in search.find_feasible() if other.is_confirmed)
+        holds = (other for other in others if other is not best and search.confirm(other))
+        best = next(holds, best)
+    found = search.make_plan(scenario, best)
+    if not found.holds:
+        raise _nothing_holds(found, len(search.problem.options.ladder))
+    return found
 
 
 def _nothing_holds(found: Plan, num_rungs: int) -> PlanningError:
