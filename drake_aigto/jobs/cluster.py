@@ -10,16 +10,15 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 
 import dask
 from distributed import Client, LocalCluster, Security, rpc
+from distributed.cfexecutor import ClientExecutor
 from distributed.utils import silence_logging_cmgr
 from distributed.versions import get_package_info
 
 from drake_aigto.errors import StudyError
-from drake_aigto.jobs.processes import without_ctrl_c
+from drake_aigto.jobs.processes import kill, without_ctrl_c
 
 # How long a scheduler may take to answer. [s]
 _PATIENCE = 5.0
-# How long a process may take to end before it is killed, as nobody waits for its job. [s]
-_GRACE = 0.1
 _LOCAL = {
     # `Jobs` tells apart what dies from what waited beside it.
     "distributed.scheduler.allowed-failures": 0,
@@ -31,6 +30,14 @@ _LOCAL = {
 }
 # What must be the same everywhere, for a plan to be the same anywhere.
 _PACKAGES = ("drake_aigto", "drake")
+
+
+class _Dask(ClientExecutor):
+    """Dask's executor, shut down with the arguments that all others take."""
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Waits for all jobs, or for none, and cancels those that it does not wait for."""
+        super().shutdown(wait and not cancel_futures)  # type: ignore[no-untyped-call]
 
 
 @contextlib.contextmanager
@@ -48,13 +55,18 @@ def start_cluster(count: int) -> Iterator[Executor]:
             )
             stack.callback(_end, cluster)
         client = stack.enter_context(Client(cluster, set_as_default=False))
-        yield client.get_executor(pure=False)
+        yield _Dask(client, pure=False)
 
 
 def _end(cluster: LocalCluster) -> None:
     async def end() -> None:
-        closing = (nanny.close(timeout=_GRACE) for nanny in cluster.workers.values())
-        await asyncio.gather(*closing, return_exceptions=True)
+        nannies = list(cluster.workers.values())
+        closing = asyncio.gather(*(nanny.close() for nanny in nannies), return_exceptions=True)
+        await asyncio.sleep(0)  # From here on none starts its process again.
+        for nanny in nannies:
+            if nanny.pid is not None:  # By itself it would wait for a job that nobody waits for.
+                kill(nanny.pid)
+        await closing
 
     cluster.sync(end)
     cluster.close()
@@ -89,7 +101,7 @@ def connect(address: str) -> Iterator[Executor]:
         silence_logging_cmgr(logging.CRITICAL),
         Client(address, timeout=_PATIENCE, set_as_default=False) as client,
     ):
-        yield client.get_executor(pure=False)
+        yield _Dask(client, pure=False)
 
 
 async def _ask(address: str) -> tuple[dict[str, int], dict[str, dict[str, str | None]]]:

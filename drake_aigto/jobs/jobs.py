@@ -30,10 +30,10 @@ class _Call(NamedTuple):
 
 @contextmanager
 def open_jobs(executor: AbstractContextManager[Executor] | None = None) -> Iterator[Jobs]:
-    """Yields what starts jobs; those that have not begun when the block is left are cancelled.
+    """Yields what starts jobs; those that have not begun when the block is left never do.
 
     Args:
-        executor: entered here, and what jobs run on; `open_workers` if None.
+        executor: what jobs run on, entered and shut down here; `open_workers` if None.
 
     Raises:
         StudyError: from `open_workers`; or the executor broke as a whole.
@@ -49,7 +49,7 @@ def open_jobs(executor: AbstractContextManager[Executor] | None = None) -> Itera
                 remedy="If there is a results file, go on from what was done (--resume).",
             ) from error
         finally:
-            jobs.cancel()
+            running.shutdown(wait=False, cancel_futures=True)
 
 
 class Jobs:
@@ -117,11 +117,6 @@ class Jobs:
             return self._ended.get(timeout=None if math.isinf(left) else left)
         except Empty:
             raise TimeoutError from None
-
-    def cancel(self) -> None:
-        """Has no job run that has not begun."""
-        for future in self._under_way:
-            future.cancel()
 
 
 def _run(version: str, function: Callable[..., Any], arguments: tuple[Any, ...]) -> Any:

@@ -65,7 +65,7 @@ class Processes(Executor):
         number = process.submit(os.getpid).result()
         self._numbers[process] = number
         if self._is_closed:
-            _kill(number)
+            kill(number)
         return process
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
@@ -74,12 +74,13 @@ class Processes(Executor):
         self._threads.shutdown(wait=False, cancel_futures=True)
         processes = dict(self._numbers)
         for number in processes.values():
-            _kill(number)
+            kill(number)
         self._threads.shutdown()
         for process in processes:
             process.shutdown()
 
 
-def _kill(number: int) -> None:
+def kill(number: int) -> None:
+    """Ends a process, if there is one of this number."""
     with contextlib.suppress(ProcessLookupError):
         os.kill(number, signal.SIGKILL)
