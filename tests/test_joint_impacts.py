@@ -53,30 +53,30 @@ def test_contacts_struck_at_once_return_their_speeds_and_nothing_else(
 ) -> None:
     rng = np.random.default_rng(seed)
     inertia = make_inertia(rng, count, size=3)
-    M, J, every = inertia.mass_matrix, inertia.jacobian, range(count)
+    M, J, every = inertia.mass_matrix, inertia.jacobian, tuple(range(count))
     e, before = rng.uniform(0, 1, count), rng.normal(size=3)
-    impact = JointImpact.of(inertia, every, e)
+    impact = JointImpact.of(inertia, every, tuple(e))
     after = impact.velocities @ before
     np.testing.assert_allclose(J @ after, -e * (J @ before), atol=1e-7)
     # Nothing but these impulses acts.
     np.testing.assert_allclose(M @ (after - before), J.T @ impact.impulses @ before, atol=1e-7)
-    elastic = JointImpact.of(inertia, every, np.ones(count)).velocities @ before
+    elastic = JointImpact.of(inertia, every, (1.0,) * count).velocities @ before
     assert elastic @ M @ elastic == pytest.approx(before @ M @ before)
     assert np.all(impact.coupled) == (count > 1)
 
 
 def test_walls_at_right_angles_do_not_feel_each_other() -> None:
     inertia = load("room").constant_inertia
-    both = JointImpact.of(inertia, [0, 2], [1.0, 0.5])
+    both = JointImpact.of(inertia, (0, 2), (1.0, 0.5))
     assert not both.coupled.any()
-    first = JointImpact.of(inertia, [0], [1.0]).velocities
-    second = JointImpact.of(inertia, [2], [0.5]).velocities
+    first = JointImpact.of(inertia, (0,), (1.0,)).velocities
+    second = JointImpact.of(inertia, (2,), (0.5,)).velocities
     np.testing.assert_allclose(both.velocities, first @ second, atol=1e-15)
 
 
 def test_contacts_that_imply_each_other_are_refused() -> None:
     with pytest.raises(OptionsError) as error:
-        JointImpact.of(load("corridor").constant_inertia, [0, 1], [1.0, 1.0])
+        JointImpact.of(load("corridor").constant_inertia, (0, 1), (1.0, 1.0))
     assert str(error.value) == (
         "sequence: got 2 contacts at once that can't all be told apart, expected contacts with "
         "independent Jacobians. Leave out those that the others imply."

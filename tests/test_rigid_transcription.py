@@ -339,10 +339,10 @@ def test_the_impact_map_keeps_what_moves_along_the_wall(physics: Physics) -> Non
     np.testing.assert_allclose(inertia.lifts, [physics.lift])
     assert np.all(np.abs(inertia.lifts) > 0.1)  # An impulse moves all of them.
     before = np.random.default_rng(0).normal(size=physics.size)
-    after = JointImpact.of(inertia, [0], [0.6]).velocities @ before
+    after = JointImpact.of(inertia, (0,), (0.6,)).velocities @ before
     assert physics.jacobian @ after == pytest.approx(-0.6 * (physics.jacobian @ before))
     # No impulse along the wall; and an elastic impact keeps the energy.
     jump = physics.mass @ (after - before)
     np.testing.assert_allclose(jump, physics.jacobian * (jump @ physics.lift), atol=1e-12)
-    elastic = JointImpact.of(inertia, [0], [1.0]).velocities @ before
+    elastic = JointImpact.of(inertia, (0,), (1.0,)).velocities @ before
     assert elastic @ physics.mass @ elastic == pytest.approx(before @ physics.mass @ before)

@@ -18,6 +18,7 @@ With λ a variable, the mean of (φ λ)² over a box is (φ² + w_φ²/3)(λ² +
 from __future__ import annotations
 
 from abc import abstractmethod
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
@@ -59,9 +60,9 @@ class ForceVariables(Transcription):
         super()._lay_out()
         self._p = self._layout.new("p", self.scenario.num_steps, self.world.num_contacts)
 
-    def _make_placeholders(self) -> None:
-        super()._make_placeholders()
-        self._impulse = MakeVectorVariable(self.world.num_contacts, "p")
+    @cached_property
+    def _impulse(self) -> npt.NDArray[Any]:
+        return MakeVectorVariable(self.world.num_contacts, "p")
 
     def _stage_indices(self, k: int) -> npt.NDArray[np.int64]:
         return np.concatenate([super()._stage_indices(k), *self._p[k : k + 1]])

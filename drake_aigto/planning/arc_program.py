@@ -96,12 +96,13 @@ class ArcPrograms:
             UnsupportedTermError: walls leave a joint no place.
         """
         shape = ArcShape.of(phases, knots)
-        if shape.key not in self._kept:
+        key = shape.key
+        if key not in self._kept:
             program = ArcProgram(phases.world.constant_dynamics, shape)
             if len(self._kept) >= _MOST_KEPT:
                 del self._kept[next(iter(self._kept))]
-            self._kept[shape.key] = program
-        return self._kept[shape.key]
+            self._kept[key] = program
+        return self._kept[key]
 
 
 class ArcProgram:
@@ -162,8 +163,9 @@ class ArcProgram:
             self._add_impact(j, self._impact(j).velocities)
 
     def _impact(self, joint: int) -> JointImpact:
-        struck, restitutions = self._shape.struck[joint], self._shape.restitutions
-        return JointImpact.of(self._dynamics, np.flatnonzero(struck), restitutions[struck])
+        struck = self._shape.struck[joint]
+        restitutions = tuple(self._shape.restitutions[struck].tolist())
+        return JointImpact.of(self._dynamics, tuple(np.flatnonzero(struck).tolist()), restitutions)
 
     def _add_impact(self, j: int, velocities: Floats) -> None:
         """Adds w = R v at a joint, for the speeds that an impact changes."""

@@ -9,6 +9,7 @@ import math
 import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from drake_aigto.errors import AigtoError, DamagedDataError, ModelError, PlanFileError
@@ -110,12 +111,12 @@ class Candidate:
         """The largest of all defects, whatever its unit."""
         return max(self.defects.values())
 
-    @property
+    @cached_property
     def is_feasible(self) -> bool:
         """Whether it meets the transcription's rows."""
         return largest_defect(self.defects, self.scales) <= LARGEST_DEFECT
 
-    @property
+    @cached_property
     def is_confirmed(self) -> bool:
         """Whether the event-driven replay confirms it."""
         return self.is_confirmed_by(self.replay)

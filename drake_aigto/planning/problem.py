@@ -210,10 +210,10 @@ class PlanningProblem(ABC):
         weighted = start.polynomial.with_weights(self._weights(rung))
         return minimize(weighted, start.box, algorithm, callback)
 
-    @cached_property
+    @property
     def scales(self) -> Scales:
         """The task's own units."""
-        return Scales.of(self.transcription.world, self.transcription.scenario)
+        return self.transcription.scales
 
     @abstractmethod
     def make_algorithm(self, rung: Rung) -> Algorithm:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 import math
 from collections.abc import Iterable
@@ -79,7 +78,7 @@ def coarsen(world: World, scenario: Scenario, options: PlanOptions) -> Scenario:
     There are more of them, up to the scenario's, if a wall would be touched in less than three.
     """
     steps = max(options.aigo_steps, min(_count_steps(world, scenario), scenario.num_steps))
-    return dataclasses.replace(scenario, time_step=scenario.duration / steps)
+    return scenario.in_steps(steps)
 
 
 def _count_steps(world: World, scenario: Scenario) -> int:
@@ -142,8 +141,7 @@ class RigidProblem(PlanningProblem):
         """
         coarse = coarsen(self.transcription.world, scenario, self.options)
         if self.additions:
-            time_step = scenario.duration / self.transcription.scenario.num_steps
-            coarse = dataclasses.replace(scenario, time_step=time_step)
+            coarse = scenario.in_steps(self.transcription.scenario.num_steps)
         transcription = self.transcription.again(coarse)
         other = RigidProblem(transcription, self.options, scenario.num_steps, self._programs)
         other._arc_programs = self._arc_programs
@@ -253,7 +251,8 @@ class RigidProblem(PlanningProblem):
         # Box centers miss the goal, and neighbours the walls: on which side of it a block is passed
         # is to be seen on a path that does not.
         stops = straight_path(world, self.transcription.scenario, sequence, through)
-        facings = find_facings(world, *_bend(path, *stops), sequence)
+        has_boxes = world.num_solids < world.num_contacts
+        facings = find_facings(world, *_bend(path, *stops), sequence) if has_boxes else ()
         if self._has_arcs:
             turns = (facing.start for facing in facings)
             fits = len({0.0, *joints, *turns}) <= self.num_steps
@@ -344,8 +343,7 @@ class RigidProblem(PlanningProblem):
             num_steps = max(num_steps or scenario.num_steps, len(phases))
         if num_steps is not None:
             if num_steps not in self._scenarios:
-                finer = dataclasses.replace(scenario, time_step=scenario.duration / num_steps)
-                self._scenarios[num_steps] = finer
+                self._scenarios[num_steps] = scenario.in_steps(num_steps)
             scenario = self._scenarios[num_steps]
         return PhaseTranscription(coarse.world, scenario, sequence, facings, self.additions)
 

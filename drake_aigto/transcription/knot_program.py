@@ -34,9 +34,9 @@ class KnotProgram(Knots):
         self._forget_program()
         self._symbols: Parameters | None = None  # In place of `parameters`, in a twin.
         super().__init__(world, scenario)
-        self._make_placeholders()
 
     def _forget_program(self) -> None:
+        self._last = None, None
         self._made: MathematicalProgram | None = None
         self._bounds: Bounds | None = None  # Where they are known without it.
         # Placeholder id → decision variable, of each stage that something was bound to.
@@ -71,6 +71,16 @@ class KnotProgram(Knots):
         """What rows and costs are made with: the numbers, or symbols for them."""
         return self._symbols or self.parameters
 
+    def _of(self: _Self, scenario: Scenario) -> _Self:
+        """Returns a copy for another scenario, of the same structure."""
+        other = copy.copy(self)
+        for derived in ("parameters", "scales"):
+            other.__dict__.pop(derived, None)
+        bounds = self._bounds
+        other._forget_program()
+        other.scenario, other._dt, other._bounds = scenario, scenario.time_step, bounds
+        return other
+
     def twin(self: _Self) -> _Self:
         """Returns a copy whose program has a decision variable for each of `parameters`.
 
@@ -79,7 +89,6 @@ class KnotProgram(Knots):
         twin = copy.copy(self)
         twin._forget_program()
         twin._symbols = Parameters.symbols(self.world.num_positions)
-        twin._duration = Expression(twin._symbols.time_step)
         return twin
 
     @property
@@ -112,13 +121,24 @@ class KnotProgram(Knots):
     def _num_variables(self) -> int:
         return super()._num_variables() if self._made is None else self._made.num_vars()
 
-    def _make_placeholders(self) -> None:
-        """Makes the variables of a stage; its start and control are the world's own."""
-        world = self.world
-        self._next_q = MakeVectorVariable(world.num_positions, "q_next")
-        self._next_v = MakeVectorVariable(world.num_velocities, "v_next")
-        self._clearance = MakeVectorVariable(len(self._clearance_contacts), "s")
-        self._duration = Expression(self._dt)
+    # Placeholders of a stage; those of its start and control are the world's own.
+
+    @cached_property
+    def _next_q(self) -> npt.NDArray[Any]:
+        return MakeVectorVariable(self.world.num_positions, "q_next")
+
+    @cached_property
+    def _next_v(self) -> npt.NDArray[Any]:
+        return MakeVectorVariable(self.world.num_velocities, "v_next")
+
+    @cached_property
+    def _clearance(self) -> npt.NDArray[Any]:
+        return MakeVectorVariable(len(self._clearance_contacts), "s")
+
+    @property
+    def _duration(self) -> Expression:
+        """How long a stage takes."""
+        return Expression(self._given.time_step)
 
     def prog(self) -> MathematicalProgram:
         """Returns the constrained program; add costs and constraints until it is solved.

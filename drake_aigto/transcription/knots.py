@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -67,6 +68,9 @@ class Knots(ABC):
 
     Shape letters: N time steps, nq positions, nv = nq velocities, nu controls, m contacts.
     """
+
+    # The last read-only vector whose trajectory was asked for, and that.
+    _last: tuple[npt.NDArray[np.float64] | None, Trajectory | None] = (None, None)
 
     def __init__(self, world: World, scenario: Scenario) -> None:
         """Lays out the variables."""
@@ -152,9 +156,16 @@ class Knots(ABC):
         return self.GetSampleTimes()
 
     def trajectory(self, x: npt.NDArray[np.float64]) -> Trajectory:
-        """Returns the trajectory that a vector of all decision variables stands for."""
-        q, v, u = self.split(x)
-        return Trajectory(self.sample_times(x), q, v, u, self.impulses(x), self.forces(x))
+        """Returns the trajectory that a vector of all decision variables stands for.
+
+        That of a read-only vector is remembered until the next one's is asked for.
+        """
+        known, trajectory = self._last
+        if x is not known or trajectory is None:
+            q, v, u = self.split(x)
+            trajectory = Trajectory(self.sample_times(x), q, v, u, self.impulses(x), self.forces(x))
+            self._last = (None, None) if x.flags.writeable else (x, trajectory)
+        return trajectory
 
     def vector(self, trajectory: Trajectory) -> npt.NDArray[np.float64]:
         """Returns all decision variables of a trajectory at these knots; undoes `trajectory`."""
@@ -204,9 +215,14 @@ class Knots(ABC):
         rows = self._q[k], self._v[k], self._clearances[k], *self._u[k : k + 1]
         return np.concatenate(rows)
 
+    @cached_property
+    def scales(self) -> Scales:
+        """The task's own units."""
+        return Scales.of(self.world, self.scenario)
+
     def length_scale(self) -> float:
         """Returns the longest of the ways to the goal and, from both ends, to the wall [m]."""
-        return Scales.of(self.world, self.scenario).length
+        return self.scales.length
 
     def inertia(self) -> float:
         """Returns the largest entry of B⁺ M at the start: control per acceleration [kg]."""

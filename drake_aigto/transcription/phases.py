@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -123,20 +124,29 @@ class PhaseTranscription(ImpactTranscription):
         self._push = scatter("push", self._is_coupled)
         self._forces = scatter("f", line.rests)
 
-    def _make_placeholders(self) -> None:
-        super()._make_placeholders()
-        self._step = MakeVectorVariable(2, "h")  # of this stage and the next
-        self._clock = MakeVectorVariable(2, "t")
-        self._force = MakeVectorVariable(self.world.num_contacts, "f")
-        if self._has_clock:
-            self._duration = Expression(self._step[0])
+    @cached_property
+    def _step(self) -> npt.NDArray[Any]:
+        return MakeVectorVariable(2, "h")  # of this stage and the next
+
+    @cached_property
+    def _clock(self) -> npt.NDArray[Any]:
+        return MakeVectorVariable(2, "t")
+
+    @cached_property
+    def _force(self) -> npt.NDArray[Any]:
+        return MakeVectorVariable(self.world.num_contacts, "f")
+
+    @property
+    def _duration(self) -> Expression:
+        return Expression(self._step[0]) if self._has_clock else super()._duration
 
     @property
     def _has_clock(self) -> bool:
         return len(self.timeline.phases) > 1
 
     def _impact(self, struck: npt.NDArray[np.bool_]) -> JointImpact:
-        return JointImpact.of(self._inertia, np.flatnonzero(struck), self.restitutions[struck])
+        contacts = tuple(np.flatnonzero(struck).tolist())
+        return JointImpact.of(self._inertia, contacts, tuple(self.restitutions[struck].tolist()))
 
     def _add_rows(self) -> None:
         if self._has_clock:

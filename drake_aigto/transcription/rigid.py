@@ -83,9 +83,6 @@ class RigidTranscription(ImpactTranscription):
             raise OptionsError("relaxation", got=relaxation, expected="a number, 0 or more")
         self.relaxation = relaxation
         self.impulse_directions = ImpulseDirections.of(world.constant_inertia)
-        if path is None:
-            ends = scenario.initial_position, scenario.goal_position
-            path = np.linspace(*ends, scenario.num_steps + 1)
         self._fronts = _find_fronts(world, scenario, path)
         super().__init__(world, scenario)
 
@@ -93,9 +90,12 @@ class RigidTranscription(ImpactTranscription):
         self, scenario: Scenario, path: npt.NDArray[np.float64] | None = None
     ) -> RigidTranscription:
         """Returns the same, with what users added, for another scenario, or around another path."""
-        other = RigidTranscription(self.world, scenario, self.relaxation, path)
         additions = self.additions()
-        return other.with_additions(additions) if additions else other
+        fronts = _find_fronts(self.world, scenario, path)
+        if additions or not np.array_equal(fronts, self._fronts):
+            other = RigidTranscription(self.world, scenario, self.relaxation, path)
+            return other.with_additions(additions) if additions else other
+        return self._of(scenario)
 
     @property
     def structure(self) -> Hashable:
@@ -221,10 +221,14 @@ class RigidTranscription(ImpactTranscription):
 
 
 def _find_fronts(
-    world: World, scenario: Scenario, path: npt.NDArray[np.float64]
+    world: World, scenario: Scenario, path: npt.NDArray[np.float64] | None
 ) -> npt.NDArray[np.bool_]:
     """Returns which contacts are in force at each knot, shape (N+1, m)."""
     N, T = scenario.num_steps, scenario.duration
+    if world.num_solids == world.num_contacts:
+        return np.ones((N + 1, world.num_contacts), dtype=bool)
+    if path is None:
+        path = np.linspace(scenario.initial_position, scenario.goal_position, N + 1)
     facings = find_facings(world, np.linspace(0.0, T, N + 1), path)
     fronts = Fronts(world, facings, T)
     times = np.array([0.0, *fronts.times, T])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -43,20 +44,21 @@ class JointImpact:
     coupled: npt.NDArray[np.bool_]
 
     @classmethod
+    @lru_cache(maxsize=64)  # A search asks for the same few again and again.
     def of(
-        cls, inertia: ConstantInertia, contacts: npt.ArrayLike, restitutions: npt.ArrayLike
+        cls, inertia: ConstantInertia, contacts: tuple[int, ...], restitutions: tuple[float, ...]
     ) -> JointImpact:
         """Returns the impact of c contacts.
 
         Args:
             inertia: M, and J of all contacts.
-            contacts: which of them, shape (c,).
-            restitutions: theirs, shape (c,).
+            contacts: which of them.
+            restitutions: theirs.
 
         Raises:
             OptionsError: J_C has dependent rows: how they share an impulse is not defined.
         """
-        chosen = np.asarray(contacts)
+        chosen = list(contacts)
         J, kicks = inertia.jacobian[chosen], inertia.kicks[chosen].T
         # In units of the contacts' own masses.
         root = np.sqrt(inertia.masses[chosen])

@@ -93,6 +93,11 @@ class EquationsOfMotion:
         return tuple(map(tuple, found.values()))
 
     @cached_property
+    def inverse_actuation(self) -> _Array:
+        """B⁺, shape (nu, nv)."""
+        return read_only(np.linalg.pinv(self.actuation))
+
+    @cached_property
     def has_constant_inertia(self) -> bool:
         """Whether neither M nor J depends on q."""
         jacobians = [contact.jacobian for contact in self.contacts]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from numbers import Real
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING, TypeGuard, overload
 
 import numpy as np
 
@@ -51,6 +51,8 @@ def as_vector(name: str, value: object) -> npt.NDArray[np.float64]:
     Raises:
         ScenarioError: not numbers, NaN or infinity among them, empty, or of two dimensions.
     """
+    if _is_fine(value):
+        return _lock(value)
     items = np.array(value, dtype=object, ndmin=1)
     if items.ndim != 1 or items.size == 0:
         raise ScenarioError(
@@ -58,7 +60,18 @@ def as_vector(name: str, value: object) -> npt.NDArray[np.float64]:
             got=f"an array of shape {items.shape}",
             expected="a number, or a sequence of one number per coordinate",
         )
-    vector = np.array([as_number(name, item) for item in items])
+    return _lock([as_number(name, item) for item in items])
+
+
+def _is_fine(value: object) -> TypeGuard[npt.NDArray[np.float64]]:
+    """Returns whether a value is such an array already, as that of another scenario is."""
+    if not (isinstance(value, np.ndarray) and value.dtype == np.float64 and value.ndim == 1):
+        return False
+    return value.size > 0 and bool(np.isfinite(value).all())
+
+
+def _lock(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+    vector = np.array(values, dtype=float)
     vector.flags.writeable = False
     return vector
 

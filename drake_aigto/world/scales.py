@@ -45,7 +45,7 @@ class Scales:
 
 def calc_inertia(world: World, q: npt.NDArray[np.float64]) -> float:
     """Returns the largest entry of B⁺ M(q): control per acceleration [kg]."""
-    return float(np.max(np.abs(np.linalg.pinv(world.actuation) @ world.calc_mass_matrix(q))))
+    return float(np.abs(world.inverse_actuation @ world.calc_mass_matrix(q)).max())
 
 
 def _calc_length(world: World, scenario: Scenario) -> float:

@@ -134,6 +134,12 @@ class Scenario:
         """The number of time steps, N = duration / time_step."""
         return round(self.duration / self.time_step)
 
+    def in_steps(self, num_steps: int) -> Scenario:
+        """Returns the same, its duration cut into so many time steps."""
+        other = object.__new__(Scenario)
+        other.__dict__.update(self.__dict__, time_step=self.duration / num_steps)
+        return other
+
     def to_plain(self) -> dict[str, Any]:
         """Returns the fields as plain numbers, strings and lists, in order."""
         values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
