@@ -30,13 +30,14 @@ class Box:
 
     def __post_init__(self) -> None:
         """Checks and locks both arrays."""
-        center = np.array(self.center, dtype=float)
-        half_width = np.array(np.broadcast_to(self.half_width, center.shape), dtype=float)
-        if not (np.all(np.isfinite(center)) and np.all(np.isfinite(half_width))):
+        center, half_width = (np.array(x, dtype=float) for x in (self.center, self.half_width))
+        if half_width.shape != center.shape:
+            half_width = np.array(np.broadcast_to(half_width, center.shape))
+        if not (np.isfinite(center).all() and np.isfinite(half_width).all()):
             raise OptionsError(
                 "box", got="NaN or infinity", expected="finite center and half width"
             )
-        if np.any(half_width < 0):
+        if half_width.min(initial=0.0) < 0:
             raise OptionsError(
                 "half_width", got=f"{half_width.min():g}", expected="0 (held) or more everywhere"
             )

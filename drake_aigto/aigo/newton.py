@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import math
 from dataclasses import dataclass
 
@@ -118,7 +117,8 @@ class SmoothedObjective(Objective):
 
     def at(self, temperature: float) -> SmoothedObjective:
         """Returns the same objective at another temperature."""
-        other = copy.copy(self)
+        other = object.__new__(SmoothedObjective)
+        other.__dict__.update(self.__dict__)
         other.problem = self.problem._replace(temperature=temperature)
         other.largest_residual = other._calc_largest_residual()
         return other

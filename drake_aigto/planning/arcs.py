@@ -51,6 +51,7 @@ def solve_in_arcs(
             return None
         motion = arcs.trajectory(result.x)
         x = phases.vector(motion)
+        x.flags.writeable = False
         deep = _deepest_knots(phases, x)
         if not deep:
             return x

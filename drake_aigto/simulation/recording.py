@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -11,6 +11,10 @@ from drake_aigto.simulation.impacts import CONTACT, PUSH, SPEED, STATE, TIME
 
 if TYPE_CHECKING:
     import numpy.typing as npt
+
+
+# A list that grows, or an array of what is known at once.
+Rows: TypeAlias = Any
 
 
 class Impact(NamedTuple):
@@ -47,15 +51,15 @@ class Recording:
         controls: u of each of them, shape (nu,) [N].
     """
 
-    times: list[float] = field(default_factory=list)
-    positions: list[npt.NDArray[np.float64]] = field(default_factory=list)
-    velocities: list[npt.NDArray[np.float64]] = field(default_factory=list)
+    times: Rows = field(default_factory=list)
+    positions: Rows = field(default_factory=list)
+    velocities: Rows = field(default_factory=list)
     impacts: list[Impact] = field(default_factory=list)
     rests: list[Rest] = field(default_factory=list)
     max_penetration: float = 0.0
     matched_speeds: list[float] = field(default_factory=list)
-    control_times: list[float] = field(default_factory=list)
-    controls: list[npt.NDArray[np.float64]] = field(default_factory=list)
+    control_times: Rows = field(default_factory=list)
+    controls: Rows = field(default_factory=list)
 
     @property
     def bounces(self) -> list[int]:
@@ -95,7 +99,7 @@ def list_impacts(
     """Returns the impacts of a log (`impacts.make_log`), by a mass matrix M (nv, nv) [kg]."""
     if not len(log):
         return []
-    _, *velocities = np.split(log[:, STATE:], 3, axis=1)
+    velocities = log[:, STATE:].reshape(len(log), 3, -1)[:, 1:].transpose(1, 0, 2)
     energies = [np.einsum("bi,ij,bj->b", v, mass_matrix, v) / 2 for v in velocities]
     rows = np.column_stack([log[:, TIME], log[:, SPEED : PUSH + 1], *energies]).tolist()
     contacts = log[:, CONTACT].astype(int).tolist()

@@ -328,7 +328,7 @@ def summarize(
         compliance_error=compliance_error,
         compliance_cost=scenario.goal_weight * (goal_error**2 - unexplained**2),
         matched_speeds=tuple(recording.matched_speeds),
-        times=np.array(recording.times),
-        positions=np.array(recording.positions),
-        velocities=np.array(recording.velocities),
+        times=recording.times,
+        positions=recording.positions,
+        velocities=recording.velocities,
     )

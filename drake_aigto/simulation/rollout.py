@@ -90,11 +90,11 @@ class Parabolas:
             rows[at_impacts[part::2], 0], rows[at_impacts[part::2], 1] = q, v
             times[at_impacts[part::2]] = log[:, TIME]
         return Recording(
-            times=times.tolist(),
-            positions=list(rows[:, 0]),
-            velocities=list(rows[:, 1]),
-            control_times=self._times[:-1].tolist(),
-            controls=list(controls),
+            times=times,
+            positions=rows[:, 0],
+            velocities=rows[:, 1],
+            control_times=self._times[:-1],
+            controls=controls,
             impacts=list_impacts(log, self._dynamics.mass_matrix),
             max_penetration=calc_depth(self._walls, rows[:, 0]),
         )

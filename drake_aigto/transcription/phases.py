@@ -278,6 +278,9 @@ class PhaseTranscription(ImpactTranscription):
 
     def sample_times(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns the knots' times at x, shape (N+1,) [s]; they increase at any x within bounds."""
+        known, trajectory = self._last
+        if x is known and trajectory is not None:
+            return trajectory.times
         if not self._has_clock:
             return self.GetSampleTimes()
         elapsed = np.cumsum(x[self._steps])

@@ -129,12 +129,12 @@ def rigid_defects(
     missed = np.abs(after @ J.T + np.asarray(restitution) * (v @ J.T))
     held = np.where(trajectory.forces != 0, np.maximum(gaps[:-1], gaps[1:]), 0.0)
     return {
-        FLIGHT: float(np.max(np.abs(q[1:] - q[:-1] - tau * v_mean))),
+        FLIGHT: float(np.abs(q[1:] - q[:-1] - tau * v_mean).max()),
         DYNAMICS: float(
-            np.max(np.abs(v[1:] - after[:-1] - tau * (free + trajectory.forces @ kicks)))
+            np.abs(v[1:] - after[:-1] - tau * (free + trajectory.forces @ kicks)).max()
         ),
-        CONTACT: float(max(np.max(np.minimum(gaps, reach)), np.max(held))),
+        CONTACT: float(max(np.minimum(gaps, reach).max(), held.max())),
         RESTITUTION: float(
-            max(np.max(np.minimum(np.abs(jumps), missed)), -np.min(jumps), -np.min(pushes), 0.0)
+            max(np.minimum(np.abs(jumps), missed).max(), -jumps.min(), -pushes.min(), 0.0)
         ),
     }
