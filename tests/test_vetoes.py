@@ -167,7 +167,7 @@ def test_doing_nothing_obeys_the_rows_of_a_plan(world: World | None, fields: Any
     goal = np.full(np.size(ends["initial_position"]), 0.7)
     scenario = Scenario(**ends, goal_position=goal)
     problem = Planner(scenario, UNCONFIRMED, world)._problem
-    idle = idle_candidate(problem, scenario.num_steps)
+    idle = idle_candidate(problem)
     assert idle.is_feasible and idle.is_confirmed and idle.is_idle
     assert not np.any(idle.trajectory.controls)
     assert np.any(idle.trajectory.impulses) == bool(idle.replay.bounce_times)

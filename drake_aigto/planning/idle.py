@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +11,7 @@ from drake_aigto.planning.origin import NO_CONTROL, Origin
 from drake_aigto.planning.plan import LARGEST_DEFECT, Candidate
 from drake_aigto.planning.problem import PlanningProblem, sample
 from drake_aigto.simulation.contacts import find_contacts, max_penetration
-from drake_aigto.simulation.replay import Replay, replay_event_driven
+from drake_aigto.simulation.replay import Replay
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription.rows import DYNAMICS, FLIGHT, NONPENETRATION, largest_defect
 
@@ -30,23 +29,18 @@ _ROUNDING = 1e-9
 _MOST_DOUBLINGS = 5
 
 
-def idle_candidate(problem: PlanningProblem, num_steps: int) -> Candidate:
+def idle_candidate(problem: PlanningProblem) -> Candidate:
     """Returns what the world does without any control, on rigid walls.
 
-    Its knots are those of the problem's program, parts of them, and the times of impacts.
+    Its knots are those of the problem's `coast`, and the times of impacts.
 
     Args:
         problem: the task, and what users added to it.
-        num_steps: that plans are to have; at least so many.
     """
-    world, scenario = problem.transcription.world, problem.transcription.scenario
-    coarse = problem.transcription.num_samples() - 1
-    steps = coarse * math.ceil(num_steps / coarse)
+    world, replay = problem.transcription.world, problem.coast
     for doubling in range(_MOST_DOUBLINGS + 1):
-        times = np.linspace(0.0, scenario.duration, (steps << doubling) + 1)
-        replay = replay_event_driven(
-            world, scenario, times, np.zeros((len(times) - 1, world.num_actuators))
-        )
+        if doubling:
+            replay = problem.replay_coast(problem.coast_steps << doubling)
         trajectory = _read(world, replay, problem.scales.length)
         missed = problem.additions.violations(sample(trajectory)) if problem.additions else {}
         defects = {**_calc_defects(world, trajectory), **missed}
@@ -87,9 +81,12 @@ def _read(world: World, replay: Replay, length: float) -> Trajectory:
     struck[np.searchsorted(t, replay.bounce_times), np.array(replay.bounce_contacts, int)] = True
     for k in np.flatnonzero(np.any(struck, axis=1)):
         impulses[k, struck[k]] = _solve_pushes(world, q[k], struck[k], jumps[k])
-    left = _calc_unexplained(world, Trajectory(t, q, v, _no_control(world, t), impulses, forces))
+    flying = Trajectory(t, q, v, _no_control(world, t), impulses, forces)
     touching = np.abs(world.calc_signed_distance(q)) < LARGEST_DEFECT * length
     resting = touching[:-1] & touching[1:]
+    if not np.any(resting):
+        return flying
+    left = _calc_unexplained(world, flying)
     is_pushed = np.max(np.abs(left), axis=1) > _ROUNDING * np.max(np.abs(v), initial=0.0)
     for k in np.flatnonzero(is_pushed & np.any(resting, axis=1)):
         pushes = _solve_pushes(world, q[k], resting[k], left[k])

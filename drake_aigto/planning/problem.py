@@ -151,10 +151,19 @@ class PlanningProblem(ABC):
 
     @cached_property
     def coast(self) -> Replay:
-        """The motion without control, on the rigid wall."""
-        times = self.transcription.GetSampleTimes()
+        """The motion without control, on the rigid wall, in `coast_steps`."""
+        return self.replay_coast(self.coast_steps)
+
+    @property
+    def coast_steps(self) -> int:
+        """Of the motion without control: a multiple of the transcription's."""
+        return self.transcription.scenario.num_steps
+
+    def replay_coast(self, num_steps: int) -> Replay:
+        """Returns the motion without control, on the rigid wall, in so many steps."""
         world, scenario = self.transcription.world, self.transcription.scenario
-        controls = np.zeros((len(times) - 1, world.num_actuators))
+        times = np.linspace(0.0, scenario.duration, num_steps + 1)
+        controls = np.zeros((num_steps, world.num_actuators))
         return replay_event_driven(world, scenario, times, controls)
 
     def _start_coasting(self) -> Start:

@@ -122,6 +122,12 @@ class RigidProblem(PlanningProblem):
         self._arc_programs = ArcPrograms()
         self._scenarios: dict[int, Scenario] = {}  # By their number of steps.
 
+    @property
+    def coast_steps(self) -> int:
+        """Of the motion without control: a multiple of the transcription's, as many as plans'."""
+        coarse = self.transcription.scenario.num_steps
+        return coarse * math.ceil(self.num_steps / coarse)
+
     def make_algorithm(self, rung: Rung) -> Algorithm:
         """Returns an annealing that ends as soon as boxes show contacts."""
         start = rung.temperature * self._cost_scale

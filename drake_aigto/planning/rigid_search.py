@@ -192,7 +192,7 @@ class RigidSearch(Search):
     def add_idle(self) -> None:
         """Adds doing nothing, which a plan has to beat."""
         with self.clock("replay"):
-            self.others.append(idle_candidate(self.problem, self._num_steps))
+            self.others.append(idle_candidate(self.problem))
 
     def _is_promising(self, candidate: Candidate) -> bool:
         """Returns whether a candidate costs little enough for those near it to become the best."""
