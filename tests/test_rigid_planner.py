@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import logging
 import os
 import signal
 import threading
@@ -447,3 +448,16 @@ def test_ctrl_c_ends_all_threads_and_keeps_what_they_have(monkeypatch: pytest.Mo
 def test_no_thread_is_refused(threads: int) -> None:
     with pytest.raises(OptionsError, match=rf"threads: got {threads}, expected 1 or more, or None"):
         PlanOptions(threads=threads)
+
+
+def test_what_can_not_win_any_more_gets_no_fine_polish(caplog: pytest.LogCaptureFixture) -> None:
+    # With 20,000 steps that would take most of the time.
+    caplog.set_level(logging.INFO, "drake_aigto")
+    lines: list[str] = []
+    scenario = table1(1, duration=20.0)
+    found = Planner(scenario, UNCONFIRMED).plan(progress=lines.append)
+    flight = next(each for each in found.candidates if not each.contacts)
+    assert flight.cost > 3 * found.cost
+    assert len(found.trajectory.controls) == scenario.num_steps
+    assert len(flight.trajectory.controls) < scenario.num_steps
+    assert lines[-1] == f"replaying the best of {len(found.candidates)} candidates, 4000 time steps"

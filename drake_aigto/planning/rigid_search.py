@@ -16,7 +16,7 @@ from drake_aigto.planning.options import Rung
 from drake_aigto.planning.origin import ChangeName, Origin
 from drake_aigto.planning.plan import LARGEST_DEFECT, Candidate
 from drake_aigto.planning.rigid import Path, RigidProblem, Solved
-from drake_aigto.planning.search import Progress, Search, Stopwatch
+from drake_aigto.planning.search import Search, Stopwatch
 from drake_aigto.planning.touches import are_near, are_neighbors, is_same, kinds, neighbors, swapped
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.transcription.rows import largest_defect
@@ -61,6 +61,7 @@ class RigidSearch(Search):
         self._left_out: tuple[Origin, npt.NDArray[np.float64]] | None = None  # A flight's.
         self._duration = problem.transcription.scenario.duration
         self._refused: list[TouchSequence] = []
+        self._is_open = False  # Whether what costs too much to win is improved, too.
 
     def rungs(self) -> Iterator[tuple[Rung, ...]]:
         """Yields the rungs that may tell something new.
@@ -184,7 +185,9 @@ class RigidSearch(Search):
         return None if self._left_out is None else self._least_flight_cost
 
     def add_left_out(self) -> None:
-        """Adds the flight that `add` left out, if it did."""
+        """Adds the flight that `add` left out, if it did, and improves what could not win."""
+        self._is_open = True
+        super().refine()
         if self._left_out is not None:
             (origin, center), self._left_out = self._left_out, None
             self.solve(origin, center, (), self.problem.polish)
@@ -231,11 +234,11 @@ class RigidSearch(Search):
                 return [sequence for sequence in (seen, longer) if self.problem.fits(sequence)]
         return []
 
-    def refine(self, tell: Progress) -> None:
+    def refine(self) -> None:
         """Adds neighbours of the best candidates, then improves the best of all."""
-        tell(f"{len(self.by_sequence)} candidates; looking for others near the best")
+        self.tell(f"{len(self.by_sequence)} candidates; looking for others near the best")
         self.branch()
-        super().refine(tell)
+        super().refine()
 
     def branch(self) -> None:
         """Adds neighbours (`neighbors`) of good sequences, the best first, of each once."""
@@ -296,6 +299,7 @@ class RigidSearch(Search):
         num_phases = 1 + len(joint_times(optimum))
         if self._num_steps == len(coarse.trajectory.controls) or self._num_steps < num_phases:
             return
+        self.tell(f"polishing {coarse.describe_contacts()} with {self._num_steps} time steps")
         path = coarse.trajectory.times, coarse.trajectory.positions
         self.solve(
             coarse.origin,
@@ -310,13 +314,19 @@ class RigidSearch(Search):
             del self.by_sequence[sequence]
 
     def finalists(self) -> list[TouchSequence]:
-        """Returns the sequences by rank, one of each optimum."""
+        """Returns the sequences by rank, one of each optimum, of those that may still win."""
         kept: list[TouchSequence] = []
         for sequence in sorted(self.by_sequence, key=self.rank_of):
             optima = map(self._optimum, kept)
             if not self._is_among(self._optimum(sequence), optima, _SAME_END):
                 kept.append(sequence)
-        return kept
+        costs = [
+            candidate.replay.cost
+            for candidate in self.by_sequence.values()
+            if candidate.is_feasible and candidate.is_confirmed
+        ]
+        most = np.inf if self._is_open else _times(_GOOD, min(costs, default=np.inf))
+        return [sequence for sequence in kept if self.by_sequence[sequence].cost <= most]
 
     def is_known(self, sequence: TouchSequence) -> bool:
         """Returns whether nearly this sequence has been polished or refused, or came out."""

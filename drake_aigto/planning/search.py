@@ -88,6 +88,7 @@ class Search(ABC):
         self.shown: list[tuple[Rung, list[ContactSequence]]] = []
         self.others: list[Candidate] = []
         self.is_interrupted = False
+        self._progress: Progress | None = None
         self._replays: dict[int, Replays] = {}  # Of those that were to be the plan, by id.
 
     def run(self, progress: Progress | None = None) -> None:
@@ -100,26 +101,28 @@ class Search(ABC):
             KeyboardInterrupt: before there was any candidate; after that, it ends the search.
         """
         options, begun = self.problem.options, list[Rung]()
-
-        def tell(line: str) -> None:
-            _LOG.info("%s", line)
-            if progress:
-                progress(line)
+        self._progress = progress
 
         def tell_rung(rung: Rung) -> None:
             begun.append(rung)
             start = rung.describe(self.problem.algorithm_name)
-            tell(f"AIGO {len(begun)} of {len(options.ladder)}: {start}")
+            self.tell(f"AIGO {len(begun)} of {len(options.ladder)}: {start}")
 
         try:
             for rungs in self.rungs():
                 self.add_rungs(rungs, tell_rung)
-            self.refine(tell)
+            self.refine()
         except KeyboardInterrupt:
             if not self.by_sequence:
                 raise
             self.is_interrupted = True
             _LOG.info("interrupted: going on with what was found")
+
+    def tell(self, line: str) -> None:
+        """Logs and shows what begins."""
+        _LOG.info("%s", line)
+        if self._progress:
+            self._progress(line)
 
     def rungs(self) -> Iterator[tuple[Rung, ...]]:
         """Yields the ladder's rungs in the order to run them, those that may run at once together.
@@ -262,7 +265,8 @@ class Search(ABC):
 
         Ctrl-C leaves out what has not been simulated by then.
         """
-        _LOG.info("replaying the best of %d candidates", len(self.ranked()))
+        steps = len(candidate.trajectory.controls)
+        self.tell(f"replaying the best of {len(self.ranked())} candidates, {steps} time steps")
         self._replays[id(candidate)] = Replays(candidate.replay, None)
         try:
             with self.clock("replay"):
@@ -324,11 +328,11 @@ class Search(ABC):
         """What a free flight costs at least, if it was left out for that."""
         return None
 
-    def refine(self, tell: Progress) -> None:
-        """Improves the best candidates; tells what begins."""
+    def refine(self) -> None:
+        """Improves the best candidates."""
         finalists = self.finalists()[: self.problem.options.finalists]
         for number, sequence in enumerate(finalists, 1):
-            tell(f"{len(self.by_sequence)} candidates; improving number {number}")
+            self.tell(f"{len(self.by_sequence)} candidates; improving number {number}")
             self.improve(sequence)
 
     @abstractmethod
