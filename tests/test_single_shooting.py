@@ -158,30 +158,6 @@ def test_too_many_terms_are_refused_with_their_number_before_they_are_made() -> 
     message = r"the cost 'goal' of 9 steps has too many terms .* got up to \d{2,3},\d{3}, products"
     with pytest.raises(UnsupportedTermError, match=message):
         SingleShooting(shipped_world(), steps(SOFT, 9), LAW)
-    with pytest.raises(UnsupportedTermError, match="the cost 'jerk' of 8 steps"):
-        transcription = SingleShooting(shipped_world(), SOFT, LAW)
-        transcription.AddFinalCost(transcription.state()[1] ** 6, "jerk")
-
-
-# What users add.
-
-
-def test_costs_of_users_are_polynomials_of_the_controls_too() -> None:
-    transcription = SingleShooting(shipped_world(), steps(SOFT, 6), LAW)
-    q, v = transcription.state()
-    (u,) = transcription.input()
-    transcription.AddRunningCost(q * v + u**2, "mixed")
-    transcription.AddFinalCost(2.0 * v**2, "stop")
-    controls = np.linspace(1.0, -2.0, 6)
-    motion = transcription.trajectory(controls)
-    q_k, v_k = motion.positions[:, 0], motion.velocities[:, 0]
-    mixed = transcription.time_step() * np.sum(q_k[:-1] * v_k[:-1] + controls**2)
-    blocks = compile_program(transcription.prog()).mean_by_block(controls, np.zeros(6))
-    assert blocks["mixed"] == pytest.approx(mixed, rel=1e-9)
-    assert blocks["stop"] == pytest.approx(2.0 * v_k[-1] ** 2, rel=1e-9)
-    assert blocks["control effort"] + blocks["goal"] == pytest.approx(
-        transcription.scenario_cost(controls), rel=1e-9
-    )
 
 
 def test_springs_are_substituted_as_well(tmp_path: Path) -> None:

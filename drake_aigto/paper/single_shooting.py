@@ -54,7 +54,8 @@ class SingleShooting:
     each step with all before it, and the trouble of `RigidWithForces`. φ ≥ 0 is an inequality of
     many variables here, whose penalty has no mean in closed form: only the law keeps the ball off.
 
-    The words are those of `Transcription`, but that `state(k)` returns expressions.
+    The words are those of `Transcription`, but that `state(k)` returns expressions. It is for the
+    scenario's own costs.
 
     Args:
         world: the plant, read.
@@ -82,7 +83,6 @@ class SingleShooting:
         law = law or _NO_CONTACT
         self.multiple_shooting = LiteralTranscription(world, scenario, False, law)
         self.world, self.scenario, self.law = world, scenario, law
-        self._max_terms = max_terms
         self._prog, layout = MathematicalProgram(), Layout()
         self._places = layout.new("u", scenario.num_steps, world.num_actuators)
         layout.add_to(self._prog)
@@ -90,10 +90,13 @@ class SingleShooting:
         self._states = list(_states(world, scenario, law, self._u, max_terms))
         # NumPy takes Drake's boxed constants for invalid numbers, and warns.
         with np.errstate(invalid="ignore"):
-            u = world.controls
-            error = world.positions - scenario.goal_position
-            self.AddRunningCost(scenario.control_weight * u.dot(u), "control effort")
-            self.AddFinalCost(scenario.goal_weight * error.dot(error), "goal")
+            u, error = self._u.ravel(), world.positions - scenario.goal_position
+            effort = scenario.control_weight * scenario.time_step * u.dot(u)
+            miss = as_expression(scenario.goal_weight * error.dot(error))
+        label = f"the cost 'goal' of {scenario.num_steps} steps"
+        goal = _substitute(label, miss, _table(_names(world), self._states[-1]), max_terms)
+        for name, cost in {"control effort": effort, "goal": goal.ToExpression()}.items():
+            shared_cost(cost, name).bind(self._prog, {u_k.get_id(): u_k for u_k in u})
 
     def prog(self) -> MathematicalProgram:
         """Returns the program: costs, and no rows to penalise."""
@@ -103,45 +106,17 @@ class SingleShooting:
         """Returns the number of knots, N + 1."""
         return len(self._states)
 
-    def time_step(self, k: int = 0) -> float:
-        """Returns the length of step k [s]; all are equal."""
-        return self.scenario.time_step
-
-    def state(self, k: int | None = None) -> npt.NDArray[Any]:
-        """Returns x_k = [q_k, v_k] as expressions in u; without k, placeholders for it."""
-        if k is None:
-            return self.multiple_shooting.state()
+    def state(self, k: int) -> npt.NDArray[Any]:
+        """Returns x_k = [q_k, v_k] as expressions in u."""
         return np.array([part.ToExpression() for part in self._states[k]])
 
-    def input(self, k: int | None = None) -> npt.NDArray[Any]:
-        """Returns u_k, shape (nu,), 0 ≤ k < N; without k, placeholders for it."""
-        return self.multiple_shooting.input() if k is None else self._u[k]
+    def input(self, k: int) -> npt.NDArray[Any]:
+        """Returns u_k, shape (nu,), 0 ≤ k < N."""
+        return self._u[k]
 
     def num_terms(self, k: int) -> int:
         """Returns how many terms an entry of x_k has at most."""
         return max(map(_count, self._states[k]))
-
-    def AddRunningCost(self, g: Any, description: str = "running cost") -> None:
-        """Adds Σ_{k<N} dt g(x_k, u_k), polynomial in the placeholders `state()` and `input()`."""
-        for k in range(len(self._u)):
-            self._add_cost(self.time_step() * as_expression(g), k, description)
-
-    def AddFinalCost(self, e: Any, description: str = "final cost") -> None:
-        """Adds e(x_N), polynomial in the placeholders `state()`.
-
-        Raises:
-            UnsupportedTermError: it would have too many terms; says how many.
-        """
-        self._add_cost(as_expression(e), len(self._u), description)
-
-    def _add_cost(self, cost: Expression, k: int, description: str) -> None:
-        values = _table(self.state(), self._states[k])
-        if k < len(self._u):
-            values |= _table(self.input(), map(_polynomial, self._u[k]))
-        label = f"the cost '{description}' of {len(self._u)} steps"
-        polynomial = _substitute(label, cost, values, self._max_terms)
-        shared = shared_cost(polynomial.ToExpression(), description)
-        shared.bind(self._prog, {u.get_id(): u for u in self._u.ravel()})
 
     def GetSampleTimes(self) -> npt.NDArray[np.float64]:
         """Returns the knots' times, shape (N+1,) [s]."""
@@ -161,7 +136,7 @@ class SingleShooting:
 
     def vector(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
         """Returns all decision variables of `multiple_shooting`: x, and the states it leads to."""
-        world, scenario, dt = self.world, self.scenario, self.time_step()
+        world, scenario, dt = self.world, self.scenario, self.scenario.time_step
         controls = x[self._places]
         q, v = [scenario.initial_position], [scenario.initial_velocity]
         for u in controls:
@@ -176,7 +151,7 @@ class SingleShooting:
         return self.multiple_shooting.trajectory(self.vector(x))
 
     def scenario_cost(self, x: npt.NDArray[np.float64]) -> float:
-        """Returns J = w_u Σ dt ‖u_k‖² + w_f ‖q_N − goal‖², without added costs."""
+        """Returns J = w_u Σ dt ‖u_k‖² + w_f ‖q_N − goal‖²."""
         return self.multiple_shooting.scenario_cost(self.vector(x))
 
 
@@ -204,7 +179,7 @@ def _states(
     max_terms: int,
 ) -> Iterator[list[Polynomial]]:
     """Yields x_0, x_1, … as polynomials of the controls, shape (nq + nv,) each."""
-    names, step = _euler_step(world, scenario.time_step, law)
+    names, step = _names(world), _euler_step(world, scenario.time_step, law)
     start = np.concatenate([scenario.initial_position, scenario.initial_velocity])
     state = [Polynomial(Expression(value)) for value in start]
     yield state
@@ -217,17 +192,19 @@ def _states(
 
 # NumPy takes Drake's boxed constants for invalid numbers, and warns.
 @np.errstate(invalid="ignore")
-def _euler_step(
-    world: World, dt: float, law: PolynomialLaw
-) -> tuple[npt.NDArray[Any], list[Expression]]:
-    """Returns the placeholders of x, and what x is a step later."""
-    names = np.concatenate([world.positions, world.velocities])
+def _euler_step(world: World, dt: float, law: PolynomialLaw) -> list[Expression]:
+    """Returns what x is a step later."""
     force = world.actuation @ world.controls - world.bias
     for contact in world.contacts:
         force = force + contact.jacobian * law(contact.signed_distance)
     acceleration = world.constant_inertia.inverse_mass @ force
     slope = np.concatenate([world.velocities, acceleration])
-    return names, [as_expression(part).Expand() for part in names + dt * slope]
+    return [as_expression(part).Expand() for part in _names(world) + dt * slope]
+
+
+def _names(world: World) -> npt.NDArray[Any]:
+    """Returns the placeholders of x."""
+    return np.concatenate([world.positions, world.velocities])
 
 
 def _table(names: Any, values: Any) -> dict[Variable, Polynomial]:
