@@ -63,7 +63,7 @@ def test_table1_writes_a_page(
     table = object()
     monkeypatch.setattr("drake_aigto.cli.table1.run_table1", lambda **keywords: table)
     monkeypatch.setattr("drake_aigto.cli.table1.format_table1", lambda got: "the table")
-    monkeypatch.setattr("drake_aigto.show.table_report.report_table1", lambda got: f"page {got}")
+    monkeypatch.setattr("drake_aigto.show.report_table1", lambda got: f"page {got}")
     page = tmp_path / "table1.html"
     assert main(["table1", "--html", str(page)]) == FINE
     assert page.read_text(encoding="utf-8") == f"page {table}"
