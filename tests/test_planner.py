@@ -20,7 +20,7 @@ from drake_aigto.paper import (
     plan_literal,
 )
 from drake_aigto.paper.options import AlgorithmName
-from drake_aigto.planning import PlanningError, PlanOptions, SearchOptions
+from drake_aigto.planning import Planner, PlanningError, PlanOptions, SearchOptions
 from drake_aigto.planning.options import LocalSolverName
 from drake_aigto.simulation.contacts import find_contacts
 from drake_aigto.trajectory import Trajectory
@@ -226,3 +226,9 @@ def test_a_flight_has_no_contact() -> None:
         np.linspace(0, 1, 11), still, still, zeros, np.full((11, 1), 1e-3), zeros
     )
     assert find_contacts(world, trajectory) == ()
+
+
+def test_options_of_another_transcription_are_refused_before_any_work() -> None:
+    options: Any = LiteralOptions()
+    with pytest.raises(OptionsError, match=r"got LiteralOptions, expected PlanOptions.*plan_lit"):
+        Planner(Scenario.named("table1/1"), options)

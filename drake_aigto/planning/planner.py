@@ -6,6 +6,7 @@ import dataclasses
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
+from drake_aigto.errors import OptionsError
 from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.plan import Plan, PlanningError
 from drake_aigto.planning.rigid import RigidProblem, transcribe
@@ -35,6 +36,7 @@ class Planner:
         world: a plant of your own (`World.from_diagram`); built from the scenario's model if None.
 
     Raises:
+        OptionsError: options of another transcription.
         ScenarioError, ModelError: the scenario does not fit the world, or the model can't be used.
     """
 
@@ -47,6 +49,13 @@ class Planner:
         """Builds the world, and checks the scenario against it; programs are compiled later."""
         self.scenario = scenario
         self.options = options or PlanOptions()
+        if not isinstance(self.options, PlanOptions):
+            raise OptionsError(
+                "options",
+                got=type(self.options).__name__,
+                expected="PlanOptions",
+                remedy="Literal plans are made by drake_aigto.paper.plan_literal.",
+            )
         self.world = world or World.from_scenario(scenario)
         self.world.check(scenario)
         if self.options.confirm:
