@@ -7,17 +7,15 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError
 from drake_aigto.simulation.replay import replay_event_driven
 from drake_aigto.trajectory import read_only
 from drake_aigto.world import Scenario, World
-
-if TYPE_CHECKING:
-    import numpy as np
-    from numpy.typing import ArrayLike
 
 
 @dataclass(frozen=True)

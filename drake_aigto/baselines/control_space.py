@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -11,9 +10,6 @@ from drake_aigto.arrays import Floats
 from drake_aigto.baselines.baseline import Recorder
 from drake_aigto.simulation.rollout import Parabolas
 from drake_aigto.transcription import RigidTranscription
-
-if TYPE_CHECKING:
-    _Array = Floats
 
 # Pieces, and held steps of each: a slope over ten steps costs 1/400 less without them at most.
 _PIECES, _STEPS = 3, 10
@@ -62,7 +58,7 @@ class ControlSpace:
         self._offered = np.inf
         self.dimension = _PIECES - 1 + 2 * _PIECES * self._scale.size
 
-    def costs(self, points: _Array) -> _Array:
+    def costs(self, points: Floats) -> Floats:
         """Returns J of points (B, dimension), shape (B,); offers the best if it is worth it."""
         scenario = self._recorder.scenario
         times, controls = self.decode(points)
@@ -75,7 +71,7 @@ class ControlSpace:
             self._recorder.offer(times[best], controls[best])
         return found
 
-    def decode(self, points: _Array) -> tuple[_Array, _Array]:
+    def decode(self, points: Floats) -> tuple[Floats, Floats]:
         """Returns the knots (B, N+1) [s] and the held controls (B, N, nu) of points."""
         points = np.atleast_2d(points)
         free, ends = np.split(points, [_PIECES - 1], axis=1)
@@ -93,7 +89,7 @@ class ControlSpace:
         return times, controls.reshape(len(points), _PIECES * _STEPS, -1)
 
 
-def has_converged(costs: _Array) -> bool:
+def has_converged(costs: Floats) -> bool:
     """Returns whether a population's costs are so near to each other that it will find no more."""
     least = float(np.min(costs))
     return bool(np.max(costs) - least <= _RELATIVE * least + _ABSOLUTE)

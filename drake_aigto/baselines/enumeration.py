@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,9 +11,7 @@ from drake_aigto.baselines.baseline import Baseline, Recorder
 from drake_aigto.baselines.polish import offer_polished
 from drake_aigto.planning import make_problem
 from drake_aigto.transcription import Touch, TouchSequence
-
-if TYPE_CHECKING:
-    from drake_aigto.world import World
+from drake_aigto.world import World
 
 _MOST_BOUNCES = 6
 # At even parts s of the duration bounces are at T s^p: evenly, towards the start, towards the end.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,10 +11,8 @@ from drake_aigto.aigo import Box, Iterate
 from drake_aigto.arrays import Floats
 from drake_aigto.baselines.baseline import Baseline, Recorder
 from drake_aigto.baselines.polish import offer_polished
+from drake_aigto.box import BoxPolynomial
 from drake_aigto.planning import PlanOptions, make_problem
-
-if TYPE_CHECKING:
-    from drake_aigto.box import BoxPolynomial
 
 # Adam's, of the gradient and of its square (D. P. Kingma and J. Ba, 2015, but for 0.999: runs are
 # short).

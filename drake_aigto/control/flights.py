@@ -4,21 +4,16 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
+import numpy.typing as npt
 from pydrake.polynomial import Polynomial
 from pydrake.trajectories import PiecewisePolynomial
 
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import TrajectoryError
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    from drake_aigto.trajectory import Trajectory
-    from drake_aigto.world import Scenario, World
-
-    _Array = npt.NDArray[np.float64]
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.world import Scenario, World
 
 # A bounce that is approached by less than this part of the plan's largest velocity is a graze.
 _GRAZE = 1e-6
@@ -42,13 +37,13 @@ class Flight:
     end: float
     state: PiecewisePolynomial
     control: PiecewisePolynomial
-    samples: _Array
+    samples: Floats
 
-    def calc_state(self, time: float) -> _Array:
+    def calc_state(self, time: float) -> Floats:
         """Returns (q, v), shape (2 nq,)."""
         return self.state.value(time)[:, 0]
 
-    def calc_control(self, time: float) -> _Array:
+    def calc_control(self, time: float) -> Floats:
         """Returns u, shape (nu,) [N]."""
         return self.control.value(time)[:, 0]
 
@@ -71,7 +66,7 @@ class Bounce:
 
     time: float
     contact: int
-    saltation: _Array
+    saltation: Floats
 
 
 def split_flights(
@@ -151,7 +146,7 @@ def _make_flight(world: World, trajectory: Trajectory, first: int, last: int) ->
     )
 
 
-def _coast(world: World, x: _Array, u: _Array, since: float) -> npt.NDArray[np.object_]:
+def _coast(world: World, x: Floats, u: Floats, since: float) -> npt.NDArray[np.object_]:
     """Returns (q, v) as polynomials of the time since `since`, x being the state at time 0."""
     q, v = np.split(x, 2)
     a = world.calc_acceleration(q, v, u)
@@ -161,7 +156,7 @@ def _coast(world: World, x: _Array, u: _Array, since: float) -> npt.NDArray[np.o
     return np.array([*positions, *velocities]).reshape(-1, 1)
 
 
-def _continue(knots: _Array, start: float, end: float) -> _Array:
+def _continue(knots: Floats, start: float, end: float) -> Floats:
     """Returns knots, and before and after them more that are as far apart as the first and last."""
     first, last = knots[1] - knots[0], knots[-1] - knots[-2]
     before = knots[0] - first * np.arange(int((knots[0] - start) / first), 0, -1)

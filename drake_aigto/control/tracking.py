@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.systems.controllers import (
@@ -12,7 +12,9 @@ from pydrake.systems.controllers import (
     FiniteHorizonLinearQuadraticRegulatorOptions,
 )
 from pydrake.systems.primitives import SymbolicVectorSystem
+from pydrake.trajectories import Trajectory as DrakeTrajectory
 
+from drake_aigto.arrays import Floats
 from drake_aigto.control.flights import Bounce, Flight, split_flights
 from drake_aigto.simulation.compliance import calc_compliance_error
 from drake_aigto.simulation.compliant_wall import simulate_compliant_wall
@@ -20,15 +22,8 @@ from drake_aigto.simulation.controller import Controller, Held
 from drake_aigto.simulation.recording import Recording
 from drake_aigto.simulation.replay import Replay, summarize
 from drake_aigto.simulation.rigid_wall import simulate_rigid_wall
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-    from pydrake.trajectories import Trajectory as DrakeTrajectory
-
-    from drake_aigto.trajectory import Trajectory
-    from drake_aigto.world import Scenario, World
-
-    _Array = npt.NDArray[np.float64]
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.world import Scenario, World
 
 # Of the Riccati equation: gains are right to 5e-6 of the largest.
 _ACCURACY = 1e-7
@@ -82,7 +77,7 @@ class TrackingController(Controller):
         self.longest_hold = float(np.max(np.diff(trajectory.times)))
         self._gains = _calc_gains(world, scenario, self.flights, self.bounces)
 
-    def sample(self, time: float, x: _Array, bounces: Sequence[int]) -> Held:
+    def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
         """Returns u_i(t) − K_i(t) (x − x_i(t)) − k_i(t)."""
         i = self._find_flight(bounces)
         flight, gain = self.flights[i], self._gains[i]
@@ -134,7 +129,7 @@ def _calc_gains(
     return gains[::-1]
 
 
-def _make_positive(S: _Array) -> _Array:
+def _make_positive(S: Floats) -> Floats:
     """Returns the nearest final cost that Drake takes: integration may leave eigenvalues below 0.
 
     A cost of nothing but the goal is singular, and stays so on its way back in time.
@@ -169,8 +164,8 @@ class Tracked:
     """
 
     replay: Replay
-    times: _Array
-    controls: _Array
+    times: Floats
+    controls: Floats
 
 
 def track_event_driven(world: World, scenario: Scenario, controller: Controller) -> Tracked:

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.polynomial import Chebyshev, Polynomial
 
 from drake_aigto.errors import OptionsError
-
-if TYPE_CHECKING:
-    from drake_aigto.world import Scenario
+from drake_aigto.world import Scenario
 
 
 @dataclass(frozen=True)

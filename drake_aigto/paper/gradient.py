@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
+from drake_aigto.arrays import Floats
 from drake_aigto.paper.problem import LiteralProblem
 from drake_aigto.planning import Candidate, Origin
 from drake_aigto.transcription import Transcription
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 
 def gradient_from_zero(problem: LiteralProblem) -> Candidate:
@@ -25,14 +21,12 @@ def gradient_from_random(problem: LiteralProblem, generator: np.random.Generator
     return _run(problem, "random", random_guess(problem.transcription, generator))
 
 
-def random_guess(
-    transcription: Transcription, generator: np.random.Generator
-) -> npt.NDArray[np.float64]:
+def random_guess(transcription: Transcription, generator: np.random.Generator) -> Floats:
     """Returns all decision variables, uniform over the first box of AIGO."""
     center, half_width = transcription.initial_box()
     return generator.uniform(center - half_width, center + half_width)
 
 
-def _run(problem: LiteralProblem, proposer: str, start: npt.NDArray[np.float64]) -> Candidate:
+def _run(problem: LiteralProblem, proposer: str, start: Floats) -> Candidate:
     x = problem.solve_locally(start)
     return problem.judge(Origin(proposer), start, problem.transcription, x)

@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Hashable
-from typing import TYPE_CHECKING, ClassVar
+from typing import ClassVar
 
 import numpy as np
+import numpy.typing as npt
 from pydrake.symbolic import Expression
 
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
 from drake_aigto.paper.contact_law import PolynomialLaw
 from drake_aigto.transcription.rows import DYNAMICS, KINEMATICS, NONPENETRATION
 from drake_aigto.transcription.shared import as_expression, shared_constraint
 from drake_aigto.transcription.transcription import Transcription
 from drake_aigto.world import Scenario, World
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 
 class LiteralTranscription(Transcription):
@@ -97,7 +96,7 @@ class LiteralTranscription(Transcription):
         force = world.actuation @ world.controls - world.bias
         return world.mass_matrix @ (self._next_v - world.velocities) - self._dt * force
 
-    def defects(self, x: npt.NDArray[np.float64]) -> dict[str, float]:
+    def defects(self, x: Floats) -> dict[str, float]:
         """Returns the largest of each kind: kinematics [m], dynamics [m/s], nonpenetration [m].
 
         The dynamics are measured with λ(φ) itself, not with the row multiplied out, which
@@ -112,7 +111,7 @@ class LiteralTranscription(Transcription):
             found[NONPENETRATION] = self._depth(x)
         return {name: float(value) for name, value in found.items()}
 
-    def close_rows(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def close_rows(self, x: Floats) -> Floats:
         """Returns x with controls changed by B⁺ M d/dt, which cancels dynamics defects d.
 
         A solver that meets the rows multiplied out to 1e-13 may leave 1e-7 m/s where φ + δ is
@@ -123,15 +122,15 @@ class LiteralTranscription(Transcription):
         missed = np.einsum("kij,kj->ki", M, self._dynamics_defects(x)) / self._dt
         return self.vector_of(q, v, u + missed @ inverse.T)
 
-    def _dynamics_defects(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def _dynamics_defects(self, x: Floats) -> Floats:
         """Returns v_{k+1} − v_k − dt M⁻¹ (B u_k − h + J_kᵀ λ_k), shape (N, nv) [m/s]."""
         q, v, u = self.split(x)
         free = self.world.calc_acceleration(q[:-1], v[:-1], u)
         kick = self.world.calc_velocity_change(q, self.impulses(x))[:-1]
-        defects: npt.NDArray[np.float64] = v[1:] - v[:-1] - self._dt * free - kick
+        defects: Floats = v[1:] - v[:-1] - self._dt * free - kick
         return defects
 
-    def impulses(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def impulses(self, x: Floats) -> Floats:
         """Returns dt λ(φ(q_k)), shape (N+1, m) [N s]; 0 at the last knot: no step follows."""
         distances, scenario = self.signed_distances(x), self.scenario
         if self.law is not None:

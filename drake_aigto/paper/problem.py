@@ -3,19 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from drake_aigto.aigo import AigoResult, Algorithm, Alternating, Annealing, FullGradient
+from drake_aigto.arrays import Floats
 from drake_aigto.paper.literal import LiteralTranscription
 from drake_aigto.paper.options import LiteralOptions
 from drake_aigto.planning import PlanningProblem, Rung
 from drake_aigto.transcription import Transcription
 from drake_aigto.world import Scenario, World
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 # A knot counts as a contact if it comes this much nearer to the wall than start and goal.
 _NEARER = 0.25
@@ -66,9 +63,7 @@ class LiteralProblem(PlanningProblem):
         center = result.box.center
         return [contact_knots(self.transcription, x) for x in (center, self.pull(center, rung))]
 
-    def polish(
-        self, center: npt.NDArray[np.float64], sequence: Knots
-    ) -> tuple[LiteralTranscription, npt.NDArray[np.float64]]:
+    def polish(self, center: Floats, sequence: Knots) -> tuple[LiteralTranscription, Floats]:
         """Returns the transcription, and its local optimum next to a contact sequence.
 
         The local solver starts from the ballistic guess: of AIGO's box center only the sequence is
@@ -78,7 +73,7 @@ class LiteralProblem(PlanningProblem):
         return self.transcription, self.solve_locally(guess)
 
 
-def contact_knots(transcription: Transcription, x: npt.NDArray[np.float64]) -> Knots:
+def contact_knots(transcription: Transcription, x: Floats) -> Knots:
     """Returns the contact sequence of decision variables: the knot that is deepest, or none.
 
     The rows need not hold: AIGO's box centers are read before any polish. One contact is all that
@@ -93,9 +88,7 @@ def contact_knots(transcription: Transcription, x: npt.NDArray[np.float64]) -> K
     return (deepest,) if distances[deepest] < near else ()
 
 
-def ballistic_guess(
-    transcription: Transcription, x: npt.NDArray[np.float64], knots: Knots
-) -> npt.NDArray[np.float64]:
+def ballistic_guess(transcription: Transcription, x: Floats, knots: Knots) -> Floats:
     """Returns a guess that flies straight from the start over the contacts to the goal, u = 0.
 
     Only the contacts' knots, and where along the wall they are, are taken from x.
@@ -117,10 +110,8 @@ def ballistic_guess(
     return transcription.vector_of(path, velocities, np.zeros(controls.shape))
 
 
-def _onto_wall(transcription: Transcription, q: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _onto_wall(transcription: Transcription, q: Floats) -> Floats:
     """Returns the nearest q with φ(q) = 0, exact for an affine φ."""
     J = transcription.world.calc_contact_jacobian(q)
-    moved: npt.NDArray[np.float64] = q - np.linalg.pinv(J) @ (
-        transcription.world.calc_signed_distance(q)
-    )
+    moved: Floats = q - np.linalg.pinv(J) @ (transcription.world.calc_signed_distance(q))
     return moved

@@ -5,9 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 from pydrake.solvers import MathematicalProgram
 from pydrake.symbolic import (
     Expression,
@@ -17,6 +18,7 @@ from pydrake.symbolic import (
     Variables,
 )
 
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.paper.contact_law import PolynomialLaw
 from drake_aigto.paper.literal import LiteralTranscription
@@ -24,9 +26,6 @@ from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription.knots import Layout
 from drake_aigto.transcription.shared import as_expression, shared_cost
 from drake_aigto.world import Scenario, World
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 # The next state but one has about the square of a state's terms: soon no memory holds them.
 MAX_TERMS = 25_000
@@ -118,23 +117,23 @@ class SingleShooting:
         """Returns how many terms an entry of x_k has at most."""
         return max(map(_count, self._states[k]))
 
-    def GetSampleTimes(self) -> npt.NDArray[np.float64]:
+    def GetSampleTimes(self) -> Floats:
         """Returns the knots' times, shape (N+1,) [s]."""
         return self.multiple_shooting.GetSampleTimes()
 
-    def initial_box(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def initial_box(self) -> tuple[Floats, Floats]:
         """Returns center and half width of AIGO's first box: `multiple_shooting`'s, of controls."""
         center, half_width = self.multiple_shooting.initial_box()
         return self._controls(center), self._controls(half_width)
 
-    def _controls(self, values: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def _controls(self, values: Floats) -> Floats:
         """Returns the controls' part of the other program's variables, in this one's order."""
         controls = self.multiple_shooting.split(values)[2]
         found = np.empty(controls.size)
         found[self._places] = controls
         return found
 
-    def vector(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def vector(self, x: Floats) -> Floats:
         """Returns all decision variables of `multiple_shooting`: x, and the states it leads to."""
         world, scenario, dt = self.world, self.scenario, self.scenario.time_step
         controls = x[self._places]
@@ -146,11 +145,11 @@ class SingleShooting:
             q, v = [*q, q[-1] + dt * v[-1]], [*v, v[-1] + kick]
         return self.multiple_shooting.vector_of(np.array(q), np.array(v), controls)
 
-    def trajectory(self, x: npt.NDArray[np.float64]) -> Trajectory:
+    def trajectory(self, x: Floats) -> Trajectory:
         """Returns the trajectory that controls x lead to."""
         return self.multiple_shooting.trajectory(self.vector(x))
 
-    def scenario_cost(self, x: npt.NDArray[np.float64]) -> float:
+    def scenario_cost(self, x: Floats) -> float:
         """Returns J = w_u Σ dt ‖u_k‖² + w_f ‖q_N − goal‖²."""
         return self.multiple_shooting.scenario_cost(self.vector(x))
 

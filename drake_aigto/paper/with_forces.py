@@ -19,11 +19,13 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+import numpy.typing as npt
 from pydrake.symbolic import Expression, MakeVectorVariable
 
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.errors import OptionsError
 from drake_aigto.paper.literal import LiteralTranscription
 from drake_aigto.transcription.penalties import cut_to
@@ -32,9 +34,6 @@ from drake_aigto.transcription.rows import CONTACT, DYNAMICS, RESTITUTION
 from drake_aigto.transcription.shared import as_expression, shared_constraint
 from drake_aigto.transcription.transcription import Transcription
 from drake_aigto.world import Scenario, World
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 PUSH = "push"
 
@@ -64,7 +63,7 @@ class ForceVariables(Transcription):
     def _impulse(self) -> npt.NDArray[Any]:
         return MakeVectorVariable(self.world.num_contacts, "p")
 
-    def _stage_indices(self, k: int) -> npt.NDArray[np.int64]:
+    def _stage_indices(self, k: int) -> Ints:
         return np.concatenate([super()._stage_indices(k), *self._p[k : k + 1]])
 
     def _stage(self, k: int) -> list[tuple[npt.NDArray[Any], npt.NDArray[Any]]]:
@@ -81,34 +80,34 @@ class ForceVariables(Transcription):
             self._bind_stages(shared_constraint(Expression(p_i), PUSH, 0.0, np.inf))
 
     @abstractmethod
-    def implied_impulses(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def implied_impulses(self, x: Floats) -> Floats:
         """Returns the impulses that q, v and u in x imply, shape (N+1, m) [N s]."""
 
     def vector_of(
         self,
-        positions: npt.NDArray[np.float64],
-        velocities: npt.NDArray[np.float64],
-        controls: npt.NDArray[np.float64],
-    ) -> npt.NDArray[np.float64]:
+        positions: Floats,
+        velocities: Floats,
+        controls: Floats,
+    ) -> Floats:
         """Returns all decision variables, impulses as q, v and u imply them."""
         x = super().vector_of(positions, velocities, controls)
         x[self.impulse_indices()] = self.implied_impulses(x)[:-1].ravel()
         return x
 
-    def impulses(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def impulses(self, x: Floats) -> Floats:
         """Returns p, shape (N+1, m) [N s]; 0 at the last knot: no step follows."""
         return np.vstack([x[self._p], np.zeros((1, self.world.num_contacts))])
 
-    def impulse_indices(self) -> npt.NDArray[np.int64]:
+    def impulse_indices(self) -> Ints:
         """Returns where p is among all decision variables, knot by knot, shape (N m,)."""
         return self._p.ravel()
 
     def _box(
         self,
-        positions: npt.NDArray[np.float64],
-        velocities: npt.NDArray[np.float64],
-        shares: npt.NDArray[np.float64],
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        positions: Floats,
+        velocities: Floats,
+        shares: Floats,
+    ) -> tuple[Floats, Floats]:
         center, half_width = super()._box(positions, velocities, shares)
         turned = 4 * self.inertia() * self.length_scale() / self.scenario.duration
         sizes = self.impulse_width * turned * shares[:-1]
@@ -152,7 +151,7 @@ class LiteralWithForces(ForceVariables, LiteralTranscription):
             row = (contact.signed_distance + scenario.delta) * p_i - self._dt * scenario.epsilon
             self._bind_stages(shared_constraint(as_expression(row), CONTACT))
 
-    def implied_impulses(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def implied_impulses(self, x: Floats) -> Floats:
         """Returns dt ε/(φ(q_k) + δ), shape (N+1, m) [N s]; 0 at the last knot."""
         return LiteralTranscription.impulses(self, x)
 
@@ -183,16 +182,14 @@ class RigidWithForces(ForceVariables, RigidTranscription):
         world: World,
         scenario: Scenario,
         relaxation: float = 1e-4,
-        path: npt.NDArray[np.float64] | None = None,
+        path: Floats | None = None,
         impulse_width: float = 1.0,
     ) -> None:
         """Makes the program."""
         self._set_impulse_width(impulse_width)
         super().__init__(world, scenario, relaxation, path)
 
-    def again(
-        self, scenario: Scenario, path: npt.NDArray[np.float64] | None = None
-    ) -> RigidWithForces:
+    def again(self, scenario: Scenario, path: Floats | None = None) -> RigidWithForces:
         """Returns the same, with what users added, for another scenario, or around another path."""
         args = self.world, scenario, self.relaxation, path, self.impulse_width
         return RigidWithForces(*args).with_additions(self.additions())
@@ -215,6 +212,6 @@ class RigidWithForces(ForceVariables, RigidTranscription):
             self._bind_each(row, range(1, len(self._u)))
         self._bound_distances(self._fronts)
 
-    def implied_impulses(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def implied_impulses(self, x: Floats) -> Floats:
         """Returns what flight leaves unexplained, shape (N+1, m) [N s]; 0 at the last knot."""
         return RigidTranscription.impulses(self, x)

@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
+from pydrake.geometry import Mesh
 
+from drake_aigto.arrays import Floats
 from drake_aigto.show.motion import color_of
 from drake_aigto.show.picture import make_mesh
 from drake_aigto.show.track import wrap_notes
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    import numpy.typing as npt
-    from matplotlib.axes import Axes
-    from pydrake.geometry import Mesh
-
-    _Array = npt.NDArray[np.float64]
 
 _PIXELS = 3072  # of the longer side
 _INCHES = 6.0  # of figure for a panel's size, so that lines have usual widths
@@ -66,15 +61,15 @@ class Board:
     """
 
     labels: Sequence[str]
-    low: _Array
-    high: _Array
+    low: Floats
+    high: Floats
     depth: float
     radius: float
-    starts: _Array
-    goals: _Array
-    ways: Sequence[Sequence[_Array]]
-    dots: Sequence[_Array]
-    touches: Sequence[_Array]
+    starts: Floats
+    goals: Floats
+    ways: Sequence[Sequence[Floats]]
+    dots: Sequence[Floats]
+    touches: Sequence[Floats]
     touch_names: Sequence[Sequence[str]]
     notes: Sequence[str] = ()
 
@@ -89,14 +84,14 @@ class Board:
         return _SPACE * self.size
 
     @cached_property
-    def panel(self) -> tuple[_Array, _Array]:
+    def panel(self) -> tuple[Floats, Floats]:
         """Corners of the panel without offset, lower left and upper right, shape (2,) each [m]."""
         width = (self.high - self.low)[0]
         wider = np.array([max(0.0, _NARROWEST * self.size - width) / 2, 0.0])
         return self.low - wider, self.high + wider
 
     @property
-    def corners(self) -> tuple[_Array, _Array]:
+    def corners(self) -> tuple[Floats, Floats]:
         """Corners of all panels with their labels and scales, shape (2,) each [m]."""
         low, high = self.panel
         first, last = self.offset(0)[:2], self.offset(len(self.labels) - 1)[:2]
@@ -107,7 +102,7 @@ class Board:
             high + last + (around, top),
         )
 
-    def offset(self, index: int) -> _Array:
+    def offset(self, index: int) -> Floats:
         """Returns where a panel's motion is moved to, x, y and z, shape (3,) [m]."""
         low, high = self.panel
         pitch = (high - low)[0] + _GAP * self.size
@@ -158,7 +153,7 @@ class Board:
         self._paint_touches(axes, index, middle)
         self._paint_scale(axes, low, high, aside)
 
-    def _paint_title(self, axes: Axes, x: float, top: float, lines: str, color: _Array) -> None:
+    def _paint_title(self, axes: Axes, x: float, top: float, lines: str, color: Floats) -> None:
         (left, _), (right, _) = self.panel
         fitting = (right - left) / (_BOLD_WIDTH * max(map(len, lines.split("\n"))))
         look: dict[str, Any] = {"color": color, "ha": "center", "va": "bottom"}
@@ -166,7 +161,7 @@ class Board:
         rise = min(_HIDDEN * self.depth, _MOST_HIDDEN * self.size) + self.space
         self._write(axes, x, top + rise, lines, **look)
 
-    def _paint_marks(self, axes: Axes, aside: _Array, middle: float) -> None:
+    def _paint_marks(self, axes: Axes, aside: Floats, middle: float) -> None:
         """Draws starts and goals, with their names on the side that has more room."""
         for start, goal in zip(self.starts + aside, self.goals + aside, strict=True):
             axes.plot(*start, "s", color=_INK, markersize=10, zorder=3)
@@ -181,7 +176,7 @@ class Board:
 
     def _paint_touches(self, axes: Axes, index: int, middle: float) -> None:
         """Draws where bodies touch something, with names that do not cover each other."""
-        named: list[_Array] = []
+        named: list[Floats] = []
         touches = self.touches[index] + self.offset(index)[:2]
         color = np.array(to_rgb(color_of(index)))
         look: dict[str, Any] = {"color": color, "markerfacecolor": "white", "markeredgewidth": 2.5}
@@ -198,7 +193,7 @@ class Board:
                 name, y = name.replace(", ", "\n"), y + self.letter / 2
             self._write(axes, x, y, name, color=_SHADE * color, ha=ha, va="center", zorder=4)
 
-    def _paint_scale(self, axes: Axes, low: _Array, high: _Array, aside: _Array) -> None:
+    def _paint_scale(self, axes: Axes, low: Floats, high: Floats, aside: Floats) -> None:
         """Draws ticks in metres below a panel; numbers are whole, or not there."""
         ends = low[0] - aside[0], high[0] - aside[0]
         look = {"color": _INK, "ha": "center", "va": "top"}

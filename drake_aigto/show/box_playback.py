@@ -2,29 +2,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from pydrake.geometry import Box, Meshcat, MeshcatAnimation, Rgba
 from pydrake.math import RigidTransform, RotationMatrix
 
+from drake_aigto.aigo import Iterate
+from drake_aigto.arrays import Floats
+from drake_aigto.planning import Plan
 from drake_aigto.show.box_run import BoxRun, run_boxes
 from drake_aigto.show.coordinates import coordinate_names, wall_places
 from drake_aigto.show.motion import PALETTE, PLAN_LABEL
 from drake_aigto.show.picture import make_mesh
 from drake_aigto.show.playback import ROOT, clear, new_animation
 from drake_aigto.world import World
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-    from matplotlib.axes import Axes
-
-    from drake_aigto.aigo import Iterate
-    from drake_aigto.planning import Plan
-
-    _Array = npt.NDArray[np.float64]
 
 TITLE = "AIGO's boxes: the optimization, not a motion"
 
@@ -102,7 +97,7 @@ class _Graph:
         self._axes = self._lay_out()[1]
 
     @property
-    def corners(self) -> tuple[_Array, _Array]:
+    def corners(self) -> tuple[Floats, Floats]:
         """Lower left and upper right of the picture, shape (2,) each [m]."""
         half = np.array([_WIDTH, self._height]) / 2 / _INCHES_PER_METRE
         return -half, half
@@ -120,11 +115,11 @@ class _Graph:
             panels.append(figure.add_axes(place, xlim=xlim, ylim=limits))
         return figure, panels
 
-    def _place(self, panel: int, points: _Array) -> _Array:
+    def _place(self, panel: int, points: Floats) -> Floats:
         """Returns where points (k, 2) of time and position are in the graph's frame."""
         pixels = self._axes[panel].transData.transform(points)
         inches = pixels / _DPI - np.array([_WIDTH, self._height]) / 2
-        placed: _Array = inches / _INCHES_PER_METRE
+        placed: Floats = inches / _INCHES_PER_METRE
         return placed
 
     def paint(self) -> Figure:
@@ -224,7 +219,7 @@ class _Graph:
                 animation.SetProperty(frame, path, "visible", first <= frame < end)
 
 
-def _aim_camera(size: _Array, meshcat: Meshcat) -> None:
+def _aim_camera(size: Floats, meshcat: Meshcat) -> None:
     """Looks at the graph from the front, a little from above and from the right."""
     distance = _SLACK * max(size[1], size[0] / 1.4) / 2 / np.tan(np.deg2rad(_FIELD_OF_VIEW) / 2)
     back = np.array([np.sin(_TURN) * np.cos(_TILT), -np.cos(_TURN) * np.cos(_TILT), np.sin(_TILT)])

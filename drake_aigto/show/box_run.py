@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-from drake_aigto.aigo import Annealing, SlowMotion
+from drake_aigto.aigo import AigoResult, Annealing, Iterate, SlowMotion
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError
 from drake_aigto.paper import LiteralOptions, make_literal_problem
-from drake_aigto.planning import PlanOptions, make_problem
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    from drake_aigto.aigo import AigoResult, Iterate
-    from drake_aigto.planning import Plan, PlanningProblem, Rung, SearchOptions
-    from drake_aigto.transcription import Transcription
-    from drake_aigto.world import Scenario, World
-
-    _Array = npt.NDArray[np.float64]
+from drake_aigto.planning import (
+    Plan,
+    PlanningProblem,
+    PlanOptions,
+    Rung,
+    SearchOptions,
+    make_problem,
+)
+from drake_aigto.transcription import Transcription
+from drake_aigto.world import Scenario, World
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +39,7 @@ class BoxRun:
     transcription: Transcription
     result: AigoResult
 
-    def positions(self, iterate: Iterate) -> tuple[_Array, _Array]:
+    def positions(self, iterate: Iterate) -> tuple[Floats, Floats]:
         """Returns centers and half widths of the boxes around q, shape (N+1, nq) each [m]."""
         box = iterate.box
         return self.transcription.split(box.center)[0], self.transcription.split(box.half_width)[0]

@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 from pydrake.multibody.tree import PrismaticJoint
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    from drake_aigto.world import World
+from drake_aigto.arrays import Floats
+from drake_aigto.world import World
 
 
 def coordinate_names(world: World) -> list[str]:
@@ -32,9 +28,7 @@ def coordinate_names(world: World) -> list[str]:
     return [joint.name().replace("_", " ") for joint in moving]
 
 
-def solid_regions(
-    world: World, coordinates: tuple[int, int], window: npt.NDArray[np.float64]
-) -> list[npt.NDArray[np.float64]]:
+def solid_regions(world: World, coordinates: tuple[int, int], window: Floats) -> list[Floats]:
     """Returns where solids are in the plane of two coordinates, as polygons.
 
     There the sphere would be inside: φ(q) < 0 for all faces of the solid. Solids that other
@@ -77,11 +71,9 @@ def wall_places(world: World, coordinate: int) -> list[tuple[int, float, float]]
     ]
 
 
-def _cut(
-    corners: npt.NDArray[np.float64], distance: float, slope: npt.NDArray[np.float64]
-) -> npt.NDArray[np.float64]:
+def _cut(corners: Floats, distance: float, slope: Floats) -> Floats:
     """Returns the part of a convex polygon where distance + slope · corner ≤ 0."""
-    kept: list[npt.NDArray[np.float64]] = []
+    kept: list[Floats] = []
     heights = distance + corners @ slope
     for i, (corner, height) in enumerate(zip(corners, heights, strict=True)):
         if height <= 0:

@@ -4,21 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.geometry import Cylinder, Meshcat, MeshcatAnimation, MeshcatCone, Rgba, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    from drake_aigto.show.motion import Motion
-    from drake_aigto.show.stage import Actor, Stage
-    from drake_aigto.transcription import Touch
-    from drake_aigto.world import World
-
-    _Array = npt.NDArray[np.float64]
+from drake_aigto.arrays import Floats
+from drake_aigto.show.motion import Motion
+from drake_aigto.show.stage import Actor, Stage
+from drake_aigto.transcription import Touch
+from drake_aigto.world import World
 
 _INK, _YELLOW = Rgba(0.13, 0.13, 0.13), Rgba(1.0, 0.78, 0.0)
 
@@ -100,7 +95,7 @@ class Effects:
         for contact in sorted({touch.contact for touch in motion.impacts}):
             self._add_flashes(motion, contact, aside, f"{folder}/impacts", meshcat, animation)
 
-    def _forces(self, controls: _Array) -> _Array:
+    def _forces(self, controls: Floats) -> Floats:
         """Returns the controls' forces (N, nu) on each mover, in the world: (movers, N, 3) [N]."""
         generalized = controls @ self._world.actuation.T
         directions = self._stage.directions
@@ -115,7 +110,7 @@ class Effects:
         self,
         motion: Motion,
         mover: Actor,
-        forces: _Array,
+        forces: Floats,
         parent: str,
         meshcat: Meshcat,
         animation: MeshcatAnimation,
@@ -185,7 +180,7 @@ class Effects:
         slope = self._world.calc_contact_jacobian(motion.positions[row])[touch.contact]
         return max(0.0, -float(slope @ motion.velocities[row]))
 
-    def _struck(self, contact: int) -> tuple[Actor, _Array]:
+    def _struck(self, contact: int) -> tuple[Actor, Floats]:
         """Returns the first mover that a contact pushes, and where it is touched, in its frame."""
         slope = self._world.constant_inertia.jacobian[contact]
         for mover, directions in zip(self._stage.movers, self._stage.directions, strict=True):

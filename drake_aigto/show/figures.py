@@ -3,25 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
+import numpy.typing as npt
 from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.patches import Polygon, Rectangle
 
+from drake_aigto.aigo import Iterate
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
+from drake_aigto.planning import Plan
 from drake_aigto.show.coordinates import coordinate_names, solid_regions, wall_places
 from drake_aigto.show.motion import Motion, color_of, motions_of_plan
 from drake_aigto.show.text import touch_names, wall_names
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-    from matplotlib.axes import Axes
-
-    from drake_aigto.aigo import Iterate
-    from drake_aigto.planning import Plan
-    from drake_aigto.transcription import Touch, Transcription
-    from drake_aigto.world import Scenario, World
+from drake_aigto.transcription import Touch, Transcription
+from drake_aigto.world import Scenario, World
 
 # Motions differ in colour, and so that where they agree all are seen, in width and dashes.
 _LINES: tuple[dict[str, Any], ...] = (
@@ -248,7 +246,7 @@ def plot_boxes(
 def _plot_column(
     axes: Axes,
     motions: Sequence[Motion],
-    rows: Sequence[npt.NDArray[np.float64]],
+    rows: Sequence[Floats],
     coordinate: int,
 ) -> None:
     """Draws one column of each motion's rows (K, n) over its times, labelled."""

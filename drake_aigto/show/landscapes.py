@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -12,11 +12,9 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 
 from drake_aigto.optima import bounce_costs, rigid_optimum
 from drake_aigto.planning import Candidate
+from drake_aigto.show.box_run import BoxRun
 from drake_aigto.show.motion import color_of
 from drake_aigto.world import Scenario, World
-
-if TYPE_CHECKING:
-    from drake_aigto.show.box_run import BoxRun
 
 _COLORMAP = "viridis"
 _POINTS = 201  # along each side of a landscape

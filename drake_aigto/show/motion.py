@@ -5,20 +5,16 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from drake_aigto.arrays import Floats
+from drake_aigto.planning import Plan
+from drake_aigto.simulation import Replay
 from drake_aigto.simulation.contacts import find_contacts
-from drake_aigto.trajectory import read_only
+from drake_aigto.trajectory import Trajectory, read_only
 from drake_aigto.transcription import Touch
-
-if TYPE_CHECKING:
-    from drake_aigto.planning import Plan
-    from drake_aigto.simulation import Replay
-    from drake_aigto.trajectory import Trajectory
-    from drake_aigto.world import World
+from drake_aigto.world import World
 
 # Okabe and Ito's colours, which the colour-blind can tell apart; the darkest first.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")

@@ -7,14 +7,12 @@ import html
 import io
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import matplotlib as mpl
+from matplotlib.figure import Figure
 
 from drake_aigto.show.embedding import embed_scenes
-
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
 
 # The same figure gives the same bytes, and looks the same whatever fonts a reader has.
 _SVG: dict[Any, Any] = {"svg.hashsalt": "drake_aigto", "svg.fonttype": "path"}

@@ -5,16 +5,16 @@ from __future__ import annotations
 import base64
 import io
 import json
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
 from PIL import Image
 from pydrake.common import MemoryFile
 from pydrake.geometry import InMemoryMesh, Mesh
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
-    from matplotlib.figure import Figure
+from drake_aigto.arrays import Floats
 
 _COLORS = 256
 
@@ -45,7 +45,7 @@ def _draw(figure: Figure) -> bytes:
     return written.getvalue()
 
 
-def _textured_quad(corners: npt.NDArray[np.float64], png: bytes) -> dict[str, Any]:
+def _textured_quad(corners: Floats, png: bytes) -> dict[str, Any]:
     """Returns a glTF of a quad with a picture on it, which no light shades.
 
     Args:

@@ -5,14 +5,15 @@ from __future__ import annotations
 import dataclasses
 import os
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 from matplotlib.colors import to_rgb
 from pydrake.geometry import Meshcat, MeshcatAnimation, Rgba
 from pydrake.math import RigidTransform
 
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError
+from drake_aigto.planning import Plan
 from drake_aigto.show import traces
 from drake_aigto.show.board import Board
 from drake_aigto.show.effects import Clock, Effects
@@ -21,14 +22,8 @@ from drake_aigto.show.page import Page
 from drake_aigto.show.stage import Stage
 from drake_aigto.show.text import wall_names
 from drake_aigto.show.track import Track
-from drake_aigto.world import World
+from drake_aigto.world import Scenario, World
 from drake_aigto.world.files import write_text
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    from drake_aigto.planning import Plan
-    from drake_aigto.world import Scenario
 
 # All that is drawn lies below this path.
 ROOT = "/drake_aigto"
@@ -266,9 +261,7 @@ def _lay_board(
     )
 
 
-def _find_touches(
-    motion: Motion, ways: Sequence[npt.NDArray[np.float64]]
-) -> npt.NDArray[np.float64]:
+def _find_touches(motion: Motion, ways: Sequence[Floats]) -> Floats:
     """Returns where on the ways of its bodies a motion plans to touch something, shape (t, 2)."""
     rows = np.searchsorted(motion.times, [touch.start for touch in motion.touches])
     return np.vstack([way[rows] for way in ways])

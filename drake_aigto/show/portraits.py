@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
+from matplotlib.axes import Axes
 
 from drake_aigto.show.coordinates import coordinate_names, wall_places
 from drake_aigto.show.figures import SOLID_LOOK, line_of
-from drake_aigto.show.motion import color_of
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
-
-    from drake_aigto.show.motion import Motion
-    from drake_aigto.world import Scenario, World
+from drake_aigto.show.motion import Motion, color_of
+from drake_aigto.world import Scenario, World
 
 _ROOM = 0.08  # around what is drawn, as a part of its range
 _ARROWS = (0.2, 0.8)  # parts of the duration at which the way of time is shown

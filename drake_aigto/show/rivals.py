@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 from drake_aigto.baselines import run_baseline
 from drake_aigto.paper import LiteralOptions, gradient_from_zero, make_literal_problem
 from drake_aigto.show.motion import PLAN_LABEL, SIMULATION_LABELS, Motion
 from drake_aigto.simulation.replay import replay_event_driven
-
-if TYPE_CHECKING:
-    from drake_aigto.world import Scenario, World
+from drake_aigto.world import Scenario, World
 
 _ONE_WALL, _SEVERAL = "SNOPT from zero", "SNOPT from a random guess"
 _RIGID = SIMULATION_LABELS["event-driven"]

@@ -8,17 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from itertools import cycle, product
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from matplotlib import colormaps
+from matplotlib.axes import Axes
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator, PercentFormatter
 
 from drake_aigto.study.method_run import PLANNER
 from drake_aigto.study.scenario_results import ScenarioResult, ScenarioStudy
-
-if TYPE_CHECKING:
-    from matplotlib.axes import Axes
 
 _OURS: dict[str, Any] = {"color": "#D55E00", "linewidth": 3.2, "zorder": 3}
 _RIVAL_COLORS = ("#0072B2", "#56B4E9", "#009E73", "#CC79A7", "#555555")

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.geometry import (
@@ -21,9 +20,7 @@ from pydrake.math import RigidTransform, RotationMatrix
 
 from drake_aigto.arrays import Floats
 from drake_aigto.show.coordinates import wall_places
-
-if TYPE_CHECKING:
-    from drake_aigto.world import World
+from drake_aigto.world import World
 
 _GRAY = Rgba(0.6, 0.6, 0.6)
 # Meshcat draws no half spaces; this much of one is drawn as a slab [m].

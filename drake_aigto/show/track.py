@@ -3,26 +3,23 @@
 from __future__ import annotations
 
 import textwrap
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
+from pydrake.geometry import Mesh
 
+from drake_aigto.arrays import Floats
 from drake_aigto.show.motion import color_of
 from drake_aigto.show.picture import make_mesh
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    import numpy.typing as npt
-    from matplotlib.axes import Axes
-    from pydrake.geometry import Mesh
 
 _PIXELS = 2048  # along the track
 _INCHES = 10.0  # of figure for each metre of track, so that lines have usual widths
@@ -64,7 +61,7 @@ class Track:
     end: float
     lane_width: float
     marks: Mapping[str, float]
-    traces: Sequence[Sequence[Sequence[npt.NDArray[np.float64]]]] = ()
+    traces: Sequence[Sequence[Sequence[Floats]]] = ()
     notes: Sequence[str] = ()
 
     @property
@@ -88,7 +85,7 @@ class Track:
         """Returns the y of a lane's middle [m]."""
         return self.half_width - (lane + 0.5) * self.lane_width
 
-    def offset(self, lane: int) -> npt.NDArray[np.float64]:
+    def offset(self, lane: int) -> Floats:
         """Returns where a lane's motion is moved to, x, y and z, shape (3,) [m]."""
         return np.array([0.0, self.lane_center(lane), 0.0])
 
@@ -131,7 +128,7 @@ class Track:
             weight="bold",
         )
 
-    def _paint_trace(self, axes: Axes, lane: int, legs: Sequence[npt.NDArray[np.float64]]) -> None:
+    def _paint_trace(self, axes: Axes, lane: int, legs: Sequence[Floats]) -> None:
         """Draws where a body was, a dot for each moment, leg beside leg."""
         apart = min(_NEXT_LEG, _ALL_LEGS / len(legs))
         heights = self.lane_center(lane) + self.lane_width * (
