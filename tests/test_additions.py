@@ -170,6 +170,12 @@ def contradicting(t: RigidTranscription) -> None:
     t.prog().AddConstraint(t.state(3)[1] >= -0.5).evaluator().set_description("slow")
 
 
+def square(t: RigidTranscription) -> None:
+    q = t.state(9)[0]
+    t.prog().AddConstraint(q <= 1.0)
+    t.prog().AddConstraint(q**2 - q**3 <= -1.0).evaluator().set_description("square")
+
+
 def removing(t: RigidTranscription) -> None:
     prog = t.prog()
     prog.RemoveConstraint(prog.GetAllConstraints()[0])
@@ -199,6 +205,10 @@ def removing(t: RigidTranscription) -> None:
         (
             lambda t: t.prog().AddConstraint(t.state(9)[0] <= -0.1),
             "contradict each other: got 'nonpenetration' on q(9); 'constraint on q(9)' on q(9)",
+        ),
+        (
+            square,
+            "contradict each other: got 'square' on q(9); 'constraint on q(9)' on q(9),",
         ),
         (lambda t: t.state(21), "state(21): got knot 21, expected one of 0 … 20"),
         (lambda t: t.state(-1), "state(-1): got knot -1, expected one of 0 … 20"),

@@ -31,6 +31,7 @@ from drake_aigto.local import (
     compile_nlp,
     solve_with_drake,
 )
+from drake_aigto.planning.added_rows import check_added_rows
 from drake_aigto.planning.compiled import CompiledPrograms
 from drake_aigto.planning.options import Rung, SearchOptions, StartName
 from drake_aigto.planning.origin import Origin
@@ -116,6 +117,8 @@ class PlanningProblem(ABC):
         self._programs = programs or CompiledPrograms()
         self._starts: dict[StartName, Start] = {}
         self._check_ladder(self.start("line").row_names)
+        if self.additions.constraints:
+            check_added_rows(transcription.prog(), self.additions)
 
     def _check_ladder(self, row_names: tuple[str, ...]) -> None:
         known = dict.fromkeys((*self.transcription.ROWS, *row_names))

@@ -35,16 +35,25 @@ def tighten(nlp: PolynomialNlp) -> Bounds:
     2009, "Branching and bounds tightening techniques for non-convex MINLP", Optim. Methods Softw.
     24:597-634). Where rows leave no point at all, the bounds are those of the program.
     """
+    bounds = np.array(nlp.lower), np.array(nlp.upper)
+    return bounds if _sweep_rows(nlp, *bounds) else (np.array(nlp.lower), np.array(nlp.upper))
+
+
+def may_be_feasible(nlp: PolynomialNlp) -> bool:
+    """Returns False if interval arithmetic, as in `tighten`, shows that no point meets all rows."""
+    return _sweep_rows(nlp, np.array(nlp.lower), np.array(nlp.upper))
+
+
+def _sweep_rows(nlp: PolynomialNlp, lower: Floats, upper: Floats) -> bool:
+    """Tightens bounds in place; returns whether they leave a point."""
     rows = nlp.blocks[len(nlp.costs) :]
-    lower, upper = np.array(nlp.lower), np.array(nlp.upper)
     terms = stack_terms(rows)
+    cut = 1.0
     for _ in range(_SWEEPS if rows else 0):
         cut = _sweep(terms, lower, upper)
-        if cut < 0.0:
-            return np.array(nlp.lower), np.array(nlp.upper)
         if cut < _LEAST_CUT:
             break
-    return lower, upper
+    return cut >= 0.0
 
 
 @kernel

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -66,11 +67,27 @@ def check_linear(prog: MathematicalProgram, names: Collection[str]) -> None:
         *prog.linear_equality_constraints(),
     )
     kept = [each for each in linear if each.evaluator().get_description() in names]
-    if _is_feasible(prog, kept):
+    check_together(kept, partial(_is_feasible, prog))
+
+
+def check_together(
+    constraints: Sequence[Binding], may_be_feasible: Callable[[Sequence[Binding]], bool]
+) -> None:
+    """Refuses constraints that contradict each other.
+
+    Args:
+        constraints: all that count.
+        may_be_feasible: whether some of them leave a point, as far as is known.
+
+    Raises:
+        ProgramError: they leave none; the message has few that contradict each other.
+    """
+    if may_be_feasible(constraints):
         return
-    for each in tuple(kept):  # What remains is contradictory, and nothing less than it is.
+    kept = list(constraints)
+    for each in constraints:  # What remains is contradictory, and nothing less than it is.
         others = [other for other in kept if other is not each]
-        if not _is_feasible(prog, others):
+        if not may_be_feasible(others):
             kept = others
     raise ProgramError(
         "constraints contradict each other",
