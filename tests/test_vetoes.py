@@ -17,6 +17,7 @@ from several_walls import make_wedge
 from drake_aigto import Scenario, World, plan
 from drake_aigto.cli import INTERRUPTED, main
 from drake_aigto.optima import rigid_optimum
+from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal
 from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions, RigidProblem
 from drake_aigto.planning import problem as planning_problem
 from drake_aigto.planning.idle import idle_candidate
@@ -37,6 +38,32 @@ def table1(row: int, **fields: Any) -> Scenario:
 @cache
 def bounce_plan() -> Plan:
     return plan(table1(1, **COARSE))
+
+
+# What is worth less than nothing.
+
+
+def test_a_literal_plan_that_keeps_its_promise_is_no_success_where_doing_nothing_costs_less() -> (
+    None
+):
+    # It is at the goal already, from which ε/(φ + δ) pushes it.
+    still = {"initial_position": [0.5], "initial_velocity": [0.0], "goal_position": [0.5]}
+    scenario = table1(1, **still, goal_weight=1e-4, **COARSE)
+    found = plan_literal(scenario, LiteralOptions(ladder=LITERAL_LADDER[:1], confirm=False))
+    assert found.keeps_promise
+    assert not found.holds
+    assert found.idle is not None
+    assert found.idle.cost == 0.0
+    assert "fails: on rigid walls doing nothing costs less" in format_plan(found)
+    assert "doing nothing is better: it costs 0" in format_plan(found)
+
+
+def test_a_literal_plan_that_beats_doing_nothing_tells_what_that_costs() -> None:
+    options = LiteralOptions(ladder=LITERAL_LADDER[:1], confirm=False)
+    found = plan_literal(table1(1, **COARSE), options)
+    assert not found.best.is_idle
+    assert found.holds == found.keeps_promise
+    assert "no control  it costs 7.290e-02" in format_plan(found)
 
 
 # What Drake contradicts.

@@ -24,8 +24,9 @@ def plan_literal(
 ) -> Plan:
     """Plans as the paper does (AIGTO Sec. IV): explicit Euler, with the contact force ε/(φ + δ).
 
-    The plan of least cost is the answer, whether simulations confirm it or not; see `Plan.holds`.
-    Ctrl-C ends the search; the best candidate so far is returned.
+    The plan of least cost is the answer, whether simulations confirm it or not, and whether it is
+    worth more than doing nothing or not; see `Plan.holds`. Ctrl-C ends the search; the best
+    candidate so far is returned.
 
     Args:
         scenario: the question, with its ε and δ; a world with one wall.
@@ -49,6 +50,7 @@ def plan_literal(
     search.run(progress)
     best = search.find_feasible()[0]
     search.confirm(best)
+    search.add_idle()
     return search.make_plan(scenario, best)
 
 

@@ -267,8 +267,23 @@ class Plan:
 
     @property
     def holds(self) -> bool:
+        """Whether it `keeps_promise`, and is worth more than doing nothing."""
+        return self.keeps_promise and not self.is_beaten
+
+    @property
+    def keeps_promise(self) -> bool:
         """Whether every replay that was run confirms the chosen trajectory (`replay.confirms`)."""
         return self.best.holds(self.replay)
+
+    @property
+    def is_beaten(self) -> bool:
+        """Whether doing nothing, which simulations confirm, costs less on rigid walls."""
+        idle, replay = self.idle, self.replay.event_driven
+        if idle is None or not (idle.is_feasible and idle.holds(Replays(idle.replay, idle.drake))):
+            return False
+        is_known = replay.added_costs.keys() == idle.added_costs.keys()
+        free = dataclasses.replace(replay, violations={})
+        return is_known and not confirms(idle.cost, free, idle.scales)
 
     @property
     def vetoes(self) -> tuple[Veto, ...]:

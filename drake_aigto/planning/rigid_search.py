@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
-from drake_aigto.planning.idle import idle_candidate
 from drake_aigto.planning.insertions import find_insertions
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.origin import ChangeName, Origin
@@ -191,11 +190,6 @@ class RigidSearch(Search):
         if self._left_out is not None:
             (origin, center), self._left_out = self._left_out, None
             self.solve(origin, center, (), self.problem.polish)
-
-    def add_idle(self) -> None:
-        """Adds doing nothing, which a plan has to beat."""
-        with self.clock("replay"):
-            self.others.append(idle_candidate(self.problem))
 
     def _is_promising(self, candidate: Candidate) -> bool:
         """Returns whether a candidate costs little enough for those near it to become the best."""

@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from drake_aigto.aigo import AigoResult, Iterate, Status
+from drake_aigto.planning.idle import idle_candidate
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.origin import Origin
 from drake_aigto.planning.plan import (
@@ -234,6 +235,11 @@ class Search(ABC):
             len(candidate.trajectory.controls),
         )
         self.centers[sequence] = center
+
+    def add_idle(self) -> None:
+        """Adds doing nothing, which a plan has to beat."""
+        with self.clock("replay"):
+            self.others.append(idle_candidate(self.problem))
 
     def ranked(self) -> list[Candidate]:
         """Returns all candidates, the best first."""

@@ -102,6 +102,8 @@ def _verdict(plan: Plan, names: Sequence[str]) -> Iterator[str]:
         yield f"fails: the control alone misses the plan's promise {where}"
         broken = dict.fromkeys(name for replay in against for name in replay.broken)
         yield from (f"breaks '{name}'" for name in broken)
+    elif plan.is_beaten:
+        yield "fails: on rigid walls doing nothing costs less"
     else:
         yield f"holds: the control alone keeps the plan's promise {where}"
 

@@ -21,7 +21,10 @@ def describe_idle(plan: Plan) -> str | None:
     if plan.best.is_idle:
         return "this is the plan: nothing that was found and holds costs less"
     replay = plan.idle.replay
-    return f"it costs {replay.cost:.3e} and ends {length_text(replay.goal_error)} off the goal"
+    less = "doing nothing is better: " if plan.is_beaten else ""
+    return (
+        f"{less}it costs {replay.cost:.3e} and ends {length_text(replay.goal_error)} off the goal"
+    )
 
 
 def describe_vetoes(plan: Plan, world: World) -> Iterator[str]:
