@@ -69,14 +69,14 @@ def test_friction_is_what_drake_makes_of_both_shapes(
     frictions: tuple[float | None, float | None], expected: float
 ) -> None:
     world = World.from_diagram(make_diagram(frictions, along=True))
-    assert world.frictions == pytest.approx([expected], rel=1e-12)
+    assert sum(world.frictions.values()) == pytest.approx(expected, rel=1e-12)
 
 
 def test_friction_acts_on_what_slides_or_spins_and_not_on_what_only_comes_and_goes() -> None:
-    rough = (1.0, 1.0)
-    assert World.from_diagram(make_diagram(rough)).frictions.tolist() == [0.0]
-    assert World.from_diagram(make_diagram(rough, along=True)).frictions.tolist() == [1.0]
-    assert World.from_diagram(make_diagram(rough, spins=True)).frictions.tolist() == [1.0]
+    rough, rubbing = (1.0, 1.0), {"ball against ground": 1.0}
+    assert World.from_diagram(make_diagram(rough)).frictions == {}
+    assert World.from_diagram(make_diagram(rough, along=True)).frictions == rubbing
+    assert World.from_diagram(make_diagram(rough, spins=True)).frictions == rubbing
 
 
 @pytest.fixture
@@ -115,3 +115,45 @@ def test_friction_that_is_left_out_as_asked_changes_nothing_and_is_told(rough_ro
     control = found.trajectory.times, found.trajectory.controls
     met = replay_drake(world, dataclasses.replace(rough, friction=None), *control)
     assert met.cost > 100 * drake.cost
+
+
+# Shapes that overlap wherever the joints are.
+
+RAIL = """<link name="rail"><collision name="rail_collision">
+      <pose>0 0 -0.049 0 0 0</pose>
+      <geometry><plane><normal>0 0 1</normal></plane></geometry>
+    </collision></link>
+    <joint name="rail_to_world" type="fixed"><parent>world</parent><child>rail</child></joint>
+  </model>"""
+
+
+def slide(directory: Path, rough: bool) -> Scenario:
+    """Returns a task in the shipped corridor, with a ball that is 1 mm deep in a rail."""
+    scenario = Scenario.named("corridor/three_bounces")
+    text = (models_directory() / "corridor.sdf").read_text(encoding="utf-8")
+    text = re.sub(r"<drake:mu_.*>", "", text) if rough else text
+    path = directory / "rail.sdf"
+    path.write_text(text.replace("</model>", RAIL), encoding="utf-8")
+    return dataclasses.replace(scenario, model=str(path))
+
+
+def test_friction_of_what_the_ball_always_overlaps_is_refused_or_left_out_as_asked(
+    tmp_path: Path,
+) -> None:
+    rough = slide(tmp_path, rough=True)
+    with pytest.raises(ModelError, match=r"friction of ball against rail: got μ = 1 where .*"):
+        World.from_scenario(rough)
+    found = plan(dataclasses.replace(rough, friction=0.0))
+    assert found.holds
+    assert found.best.cost == plan(Scenario.named("corridor/three_bounces")).cost
+    assert "left out of the simulation, as asked: the model's, μ = 1" in format_plan(found)
+
+
+def test_what_the_ball_overlaps_without_friction_changes_nothing(tmp_path: Path) -> None:
+    found, expected = (
+        plan(slide(tmp_path, rough=False)),
+        plan(Scenario.named("corridor/three_bounces")),
+    )
+    assert found.holds
+    assert found.cost == expected.cost
+    assert found.find_world().num_contacts == 2

@@ -28,7 +28,7 @@ _JACOBIAN = ((1.0, 0.0), (-1.0, 1.0), (0.0, -1.0))
 _LEFT, _MEETING, _RIGHT = range(3)
 
 
-def masses_optimum(world: World, scenario: Scenario, most_meetings: int = 2) -> ContactOptimum:
+def masses_optimum(world: World, scenario: Scenario, most_meetings: int = 3) -> ContactOptimum:
     """Returns the best motion of two masses on a line that is known.
 
         minimise   control_weight ∫₀ᵀ ‖u‖² dt + goal_weight ‖q(T) − goal‖²

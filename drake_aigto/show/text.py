@@ -37,7 +37,7 @@ def touch_names(world: World) -> list[str]:
 
 def friction_items(scenario: Scenario, world: World) -> list[str]:
     """Returns what friction of the model a scenario leaves out of simulations, if there is any."""
-    largest = float(max(world.frictions, default=0.0))
+    largest = float(max(world.frictions.values(), default=0.0))
     if scenario.friction is None or not largest:
         return []
     return [f"left out of the simulation, as asked: the model's, μ = {largest:g} at the most"]

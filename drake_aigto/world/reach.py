@@ -37,10 +37,24 @@ class ReachableFace(NamedTuple):
     contact: Contact
 
 
-def find_reachable_faces(
+class Reach(NamedTuple):
+    """What spheres can touch, and what they are stuck in.
+
+    Attributes:
+        faces: every face that a sphere can touch, those of one box in a row.
+        stuck: a face of each shape that a sphere overlaps as long as it is before that face, which
+            no joint moves it away from. It is no contact: walls without friction only push that
+            way.
+    """
+
+    faces: tuple[ReachableFace, ...]
+    stuck: tuple[SphereAndFace, ...]
+
+
+def find_reach(
     plant: MultibodyPlant, scene_graph: SceneGraph, symbolic_plant: SymbolicPlant
-) -> list[ReachableFace]:
-    """Returns every face that a sphere can touch, those of one box in a row.
+) -> Reach:
+    """Returns every face that a sphere can touch, and those that it is stuck in.
 
     Of a box that the sphere can only move along one line to, that is the face which it faces at the
     default positions; of another box, every face that the sphere can move to or from.
@@ -48,12 +62,13 @@ def find_reachable_faces(
     Raises:
         ModelError: there is none, or a pair of shapes is not supported.
     """
-    found: list[ReachableFace] = []
+    found, stuck = list[ReachableFace](), list[SphereAndFace]()
     solid = 0
     pairs = find_pairs(plant, scene_graph, plant.CreateDefaultContext())
     for pair in pairs:
         places = [symbolic_plant.calc_place(face) for face in pair]
-        chosen = _choose(pair, places, symbolic_plant.q, plant.GetDefaultPositions())
+        chosen, fixed = _choose(pair, places, symbolic_plant.q, plant.GetDefaultPositions())
+        stuck += [pair[i] for i in fixed]
         for i in chosen:
             face, distance = pair[i], places[i][2]
             _check_line(face, places[i])
@@ -64,7 +79,7 @@ def find_reachable_faces(
         solid += bool(chosen)
     if not found:
         raise _refuse_no_contact(pairs, scene_graph)
-    return found
+    return Reach(tuple(found), tuple(stuck))
 
 
 def find_sphere_body(plant: MultibodyPlant, reachable: Sequence[ReachableFace]) -> RigidBody:
@@ -94,19 +109,19 @@ def _choose(
     places: list[npt.NDArray[Any]],
     q: npt.NDArray[Any],
     default: npt.NDArray[np.float64],
-) -> list[int]:
-    """Returns the indices of the faces that count, none if the two shapes can't touch."""
+) -> tuple[list[int], list[int]]:
+    """Returns the indices of the faces that count, and of the one that the sphere is stuck in."""
     distances = [place[2] for place in places]
     fixed = [i for i, distance in enumerate(distances) if is_constant(distance)]
     if any(distances[i].Evaluate() >= -_ROUNDING for i in fixed):
-        return []
+        return [], []
     at_default = dict(zip(q, default, strict=True))
     if len(pair) > 1:
         rates = np.array([length.Jacobian(q) for length in places[0]])
         if np.linalg.matrix_rank(evaluate(rates, at_default)) > 1:
-            return [i for i in range(len(pair)) if i not in fixed]
+            return [i for i in range(len(pair)) if i not in fixed], []
     nearest = int(np.argmax(evaluate(np.array(distances), at_default)))
-    return [] if nearest in fixed else [nearest]
+    return ([], [nearest]) if nearest in fixed else ([nearest], [])
 
 
 def _refuse_no_contact(pairs: list[list[SphereAndFace]], scene_graph: SceneGraph) -> ModelError:

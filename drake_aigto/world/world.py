@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -28,7 +29,7 @@ from drake_aigto.world.fields import as_number
 from drake_aigto.world.fingerprint import Fingerprint
 from drake_aigto.world.material import FRICTION, read_friction, set_material
 from drake_aigto.world.polynomials import PolynomialMap
-from drake_aigto.world.reach import ReachableFace, find_reachable_faces, find_sphere_body
+from drake_aigto.world.reach import ReachableFace, find_reach, find_sphere_body
 from drake_aigto.world.scenario import Scenario
 from drake_aigto.world.symbolic_plant import SymbolicPlant
 
@@ -57,6 +58,7 @@ class World(EquationsOfMotion):
     scene_graph: SceneGraph
     mass: float | None
     _reachable: tuple[ReachableFace, ...] = field(repr=False)
+    _stuck: tuple[SphereAndFace, ...] = field(repr=False)
     model: str | None = None
 
     @classmethod
@@ -98,7 +100,7 @@ class World(EquationsOfMotion):
         plant, scene_graph = find_plant(diagram)
         check_plant(plant)
         symbolic_plant = SymbolicPlant(plant)
-        reachable = tuple(find_reachable_faces(plant, scene_graph, symbolic_plant))
+        reachable, stuck = find_reach(plant, scene_graph, symbolic_plant)
         if mass is not None:
             mass = as_number("mass", mass, above=0.0, unit="kg")
             symbolic_plant.set_mass(find_sphere_body(plant, reachable), mass)
@@ -115,6 +117,7 @@ class World(EquationsOfMotion):
             actuation=read_only(plant.MakeActuationMatrix()),
             contacts=tuple(each.contact for each in reachable),
             _reachable=reachable,
+            _stuck=stuck,
         )
 
     @property
@@ -146,18 +149,21 @@ class World(EquationsOfMotion):
             ]
         )
 
-    @cached_property
-    def frictions(self) -> npt.NDArray[np.float64]:
-        """μ that acts in Drake's plant at each contact, shape (m,): 0 where nothing can slide.
+    @property
+    def frictions(self) -> Mapping[str, float]:
+        """μ that acts in Drake's plant, by pair of shapes: those alone in which anything can slide.
 
-        Of a shape that gives none it is Drake's default, of two shapes 2 μ₁ μ₂ / (μ₁ + μ₂).
+        Of a shape that gives none it is Drake's default, of two shapes 2 μ₁ μ₂ / (μ₁ + μ₂). Shapes
+        that overlap wherever the joints are slide, too, though they are no contact.
         """
+        return {face.pair: friction for face, friction in self._rubbing}
+
+    @cached_property
+    def _rubbing(self) -> tuple[tuple[SphereAndFace, float], ...]:
         root = self.create_context()
-        each = [
-            read_friction(self.plant, self.scene_graph, root, reachable.face)
-            for reachable in self._reachable
-        ]
-        return read_only(each)
+        faces = (*(each.face for each in self._reachable), *self._stuck)
+        read = ((face, read_friction(self.plant, self.scene_graph, root, face)) for face in faces)
+        return tuple((face, friction) for face, friction in read if friction)
 
     def create_context(self) -> Context:
         """Returns a new root context of the diagram, at defaults, with the mass replaced."""
@@ -171,7 +177,7 @@ class World(EquationsOfMotion):
     def remove_friction(self, root: Context) -> None:
         """Makes friction zero wherever something can slide, in this context only."""
         source, none = self.plant.get_source_id(), CoulombFriction(0.0, 0.0)
-        for sphere in {self.shapes[i][0] for i in np.flatnonzero(self.frictions)}:
+        for sphere in {face.shapes[0] for face, _ in self._rubbing}:
             set_material(self.scene_graph, source, root, sphere, FRICTION, none)
 
     @property
@@ -225,15 +231,15 @@ class World(EquationsOfMotion):
             )
         for name in ("initial_position", "goal_position"):
             self._check_place(name, getattr(scenario, name))
-        if scenario.friction is None and np.any(self.frictions):
+        if scenario.friction is None and self.frictions:
             raise self._refuse_friction()
 
     def _refuse_friction(self) -> ModelError:
         """Returns the error of friction that would act in Drake, and in no plan."""
-        i = int(np.argmax(self.frictions))
+        pair, friction = max(self.frictions.items(), key=lambda item: item[1])
         return ModelError(
-            f"friction of {self.contacts[i].name}",
-            got=f"μ = {self.frictions[i]:g} where the sphere can slide (Drake's default, if the "
+            f"friction of {pair}",
+            got=f"μ = {friction:g} where the sphere can slide (Drake's default, if the "
             "shapes give none)",
             expected="0, for plans know of no friction",
             remedy="Give one of both shapes <drake:mu_static>0</drake:mu_static> and "
