@@ -176,6 +176,15 @@ def square(t: RigidTranscription) -> None:
     t.prog().AddConstraint(q**2 - q**3 <= -1.0).evaluator().set_description("square")
 
 
+def changing_bounds(t: RigidTranscription) -> None:
+    (bounds,) = (
+        each.evaluator()
+        for each in t.prog().bounding_box_constraints()
+        if t.state(9)[0].get_id() in [variable.get_id() for variable in each.variables()]
+    )
+    bounds.set_bounds(bounds.lower_bound() + 0.1, bounds.upper_bound())
+
+
 def removing(t: RigidTranscription) -> None:
     prog = t.prog()
     prog.RemoveConstraint(prog.GetAllConstraints()[0])
@@ -185,6 +194,10 @@ def removing(t: RigidTranscription) -> None:
     ("add", "message"),
     [
         (slack_of_ones_own, "on q(3), mine(0)': got the variable mine(0), expected variables of"),
+        (
+            changing_bounds,
+            "own 'nonpenetration': got other bounds or coefficients than it was made",
+        ),
         (removing, "the program's own costs and constraints: got"),
         (
             lambda t: t.prog().AddBoundingBoxConstraint(1.0, 0.5, t.state(3)[0]),

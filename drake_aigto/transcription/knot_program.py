@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 _Self = TypeVar("_Self", bound="KnotProgram")
 
+_NUMBERS = ("lower_bound", "upper_bound", "GetDenseA", "Q", "a", "b", "c")
+
 
 class KnotProgram(Knots):
     """A program over knots, made when it is first asked for; it knows what is its own in it."""
@@ -41,8 +43,8 @@ class KnotProgram(Knots):
         self._bounds: Bounds | None = None  # Where they are known without it.
         # Placeholder id → decision variable, of each stage that something was bound to.
         self._chosen: dict[int, dict[int, Variable]] = {}
-        # The evaluators of all rows and costs that the class bound, and how often it did.
-        self._own: set[EvaluatorBase] = set()
+        # The evaluators of all rows and costs that the class bound, as they were, and how often.
+        self._own: dict[EvaluatorBase, Hashable] = {}
         self._num_bound = 0
 
     @property
@@ -188,7 +190,8 @@ class KnotProgram(Knots):
 
     def _attach(self, evaluator: EvaluatorBase, variables: Iterable[Variable]) -> None:
         """Adds a cost or a constraint of the class's own."""
-        self._own.add(evaluator)
+        if evaluator not in self._own:
+            self._own[evaluator] = numbers_of(evaluator)
         self._num_bound += 1
         if isinstance(evaluator, Cost):
             self._prog.AddCost(evaluator, vars=variables)
@@ -216,6 +219,12 @@ class KnotProgram(Knots):
         if k not in self._chosen:
             self._chosen[k] = substitutions(*zip(*self._stage(k), strict=True))
         self._attach(shared.evaluator, shared.variables(self._chosen[k]))
+
+
+def numbers_of(evaluator: EvaluatorBase) -> Hashable:
+    """Returns what Drake lets users change of a cost or constraint: bounds and coefficients."""
+    getters = (getattr(evaluator, name, None) for name in _NUMBERS)
+    return tuple(np.asarray(getter()).tobytes() for getter in getters if getter)
 
 
 def _check_knot(name: str, k: int, count: int) -> None:

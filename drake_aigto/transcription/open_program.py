@@ -17,7 +17,7 @@ from drake_aigto.errors import ProgramError
 from drake_aigto.transcription.added_rows import SLACK, AddedRow, make_rows
 from drake_aigto.transcription.additions import Addition, Additions, Part, Place, read_binding
 from drake_aigto.transcription.consistency import check_bounds_of, check_linear, check_start
-from drake_aigto.transcription.knot_program import KnotProgram
+from drake_aigto.transcription.knot_program import KnotProgram, numbers_of
 from drake_aigto.transcription.shared import SharedEvaluator, as_expression, shared_cost
 from drake_aigto.world import Scenario, World
 
@@ -227,6 +227,14 @@ class OpenProgram(KnotProgram):
                 expected=f"the {self._num_bound} that it was made with",
                 remedy="Add to it, but neither remove from it nor bind its own rows again.",
             )
+        for evaluator, numbers in self._own.items():
+            if numbers_of(evaluator) != numbers:
+                raise ProgramError(
+                    f"the program's own '{evaluator.get_description()}'",
+                    got="other bounds or coefficients than it was made with",
+                    expected="what the scenario and the world say",
+                    remedy="Change those, or add a constraint or cost of your own.",
+                )
         return foreign
 
     @property
