@@ -25,6 +25,8 @@ def factorize(band: Floats) -> bool:
             return False
         inverse = 1.0 / band[j, 0]
         below = min(width, size - j)
+        while below > 1 and band[j, below - 1] == 0.0:
+            below -= 1
         for a in range(1, below):
             factor = inverse * band[j, a]
             for d in range(below - a):

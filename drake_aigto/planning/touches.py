@@ -149,12 +149,11 @@ def _in_order(touches: list[Touch], least: float) -> TouchSequence:
 def _read_impulses(transcription: Transcription, x: npt.NDArray[np.float64]) -> list[_Pushes]:
     """Returns the impulses that belong to contacts, after the start, of every wall that has any."""
     world, q0 = transcription.world, transcription.scenario.initial_position
-    impulses = transcription.impulses(x)
+    motion = transcription.trajectory(x)
     kicks = np.linalg.norm(world.calc_velocity_change(q0, np.eye(world.num_contacts)), axis=1)
-    velocities = transcription.split(x)[1]
-    least = _SHARE * np.max(np.linalg.norm(velocities, axis=1)) / kicks
-    times, found = transcription.GetSampleTimes(), []
-    for contact, sizes in enumerate(impulses.T):
+    least = _SHARE * np.max(np.linalg.norm(motion.velocities, axis=1)) / kicks
+    times, found = motion.times, []
+    for contact, sizes in enumerate(motion.impulses.T):
         pushed = np.flatnonzero(sizes[1:] > least[contact]) + 1
         if pushed.size:
             found.append(_Pushes(contact, times[pushed], sizes[pushed]))

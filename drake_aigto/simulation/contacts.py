@@ -67,6 +67,8 @@ def _find_contacts(
     """Returns those of one contact; with the energies before and after each knot, (2, N+1) [J]."""
     impulses, forces = trajectory.impulses[:, index], trajectory.forces[:, index]
     held = forces * np.diff(trajectory.times)
+    if not (np.any(impulses) or np.any(held)):
+        return []
     alone = np.zeros(trajectory.impulses.shape)
     alone[:, index] = impulses + np.append(held, 0.0)
     changes = world.calc_velocity_change(trajectory.positions, alone)

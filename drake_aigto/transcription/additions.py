@@ -228,6 +228,9 @@ class Additions:
         return int(np.argmin(np.abs(times - self.times[knot])))
 
 
+NO_ADDITIONS = Additions()
+
+
 def _slopes(addition: Addition, x: Floats) -> Floats:
     """Returns ∂g/∂x of each row, shape (rows, variables)."""
     values = np.asarray(addition.evaluator.Eval(InitializeAutoDiff(x).ravel()))

@@ -45,26 +45,25 @@ class Fronts:
 
     Attributes:
         times: when a facing starts, after 0 [s].
-        same_solid: which contacts are faces of one box, shape (m, m).
     """
 
     def __init__(self, world: World, facings: Sequence[Facing], duration: float) -> None:
         """Checks that there is a face of every box at any time."""
-        solids = np.array([contact.solid for contact in world.contacts])
-        self.same_solid: Mask = solids[:, np.newaxis] == solids
-        self._alone = np.sum(self.same_solid, axis=1) == 1
+        boxes = [faces for faces in world.solids if len(faces) > 1]
+        known = [face for faces in boxes for face in faces]
+        self._world, self._is_alone = world, np.ones(world.num_contacts, dtype=bool)
+        self._is_alone[known] = False
         self._facings = tuple(facings)
         self.times = tuple(facing.start for facing in facings if facing.start > 0)
-        boxes = set(solids[~self._alone].tolist())
         chosen = [facing.contact for facing in facings]
-        if not all(0 <= i < len(solids) and not self._alone[i] for i in chosen):
+        if not set(known).issuperset(chosen):
             raise OptionsError(
                 "facings",
                 got=f"contacts {chosen}",
-                expected=f"those of {np.flatnonzero(~self._alone).tolist()}, the faces of boxes",
+                expected=f"those of {known}, the faces of boxes",
             )
-        for solid in sorted(boxes):
-            starts = [facing.start for facing in facings if solids[facing.contact] == solid]
+        for faces in boxes:
+            starts = [facing.start for facing in facings if facing.contact in faces]
             if not starts or starts[0] != 0 or np.any(np.diff([*starts, duration]) <= 0):
                 raise OptionsError(
                     "facings",
@@ -79,12 +78,13 @@ class Fronts:
             times: when phases meet, and both ends [s].
             knots: those at these times.
         """
-        front = np.tile(self._alone, (knots[-1] + 1, 1))
+        front = np.tile(self._is_alone, (knots[-1] + 1, 1))
         for facing in self._facings:
             later = (
                 other.start
                 for other in self._facings
-                if other.start > facing.start and self.same_solid[facing.contact, other.contact]
+                if other.start > facing.start
+                and self._world.are_of_one_solid[facing.contact, other.contact]
             )
             end = min(later, default=times[-1])
             first, last = (knots[int(np.searchsorted(times, t))] for t in (facing.start, end))

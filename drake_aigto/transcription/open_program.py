@@ -15,7 +15,14 @@ from pydrake.symbolic import Formula
 
 from drake_aigto.errors import ProgramError
 from drake_aigto.transcription.added_rows import SLACK, AddedRow, make_rows
-from drake_aigto.transcription.additions import Addition, Additions, Part, Place, read_binding
+from drake_aigto.transcription.additions import (
+    NO_ADDITIONS,
+    Addition,
+    Additions,
+    Part,
+    Place,
+    read_binding,
+)
 from drake_aigto.transcription.consistency import check_bounds_of, check_linear, check_start
 from drake_aigto.transcription.knot_program import KnotProgram, numbers_of
 from drake_aigto.transcription.shared import SharedEvaluator, as_expression, shared_cost
@@ -36,7 +43,7 @@ class OpenProgram(KnotProgram):
     def __init__(self, world: World, scenario: Scenario) -> None:
         """Lays out the variables."""
         # What the program has from its making on, and what users have added to it since.
-        self._additions, self._added = Additions(), Additions()
+        self._additions = self._added = NO_ADDITIONS
         self._rows: list[AddedRow] = []
         self._frozen_count: tuple[int, int] | None = None
         super().__init__(world, scenario)
@@ -179,7 +186,7 @@ class OpenProgram(KnotProgram):
 
     def _take(self, additions: Additions) -> None:
         """Lays out the variables that additions need; the program has them from its making on."""
-        self._additions, self._added, self._rows = additions, Additions(), []
+        self._additions, self._added, self._rows = additions, NO_ADDITIONS, []
         for each in additions.constraints:
             knots = each.knots(len(self._u))
             reads = np.array([self._indices(each, k) for k in knots])

@@ -11,7 +11,7 @@ from pydrake.solvers import LinearEqualityConstraint
 from pydrake.symbolic import Expression, MakeVectorVariable, Variable
 
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription.additions import Additions
+from drake_aigto.transcription.additions import NO_ADDITIONS, Additions
 from drake_aigto.transcription.facings import Facing, find_facings
 from drake_aigto.transcription.rigid_contact import ImpactTranscription, JointImpact
 from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, RESTITUTION
@@ -95,8 +95,8 @@ class PhaseTranscription(ImpactTranscription):
         check_sequence(world, self.sequence, scenario.duration)
         if facings is None:
             facings = find_facings(world, *straight_path(world, scenario, sequence), sequence)
-        added = additions or Additions()
-        instants = added.times[list(added.instants)]
+        added = NO_ADDITIONS if additions is None else additions
+        instants = added.times[list(added.instants)] if added else ()
         self.timeline = make_timeline(world, scenario, self.sequence, facings, instants)
         self._facing_contacts = tuple(facing.contact for facing in facings)
         self.restitutions = world.restitutions(scenario)

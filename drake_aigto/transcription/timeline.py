@@ -103,7 +103,6 @@ def make_timeline(
     resting_before = np.vstack([np.zeros((1, m), dtype=bool), rests])
     struck = (starts | resting_before) & np.any(starts, axis=1, keepdims=True)
     front = fronts.at_knots(times, knots)
-    same_solid = fronts.same_solid
     if np.any(held & ~front):
         k, i = np.argwhere(held & ~front)[0]
         raise OptionsError(
@@ -111,7 +110,7 @@ def make_timeline(
             got=f"another face than {world.contacts[i].name}, which is touched",
             expected=f"that one at {times[np.searchsorted(knots, k, side='right') - 1]:g} s",
         )
-    is_solid_held = held @ same_solid
+    is_solid_held = held @ world.are_of_one_solid
     return Timeline(
         phases=tuple(
             Phase(first, last, tuple(np.flatnonzero(rests[first]).tolist()))
@@ -146,7 +145,7 @@ def check_sequence(world: World, sequence: TouchSequence, duration: float) -> No
             )
     for i, contact in enumerate(world.contacts):
         joints = [t for touch in sequence if touch.contact == i for t in touch.joints]
-        if np.any(np.diff([0.0, *joints, duration]) <= 0):
+        if any(later <= time for time, later in pairwise([0.0, *joints, duration])):
             whose = f" ({contact.name})" if m > 1 else ""
             raise OptionsError(
                 "sequence",
@@ -154,7 +153,7 @@ def check_sequence(world: World, sequence: TouchSequence, duration: float) -> No
                 expected=f"increasing times between 0 and {duration:g} s",
             )
     starts = [touch.start for touch in sequence]
-    if np.any(np.diff(starts) < 0):
+    if starts != sorted(starts):
         raise OptionsError(
             "sequence", got=f"touches that start at {starts} s", expected="the order of time"
         )

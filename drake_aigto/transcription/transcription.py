@@ -141,8 +141,7 @@ class Transcription(OpenProgram):
         scenario = self.scenario
         q0, goal = scenario.initial_position, scenario.goal_position
         path = np.linspace(q0, goal, self.num_samples())
-        speed = np.broadcast_to((goal - q0) / scenario.duration, self._v.shape)
-        return self._box(path, speed, np.ones(self.num_samples()))
+        return self._box(path, (goal - q0) / scenario.duration, np.ones(self.num_samples()))
 
     def box_around(
         self,
@@ -176,9 +175,9 @@ class Transcription(OpenProgram):
         reach = length * np.sum(np.abs(self.world.calc_contact_jacobian(q0)), axis=1)
         column = shares[:, np.newaxis]
         half_width = self._join(
-            length * np.broadcast_to(column, self._q.shape),
-            2 * length / T * np.broadcast_to(column, self._v.shape),
-            4 * inertia * length / T**2 * np.broadcast_to(column[-1], self._u.shape),
+            length * column,
+            2 * length / T * column,
+            4 * inertia * length / T**2 * column[-1:],
             column * reach[self._clearance_contacts],
         )
         for row in self._rows:

@@ -15,6 +15,7 @@ from drake_aigto.world.polynomials import PolynomialMap, is_constant
 
 if TYPE_CHECKING:
     import numpy.typing as npt
+    from numpy.typing import NDArray
 
     _Array = npt.NDArray[np.float64]
 
@@ -91,6 +92,12 @@ class EquationsOfMotion:
         for i, contact in enumerate(self.contacts):
             found.setdefault(contact.solid, []).append(i)
         return tuple(map(tuple, found.values()))
+
+    @cached_property
+    def are_of_one_solid(self) -> NDArray[np.bool_]:
+        """Which contacts are faces of one solid, shape (m, m)."""
+        solids = np.array([contact.solid for contact in self.contacts])
+        return read_only(solids[:, np.newaxis] == solids)
 
     @cached_property
     def inverse_actuation(self) -> _Array:
