@@ -4,10 +4,10 @@
     python -m benchmarks.worlds floor --peer coasting
     python -m benchmarks.worlds two_masses --mass-ratio 3 0.2 --restitution 1 0.8
 
-Starts, goals and velocities by chance (`study.world_scenarios`), e ∈ {1, 0.8}, but for two masses
-e = 1, unless others are asked for, in turn; so are ratios of two masses, the second to the first. A
-plan succeeds if its event-driven replay costs no more than 1.01 J* + 1e-7, where J* is the optimum
-of the study, which the planner does not know (with a block in the room, and for unequal masses: the
+Starts, goals and velocities by chance (`world_scenarios`), e ∈ {1, 0.8}, but for two masses e = 1,
+unless others are asked for, in turn; so are ratios of two masses, the second to the first. A plan
+succeeds if its event-driven replay costs no more than 1.01 J* + 1e-7, where J* is the optimum of
+the study, which the planner does not know (with a block in the room, and for unequal masses: the
 best known).
 Shown apart: how often a sequence that AIGO's boxes propose, before any polish, has the optimum's
 contacts, in an order that makes no difference.
@@ -39,6 +39,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
 from benchmarks.jobs import add_options, run_as, run_jobs
+from benchmarks.world_scenarios import WORLDS
 from drake_aigto.baselines import Recorder
 from drake_aigto.baselines.enumeration import list_sequences
 from drake_aigto.baselines.polish import offer_polished
@@ -46,7 +47,6 @@ from drake_aigto.errors import AigtoError
 from drake_aigto.optima import ContactOptimum
 from drake_aigto.planning import Planner, PlanOptions, RigidProblem, make_problem
 from drake_aigto.simulation.replay import replay_event_driven
-from drake_aigto.study.world_scenarios import WORLDS
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import Scenario, World
 from drake_aigto.world.files import find_model

@@ -109,7 +109,7 @@ def test_a_circle_is_found_behind_a_door_and_for_type_checkers(tmp_path: Path) -
         ("from drake_aigto import Planner", ("pydrake.all", "matplotlib", "scipy.optimize")),
         ("from drake_aigto.cli import main\nmain(['plan', 'nowhere'])", ("drake_aigto.study",)),
         ("import drake_aigto.box, drake_aigto.aigo, drake_aigto.local", ("pydrake",)),
-        ("import drake_aigto.cli.bar", ("drake_aigto.study", "pydrake", "numpy")),
+        ("import drake_aigto.cli.progress", ("drake_aigto.study", "pydrake", "numpy")),
     ],
 )
 def test_importing_loads_only_what_is_used(statement: str, absent: tuple[str, ...]) -> None:

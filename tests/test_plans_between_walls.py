@@ -9,11 +9,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from benchmarks.world_scenarios import WORLDS
 from drake_aigto import PlanOptions, Scenario, World, plan
 from drake_aigto.optima import walls_optimum
 from drake_aigto.planning import Origin, make_problem
 from drake_aigto.planning.rigid_search import RigidSearch
-from drake_aigto.study.world_scenarios import WORLDS
 from drake_aigto.transcription import PhaseTranscription, Touch
 from drake_aigto.world.scenario import scenario_names
 

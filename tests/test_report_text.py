@@ -14,8 +14,7 @@ from drake_aigto import Plan, Planner, PlanOptions, Scenario, World, __version__
 from drake_aigto.optima import RigidOptimum
 from drake_aigto.paper import Entry, Method, RigidCell, Table1
 from drake_aigto.planning import Replays
-from drake_aigto.show.embedding import embed_scenes, pack
-from drake_aigto.show.page import Page
+from drake_aigto.show.page import Page, embed_scenes, pack
 from drake_aigto.show.report import (
     add_verdict,
     describe_difference,

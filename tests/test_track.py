@@ -73,7 +73,9 @@ def test_the_top_of_the_picture_is_the_far_side_of_the_track() -> None:
             (np.float32, np.float32, np.uint16), (12, 8, 6), gltf["bufferViews"], strict=True
         )
     )
-    x, up, towards_viewer = positions.reshape(4, 3).T
+    node = gltf["nodes"][gltf["scenes"][0]["nodes"][0]]
+    corners = positions.reshape(4, 3) * node["scale"] + node["translation"]
+    x, up, towards_viewer = corners.T
     across, down = texture.reshape(4, 2).T
     side = track.half_width + track.margin
     np.testing.assert_allclose(x, track.start + track.length * across, atol=1e-6)

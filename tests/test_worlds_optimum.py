@@ -14,6 +14,7 @@ from hypothesis import strategies as st
 from line_rivals import SAMPLES, Leg, legs_of
 from replay_worlds import make_diagram, make_scenario, shipped_world
 
+from benchmarks.world_scenarios import WORLDS
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.optima import (
     ContactOptimum,
@@ -25,7 +26,6 @@ from drake_aigto.optima import (
 from drake_aigto.optima.line_optimum import Line, LineBounce, Wall
 from drake_aigto.optima.masses_optimum import _list_sequences, _make_pair, _Sequence
 from drake_aigto.simulation import replay_event_driven
-from drake_aigto.study import WORLDS
 from drake_aigto.world import Scenario, World
 
 

@@ -8,8 +8,7 @@ from typing import Any
 
 from benchmarks.ablations.ablations import VARIANTS, AblationQuestion
 from benchmarks.ablations.tables import format_ablations
-from drake_aigto.cli.bench.running import add_running, run_study
-from drake_aigto.cli.bench.scenario_flags import add_question, read_question
+from drake_aigto.cli.bench.running import add_question, add_running, read_question, run_study
 from drake_aigto.cli.flags import add_command
 from drake_aigto.cli.status import FINE
 from drake_aigto.show.text import WIDTH

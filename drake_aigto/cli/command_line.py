@@ -25,7 +25,7 @@ _COMMANDS = {
     "plan": "drake_aigto.cli.plan",
     "replay": "drake_aigto.cli.plan",
     "play": "drake_aigto.cli.play",
-    "report": "drake_aigto.cli.report",
+    "report": "drake_aigto.cli.play",
     "bench": "drake_aigto.cli.bench",
 }
 _EXAMPLES = """\

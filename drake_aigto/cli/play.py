@@ -1,4 +1,4 @@
-"""``drake-aigto play``."""
+"""``drake-aigto play`` and ``drake-aigto report``."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from drake_aigto.cli.flags import add_command
 from drake_aigto.cli.progress import show_progress
 from drake_aigto.cli.status import FINE
 from drake_aigto.planning import Plan
-from drake_aigto.world.files import check_writable
+from drake_aigto.world.files import check_writable, write_text
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat
@@ -20,19 +20,22 @@ if TYPE_CHECKING:
 
 _ANY_PORT = 0
 
-_EXAMPLES = """\
+_PLAY_EXAMPLES = """\
 drake-aigto play plan.json                          # in a browser, until Enter is pressed
 drake-aigto play plan.json --port 7001
 drake-aigto play plan.json --html plan.html         # one page, to mail
 drake-aigto play plan.json --beside gradient        # what a gradient solver does
 drake-aigto play plan.json --optimization           # boxes that shrink
 """
+_REPORT_EXAMPLES = """\
+drake-aigto report plan.json --html plan.html
+"""
 
 
 def add_play(commands: Any) -> None:
-    """Adds the command."""
+    """Adds the command that plays."""
     text = "watch a plan and its simulations in Meshcat"
-    play = add_command(commands, "play", _play, text, _EXAMPLES)
+    play = add_command(commands, "play", _play, text, _PLAY_EXAMPLES)
     play.add_argument("plan", metavar="PLAN.json", help="a plan file")
     play.add_argument("--html", metavar="FILE", help="write one self-contained page instead")
     play.add_argument("--port", type=int, metavar="N", help="where Meshcat listens (0: anywhere)")
@@ -88,3 +91,23 @@ def _wait() -> None:
     """Waits for Enter; where nobody can press it, for a signal."""
     if not (sys.stdin and sys.stdin.readline()):
         threading.Event().wait()
+
+
+def add_report(commands: Any) -> None:
+    """Adds the command that writes a page."""
+    text = "write one self-contained page about a plan, to be mailed"
+    report = add_command(commands, "report", _report, text, _REPORT_EXAMPLES)
+    report.add_argument("plan", metavar="PLAN.json", help="a plan file")
+    report.add_argument("--html", metavar="FILE", required=True, help="the page")
+
+
+def _report(options: argparse.Namespace) -> int:
+    from drake_aigto.show import report_plan
+
+    check_writable(options.html)
+    plan = Plan.load(options.plan)
+    with show_progress(options) as progress:
+        page = report_plan(plan, progress=progress)
+    write_text(options.html, page)
+    print(f"wrote {options.html}, {len(page.encode()) / 1e6:.1f} MB")
+    return FINE

@@ -1,4 +1,4 @@
-"""Progress of long work, on a terminal."""
+"""Progress of long work: a line at the bottom of the terminal."""
 
 from __future__ import annotations
 
@@ -6,6 +6,15 @@ import argparse
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+from drake_aigto.count import Count
+
+if TYPE_CHECKING:
+    from rich.console import Console
+    from rich.progress import Progress
+
+_BAR_WIDTH = 20
 
 
 @contextmanager
@@ -14,6 +23,9 @@ def show_progress(
 ) -> Iterator[Callable[[str], None] | None]:
     """Yields what shows a line of progress in place of the one before; None if nobody would see.
 
+    Before the line is the time, and a bar where the total is known (`Count`). Nothing is left on
+    the terminal.
+
     Args:
         options: the parsed ones; `quiet` asks for none.
         line: what is shown first.
@@ -21,11 +33,54 @@ def show_progress(
     if options.quiet or not sys.stderr.isatty():
         yield None
         return
-    from drake_aigto.cli.bar import Bar  # Rich takes its time.
+    progress = _make_progress()
+    task = progress.add_task(line, total=None)
+    spinner, elapsed, *counted, text = progress.columns
+    progress.columns = (spinner, elapsed, text)
 
-    bar = Bar(line)
+    def show(line: str) -> None:
+        progress.update(task, description=line)
+        if isinstance(line, Count):
+            progress.columns = (elapsed, *counted, text)
+            progress.update(task, completed=line.done, total=line.total)
+
     try:
-        bar.start()  # In here, as Ctrl-C may come once it has begun.
-        yield bar.show
+        progress.start()  # In here, as Ctrl-C may come once it has begun.
+        yield show
     finally:
-        bar.stop()
+        progress.stop()
+
+
+def _make_progress() -> Progress:
+    """Returns all columns; the last is cut to what the terminal has left."""
+    from rich import progress as rich  # It takes its time.
+    from rich.table import Column
+
+    return rich.Progress(
+        rich.SpinnerColumn("line"),
+        rich.TimeElapsedColumn(Column(no_wrap=True)),
+        rich.BarColumn(_BAR_WIDTH),
+        rich.TimeRemainingColumn(table_column=Column(no_wrap=True)),
+        rich.TextColumn("left;"),
+        rich.TextColumn(
+            "{task.description}",
+            markup=False,
+            table_column=Column(ratio=1, no_wrap=True, overflow="ellipsis"),
+        ),
+        console=_make_console(),
+        expand=True,
+        transient=True,
+        redirect_stdout=False,  # What is printed there is the answer, perhaps to a file.
+    )
+
+
+def _make_console() -> Console:
+    from rich.console import Console
+
+    class StandardError(Console):
+        """Its cursor is left alone: a process that is killed could not show it again."""
+
+        def show_cursor(self, show: bool = True) -> bool:
+            return False
+
+    return StandardError(stderr=True)

@@ -69,7 +69,7 @@ class Processes(Executor):
         return process
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Ends the processes at once, whatever they do; jobs that have not begun are cancelled."""
+        """Ends the processes at once, whatever they do; jobs that have not begun are canceled."""
         self._is_closed = True
         self._threads.shutdown(wait=False, cancel_futures=True)
         processes = dict(self._numbers)

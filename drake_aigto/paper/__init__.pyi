@@ -1,14 +1,14 @@
 from .contact_law import PolynomialLaw as PolynomialLaw
-from .gradient import gradient_from_random as gradient_from_random
-from .gradient import gradient_from_zero as gradient_from_zero
-from .gradient import random_guess as random_guess
 from .literal import LiteralTranscription as LiteralTranscription
 from .options import LITERAL_LADDER as LITERAL_LADDER
 from .options import LiteralOptions as LiteralOptions
 from .planner import LiteralSearch as LiteralSearch
 from .planner import plan_literal as plan_literal
 from .problem import LiteralProblem as LiteralProblem
+from .problem import gradient_from_random as gradient_from_random
+from .problem import gradient_from_zero as gradient_from_zero
 from .problem import make_literal_problem as make_literal_problem
+from .problem import random_guess as random_guess
 from .single_shooting import SingleShooting as SingleShooting
 from .single_shooting import count_terms as count_terms
 from .table1 import PAPER_COSTS as PAPER_COSTS

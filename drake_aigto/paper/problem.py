@@ -1,4 +1,4 @@
-"""The literal transcription, compiled: contact knots read off AIGO's boxes, and polished."""
+"""The literal transcription, compiled: contacts read off AIGO's boxes, polishes, and guesses."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from drake_aigto.aigo import AigoResult, Algorithm, Alternating, Annealing, Full
 from drake_aigto.arrays import Floats
 from drake_aigto.paper.literal import LiteralTranscription
 from drake_aigto.paper.options import LiteralOptions
-from drake_aigto.planning import PlanningProblem, Rung
+from drake_aigto.planning import Candidate, Origin, PlanningProblem, Rung
 from drake_aigto.transcription import Transcription
 from drake_aigto.world import Scenario, World
 
@@ -67,7 +67,7 @@ class LiteralProblem(PlanningProblem):
         """Returns the transcription, and its local optimum next to a contact sequence.
 
         The local solver starts from the ballistic guess: of AIGO's box center only the sequence is
-        kept, as its penalised rows are off by far.
+        kept, as its penalized rows are off by far.
         """
         guess = ballistic_guess(self.transcription, center, sequence)
         return self.transcription, self.solve_locally(guess)
@@ -115,3 +115,25 @@ def _onto_wall(transcription: Transcription, q: Floats) -> Floats:
     J = transcription.world.calc_contact_jacobian(q)
     moved: Floats = q - np.linalg.pinv(J) @ (transcription.world.calc_signed_distance(q))
     return moved
+
+
+def gradient_from_zero(problem: LiteralProblem) -> Candidate:
+    """Returns what the problem's local solver makes of a guess of zeros."""
+    start = np.zeros(problem.transcription.prog().num_vars())
+    return _run(problem, "zero", start)
+
+
+def gradient_from_random(problem: LiteralProblem, generator: np.random.Generator) -> Candidate:
+    """Returns what the local solver makes of a guess, uniform over the first box of AIGO."""
+    return _run(problem, "random", random_guess(problem.transcription, generator))
+
+
+def random_guess(transcription: Transcription, generator: np.random.Generator) -> Floats:
+    """Returns all decision variables, uniform over the first box of AIGO."""
+    center, half_width = transcription.initial_box()
+    return generator.uniform(center - half_width, center + half_width)
+
+
+def _run(problem: LiteralProblem, proposer: str, start: Floats) -> Candidate:
+    x = problem.solve_locally(start)
+    return problem.judge(Origin(proposer), start, problem.transcription, x)

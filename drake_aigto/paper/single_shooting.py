@@ -35,7 +35,7 @@ _NO_CONTACT = PolynomialLaw((0.0,))
 class SingleShooting:
     """A contact problem as a polynomial of its controls alone (AIGTO Sec. III-B).
 
-        minimise over u_k    Σ_{k<N} dt w_u ‖u_k‖² + w_f ‖q_N(u) − goal‖²
+        minimize over u_k    Σ_{k<N} dt w_u ‖u_k‖² + w_f ‖q_N(u) − goal‖²
         q_{k+1} = q_k + dt v_k,    v_{k+1} = v_k + dt M⁻¹ (B u_k − h(q_k, v_k) + J_kᵀ λ(φ_k))
 
     There are no rows: each state is substituted, as a polynomial, into the next. What comes of that
@@ -98,7 +98,7 @@ class SingleShooting:
             shared_cost(cost, name).bind(self._prog, {u_k.get_id(): u_k for u_k in u})
 
     def prog(self) -> MathematicalProgram:
-        """Returns the program: costs, and no rows to penalise."""
+        """Returns the program: costs, and no rows to penalize."""
         return self._prog
 
     def num_samples(self) -> int:

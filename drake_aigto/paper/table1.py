@@ -17,10 +17,14 @@ import numpy as np
 from drake_aigto.count import Count
 from drake_aigto.jobs import open_jobs
 from drake_aigto.optima import RigidOptimum, rigid_optimum
-from drake_aigto.paper.gradient import gradient_from_random, gradient_from_zero
 from drake_aigto.paper.options import AlgorithmName, LiteralOptions
 from drake_aigto.paper.planner import plan_literal
-from drake_aigto.paper.problem import LiteralProblem, make_literal_problem
+from drake_aigto.paper.problem import (
+    LiteralProblem,
+    gradient_from_random,
+    gradient_from_zero,
+    make_literal_problem,
+)
 from drake_aigto.planning import (
     Candidate,
     Plan,

@@ -1,7 +1,6 @@
 from .box_playback import play_boxes as play_boxes
 from .box_run import BoxRun as BoxRun
 from .box_run import run_boxes as run_boxes
-from .embedding import embed_scenes as embed_scenes
 from .figures import plot_boxes as plot_boxes
 from .figures import plot_controls as plot_controls
 from .figures import plot_motions as plot_motions
@@ -12,12 +11,14 @@ from .figures import plot_velocities as plot_velocities
 from .landscapes import plot_cost_history as plot_cost_history
 from .landscapes import plot_cost_landscape as plot_cost_landscape
 from .landscapes import plot_integrated_product as plot_integrated_product
+from .methods import gradient_motions as gradient_motions
 from .methods import paper_methods as paper_methods
 from .methods import plot_methods as plot_methods
 from .methods import write_numbers as write_numbers
 from .motion import Motion as Motion
 from .motion import motions_of_plan as motions_of_plan
 from .page import Page as Page
+from .page import embed_scenes as embed_scenes
 from .playback import open_meshcat as open_meshcat
 from .playback import play as play
 from .playback import publish as publish
@@ -25,7 +26,6 @@ from .playback import save_html as save_html
 from .portraits import plot_phase_portrait as plot_phase_portrait
 from .report import figures_of_plan as figures_of_plan
 from .report import report_plan as report_plan
-from .rivals import gradient_motions as gradient_motions
 from .table_report import report_table1 as report_table1
 
 __all__: list[str]

@@ -113,7 +113,7 @@ class Board:
         return make_mesh(self.paint(), *self.corners)
 
     def paint(self) -> Figure:
-        """Returns the picture, in metres of the board's frame."""
+        """Returns the picture, in meters of the board's frame."""
         low, high = self.corners
         width, height = (_INCHES * (high - low) / self.size).tolist()
         dpi = _PIXELS / max(width, height)
@@ -194,7 +194,7 @@ class Board:
             self._write(axes, x, y, name, color=_SHADE * color, ha=ha, va="center", zorder=4)
 
     def _paint_scale(self, axes: Axes, low: Floats, high: Floats, aside: Floats) -> None:
-        """Draws ticks in metres below a panel; numbers are whole, or not there."""
+        """Draws ticks in meters below a panel; numbers are whole, or not there."""
         ends = low[0] - aside[0], high[0] - aside[0]
         look = {"color": _INK, "ha": "center", "va": "top"}
         for x in MaxNLocator(nbins=4, steps=[1, 2, 5, 10]).tick_values(*ends):

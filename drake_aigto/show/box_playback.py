@@ -27,13 +27,13 @@ _FRAMES_PER_SECOND = 60
 _ITERATES, _FRAMES_EACH = 40, 12  # The most that are shown, and how long each takes.
 _HOLD = 180  # frames that the end is held
 
-# The picture that boxes stand on, in inches of figure, of which a metre of scene has so many; the
+# The picture that boxes stand on, in inches of figure, of which a meter of scene has so many; the
 # height of a panel for each coordinate, and what is beside and between panels.
-_INCHES_PER_METRE = 6.0
+_INCHES_PER_METER = 6.0
 _WIDTH, _PANEL, _LEFT, _RIGHT, _TOP, _BETWEEN, _BOTTOM = 9.0, 4.2, 0.9, 0.3, 1.1, 0.25, 0.7
 _TITLE_TOP, _LEGEND_TOP, _TEXT_TOP, _TEXT = 0.1, 0.48, 0.68, 0.4  # rows of texts above the panels
 _DPI = 150
-# In metres of the scene: the least height of a box, and what of it stands out; in its own height.
+# In meters of the scene: the least height of a box, and what of it stands out; in its own height.
 _THINNEST, _DEPTH = 0.008, 0.15
 _FILLED = 0.85  # of a time step that its box has
 _ROOM = 0.03  # beyond the boxes, as a part of their range
@@ -99,7 +99,7 @@ class _Graph:
     @property
     def corners(self) -> tuple[Floats, Floats]:
         """Lower left and upper right of the picture, shape (2,) each [m]."""
-        half = np.array([_WIDTH, self._height]) / 2 / _INCHES_PER_METRE
+        half = np.array([_WIDTH, self._height]) / 2 / _INCHES_PER_METER
         return -half, half
 
     def _lay_out(self) -> tuple[Figure, list[Axes]]:
@@ -119,7 +119,7 @@ class _Graph:
         """Returns where points (k, 2) of time and position are in the graph's frame."""
         pixels = self._axes[panel].transData.transform(points)
         inches = pixels / _DPI - np.array([_WIDTH, self._height]) / 2
-        placed: Floats = inches / _INCHES_PER_METRE
+        placed: Floats = inches / _INCHES_PER_METER
         return placed
 
     def paint(self) -> Figure:
@@ -182,8 +182,8 @@ class _Graph:
             figure = Figure(figsize=(_WIDTH, _TEXT), dpi=_DPI, facecolor="none")
             figure.text(0.02, 0.5, text, size=13, va="center", color=PALETTE[0], weight="bold")
             path = f"{ROOT}/boxes/texts/{number}"
-            top = high[1] - _TEXT_TOP / _INCHES_PER_METRE
-            corners = (low[0], top - _TEXT / _INCHES_PER_METRE), (high[0], top)
+            top = high[1] - _TEXT_TOP / _INCHES_PER_METER
+            corners = (low[0], top - _TEXT / _INCHES_PER_METER), (high[0], top)
             meshcat.SetObject(path, make_mesh(figure, *corners))
             frame, following = number * _FRAMES_EACH, (number + 1) * _FRAMES_EACH
             self._show_between(path, frame, following, meshcat, animation)

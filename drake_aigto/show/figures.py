@@ -21,7 +21,7 @@ from drake_aigto.show.text import touch_names, wall_names
 from drake_aigto.transcription import Touch, Transcription
 from drake_aigto.world import Scenario, World
 
-# Motions differ in colour, and so that where they agree all are seen, in width and dashes.
+# Motions differ in color, and so that where they agree all are seen, in width and dashes.
 _LINES: tuple[dict[str, Any], ...] = (
     {"linewidth": 5.5},
     {"linewidth": 2.6},
@@ -164,9 +164,9 @@ def plot_path(
     scenario: Scenario,
     coordinates: tuple[int, int] = (0, 1),
 ) -> None:
-    """Draws one coordinate against another: in a room, the way of the ball's centre.
+    """Draws one coordinate against another: in a room, the way of the ball's center.
 
-    Walls and blocks are shaded where this centre can't be. Start, goal and planned bounces are
+    Walls and blocks are shaded where this center can't be. Start, goal and planned bounces are
     marked.
 
     Args:
@@ -210,7 +210,7 @@ def plot_boxes(
 ) -> None:
     """Draws the boxes around a quantity, center ± half width over time, as AIGO shrinks them.
 
-    Each is labelled with its temperature and its largest half width.
+    Each is labeled with its temperature and its largest half width.
 
     Args:
         axes: to draw in.
@@ -249,7 +249,7 @@ def _plot_column(
     rows: Sequence[Floats],
     coordinate: int,
 ) -> None:
-    """Draws one column of each motion's rows (K, n) over its times, labelled."""
+    """Draws one column of each motion's rows (K, n) over its times, labeled."""
     for index, (motion, values) in enumerate(zip(motions, rows, strict=True)):
         axes.plot(motion.times, values[:, coordinate], label=motion.label, **line_of(index))
     axes.set_xlabel("time t [s]")
@@ -258,7 +258,7 @@ def _plot_column(
 def _mark_touches(
     axes: Axes, motions: Sequence[Motion], world: World, coordinate: int, named: bool = False
 ) -> None:
-    """Marks when the motions plan to touch what pushes a coordinate; the first is labelled."""
+    """Marks when the motions plan to touch what pushes a coordinate; the first is labeled."""
     label = "planned contact"
     names = touch_names(world)
     for index, motion in enumerate(motions):

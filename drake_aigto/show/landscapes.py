@@ -1,4 +1,4 @@
-"""Figures of costs: what AIGO minimises, what it costs on the way, and where methods end."""
+"""Figures of costs: what AIGO minimizes, what it costs on the way, and where methods end."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def plot_integrated_product(axes: Axes, half_width: float = 1.0, reach: float = 
 def plot_cost_history(axes: Axes, run: BoxRun) -> Axes:
     """Draws cost against iteration as boxes shrink, and by how much the dynamics are off.
 
-    The mean over the box is what AIGO minimises, penalties included; J is the cost of the motion at
+    The mean over the box is what AIGO minimizes, penalties included; J is the cost of the motion at
     the box's center, which counts for nothing while its rows are off: the largest of their defects
     has a scale of its own, at the right.
 

@@ -16,7 +16,7 @@ from drake_aigto.trajectory import Trajectory, read_only
 from drake_aigto.transcription import Touch
 from drake_aigto.world import World
 
-# Okabe and Ito's colours, which the colour-blind can tell apart; the darkest first.
+# Okabe and Ito's colors, which the color-blind can tell apart; the darkest first.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 
 PLAN_LABEL = "plan (not a simulation)"
@@ -27,6 +27,9 @@ SIMULATION_LABELS = {
 
 # Between rows farther apart than this a motion is filled in [s].
 _LONGEST_STEP = 0.01
+DOT_SECONDS = 0.05  # From dot to dot, where bodies were.
+# Impacts that follow sooner than this end no leg: a rest begins with ever smaller ones [s].
+_SHORTEST_LEG = 0.03
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,13 +111,13 @@ class Motion:
 
 
 def motions_of_plan(plan: Plan, world: World | None = None) -> list[Motion]:
-    """Returns a plan's trajectory and what simulations made of its control, each labelled."""
+    """Returns a plan's trajectory and what simulations made of its control, each labeled."""
     planned = Motion.from_trajectory(plan.trajectory, plan.find_world(world))
     return [planned, *(Motion.from_replay(replay) for replay in plan.replay)]
 
 
 def color_of(index: int) -> str:
-    """Returns the colour of the motion at this place in a list, the same in every picture."""
+    """Returns the color of the motion at this place in a list, the same in every picture."""
     return PALETTE[index % len(PALETTE)]
 
 
@@ -140,3 +143,27 @@ def _fill_in(times: Floats, positions: Floats, velocities: Floats) -> tuple[Floa
         np.vstack([q, positions[-1:]]),
         np.vstack([v, velocities[-1:]]),
     )
+
+
+def find_dots(motion: Motion) -> Floats:
+    """Returns q every so many seconds and at the end, shape (d, nq) [m]."""
+    begin, end = motion.times[0], motion.times[-1]
+    return _positions_at(motion, np.append(np.arange(begin, end, DOT_SECONDS), end))
+
+
+def find_legs(motion: Motion) -> list[Floats]:
+    """Returns the same from impact to impact, both ends included, each of shape (k, nq) [m]."""
+    begin, end = float(motion.times[0]), float(motion.times[-1])
+    breaks = [begin]
+    for touch in motion.impacts:
+        if min(touch.start - breaks[-1], end - touch.start) > _SHORTEST_LEG:
+            breaks.append(touch.start)
+    dots = np.arange(begin, end, DOT_SECONDS)
+    return [
+        _positions_at(motion, np.array([a, *dots[(dots > a) & (dots < b)], b]))
+        for a, b in zip(breaks, [*breaks[1:], end], strict=True)
+    ]
+
+
+def _positions_at(motion: Motion, times: Floats) -> Floats:
+    return np.column_stack([np.interp(times, motion.times, q) for q in motion.positions.T])

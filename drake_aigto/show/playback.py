@@ -14,10 +14,17 @@ from pydrake.math import RigidTransform
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError
 from drake_aigto.planning import Plan
-from drake_aigto.show import traces
 from drake_aigto.show.board import Board
 from drake_aigto.show.effects import Clock, Effects
-from drake_aigto.show.motion import Motion, color_of, motions_of_plan, time_span
+from drake_aigto.show.motion import (
+    DOT_SECONDS,
+    Motion,
+    color_of,
+    find_dots,
+    find_legs,
+    motions_of_plan,
+    time_span,
+)
 from drake_aigto.show.page import Page
 from drake_aigto.show.stage import Stage
 from drake_aigto.show.text import wall_names
@@ -86,7 +93,7 @@ def play(
     """Shows a plan and what simulations made of its control, side by side.
 
     Args:
-        plan: the plan; its trajectory is labelled as no simulation.
+        plan: the plan; its trajectory is labeled as no simulation.
         meshcat: where to show it.
         world: that it was made in, if it has to be given (`Plan.find_world`).
         beside: motions to compare with, of the same world, such as `gradient_motions` returns. Of
@@ -179,7 +186,7 @@ def save_html(meshcat: Meshcat, path: str | os.PathLike[str]) -> None:
 
 def _explain(effects: Effects) -> list[str]:
     """Returns what has to be said of what is shown."""
-    notes = [f"dots: every {traces.SECONDS:g} s"]
+    notes = [f"dots: every {DOT_SECONDS:g} s"]
     if effects.largest_force > 0:
         notes.append(f"arrow: control, up to {effects.largest_force:.2g} N")
     if effects.flashes:
@@ -197,7 +204,7 @@ def _lay_track(
     highest = max([stage.highest, *(x for x, side in walls if side < 0)])
     end = max(highest + 2 * stage.radius, start + _LEAST_LENGTH * lane_width)
     legs = [
-        [[stage.places(mover, q)[:, 0] for q in traces.find_legs(motion)] for mover in stage.movers]
+        [[stage.places(mover, q)[:, 0] for q in find_legs(motion)] for mover in stage.movers]
         for motion in motions
     ]
     labels = [motion.label for motion in motions]
@@ -249,7 +256,7 @@ def _lay_board(
         goals=marks[:, 1],
         ways=ways,
         dots=[
-            np.vstack([stage.places(m, traces.find_dots(motion))[:, :2] for m in stage.movers])
+            np.vstack([stage.places(m, find_dots(motion))[:, :2] for m in stage.movers])
             for motion in motions
         ],
         touches=[_find_touches(motion, each) for motion, each in zip(motions, ways, strict=True)],

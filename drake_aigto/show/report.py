@@ -20,10 +20,15 @@ from drake_aigto.show.figures import plot_boxes, plot_path, plot_plan
 from drake_aigto.show.landscapes import plot_cost_history, plot_cost_landscape
 from drake_aigto.show.motion import SIMULATION_LABELS, motions_of_plan
 from drake_aigto.show.page import Page
-from drake_aigto.show.plans import describe_verdict, format_replays
+from drake_aigto.show.plans import (
+    INTERRUPTED,
+    describe_idle,
+    describe_verdict,
+    describe_vetoes,
+    format_replays,
+)
 from drake_aigto.show.playback import open_meshcat, play
 from drake_aigto.show.portraits import plot_phase_portrait
-from drake_aigto.show.remarks import INTERRUPTED, describe_idle, describe_vetoes
 from drake_aigto.show.text import (
     contact_names,
     energy_text,
@@ -43,7 +48,7 @@ _NO_COST = 1e-9  # Below it a cost is 0 but for rounding, and nothing is so many
 
 NUMBERS = ("cost J", "dynamics defect", "off the goal", "deepest penetration", "energy ratio")
 PROBLEM = """\
-minimise over u   ∫₀ᵀ w_u ‖u(t)‖² dt + w_f ‖q(T) − q_goal‖²
+minimize over u   ∫₀ᵀ w_u ‖u(t)‖² dt + w_f ‖q(T) − q_goal‖²
 subject to        M v̇ + h(q, v) = B u + J(q)ᵀ λ,    0 ≤ φ(q) ⊥ λ ≥ 0,    q(0), v(0) given
                   J v⁺ = −e J v⁻  where a wall is hit"""
 

@@ -1,7 +1,7 @@
 """Figures of studies of random scenarios: functions of axes and data.
 
-Ours is vermilion and heavy, rivals are cool and light. The colours are Okabe and Ito's, made to be
-told apart with any colour vision; dashes and markers say the same once more.
+Ours is vermilion and heavy, rivals are cool and light. The colors are Okabe and Ito's, made to be
+told apart with any color vision; dashes and markers say the same once more.
 """
 
 from __future__ import annotations
@@ -87,7 +87,7 @@ def plot_costs(
     """
     methods = study.question.methods
     shares = np.array([_class_shares(study, results, method, budget) for method in methods])
-    # Darkest is best; the optimum has our own colour.
+    # Darkest is best; the optimum has our own color.
     shades = ["#D55E00", *map(tuple, colormaps["cividis"](np.linspace(0.15, 1.0, 4))), "white"]
     for number, (label, shade) in enumerate(zip(COST_CLASSES, shades, strict=True)):
         lefts = shares[:, :number].sum(axis=1)

@@ -43,13 +43,13 @@ def friction_items(scenario: Scenario, world: World) -> list[str]:
     return [f"left out of the simulation, as asked: the model's, μ = {largest:g} at the most"]
 
 
-def length_text(metres: float) -> str:
+def length_text(meters: float) -> str:
     """Returns a length in the unit that it is best read in."""
-    if metres >= 0.1:
-        return f"{metres:.2f} m"
-    if metres >= 1e-4:
-        return f"{1e3 * metres:.1f} mm"
-    return f"{1e6 * metres:.1f} µm" if metres >= 1e-8 else "0 m"
+    if meters >= 0.1:
+        return f"{meters:.2f} m"
+    if meters >= 1e-4:
+        return f"{1e3 * meters:.1f} mm"
+    return f"{1e6 * meters:.1f} µm" if meters >= 1e-8 else "0 m"
 
 
 def time_text(seconds: float) -> str:

@@ -22,7 +22,7 @@ from drake_aigto.show.motion import color_of
 from drake_aigto.show.picture import make_mesh
 
 _PIXELS = 2048  # along the track
-_INCHES = 10.0  # of figure for each metre of track, so that lines have usual widths
+_INCHES = 10.0  # of figure for each meter of track, so that lines have usual widths
 _INK = "#222222"
 # Of a lane's color: as a tint on white for the lane, and darkened for its label.
 _TINT, _SHADE = 0.2, 0.6
@@ -95,7 +95,7 @@ class Track:
         return make_mesh(self.paint(), (self.start, -side), (self.end, side))
 
     def paint(self) -> Figure:
-        """Returns the picture, in metres of the track's frame."""
+        """Returns the picture, in meters of the track's frame."""
         side = self.half_width + self.margin
         size = (_INCHES * self.length, _INCHES * 2 * side)
         figure = Figure(figsize=size, dpi=_PIXELS / size[0], facecolor="none")
@@ -141,7 +141,7 @@ class Track:
         axes.plot(x, y, "o", color=color, markersize=11, markeredgewidth=0)
 
     def _paint_scale(self, axes: Axes) -> None:
-        """Draws ticks in metres on the viewer's side."""
+        """Draws ticks in meters on the viewer's side."""
         edge = -self.half_width
         for x in MaxNLocator(nbins=7, steps=[1, 2, 5, 10]).tick_values(self.start, self.end):
             text = f"{x:.12g} m"

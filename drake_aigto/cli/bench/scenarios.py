@@ -6,8 +6,7 @@ import argparse
 from typing import Any
 
 from drake_aigto.baselines import BASELINES
-from drake_aigto.cli.bench.running import add_running, run_study
-from drake_aigto.cli.bench.scenario_flags import add_question, read_question
+from drake_aigto.cli.bench.running import add_question, add_running, read_question, run_study
 from drake_aigto.cli.flags import add_command, share
 from drake_aigto.cli.status import FINE, NOTHING_HOLDS
 from drake_aigto.show.scenario_tables import format_study
