@@ -184,10 +184,6 @@ class Baseline(ABC):
         The clock only ends the search: how it goes on must not depend on the time that is left, so
         that the same seed makes the same offers, more of them in more time.
 
-        Args:
-            recorder: the question, and where controls go.
-            generator: the source of all chance.
-
         Raises:
             ModelError: a world that this method can't treat.
         """

@@ -37,9 +37,6 @@ class ControlSpace:
     pieces are what one bounce needs and do better in 0.3 s (16 to 11); but who samples does not
     know that.
 
-    Args:
-        recorder: of the question; it is offered what is worth it.
-
     Raises:
         ModelError: flight is no parabola in this world (`World.constant_dynamics`).
     """

@@ -34,13 +34,9 @@ class Enumeration(Baseline):
 
 
 def list_sequences(world: World, duration: float) -> Iterator[TouchSequence]:
-    """Yields all bounces in all orders; none follows itself where there are several contacts.
+    """Yields all bounces within a duration [s] in all orders, evenly spread and shorter ones first.
 
-    Evenly spread ones come first, of them the shorter ones.
-
-    Args:
-        world: whose contacts these are.
-        duration: T, within which they are [s].
+    None follows itself where there are several contacts.
     """
     yield ()
     for power, number in itertools.product(_POWERS, range(1, _MOST_BOUNCES + 1)):

@@ -48,7 +48,7 @@ def run(
 
     Args:
         arguments: what was typed after the program's name; None takes it from `sys.argv`.
-        make: returns the parser for these words; `make_parser` if None.
+        make: returns the parser for these words.
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     unset = argparse.Namespace(quiet=False, verbose=False)

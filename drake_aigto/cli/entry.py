@@ -12,13 +12,10 @@ from drake_aigto.cli.status import INTERRUPTED
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs a command and returns its exit status.
+    """Runs a command, that of `sys.argv` if None, and returns its exit status.
 
     0: fine. 1: no plan was found that holds on rigid walls. 2: bad input. 70: a fault of this
     program. 130: interrupted. 141: nobody read on.
-
-    Args:
-        arguments: what was typed after the program's name; None takes it from `sys.argv`.
     """
     try:
         with _die_of_ctrl_c():

@@ -64,12 +64,7 @@ def add_json(command: Any, text: str) -> None:
 
 
 def add_workers(command: Any, count: int | None = None) -> None:
-    """Adds where jobs run.
-
-    Args:
-        command: to add flags to.
-        count: of processes if nothing is said; None: one a core.
-    """
+    """Adds where jobs run: as many processes if nothing is said, or one a core for None."""
     where = command.add_mutually_exclusive_group()
     usual = "one a core" if count is None else count
     where.add_argument(

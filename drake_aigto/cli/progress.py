@@ -25,10 +25,6 @@ def show_progress(
 
     Before the line is the time, and a bar where the total is known (`Count`). Nothing is left on
     the terminal.
-
-    Args:
-        options: the parsed ones; `quiet` asks for none.
-        line: what is shown first.
     """
     if options.quiet or not sys.stderr.isatty():
         yield None

@@ -63,11 +63,6 @@ class TrackingController(Controller):
     def __init__(self, world: World, scenario: Scenario, trajectory: Trajectory) -> None:
         """Solves the Riccati equations.
 
-        Args:
-            world: that the plan is for.
-            scenario: its restitution and weights.
-            trajectory: the plan, of impulses at some knots.
-
         Raises:
             TrajectoryError: it does not fit the world; or it has contacts that last, several at
                 once, at the start, or that only graze the wall: no feedback is known there.
@@ -171,10 +166,7 @@ class Tracked:
 def track_event_driven(world: World, scenario: Scenario, controller: Controller) -> Tracked:
     """Runs a controller on exactly rigid walls (`RigidWall` has their equations).
 
-    Args:
-        world: where it runs, which may be another than that of the plan.
-        scenario: start, goal, weights and restitution there.
-        controller: open or closed loop.
+    World, start, goal, weights and restitution may be others than those of the plan.
     """
     start = scenario.initial_position, scenario.initial_velocity
     recording = simulate_rigid_wall(world, world.restitutions(scenario), start, controller)
@@ -184,10 +176,7 @@ def track_event_driven(world: World, scenario: Scenario, controller: Controller)
 def track_drake(world: World, scenario: Scenario, controller: Controller) -> Tracked:
     """Runs a controller on the world's own continuous plant in Drake, as `replay_drake` does.
 
-    Args:
-        world: where it runs, which may be another than that of the plan.
-        scenario: start, goal, weights and restitution there.
-        controller: open or closed loop.
+    World, start, goal, weights and restitution may be others than those of the plan.
 
     Raises:
         ModelError: a shape of the contact has no stiffness.

@@ -30,10 +30,9 @@ class _Call(NamedTuple):
 
 @contextmanager
 def open_jobs(executor: AbstractContextManager[Executor] | None = None) -> Iterator[Jobs]:
-    """Yields what starts jobs; those that have not begun when the block is left never do.
+    """Yields what starts jobs on an executor, which is entered here; `open_workers` if None.
 
-    Args:
-        executor: what jobs run on, entered and shut down here; `open_workers` if None.
+    Jobs that have not begun when the block is left never do.
 
     Raises:
         StudyError: from `open_workers`; or the executor broke as a whole.
@@ -67,12 +66,7 @@ class Jobs:
         self._ended: SimpleQueue[Future[Any]] = SimpleQueue()
 
     def start(self, name: Any, function: Callable[..., Any], *arguments: Any) -> None:
-        """Has a function of a module called, with what can be pickled.
-
-        Args:
-            name: what `ended` is to call it.
-            function: to be called.
-            arguments: of it.
+        """Has a function of a module called with what can be pickled; `ended` calls it by its name.
 
         Raises:
             BrokenExecutor: the executor takes no more.
@@ -89,11 +83,8 @@ class Jobs:
 
         The future of a job whose processes died raises ProcessDiedError.
 
-        Args:
-            seconds: to wait at most, all in all.
-
         Raises:
-            TimeoutError: time is up.
+            TimeoutError: so many seconds are over, all in all.
             BrokenExecutor: the executor broke as a whole.
         """
         deadline = time.monotonic() + seconds

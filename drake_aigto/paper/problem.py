@@ -91,12 +91,8 @@ def contact_knots(transcription: Transcription, x: Floats) -> Knots:
 def ballistic_guess(transcription: Transcription, x: Floats, knots: Knots) -> Floats:
     """Returns a guess that flies straight from the start over the contacts to the goal, u = 0.
 
-    Only the contacts' knots, and where along the wall they are, are taken from x.
-
-    Args:
-        transcription: whose decision variables these are.
-        x: AIGO's box center, shape (n,).
-        knots: of the contacts, increasing.
+    Of x, AIGO's box center of shape (n,), it takes where the contacts are along the wall, at
+    increasing knots.
     """
     scenario = transcription.scenario
     positions, _, controls = transcription.split(x)

@@ -183,12 +183,7 @@ def run_cell(
 
 
 def run_rigid_cell(row: int, confirm: bool = True) -> RigidCell:
-    """Plans for one row with the rigid transcription.
-
-    Args:
-        row: 1 … 4.
-        confirm: whether the plan is also replayed on Drake's plant.
-    """
+    """Plans for one row with the rigid transcription."""
     scenario = Scenario.named(f"table1/{row}")
     planner = Planner(scenario, PlanOptions(confirm=confirm))
     return RigidCell(

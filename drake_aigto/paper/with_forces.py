@@ -122,13 +122,8 @@ class LiteralWithForces(ForceVariables, LiteralTranscription):
         M (v_{k+1} − v_k) = dt (B u_k − h(q_k, v_k)) + J_kᵀ p_k                          "dynamics"
         (φ_k + δ) p_k = dt ε,   p_k ≥ 0                                          "contact", "push"
 
-    Rows are in SI units. It is for one contact, as `LiteralTranscription`.
-
-    Args:
-        world: the plant, read.
-        scenario: the task, with its ε and δ.
-        nonpenetration: whether φ(q_k) ≥ 0 is asked for.
-        impulse_width: see `ForceVariables`.
+    Rows are in SI units. It is for one contact, and takes what `LiteralTranscription` does, without
+    a law, and `impulse_width` (`ForceVariables`).
     """
 
     ROWS: ClassVar[tuple[str, ...]] = (*LiteralTranscription.ROWS, CONTACT, PUSH)
@@ -165,14 +160,8 @@ class RigidWithForces(ForceVariables, RigidTranscription):
         p_ik (J_i v⁺_k + e J_i v_k) = 0, k ≥ 1                                      "restitution"
 
     Flight and nonpenetration are as without forces. Every contact has an impulse of its own, and so
-    no products of several distances are needed.
-
-    Args:
-        world: the plant, read; its signed distances have to be affine.
-        scenario: the task, with its restitution e.
-        relaxation: ε ≥ 0, in units of m L²/T² [1].
-        path: see `RigidTranscription`.
-        impulse_width: see `ForceVariables`.
+    no products of several distances are needed. It takes what `RigidTranscription` does, and
+    `impulse_width` (`ForceVariables`).
     """
 
     ROWS: ClassVar[tuple[str, ...]] = (*RigidTranscription.ROWS, PUSH)

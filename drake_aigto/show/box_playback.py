@@ -50,13 +50,10 @@ def play_boxes(
 
     For each coordinate, a box for each knot stands on a graph of position over time. Not every
     iteration is shown, but such that boxes shrink evenly; where they have become too small to be
-    seen, the plan that was polished from them appears.
+    seen, the plan that was polished from them appears. What was shown below `ROOT` is gone.
 
-    Args:
-        plan: that came of it.
-        meshcat: where to show it, instead of what was shown below `ROOT` before.
-        world: that it was made in, if it has to be given (`Plan.find_world`).
-        run: the boxes; run again (`run_boxes`) if None.
+    The world has to be given where `Plan.find_world` asks for it; the boxes are run again
+    (`run_boxes`) if they are not given.
 
     Raises:
         ModelError: from `Plan.find_world`.

@@ -65,13 +65,9 @@ class BoxRun:
 def run_boxes(plan: Plan, world: World | None = None) -> BoxRun:
     """Runs that rung of AIGO's ladder again which the plan came from: the same boxes.
 
-    Args:
-        plan: the plan.
-        world: that it was made in, if it has to be given (`Plan.find_world`).
-
     Raises:
         OptionsError: the boxes can't be had again; says why.
-        ModelError: from `Plan.find_world`.
+        ModelError: the world has to be given (`Plan.find_world`).
     """
     world, rung = plan.find_world(world), plan.best.origin.rung
     if plan.options is None:

@@ -79,15 +79,7 @@ class Effects:
         meshcat: Meshcat,
         animation: MeshcatAnimation,
     ) -> None:
-        """Puts the shapes where they belong, and adds how they change.
-
-        Args:
-            motion: one of the motions.
-            aside: by what it is moved in the world.
-            folder: path below which its bodies are shown, by the actors' names.
-            meshcat: where to show them.
-            animation: that the bodies move in.
-        """
+        """Puts the shapes where they belong, and adds how they change."""
         if motion.controls is not None and self.largest_force > 0:
             forces = self._forces(motion.controls)
             for mover, force in zip(self._stage.movers, forces, strict=True):

@@ -57,12 +57,10 @@ _UNITS: dict[Quantity, str] = {"position": "m", "velocity": "m/s", "control": "N
 def plot_plan(
     axes: Sequence[Any] | npt.NDArray[Any], plan: Plan, world: World | None = None
 ) -> None:
-    """Draws a plan against what simulations made of its control.
+    """Draws a plan against what simulations made of its control, in axes as of `plot_motions`.
 
-    Args:
-        axes: as `plot_motions` takes them.
-        plan: the plan.
-        world: that it was made in, if it has to be given (`Plan.find_world`).
+    Raises:
+        ModelError: the world has to be given (`Plan.find_world`); or from `plot_motions`.
     """
     world = plan.find_world(world)
     plot_motions(axes, motions_of_plan(plan, world), world, plan.scenario)
@@ -82,8 +80,8 @@ def plot_motions(
     Args:
         axes: for positions [m], velocities [m/s], and controls [N], shape (3,), or (3, nq): a
             column for each coordinate, the legend over the first.
-        motions: of this world; those without a control are left out of the third.
-        world: has the walls.
+        motions: those without a control are left out of the third.
+        world: of the motions; has the walls.
         scenario: has the goal.
 
     Raises:
@@ -106,15 +104,7 @@ def plot_motions(
 def plot_positions(
     axes: Axes, motions: Sequence[Motion], world: World, scenario: Scenario, coordinate: int = 0
 ) -> None:
-    """Draws one coordinate of q(t), the goal, and the walls across it.
-
-    Args:
-        axes: to draw in.
-        motions: of this world.
-        world: has the walls.
-        scenario: has the goal, a star at T.
-        coordinate: which one.
-    """
+    """Draws one coordinate of q(t), the goal as a star at T, and the walls across it."""
     _plot_column(axes, motions, [motion.positions for motion in motions], coordinate)
     _mark_touches(axes, motions, world, coordinate, named=True)
     axes.plot(scenario.duration, scenario.goal_position[coordinate], "*", **_GOAL)
@@ -164,17 +154,10 @@ def plot_path(
     scenario: Scenario,
     coordinates: tuple[int, int] = (0, 1),
 ) -> None:
-    """Draws one coordinate against another: in a room, the way of the ball's center.
+    """Draws one coordinate against another, to the right and up: in a room, the ball's way.
 
-    Walls and blocks are shaded where this center can't be. Start, goal and planned bounces are
-    marked.
-
-    Args:
-        axes: to draw in; gets one scale for both axes.
-        motions: of this world.
-        world: has the walls.
-        scenario: has start and goal.
-        coordinates: to the right, and up.
+    Walls and blocks are shaded where the ball's center can't be. Start, goal and planned bounces
+    are marked. Both axes get one scale.
 
     Raises:
         ModelError: the world has one coordinate only.
@@ -210,14 +193,8 @@ def plot_boxes(
 ) -> None:
     """Draws the boxes around a quantity, center ± half width over time, as AIGO shrinks them.
 
-    Each is labeled with its temperature and its largest half width.
-
-    Args:
-        axes: to draw in.
-        transcription: knows which variables are which, and the walls.
-        iterates: some of `AigoResult.history`, the first at the back.
-        quantity: "position", "velocity" or "control".
-        coordinate: which one, or whose actuators.
+    Each is labeled with its temperature and its largest half width. Of `AigoResult.history`, the
+    first iterate that is given is at the back; of controls, those that act on the coordinate.
     """
     times, world = transcription.GetSampleTimes(), transcription.world
     part = list(_UNITS).index(quantity)

@@ -24,12 +24,7 @@ class Images:
     folder: Path
 
     def add(self, name: str, figure: Figure, text: str) -> str:
-        """Writes a figure as PNG, and returns the Markdown that shows it.
-
-        Args:
-            name: of the picture, without the page's.
-            figure: to be drawn.
-            text: what it shows, for who can't see it.
+        """Writes a figure as PNG; returns Markdown that shows it, or a text to who can't see it.
 
         Raises:
             OutputFileError: it can't be written.

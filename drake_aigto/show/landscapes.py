@@ -26,16 +26,11 @@ _MARK: dict[str, Any] = {"linestyle": "none", "markeredgecolor": "white", "marke
 
 
 def plot_integrated_product(axes: Axes, half_width: float = 1.0, reach: float = 3.0) -> None:
-    """Draws the mean of the penalty (xy)² over boxes around (x, y): AIGTO Fig. 1.
+    """Draws the mean of the penalty (xy)² over boxes around (x, y), |x|, |y| ≤ reach: AIGTO Fig. 1.
 
     Complementarity φλ = 0 holds on both axes; its penalty's mean over a box is least at zero alone,
-    μ₂(x, w) μ₂(y, w) with μ₂(x, w) = x² + w²/3, which is why there are no forces among the
-    unknowns. With w = 0 it is the penalty itself, 0 on both axes.
-
-    Args:
-        axes: to draw in; x and y are the box's center.
-        half_width: w ≥ 0, of the box.
-        reach: how far the axes go.
+    μ₂(x, w) μ₂(y, w) with μ₂(x, w) = x² + w²/3 and the half width w ≥ 0, which is why there are no
+    forces among the unknowns. With w = 0 it is the penalty itself, 0 on both axes.
     """
     x = np.linspace(-reach, reach, _POINTS)
     means = x**2 + half_width**2 / 3
@@ -54,18 +49,11 @@ def plot_integrated_product(axes: Axes, half_width: float = 1.0, reach: float = 
 
 
 def plot_cost_history(axes: Axes, run: BoxRun) -> Axes:
-    """Draws cost against iteration as boxes shrink, and by how much the dynamics are off.
+    """Draws cost against iteration as boxes shrink; returns the right scale, that of defects.
 
     The mean over the box is what AIGO minimizes, penalties included; J is the cost of the motion at
     the box's center, which counts for nothing while its rows are off: the largest of their defects
     has a scale of its own, at the right.
-
-    Args:
-        axes: to draw in, on the left scale.
-        run: the boxes.
-
-    Returns:
-        The axes of the right scale.
     """
     history = run.result.history
     steps = np.cumsum([iterate.inner_steps for iterate in history])
@@ -108,14 +96,8 @@ def plot_cost_landscape(
     point is its plan's first contact. Where its legend says that it does not hold, its own cost is
     not the landscape's: a literal plan leaves the wall as it likes.
 
-    Args:
-        axes: to draw in.
-        world: one coordinate, no bias, one wall.
-        scenario: the question.
-        ends: what methods ended with, by name.
-
     Raises:
-        ModelError: another kind of world.
+        ModelError: not a world of one coordinate and one wall, without bias.
     """
     optimum = rigid_optimum(world, scenario)
     contacts = {name: _first_contact(world, end) for name, end in ends.items()}

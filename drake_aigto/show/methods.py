@@ -87,13 +87,7 @@ def plot_methods(
     """Draws plans of several methods over time, as AIGTO Fig. 2 and 3 have them.
 
     These are plans: `write_numbers` says what simulations make of them. Velocities are cut off
-    where only the last method goes.
-
-    Args:
-        axes: for positions, velocities and controls, shape (3,) or (3, nq).
-        runs: plans, by the method's name.
-        world: of the scenario.
-        scenario: has the goal.
+    where only the last method goes. Axes are as of `plot_motions`.
     """
     motions = [Motion.from_trajectory(run.trajectory, world, name) for name, run in runs.items()]
     plot_motions(axes, motions, world, scenario)
@@ -108,11 +102,8 @@ def write_numbers(axes: Axes, runs: Mapping[str, Candidate]) -> None:
     """Writes what each plan costs, and what has to be known before that is believed.
 
     Its cost J, largest dynamics defect [m or m/s], deepest penetration, kinetic energy after /
-    before its contacts, and J of its control alone on a rigid wall.
-
-    Args:
-        axes: that has nothing else; its frame is taken off.
-        runs: plans, by the method's name, in the colors of `plot_methods`.
+    before its contacts, and J of its control alone on a rigid wall. Colors are those of
+    `plot_methods`; axes have nothing else, and lose their frame.
     """
     axes.set_axis_off()
     ends = np.linspace(_FIRST, 1, len(_COLUMNS) + 1)[1:]
@@ -140,13 +131,8 @@ def gradient_motions(world: World, scenario: Scenario, seed: int = 0) -> list[Mo
     """Returns what SNOPT plans without AIGO, and what a rigid simulation makes of its control.
 
     With one contact, of the paper's literal transcription with φ free, from a guess of zeros: the
-    plan and its simulation. With several, of the rigid transcription from one random guess: the
-    simulation, as the rows of such plans are seldom met.
-
-    Args:
-        world: that the scenario fits.
-        scenario: the question.
-        seed: of the random guess.
+    plan and its simulation. With several, of the rigid transcription from one random guess, of a
+    seed: the simulation, as the rows of such plans are seldom met.
     """
     if world.num_contacts == 1:
         return _literal_motions(world, scenario)

@@ -71,13 +71,7 @@ class Motion:
     def from_trajectory(
         cls, trajectory: Trajectory, world: World, label: str = PLAN_LABEL
     ) -> Motion:
-        """Returns a planned motion: v_k before each knot's impulse, v_k + M⁻¹ Jᵀ p_k after it.
-
-        Args:
-            trajectory: in this world.
-            world: has M and J.
-            label: what it is.
-        """
+        """Returns a planned motion: v_k before each knot's impulse, v_k + M⁻¹ Jᵀ p_k after it."""
         jumps = world.calc_velocity_change(trajectory.positions, trajectory.impulses)
         touches = tuple(
             Touch(c.time, c.last_time, c.contact) for c in find_contacts(world, trajectory)

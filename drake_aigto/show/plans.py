@@ -36,12 +36,11 @@ INTERRUPTED = "the search was ended by Ctrl-C; this is the best of what it had f
 def format_plan(plan: Plan, world: World | None = None, contact_delay: float | None = None) -> str:
     """Returns a plan with its verdict, its replays and its rivals, as text.
 
-    Of several contacts, each has its letter.
+    Of several contacts, each has its letter. Drake's walls are late by as much as `contact_delay`
+    [s], which is left out if None.
 
-    Args:
-        plan: to show.
-        world: that it was made in, if it has to be given (`Plan.find_world`).
-        contact_delay: by how much Drake's walls are late at most [s]; None leaves that out.
+    Raises:
+        ModelError: the world has to be given (`Plan.find_world`).
     """
     world = plan.find_world(world)
     return "\n".join([*_answer(plan, world, contact_delay), *_search(plan, contact_names(world))])
@@ -50,13 +49,7 @@ def format_plan(plan: Plan, world: World | None = None, contact_delay: float | N
 def format_replays(
     plan: Plan, world: World | None = None, contact_delay: float | None = None
 ) -> str:
-    """Returns what simulations of a plan's control say, as text.
-
-    Args:
-        plan: with its replays.
-        world: that it was made in, if it has to be given (`Plan.find_world`).
-        contact_delay: by how much Drake's walls are late at most [s]; None leaves that out.
-    """
+    """Returns the part of `format_plan` that says what simulations of the plan's control do."""
     return "\n".join(_answer(plan, plan.find_world(world), contact_delay))
 
 

@@ -119,10 +119,11 @@ def publish(motions: Sequence[Motion], meshcat: Meshcat, world: World, scenario:
     lane, beside walls that are shown once, where they are; in a plane, a copy of the world, with
     the motion's planned contacts on a board. Dots are where bodies were every so often, an arrow
     is the control, a flash an impact. Start and goal are marked, and the camera sees all of it.
+    What was shown below `ROOT` before is gone.
 
     Args:
         motions: at least one; the first is at the back, or at the left.
-        meshcat: where to show them, instead of what was shown below `ROOT` before.
+        meshcat: where to show them.
         world: has the shapes.
         scenario: has start and goal.
     """

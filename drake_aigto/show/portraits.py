@@ -27,13 +27,6 @@ def plot_phase_portrait(
 
     A bounce is a vertical line at a wall's edge. Start and the goal's position are marked; no
     velocity is asked for at the goal.
-
-    Args:
-        axes: to draw in.
-        motions: of this world.
-        world: has the walls.
-        scenario: has start and goal.
-        coordinate: which one.
     """
     drawn = []
     for index, motion in enumerate(motions):

@@ -59,15 +59,11 @@ def report_plan(
     """Returns a page about a plan: self-contained, about 1.4 MB, for any browser since 2023.
 
     No cost is there without the plan's largest dynamics defect, its deepest penetration, the
-    energy ratio over contact, and what simulations make of its control.
-
-    Args:
-        plan: the plan.
-        world: that it was made in, if it has to be given (`Plan.find_world`).
-        progress: called with a line of text before each part that takes time.
+    energy ratio over contact, and what simulations make of its control. Before each part that takes
+    time, `progress` is called with a line of text.
 
     Raises:
-        ModelError: from `Plan.find_world`.
+        ModelError: the world has to be given (`Plan.find_world`).
     """
     say = progress or (lambda line: None)
     world = plan.find_world(world)
@@ -139,14 +135,7 @@ def describe_difference(cost: float, replay: Replay) -> str:
 def add_question(
     page: Page, scenario: Scenario, world: World, additions: Sequence[str] = ()
 ) -> None:
-    """Adds what was asked.
-
-    Args:
-        page: to add to.
-        scenario: the question.
-        world: that it fits.
-        additions: names of costs and constraints besides the scenario's.
-    """
+    """Adds what was asked, with the names of costs and constraints besides the scenario's."""
     page.heading("The question")
     page.code(PROBLEM)
     rows = [
@@ -229,13 +218,7 @@ def _record(plan: Plan, world: World, run: BoxRun | None) -> dict[str, str]:
 
 
 def figures_of_plan(plan: Plan, world: World, run: BoxRun | None) -> Iterator[tuple[Figure, str]]:
-    """Yields the figures of a report, each with its caption.
-
-    Args:
-        plan: the plan.
-        world: that of its scenario.
-        run: AIGO's boxes, if there are any.
-    """
+    """Yields the figures of a report, each with its caption; of boxes, if there are any."""
     n = world.num_positions
     figure = Figure(figsize=(4.5 * max(n, 2), 7), layout="constrained")
     plot_plan(figure.subplots(3, n, sharex=True), plan, world)

@@ -42,13 +42,7 @@ _MISSED: dict[str, Any] = {"color": "black", "zorder": 3}
 def plot_success_over_time(
     axes: Axes, study: ScenarioStudy, results: Sequence[ScenarioResult]
 ) -> None:
-    """Draws which share of scenarios each method has solved by when, in units of time.
-
-    Args:
-        axes: to draw in.
-        study: has the units and the budgets.
-        results: of the study, to be drawn.
-    """
+    """Draws which share of results each method has solved by when, in units of time."""
     budgets = study.question.budgets
     first, last = 0.1 * budgets[0], budgets[-1]
     for method, style in _line_styles(study.question.methods):
@@ -77,14 +71,7 @@ def _scale_shares(axes: Axes, budgets: Sequence[float]) -> None:
 def plot_costs(
     axes: Axes, study: ScenarioStudy, results: Sequence[ScenarioResult], budget: float
 ) -> None:
-    """Draws a bar for each method: how far above the optimum it is after so many units of time.
-
-    Args:
-        axes: to draw in.
-        study: has the units of time.
-        results: of the study, to be drawn.
-        budget: in units of time.
-    """
+    """Draws a bar for each method: how far above the optimum it is after so many units of time."""
     methods = study.question.methods
     shares = np.array([_class_shares(study, results, method, budget) for method in methods])
     # Darkest is best; the optimum has our own color.
@@ -119,13 +106,9 @@ def plot_costs(
 def plot_map(
     axes: Axes, study: ScenarioStudy, results: Iterable[ScenarioResult], method: str
 ) -> None:
-    """Draws scenarios over (v₀, p_f): which mode is optimal, and where a method misses it.
+    """Draws results over (v₀, p_f): which mode is optimal, and where a method misses it.
 
-    Args:
-        axes: to draw in.
-        study: has the last budget.
-        results: of the study; those that the method is not done with are left out.
-        method: its name.
+    Those that the method is not done with are left out.
     """
     last = study.question.budgets[-1]
     done = [result for result in results if method in result.runs]

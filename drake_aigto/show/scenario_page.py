@@ -36,10 +36,6 @@ _FLAGS = {"num_steps": "steps", "reads_boxes": "read-boxes"}
 def write_scenarios(paths: Sequence[Path], images: Images) -> str:
     """Returns Markdown on some studies of random scenarios, and draws their figures.
 
-    Args:
-        paths: of their files.
-        images: where the figures go.
-
     Raises:
         ResultsFileError: a file is damaged.
     """
@@ -71,12 +67,7 @@ def _study_parts(study: ScenarioStudy, name: str, images: Images) -> Iterator[st
 
 
 def command_of(question: ScenarioQuestion, flags: Mapping[str, str] = _FLAGS) -> str:
-    """Returns the command line that asks a question.
-
-    Args:
-        question: of any kind.
-        flags: field → flag, where they differ.
-    """
+    """Returns the command line that asks a question; `flags` are of fields named otherwise."""
     words = [question.command]
     asked, usual = to_plain(question), to_plain(type(question)())
     for name, value in asked.items():

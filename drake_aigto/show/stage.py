@@ -189,11 +189,7 @@ def _unit(vector: Floats) -> Floats:
 
 
 def _face(ways: Floats) -> tuple[bool, RotationMatrix]:
-    """Returns whether shapes move along a level line, and R_WT, for the ways that they can move.
-
-    Args:
-        ways: of each shape with each coordinate, shape (k, 3) [m].
-    """
+    """Returns whether shapes that move in these ways (k, 3) keep to a level line, and R_WT."""
     _, sizes, directions = np.linalg.svd(ways)
     first = directions[0] if directions[0] @ ways.sum(axis=0) >= 0 else -directions[0]
     upright = bool(np.hypot(*first[:2]) < _UPRIGHT)

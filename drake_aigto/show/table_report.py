@@ -28,11 +28,8 @@ def report_table1(table: Table1, progress: Callable[[str], None] | None = None) 
     """Returns a page about Table I: self-contained, with a recording for each row.
 
     A recording shows the rigid transcription's plan beside a gradient solver's from zero, each with
-    a rigid simulation of its control.
-
-    Args:
-        table: as far as it was run.
-        progress: called with a line of text before each part that takes time.
+    a rigid simulation of its control. Before each part that takes time, `progress` is called with a
+    line of text.
     """
     say = progress or (lambda line: None)
     page = Page("Table I of AIGTO, and what its plans do on a rigid wall")

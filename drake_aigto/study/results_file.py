@@ -34,11 +34,7 @@ def check_results_file(path: str | os.PathLike[str] | None, resume: bool = False
 
 
 def read_results(path: str | os.PathLike[str], kind: str | None = None) -> dict[str, Any]:
-    """Returns what is in a results file.
-
-    Args:
-        path: a JSON file of an object with a field "kind".
-        kind: the only one that will do; any if None.
+    """Returns what is in a results file: a JSON object with a field "kind", of any kind if None.
 
     Raises:
         ResultsFileError: no such file, damaged, or of another kind.
@@ -77,12 +73,7 @@ def _refuse_damaged(path: str | os.PathLike[str], got: object) -> ResultsFileErr
 def check_same_question(
     path: str | os.PathLike[str], there: Mapping[str, Any], here: Mapping[str, Any]
 ) -> None:
-    """Refuses to go on from results of another question.
-
-    Args:
-        path: of the results.
-        there: the question's fields in the file.
-        here: those that are asked for now.
+    """Refuses to go on from results whose question's fields are others than those asked for here.
 
     Raises:
         ResultsFileError: says which fields differ.
@@ -98,12 +89,9 @@ def check_same_question(
 
 
 def round_to(value: float, digits: int, down: bool = False) -> float:
-    """Returns a number with so many significant digits, as files of results have them.
+    """Returns a finite number with so many significant digits, as files of results have them.
 
-    Args:
-        value: any finite number.
-        digits: how many.
-        down: to the next one towards 0, rather than to the nearest.
+    It is the nearest one, or the next towards 0.
     """
     rounding = ROUND_DOWN if down else ROUND_HALF_EVEN
     return float(Context(prec=digits, rounding=rounding).create_decimal(repr(float(value))))

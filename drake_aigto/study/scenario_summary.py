@@ -49,13 +49,7 @@ class MethodSummary:
 def summarize(
     study: ScenarioStudy, results: Iterable[ScenarioResult], method: str
 ) -> MethodSummary:
-    """Returns how a method did on some of a study's scenarios.
-
-    Args:
-        study: has the budgets.
-        results: of the study; those that the method is not done with are left out.
-        method: its name.
-    """
+    """Returns how a method did on those of a study's results that it is done with."""
     done = [result for result in results if method in result.runs]
     runs = [result.runs[method] for result in done]
     budgets = study.question.budgets
@@ -83,11 +77,7 @@ def summarize(
 def count_right_boxes(
     results: Iterable[ScenarioResult], method: str = PLANNER
 ) -> tuple[tuple[int, ...], int, int]:
-    """Returns how often AIGO's boxes alone have the optimum's number of contacts.
-
-    Args:
-        results: of a study.
-        method: whose boxes.
+    """Returns how often a method's boxes alone have the optimum's number of contacts.
 
     Returns:
         Of each rung; of any rung; and of how many scenarios whose boxes were read.

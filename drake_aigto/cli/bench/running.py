@@ -36,12 +36,8 @@ def add_running(command: Any) -> None:
 def run_study(options: argparse.Namespace, run: Callable[..., _Study], question: object) -> _Study:
     """Runs a study as the flags of `add_running` ask, and shows how far it is.
 
-    After Ctrl-C it says how to go on, if results were kept.
-
-    Args:
-        options: the parsed ones.
-        run: `run_scenario_study`, or another that takes the same.
-        question: what to run.
+    After Ctrl-C it says how to go on, if results were kept. `run` is `run_scenario_study`, or
+    another that takes the same.
     """
     try:
         with show_progress(options) as say:
@@ -56,12 +52,7 @@ def run_study(options: argparse.Namespace, run: Callable[..., _Study], question:
 
 
 def add_question(command: Any, usual: ScenarioQuestion) -> None:
-    """Adds how many scenarios, which ones, and their spreads.
-
-    Args:
-        command: to add flags to.
-        usual: has the defaults.
-    """
+    """Adds how many scenarios, which ones, and their spreads; `usual` has the defaults."""
     counts = {
         "--count": ("COUNT", usual.count, "of scenarios"),
         "--seed": ("SEED", usual.seed, "of all chance"),
