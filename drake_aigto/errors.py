@@ -16,11 +16,7 @@ class AigtoError(Exception):
     """
 
     def __init__(
-        self,
-        what: str,
-        got: object = None,
-        expected: object = None,
-        remedy: str | None = None,
+        self, what: str, got: object = None, expected: object = None, remedy: str | None = None
     ) -> None:
         """Stores the four parts; all of them may be given by name."""
         # All four go into `args`, so that the error survives pickling (worker processes).

@@ -12,10 +12,7 @@ from drake_aigto.transcription import TouchSequence
 
 
 def offer_polished(
-    recorder: Recorder,
-    problem: RigidProblem,
-    sequences: Iterable[TouchSequence],
-    x: Floats,
+    recorder: Recorder, problem: RigidProblem, sequences: Iterable[TouchSequence], x: Floats
 ) -> None:
     """Polishes sequence after sequence until it is over, and offers the controls.
 

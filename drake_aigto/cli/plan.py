@@ -68,9 +68,7 @@ def add_plan(commands: Any) -> None:
     """Adds the command that plans."""
     plan = add_command(commands, "plan", _plan, "plan for a scenario", _PLAN_EXAMPLES)
     plan.add_argument(
-        "scenario",
-        metavar="SCENARIO",
-        help=f"a YAML file, or one of {', '.join(scenario_names())}",
+        "scenario", metavar="SCENARIO", help=f"a YAML file, or one of {', '.join(scenario_names())}"
     )
     _add_fields(plan.add_argument_group("change the scenario's fields"))
     _add_numerics(plan.add_argument_group("numerics"))

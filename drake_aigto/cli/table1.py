@@ -35,12 +35,7 @@ def add_table1(commands: Any) -> None:
     text = "the paper's Table I, and what each plan does on a rigid wall"
     table1 = add_command(commands, "table1", _table1, text, _EXAMPLES)
     table1.add_argument(
-        "--rows",
-        type=int,
-        nargs="+",
-        choices=ROWS,
-        default=ROWS,
-        help="which rows (default: all)",
+        "--rows", type=int, nargs="+", choices=ROWS, default=ROWS, help="which rows (default: all)"
     )
     table1.add_argument(
         "--guesses",

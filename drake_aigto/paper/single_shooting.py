@@ -171,11 +171,7 @@ def count_terms(
 
 
 def _states(
-    world: World,
-    scenario: Scenario,
-    law: PolynomialLaw,
-    controls: npt.NDArray[Any],
-    max_terms: int,
+    world: World, scenario: Scenario, law: PolynomialLaw, controls: npt.NDArray[Any], max_terms: int
 ) -> Iterator[list[Polynomial]]:
     """Yields x_0, x_1, … as polynomials of the controls, shape (nq + nv,) each."""
     names, step = _names(world), _euler_step(world, scenario.time_step, law)

@@ -25,14 +25,7 @@ from drake_aigto.paper.problem import (
     gradient_from_zero,
     make_literal_problem,
 )
-from drake_aigto.planning import (
-    Candidate,
-    Plan,
-    Planner,
-    PlanningError,
-    PlanOptions,
-    Replays,
-)
+from drake_aigto.planning import Candidate, Plan, Planner, PlanningError, PlanOptions, Replays
 from drake_aigto.planning.options import LocalSolverName
 from drake_aigto.simulation import Replay
 from drake_aigto.simulation.material import contact_delay

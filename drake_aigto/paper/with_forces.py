@@ -83,12 +83,7 @@ class ForceVariables(Transcription):
     def implied_impulses(self, x: Floats) -> Floats:
         """Returns the impulses that q, v and u in x imply, shape (N+1, m) [N s]."""
 
-    def vector_of(
-        self,
-        positions: Floats,
-        velocities: Floats,
-        controls: Floats,
-    ) -> Floats:
+    def vector_of(self, positions: Floats, velocities: Floats, controls: Floats) -> Floats:
         """Returns all decision variables, impulses as q, v and u imply them."""
         x = super().vector_of(positions, velocities, controls)
         x[self.impulse_indices()] = self.implied_impulses(x)[:-1].ravel()
@@ -102,12 +97,7 @@ class ForceVariables(Transcription):
         """Returns where p is among all decision variables, knot by knot, shape (N m,)."""
         return self._p.ravel()
 
-    def _box(
-        self,
-        positions: Floats,
-        velocities: Floats,
-        shares: Floats,
-    ) -> tuple[Floats, Floats]:
+    def _box(self, positions: Floats, velocities: Floats, shares: Floats) -> tuple[Floats, Floats]:
         center, half_width = super()._box(positions, velocities, shares)
         turned = 4 * self.inertia() * self.length_scale() / self.scenario.duration
         sizes = self.impulse_width * turned * shares[:-1]

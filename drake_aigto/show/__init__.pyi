@@ -5,6 +5,7 @@ from .figures import plot_boxes as plot_boxes
 from .figures import plot_controls as plot_controls
 from .figures import plot_motions as plot_motions
 from .figures import plot_path as plot_path
+from .figures import plot_phase_portrait as plot_phase_portrait
 from .figures import plot_plan as plot_plan
 from .figures import plot_positions as plot_positions
 from .figures import plot_velocities as plot_velocities
@@ -23,7 +24,6 @@ from .playback import open_meshcat as open_meshcat
 from .playback import play as play
 from .playback import publish as publish
 from .playback import save_html as save_html
-from .portraits import plot_phase_portrait as plot_phase_portrait
 from .report import figures_of_plan as figures_of_plan
 from .report import report_plan as report_plan
 from .table_report import report_table1 as report_table1

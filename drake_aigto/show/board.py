@@ -97,10 +97,7 @@ class Board:
         first, last = self.offset(0)[:2], self.offset(len(self.labels) - 1)[:2]
         around = _GAP * self.size
         top = _TOP * self.size + _LINE * self.letter * len(self._note_lines) + self.space
-        return (
-            low + first - (around, _BOTTOM * self.size),
-            high + last + (around, top),
-        )
+        return (low + first - (around, _BOTTOM * self.size), high + last + (around, top))
 
     def offset(self, index: int) -> Floats:
         """Returns where a panel's motion is moved to, x, y and z, shape (3,) [m]."""

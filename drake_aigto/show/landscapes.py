@@ -85,10 +85,7 @@ def plot_cost_history(axes: Axes, run: BoxRun) -> Axes:
 
 
 def plot_cost_landscape(
-    axes: Axes,
-    world: World,
-    scenario: Scenario,
-    ends: Mapping[str, Candidate],
+    axes: Axes, world: World, scenario: Scenario, ends: Mapping[str, Candidate]
 ) -> None:
     """Draws the least cost over when and how fast a rigid wall is touched, and where methods end.
 

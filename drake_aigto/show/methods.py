@@ -41,10 +41,7 @@ _SECONDS, _ANY_COST = 3600.0, 1e300
 
 
 def paper_methods(
-    scenario: Scenario,
-    world: World | None = None,
-    nonpenetration: bool = False,
-    seed: int = 0,
+    scenario: Scenario, world: World | None = None, nonpenetration: bool = False, seed: int = 0
 ) -> dict[str, Candidate]:
     """Runs the three methods of AIGTO Fig. 2 on the paper's transcription.
 

@@ -16,7 +16,7 @@ from drake_aigto.optima import rigid_optimum
 from drake_aigto.planning import Candidate, Plan, SearchOptions
 from drake_aigto.show.box_playback import play_boxes
 from drake_aigto.show.box_run import BoxRun, run_boxes
-from drake_aigto.show.figures import plot_boxes, plot_path, plot_plan
+from drake_aigto.show.figures import plot_boxes, plot_path, plot_phase_portrait, plot_plan
 from drake_aigto.show.landscapes import plot_cost_history, plot_cost_landscape
 from drake_aigto.show.motion import SIMULATION_LABELS, motions_of_plan
 from drake_aigto.show.page import Page
@@ -28,7 +28,6 @@ from drake_aigto.show.plans import (
     format_replays,
 )
 from drake_aigto.show.playback import open_meshcat, play
-from drake_aigto.show.portraits import plot_phase_portrait
 from drake_aigto.show.text import (
     contact_names,
     energy_text,

@@ -14,11 +14,7 @@ from drake_aigto.count import Count
 from drake_aigto.jobs import Jobs, ProcessDiedError, open_jobs
 from drake_aigto.plain import to_plain
 from drake_aigto.study.method_run import COST_DIGITS, PLANNER, Job, MethodRun
-from drake_aigto.study.results_file import (
-    check_results_file,
-    check_same_question,
-    round_to,
-)
+from drake_aigto.study.results_file import check_results_file, check_same_question, round_to
 from drake_aigto.study.scenario_jobs import find_optimum, run_job
 from drake_aigto.study.scenario_question import ScenarioQuestion
 from drake_aigto.study.scenario_results import DIED, ScenarioResult, ScenarioStudy

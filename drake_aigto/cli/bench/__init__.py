@@ -10,10 +10,7 @@ from drake_aigto.cli.bench.scenarios import add_scenarios
 from drake_aigto.cli.flags import add_common, format_examples
 
 # Each adds its command; `bench --help` lists them in this order.
-_BENCHMARKS: tuple[Callable[[Any], None], ...] = (
-    add_scenarios,
-    add_page,
-)
+_BENCHMARKS: tuple[Callable[[Any], None], ...] = (add_scenarios, add_page)
 
 _EXAMPLES = """\
 drake-aigto bench scenarios --count 50 --json scenarios.json   # how often, and how fast
@@ -26,10 +23,7 @@ def add_bench(commands: Any) -> None:
     """Adds the command and all that it measures."""
     text = "measure: how often, how fast, against what else"
     bench = commands.add_parser(
-        "bench",
-        help=text,
-        description=f"{text.capitalize()}.",
-        epilog=format_examples(_EXAMPLES),
+        "bench", help=text, description=f"{text.capitalize()}.", epilog=format_examples(_EXAMPLES)
     )
     add_common(bench)
     benchmarks = bench.add_commands("BENCHMARK")
