@@ -22,7 +22,7 @@ from drake_aigto.planning import Candidate, Origin
 from drake_aigto.show.box_run import run_boxes
 from drake_aigto.show.figures import plot_motions
 from drake_aigto.show.motion import PLAN_LABEL, SIMULATION_LABELS, Motion, color_of
-from drake_aigto.show.text import energy_text, length_text
+from drake_aigto.show.text import run_texts
 from drake_aigto.simulation.replay import replay_event_driven
 from drake_aigto.world import Scenario, World
 
@@ -109,19 +109,10 @@ def write_numbers(axes: Axes, runs: Mapping[str, Candidate]) -> None:
         axes.text(x, _TOP, name, ha="right", **look)
     for i, run in enumerate(runs.values()):
         y = _TOP - (i + 1) * _LINE
+        cells = (*run_texts(run, 1), f"{run.replay.cost:.1e}")
         axes.text(0, y, "■", color=color_of(i), **look)
-        for x, cell in zip(ends, _cells(run), strict=True):
+        for x, cell in zip(ends, cells, strict=True):
             axes.text(x, y, cell, ha="right", **look)
-
-
-def _cells(run: Candidate) -> tuple[str, ...]:
-    return (
-        f"{run.cost:.1e}",
-        f"{run.max_defect:.0e}",
-        length_text(run.max_penetration),
-        energy_text(run.energy_ratio),
-        f"{run.replay.cost:.1e}",
-    )
 
 
 def gradient_motions(world: World, scenario: Scenario, seed: int = 0) -> list[Motion]:

@@ -9,6 +9,7 @@ import io
 import re
 from collections.abc import Iterable, Mapping, Sequence
 from importlib import resources
+from os.path import commonprefix
 from typing import Any
 
 import matplotlib as mpl
@@ -20,6 +21,8 @@ _DPI = 120  # of what is no lines: landscapes of many colors
 # Base64 of so many letters is packed as the bytes that it stands for, which compress better.
 _RUN = re.compile(r"(?<=base64,)[A-Za-z0-9+/]{200,}={0,2}")
 _LENGTH_BYTES = 4
+
+_common_start = commonprefix  # Of any texts: it compares letter by letter.
 
 
 class Page:
@@ -85,20 +88,8 @@ class Page:
 
     def to_html(self) -> str:
         """Returns the page. It needs no network, and may not use it."""
-        style = resources.files("drake_aigto.show").joinpath("page.css").read_text("utf-8")
-        policy = (
-            "default-src 'none'; script-src 'unsafe-inline' 'unsafe-eval' blob: data:; "
-            "style-src 'unsafe-inline'; img-src data: blob:; connect-src data: blob:; "
-            "worker-src blob: data:; font-src data:"
-        )
-        body = "\n".join(self._parts)
-        return (
-            '<!DOCTYPE html>\n<html lang="en">\n<head>\n<meta charset="utf-8">\n'
-            f'<meta http-equiv="Content-Security-Policy" content="{policy}">\n'
-            '<meta name="viewport" content="width=device-width, initial-scale=1">\n'
-            f"<title>{html.escape(self._title)}</title>\n<style>\n{style}</style>\n</head>\n"
-            f"<body>\n<main>\n{body}\n</main>\n</body>\n</html>\n"
-        )
+        title, body = html.escape(self._title), "\n".join(self._parts)
+        return _asset("page.html").format(title=title, style=_asset("page.css"), body=body)
 
 
 def embed_scenes(scenes: Mapping[str, str], height: int = 560) -> str:
@@ -119,24 +110,21 @@ def embed_scenes(scenes: Mapping[str, str], height: int = 560) -> str:
         f'<button type="button" data-scene="{i}">{html.escape(title)}</button>'
         for i, title in enumerate(scenes)
     )
-    player = resources.files("drake_aigto.show").joinpath("player.html").read_text("utf-8")
-    return player.format(buttons=buttons, height=height) + stored + _script()
+    player = _asset("player.html").format(buttons=buttons, height=height)
+    return f"{player}{stored}<script>\n{_asset('player.js')}</script>\n"
+
+
+def _asset(name: str) -> str:
+    return resources.files(__package__).joinpath(name).read_text("utf-8")
 
 
 def _share(pages: Sequence[str]) -> dict[str, str]:
     """Returns the start and the end that pages share, and by number what each has in between."""
-    start = _common_start(pages) if len(pages) > 1 else ""
-    rests = [page[len(start) :][::-1] for page in pages]
-    end = _common_start(rests)[::-1] if len(pages) > 1 else ""
+    several = pages if len(pages) > 1 else []
+    start = _common_start(several)
+    end = _common_start([page[len(start) :][::-1] for page in several])[::-1]
     middles = {str(i): page[len(start) : len(page) - len(end)] for i, page in enumerate(pages)}
     return {"start": start, "end": end, **middles}
-
-
-def _common_start(texts: Sequence[str]) -> str:
-    """Returns the longest text that all begin with: that of the first and the last in order."""
-    first, last = min(texts), max(texts)
-    same = (i for i, (a, b) in enumerate(zip(first, last, strict=False)) if a != b)
-    return first[: next(same, min(len(first), len(last)))]
 
 
 def pack(text: str) -> str:
@@ -159,8 +147,3 @@ def _decode(run: str) -> bytes | None:
         return None
     content = base64.b64decode(run)
     return content if base64.b64encode(content).decode("ascii") == run else None
-
-
-def _script() -> str:
-    script = resources.files("drake_aigto.show").joinpath("player.js").read_text("utf-8")
-    return f"<script>\n{script}</script>\n"

@@ -13,6 +13,7 @@ from drake_aigto.show.text import (
     energy_text,
     friction_items,
     length_text,
+    run_texts,
     task_items,
     time_text,
     touch_names,
@@ -166,7 +167,7 @@ def _search(plan: Plan, names: Sequence[str]) -> Iterator[str]:
     )
     yield _line("cost", "defect", "in wall", "energy", "replayed", "off goal", "contacts")
     for candidate in plan.candidates[:_MOST_CANDIDATES]:
-        yield _candidate_line(candidate, names)
+        yield _line(*candidate_texts(candidate, names))
     more = len(plan.candidates) - _MOST_CANDIDATES
     if more > 0:
         yield from _row("", [f"and {more} more"])
@@ -176,19 +177,20 @@ def _search(plan: Plan, names: Sequence[str]) -> Iterator[str]:
     yield from _row("seconds", [f"{part} {s:.2f}" for part, s in plan.stats.seconds.items()])
 
 
-def _candidate_line(candidate: Candidate, names: Sequence[str]) -> str:
+def candidate_texts(candidate: Candidate, names: Sequence[str]) -> tuple[str, ...]:
+    """Returns a candidate's numbers, those of its rigid simulation, and its contacts."""
     times = ", ".join(map(_when, candidate.contacts))
-    alone = "no control: " if candidate.is_idle else ""
     if len(names) > 1:
         times = " at ".join(["".join(_letter(c.contact) for c in candidate.contacts), times])
-    return _line(
-        f"{candidate.cost:.2e}",
-        f"{candidate.max_defect:.0e}{'' if candidate.is_feasible else '*'}",
-        length_text(candidate.max_penetration),
-        energy_text(candidate.energy_ratio),
+    cost, defect, *others = run_texts(candidate)
+    return (
+        cost,
+        f"{defect}{'' if candidate.is_feasible else '*'}",
+        *others,
         f"{candidate.replay.cost:.2e}",
         length_text(candidate.replay.goal_error),
-        alone + (f"{times} s" if candidate.contacts else "none"),
+        ("no control: " if candidate.is_idle else "")
+        + (f"{times} s" if candidate.contacts else "none"),
     )
 
 

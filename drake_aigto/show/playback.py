@@ -316,24 +316,23 @@ def _aim_camera(stage: Stage, track: Track, meshcat: Meshcat) -> None:
     side = track.half_width + track.margin
     clear = np.sin(_CAMERA_TILT) / np.tan(np.deg2rad(_FIELD_OF_VIEW) / 2) + np.cos(_CAMERA_TILT)
     distance = max(_CAMERA_DISTANCE * track.length, _CAMERA_SLACK * clear * side)
-    back = np.array([0.0, -np.cos(_CAMERA_TILT), np.sin(_CAMERA_TILT)])
-    meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=_FIELD_OF_VIEW))
-    meshcat.SetCameraPose(
-        stage.X_WT.multiply(middle + distance * back), stage.X_WT.multiply(middle)
-    )
+    back = distance * np.array([0.0, -np.cos(_CAMERA_TILT), np.sin(_CAMERA_TILT)])
+    _look(stage, meshcat, middle, back, _FIELD_OF_VIEW)
 
 
 def _face_board(stage: Stage, board: Board, meshcat: Meshcat) -> None:
     """Looks at the middle of the board, from a little below a level one or above an upright one."""
     low, high = board.corners
-    middle = np.append((low + high) / 2, 0.0)
     half_width, half_height = (high - low) / 2
     distance = _BOARD_SLACK * max(half_height, half_width / _ASPECT_RATIO)
     distance /= np.tan(np.deg2rad(_BOARD_FIELD_OF_VIEW) / 2)
     is_level = abs(stage.X_WT.rotation().matrix()[2, 2]) > 0.5
     tilt = -_BOARD_TILT if is_level else _BOARD_TILT
-    back = np.array([0.0, np.sin(tilt), np.cos(tilt)])
-    meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=_BOARD_FIELD_OF_VIEW))
-    meshcat.SetCameraPose(
-        stage.X_WT.multiply(middle + distance * back), stage.X_WT.multiply(middle)
-    )
+    back = distance * np.array([0.0, np.sin(tilt), np.cos(tilt)])
+    _look(stage, meshcat, np.append((low + high) / 2, 0.0), back, _BOARD_FIELD_OF_VIEW)
+
+
+def _look(stage: Stage, meshcat: Meshcat, middle: Floats, back: Floats, angle: float) -> None:
+    """Looks at a place in T from so far back, over an angle [deg]."""
+    meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=angle))
+    meshcat.SetCameraPose(stage.X_WT.multiply(middle + back), stage.X_WT.multiply(middle))

@@ -22,6 +22,7 @@ from drake_aigto.show.motion import SIMULATION_LABELS, motions_of_plan
 from drake_aigto.show.page import Page
 from drake_aigto.show.plans import (
     INTERRUPTED,
+    candidate_texts,
     describe_idle,
     describe_verdict,
     describe_vetoes,
@@ -86,7 +87,7 @@ def report_plan(
         page.figure(figure, caption)
     if run is None:
         page.paragraph(f"{no_boxes[0].upper()}{no_boxes[1:]}")
-    _add_candidates(page, plan)
+    _add_candidates(page, plan, world)
     page.heading("All numbers")
     drake = plan.replay.drake
     page.code(format_replays(plan, world, None if drake is None else contact_delay(world)))
@@ -177,31 +178,25 @@ def describe_contacts(best: Candidate, world: World) -> str:
 def _number_rows(plan: Plan) -> Iterator[tuple[str, ...]]:
     """Yields a plan's numbers and those of its simulations, as rows below `NUMBERS`."""
     best = plan.best
-    touches = ", ".join(f"{c.time:.3f} s" for c in best.contacts) or "none"
-    yield (
-        "plan (no simulation)",
-        f"{best.cost:.3e}",
-        f"{best.max_defect:.0e}",
-        length_text(best.goal_error),
-        length_text(best.max_penetration),
-        energy_text(best.energy_ratio),
-        touches,
-    )
+    times = [contact.time for contact in best.contacts]
+    yield _number_row("plan (no simulation)", best, f"{best.max_defect:.0e}", times)
     for replay in plan.replay:
-        yield _replay_row(replay)
+        label = SIMULATION_LABELS[replay.simulator]
+        yield _number_row(label, replay, "obeys them", replay.bounce_times)
 
 
-def _replay_row(replay: Replay) -> tuple[str, ...]:
-    times = [f"{time:.3f} s" for time in replay.bounce_times[:_MOST_TOUCHES]]
-    more = len(replay.bounce_times) - len(times)
+def _number_row(
+    name: str, run: Candidate | Replay, defect: str, times: Sequence[float]
+) -> tuple[str, ...]:
+    touches = ", ".join(f"{time:.3f} s" for time in times[:_MOST_TOUCHES]) or "none"
     return (
-        SIMULATION_LABELS[replay.simulator],
-        f"{replay.cost:.3e}",
-        "obeys them",
-        length_text(replay.goal_error),
-        length_text(replay.max_penetration),
-        energy_text(replay.energy_ratio),
-        (", ".join(times) or "none") + (f", {more} more" if more else ""),
+        name,
+        f"{run.cost:.3e}",
+        defect,
+        length_text(run.goal_error),
+        length_text(run.max_penetration),
+        energy_text(run.energy_ratio),
+        f"{touches}, {len(times) - _MOST_TOUCHES} more" if len(times) > _MOST_TOUCHES else touches,
     )
 
 
@@ -279,7 +274,7 @@ _CANDIDATE_HEADER = (
 )
 
 
-def _add_candidates(page: Page, plan: Plan) -> None:
+def _add_candidates(page: Page, plan: Plan, world: World) -> None:
     page.heading("Candidates")
     count, feasible = len(plan.candidates), sum(each.is_feasible for each in plan.candidates)
     page.paragraph(
@@ -291,22 +286,10 @@ def _add_candidates(page: Page, plan: Plan) -> None:
     if plan.stats.flight_left_out is not None:
         least = plan.stats.flight_left_out
         page.paragraph(f"A free flight was left out, as it costs {least:.2e} at least.")
-    page.table(_CANDIDATE_HEADER, _candidate_rows(plan))
-
-
-def _candidate_rows(plan: Plan) -> Iterator[tuple[str, ...]]:
-    for number, run in enumerate(plan.candidates[:_MOST_CANDIDATES], 1):
-        yield (
-            str(number),
-            f"{run.cost:.2e}",
-            f"{run.max_defect:.0e}",
-            length_text(run.max_penetration),
-            energy_text(run.energy_ratio),
-            f"{run.replay.cost:.2e}",
-            length_text(run.replay.goal_error),
-            ("no control: " if run.is_idle else "")
-            + (", ".join(f"{contact.time:.3f} s" for contact in run.contacts) or "none"),
-        )
+    names = contact_names(world)
+    shown = enumerate(plan.candidates[:_MOST_CANDIDATES], 1)
+    rows = [(str(number), *candidate_texts(each, names)) for number, each in shown]
+    page.table(_CANDIDATE_HEADER, rows)
 
 
 def _add_reproduction(page: Page, plan: Plan) -> None:

@@ -19,12 +19,15 @@ seconds   of one core, the median"""
 
 def format_study(study: ScenarioStudy) -> str:
     """Returns a study's tables, one for each restitution, and what failed."""
-    return "\n".join([*_tables(study), "", *_legend(study), *_notes(study)])
+    return "\n".join(
+        [*_tables(study), "", _LEGEND.format(unit=describe_unit(study)), *_notes(study)]
+    )
 
 
 def markdown_study(study: ScenarioStudy) -> str:
     """Returns the same numbers as one Markdown table."""
-    head = ["e", "method", "scenarios", *_budget_names(study), *_LAST_COLUMNS]
+    budgets = [f"optimal at {budget:g}×" for budget in _shown_budgets(study)]
+    head = ["e", "method", "scenarios", *budgets, *_LAST_COLUMNS]
     lines = [markdown_row(head), markdown_row(["---"] * len(head))]
     for name, results in study.groups().items():
         for method in study.question.methods:
@@ -53,10 +56,6 @@ def ratio_text(ratio: float) -> str:
     if ratio < 1.1:
         return f"{ratio:.6f}"
     return f"{ratio:.2f}" if ratio < 1000 else f"{ratio:.0e}"
-
-
-def _budget_names(study: ScenarioStudy) -> list[str]:
-    return [f"optimal at {budget:g}×" for budget in _shown_budgets(study)]
 
 
 def _shown_budgets(study: ScenarioStudy) -> tuple[float, ...]:
@@ -116,10 +115,6 @@ def _line(name: str, shares: Sequence[str], rest: Sequence[str]) -> str:
     texts = [share.rjust(size) for share in shares]
     texts += [text.rjust(width) for text, width in zip(rest, (12, 11, 10, 7), strict=True)]
     return (name.ljust(26) + "".join(texts)).rstrip()
-
-
-def _legend(study: ScenarioStudy) -> Iterator[str]:
-    yield _LEGEND.format(unit=describe_unit(study))
 
 
 def _notes(study: ScenarioStudy) -> Iterator[str]:

@@ -13,8 +13,8 @@ from drake_aigto.show.motion import PLAN_LABEL, SIMULATION_LABELS, Motion
 from drake_aigto.show.page import Page
 from drake_aigto.show.playback import open_meshcat, publish
 from drake_aigto.show.report import PROBLEM, describe_versions
-from drake_aigto.show.tables import format_table1
-from drake_aigto.show.text import energy_text, length_text, task_items
+from drake_aigto.show.tables import entries_of, format_table1
+from drake_aigto.show.text import length_text, run_texts, task_items
 from drake_aigto.world import Scenario, World
 
 _ANY_PORT = 0
@@ -59,8 +59,7 @@ def report_table1(table: Table1, progress: Callable[[str], None] | None = None) 
 def _add_verdict(page: Page, table: Table1) -> None:
     """Adds how many plans of each transcription hold."""
     for name, cells in (("rigid", table.rigid), ("literal", table.literal)):
-        entries = [entry for cell in cells for entry in _entries(cell)]
-        if entries:
+        if entries := entries_of(cells):
             held = sum(entry.holds for entry in entries)
             text = f"{held} of {len(entries)} plans of the {name} transcription hold in simulation."
             page.verdict(text, held == len(entries))
@@ -68,10 +67,6 @@ def _add_verdict(page: Page, table: Table1) -> None:
 
 def _cells(table: Table1) -> list[Cell | RigidCell]:
     return [*table.literal, *table.rigid]
-
-
-def _entries(cell: Cell | RigidCell) -> list[Entry]:
-    return [entry for method in cell.methods for entry in method.entries]
 
 
 def _add_row(page: Page, table: Table1, row: int) -> None:
@@ -102,18 +97,15 @@ def _number_rows(table: Table1, row: int) -> Iterator[tuple[str, ...]]:
         bound = ""
         if isinstance(cell, Cell):
             bound = ", φ ≥ 0" if cell.nonpenetration else ", φ free"
-        for entry in _entries(cell):
+        for entry in entries_of([cell]):
             yield _number_row(f"{entry.label}{bound}", entry)
 
 
 def _number_row(name: str, entry: Entry) -> tuple[str, ...]:
-    run, rigid, drake = entry.candidate, entry.replays.event_driven, entry.replays.drake
+    rigid, drake = entry.replays.event_driven, entry.replays.drake
     return (
         name,
-        f"{run.cost:.2e}",
-        f"{run.max_defect:.0e}",
-        length_text(run.max_penetration),
-        energy_text(run.energy_ratio),
+        *run_texts(entry.candidate),
         f"{rigid.cost:.2e}",
         length_text(rigid.goal_error),
         "-" if drake is None else f"{drake.cost:.2e}",

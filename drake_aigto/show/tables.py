@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 
 from drake_aigto.paper import PAPER_COSTS, Cell, Entry, Method, RigidCell, Table1
-from drake_aigto.show.text import WIDTH, energy_text, length_text, task_items, time_text
+from drake_aigto.show.text import WIDTH, length_text, run_texts, task_items, time_text
 from drake_aigto.world import Scenario
 
 _COLUMNS = (
@@ -104,14 +104,14 @@ def _method_lines(methods: Iterable[Method]) -> Iterator[str]:
 
 def _entry_line(entry: Entry, seconds: float | None) -> str:
     run, rigid, drake = entry.candidate, entry.replays.event_driven, entry.replays.drake
+    cost, defect, *others = run_texts(run, 1)
     return _join(
         (
             f"  {entry.label}",
             f"{run.start_cost:.0e}/{max(run.start_defects.values()):.0e}",
-            f"{run.cost:.1e}",
-            f"{run.max_defect:.0e}{'' if run.is_feasible else '*'}",
-            length_text(run.max_penetration),
-            energy_text(run.energy_ratio),
+            cost,
+            f"{defect}{'' if run.is_feasible else '*'}",
+            *others,
             f"{rigid.cost:.1e}",
             length_text(rigid.goal_error),
             "-" if drake is None else f"{drake.cost:.1e}",
@@ -129,11 +129,11 @@ def _join(texts: Iterable[str]) -> str:
 
 
 def _summary(table: Table1) -> Iterator[str]:
-    literal, rigid = _entries(table.literal), _entries(table.rigid)
+    literal, rigid = entries_of(table.literal), entries_of(table.rigid)
     if literal:
         yield f"Literal transcription: {_count(literal)} on a rigid wall."
         for cell in table.literal:
-            if labels := [entry.label for entry in _entries([cell]) if entry.holds]:
+            if labels := [entry.label for entry in entries_of([cell]) if entry.holds]:
                 yield f"  row {cell.row}, {_bound(cell)}: {'; '.join(labels)}"
         yield "Its contacts are free impulses, and its wall pushes from afar: a low cost is real"
         yield "only where it holds."
@@ -141,7 +141,8 @@ def _summary(table: Table1) -> Iterator[str]:
         yield f"Rigid transcription: {_count(rigid)} there."
 
 
-def _entries(cells: Sequence[Cell] | Sequence[RigidCell]) -> list[Entry]:
+def entries_of(cells: Iterable[Cell | RigidCell]) -> list[Entry]:
+    """Returns all lines of some of the table's cells."""
     return [entry for cell in cells for method in cell.methods for entry in method.entries]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from drake_aigto.planning import Candidate
 from drake_aigto.world import Scenario, World
 
 WIDTH = 100
@@ -62,6 +63,12 @@ def energy_text(ratio: float | None) -> str:
     if ratio is None:
         return "-"
     return ">1e6" if ratio > 1e6 else f"{ratio:.2g}"
+
+
+def run_texts(run: Candidate, digits: int = 2) -> tuple[str, str, str, str]:
+    """Returns a run's cost, largest defect, deepest penetration, and energy ratio."""
+    cost, defect = f"{run.cost:.{digits}e}", f"{run.max_defect:.0e}"
+    return cost, defect, length_text(run.max_penetration), energy_text(run.energy_ratio)
 
 
 def _numbers(values: Iterable[float]) -> str:
