@@ -32,11 +32,7 @@ class PenaltyContinuation:
     tolerance: float = 1e-10
 
     def run(
-        self,
-        f: BoxPolynomial,
-        penalties: Collection[str],
-        x: Floats,
-        free: NDArray[np.bool_],
+        self, f: BoxPolynomial, penalties: Collection[str], x: Floats, free: NDArray[np.bool_]
     ) -> Floats:
         """Returns the minimizer at the last weights.
 
@@ -50,9 +46,8 @@ class PenaltyContinuation:
         y, damping = x[f.order], 0.0
         for k in range(1, self.raises + 1):
             raised = f.with_weights({name: w * self.factor**k for name, w in weights.items()})
-            result = newton(
-                PointObjective(raised, free, self.tolerance), y, self.max_newton_steps, damping
-            )
+            objective = PointObjective(raised, free, self.tolerance)
+            result = newton(objective, y, self.max_newton_steps, damping)
             y, damping = result.y, result.damping
         (center,) = f.to_variables(y)
         return center

@@ -34,10 +34,7 @@ class DrakeSolution:
 
 
 def solve_with_drake(
-    prog: MathematicalProgram,
-    guess: Floats,
-    solver: str,
-    max_iterations: int = 200,
+    prog: MathematicalProgram, guess: Floats, solver: str, max_iterations: int = 200
 ) -> DrakeSolution:
     """Runs SNOPT or IPOPT through Drake from a guess.
 
@@ -52,11 +49,8 @@ def solve_with_drake(
         result = chosen.Solve(prog, guess, _options(solver, max_iterations))
     x = result.get_x_val()
     is_finite = bool(np.all(np.isfinite(x)))
-    return DrakeSolution(
-        x=x if is_finite else guess,
-        is_success=result.is_success() and is_finite,
-        status=result.get_solution_result().name,
-    )
+    status = result.get_solution_result().name
+    return DrakeSolution(x if is_finite else guess, result.is_success() and is_finite, status)
 
 
 @contextmanager

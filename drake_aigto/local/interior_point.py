@@ -144,7 +144,7 @@ class _Solve:
         self._duals = self._fresh_duals(self._point)
         step: NewtonStep | None = None
         status, length = None, 0.0
-        while True:
+        while status is None:
             linearization = self._problem.linearize(self._point.y, self._duals.rows)
             optimality = self._optimality(linearization)
             self._record(optimality, step, length)
@@ -154,8 +154,6 @@ class _Solve:
                 step = self._search.step(self._point, self._duals, linearization, self._mu)
                 self._iterations += 1
                 status, length = self._advance(step, optimality)
-            if status is not None:
-                break
         return self._result(status)
 
     def _status(self, optimality: _Optimality) -> LocalStatus | None:

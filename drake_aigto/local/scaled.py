@@ -80,10 +80,9 @@ class ScaledProblem:
 
     def __init__(self, nlp: PolynomialNlp, x: Floats, cost_unit: float = 1.0) -> None:
         """Holds the variables with equal bounds, and scales at x (n,), which is within bounds."""
-        self._nlp = nlp
+        self._nlp, self._x = nlp, x
         self.structure = nlp.kkt_structure
         free = self.structure.free
-        self._x = x
         self.lower, self.upper = nlp.lower[free], nlp.upper[free]
         low, high = np.flatnonzero(np.isfinite(self.lower)), np.flatnonzero(np.isfinite(self.upper))
         self.bounded = np.concatenate([low, high])

@@ -181,11 +181,16 @@ class _Room:
                     continue
                 tried.add(key)
                 problem = _Sequence(self, faces, (after, corner))
-                for cost, z in problem.solve(problem.starts_around(pair, rng)):
-                    if cost < best.cost:
-                        path = problem.path(cost, z)
-                        if self.is_clear(path.positions, path.touches):
-                            best = path
+                best = self._improve(best, problem, problem.starts_around(pair, rng))
+        return best
+
+    def _improve(self, best: _Path, problem: _Sequence, starts: Floats) -> _Path:
+        """Returns a sequence's cheapest admissible motion, or this one if none is cheaper."""
+        for cost, z in problem.solve(starts):
+            if cost < best.cost:
+                path = problem.path(cost, z)
+                if self.is_clear(path.positions, path.touches):
+                    best = path
         return best
 
 
@@ -325,16 +330,10 @@ def _make_room(world: World, scenario: Scenario) -> _Room:
     faces = []
     for contact, slopes in enumerate(dynamics.jacobian):
         axis = int(np.argmax(np.abs(slopes)))
-        faces.append(
-            _Face(
-                contact,
-                axis,
-                float(q[axis] - distances[contact] / slopes[axis]),
-                1 if slopes[axis] > 0 else -1,
-                float(restitutions[contact]),
-                solids.count(solids[contact]) > 1,
-            )
-        )
+        place = float(q[axis] - distances[contact] / slopes[axis])
+        side, restitution = 1 if slopes[axis] > 0 else -1, float(restitutions[contact])
+        is_of_box = solids.count(solids[contact]) > 1
+        faces.append(_Face(contact, axis, place, side, restitution, is_of_box))
     return _Room(
         position=q,
         velocity=scenario.initial_velocity * T,

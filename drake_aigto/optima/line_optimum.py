@@ -92,20 +92,17 @@ class Line:
         goes up to `most_touches`.
         """
         best = min(self.solve(()), self._stay(), key=lambda motion: motion.cost)
-        number = 0
-        while True:
-            number += 1
-            if self.gravity and number > most_touches:
-                return best
+        for number in range(1, most_touches + 1) if self.gravity else itertools.count(1):
             sequences = [
                 sequence
                 for sequence in self._sequences(number)
                 if self._least_effort(sequence[0]) < best.cost
             ]
             if not sequences:
-                return best
+                break
             for walls, rests in sequences:
                 best = min(best, self.solve(walls, rests), key=lambda motion: motion.cost)
+        return best
 
     def _sequences(self, number: int) -> Iterator[tuple[tuple[int, ...], int | None]]:
         """Yields the walls of so many touches, and after which one the mass rests, if it does."""

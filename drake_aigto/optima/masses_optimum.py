@@ -164,8 +164,8 @@ class _Sequence:
         self.pair, self.kinds = pair, tuple(kinds)
         sizes = [4 if kind == _MEETING else 2 for kind in kinds]
         self.offsets = [0, *itertools.accumulate(sizes)]
-        self.flights = flights = Flights(self.offsets[-1])
-        constant, variable = flights.constant, flights.variable
+        self.flights = Flights(self.offsets[-1])
+        constant, variable = self.flights.constant, self.flights.variable
         self.bodies: list[int] = []  # of each flight
         self._at = [[constant(0.0), constant(p)] for p in pair.positions]  # time and place
         self._velocities = [constant(v) for v in pair.velocities]
@@ -177,12 +177,17 @@ class _Sequence:
             else:
                 self._touch(kind, time, variable(offset + 1))
         for body in range(2):
-            start, place = self._at[body]
-            left, effort = constant(1.0) - start, float(pair.efforts[body])
-            way = constant(pair.goals[body]) - place
-            flights.add_last(way, self._velocities[body], left, pair.weight / effort, effort)
-            self.positive.append(left)
-            self.bodies.append(body)
+            self._fly_to_end(body)
+
+    def _fly_to_end(self, body: int) -> None:
+        """Adds a mass's last flight."""
+        start, place = self._at[body]
+        left, effort = self.flights.constant(1.0) - start, float(self.pair.efforts[body])
+        way = self.flights.constant(self.pair.goals[body]) - place
+        weight = self.pair.weight / effort
+        self.flights.add_last(way, self._velocities[body], left, weight, effort)
+        self.positive.append(left)
+        self.bodies.append(body)
 
     def _fly(self, body: int, time: Floats, place: Floats, velocity: Floats) -> None:
         """Adds a mass's flight to its next contact."""
