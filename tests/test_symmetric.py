@@ -10,10 +10,7 @@ from random_boxes import dense
 from sparse_matrices import whole
 
 from drake_aigto.linear import make_pattern
-from drake_aigto.local.dense import DenseFactors
-from drake_aigto.local.multifrontal import BandFactors
-from drake_aigto.local.sparse import SparseKktFactors
-from drake_aigto.local.symmetric import multiply
+from drake_aigto.local.factors import BandFactors, DenseFactors, SparseKktFactors, multiply
 
 KINDS = [BandFactors, DenseFactors]
 

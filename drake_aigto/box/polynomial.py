@@ -7,15 +7,13 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.box.kernels import NO_SYSTEM, System, add_means
 from drake_aigto.box.lanes import Lanes, make_lanes
 from drake_aigto.box.tapes import Order
 from drake_aigto.errors import OptionsError
-from drake_aigto.linear import Pattern, as_order, choose_storage, spread
+from drake_aigto.linear import Pattern, as_order, choose_storage, narrow_band, spread
 from drake_aigto.terms import TermBlock, stack_terms
 
 
@@ -37,16 +35,6 @@ class NewtonSystem:
     gradient: Floats
     band: Floats
     pattern: Pattern | None = None
-
-
-def _band_places(num_variables: int, edges: Ints, order: ArrayLike | None) -> Ints:
-    """Returns each variable's place in the order that was given, or in one of a narrow band."""
-    if order is not None:
-        return np.argsort(as_order(order, num_variables))
-    if not edges.size:
-        return np.arange(num_variables)
-    graph = coo_array((np.ones(edges.shape[1]), tuple(edges)), shape=(num_variables,) * 2)
-    return np.argsort(reverse_cuthill_mckee(graph.tocsr(), symmetric_mode=True))
 
 
 class BoxPolynomial:
@@ -90,9 +78,11 @@ class BoxPolynomial:
         self._lanes: dict[Order, Lanes] = {}
         self.copy_weights = self._make_copy_weights()
         edges = self.couplings().T
-        self.storage = choose_storage(
-            num_variables, edges, [lambda: _band_places(num_variables, edges, order)], group_size=2
-        )
+        if order is not None:
+            places = np.argsort(as_order(order, num_variables))
+        else:
+            places = narrow_band(num_variables, edges) if edges.size else np.arange(num_variables)
+        self.storage = choose_storage(num_variables, edges, [places], group_size=2)
         self.position = self.storage.places
         self.order = as_order(np.argsort(self.position), num_variables)
         self.bandwidth = (self.storage.bandwidth + 1) // 2 - 1

@@ -2,7 +2,14 @@
 
 from drake_aigto.linear.pattern import Pattern, find_entry, make_pattern, multiply
 from drake_aigto.linear.sparse import SparseFactors, factorize
-from drake_aigto.linear.storage import Factorization, Storage, as_order, choose_storage, spread
+from drake_aigto.linear.storage import (
+    Factorization,
+    Storage,
+    as_order,
+    choose_storage,
+    narrow_band,
+    spread,
+)
 
 __all__ = [
     "Factorization",
@@ -15,5 +22,6 @@ __all__ = [
     "find_entry",
     "make_pattern",
     "multiply",
+    "narrow_band",
     "spread",
 ]

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import enum
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from drake_aigto.arrays import Ints
 from drake_aigto.errors import OptionsError
@@ -71,11 +73,11 @@ class Storage:
 def choose_storage(
     num_groups: int,
     edges: Ints,
-    orders: Sequence[Callable[[], Ints]],
+    orders: Sequence[Ints],
     group_size: int = 1,
     may_be_dense: bool = False,
 ) -> Storage:
-    """Orders the unknowns, and chooses by predicted work what their matrices are stored as.
+    """Chooses an order of the unknowns and, by predicted work, what their matrices are stored as.
 
     A band takes O(size · b²), a dense matrix O(size³), a sparse one as many operations as its
     order's L asks for. Bands are preferred: the others have to be several times as quick.
@@ -83,34 +85,36 @@ def choose_storage(
     Args:
         num_groups: Number of groups of unknowns that stay next to each other.
         edges: Pairs of groups that meet in the matrix (2, P).
-        orders: Give places of the groups in orders (num_groups,) that bands are tried in, one or
-            more; the first of the narrowest is taken.
+        orders: Places of the groups (num_groups,) in one or more orders that bands are tried in;
+            the first of the narrowest is taken.
         group_size: Unknowns in each group.
         may_be_dense: Whether there is a dense factorization.
     """
     size = group_size * num_groups
-    found = [order() for order in orders]
-    widths = [_bandwidth(places, edges) for places in found]
-    places, width = found[int(np.argmin(widths))], min(widths)
-    bandwidth = group_size * (width + 1) - 1
-    best = Factorization.BAND
-    cost = _BAND_UNIT * (size - 2 / 3 * bandwidth) * float(bandwidth) ** 2
-    if may_be_dense:
-        dense = _DENSE_UNIT * float(size) ** 3
-        if size <= _SMALL or dense < cost:
-            best, cost = Factorization.DENSE, dense
+    places = min(orders, key=lambda order: _bandwidth(order, edges))
+    bandwidth = group_size * (_bandwidth(places, edges) + 1) - 1
+    best, cost = Factorization.BAND, _BAND_UNIT * (size - 2 / 3 * bandwidth) * bandwidth**2.0
+    dense = _DENSE_UNIT * float(size) ** 3
+    if may_be_dense and (size <= _SMALL or dense < cost):
+        best, cost = Factorization.DENSE, dense
     storage = Storage(best, size, bandwidth, None, places, None)
     if size <= _SMALL or cost <= _HYSTERESIS * _SPARSE_CALL:
         return storage
     if np.unique(edges[0] * num_groups + edges[1]).size > _MOST_DENSITY * num_groups**2:
         return storage
-    places = minimum_degree(make_pattern(num_groups, edges))
-    pattern = make_pattern(num_groups, places[edges])
-    within = num_groups * group_size * (group_size - 1) // 2
+    return _try_sparse(storage, cost, make_pattern(num_groups, edges), group_size)
+
+
+def _try_sparse(storage: Storage, cost: float, groups: Pattern, group_size: int) -> Storage:
+    """Returns a sparse storage if that pays, else the given one of a cost, with its fill."""
+    places = minimum_degree(groups)
+    pattern = make_pattern(groups.size, places[np.vstack([groups.rows, groups.columns])])
+    within = storage.size * (group_size - 1) // 2
     fill = group_size**2 * count_fill(pattern) + within
     if _HYSTERESIS * (_SPARSE_CALL + _SPARSE_UNIT * fill) >= cost:
         return replace(storage, fill=fill)
-    return Storage(Factorization.SPARSE, size, bandwidth, fill, places, pattern)
+    best = Factorization.SPARSE
+    return replace(storage, factorization=best, fill=fill, places=places, pattern=pattern)
 
 
 def spread(pattern: Pattern, group_size: int) -> Pattern:
@@ -119,6 +123,14 @@ def spread(pattern: Pattern, group_size: int) -> Pattern:
     within = np.indices((group_size, group_size)).reshape(2, -1)
     pairs = entries[:, :, np.newaxis] + within[:, np.newaxis]
     return make_pattern(group_size * pattern.size, pairs.reshape(2, -1))
+
+
+def narrow_band(num_unknowns: int, edges: Ints) -> Ints:
+    """Returns the places of unknowns in an order of narrow band: reverse Cuthill-McKee."""
+    shape = num_unknowns, num_unknowns
+    graph = coo_array((np.ones(edges.shape[1]), tuple(edges)), shape=shape)
+    order = reverse_cuthill_mckee((graph + graph.T).tocsr(), symmetric_mode=True)
+    return np.argsort(order)
 
 
 def _bandwidth(places: Ints, edges: Ints) -> int:

@@ -10,14 +10,13 @@ from numpy.typing import ArrayLike
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError
-from drake_aigto.local.line_search import Filter, LineSearch
+from drake_aigto.local.factors import max_norm
+from drake_aigto.local.line_search import Filter, LineSearch, Progress
 from drake_aigto.local.newton import NewtonSearch, NewtonStep
 from drake_aigto.local.nlp import PolynomialNlp
-from drake_aigto.local.progress import Progress
 from drake_aigto.local.restoration import Restoration
 from drake_aigto.local.result import LocalIterate, LocalResult, LocalStatus
 from drake_aigto.local.scaled import Duals, Linearization, Point, ScaledProblem, longest
-from drake_aigto.local.symmetric import max_norm
 
 # Wächter & Biegler's names and values.
 _KAPPA_EPSILON = 10.0  # a barrier problem is solved once its error is below κ_ε μ

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.box import Order, System, add_means, make_lanes
-from drake_aigto.linear import choose_storage
-from drake_aigto.local.symmetric import multiply
+from drake_aigto.linear import choose_storage, narrow_band
+from drake_aigto.local.factors import multiply
 from drake_aigto.terms import StackedTerms
 
 _LOG = logging.getLogger(__name__)
@@ -102,20 +98,13 @@ class KktStructure:
         is_read = (rows >= 0) & (found[0] == found[1])
         return rows[is_read], found[0, is_read], found
 
-    def _orders(self, position: Ints, edges: Ints, incidence: Ints) -> list[Callable[[], Ints]]:
-        """Returns what gives the place of every unknown, in orders that may have a narrow band."""
-        order = self._order
-        kept = position if order is None else position[order]
-        by_stages = partial(self._by_stages, kept[kept >= 0], incidence)
-        if self.size <= _FEW:
-            return [by_stages]
-        by_neighbors = partial(self._cuthill_mckee, edges)
-        return [by_neighbors] if order is None else [by_neighbors, by_stages]
-
-    def _cuthill_mckee(self, edges: Ints) -> Ints:
-        graph = coo_array((np.ones(edges.shape[1]), tuple(edges)), shape=(self.size, self.size))
-        order = reverse_cuthill_mckee((graph + graph.T).tocsr(), symmetric_mode=True)
-        return np.argsort(order)
+    def _orders(self, position: Ints, edges: Ints, incidence: Ints) -> list[Ints]:
+        """Returns the places of all unknowns in orders that may have a narrow band."""
+        orders = [] if self.size <= _FEW else [narrow_band(self.size, edges)]
+        if orders and self._order is None:
+            return orders
+        kept = position if self._order is None else position[self._order]
+        return [*orders, self._by_stages(kept[kept >= 0], incidence)]
 
     def _by_stages(self, order: Ints, incidence: Ints) -> Ints:
         """Returns variables as given, each row in the middle of those that it reads."""

@@ -1,4 +1,4 @@
-"""The filter line search of Wächter & Biegler (2006), sec. 2.3-2.4, with their names."""
+"""The filter line search of Wächter & Biegler (2006), sec. 2.3-2.4, and when to give it up."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from functools import cached_property
 
 import numpy as np
 
+from drake_aigto.local.factors import max_norm
 from drake_aigto.local.newton import NewtonStep
 from drake_aigto.local.scaled import ROUNDING, Point, ScaledProblem
-from drake_aigto.local.symmetric import max_norm
 
 _GAMMA_THETA, _GAMMA_PHI = 1e-5, 1e-8  # margins of θ and φ
 _DELTA, _S_THETA, _S_PHI = 1.0, 1.1, 2.3  # switching condition
@@ -19,6 +19,8 @@ _GAMMA_ALPHA = 0.05  # shortest step
 _LEAST_FAR_LENGTH = 1e-4  # ours
 _SHORTEST = 1e-16  # ours: at θ = 0 the others are 0, and no length is shorter than that
 _KAPPA_SOC, _CORRECTIONS = 0.99, 4
+_PATIENCE = 5  # idle steps in a row
+_LOWER = 0.9  # of a violation or an error: lower by more than rounding
 
 
 class Filter:
@@ -135,3 +137,50 @@ class LineSearch:
             least = min(least, _GAMMA_PHI * violation / -slope)
             least = min(least, _DELTA * violation**_S_THETA / (-slope) ** _S_PHI)
         return max(_SHORTEST, _GAMMA_ALPHA * least)
+
+
+@dataclass
+class Progress:
+    """Counts idle steps.
+
+    A step is idle where φ changes by no more than its rounding and is no lower than ever since such
+    steps began, and neither the violation nor the optimality error falls. For bounds on rounding
+    are generous, and near a degenerate solution the gradient tells the way for long after φ no
+    longer does.
+    """
+
+    _idle_steps: int = 0
+    _least_barrier: float = math.inf
+    _least_error: float = math.inf
+
+    @property
+    def has_ended(self) -> bool:
+        """Whether several steps in a row were idle."""
+        return self._idle_steps >= _PATIENCE
+
+    def restart(self) -> None:
+        """Forgets all steps."""
+        self._idle_steps, self._least_barrier, self._least_error = 0, math.inf, math.inf
+
+    def add(
+        self,
+        violations: tuple[float, float],
+        barriers: tuple[float, float],
+        rounding: float,
+        error: float,
+    ) -> None:
+        """Counts a step.
+
+        Args:
+            violations: θ before and after.
+            barriers: φ before and after.
+            rounding: How far φ may be off.
+            error: Optimality error before.
+        """
+        if abs(barriers[1] - barriers[0]) > rounding or violations[1] < _LOWER * violations[0]:
+            self.restart()
+            return
+        has_fallen = barriers[1] < self._least_barrier or error < _LOWER * self._least_error
+        self._idle_steps = 0 if has_fallen else self._idle_steps + 1
+        self._least_barrier = min(self._least_barrier, barriers[1])
+        self._least_error = min(self._least_error, error)

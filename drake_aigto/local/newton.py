@@ -7,9 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.local.factors import make_factors
+from drake_aigto.local.factors import make_factors, max_norm
 from drake_aigto.local.scaled import Duals, Linearization, Point, ScaledProblem
-from drake_aigto.local.symmetric import max_norm
 
 # Wächter & Biegler 2006, sec. 3.1: shifts δ_w of the Hessian.
 _FIRST_SHIFT, _LEAST_SHIFT, _LARGEST_SHIFT = 1e-4, 1e-20, 1e20

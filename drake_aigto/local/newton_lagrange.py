@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_aigto.local.factors import make_factors
+from drake_aigto.local.factors import make_factors, max_norm
 from drake_aigto.local.nlp import PolynomialNlp
 from drake_aigto.local.result import LocalResult, LocalStatus
-from drake_aigto.local.symmetric import max_norm
 
 # How far outside of its bounds a variable is that rounding put there, relative to 1 and the bound.
 _ROUNDING = 1e-13
