@@ -41,8 +41,7 @@ from pydrake.systems.framework import DiagramBuilder
 from benchmarks.jobs import add_options, run_as, run_jobs
 from benchmarks.world_scenarios import WORLDS
 from drake_aigto.baselines import Recorder
-from drake_aigto.baselines.enumeration import list_sequences
-from drake_aigto.baselines.polish import offer_polished
+from drake_aigto.baselines.enumeration import list_sequences, offer_polished
 from drake_aigto.errors import AigtoError
 from drake_aigto.optima import ContactOptimum
 from drake_aigto.planning import Planner, PlanOptions, RigidProblem, make_problem

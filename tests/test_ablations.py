@@ -34,10 +34,9 @@ from drake_aigto.planning.options import RIGID_LADDER, Rung
 from drake_aigto.show.text import WIDTH
 from drake_aigto.study import scenario_study
 from drake_aigto.study.method_run import Job, MethodRun
-from drake_aigto.study.scenario_jobs import EXHAUSTIVE
 from drake_aigto.study.scenario_question import ScenarioQuestion
 from drake_aigto.study.scenario_results import ScenarioStudy, calc_good_enough
-from drake_aigto.study.scenario_study import run_scenario_study
+from drake_aigto.study.scenario_study import EXHAUSTIVE, run_scenario_study
 from drake_aigto.study.spread import Spread
 
 BARE = VARIANTS["bare"].options

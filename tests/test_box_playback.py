@@ -17,8 +17,7 @@ from drake_aigto.errors import OptionsError
 from drake_aigto.paper import LiteralOptions, plan_literal
 from drake_aigto.paper.options import LITERAL_LADDER
 from drake_aigto.planning import Origin, make_problem
-from drake_aigto.show.box_playback import play_boxes
-from drake_aigto.show.box_run import BoxRun, run_boxes
+from drake_aigto.show.box_playback import BoxRun, play_boxes, run_boxes
 from drake_aigto.show.picture import make_mesh
 from drake_aigto.show.playback import ROOT
 

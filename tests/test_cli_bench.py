@@ -15,7 +15,7 @@ from drake_aigto.cli.bench import scenarios
 from drake_aigto.errors import PlanFileError
 from drake_aigto.planning import Planner
 from drake_aigto.show.text import WIDTH
-from drake_aigto.study import scenario_jobs, scenario_study
+from drake_aigto.study import scenario_study
 from drake_aigto.study.scenario_results import ScenarioStudy
 from drake_aigto.study.spread import Spread
 
@@ -28,7 +28,7 @@ TOY_METHODS = ["--methods", "coast", "crash", "--seconds-per-unit", "0.5"]
 def toys(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry, "BASELINES", TOYS)
     monkeypatch.setattr(jobs, "open_workers", Inline)
-    scenario_jobs._warm_up.cache_clear()
+    scenario_study._warm_up.cache_clear()
 
 
 def test_every_methods_success_is_printed_for_each_restitution(

@@ -17,12 +17,17 @@ from scenario_studies import TOYS, Inline
 
 from drake_aigto.baselines import registry
 from drake_aigto.errors import ResultsFileError, StudyError
-from drake_aigto.study import scenario_jobs, scenario_study
+from drake_aigto.study import scenario_study
 from drake_aigto.study.method_run import Job, MethodRun
 from drake_aigto.study.scenario_question import ScenarioQuestion
-from drake_aigto.study.scenario_results import DIED, ScenarioStudy, calc_good_enough
-from drake_aigto.study.scenario_study import run_scenario_study
-from drake_aigto.study.scenario_summary import count_right_boxes, summarize
+from drake_aigto.study.scenario_results import (
+    DIED,
+    ScenarioStudy,
+    calc_good_enough,
+    count_right_boxes,
+    summarize,
+)
+from drake_aigto.study.scenario_study import run_job, run_scenario_study
 from drake_aigto.study.spread import Spread
 
 # Where coasting is optimal, and where it is not, in turn.
@@ -44,7 +49,7 @@ PLANNED = dataclasses.replace(
 @pytest.fixture(autouse=True)
 def toys(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry, "BASELINES", TOYS)
-    scenario_jobs._warm_up.cache_clear()
+    scenario_study._warm_up.cache_clear()
 
 
 @pytest.fixture
@@ -79,7 +84,7 @@ def test_the_planner_goes_first_and_its_time_is_the_unit(monkeypatch: pytest.Mon
 
     def run(job: Job) -> MethodRun:
         jobs.append(job)
-        return scenario_jobs.run_job(job)
+        return run_job(job)
 
     monkeypatch.setattr(scenario_study, "run_job", run)
     study = run_scenario_study(PLANNED, executor=Inline())
@@ -101,7 +106,7 @@ def test_boxes_alone_are_read_if_asked_for() -> None:
     (result,) = study.results
     each, either, count = count_right_boxes(study.results)
     assert count == 1
-    assert len(each) == len(result.runs["aigto"].boxes) == len(scenario_jobs.OPTIONS.ladder)
+    assert len(each) == len(result.runs["aigto"].boxes) == len(scenario_study.OPTIONS.ladder)
     assert either == (0 in result.runs["aigto"].boxes)  # The optimum is a flight.
 
 
@@ -255,7 +260,7 @@ def test_a_job_that_kills_its_processes_is_kept_as_that_and_tried_again_by_resum
     errors = [result.runs["coast"].error for result in study.results]
     assert errors == [None, None, DIED, None]
     # It may have been the machine's fault: tried again, and nothing else is.
-    monkeypatch.setattr(scenario_study, "run_job", scenario_jobs.run_job)
+    monkeypatch.setattr(scenario_study, "run_job", run_job)
     executor = Inline()
     again = run_scenario_study(question, path, resume=True, executor=executor)
     assert executor.num_jobs == 1

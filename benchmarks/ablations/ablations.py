@@ -24,9 +24,9 @@ from drake_aigto.planning import (
 from drake_aigto.planning.options import RIGID_LADDER
 from drake_aigto.simulation import replay_event_driven
 from drake_aigto.study.method_run import Job, MethodRun, Runner
-from drake_aigto.study.scenario_jobs import EXHAUSTIVE, read_boxes
 from drake_aigto.study.scenario_question import ScenarioQuestion
 from drake_aigto.study.scenario_results import ScenarioResult
+from drake_aigto.study.scenario_study import EXHAUSTIVE, read_boxes
 from drake_aigto.transcription import RigidTranscription, Touch, TouchSequence
 from drake_aigto.transcription.rows import CONTACT, DYNAMICS, RESTITUTION
 from drake_aigto.world import Scenario, World

@@ -6,8 +6,7 @@ import math
 
 from benchmarks.ablations.ablations import VARIANTS, count_lost_bounces
 from drake_aigto.show.scenario_tables import failures, markdown_row, ratio_text
-from drake_aigto.study.scenario_results import ScenarioStudy
-from drake_aigto.study.scenario_summary import count_right_boxes, summarize
+from drake_aigto.study.scenario_results import ScenarioStudy, count_right_boxes, summarize
 
 _LEGEND = """\
 optimal   replayed on a rigid wall, costs at most 1.01 J* + 1e-7 J; J* is exact

@@ -7,6 +7,7 @@ import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,14 +19,8 @@ from drake_aigto.trajectory import read_only
 from drake_aigto.world import Scenario, World
 
 
-@dataclass(frozen=True)
-class Improvement:
-    """A moment at which a run had found something cheaper.
-
-    Attributes:
-        seconds: of one core since the run began.
-        cost: J.
-    """
+class Improvement(NamedTuple):
+    """A moment at which a run had found something cheaper: seconds of one core, and J."""
 
     seconds: float
     cost: float

@@ -1,15 +1,16 @@
-"""Contact sequences listed by hand, each polished as ours are: what `plan` never does."""
+"""Contact sequences listed by hand, what `plan` never does; and polishes, as those of plans are."""
 
 from __future__ import annotations
 
 import itertools
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 
 import numpy as np
 
+from drake_aigto.arrays import Floats
 from drake_aigto.baselines.baseline import Baseline, Recorder
-from drake_aigto.baselines.polish import offer_polished
-from drake_aigto.planning import make_problem
+from drake_aigto.errors import AigtoError
+from drake_aigto.planning import RigidProblem, make_problem
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import World
 
@@ -45,3 +46,27 @@ def list_sequences(world: World, duration: float) -> Iterator[TouchSequence]:
             repeats = any(one == other for one, other in itertools.pairwise(contacts))
             if world.num_contacts == 1 or not repeats:
                 yield tuple(map(Touch.bounce, times.tolist(), contacts))
+
+
+def offer_polished(
+    recorder: Recorder, problem: RigidProblem, sequences: Iterable[TouchSequence], x: Floats
+) -> None:
+    """Polishes sequence after sequence of contacts until it is over, and offers the controls.
+
+    As plans are polished: with the time steps of AIGO's boxes, and once more with the scenario's
+    what is cheaper than all before. They start where the path of x goes, the problem's variables.
+    """
+    start = problem.transcription.GetSampleTimes(), problem.transcription.split(x)[0]
+    for sequence in filter(problem.fits, sequences):
+        if recorder.is_over:
+            return
+        cost, path = recorder.cost, start
+        try:
+            for num_steps in (None, recorder.scenario.num_steps):
+                phases, y = problem.polish_along(path, sequence, num_steps)
+                found = phases.trajectory(y)
+                if recorder.offer(found.times, found.controls) >= cost:
+                    break
+                path, sequence = (found.times, found.positions), phases.contact_sequence(y)
+        except AigtoError:
+            continue  # Touches that no motion has.

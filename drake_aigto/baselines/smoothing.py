@@ -10,7 +10,7 @@ import numpy as np
 from drake_aigto.aigo import Box, Iterate
 from drake_aigto.arrays import Floats
 from drake_aigto.baselines.baseline import Baseline, Recorder
-from drake_aigto.baselines.polish import offer_polished
+from drake_aigto.baselines.enumeration import offer_polished
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.planning import PlanOptions, make_problem
 

@@ -92,23 +92,21 @@ def read_workers(options: argparse.Namespace) -> AbstractContextManager[Executor
 
 def positive(text: str) -> int:
     """Returns a whole number, 1 or more."""
-    return _at_least(1, int(text))
+    return int(_within(int(text), 1))
 
 
 def natural(text: str) -> int:
     """Returns a whole number, 0 or more."""
-    return _at_least(0, int(text))
+    return int(_within(int(text), 0))
 
 
 def share(text: str) -> float:
     """Returns a number from 0 to 1."""
-    value = float(text)
-    if not 0 <= value <= 1:
-        raise argparse.ArgumentTypeError(f"got {value:g}, expected 0 to 1")
-    return value
+    return _within(float(text), 0, 1)
 
 
-def _at_least(least: int, value: int) -> int:
-    if value < least:
-        raise argparse.ArgumentTypeError(f"got {value}, expected {least} or more")
+def _within(value: float, least: int, most: int | None = None) -> float:
+    if value < least or (most is not None and not value <= most):
+        expected = f"{least} or more" if most is None else f"{least} to {most}"
+        raise argparse.ArgumentTypeError(f"got {value:g}, expected {expected}")
     return value

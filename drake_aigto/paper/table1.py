@@ -157,14 +157,9 @@ class Table1:
 def run_cell(
     row: int, nonpenetration: bool, num_guesses: int = 10, seed: int = 0, confirm: bool = True
 ) -> Cell:
-    """Runs every method on one row, literally transcribed.
+    """Runs every method on one row, literally transcribed, φ(q_k) ≥ 0 asked for or not.
 
-    Args:
-        row: 1 … 4.
-        nonpenetration: whether φ(q_k) ≥ 0 is asked for.
-        num_guesses: random guesses of the gradient solvers.
-        seed: of the guesses; the same seed gives the same plans.
-        confirm: whether the plans are also replayed on Drake's plant.
+    The rest is as of `run_table1`; the same seed gives the same plans.
     """
     scenario = Scenario.named(f"table1/{row}")
     world = World.from_scenario(scenario)

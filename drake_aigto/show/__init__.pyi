@@ -1,6 +1,6 @@
+from .box_playback import BoxRun as BoxRun
 from .box_playback import play_boxes as play_boxes
-from .box_run import BoxRun as BoxRun
-from .box_run import run_boxes as run_boxes
+from .box_playback import run_boxes as run_boxes
 from .figures import plot_boxes as plot_boxes
 from .figures import plot_controls as plot_controls
 from .figures import plot_motions as plot_motions

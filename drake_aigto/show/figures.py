@@ -12,13 +12,12 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Polygon, Rectangle
 
 from drake_aigto.aigo import Iterate
-from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
 from drake_aigto.planning import Plan
 from drake_aigto.show.coordinates import coordinate_names, solid_regions, wall_places
 from drake_aigto.show.motion import Motion, color_of, motions_of_plan
 from drake_aigto.show.text import touch_names, wall_names
-from drake_aigto.transcription import Touch, Transcription
+from drake_aigto.transcription import Transcription
 from drake_aigto.world import Scenario, World
 
 # Motions differ in color, and so that where they agree all are seen, in width and dashes.
@@ -45,7 +44,8 @@ _WALL_SEEN, _WALL_DEPTH = 0.05, 100
 SOLID_LOOK: dict[str, Any] = {"facecolor": _WALL_COLOR, "hatch": "//", "edgecolor": "white"}
 SOLID_LOOK |= {"alpha": 0.5, "zorder": 0}
 _GOAL: dict[str, Any] = {"color": "black", "markersize": 11, "clip_on": False, "zorder": 5}
-_BOX_COLORMAP = "viridis"
+# Legends are above the axes, where they hide nothing.
+_ABOVE: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "fontsize": "small"}
 
 Quantity = Literal["position", "velocity", "control"]
 
@@ -107,21 +107,20 @@ def plot_positions(
     axes: Axes, motions: Sequence[Motion], world: World, scenario: Scenario, coordinate: int = 0
 ) -> None:
     """Draws one coordinate of q(t), the goal as a star at T, and the walls across it."""
-    _plot_column(axes, motions, [motion.positions for motion in motions], coordinate)
+    _plot_rows(axes, motions, "positions", coordinate)
     _mark_touches(axes, motions, world, coordinate, named=True)
     axes.plot(scenario.duration, scenario.goal_position[coordinate], "*", **_GOAL)
     axes.plot([], [], "*", color="black", markersize=9, label="goal")
     _shade_walls(axes, world, coordinate)
     axes.set_ylabel(_label("position", world, coordinate))
-    # Above the axes, where it hides nothing.
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, fontsize="small")
+    axes.legend(ncols=3, **_ABOVE)
 
 
 def plot_velocities(
     axes: Axes, motions: Sequence[Motion], world: World, coordinate: int = 0
 ) -> None:
     """Draws one coordinate of v(t); impacts are jumps."""
-    _plot_column(axes, motions, [motion.velocities for motion in motions], coordinate)
+    _plot_rows(axes, motions, "velocities", coordinate)
     _mark_touches(axes, motions, world, coordinate)
     axes.axhline(0, color="black", linewidth=0.5)
     axes.set_ylabel(_label("velocity", world, coordinate))
@@ -183,7 +182,7 @@ def plot_path(
     _shade_solids(axes, world, coordinates)
     xlabel, ylabel = (_label("position", world, i) for i in pair)
     axes.set(xlabel=xlabel, ylabel=ylabel, aspect="equal")
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize="small")
+    axes.legend(ncols=2, **_ABOVE)
 
 
 def plot_boxes(
@@ -201,7 +200,7 @@ def plot_boxes(
     times, world = transcription.GetSampleTimes(), transcription.world
     part = list(_UNITS).index(quantity)
     columns = _actuators(world, coordinate) if quantity == "control" else [coordinate]
-    colors = colormaps[_BOX_COLORMAP](np.linspace(0.85, 0.0, len(iterates)))
+    colors = colormaps["viridis"](np.linspace(0.85, 0.0, len(iterates)))
     for iterate, color in zip(iterates, colors, strict=True):
         centers, half_widths = (
             transcription.split(y)[part][:, columns]
@@ -218,16 +217,14 @@ def plot_boxes(
     if quantity == "position":
         _shade_walls(axes, world, coordinate)
     axes.set(xlabel="time t [s]", ylabel=_label(quantity, world, coordinate))
-    # Above the axes, where it hides nothing.
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize="small")
+    axes.legend(**_ABOVE)
 
 
-def _plot_column(
-    axes: Axes, motions: Sequence[Motion], rows: Sequence[Floats], coordinate: int
-) -> None:
-    """Draws one column of each motion's rows (K, n) over its times, labeled."""
-    for index, (motion, values) in enumerate(zip(motions, rows, strict=True)):
-        axes.plot(motion.times, values[:, coordinate], label=motion.label, **line_of(index))
+def _plot_rows(axes: Axes, motions: Sequence[Motion], name: str, coordinate: int) -> None:
+    """Draws one coordinate of each motion's positions or velocities over its times, labeled."""
+    for index, motion in enumerate(motions):
+        values = getattr(motion, name)[:, coordinate]
+        axes.plot(motion.times, values, label=motion.label, **line_of(index))
     axes.set_xlabel("time t [s]")
 
 
@@ -235,42 +232,34 @@ def _mark_touches(
     axes: Axes, motions: Sequence[Motion], world: World, coordinate: int, named: bool = False
 ) -> None:
     """Marks when the motions plan to touch what pushes a coordinate; the first is labeled."""
-    label = "planned contact"
-    names = touch_names(world)
+    label, names = "planned contact", touch_names(world)
+    slopes = world.constant_inertia.jacobian[:, coordinate]
     for index, motion in enumerate(motions):
         color = color_of(index)
         for touch in motion.touches:
-            if not _pushes(world, touch.contact, coordinate):
+            if not slopes[touch.contact]:
                 continue
             if touch.lasts:
                 axes.axvspan(touch.start, touch.end, color=color, label=label, **_CONTACT)
             else:
                 axes.axvline(touch.start, color=color, label=label, **_BOUNCE)
             if named and len(names) > 1:
-                _write_name(axes, touch, names[touch.contact], color, world, coordinate)
+                _write_name(axes, touch.start, names[touch.contact], color, slopes[touch.contact])
             label = ""
 
 
-def _write_name(
-    axes: Axes, touch: Touch, name: str, color: str, world: World, coordinate: int
-) -> None:
+def _write_name(axes: Axes, time: float, name: str, color: str, slope: float) -> None:
     """Writes what is touched beside its line, where a motion that bounces there is not."""
-    slope = world.constant_inertia.jacobian[touch.contact, coordinate]
     height, side = (0.97, "top") if slope > 0 else (0.03, "bottom")
     places = axes.get_xaxis_transform()
-    axes.annotate(name, (touch.start, height), xycoords=places, color=color, va=side, **_NAME)
-
-
-def _pushes(world: World, contact: int, coordinate: int) -> bool:
-    """Returns whether a contact's force acts on a coordinate."""
-    return bool(world.constant_inertia.jacobian[contact, coordinate])
+    axes.annotate(name, (time, height), xycoords=places, color=color, va=side, **_NAME)
 
 
 def _shade_forces(axes: Axes, motion: Motion, world: World, coordinate: int, color: str) -> None:
     """Shades from 0 to the held forces (N, m) of the walls that push a coordinate, with names."""
     assert motion.control_times is not None and motion.forces is not None
     for contact, force in enumerate(np.vstack([motion.forces, motion.forces[-1:]]).T):
-        if not (np.any(force) and _pushes(world, contact, coordinate)):
+        if not np.any(force) or not world.constant_inertia.jacobian[contact, coordinate]:
             continue
         label = f"force of the {touch_names(world)[contact]} λ [N]"
         look = {"step": "post", "edgecolor": color, "label": label, **_FORCE}
@@ -340,31 +329,32 @@ def plot_phase_portrait(
     A bounce is a vertical line at a wall's edge. Start and the goal's position are marked; no
     velocity is asked for at the goal.
     """
-    drawn = []
     for index, motion in enumerate(motions):
         q, v = motion.positions[:, coordinate], motion.velocities[:, coordinate]
         axes.plot(q, v, label=motion.label, **line_of(index))
-        drawn.append((q, v))
-        for part in _ARROWS if index == 0 else ():
-            row = int(part * (len(q) - 1))
-            here, ahead = ((q[i], v[i]) for i in (row, row + 1))
-            look = {"arrowstyle": "-|>", "color": color_of(index), "mutation_scale": 22}
-            axes.annotate("", xy=ahead, xytext=here, arrowprops=look)
+    _show_way(axes, motions[0], coordinate)
     start = scenario.initial_position[coordinate], scenario.initial_velocity[coordinate]
     axes.plot(*start, "s", color="black", markersize=7, zorder=5, label="start")
     goal = scenario.goal_position[coordinate]
     axes.axvline(goal, color="black", linestyle=(0, (4, 3)), linewidth=1.2, label="goal")
     axes.axhline(0, color="black", linewidth=0.5)
     walls = wall_places(world, coordinate)
-    places = [place for _, place, _ in walls]
-    low = min(*(np.min(q) for q, _ in drawn), goal, *places)
-    high = max(*(np.max(q) for q, _ in drawn), goal, *places)
-    room = _ROOM * (high - low)
-    axes.set_xlim(low - room, high + room)
+    seen = [motion.positions[:, coordinate] for motion in motions]
+    places = np.concatenate([*seen, [goal], [place for _, place, _ in walls]])
+    size = np.ptp(places)
     for i, (_, place, side) in enumerate(walls):
-        edge = place - side * 2 * (high - low)
-        axes.axvspan(*sorted((place, edge)), **SOLID_LOOK, label="" if i else "wall")
-    axes.set_xlim(low - room, high + room)
+        edges = sorted((place, place - side * 2 * size))
+        axes.axvspan(*edges, **SOLID_LOOK, label="" if i else "wall")
+    axes.set_xlim(np.min(places) - _ROOM * size, np.max(places) + _ROOM * size)
     name = "" if world.num_positions == 1 else f"{coordinate_names(world)[coordinate]} "
     axes.set(xlabel=f"{name}position [m]", ylabel=f"{name}velocity [m/s]")
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, fontsize="small")
+    axes.legend(ncols=2, **_ABOVE)
+
+
+def _show_way(axes: Axes, motion: Motion, coordinate: int) -> None:
+    """Draws arrows along a motion, the way that time goes."""
+    path = np.column_stack([motion.positions[:, coordinate], motion.velocities[:, coordinate]])
+    look = {"arrowstyle": "-|>", "color": color_of(0), "mutation_scale": 22}
+    for part in _ARROWS:
+        row = int(part * (len(path) - 1))
+        axes.annotate("", xy=path[row + 1], xytext=path[row], arrowprops=look)

@@ -12,7 +12,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 
 from drake_aigto.optima import bounce_costs, rigid_optimum
 from drake_aigto.planning import Candidate
-from drake_aigto.show.box_run import BoxRun
+from drake_aigto.show.box_playback import BoxRun
 from drake_aigto.show.motion import color_of
 from drake_aigto.world import Scenario, World
 

@@ -19,7 +19,7 @@ from drake_aigto.paper import (
     plan_literal,
 )
 from drake_aigto.planning import Candidate, Origin
-from drake_aigto.show.box_run import run_boxes
+from drake_aigto.show.box_playback import run_boxes
 from drake_aigto.show.figures import plot_motions
 from drake_aigto.show.motion import PLAN_LABEL, SIMULATION_LABELS, Motion, color_of
 from drake_aigto.show.text import run_texts

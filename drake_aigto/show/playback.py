@@ -138,7 +138,8 @@ def publish(motions: Sequence[Motion], meshcat: Meshcat, world: World, scenario:
     else:
         ground = _lay_board(stage, motions, scenario, wall_names(world), _explain(effects))
     clear(meshcat)
-    places = _find_places(stage, ground)
+    offsets = [ground.offset(i) for i in range(len(motions))]
+    places = [RigidTransform(stage.X_WT.rotation() @ offset) for offset in offsets]
     copies = {"world": RigidTransform()}
     if not stage.is_line:
         copies = {f"worlds/{i}": each for i, each in enumerate(places, 1)}
@@ -273,12 +274,6 @@ def _find_touches(motion: Motion, ways: Sequence[Floats]) -> Floats:
     """Returns where on the ways of its bodies a motion plans to touch something, shape (t, 2)."""
     rows = np.searchsorted(motion.times, [touch.start for touch in motion.touches])
     return np.vstack([way[rows] for way in ways])
-
-
-def _find_places(stage: Stage, ground: Track | Board) -> list[RigidTransform]:
-    """Returns by what each motion is moved in the world."""
-    offsets = map(ground.offset, range(len(ground.labels)))
-    return [RigidTransform(stage.X_WT.rotation() @ offset) for offset in offsets]
 
 
 def _animate(

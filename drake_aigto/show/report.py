@@ -14,8 +14,7 @@ from drake_aigto import __version__
 from drake_aigto.errors import ModelError, OptionsError
 from drake_aigto.optima import rigid_optimum
 from drake_aigto.planning import Candidate, Plan, SearchOptions
-from drake_aigto.show.box_playback import play_boxes
-from drake_aigto.show.box_run import BoxRun, run_boxes
+from drake_aigto.show.box_playback import BoxRun, play_boxes, run_boxes
 from drake_aigto.show.figures import plot_boxes, plot_path, plot_phase_portrait, plot_plan
 from drake_aigto.show.landscapes import plot_cost_history, plot_cost_landscape
 from drake_aigto.show.motion import SIMULATION_LABELS, motions_of_plan

@@ -77,27 +77,12 @@ def plot_costs(
     # Darkest is best; the optimum has our own color.
     shades = ["#D55E00", *map(tuple, colormaps["cividis"](np.linspace(0.15, 1.0, 4))), "white"]
     for number, (label, shade) in enumerate(zip(COST_CLASSES, shades, strict=True)):
-        lefts = shares[:, :number].sum(axis=1)
-        axes.barh(
-            methods,
-            shares[:, number],
-            left=lefts,
-            color=shade,
-            edgecolor="0.5",
-            linewidth=0.5,
-            label=label,
-        )
-        for row, (left, share) in enumerate(zip(lefts, shares[:, number], strict=True)):
-            if share >= _WRITTEN_SHARE:
-                axes.text(
-                    left + share / 2,
-                    row,
-                    f"{100 * share:.0f}",
-                    color="white" if number < 3 else "black",
-                    ha="center",
-                    va="center",
-                    fontsize="x-small",
-                )
+        part, left = shares[:, number], shares[:, :number].sum(axis=1)
+        edge: dict[str, Any] = {"edgecolor": "0.5", "linewidth": 0.5}
+        bars = axes.barh(methods, part, left=left, color=shade, label=label, **edge)
+        texts = [f"{100 * share:.0f}" if share >= _WRITTEN_SHARE else "" for share in part]
+        ink = "white" if number < 3 else "black"
+        axes.bar_label(bars, texts, label_type="center", color=ink, fontsize="x-small")
     axes.invert_yaxis()
     axes.set_xlim(0.0, 1.0)
     axes.xaxis.set_major_formatter(PercentFormatter(1.0))

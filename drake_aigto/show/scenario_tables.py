@@ -7,8 +7,13 @@ from collections.abc import Iterable, Iterator, Sequence
 
 from drake_aigto.show.text import WIDTH, task_items
 from drake_aigto.study.method_run import PLANNER
-from drake_aigto.study.scenario_results import ScenarioResult, ScenarioStudy
-from drake_aigto.study.scenario_summary import MethodSummary, count_right_boxes, summarize
+from drake_aigto.study.scenario_results import (
+    MethodSummary,
+    ScenarioResult,
+    ScenarioStudy,
+    count_right_boxes,
+    summarize,
+)
 
 _LEGEND = """\
 optimal   the best control so far, replayed on a rigid wall, costs at most 1.01 J* + 1e-7 J; J* is

@@ -36,6 +36,7 @@ _NOTE_HEIGHT, _NOTE_ROW = 0.18, 0.24  # of the notes' letters, and from line to 
 # … from the middle of a lane to the first leg of a trace, how far the next one is at most, and
 # what there is for all of them.
 _FIRST_LEG, _NEXT_LEG, _ALL_LEGS = 0.4, 0.2, 0.5
+_CENTERED: dict[str, Any] = {"ha": "center", "weight": "bold"}
 _BOLD_WIDTH = 0.67  # of a letter on average, as a part of the font's size
 
 
@@ -119,14 +120,9 @@ class Track:
         axes.add_patch(Rectangle(*strip, facecolor=tint, edgecolor="white", linewidth=6))
         inset = _LABEL_INSET * self.lane_width
         fitting = (self.length - inset) / (len(label) * _BOLD_WIDTH * self.lane_width)
-        axes.text(
-            self.start + inset,
-            low + _LABEL_RISE * self.lane_width,
-            label,
-            color=_SHADE * color,
-            size=self._font_size(min(_LABEL_HEIGHT, fitting)),
-            weight="bold",
-        )
+        size = self._font_size(min(_LABEL_HEIGHT, fitting))
+        place = self.start + inset, low + _LABEL_RISE * self.lane_width
+        axes.text(*place, label, color=_SHADE * color, size=size, weight="bold")
 
     def _paint_trace(self, axes: Axes, lane: int, legs: Sequence[Floats]) -> None:
         """Draws where a body was, a dot for each moment, leg beside leg."""
@@ -147,17 +143,16 @@ class Track:
             text = f"{x:.12g} m"
             if x == self._move_inside(x, text):  # Numbers are whole, and in place, or not there.
                 axes.plot([x, x], [edge, edge - 0.08 * self.lane_width], color=_INK, linewidth=3)
-                self._write(axes, x, edge - 0.14 * self.lane_width, text, va="top")
+                y = edge - 0.14 * self.lane_width
+                self._write(axes, x, y, text, _SCALE_HEIGHT, va="top", **_CENTERED)
 
     def _paint_notes(self, axes: Axes) -> None:
         """Writes the notes below the scale's numbers."""
         top = -self.half_width - (0.14 + 1.6 * _SCALE_HEIGHT) * self.lane_width
-        size, inset = self._font_size(_NOTE_HEIGHT), _LABEL_INSET * self.lane_width
+        x = self.start + _LABEL_INSET * self.lane_width
         for row, line in enumerate(self._note_lines):
             y = top - row * _NOTE_ROW * self.lane_width
-            outline = withStroke(foreground="white", linewidth=size / 5)  # Before a dark wall, too.
-            look: dict[str, Any] = {"color": _INK, "size": size, "path_effects": [outline]}
-            axes.text(self.start + inset, y, line, va="top", **look)
+            self._write(axes, x, y, line, _NOTE_HEIGHT, va="top")
 
     @cached_property
     def _note_lines(self) -> list[str]:
@@ -174,7 +169,8 @@ class Track:
         for row, names in enumerate(self._rows):
             y = edge + (0.07 + row * _ROW_HEIGHT) * self.lane_width
             for name, x in names.items():
-                self._write(axes, self._move_inside(x, name), y, name, va="bottom")
+                inside = self._move_inside(x, name)
+                self._write(axes, inside, y, name, _SCALE_HEIGHT, va="bottom", **_CENTERED)
 
     @cached_property
     def _rows(self) -> list[dict[str, float]]:
@@ -203,19 +199,11 @@ class Track:
         """Returns how wide a text is at most, of the scale or a mark [m]."""
         return len(text) * _BOLD_WIDTH * _SCALE_HEIGHT * self.lane_width
 
-    def _write(self, axes: Axes, x: float, y: float, text: str, va: str) -> None:
-        """Writes a text over x, below or above y."""
-        size = self._font_size(_SCALE_HEIGHT)
-        outline = withStroke(foreground="white", linewidth=size / 5)  # Before a dark wall, too.
-        axes.text(
-            *(x, y, text),
-            color=_INK,
-            size=size,
-            weight="bold",
-            ha="center",
-            va=va,
-            path_effects=[outline],
-        )
+    def _write(self, axes: Axes, x: float, y: float, text: str, height: float, **look: Any) -> None:
+        """Writes a text of a height, outlined so that it is seen before a dark wall, too."""
+        size = self._font_size(height)
+        outline = withStroke(foreground="white", linewidth=size / 5)
+        axes.text(x, y, text, color=_INK, size=size, path_effects=[outline], **look)
 
     def _font_size(self, height: float) -> float:
         """Returns the size in points for a height as a part of a lane's width."""

@@ -17,7 +17,7 @@ from drake_aigto.study.spread import Spread
 from drake_aigto.world import Scenario, World
 
 # Field of the question → that of a scenario. In the order in which random numbers are used.
-_FIELDS = {
+FIELDS = {
     "start": "initial_position",
     "velocity": "initial_velocity",
     "goal": "goal_position",
@@ -26,7 +26,7 @@ _FIELDS = {
     "duration": "duration",
 }
 # To try the ends of one spread with.
-_USUAL = {**dict.fromkeys(_FIELDS, 1.0), "velocity": 0.0}
+_USUAL = {**dict.fromkeys(FIELDS, 1.0), "velocity": 0.0}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -132,7 +132,7 @@ class ScenarioQuestion:
     def _check_spreads(self) -> None:
         """Refuses ends of spreads that no scenario can have."""
         world = World.from_scenario(self._make(_USUAL))
-        for name in _FIELDS:
+        for name in FIELDS:
             spread: Spread = getattr(self, name)
             for value in spread.values:
                 try:
@@ -150,9 +150,9 @@ class ScenarioQuestion:
 
     def scenario(self, number: int) -> Scenario:
         """Returns the scenario of a number, 0 or more."""
-        shares = np.random.default_rng((self.seed, number)).random(len(_FIELDS))
+        shares = np.random.default_rng((self.seed, number)).random(len(FIELDS))
         turn, values = number, {}
-        for name, share in zip(_FIELDS, shares.tolist(), strict=True):
+        for name, share in zip(FIELDS, shares.tolist(), strict=True):
             spread: Spread = getattr(self, name)
             turn, at = divmod(turn, spread.num_turns)
             values[name] = spread.pick(at, share)
@@ -163,5 +163,5 @@ class ScenarioQuestion:
         return int(np.random.SeedSequence((self.seed, number, 1)).generate_state(1)[0])
 
     def _make(self, values: Mapping[str, float]) -> Scenario:
-        fields: dict[str, Any] = {field: values[name] for name, field in _FIELDS.items()}
+        fields: dict[str, Any] = {field: values[name] for name, field in FIELDS.items()}
         return Scenario(time_step=values["duration"] / self.num_steps, **fields)

@@ -1,17 +1,20 @@
-"""What methods made of random scenarios, as numbers and as a file."""
+"""What methods made of random scenarios: as numbers, as a file, and in few words."""
 
 from __future__ import annotations
 
 import json
+import math
 import os
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
+
+import numpy as np
 
 from drake_aigto.errors import ResultsFileError
 from drake_aigto.plain import from_plain, to_plain
 from drake_aigto.study.method_run import COST_DIGITS, PLANNER, MethodRun
 from drake_aigto.study.results_file import read_results, refuse_damaged, round_to
-from drake_aigto.study.scenario_question import ScenarioQuestion
+from drake_aigto.study.scenario_question import FIELDS, ScenarioQuestion
 from drake_aigto.world import Scenario
 from drake_aigto.world.files import write_text
 
@@ -120,11 +123,7 @@ class ScenarioStudy:
     def load(
         cls, path: str | os.PathLike[str], question_type: type[ScenarioQuestion] = ScenarioQuestion
     ) -> ScenarioStudy:
-        """Reads the file that `save` wrote.
-
-        Args:
-            path: of the file.
-            question_type: that it has to be of.
+        """Reads the file that `save` wrote, of a type of questions.
 
         Raises:
             ResultsFileError: no such file, damaged, or of other scenarios than are drawn now.
@@ -162,25 +161,99 @@ class _Line:
     @classmethod
     def of(cls, result: ScenarioResult) -> _Line:
         """Returns the line of a result."""
-        scenario = result.scenario
-        task = {
-            "start": scenario.initial_position[0],
-            "velocity": scenario.initial_velocity[0],
-            "goal": scenario.goal_position[0],
-            "restitution": scenario.restitution,
-            "mass": scenario.mass,
-            "duration": scenario.duration,
-        }
-        rounded = {name: round_to(float(value), COST_DIGITS) for name, value in task.items()}
+        values = {name: getattr(result.scenario, field) for name, field in FIELDS.items()}
+        task = {name: round_to(np.ravel(value)[0], COST_DIGITS) for name, value in values.items()}
         return cls(
             number=result.number,
             optimum=result.optimum,
             contacts=result.contacts,
             runs=result.runs,
-            **rounded,
+            **task,
         )
 
     def result(self, question: ScenarioQuestion) -> ScenarioResult:
         """Returns the result of the scenario that the question has under this number."""
         scenario = question.scenario(self.number)
         return ScenarioResult(self.number, scenario, self.optimum, self.contacts, self.runs)
+
+
+@dataclass(frozen=True)
+class MethodSummary:
+    """How one method did on some scenarios.
+
+    Attributes:
+        method: its name.
+        num_scenarios: that it is done with.
+        num_optimal: of them, those whose optimum it had, for each budget.
+        ratios: cost / J* in the end where J* > 1e-7 J, infinity if nothing was found; in order.
+        median_seconds: of one core. A method ends when it has the optimum, or with its last budget.
+        errors: the different texts of its failures.
+        num_errors: how often it failed.
+    """
+
+    method: str
+    num_scenarios: int
+    num_optimal: tuple[int, ...]
+    ratios: tuple[float, ...]
+    median_seconds: float
+    errors: tuple[str, ...]
+    num_errors: int
+
+    @property
+    def median_ratio(self) -> float:
+        """The median of the ratios, NaN without any."""
+        # The lower one of two: infinity has no mean with a number.
+        return self.ratios[(len(self.ratios) - 1) // 2] if self.ratios else math.nan
+
+    @property
+    def worst_ratio(self) -> float:
+        """The largest of the ratios, NaN without any."""
+        return self.ratios[-1] if self.ratios else math.nan
+
+
+def summarize(
+    study: ScenarioStudy, results: Iterable[ScenarioResult], method: str
+) -> MethodSummary:
+    """Returns how a method did on those of a study's results that it is done with."""
+    done = [result for result in results if method in result.runs]
+    runs = [result.runs[method] for result in done]
+    budgets = study.question.budgets
+    errors = [run.error for run in runs if run.error is not None]
+    return MethodSummary(
+        method=method,
+        num_scenarios=len(done),
+        num_optimal=tuple(
+            sum(study.succeeds(result, method, budget) for result in done)
+            for budget in (budgets[:1] if method == PLANNER else budgets)
+        ),
+        ratios=tuple(
+            sorted(
+                study.cost(result, method, budgets[-1]) / result.optimum
+                for result in done
+                if result.optimum > ABSOLUTE
+            )
+        ),
+        median_seconds=float(np.median([run.seconds for run in runs])) if runs else math.nan,
+        errors=tuple(dict.fromkeys(errors)),
+        num_errors=len(errors),
+    )
+
+
+def count_right_boxes(
+    results: Iterable[ScenarioResult], method: str = PLANNER
+) -> tuple[tuple[int, ...], int, int]:
+    """Returns how often a method's boxes alone have the optimum's number of contacts.
+
+    Returns:
+        Of each rung; of any rung; and of how many scenarios whose boxes were read.
+    """
+    read = [
+        (result.contacts, result.runs[method].boxes)
+        for result in results
+        if method in result.runs and result.runs[method].boxes
+    ]
+    rungs = zip(*(boxes for _, boxes in read), strict=True)
+    each = tuple(
+        sum(found == exact for found, (exact, _) in zip(rung, read, strict=True)) for rung in rungs
+    )
+    return each, sum(exact in boxes for exact, boxes in read), len(read)

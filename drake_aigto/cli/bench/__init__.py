@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 from drake_aigto.cli.bench.page import add_page
 from drake_aigto.cli.bench.scenarios import add_scenarios
 from drake_aigto.cli.flags import add_common, format_examples
-
-# Each adds its command; `bench --help` lists them in this order.
-_BENCHMARKS: tuple[Callable[[Any], None], ...] = (add_scenarios, add_page)
 
 _EXAMPLES = """\
 drake-aigto bench scenarios --count 50 --json scenarios.json   # how often, and how fast
@@ -27,5 +23,5 @@ def add_bench(commands: Any) -> None:
     )
     add_common(bench)
     benchmarks = bench.add_commands("BENCHMARK")
-    for add in _BENCHMARKS:
-        add(benchmarks)
+    add_scenarios(benchmarks)
+    add_page(benchmarks)
