@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -71,7 +72,6 @@ class Recorder:
     Attributes:
         world: that controls act in.
         scenario: the question.
-        improvements, claims, evaluations, times, controls: see `BaselineRun`.
     """
 
     def __init__(
@@ -82,14 +82,7 @@ class Recorder:
         good_enough: float = -math.inf,
         clock: Callable[[], float] = time.process_time,
     ) -> None:
-        """Checks, and starts the clock.
-
-        Args:
-            world: that the scenario fits.
-            scenario: the question.
-            seconds: of one core, after which it is over.
-            good_enough: a cost that needs no improvement: it is over then, too.
-            clock: returns seconds.
+        """Starts the clock; it is over after so many seconds, or with a cost that is good enough.
 
         Raises:
             OptionsError: seconds are no positive number.
@@ -99,11 +92,7 @@ class Recorder:
             raise OptionsError("seconds", got=seconds, expected="a finite number above 0")
         world.check(scenario)
         self.world, self.scenario = world, scenario
-        self.improvements: list[Improvement] = []
-        self.claims: list[Improvement] = []
-        self.evaluations = 0
-        self.times: Floats | None = None
-        self.controls: Floats | None = None
+        self._run = BaselineRun("", (), (), 0.0, 0, None, None)
         self._seconds, self._good_enough = seconds, good_enough
         self._clock, self._began = clock, clock()
 
@@ -113,19 +102,19 @@ class Recorder:
         return self._clock() - self._began
 
     @property
-    def seconds_left(self) -> float:
-        """Seconds until time is up; negative after."""
-        return self._seconds - self.seconds
+    def evaluations(self) -> int:
+        """How many controls were offered."""
+        return self._run.evaluations
 
     @property
     def cost(self) -> float:
         """The least cost so far; infinity before the first offer."""
-        return self.improvements[-1].cost if self.improvements else math.inf
+        return self._run.cost
 
     @property
     def is_over(self) -> bool:
         """Whether time is up, or the best so far is good enough."""
-        return self.cost <= self._good_enough or self.seconds_left <= 0
+        return self.cost <= self._good_enough or self.seconds >= self._seconds
 
     def offer(self, times: ArrayLike, controls: ArrayLike, claim: float = math.inf) -> float:
         """Replays a held control, keeps it if none was cheaper, and returns its cost.
@@ -139,26 +128,19 @@ class Recorder:
             TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
         """
         cost = replay_event_driven(self.world, self.scenario, times, controls).cost
-        self.evaluations += 1
-        seconds = self.seconds
-        if cost < self.cost:
-            self.improvements.append(Improvement(seconds, cost))
-            self.times, self.controls = read_only(times), read_only(controls)
-        if claim < (self.claims[-1].cost if self.claims else math.inf):
-            self.claims.append(Improvement(seconds, claim))
+        run, seconds = self._run, self.seconds
+        changes: dict[str, Any] = {"evaluations": run.evaluations + 1}
+        if cost < run.cost:
+            changes |= {"times": read_only(times), "controls": read_only(controls)}
+            changes["improvements"] = (*run.improvements, Improvement(seconds, cost))
+        if claim < (run.claims[-1].cost if run.claims else math.inf):
+            changes["claims"] = (*run.claims, Improvement(seconds, claim))
+        self._run = dataclasses.replace(run, **changes)
         return cost
 
     def finish(self, method: str) -> BaselineRun:
         """Returns what was recorded under a method's name."""
-        return BaselineRun(
-            method=method,
-            improvements=tuple(self.improvements),
-            claims=tuple(self.claims),
-            seconds=self.seconds,
-            evaluations=self.evaluations,
-            times=self.times,
-            controls=self.controls,
-        )
+        return dataclasses.replace(self._run, method=method, seconds=self.seconds)
 
 
 class Baseline(ABC):
@@ -177,7 +159,8 @@ class Baseline(ABC):
         """Offers controls to the recorder until `Recorder.is_over`, or until nothing is left.
 
         The clock only ends the search: how it goes on must not depend on the time that is left, so
-        that the same seed makes the same offers, more of them in more time.
+        that the same seed makes the same offers, more of them in more time. The generator is the
+        source of all chance.
 
         Raises:
             ModelError: a world that this method can't treat.

@@ -70,18 +70,10 @@ def run_baseline(
     good_enough: float = -math.inf,
     clock: Callable[[], float] = time.process_time,
 ) -> BaselineRun:
-    """Lets a baseline search for so long.
+    """Lets a baseline of `BASELINES` search for so many seconds of one core (`Recorder`).
 
-    The same seed makes the same offers in the same order; with more time there are more of them.
-
-    Args:
-        name: of the baseline, one of `BASELINES`.
-        world: that the scenario fits.
-        scenario: the question.
-        seconds: of one core (`Recorder`).
-        seed: of all chance.
-        good_enough: a cost at which it may stop early.
-        clock: returns seconds; the CPU time of this process if left out.
+    The same seed makes the same offers in the same order; with more time there are more of them. A
+    cost that is good enough ends it early.
 
     Raises:
         OptionsError: an unknown name, or seconds that are no positive number.

@@ -39,23 +39,16 @@ def format_examples(examples: str) -> str:
 def add_common(parser: Any) -> None:
     """Adds what may be given before a command, or after it."""
     # A command's own default would undo what was given before it.
-    for name, letter, text in (
-        ("quiet", "q", "show no progress"),
-        ("verbose", "v", "tell each step, and where an error came from"),
-    ):
-        parser.add_argument(
-            f"-{letter}", f"--{name}", action="store_true", default=argparse.SUPPRESS, help=text
-        )
+    look = {"action": "store_true", "default": argparse.SUPPRESS}
+    parser.add_argument("-q", "--quiet", help="show no progress", **look)
+    text = "tell each step, and where an error came from"
+    parser.add_argument("-v", "--verbose", help=text, **look)
 
 
 def add_confirm(command: Any) -> None:
     """Adds --no-confirm."""
-    command.add_argument(
-        "--no-confirm",
-        dest="confirm",
-        action="store_false",
-        help="leave out the replay on Drake's plant",
-    )
+    text = "leave out the replay on Drake's plant"
+    command.add_argument("--no-confirm", dest="confirm", action="store_false", help=text)
 
 
 def add_json(command: Any, text: str) -> None:
@@ -66,20 +59,13 @@ def add_json(command: Any, text: str) -> None:
 def add_workers(command: Any, count: int | None = None) -> None:
     """Adds where jobs run: as many processes if nothing is said, or one a core for None."""
     where = command.add_mutually_exclusive_group()
-    usual = "one a core" if count is None else count
-    where.add_argument(
-        "--workers",
-        type=positive,
-        metavar="N",
-        default=count,
-        help=f"processes of this machine (default: {usual})",
+    text = f"processes of this machine (default: {'one a core' if count is None else count})"
+    where.add_argument("--workers", type=positive, metavar="N", default=count, help=text)
+    text = (
+        "of Dask: run on its workers, on any machines, which need the same version of drake_aigto "
+        "and of Drake, and one thread each: dask worker ADDRESS --nthreads 1"
     )
-    where.add_argument(
-        "--scheduler",
-        metavar="ADDRESS",
-        help="of Dask: run on its workers, on any machines, which need the same version of "
-        "drake_aigto and of Drake, and one thread each: dask worker ADDRESS --nthreads 1",
-    )
+    where.add_argument("--scheduler", metavar="ADDRESS", help=text)
 
 
 def read_workers(options: argparse.Namespace) -> AbstractContextManager[Executor]:

@@ -34,22 +34,15 @@ def add_table1(commands: Any) -> None:
     """Adds the command."""
     text = "the paper's Table I, and what each plan does on a rigid wall"
     table1 = add_command(commands, "table1", _table1, text, _EXAMPLES)
-    table1.add_argument(
-        "--rows", type=int, nargs="+", choices=ROWS, default=ROWS, help="which rows (default: all)"
-    )
-    table1.add_argument(
-        "--guesses",
-        type=positive,
-        default=10,
-        help="random guesses of the gradient solver (default: %(default)s)",
-    )
-    table1.add_argument(
-        "--seed", type=natural, default=0, help="of the guesses (default: %(default)s)"
-    )
+    add = table1.add_argument
+    add("--rows", type=int, nargs="+", choices=ROWS, default=ROWS, help="which rows (default: all)")
+    text = "random guesses of the gradient solver (default: %(default)s)"
+    add("--guesses", type=positive, default=10, help=text)
+    add("--seed", type=natural, default=0, help="of the guesses (default: %(default)s)")
     add_confirm(table1)
     add_workers(table1)
     add_json(table1, "write all plans and figures")
-    table1.add_argument("--html", metavar="FILE", help="write one self-contained page")
+    add("--html", metavar="FILE", help="write one self-contained page")
 
 
 def _table1(options: argparse.Namespace) -> int:
