@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+from numpy.typing import ArrayLike
 
 from drake_aigto.errors import OptionsError
 from drake_aigto.planning.options import PlanOptions
@@ -15,9 +17,6 @@ from drake_aigto.planning.search import Progress, Stopwatch
 from drake_aigto.simulation.material import contact_delay
 from drake_aigto.transcription import RigidTranscription
 from drake_aigto.world import Scenario, World
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 
 def plan(
@@ -41,10 +40,7 @@ class Planner:
     """
 
     def __init__(
-        self,
-        scenario: Scenario,
-        options: PlanOptions | None = None,
-        world: World | None = None,
+        self, scenario: Scenario, options: PlanOptions | None = None, world: World | None = None
     ) -> None:
         """Builds the world, and checks the scenario against it; programs are compiled later."""
         self.scenario = scenario
@@ -89,9 +85,9 @@ class Planner:
 
     def plan(
         self,
-        initial_position: npt.ArrayLike | None = None,
-        initial_velocity: npt.ArrayLike | None = None,
-        goal_position: npt.ArrayLike | None = None,
+        initial_position: ArrayLike | None = None,
+        initial_velocity: ArrayLike | None = None,
+        goal_position: ArrayLike | None = None,
         control_weight: float | None = None,
         goal_weight: float | None = None,
         duration: float | None = None,

@@ -9,19 +9,13 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeAlias
+from typing import Any, TypeAlias
 
 import numpy as np
 from pydrake.solvers import MathematicalProgram
 
-from drake_aigto.aigo import (
-    AigoResult,
-    Algorithm,
-    Box,
-    Iterate,
-    PenaltyContinuation,
-    minimize,
-)
+from drake_aigto.aigo import AigoResult, Algorithm, Box, Iterate, PenaltyContinuation, minimize
+from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
 from drake_aigto.local import (
@@ -41,9 +35,6 @@ from drake_aigto.simulation.replay import Replay, replay_drake, replay_event_dri
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Samples, Transcription
 from drake_aigto.world import Scales
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 _LOG = logging.getLogger(__name__)
 
@@ -180,7 +171,7 @@ class PlanningProblem(ABC):
         box = Box(*around.box_around(q, v, _COAST_SHARE))
         return Start(around, compiled.at(around), box, compiled.row_names)
 
-    def _transcribe_around(self, positions: npt.NDArray[np.float64]) -> Transcription:
+    def _transcribe_around(self, positions: Floats) -> Transcription:
         """Returns the transcription for boxes around a path, shape (N+1, nq) [m]."""
         return self.transcription
 
@@ -236,7 +227,7 @@ class PlanningProblem(ABC):
         """How the origins of candidates name that algorithm."""
         return "annealing"
 
-    def pull(self, center: npt.NDArray[np.float64], rung: Rung) -> npt.NDArray[np.float64]:
+    def pull(self, center: Floats, rung: Rung) -> Floats:
         """Returns a box center pulled towards the constraints by raising the rung's penalties."""
         start, weights = self.start(rung.start), self._weights(rung)
         weighted = start.polynomial.with_weights(weights)
@@ -247,16 +238,14 @@ class PlanningProblem(ABC):
         """Returns the contact sequences that AIGO proposes; () is a free flight."""
 
     @abstractmethod
-    def polish(
-        self, center: npt.NDArray[np.float64], sequence: ContactSequence
-    ) -> tuple[Transcription, npt.NDArray[np.float64]]:
+    def polish(self, center: Floats, sequence: ContactSequence) -> tuple[Transcription, Floats]:
         """Returns the local optimum next to a contact sequence that was read off a box center.
 
         Returns:
             The transcription that was solved, and all of its decision variables.
         """
 
-    def solve_locally(self, guess: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def solve_locally(self, guess: Floats) -> Floats:
         """Returns what the local solver makes of a guess, all decision variables (n,)."""
         x = self.solve_program(self.transcription.prog(), guess, lambda: self._nlp)
         return self.transcription.close_rows(x)
@@ -264,10 +253,10 @@ class PlanningProblem(ABC):
     def solve_program(
         self,
         prog: MathematicalProgram,
-        guess: npt.NDArray[np.float64],
+        guess: Floats,
         compiled: Callable[[], PolynomialNlp] | None = None,
         max_iterations: int | None = None,
-    ) -> npt.NDArray[np.float64]:
+    ) -> Floats:
         """Returns what the local solver makes of a guess for any program.
 
         Args:
@@ -287,11 +276,7 @@ class PlanningProblem(ABC):
         return result.x
 
     def _minimise(
-        self,
-        nlp: PolynomialNlp,
-        guess: npt.NDArray[np.float64],
-        max_iterations: int,
-        factor: float = 1.0,
+        self, nlp: PolynomialNlp, guess: Floats, max_iterations: int, factor: float = 1.0
     ) -> LocalResult:
         """Returns the result of one run of our local solver, costs in so many `cost_scale`."""
         unit = factor * self._cost_scale
@@ -301,13 +286,7 @@ class PlanningProblem(ABC):
     def _cost_scale(self) -> float:
         return self.transcription.cost_scale()
 
-    def judge(
-        self,
-        origin: Origin,
-        start: npt.NDArray[np.float64],
-        solved: Transcription,
-        x: npt.NDArray[np.float64],
-    ) -> Candidate:
+    def judge(self, origin: Origin, start: Floats, solved: Transcription, x: Floats) -> Candidate:
         """Returns the candidate that a local solver made of a start, replayed on the rigid wall.
 
         Args:
@@ -335,12 +314,12 @@ class PlanningProblem(ABC):
             added_costs=added,
         )
 
-    def cost(self, solved: Transcription, x: npt.NDArray[np.float64]) -> float:
+    def cost(self, solved: Transcription, x: Floats) -> float:
         """Returns J of a solution, with what users added."""
         added = self.additions.costs(sample(solved.trajectory(x))) if self.additions else {}
         return solved.scenario_cost(x) + sum(added.values())
 
-    def defects(self, solved: Transcription, x: npt.NDArray[np.float64]) -> dict[str, float]:
+    def defects(self, solved: Transcription, x: Floats) -> dict[str, float]:
         """Returns a solution's largest violation of each kind of row, and of users' constraints."""
         defects = solved.defects(x)
         if self.additions:

@@ -6,12 +6,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drake_aigto.arrays import Floats
 from drake_aigto.simulation.material import LEAST_RESTITUTION, contact_delays
 from drake_aigto.simulation.recording import Impact, Recording, Rest
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
     from drake_aigto.world import World
 
 # Of a contact's duration, integrated for 1e-3 ≤ e ≤ 1: e τ(e) / τ(1) exceeds e by no more than this
@@ -23,9 +22,7 @@ _MOST = 0.03
 _INTEGRATION = 4e-5
 
 
-def calc_compliance_error(
-    world: World, restitutions: npt.NDArray[np.float64], recording: Recording
-) -> float:
+def calc_compliance_error(world: World, restitutions: Floats, recording: Recording) -> float:
     """Returns how far the end should be at most from where rigid walls lead [m].
 
     A contact lasts τ_i = π √(m_i/k_i). Meanwhile a rigid wall would have thrown the ball e v τ_i
@@ -85,11 +82,7 @@ def calc_compliance_error(
 
 
 def _calc_displacement(
-    impact: Impact,
-    e: float,
-    delay: float,
-    by_position: npt.NDArray[np.float64],
-    by_velocity: npt.NDArray[np.float64],
+    impact: Impact, e: float, delay: float, by_position: Floats, by_velocity: Floats
 ) -> float:
     """Returns by how much one impact moves the end at most [m].
 

@@ -9,17 +9,13 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
 
-from drake_aigto.simulation.contact_motion import (
-    Clearance,
-    ContactMotion,
-    calc_time_to_wall,
-)
+from drake_aigto.arrays import Floats
+from drake_aigto.simulation.contact_motion import Clearance, ContactMotion, calc_time_to_wall
 from drake_aigto.simulation.controller import Controller, Held
 from drake_aigto.simulation.material import calc_dissipation, contact_delays, set_dissipation
 from drake_aigto.simulation.recording import Impact, Recording, Rest
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
     from pydrake.systems.framework import Context
 
     from drake_aigto.world import World
@@ -52,9 +48,9 @@ _SLOWEST_MATCH = 5e-2
 
 def simulate_compliant_wall(
     world: World,
-    state: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]],
+    state: tuple[Floats, Floats],
     controller: Controller,
-    restitutions: npt.NDArray[np.float64],
+    restitutions: Floats,
     without_friction: bool = False,
 ) -> Recording:
     """Runs a controller on the world's own plant, by Radau's implicit rule.
@@ -132,11 +128,7 @@ class _Matching:
     """Gives contacts the dissipation for the impact that is coming."""
 
     def __init__(
-        self,
-        world: World,
-        root: Context,
-        restitutions: npt.NDArray[np.float64],
-        delays: list[float],
+        self, world: World, root: Context, restitutions: Floats, delays: list[float]
     ) -> None:
         self._world = world
         self._root = root
@@ -171,9 +163,7 @@ class _Pace:
         shortest = [min(delays[i] for i in faces) for faces in motion.solids]
         self._solids = [_SolidPace(delay, flight, start, matching) for delay in shortest]
 
-    def plan(
-        self, time: float, x: npt.NDArray[np.float64], control: npt.NDArray[np.float64]
-    ) -> tuple[float, float]:
+    def plan(self, time: float, x: Floats, control: Floats) -> tuple[float, float]:
         """Returns how long to go on before planning again, and the longest step [s]."""
         clearances = self._motion.calc_clearances(x)
         acceleration = _calc_acceleration(self._world, self._motion, x, control, clearances)
@@ -233,11 +223,11 @@ class _SolidPace:
 def _calc_acceleration(
     world: World,
     motion: ContactMotion,
-    x: npt.NDArray[np.float64],
-    control: npt.NDArray[np.float64],
+    x: Floats,
+    control: Floats,
     clearances: list[Clearance],
     but: int | None = None,
-) -> npt.NDArray[np.float64]:
+) -> Floats:
     """Returns v̇ as if the ball rested on all that it touches, but for one contact [m/s²]."""
     q, v = np.split(x, 2)
     touched = [near.contact for near in clearances if near.distance <= 0 and near.contact != but]
@@ -248,8 +238,8 @@ class _Sample(NamedTuple):
     """The end of a step, and the control that led to it."""
 
     time: float
-    x: npt.NDArray[np.float64]
-    control: npt.NDArray[np.float64]
+    x: Floats
+    control: Floats
     clearances: list[Clearance]  # of each solid
 
 
@@ -257,7 +247,7 @@ class _Row(NamedTuple):
     """A moment of a contact."""
 
     time: float
-    x: npt.NDArray[np.float64]
+    x: Floats
     push: float  # φ̈ without this contact [m/s²]
 
 
@@ -276,7 +266,7 @@ class _Trace:
         self.bounces: list[int] = []  # the contact of each touch that has ended
         self._known = 0  # of them when the controller was asked
 
-    def add(self, time: float, x: npt.NDArray[np.float64]) -> None:
+    def add(self, time: float, x: Floats) -> None:
         """Appends a step's end."""
         clearances = self._motion.calc_clearances(x)
         self._samples.append(_Sample(time, x, self._control, clearances))
@@ -286,7 +276,7 @@ class _Trace:
             elif solid in self._touched:
                 self.bounces.append(self._touched.pop(solid)[1])
 
-    def hold(self, time: float, control: npt.NDArray[np.float64]) -> None:
+    def hold(self, time: float, control: Floats) -> None:
         """Appends a control, held from now on."""
         self._recording.hold(time, control)
         self._control, self._known = control, len(self.bounces)
@@ -359,9 +349,7 @@ class _Trace:
         after = self._samples[last if ends else last + 1]
         return self._extrapolate(after, after.control, self._face(solid, last), float(ends) - 1)
 
-    def _extrapolate(
-        self, sample: _Sample, control: npt.NDArray[np.float64], face: int, direction: float
-    ) -> _Row:
+    def _extrapolate(self, sample: _Sample, control: Floats, face: int, direction: float) -> _Row:
         """Returns when and how flight is at the wall, forward (+1) or backward (−1); 0: as is."""
         x = sample.x
         clearances = sample.clearances

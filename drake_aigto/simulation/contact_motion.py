@@ -7,14 +7,14 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from numpy.typing import ArrayLike
 
+from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.jit import inner, kernel
 
 if TYPE_CHECKING:
     from drake_aigto.world import ConstantInertia
 
-_Array = npt.NDArray[np.float64]
 
 # Rates of several contacts at once below this are rounding, relative to the largest among them.
 _ROUNDING = 1e-13
@@ -34,10 +34,10 @@ class Clearance(NamedTuple):
 class Walls(NamedTuple):
     """What compiled code knows of contacts (`ConstantInertia`), of S solids."""
 
-    jacobian: _Array  # J, shape (m, nv)
-    offset: _Array  # φ(0), shape (m,) [m]
-    lifts: _Array  # M⁻¹ J_iᵀ / (J_i M⁻¹ J_iᵀ), shape (m, nv)
-    firsts: npt.NDArray[np.int64]  # the first contact of each solid, and m, shape (S+1,)
+    jacobian: Floats  # J, shape (m, nv)
+    offset: Floats  # φ(0), shape (m,) [m]
+    lifts: Floats  # M⁻¹ J_iᵀ / (J_i M⁻¹ J_iᵀ), shape (m, nv)
+    firsts: Ints  # the first contact of each solid, and m, shape (S+1,)
 
     @classmethod
     def of(cls, inertia: ConstantInertia) -> Walls:
@@ -76,12 +76,12 @@ class ContactMotion:
         """Returns all contacts of that one's solid, itself among them."""
         return self.solids[self.solid_of[contact]]
 
-    def calc_distances(self, x: _Array) -> tuple[list[float], list[float]]:
+    def calc_distances(self, x: Floats) -> tuple[list[float], list[float]]:
         """Returns φ [m] and φ̇ [m/s] of each contact."""
         both = (self._rows @ x + self._origin).tolist()
         return both[: self._num_contacts], both[self._num_contacts :]
 
-    def calc_clearances(self, x: _Array) -> list[Clearance]:
+    def calc_clearances(self, x: Floats) -> list[Clearance]:
         """Returns the clearance of each solid."""
         distances, rates = self.calc_distances(x)
         faces = [
@@ -90,11 +90,11 @@ class ContactMotion:
         ]
         return [Clearance(i, distances[i], rates[i]) for i in faces]
 
-    def calc_pushes(self, acceleration: _Array) -> list[float]:
+    def calc_pushes(self, acceleration: Floats) -> list[float]:
         """Returns φ̈ of each contact [m/s²]; negative is into the wall."""
         return (self._jacobian @ acceleration).tolist()
 
-    def calc_supported(self, rates: _Array, contacts: Iterable[int]) -> _Array:
+    def calc_supported(self, rates: Floats, contacts: Iterable[int]) -> Floats:
         """Returns the nearest rates of change of v, or of q, that enter none of these contacts.
 
             minimize ½ (x − r)ᵀ M (x − r)   subject to   J_C x ≥ 0
@@ -116,7 +116,7 @@ class ContactMotion:
         return x
 
 
-def calc_depth(walls: Walls, positions: npt.ArrayLike) -> float:
+def calc_depth(walls: Walls, positions: ArrayLike) -> float:
     """Returns how deep the ball is inside a solid at most, at least 0 [m].
 
     Args:
@@ -129,7 +129,7 @@ def calc_depth(walls: Walls, positions: npt.ArrayLike) -> float:
 
 
 @inner
-def dot(matrix: _Array, row: int, x: _Array) -> float:
+def dot(matrix: Floats, row: int, x: Floats) -> float:
     """Return the product of a matrix's row and x."""
     total = 0.0
     for k in range(x.size):
@@ -138,7 +138,7 @@ def dot(matrix: _Array, row: int, x: _Array) -> float:
 
 
 @inner
-def find_size(x: _Array) -> float:
+def find_size(x: Floats) -> float:
     """Return the largest |x_i|, but at least 1."""
     size = 1.0
     for i in range(x.size):
@@ -164,7 +164,7 @@ def calc_time_to_wall(distance: float, rate: float, push: float) -> float:
 
 
 @kernel
-def support(walls: Walls, held: npt.NDArray[np.bool_], free: _Array, rates: _Array) -> None:
+def support(walls: Walls, held: Bools, free: Floats, rates: Floats) -> None:
     """Write the nearest rates to free ones that enter none of the held contacts.
 
     `ContactMotion.calc_supported` has the problem. With multipliers μ_i = A_ii λ_i it is
@@ -211,14 +211,14 @@ def support(walls: Walls, held: npt.NDArray[np.bool_], free: _Array, rates: _Arr
 
 
 @inner
-def add(x: _Array, factor: float, matrix: _Array, row: int) -> None:
+def add(x: Floats, factor: float, matrix: Floats, row: int) -> None:
     """Add a matrix's row times a factor to x."""
     for k in range(x.size):
         x[k] += factor * matrix[row, k]
 
 
 @inner
-def _exchange(table: _Array, pivot: int) -> None:
+def _exchange(table: Floats, pivot: int) -> None:
     """Exchange w_i and z_i in a table w = T (z, 1)."""
     inverse = 1.0 / table[pivot, pivot]
     table[pivot, pivot] = -1.0

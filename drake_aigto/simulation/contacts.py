@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
+from drake_aigto.arrays import Floats
 
+if TYPE_CHECKING:
     from drake_aigto.trajectory import Trajectory
     from drake_aigto.world import World
 
@@ -62,7 +62,7 @@ def find_contacts(world: World, trajectory: Trajectory) -> tuple[PlannedContact,
 
 
 def _find_contacts(
-    world: World, trajectory: Trajectory, energies: npt.NDArray[np.float64], index: int
+    world: World, trajectory: Trajectory, energies: Floats, index: int
 ) -> list[PlannedContact]:
     """Returns those of one contact; with the energies before and after each knot, (2, N+1) [J]."""
     impulses, forces = trajectory.impulses[:, index], trajectory.forces[:, index]
@@ -93,12 +93,7 @@ def max_penetration(world: World, trajectory: Trajectory) -> float:
 
 
 def _contact(
-    trajectory: Trajectory,
-    energies: npt.NDArray[np.float64],
-    changes: npt.NDArray[np.float64],
-    first: int,
-    last: int,
-    index: int,
+    trajectory: Trajectory, energies: Floats, changes: Floats, first: int, last: int, index: int
 ) -> PlannedContact:
     """Returns the contact of knots first … last."""
     return PlannedContact(

@@ -4,18 +4,17 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
+from drake_aigto.arrays import Floats
 
 
 class Held(NamedTuple):
     """A control that is held for a while."""
 
-    control: npt.NDArray[np.float64]  # u, shape (nu,) [N]
+    control: Floats  # u, shape (nu,) [N]
     until: float  # when the controller is asked again, at the latest [s]
 
 
@@ -36,7 +35,7 @@ class Controller(ABC):
     feels_contact: bool
 
     @abstractmethod
-    def sample(self, time: float, x: npt.NDArray[np.float64], bounces: Sequence[int]) -> Held:
+    def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
         """Returns the control from now on.
 
         Args:
@@ -51,7 +50,7 @@ class HeldControl(Controller):
 
     feels_contact = False
 
-    def __init__(self, times: npt.NDArray[np.float64], controls: npt.NDArray[np.float64]) -> None:
+    def __init__(self, times: Floats, controls: Floats) -> None:
         """Keeps it.
 
         Args:
@@ -62,7 +61,7 @@ class HeldControl(Controller):
         self.start, self.end = float(times[0]), float(times[-1])
         self.longest_hold = float(np.max(np.diff(times)))
 
-    def sample(self, time: float, x: npt.NDArray[np.float64], bounces: Sequence[int]) -> Held:
+    def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
         """Returns the control of this interval."""
         k = int(np.searchsorted(self._times, time, side="right"))
         return Held(self._controls[k - 1], float(self._times[k]))

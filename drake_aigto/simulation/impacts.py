@@ -12,8 +12,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.jit import inner, kernel, pasted
 from drake_aigto.simulation.contact_motion import (
     Walls,
@@ -23,10 +23,6 @@ from drake_aigto.simulation.contact_motion import (
     find_size,
     support,
 )
-
-_Array = npt.NDArray[np.float64]
-_Ints = npt.NDArray[np.int64]
-_Bools = npt.NDArray[np.bool_]
 
 # Times are parts of the simulated duration T.
 
@@ -52,20 +48,20 @@ TIME, CONTACT, SPEED, PUSH, STATE = range(5)
 class HybridState(NamedTuple):
     """The state of a hybrid system, changed in place."""
 
-    q: _Array  # shape (nq,) [m]
-    v: _Array  # shape (nv,) [m/s]
-    resting: npt.NDArray[np.bool_]  # which contacts it rests on, shape (m,)
-    counts: _Array  # how many impacts each contact had, shape (m,)
+    q: Floats  # shape (nq,) [m]
+    v: Floats  # shape (nv,) [m/s]
+    resting: Bools  # which contacts it rests on, shape (m,)
+    counts: Floats  # how many impacts each contact had, shape (m,)
 
 
 class Rules(NamedTuple):
     """What decides how impacts end."""
 
-    restitutions: _Array  # e of each contact, in [0, 1], shape (m,)
+    restitutions: Floats  # e of each contact, in [0, 1], shape (m,)
     duration: float  # T, how long will be simulated [s]
 
 
-def make_log(most: int, num_positions: int) -> _Array:
+def make_log(most: int, num_positions: int) -> Floats:
     """Returns a log that has room for so many impacts; those beyond are counted only."""
     return np.empty((most, STATE + 3 * num_positions))
 
@@ -75,11 +71,11 @@ def run(
     walls: Walls,
     rules: Rules,
     phase: HybridState,
-    acceleration: _Array,
+    acceleration: Floats,
     end: float,
     left: float,
     first: int,
-    log: _Array,
+    log: Floats,
     logged: int,
 ) -> int:
     """Change a phase to what it is at the end of a moment.
@@ -147,7 +143,7 @@ def run(
 
 
 @inner
-def fly(q: _Array, v: _Array, acceleration: _Array, time: float) -> None:
+def fly(q: Floats, v: Floats, acceleration: Floats, time: float) -> None:
     """Move q and v along their parabola, by a time that may be negative."""
     for k in range(q.size):
         later = v[k] + time * acceleration[k]
@@ -156,7 +152,7 @@ def fly(q: _Array, v: _Array, acceleration: _Array, time: float) -> None:
 
 
 @inner
-def calc_curves(walls: Walls, q: _Array, v: _Array, acceleration: _Array, curves: _Array) -> None:
+def calc_curves(walls: Walls, q: Floats, v: Floats, acceleration: Floats, curves: Floats) -> None:
     """Write φ, φ̇ and φ̈ of each contact, shape (m, 3)."""
     jacobian, offset, _, _ = walls
     for i in range(offset.size):
@@ -170,7 +166,7 @@ def calc_curves(walls: Walls, q: _Array, v: _Array, acceleration: _Array, curves
 
 @inner
 def find_event(
-    firsts: _Ints, resting: _Bools, curves: _Array, still: float, horizon: float
+    firsts: Ints, resting: Bools, curves: Floats, still: float, horizon: float
 ) -> tuple[float, int, bool]:
     """Find what happens first if φ̈ is constant.
 
@@ -213,7 +209,7 @@ def find_event(
 
 @inner
 def _find_entry(
-    curves: _Array, first: int, last: int, still: float, horizon: float
+    curves: Floats, first: int, last: int, still: float, horizon: float
 ) -> tuple[float, int]:
     """Find when a solid is entered: as one of its faces is passed, the others behind.
 
@@ -248,7 +244,7 @@ def _find_entry(
 
 
 @inner
-def _may_enter(curves: _Array, first: int, last: int, horizon: float) -> bool:
+def _may_enter(curves: Floats, first: int, last: int, horizon: float) -> bool:
     """Return False only if the ball stays in front of one of these faces for that long."""
     for i in range(first, last):
         if curves[i, 0] > horizon * (abs(curves[i, 1]) + horizon / 2 * abs(curves[i, 2])):
@@ -257,7 +253,7 @@ def _may_enter(curves: _Array, first: int, last: int, horizon: float) -> bool:
 
 
 @inner
-def may_touch(firsts: _Ints, resting: _Bools, curves: _Array, horizon: float) -> bool:
+def may_touch(firsts: Ints, resting: Bools, curves: Floats, horizon: float) -> bool:
     """Return False only if the ball is in free flight and touches nothing for that long."""
     found = False
     for i in range(resting.size):
@@ -268,7 +264,7 @@ def may_touch(firsts: _Ints, resting: _Bools, curves: _Array, horizon: float) ->
 
 
 @inner
-def _slide_off(walls: Walls, q: _Array, resting: _Bools, contact: int) -> None:
+def _slide_off(walls: Walls, q: Floats, resting: Bools, contact: int) -> None:
     """End rest on the solid of a face that the ball has come in front of."""
     firsts = walls.firsts
     for solid in range(firsts.size - 1):
@@ -279,7 +275,7 @@ def _slide_off(walls: Walls, q: _Array, resting: _Bools, contact: int) -> None:
 
 
 @inner
-def _lift(walls: Walls, q: _Array, contact: int) -> None:
+def _lift(walls: Walls, q: Floats, contact: int) -> None:
     """Move the ball from wherever it is to a hair above a face."""
     distance = dot(walls.jacobian, contact, q) + walls.offset[contact]
     add(q, _AIR * find_size(q) - distance, walls.lifts, contact)
@@ -290,10 +286,10 @@ def _hit(
     walls: Walls,
     rules: Rules,
     phase: HybridState,
-    others: _Array,
+    others: Floats,
     time: float,
     contact: int,
-    log: _Array,
+    log: Floats,
     logged: int,
 ) -> int:
     """Apply an impact, or bring the contact to rest, given v̇ with the other contacts at rest.
@@ -325,7 +321,7 @@ def _hit(
 
 
 @inner
-def _release(jacobian: _Array, v: _Array, resting: _Bools) -> None:
+def _release(jacobian: Floats, v: Floats, resting: Bools) -> None:
     """End rest at what the ball moves away from."""
     still = STILL * find_size(v)
     for i in range(resting.size):
@@ -334,7 +330,7 @@ def _release(jacobian: _Array, v: _Array, resting: _Bools) -> None:
 
 @kernel
 def find_wait(
-    walls: Walls, phase: HybridState, acceleration: _Array, still: float, horizon: float
+    walls: Walls, phase: HybridState, acceleration: Floats, still: float, horizon: float
 ) -> float:
     """Return how long until a contact is touched or left [s] (`find_event`); infinity if never.
 
@@ -356,12 +352,12 @@ def run_again(
     walls: Walls,
     rules: Rules,
     phase: HybridState,
-    supported: _Array,
-    acceleration: _Array,
+    supported: Floats,
+    acceleration: Floats,
     end: float,
     left: float,
     first: int,
-    log: _Array,
+    log: Floats,
 ) -> int:
     """Take a phase back by a time in which it flew through contacts, and `run` it from there.
 
@@ -384,7 +380,7 @@ def run_again(
 
 
 @kernel
-def settle(walls: Walls, q: _Array, v: _Array, resting: _Bools) -> None:
+def settle(walls: Walls, q: Floats, v: Floats, resting: Bools) -> None:
     """Take rounding out: no ball is inside, those at rest are at the wall and stay there."""
     jacobian, offset, lifts, firsts = walls
     for solid in range(firsts.size - 1):

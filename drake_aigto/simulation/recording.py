@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
+from drake_aigto.arrays import Floats
 from drake_aigto.simulation.impacts import CONTACT, PUSH, SPEED, STATE, TIME
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
 
 # A list that grows, or an array of what is known at once.
 Rows: TypeAlias = Any
@@ -66,20 +63,18 @@ class Recording:
         """The contact of each impact so far."""
         return [impact.contact for impact in self.impacts]
 
-    def add(self, time: float, q: npt.NDArray[np.float64], v: npt.NDArray[np.float64]) -> None:
+    def add(self, time: float, q: Floats, v: Floats) -> None:
         """Appends a state."""
         self.times.append(time)
         self.positions.append(q)
         self.velocities.append(v)
 
-    def hold(self, time: float, control: npt.NDArray[np.float64]) -> None:
+    def hold(self, time: float, control: Floats) -> None:
         """Appends a control."""
         self.control_times.append(time)
         self.controls.append(control)
 
-    def add_impacts(
-        self, log: npt.NDArray[np.float64], mass_matrix: npt.NDArray[np.float64]
-    ) -> None:
+    def add_impacts(self, log: Floats, mass_matrix: Floats) -> None:
         """Appends impacts that take no time, and the states before and after each.
 
         Args:
@@ -93,9 +88,7 @@ class Recording:
             self.add(float(row[TIME]), q, after)
 
 
-def list_impacts(
-    log: npt.NDArray[np.float64], mass_matrix: npt.NDArray[np.float64]
-) -> list[Impact]:
+def list_impacts(log: Floats, mass_matrix: Floats) -> list[Impact]:
     """Returns the impacts of a log (`impacts.make_log`), by a mass matrix M (nv, nv) [kg]."""
     if not len(log):
         return []

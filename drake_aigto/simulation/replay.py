@@ -7,8 +7,9 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt  # At run time: files are read by the fields' types.
+from numpy.typing import ArrayLike
 
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.simulation.compliance import calc_compliance_error
 from drake_aigto.simulation.compliant_wall import simulate_compliant_wall
@@ -71,9 +72,9 @@ class Replay(ArrayRecord):
     compliance_error: float
     compliance_cost: float
     matched_speeds: tuple[float, ...]
-    times: npt.NDArray[np.float64]
-    positions: npt.NDArray[np.float64]
-    velocities: npt.NDArray[np.float64]
+    times: Floats
+    positions: Floats
+    velocities: Floats
     added_costs: Mapping[str, float] = field(default_factory=dict)
     violations: Mapping[str, float] = field(default_factory=dict)
 
@@ -95,9 +96,7 @@ class Replay(ArrayRecord):
         """The constraints that it misses by more than simulations may, by name."""
         return tuple(n for n, by in self.violations.items() if not by <= _NOTHING)
 
-    def states_at(
-        self, knots: npt.NDArray[np.float64]
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def states_at(self, knots: Floats) -> tuple[Floats, Floats]:
         """Returns q and v at knots of the control (K+1,) [s], at an impact those before it."""
         rows = np.searchsorted(self.times, knots - _AT_KNOT * knots[-1])
         return self.positions[rows], self.velocities[rows]
@@ -120,7 +119,7 @@ class Replay(ArrayRecord):
 
 
 def replay_event_driven(
-    world: World, scenario: Scenario, times: npt.ArrayLike, controls: npt.ArrayLike
+    world: World, scenario: Scenario, times: ArrayLike, controls: ArrayLike
 ) -> Replay:
     """Replays a held control on exactly rigid walls (`RigidWall` has their equations).
 
@@ -143,9 +142,7 @@ def replay_event_driven(
     return summarize("event-driven", scenario, times, controls, recording)
 
 
-def replay_costs(
-    world: World, scenario: Scenario, times: npt.ArrayLike, controls: npt.ArrayLike
-) -> npt.NDArray[np.float64]:
+def replay_costs(world: World, scenario: Scenario, times: ArrayLike, controls: ArrayLike) -> Floats:
     """Returns what many held controls cost on exactly rigid walls, shape (C,).
 
     The costs of `replay_event_driven` to the last bit, without its records: where flight is a
@@ -178,9 +175,7 @@ def replay_costs(
     return np.array([_calc_cost(scenario, t, control, end)[0] for control, end in pairs])
 
 
-def replay_drake(
-    world: World, scenario: Scenario, times: npt.ArrayLike, controls: npt.ArrayLike
-) -> Replay:
+def replay_drake(world: World, scenario: Scenario, times: ArrayLike, controls: ArrayLike) -> Replay:
     """Replays a held control on the world's own continuous plant in Drake.
 
     Its walls are compliant, so each bounce is late by `contact_delay` and dips in by v √(m / k).
@@ -246,16 +241,14 @@ def confirms(
     return is_cheap and is_near and all(by <= nothing for by in replay.violations.values())
 
 
-def _check_control(
-    world: World, times: npt.ArrayLike, controls: npt.ArrayLike
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def _check_control(world: World, times: ArrayLike, controls: ArrayLike) -> tuple[Floats, Floats]:
     """Returns times and controls as arrays that fit each other and the world."""
     t, u = check_control(times, controls)
     _check_columns(world, u)
     return t, u
 
 
-def _check_columns(world: World, controls: npt.NDArray[np.float64]) -> None:
+def _check_columns(world: World, controls: Floats) -> None:
     """Refuses controls whose last axis is not the actuators."""
     if controls.shape[-1] != world.num_actuators:
         raise TrajectoryError(
@@ -266,10 +259,7 @@ def _check_columns(world: World, controls: npt.NDArray[np.float64]) -> None:
 
 
 def _simulate_rigidly(
-    world: World,
-    scenario: Scenario,
-    times: npt.NDArray[np.float64],
-    controls: npt.NDArray[np.float64],
+    world: World, scenario: Scenario, times: Floats, controls: Floats
 ) -> Recording:
     """Returns what a control does on exactly rigid walls, by the quickest road."""
     if world.has_constant_dynamics:
@@ -279,16 +269,13 @@ def _simulate_rigidly(
     return simulate_rigid_wall(world, world.restitutions(scenario), start, controller)
 
 
-def _roll_out(world: World, scenario: Scenario, times: npt.NDArray[np.float64]) -> Parabolas:
+def _roll_out(world: World, scenario: Scenario, times: Floats) -> Parabolas:
     start = scenario.initial_position, scenario.initial_velocity
     return Parabolas(world.constant_dynamics, world.restitutions(scenario), start, times)
 
 
 def _calc_cost(
-    scenario: Scenario,
-    times: npt.NDArray[np.float64],
-    control: npt.NDArray[np.float64],
-    end: npt.NDArray[np.float64],
+    scenario: Scenario, times: Floats, control: Floats, end: Floats
 ) -> tuple[float, float]:
     """Returns the cost of a control that ends there, and how far from the goal that is [m]."""
     effort = float(np.diff(times) @ np.sum(control**2, axis=1))
@@ -299,8 +286,8 @@ def _calc_cost(
 def summarize(
     simulator: str,
     scenario: Scenario,
-    times: npt.NDArray[np.float64],
-    controls: npt.NDArray[np.float64],
+    times: Floats,
+    controls: Floats,
     recording: Recording,
     compliance_error: float = 0.0,
 ) -> Replay:

@@ -17,6 +17,7 @@ from pydrake.systems.framework import (
     WitnessFunctionDirection,
 )
 
+from drake_aigto.arrays import Floats
 from drake_aigto.simulation import impacts
 from drake_aigto.simulation.contact_motion import (
     Clearance,
@@ -30,11 +31,8 @@ from drake_aigto.simulation.impacts import HybridState, Rules
 from drake_aigto.simulation.recording import Recording
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
     from drake_aigto.world import World
 
-    _Array = npt.NDArray[np.float64]
 
 # Times are parts of the simulated duration T.
 
@@ -78,7 +76,7 @@ class RigidWall(LeafSystem):
     def __init__(
         self,
         world: World,
-        restitutions: _Array,
+        restitutions: Floats,
         duration: float,
         longest_step: float,
         recording: Recording,
@@ -144,7 +142,7 @@ class RigidWall(LeafSystem):
         rates = np.concatenate([x[self._nq :], acceleration])
         derivatives.get_mutable_vector().SetFromVector(rates)
 
-    def _calc_acceleration(self, context: Context, x: _Array) -> _Array:
+    def _calc_acceleration(self, context: Context, x: Floats) -> Floats:
         """Returns v̇ without contact."""
         u = self._control.Eval(context)
         return self._world.calc_acceleration(x[: self._nq], x[self._nq :], u)
@@ -216,7 +214,7 @@ class RigidWall(LeafSystem):
         still = impacts.STILL * max(1.0, float(np.max(np.abs(phase.v))))
         return impacts.find_wait(self._motion.walls, phase, acceleration, still, horizon)
 
-    def _read(self, context: Context, x: _Array, resting: set[int]) -> HybridState:
+    def _read(self, context: Context, x: Floats, resting: set[int]) -> HybridState:
         """Returns the state as compiled code has it."""
         held = np.zeros(self._world.num_contacts, dtype=bool)
         held[list(resting)] = True
@@ -241,7 +239,7 @@ class RigidWall(LeafSystem):
         return status
 
     def _advance(
-        self, context: Context, x: _Array, phase: HybridState, clearances: list[Clearance]
+        self, context: Context, x: Floats, phase: HybridState, clearances: list[Clearance]
     ) -> bool:
         """Returns whether something happened, after which the phase is another."""
         acceleration = self._calc_acceleration(context, x)
@@ -274,9 +272,9 @@ class RigidWall(LeafSystem):
     def _bounce(
         self,
         time: float,
-        x: _Array,
+        x: Floats,
         phase: HybridState,
-        acceleration: _Array,
+        acceleration: Floats,
         entered: list[Clearance],
     ) -> None:
         """Replays what happened since the earliest of the touches that are not old."""
@@ -296,7 +294,7 @@ class RigidWall(LeafSystem):
         self._recording.add_impacts(log[:count], self._inertia.mass_matrix)
 
     def _trace_back(
-        self, x: _Array, acceleration: _Array, clearance: Clearance
+        self, x: Floats, acceleration: Floats, clearance: Clearance
     ) -> tuple[float, int]:
         """Returns how long ago the ball came in where its clearance is at most 0, and the face.
 
@@ -314,10 +312,7 @@ class RigidWall(LeafSystem):
 
 
 def simulate_rigid_wall(
-    world: World,
-    restitutions: npt.NDArray[np.float64],
-    state: tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]],
-    controller: Controller,
+    world: World, restitutions: Floats, state: tuple[Floats, Floats], controller: Controller
 ) -> Recording:
     """Runs a controller against exactly rigid walls.
 
@@ -376,6 +371,6 @@ def _plan_stop(time: float, wait: float, duration: float) -> float:
     return time + _LATEST * duration
 
 
-def _get_state(context: Context) -> npt.NDArray[np.float64]:
+def _get_state(context: Context) -> Floats:
     """Returns (q, v)."""
     return context.get_continuous_state_vector().CopyToVector()

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.jit import kernel
 from drake_aigto.simulation.contact_motion import Walls, calc_depth
 from drake_aigto.simulation.impacts import (
@@ -25,8 +25,6 @@ from drake_aigto.simulation.recording import Recording, list_impacts
 if TYPE_CHECKING:
     from drake_aigto.world import ConstantDynamics
 
-_Array = npt.NDArray[np.float64]
-_Ints = npt.NDArray[np.int64]
 
 # Of the first log; what has more impacts runs a second time.
 _USUAL_IMPACTS = 64
@@ -46,9 +44,9 @@ class Parabolas:
     def __init__(
         self,
         dynamics: ConstantDynamics,
-        restitutions: _Array,
-        state: tuple[_Array, _Array],
-        times: _Array,
+        restitutions: Floats,
+        state: tuple[Floats, Floats],
+        times: Floats,
     ) -> None:
         """Reads what is constant.
 
@@ -65,7 +63,7 @@ class Parabolas:
         self._times = np.array(times)
         self._start = np.array(state)
 
-    def record(self, controls: _Array) -> Recording:
+    def record(self, controls: Floats) -> Recording:
         """Returns the states at all knots, and before and after each impact.
 
         Args:
@@ -99,12 +97,12 @@ class Parabolas:
             max_penetration=calc_depth(self._walls, rows[:, 0]),
         )
 
-    def _calc_accelerations(self, controls: _Array) -> _Array:
+    def _calc_accelerations(self, controls: Floats) -> Floats:
         """Returns v̇ without contact, shape (…, nv) [m/s²]."""
         return controls @ self._dynamics.gain.T + self._dynamics.drift
 
     def _roll_out(
-        self, accelerations: _Array, states: _Array, impacts_until: _Ints, log: _Array
+        self, accelerations: Floats, states: Floats, impacts_until: Ints, log: Floats
     ) -> int:
         walls, rules, phase = self._walls, self._rules, self._make_phase()
         return roll_out(walls, rules, phase, self._times, accelerations, states, impacts_until, log)
@@ -115,7 +113,7 @@ class Parabolas:
         m = self._rules.restitutions.size
         return HybridState(q, v, np.zeros(m, dtype=bool), np.zeros(m))
 
-    def find_ends(self, controls: _Array, times: _Array | None = None) -> _Array:
+    def find_ends(self, controls: Floats, times: Floats | None = None) -> Floats:
         """Returns the positions that many controls lead to, shape (C, nq) [m].
 
         Args:
@@ -138,11 +136,11 @@ def roll_out(
     walls: Walls,
     rules: Rules,
     phase: HybridState,
-    times: _Array,
-    accelerations: _Array,
-    states: _Array,
-    impacts_until: _Ints,
-    log: _Array,
+    times: Floats,
+    accelerations: Floats,
+    states: Floats,
+    impacts_until: Ints,
+    log: Floats,
 ) -> int:
     """Write the motion from a start, under the acceleration of each interval.
 
@@ -182,10 +180,10 @@ def roll_out_many(
     walls: Walls,
     rules: Rules,
     start: HybridState,
-    times: _Array,
-    accelerations: _Array,
-    ends: _Array,
-    log: _Array,
+    times: Floats,
+    accelerations: Floats,
+    ends: Floats,
+    log: Floats,
 ) -> None:
     """Write the last position of each of C motions from a start (`roll_out`).
 

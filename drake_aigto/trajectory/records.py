@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
+from drake_aigto.arrays import Floats
 
 
-def read_only(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def read_only(values: ArrayLike) -> Floats:
     """Returns a read-only copy, as floats."""
     array = np.array(values, dtype=float)
     array.flags.writeable = False

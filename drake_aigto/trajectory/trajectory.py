@@ -5,10 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt  # At run time: files are read by the fields' types.
+from numpy.typing import ArrayLike
 from pydrake.polynomial import Polynomial
 from pydrake.trajectories import PiecewisePolynomial
 
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.trajectory.records import ArrayRecord, read_only
 
@@ -33,12 +34,12 @@ class Trajectory(ArrayRecord):
         TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
     """
 
-    times: npt.NDArray[np.float64]
-    positions: npt.NDArray[np.float64]
-    velocities: npt.NDArray[np.float64]
-    controls: npt.NDArray[np.float64]
-    impulses: npt.NDArray[np.float64]
-    forces: npt.NDArray[np.float64]
+    times: Floats
+    positions: Floats
+    velocities: Floats
+    controls: Floats
+    impulses: Floats
+    forces: Floats
 
     def __post_init__(self) -> None:
         """Checks, and makes the arrays read-only."""
@@ -76,7 +77,7 @@ class Trajectory(ArrayRecord):
         state = PiecewisePolynomial(polynomials, self.times)
         return state, PiecewisePolynomial.ZeroOrderHold(self.times, held.T)
 
-    def _cubics(self) -> npt.NDArray[np.float64]:
+    def _cubics(self) -> Floats:
         """Returns the coefficients of q(t) in powers of t − t_k, shape (N, 4, nq)."""
         h = np.diff(self.times)[:, np.newaxis]
         mean = np.diff(self.positions, axis=0) / h
@@ -88,9 +89,7 @@ class Trajectory(ArrayRecord):
         return np.stack([self.positions[:-1], start, quadratic, cubic], axis=1)
 
 
-def check_control(
-    times: npt.ArrayLike, controls: npt.ArrayLike
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def check_control(times: ArrayLike, controls: ArrayLike) -> tuple[Floats, Floats]:
     """Returns the times (N+1,) [s] and controls (N, nu) [N] of a held control, read-only.
 
     Raises:
@@ -109,7 +108,7 @@ def check_control(
     return t, _check_rows("controls", controls, len(t) - 1, "one for each interval")
 
 
-def _check_rows(name: str, values: npt.ArrayLike, count: int, what: str) -> npt.NDArray[np.float64]:
+def _check_rows(name: str, values: ArrayLike, count: int, what: str) -> Floats:
     """Returns a finite, read-only array of two dimensions with so many rows."""
     rows = _check_finite(name, values)
     if rows.ndim != 2 or len(rows) != count:
@@ -117,7 +116,7 @@ def _check_rows(name: str, values: npt.ArrayLike, count: int, what: str) -> npt.
     return rows
 
 
-def _check_finite(name: str, values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def _check_finite(name: str, values: ArrayLike) -> Floats:
     try:
         array = read_only(values)
     except (TypeError, ValueError) as error:

@@ -11,15 +11,12 @@ from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from pydrake.solvers import Constraint
 from pydrake.symbolic import MakeVectorVariable, Variable
 
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.transcription.shared import formula_rows, is_affine_in_one, shared_constraint
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
     from drake_aigto.transcription.additions import Addition, Additions
 
-    Floats = npt.NDArray[np.float64]
-    Indices = npt.NDArray[np.int64]
 
 # How the variables of their own are called.
 SLACK = "slack"
@@ -42,9 +39,9 @@ class AddedRow:
     """
 
     row: Constraint
-    reads: Indices
-    stages: Indices
-    slacks: Indices
+    reads: Ints
+    stages: Ints
+    slacks: Ints
     bounds: tuple[float, float]
     unit: float
 
@@ -63,11 +60,7 @@ class AddedRow:
 
 
 def make_rows(
-    addition: Addition,
-    additions: Additions,
-    reads: Indices,
-    stages: Indices,
-    new: Callable[[int], Indices],
+    addition: Addition, additions: Additions, reads: Ints, stages: Ints, new: Callable[[int], Ints]
 ) -> Iterator[AddedRow]:
     """Yields the rows of a user's constraint.
 

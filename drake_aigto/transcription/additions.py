@@ -4,19 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from pydrake.solvers import Cost, EvaluatorBase
 from pydrake.symbolic import Variable
 
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import ProgramError
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    Floats = npt.NDArray[np.float64]
 
 Part = Literal["q", "v", "u"]
 
@@ -239,7 +236,7 @@ def _slopes(addition: Addition, x: Floats) -> Floats:
 
 def read_binding(
     evaluator: EvaluatorBase,
-    variables: Sequence[Variable] | npt.NDArray[Any],
+    variables: Sequence[Variable] | NDArray[Any],
     places: Mapping[int, Place],
     expected: str,
     remedy: str,

@@ -9,12 +9,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 from pydrake.solvers import Binding, ClpSolver, MathematicalProgram, SolutionResult
 
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import ProgramError
 from drake_aigto.transcription.added_rows import SLACK
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
     from drake_aigto.transcription.additions import Additions
 
 
@@ -35,7 +34,7 @@ def check_bounds_of(additions: Additions) -> None:
                 )
 
 
-def check_start(additions: Additions, state: npt.NDArray[np.float64]) -> None:
+def check_start(additions: Additions, state: Floats) -> None:
     """Refuses constraints on the initial state alone, shape (nq + nv,), that it does not meet.
 
     Raises:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
+from drake_aigto.arrays import Bools, Floats
 
+if TYPE_CHECKING:
     from drake_aigto.world import ConstantInertia
 
 # Jacobians are parallel, or directions dependent, within this.
@@ -49,12 +49,12 @@ class ImpulseDirections:
         are_independent: whether no direction is a combination of others.
     """
 
-    jacobians: npt.NDArray[np.float64]
-    directions: npt.NDArray[np.float64]
-    readers: npt.NDArray[np.float64]
-    shares: npt.NDArray[np.float64]
-    masses: npt.NDArray[np.float64]
-    tangents: npt.NDArray[np.float64]
+    jacobians: Floats
+    directions: Floats
+    readers: Floats
+    shares: Floats
+    masses: Floats
+    tangents: Floats
     are_independent: bool
 
     @classmethod
@@ -74,12 +74,7 @@ class ImpulseDirections:
         masses = np.array([float(rho @ inertia.mass_matrix @ rho) for rho in R])
         return cls(J, D, R, shares, masses, basis[rank:].T, are_independent)
 
-    def contact_impulses(
-        self,
-        impulses: npt.NDArray[np.float64],
-        distances: npt.NDArray[np.float64],
-        in_force: npt.NDArray[np.bool_],
-    ) -> npt.NDArray[np.float64]:
+    def contact_impulses(self, impulses: Floats, distances: Floats, in_force: Bools) -> Floats:
         """Returns λ of net impulses: each direction's goes to the nearest wall that pushes so.
 
         What nothing can push, a pull, is the nearest wall's too. Where directions depend on each
@@ -106,24 +101,17 @@ class ImpulseDirections:
             found[rows, chosen[rows]] = pushes[rows] / share[chosen[rows]]
         return found
 
-    def _explain(
-        self,
-        impulse: npt.NDArray[np.float64],
-        distances: npt.NDArray[np.float64],
-        in_force: npt.NDArray[np.bool_],
-    ) -> npt.NDArray[np.float64]:
+    def _explain(self, impulse: Floats, distances: Floats, in_force: Bools) -> Floats:
         """Returns λ ≥ 0 of one net impulse, shape (m,)."""
         prices = _AFAR * np.abs(distances) / max(np.max(np.abs(distances)), 1e-300)
         matrix = np.vstack([self.jacobians.T, np.diag(prices)]) * in_force
         return scipy.optimize.nnls(matrix, np.append(impulse, np.zeros(len(prices))))[0]
 
 
-def _readers(
-    directions: npt.NDArray[np.float64], inverse: npt.NDArray[np.float64], rank: int
-) -> npt.NDArray[np.float64]:
+def _readers(directions: Floats, inverse: Floats, rank: int) -> Floats:
     """Returns ρ = M⁻¹ Dᵀ c, each blind to rank − 1 independent directions, once."""
     span = np.linalg.svd(directions @ inverse)[2][:rank].T
-    found: list[npt.NDArray[np.float64]] = []
+    found: list[Floats] = []
     for hidden in itertools.combinations(directions @ span, rank - 1):
         _, sizes, basis = np.linalg.svd(np.reshape(hidden, (rank - 1, rank)))
         if rank > 1 and sizes[-1] < _PARALLEL * sizes[0]:
@@ -137,9 +125,9 @@ def _readers(
     return np.array(found)
 
 
-def _distinct(jacobians: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+def _distinct(jacobians: Floats) -> Floats:
     """Returns those rows that are parallel to none before them."""
-    kept: list[npt.NDArray[np.float64]] = []
+    kept: list[Floats] = []
     for row in jacobians:
         unit = row / np.linalg.norm(row)
         if all(abs(unit @ other) < np.linalg.norm(other) * (1 - _PARALLEL) for other in kept):

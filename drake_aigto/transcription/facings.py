@@ -8,15 +8,13 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drake_aigto.arrays import Bools, Floats
 from drake_aigto.errors import OptionsError
 from drake_aigto.transcription.touch import Touch
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
     from drake_aigto.world import World
 
-    Mask = npt.NDArray[np.bool_]
 
 # How finely a path is looked at to find the faces that it passes, in parts of the duration.
 _GRID = 200
@@ -71,7 +69,7 @@ class Fronts:
                     expected=f"the first from 0 s, and increasing times below {duration:g} s",
                 )
 
-    def at_knots(self, times: npt.NDArray[np.float64], knots: Sequence[int]) -> Mask:
+    def at_knots(self, times: Floats, knots: Sequence[int]) -> Bools:
         """Returns which faces are in force, shape (N+1, m); both of them where one takes over.
 
         Args:
@@ -93,10 +91,7 @@ class Fronts:
 
 
 def find_facings(
-    world: World,
-    times: npt.NDArray[np.float64],
-    path: npt.NDArray[np.float64],
-    sequence: Sequence[Touch] = (),
+    world: World, times: Floats, path: Floats, sequence: Sequence[Touch] = ()
 ) -> tuple[Facing, ...]:
     """Returns the faces that a path goes along, as few changes as it takes.
 
@@ -132,7 +127,7 @@ def find_facings(
     return tuple(sorted(found, key=lambda facing: facing.start))
 
 
-def _cover(fits: Mask) -> list[tuple[int, int]]:
+def _cover(fits: Bools) -> list[tuple[int, int]]:
     """Returns from which row on which column to take, so that all fit and few change.
 
     Args:

@@ -7,21 +7,20 @@ import operator
 from abc import abstractmethod
 from collections.abc import Hashable, Iterable
 from functools import cached_property
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.solvers import BoundingBoxConstraint, Cost, EvaluatorBase, MathematicalProgram
 from pydrake.symbolic import Expression, MakeVectorVariable, Variable
 
+from drake_aigto.arrays import Ints
 from drake_aigto.errors import ProgramError
 from drake_aigto.transcription.knots import Knots
 from drake_aigto.transcription.parameters import Parameters
 from drake_aigto.transcription.penalties import Bounds, read_bounds
 from drake_aigto.transcription.shared import SharedEvaluator, substitutions
 from drake_aigto.world import Scenario, World
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 _Self = TypeVar("_Self", bound="KnotProgram")
 
@@ -117,7 +116,7 @@ class KnotProgram(Knots):
         """Adds costs and rows."""
 
     @abstractmethod
-    def _stage(self, k: int) -> list[tuple[npt.NDArray[Any], npt.NDArray[Any]]]:
+    def _stage(self, k: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
         """Returns pairs of placeholders and what they stand for at knot k."""
 
     def _num_variables(self) -> int:
@@ -126,15 +125,15 @@ class KnotProgram(Knots):
     # Placeholders of a stage; those of its start and control are the world's own.
 
     @cached_property
-    def _next_q(self) -> npt.NDArray[Any]:
+    def _next_q(self) -> NDArray[Any]:
         return MakeVectorVariable(self.world.num_positions, "q_next")
 
     @cached_property
-    def _next_v(self) -> npt.NDArray[Any]:
+    def _next_v(self) -> NDArray[Any]:
         return MakeVectorVariable(self.world.num_velocities, "v_next")
 
     @cached_property
-    def _clearance(self) -> npt.NDArray[Any]:
+    def _clearance(self) -> NDArray[Any]:
         return MakeVectorVariable(len(self._clearance_contacts), "s")
 
     @property
@@ -153,7 +152,7 @@ class KnotProgram(Knots):
         """
         return self._prog
 
-    def state(self, k: int | None = None) -> npt.NDArray[Any]:
+    def state(self, k: int | None = None) -> NDArray[Any]:
         """Returns x_k = [q_k, v_k], shape (nq + nv,); without k, placeholders for it.
 
         Raises:
@@ -164,7 +163,7 @@ class KnotProgram(Knots):
         _check_knot("state", k, len(self._q))
         return self._variables_at(np.concatenate([self._q[k], self._v[k]]))
 
-    def input(self, k: int | None = None) -> npt.NDArray[Any]:
+    def input(self, k: int | None = None) -> NDArray[Any]:
         """Returns u_k, held from knot k to the next, shape (nu,); without k, placeholders for it.
 
         Raises:
@@ -175,16 +174,16 @@ class KnotProgram(Knots):
         _check_knot("input", k, len(self._u))
         return self._variables_at(self._u[k])
 
-    def _variables_at(self, indices: npt.NDArray[np.int64]) -> npt.NDArray[Any]:
+    def _variables_at(self, indices: Ints) -> NDArray[Any]:
         """Returns the program's variables of these indices, in an array of their shape."""
         self.prog()
         return self._variables[indices]
 
-    def initial_state(self) -> npt.NDArray[Any]:
+    def initial_state(self) -> NDArray[Any]:
         """Returns x_0."""
         return self.state(0)
 
-    def final_state(self) -> npt.NDArray[Any]:
+    def final_state(self) -> NDArray[Any]:
         """Returns x_N."""
         return self.state(self.num_samples() - 1)
 

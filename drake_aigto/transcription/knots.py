@@ -5,18 +5,15 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.solvers import MathematicalProgram
 
+from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.errors import ProgramError
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scales, Scenario, World
 from drake_aigto.world.scales import calc_inertia
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 # A time is that of a knot but for this part of the duration: rounding.
 _ON_KNOT = 1e-9
@@ -34,7 +31,7 @@ class Layout:
         self.size = 0
         self._groups: list[tuple[str, tuple[int, ...]]] = []
 
-    def new(self, name: str, *shape: int) -> npt.NDArray[np.int64]:
+    def new(self, name: str, *shape: int) -> Ints:
         """Returns the indices of new variables, of this shape."""
         self._groups.append((name, shape))
         first, self.size = self.size, self.size + math.prod(shape)
@@ -48,7 +45,7 @@ class Layout:
         other.size, other._groups = self.size, [*self._groups]
         return other
 
-    def scatter(self, name: str, mask: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+    def scatter(self, name: str, mask: Bools) -> Ints:
         """Returns new variables where the mask is True, in an array of its shape; −1 elsewhere."""
         places = np.full(mask.shape, -1)
         places[mask] = self.new(name, int(np.sum(mask)))
@@ -70,7 +67,7 @@ class Knots(ABC):
     """
 
     # The last read-only vector whose trajectory was asked for, and that.
-    _last: tuple[npt.NDArray[np.float64] | None, Trajectory | None] = (None, None)
+    _last: tuple[Floats | None, Trajectory | None] = (None, None)
 
     def __init__(self, world: World, scenario: Scenario) -> None:
         """Lays out the variables."""
@@ -95,29 +92,29 @@ class Knots(ABC):
         self._clearances = np.hstack([np.empty((N + 1, 0), dtype=np.int64), *columns])
 
     @abstractmethod
-    def _is_bounded(self) -> npt.NDArray[np.bool_]:
+    def _is_bounded(self) -> Bools:
         """Returns which contacts have bounds on φ at knots k ≥ 1, shape (m,)."""
 
     def _num_variables(self) -> int:
         return self._layout.size
 
     @abstractmethod
-    def defects(self, x: npt.NDArray[np.float64]) -> dict[str, float]:
+    def defects(self, x: Floats) -> dict[str, float]:
         """Returns the largest violation of each kind of row at x, in that row's unit (m, m/s)."""
 
     @abstractmethod
-    def impulses(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def impulses(self, x: Floats) -> Floats:
         """Returns the contact impulses that x implies, shape (N+1, m) [N s]."""
 
-    def forces(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def forces(self, x: Floats) -> Floats:
         """Returns the contact forces that are held over each step, shape (N, m) [N]."""
         return np.zeros((len(self._u), self.world.num_contacts))
 
-    def close_rows(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def close_rows(self, x: Floats) -> Floats:
         """Returns x with the rounding that a solver left in the rows taken out, where it can be."""
         return x
 
-    def _depth(self, x: npt.NDArray[np.float64]) -> float:
+    def _depth(self, x: Floats) -> float:
         """Returns how deep inside of solids the knots are after the start, 0 outside [m]."""
         clearances = self.world.calc_clearance(self.split(x)[0][1:])
         return max(0.0, -float(np.min(clearances)))
@@ -130,7 +127,7 @@ class Knots(ABC):
         """Returns the length of step k [s]; all are equal."""
         return self._dt
 
-    def GetSampleTimes(self) -> npt.NDArray[np.float64]:
+    def GetSampleTimes(self) -> Floats:
         """Returns the knots' times, shape (N+1,) [s]."""
         return np.arange(self.num_samples()) * np.float64(self._dt)
 
@@ -151,11 +148,11 @@ class Knots(ABC):
             )
         return int(nearest[0])
 
-    def sample_times(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def sample_times(self, x: Floats) -> Floats:
         """Returns the knots' times at x, shape (N+1,) [s]."""
         return self.GetSampleTimes()
 
-    def trajectory(self, x: npt.NDArray[np.float64]) -> Trajectory:
+    def trajectory(self, x: Floats) -> Trajectory:
         """Returns the trajectory that a vector of all decision variables stands for.
 
         That of a read-only vector is remembered until the next one's is asked for.
@@ -167,21 +164,16 @@ class Knots(ABC):
             self._last = (None, None) if x.flags.writeable else (x, trajectory)
         return trajectory
 
-    def vector(self, trajectory: Trajectory) -> npt.NDArray[np.float64]:
+    def vector(self, trajectory: Trajectory) -> Floats:
         """Returns all decision variables of a trajectory at these knots; undoes `trajectory`."""
         return self.vector_of(trajectory.positions, trajectory.velocities, trajectory.controls)
 
-    def vector_of(
-        self,
-        positions: npt.NDArray[np.float64],
-        velocities: npt.NDArray[np.float64],
-        controls: npt.NDArray[np.float64],
-    ) -> npt.NDArray[np.float64]:
+    def vector_of(self, positions: Floats, velocities: Floats, controls: Floats) -> Floats:
         """Returns all decision variables, for arrays as `split` returns them."""
         clearances = self.world.calc_signed_distance(positions)[:, self._clearance_contacts]
         return self._join(positions, velocities, controls, clearances)
 
-    def _join(self, *parts: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def _join(self, *parts: Floats) -> Floats:
         """Returns q, v, u and clearances in the program's order; other variables are 0."""
         x = np.zeros(self._num_variables())
         for indices, values in zip(
@@ -190,15 +182,15 @@ class Knots(ABC):
             x[indices] = values
         return x
 
-    def split(self, x: npt.NDArray[np.float64]) -> list[npt.NDArray[np.float64]]:
+    def split(self, x: Floats) -> list[Floats]:
         """Returns q (N+1, nq), v (N+1, nv) and u (N, nu) out of all decision variables."""
         return [x[indices] for indices in (self._q, self._v, self._u)]
 
-    def signed_distances(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def signed_distances(self, x: Floats) -> Floats:
         """Returns φ at the knots, shape (N+1, m) [m]."""
         return self.world.calc_signed_distance(self.split(x)[0])
 
-    def scenario_cost(self, x: npt.NDArray[np.float64]) -> float:
+    def scenario_cost(self, x: Floats) -> float:
         """Returns J = w_u Σ dt ‖u_k‖² + w_f ‖q_N − goal‖², without penalties or added costs."""
         q, _, u = self.split(x)
         durations = np.diff(self.sample_times(x))
@@ -206,11 +198,11 @@ class Knots(ABC):
         miss = self.scenario.goal_weight * np.sum((q[-1] - self.scenario.goal_position) ** 2)
         return float(effort + miss)
 
-    def elimination_order(self) -> npt.NDArray[np.int64]:
+    def elimination_order(self) -> Ints:
         """Returns all decision variables' indices by stage: Newton systems are banded then."""
         return np.concatenate([self._stage_indices(k) for k in range(self.num_samples())])
 
-    def _stage_indices(self, k: int) -> npt.NDArray[np.int64]:
+    def _stage_indices(self, k: int) -> Ints:
         """Returns the decision variables of knot k and of the step after it."""
         rows = self._q[k], self._v[k], self._clearances[k], *self._u[k : k + 1]
         return np.concatenate(rows)

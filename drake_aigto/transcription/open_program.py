@@ -7,12 +7,14 @@ import dataclasses
 from abc import abstractmethod
 from collections.abc import Hashable
 from functools import partial
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.solvers import Binding, MathematicalProgram
 from pydrake.symbolic import Formula
 
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.errors import ProgramError
 from drake_aigto.transcription.added_rows import SLACK, AddedRow, make_rows
 from drake_aigto.transcription.additions import (
@@ -27,9 +29,6 @@ from drake_aigto.transcription.consistency import check_bounds_of, check_linear,
 from drake_aigto.transcription.knot_program import KnotProgram, numbers_of
 from drake_aigto.transcription.shared import SharedEvaluator, as_expression, shared_cost
 from drake_aigto.world import Scenario, World
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 _Self = TypeVar("_Self", bound="OpenProgram")
 
@@ -89,7 +88,7 @@ class OpenProgram(KnotProgram):
         self._add(Additions(final=added))
 
     def AddConstraintToAllKnotPoints(
-        self, f: Formula | npt.NDArray[Any], description: str | None = None
+        self, f: Formula | NDArray[Any], description: str | None = None
     ) -> None:
         """Adds a constraint on placeholders at every knot, as MultipleShooting does.
 
@@ -245,11 +244,11 @@ class OpenProgram(KnotProgram):
         return foreign
 
     @property
-    def _parts(self) -> dict[Part, npt.NDArray[np.int64]]:
+    def _parts(self) -> dict[Part, Ints]:
         return {"q": self._q, "v": self._v, "u": self._u}
 
     @property
-    def _placeholders(self) -> dict[Part, npt.NDArray[Any]]:
+    def _placeholders(self) -> dict[Part, NDArray[Any]]:
         world = self.world
         return {"q": world.positions, "v": world.velocities, "u": world.controls}
 
@@ -286,7 +285,7 @@ class OpenProgram(KnotProgram):
         """Returns the last knot that an addition reads, places of any knot at k."""
         return max(k if p.knot is None else self._knot(p.knot) for p in addition.places)
 
-    def _indices(self, addition: Addition, k: int) -> npt.NDArray[np.int64]:
+    def _indices(self, addition: Addition, k: int) -> Ints:
         """Returns the decision variables that an addition reads, places of any knot at k."""
         return np.array(
             [
@@ -299,16 +298,11 @@ class OpenProgram(KnotProgram):
         """Returns the knot at the time of knot k of the transcription that users added to."""
         return k
 
-    def _stage_indices(self, k: int) -> npt.NDArray[np.int64]:
+    def _stage_indices(self, k: int) -> Ints:
         slacks = [row.slacks[row.stages == k] for row in self._rows if row.slacks.size]
         return np.concatenate([super()._stage_indices(k), *slacks])
 
-    def vector_of(
-        self,
-        positions: npt.NDArray[np.float64],
-        velocities: npt.NDArray[np.float64],
-        controls: npt.NDArray[np.float64],
-    ) -> npt.NDArray[np.float64]:
+    def vector_of(self, positions: Floats, velocities: Floats, controls: Floats) -> Floats:
         """Returns all decision variables, for arrays as `split` returns them."""
         x = super().vector_of(positions, velocities, controls)
         for row in self._rows:

@@ -5,11 +5,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.symbolic import MakeVectorVariable
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
     from drake_aigto.world import Scenario
 
 
@@ -27,7 +26,7 @@ class Parameters(NamedTuple):
         per_length: 1/L, of the length scale [1/m].
     """
 
-    goal: npt.NDArray[Any]
+    goal: NDArray[Any]
     control_weight: Any
     goal_weight: Any
     time_step: Any
@@ -53,6 +52,6 @@ class Parameters(NamedTuple):
         found = MakeVectorVariable(num_positions + len(others), "p")
         return cls(found[:num_positions], *found[num_positions:])
 
-    def vector(self) -> npt.NDArray[Any]:
+    def vector(self) -> NDArray[Any]:
         """Returns all of them, shape (nq + 5,)."""
         return np.array([*self.goal, *self[1:]])

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any, Literal, TypeAlias
+from typing import Any, Literal, TypeAlias
 
 import numpy as np
 import pydrake.symbolic as sym
+from numpy.typing import ArrayLike, NDArray
 from pydrake.solvers import BoundingBoxConstraint, Constraint, MathematicalProgram
 from pydrake.symbolic import Expression, MakeVectorVariable
 
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.transcription.shared import (
     SharedEvaluator,
@@ -20,12 +22,9 @@ from drake_aigto.transcription.shared import (
     substitutions,
 )
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
 InequalityPenalty = Literal["squared hinge", "log barrier"]
 # Lower and upper bound of each variable, shape (n,) each.
-Bounds: TypeAlias = "tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]"
+Bounds: TypeAlias = "tuple[Floats, Floats]"
 
 
 def penalize(
@@ -63,7 +62,7 @@ def penalize(
     read = [np.array(list(factor.GetVariables())) for factor in factors.values()]
     themselves = substitutions(read, read)
     # Keyed by the evaluators themselves: ids repeat once an evaluator's Python object is gone.
-    penalties: dict[Constraint, tuple[npt.NDArray[Any], SharedEvaluator | None]] = {}
+    penalties: dict[Constraint, tuple[NDArray[Any], SharedEvaluator | None]] = {}
     for binding in prog.GetAllConstraints():
         evaluator, variables = binding.evaluator(), binding.variables()
         if evaluator not in penalties:
@@ -79,9 +78,7 @@ def penalize(
     return penalized
 
 
-def fixed_variables(
-    prog: MathematicalProgram,
-) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
+def fixed_variables(prog: MathematicalProgram) -> tuple[Ints, Floats]:
     """Returns the indices and values of the variables that equal lower and upper bounds fix."""
     lower, upper = read_bounds(prog)
     fixed = np.flatnonzero(lower == upper)
@@ -89,8 +86,8 @@ def fixed_variables(
 
 
 def cut_to_bounds(
-    prog: MathematicalProgram, center: npt.ArrayLike, half_width: npt.ArrayLike
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    prog: MathematicalProgram, center: ArrayLike, half_width: ArrayLike
+) -> tuple[Floats, Floats]:
     """Returns center and half width of the part of a box that is within the program's bounds.
 
     Where bounds fix a variable its half width is 0. A box outside of the bounds in some variable
@@ -99,9 +96,7 @@ def cut_to_bounds(
     return cut_to(read_bounds(prog), center, half_width)
 
 
-def cut_to(
-    bounds: Bounds, center: npt.ArrayLike, half_width: npt.ArrayLike
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+def cut_to(bounds: Bounds, center: ArrayLike, half_width: ArrayLike) -> tuple[Floats, Floats]:
     """Returns the same for the lower and upper bounds of the variables."""
     lower, upper = bounds
     center, half_width = np.asarray(center, dtype=float), np.asarray(half_width, dtype=float)
@@ -122,7 +117,7 @@ def read_bounds(prog: MathematicalProgram) -> Bounds:
 
 def _penalty(
     constraint: Constraint,
-    x: npt.NDArray[Any],
+    x: NDArray[Any],
     inequality: InequalityPenalty,
     scale: float,
     factor: Expression,

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 from pydrake.solvers import LinearEqualityConstraint
 from pydrake.symbolic import Expression, MakeVectorVariable, Variable
 
+from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription.additions import NO_ADDITIONS, Additions
 from drake_aigto.transcription.facings import Facing, find_facings
@@ -17,16 +19,8 @@ from drake_aigto.transcription.rigid_contact import ImpactTranscription, JointIm
 from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, RESTITUTION
 from drake_aigto.transcription.shared import SharedEvaluator, as_expression, shared_constraint
 from drake_aigto.transcription.timeline import Phase, check_sequence, make_timeline
-from drake_aigto.transcription.touch import (
-    Touch,
-    TouchSequence,
-    joint_times,
-    touches_at_once,
-)
+from drake_aigto.transcription.touch import Touch, TouchSequence, joint_times, touches_at_once
 from drake_aigto.world import Scenario, World
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 # The least parts of the duration. Flights: times of a trajectory have to increase, and a bounce may
 # come right after the start, or sooner still (`touches_at_once`). Contacts that last: what is
@@ -104,7 +98,7 @@ class PhaseTranscription(ImpactTranscription):
         super().__init__(world, scenario)
         self._take(added)
 
-    def _is_bounded(self) -> npt.NDArray[np.bool_]:
+    def _is_bounded(self) -> Bools:
         line = self.timeline
         return np.any((line.apart | line.beside | line.held)[1:], axis=0)
 
@@ -125,15 +119,15 @@ class PhaseTranscription(ImpactTranscription):
         self._forces = scatter("f", line.rests)
 
     @cached_property
-    def _step(self) -> npt.NDArray[Any]:
+    def _step(self) -> NDArray[Any]:
         return MakeVectorVariable(2, "h")  # of this stage and the next
 
     @cached_property
-    def _clock(self) -> npt.NDArray[Any]:
+    def _clock(self) -> NDArray[Any]:
         return MakeVectorVariable(2, "t")
 
     @cached_property
-    def _force(self) -> npt.NDArray[Any]:
+    def _force(self) -> NDArray[Any]:
         return MakeVectorVariable(self.world.num_contacts, "f")
 
     @property
@@ -144,7 +138,7 @@ class PhaseTranscription(ImpactTranscription):
     def _has_clock(self) -> bool:
         return len(self.timeline.phases) > 1
 
-    def _impact(self, struck: npt.NDArray[np.bool_]) -> JointImpact:
+    def _impact(self, struck: Bools) -> JointImpact:
         contacts = tuple(np.flatnonzero(struck).tolist())
         return JointImpact.of(self._inertia, contacts, tuple(self.restitutions[struck].tolist()))
 
@@ -226,7 +220,7 @@ class PhaseTranscription(ImpactTranscription):
         ends = {0: 0, len(added.times) - 1: len(self._u)}
         return ends[k] if k in ends else self.timeline.instants[float(added.times[k])]
 
-    def _add_speed(self, variable: Variable, row: npt.NDArray[np.float64], k: int) -> None:
+    def _add_speed(self, variable: Variable, row: Floats, k: int) -> None:
         """Adds the variable's definition, row · v_k."""
         variables = np.append(variable, self._variables_at(self._v[k]))
         constraint = LinearEqualityConstraint(np.append(-1.0, row)[np.newaxis], [0.0])
@@ -252,7 +246,7 @@ class PhaseTranscription(ImpactTranscription):
             *(shared_constraint(as_expression(row), DYNAMICS) for row in dynamics),
         ]
 
-    def _stage(self, k: int) -> list[tuple[npt.NDArray[Any], npt.NDArray[Any]]]:
+    def _stage(self, k: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
         pairs = super()._stage(k)
         if k < len(self._steps):
             steps = self._steps[[k, min(k + 1, len(self._steps) - 1)]]
@@ -265,7 +259,7 @@ class PhaseTranscription(ImpactTranscription):
             pairs.append((self._force[rests], self._variables_at(self._forces[k, rests])))
         return pairs
 
-    def _stage_indices(self, k: int) -> npt.NDArray[np.int64]:
+    def _stage_indices(self, k: int) -> Ints:
         line = self.timeline
         of_knot = [
             self._closing[k, line.starts[k]],
@@ -276,7 +270,7 @@ class PhaseTranscription(ImpactTranscription):
         of_step = [self._forces[k, line.rests[k]]] if k < len(self._u) else []
         return np.concatenate([super()._stage_indices(k), *of_knot, *of_step])
 
-    def sample_times(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def sample_times(self, x: Floats) -> Floats:
         """Returns the knots' times at x, shape (N+1,) [s]; they increase at any x within bounds."""
         known, trajectory = self._last
         if x is known and trajectory is not None:
@@ -286,7 +280,7 @@ class PhaseTranscription(ImpactTranscription):
         elapsed = np.cumsum(x[self._steps])
         return np.append(0.0, self.scenario.duration * (elapsed / elapsed[-1]))
 
-    def grazes(self, x: npt.NDArray[np.float64]) -> list[Touch]:
+    def grazes(self, x: Floats) -> list[Touch]:
         """Returns bounces where the motion keeps off a wall at φ = 0 by its control alone.
 
         There a touch that the sequence lacks may pay. One for each run of such knots.
@@ -300,7 +294,7 @@ class PhaseTranscription(ImpactTranscription):
             found += [Touch.bounce(float(np.mean(times[run])), contact) for run in runs]
         return found
 
-    def contact_sequence(self, x: npt.NDArray[np.float64]) -> TouchSequence:
+    def contact_sequence(self, x: Floats) -> TouchSequence:
         """Returns the sequence with its times at x."""
         t = self.sample_times(x)
         return tuple(
@@ -308,7 +302,7 @@ class PhaseTranscription(ImpactTranscription):
             for touch, (first, last) in zip(self.sequence, self.timeline.spans, strict=True)
         )
 
-    def facings(self, x: npt.NDArray[np.float64]) -> tuple[Facing, ...]:
+    def facings(self, x: Floats) -> tuple[Facing, ...]:
         """Returns the faces of boxes that keep the motion out, with their times at x."""
         t = self.sample_times(x)
         return tuple(
@@ -316,7 +310,7 @@ class PhaseTranscription(ImpactTranscription):
             for contact, k in zip(self._facing_contacts, self.timeline.turns, strict=True)
         )
 
-    def impulses(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def impulses(self, x: Floats) -> Floats:
         """Returns P v_k (`JointImpact`) where contacts are touched, shape (N+1, m) [N s]."""
         velocities = self.split(x)[1]
         impulses = np.zeros(self.timeline.struck.shape)
@@ -324,13 +318,13 @@ class PhaseTranscription(ImpactTranscription):
             impulses[k, self.timeline.struck[k]] = impact.impulses @ velocities[k]
         return impulses
 
-    def forces(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def forces(self, x: Floats) -> Floats:
         """Returns λ_k, shape (N, m) [N]."""
         forces, rests = super().forces(x), self.timeline.rests
         forces[rests] = x[self._forces[rests]]
         return forces
 
-    def vector(self, trajectory: Trajectory) -> npt.NDArray[np.float64]:
+    def vector(self, trajectory: Trajectory) -> Floats:
         """Returns all decision variables of a trajectory at these knots; undoes `trajectory`."""
         x = self.vector_of(trajectory.positions, trajectory.velocities, trajectory.controls)
         line, v = self.timeline, trajectory.velocities
@@ -342,7 +336,7 @@ class PhaseTranscription(ImpactTranscription):
             x[self._steps], x[self._times] = np.diff(trajectory.times), trajectory.times
         return x
 
-    def guess(self, through: npt.ArrayLike | None = None) -> Trajectory:
+    def guess(self, through: ArrayLike | None = None) -> Trajectory:
         """Returns a guess that flies from stop to stop without control, bent as gravity bends it.
 
         Contacts that last go straight.
@@ -373,11 +367,8 @@ class PhaseTranscription(ImpactTranscription):
 
 
 def straight_path(
-    world: World,
-    scenario: Scenario,
-    sequence: Sequence[Touch],
-    through: npt.ArrayLike | None = None,
-) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    world: World, scenario: Scenario, sequence: Sequence[Touch], through: ArrayLike | None = None
+) -> tuple[Floats, Floats]:
     """Returns start, goal and the stops between, when and where: shapes (J+2,) [s], (J+2, nq) [m].
 
     Args:

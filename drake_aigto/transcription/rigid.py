@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Hashable, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.solvers import MathematicalProgram
 from pydrake.symbolic import Expression
 
+from drake_aigto.arrays import Bools, Floats
 from drake_aigto.errors import OptionsError
 from drake_aigto.transcription.directions import ImpulseDirections
 from drake_aigto.transcription.facings import Fronts, find_facings
@@ -25,9 +27,6 @@ from drake_aigto.transcription.rows import (
 )
 from drake_aigto.transcription.shared import as_expression, shared_constraint
 from drake_aigto.world import Scenario, World
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 
 class RigidTranscription(ImpactTranscription):
@@ -72,11 +71,7 @@ class RigidTranscription(ImpactTranscription):
     ROWS: ClassVar[tuple[str, ...]] = (FLIGHT, DYNAMICS, CONTACT, RESTITUTION, NONPENETRATION)
 
     def __init__(
-        self,
-        world: World,
-        scenario: Scenario,
-        relaxation: float = 1e-4,
-        path: npt.NDArray[np.float64] | None = None,
+        self, world: World, scenario: Scenario, relaxation: float = 1e-4, path: Floats | None = None
     ) -> None:
         """Makes the program."""
         if not 0 <= relaxation < np.inf:
@@ -86,9 +81,7 @@ class RigidTranscription(ImpactTranscription):
         self._fronts = _find_fronts(world, scenario, path)
         super().__init__(world, scenario)
 
-    def again(
-        self, scenario: Scenario, path: npt.NDArray[np.float64] | None = None
-    ) -> RigidTranscription:
+    def again(self, scenario: Scenario, path: Floats | None = None) -> RigidTranscription:
         """Returns the same, with what users added, for another scenario, or around another path."""
         additions = self.additions()
         fronts = _find_fronts(self.world, scenario, path)
@@ -102,7 +95,7 @@ class RigidTranscription(ImpactTranscription):
         """What rows and costs depend on besides the world, users, and `parameters`."""
         return super().structure, self._fronts.tobytes()
 
-    def _is_bounded(self) -> npt.NDArray[np.bool_]:
+    def _is_bounded(self) -> Bools:
         return np.any(self._fronts[1:], axis=0)
 
     def _add_rows(self) -> None:
@@ -122,7 +115,7 @@ class RigidTranscription(ImpactTranscription):
             self._bind_each(returned, range(1, len(self._u)))
         self._bound_distances(self._fronts)
 
-    def _add_flight_rows(self) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    def _add_flight_rows(self) -> tuple[NDArray[Any], NDArray[Any]]:
         """Adds flight; returns v⁺_k and p_k of a stage, what flight leaves unexplained."""
         world, inertia, given = self.world, self._inertia, self._given
         mean_velocity = (self._next_q - world.positions) * given.rate
@@ -174,7 +167,7 @@ class RigidTranscription(ImpactTranscription):
         return as_expression((pushed - law) * per_others)
 
     def _restitution_rows(
-        self, jumps: npt.NDArray[Any], impulse: npt.NDArray[Any], after: npt.NDArray[Any]
+        self, jumps: NDArray[Any], impulse: NDArray[Any], after: NDArray[Any]
     ) -> list[Any]:
         """Returns jump times missed speed, of each direction if they are independent [m²/s²]."""
         ways, e = self.impulse_directions, self.world.restitutions(self.scenario)
@@ -209,7 +202,7 @@ class RigidTranscription(ImpactTranscription):
         per_unit = dict.fromkeys((NONPENETRATION, CLEARANCE), self._given.per_length)
         return penalize(self._prog, inequality, scale=self.scenario.num_steps, per_unit=per_unit)
 
-    def impulses(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def impulses(self, x: Floats) -> Floats:
         """Returns λ_k, shape (N+1, m) [N s]; 0 at the last knot: no step follows."""
         q, v, u = self.split(x)
         means = (q[:-1] + q[1:]) / 2, np.diff(q, axis=0) / self._dt
@@ -220,9 +213,7 @@ class RigidTranscription(ImpactTranscription):
         return np.vstack([found, np.zeros((1, self.world.num_contacts))])
 
 
-def _find_fronts(
-    world: World, scenario: Scenario, path: npt.NDArray[np.float64] | None
-) -> npt.NDArray[np.bool_]:
+def _find_fronts(world: World, scenario: Scenario, path: Floats | None) -> Bools:
     """Returns which contacts are in force at each knot, shape (N+1, m)."""
     N, T = scenario.num_steps, scenario.duration
     if world.num_solids == world.num_contacts:

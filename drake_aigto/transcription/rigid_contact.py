@@ -7,14 +7,14 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from drake_aigto.arrays import Bools, Floats
 from drake_aigto.errors import OptionsError
 from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, NONPENETRATION, RESTITUTION
 from drake_aigto.transcription.transcription import Transcription
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
     from drake_aigto.trajectory import Trajectory
     from drake_aigto.world import ConstantInertia, Scenario, World
 
@@ -39,9 +39,9 @@ class JointImpact:
         coupled: which of the contacts have an impulse that another one's speed changes, shape (c,).
     """
 
-    impulses: npt.NDArray[np.float64]
-    velocities: npt.NDArray[np.float64]
-    coupled: npt.NDArray[np.bool_]
+    impulses: Floats
+    velocities: Floats
+    coupled: Bools
 
     @classmethod
     @lru_cache(maxsize=64)  # A search asks for the same few again and again.
@@ -88,7 +88,7 @@ class ImpactTranscription(Transcription):
         self._inertia = world.constant_inertia
         super().__init__(world, scenario)
 
-    def defects(self, x: npt.NDArray[np.float64]) -> dict[str, float]:
+    def defects(self, x: Floats) -> dict[str, float]:
         """Returns the largest of each kind, as `rigid_defects`, and nonpenetration [m]."""
         found = rigid_defects(
             self.world, self.world.restitutions(self.scenario), self.trajectory(x)
@@ -96,9 +96,7 @@ class ImpactTranscription(Transcription):
         return {**found, NONPENETRATION: self._depth(x)}
 
 
-def rigid_defects(
-    world: World, restitution: npt.ArrayLike, trajectory: Trajectory
-) -> dict[str, float]:
+def rigid_defects(world: World, restitution: ArrayLike, trajectory: Trajectory) -> dict[str, float]:
     """Returns how far a trajectory is from a motion with rigid impacts at its knots.
 
     With v⁺_k = v_k + M⁻¹ Jᵀ p_k, τ_k = t_{k+1} − t_k and means over the interval marked by a bar:

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.solvers import (
     Constraint,
     Cost,
@@ -21,9 +22,6 @@ from pydrake.solvers import (
 from pydrake.symbolic import Expression, Polynomial, Variable
 
 from drake_aigto.errors import UnsupportedTermError
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 # Constraints that Drake evaluates symbolically.
 _WITH_FORMULA = (LinearConstraint, QuadraticConstraint, ExpressionConstraint)
@@ -107,7 +105,7 @@ def shared_constraint(
 
 
 def formula_rows(
-    constraint: EvaluatorBase, name: str, x: npt.NDArray[Any]
+    constraint: EvaluatorBase, name: str, x: NDArray[Any]
 ) -> Iterator[tuple[Expression, float, float]]:
     """Yields each row of a constraint on x: its formula, and its lower and upper bound.
 
@@ -127,7 +125,7 @@ def formula_rows(
 
 
 def substitutions(
-    placeholders: Iterable[npt.NDArray[Any]], values: Iterable[npt.NDArray[Any]]
+    placeholders: Iterable[NDArray[Any]], values: Iterable[NDArray[Any]]
 ) -> dict[int, Variable]:
     """Returns placeholder id → decision variable for arrays of both, paired in order."""
     return {

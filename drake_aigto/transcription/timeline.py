@@ -8,17 +8,15 @@ from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.errors import OptionsError
 from drake_aigto.transcription.facings import Facing, Fronts
 from drake_aigto.transcription.touch import TouchSequence, joint_times
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
     from drake_aigto.world import Scenario, World
-
-    Mask = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True)
@@ -49,16 +47,16 @@ class Timeline:
     """
 
     phases: tuple[Phase, ...]
-    times: npt.NDArray[np.float64]
+    times: Floats
     spans: tuple[tuple[int, int], ...]
     turns: tuple[int, ...]
     instants: Mapping[float, int]
-    starts: Mask
-    struck: Mask
-    held: Mask
-    apart: Mask
-    beside: Mask
-    rests: Mask
+    starts: Bools
+    struck: Bools
+    held: Bools
+    apart: Bools
+    beside: Bools
+    rests: Bools
 
 
 def make_timeline(
@@ -66,7 +64,7 @@ def make_timeline(
     scenario: Scenario,
     sequence: TouchSequence,
     facings: Sequence[Facing] = (),
-    instants: npt.ArrayLike = (),
+    instants: ArrayLike = (),
 ) -> Timeline:
     """Spreads the knots over a sequence's phases.
 
@@ -159,7 +157,7 @@ def check_sequence(world: World, sequence: TouchSequence, duration: float) -> No
         )
 
 
-def _spread(durations: npt.NDArray[np.float64], count: int) -> npt.NDArray[np.int64]:
+def _spread(durations: Floats, count: int) -> Ints:
     """Returns how many of the steps each phase gets: by duration, and an equal share of half."""
     even = np.full(len(durations), 1 / len(durations))
     shares = np.cumsum(durations / durations.sum() + even) / 2

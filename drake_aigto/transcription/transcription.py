@@ -3,20 +3,19 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.solvers import MathematicalProgram, MathematicalProgramResult
 from pydrake.symbolic import Expression
 from pydrake.trajectories import PiecewisePolynomial
 
+from drake_aigto.arrays import Bools, Floats
 from drake_aigto.transcription.open_program import OpenProgram
 from drake_aigto.transcription.penalties import InequalityPenalty, cut_to, penalize
 from drake_aigto.transcription.rows import CLEARANCE, NONPENETRATION
 from drake_aigto.transcription.shared import as_expression, shared_constraint, shared_cost
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 _START = "initial state"
 
@@ -74,11 +73,7 @@ class Transcription(OpenProgram):
         """Adds the dynamics and contact rows to the program."""
 
     def _bound_distances(
-        self,
-        where: npt.NDArray[np.bool_],
-        name: str = NONPENETRATION,
-        lower: float = 0.0,
-        upper: float = np.inf,
+        self, where: Bools, name: str = NONPENETRATION, lower: float = 0.0, upper: float = np.inf
     ) -> None:
         """Adds lower ≤ φ_i(q_k) ≤ upper where the mask, shape (N+1, m), says so, k ≥ 1."""
         for i, knots in enumerate(where[1:].T):
@@ -113,11 +108,11 @@ class Transcription(OpenProgram):
         ):
             self._prog.SetInitialGuess(self._variables_at(indices), values)
 
-    def GetInputSamples(self, result: MathematicalProgramResult) -> npt.NDArray[np.float64]:
+    def GetInputSamples(self, result: MathematicalProgramResult) -> Floats:
         """Returns the controls, shape (nu, N), a column a knot as in Drake."""
         return self.split(result.get_x_val())[2].T
 
-    def GetStateSamples(self, result: MathematicalProgramResult) -> npt.NDArray[np.float64]:
+    def GetStateSamples(self, result: MathematicalProgramResult) -> Floats:
         """Returns the states, shape (nq + nv, N+1), a column a knot as in Drake."""
         q, v, _ = self.split(result.get_x_val())
         return np.hstack([q, v]).T
@@ -130,7 +125,7 @@ class Transcription(OpenProgram):
         """Returns the state [q, v] over time."""
         return self.trajectory(result.get_x_val()).to_piecewise()[0]
 
-    def initial_box(self) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def initial_box(self) -> tuple[Floats, Floats]:
         """Returns center and half width, over all decision variables, of AIGO's first box.
 
         The center goes straight from start to goal. With L the `length_scale`, positions get a half
@@ -144,11 +139,8 @@ class Transcription(OpenProgram):
         return self._box(path, (goal - q0) / scenario.duration, np.ones(self.num_samples()))
 
     def box_around(
-        self,
-        positions: npt.NDArray[np.float64],
-        velocities: npt.NDArray[np.float64],
-        share: float,
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        self, positions: Floats, velocities: Floats, share: float
+    ) -> tuple[Floats, Floats]:
         """Returns center and half width of a box around a motion, narrow at first.
 
         Half widths are those of `initial_box` times share · (t/T)², as far off as a push of unknown
@@ -162,12 +154,7 @@ class Transcription(OpenProgram):
         grown = np.maximum(np.linspace(0, 1, self.num_samples()) ** 2, _LEAST_GROWN)
         return self._box(positions, velocities, share * grown)
 
-    def _box(
-        self,
-        positions: npt.NDArray[np.float64],
-        velocities: npt.NDArray[np.float64],
-        shares: npt.NDArray[np.float64],
-    ) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    def _box(self, positions: Floats, velocities: Floats, shares: Floats) -> tuple[Floats, Floats]:
         """Returns center and half width, the latter times a share at each knot, within bounds."""
         q0, T = self.scenario.initial_position, self.scenario.duration
         length, inertia = self.length_scale(), self.inertia()
@@ -191,7 +178,7 @@ class Transcription(OpenProgram):
         """
         return penalize(self._prog, inequality, scale=1 / self._dt)
 
-    def _stage(self, k: int) -> list[tuple[npt.NDArray[Any], npt.NDArray[Any]]]:
+    def _stage(self, k: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
         """Returns pairs of placeholders and what they stand for at knot k."""
         clearances = self._variables_at(self._clearances[k])
         pairs = [(self.state(), self.state(k)), (self._clearance, clearances)]

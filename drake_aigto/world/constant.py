@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
 from drake_aigto.world.polynomials import evaluate, is_constant
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    _Array = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,39 +33,39 @@ class ConstantInertia:
         solids: the contacts of each solid, S of them.
     """
 
-    mass_matrix: _Array
-    actuation: _Array
-    jacobian: _Array
-    offset: _Array
+    mass_matrix: Floats
+    actuation: Floats
+    jacobian: Floats
+    offset: Floats
     solids: tuple[tuple[int, ...], ...]
 
     @cached_property
-    def inverse_mass(self) -> _Array:
+    def inverse_mass(self) -> Floats:
         """M⁻¹, shape (nv, nv) [1/kg]."""
         return read_only(np.linalg.inv(self.mass_matrix))
 
     @cached_property
-    def gain(self) -> _Array:
+    def gain(self) -> Floats:
         """M⁻¹ B, shape (nv, nu) [1/kg]: the acceleration by each control."""
         return read_only(self.inverse_mass @ self.actuation)
 
     @cached_property
-    def kicks(self) -> _Array:
+    def kicks(self) -> Floats:
         """M⁻¹ J_iᵀ, shape (m, nv) [1/kg]: how v changes by an impulse of 1 N s at contact i."""
         return read_only(self.jacobian @ self.inverse_mass.T)
 
     @cached_property
-    def delassus(self) -> _Array:
+    def delassus(self) -> Floats:
         """A = J M⁻¹ Jᵀ, shape (m, m) [1/kg]: how φ̇_i changes by 1 N s at contact j."""
         return read_only(self.jacobian @ self.kicks.T)
 
     @cached_property
-    def masses(self) -> _Array:
+    def masses(self) -> Floats:
         """1 / A_ii, shape (m,) [kg]: what each contact feels."""
         return read_only(1 / np.diag(self.delassus))
 
     @cached_property
-    def lifts(self) -> _Array:
+    def lifts(self) -> Floats:
         """M⁻¹ J_iᵀ / A_ii, shape (m, nv): how v changes as contact i changes φ̇_i by 1."""
         return read_only(self.kicks / np.diag(self.delassus)[:, np.newaxis])
 
@@ -83,15 +80,15 @@ class ConstantDynamics(ConstantInertia):
         bias: h, shape (nv,) [N].
     """
 
-    bias: _Array
+    bias: Floats
 
     @cached_property
-    def drift(self) -> _Array:
+    def drift(self) -> Floats:
         """−M⁻¹ h, shape (nv,) [m/s²]: the acceleration without control."""
         return read_only(-self.inverse_mass @ self.bias)
 
 
-def read_constant(name: str, expressions: npt.NDArray[Any], remedy: str) -> _Array:
+def read_constant(name: str, expressions: NDArray[Any], remedy: str) -> Floats:
     """Returns the values of expressions, of the same shape, read-only.
 
     Args:
@@ -108,7 +105,7 @@ def read_constant(name: str, expressions: npt.NDArray[Any], remedy: str) -> _Arr
     return read_only(evaluate(expressions))
 
 
-def read_only(array: Any) -> npt.NDArray[Any]:
+def read_only(array: Any) -> NDArray[Any]:
     """Returns a copy of an array, locked."""
     array = np.array(array)
     array.flags.writeable = False

@@ -8,21 +8,18 @@ onto the face.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.geometry import Box, GeometryId, HalfSpace, SceneGraph, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import RigidBody
 from pydrake.symbolic import Expression
 
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-
-    _Array = npt.NDArray[np.float64]
 
 # Where a scene graph keeps the restitution of a shape, if its maker put it there.
 RESTITUTION = ("material", "restitution")
@@ -46,7 +43,7 @@ class Contact:
 
     name: str
     signed_distance: Expression
-    jacobian: npt.NDArray[Any]
+    jacobian: NDArray[Any]
     solid: int = 0
     restitution: float | None = None
 
@@ -74,11 +71,11 @@ class SphereAndFace:
     pair: str
     face: str
     sphere_body: RigidBody
-    p_SC: _Array
+    p_SC: Floats
     radius: float
     face_body: RigidBody
     X_BF: RigidTransform
-    half_extents: _Array
+    half_extents: Floats
     restitution: float | None
 
     @property
@@ -91,7 +88,7 @@ class SphereAndFace:
         """Whether the face is that of a second sphere, flat on the line through both centres."""
         return not np.any(self.half_extents)
 
-    def calc_center(self, plant: Any, context: Any, scalar: type = float) -> npt.NDArray[Any]:
+    def calc_center(self, plant: Any, context: Any, scalar: type = float) -> NDArray[Any]:
         """Returns the sphere's centre in the face's frame, shape (3,) [m]; the third is φ + r.
 
         Args:
@@ -171,7 +168,7 @@ def _read_pair(
     ]
 
 
-def _check_apart(pair: str, p_GC: _Array, radius: float, plant: MultibodyPlant) -> None:
+def _check_apart(pair: str, p_GC: Floats, radius: float, plant: MultibodyPlant) -> None:
     """Refuses spheres with one centre, of which none is on any side of the other."""
     if np.linalg.norm(p_GC) <= _ROUNDING * radius:
         raise ModelError(
@@ -216,8 +213,8 @@ def _read_restitution(inspector: Any, sphere: GeometryId, wall: GeometryId) -> f
 
 
 def _faces(
-    shape: Box | HalfSpace | Sphere, p_GC: _Array
-) -> list[tuple[str, RigidTransform, _Array]]:
+    shape: Box | HalfSpace | Sphere, p_GC: Floats
+) -> list[tuple[str, RigidTransform, Floats]]:
     """Returns name, X_GF and half extents of each face of a geometry G, seen from a centre C."""
     if isinstance(shape, HalfSpace):
         return [("", RigidTransform(), np.full(2, np.inf))]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydrake.geometry import CollisionFilterDeclaration, GeometryId, GeometrySet, SceneGraph
@@ -15,11 +15,9 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import Joint
 from pydrake.systems.framework import Diagram, DiagramBuilder
 
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
 from drake_aigto.world.files import find_model, package_map
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 
 def build_diagram(model: str) -> Diagram:
@@ -109,9 +107,7 @@ def find_joint(plant: MultibodyPlant, position_index: int) -> Joint:
     raise IndexError(position_index)
 
 
-def move_shape(
-    diagram: Diagram, shape: GeometryId, translation: npt.NDArray[np.float64]
-) -> Diagram:
+def move_shape(diagram: Diagram, shape: GeometryId, translation: Floats) -> Diagram:
     """Returns a copy of a diagram with one shape elsewhere on its body.
 
     Args:

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.symbolic import Expression
 
+from drake_aigto.arrays import Bools, Floats
 from drake_aigto.world.constant import ConstantDynamics, ConstantInertia, read_constant, read_only
 from drake_aigto.world.contact import Contact
 from drake_aigto.world.polynomials import PolynomialMap, is_constant
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
-    from numpy.typing import NDArray
-
-    _Array = npt.NDArray[np.float64]
 
 _INERTIA_REMEDY = "Use the literal transcription."
 _BIAS_REMEDY = (
@@ -52,12 +48,12 @@ class EquationsOfMotion:
         contacts: φ and J of each contact, those of one solid in a row.
     """
 
-    positions: npt.NDArray[Any]
-    velocities: npt.NDArray[Any]
-    controls: npt.NDArray[Any]
-    mass_matrix: npt.NDArray[Any]
-    bias: npt.NDArray[Any]
-    actuation: _Array
+    positions: NDArray[Any]
+    velocities: NDArray[Any]
+    controls: NDArray[Any]
+    mass_matrix: NDArray[Any]
+    bias: NDArray[Any]
+    actuation: Floats
     contacts: tuple[Contact, ...]
 
     @property
@@ -94,13 +90,13 @@ class EquationsOfMotion:
         return tuple(map(tuple, found.values()))
 
     @cached_property
-    def are_of_one_solid(self) -> NDArray[np.bool_]:
+    def are_of_one_solid(self) -> Bools:
         """Which contacts are faces of one solid, shape (m, m)."""
         solids = np.array([contact.solid for contact in self.contacts])
         return read_only(solids[:, np.newaxis] == solids)
 
     @cached_property
-    def inverse_actuation(self) -> _Array:
+    def inverse_actuation(self) -> Floats:
         """B⁺, shape (nu, nv)."""
         return read_only(np.linalg.pinv(self.actuation))
 
@@ -136,7 +132,7 @@ class EquationsOfMotion:
         bias = read_constant("the bias h(q, v)", self.bias, _BIAS_REMEDY)
         return ConstantDynamics(*self._read_inertia(), bias)
 
-    def _read_inertia(self) -> tuple[_Array, _Array, _Array, _Array, tuple[tuple[int, ...], ...]]:
+    def _read_inertia(self) -> tuple[Floats, Floats, Floats, Floats, tuple[tuple[int, ...], ...]]:
         """Returns M, B, J, φ(0) and the solids."""
         mass_matrix = read_constant("the mass matrix M(q)", self.mass_matrix, _INERTIA_REMEDY)
         slopes = [
@@ -146,16 +142,16 @@ class EquationsOfMotion:
         offset = self.calc_signed_distance(np.zeros(self.num_positions))
         return mass_matrix, self.actuation, read_only(slopes), read_only(offset), self.solids
 
-    def calc_mass_matrix(self, q: _Array) -> _Array:
+    def calc_mass_matrix(self, q: Floats) -> Floats:
         """Returns M(q), shape (…, nv, nv) [kg], at q of shape (…, nq) [m]."""
         n = self.num_velocities
         return self._mass_map(q).reshape(*q.shape[:-1], n, n)
 
-    def calc_bias(self, q: _Array, v: _Array) -> _Array:
+    def calc_bias(self, q: Floats, v: Floats) -> Floats:
         """Returns h(q, v), shape (…, nv) [N], at q of shape (…, nq) [m], v of (…, nv) [m/s]."""
         return self._bias_map(np.concatenate([q, v], axis=-1))
 
-    def express_bias(self, q: npt.NDArray[Any], v: npt.NDArray[Any]) -> npt.NDArray[np.object_]:
+    def express_bias(self, q: NDArray[Any], v: NDArray[Any]) -> NDArray[np.object_]:
         """Returns h at other expressions of q and v, shape (nv,)."""
         names = np.concatenate([self.positions, self.velocities])
         # A sum with an Expression makes one of variables and floats.
@@ -163,11 +159,11 @@ class EquationsOfMotion:
         table = dict(zip(names, values, strict=True))
         return np.array([entry.Substitute(table) for entry in self.bias], dtype=object)
 
-    def calc_signed_distance(self, q: _Array) -> _Array:
+    def calc_signed_distance(self, q: Floats) -> Floats:
         """Returns φ(q), shape (…, m) [m], at q of shape (…, nq) [m]."""
         return self._signed_distance_map(q)
 
-    def calc_clearance(self, q: _Array) -> _Array:
+    def calc_clearance(self, q: Floats) -> Floats:
         """Returns how far the sphere is outside each solid, (…, S) [m], at q of shape (…, nq).
 
         The largest φ_i of the solid's faces: at least 0 outside, and the distance itself where the
@@ -177,12 +173,12 @@ class EquationsOfMotion:
         firsts = [faces[0] for faces in self.solids]
         return np.maximum.reduceat(self.calc_signed_distance(q), firsts, axis=-1)
 
-    def calc_contact_jacobian(self, q: _Array) -> _Array:
+    def calc_contact_jacobian(self, q: Floats) -> Floats:
         """Returns J(q) = ∂φ/∂q, shape (…, m, nv), at q of shape (…, nq) [m]."""
         shape = self.num_contacts, self.num_velocities
         return self._jacobian_map(q).reshape(*q.shape[:-1], *shape)
 
-    def calc_acceleration(self, q: _Array, v: _Array, u: _Array) -> _Array:
+    def calc_acceleration(self, q: Floats, v: Floats, u: Floats) -> Floats:
         """Returns v̇ = M⁻¹ (B u − h(q, v)), without contact, shape (…, nv) [m/s²].
 
         Args:
@@ -195,18 +191,18 @@ class EquationsOfMotion:
             return force @ self.constant_inertia.inverse_mass.T
         return self._divide_by_mass(q, force)
 
-    def calc_velocity_change(self, q: _Array, impulses: _Array) -> _Array:
+    def calc_velocity_change(self, q: Floats, impulses: Floats) -> Floats:
         """Returns M⁻¹ J(q)ᵀ p, shape (…, nv) [m/s], for contact impulses p, (…, m) [N s]."""
         if self.has_constant_inertia:
             return impulses @ self.constant_inertia.kicks
         J = self.calc_contact_jacobian(q)
         return self._divide_by_mass(q, (impulses[..., np.newaxis, :] @ J)[..., 0, :])
 
-    def calc_kinetic_energy(self, q: _Array, v: _Array) -> _Array:
+    def calc_kinetic_energy(self, q: Floats, v: Floats) -> Floats:
         """Returns ½ vᵀ M(q) v, shape (…) [J]."""
         return np.einsum("...i,...ij,...j->...", v, self.calc_mass_matrix(q), v) / 2
 
-    def _divide_by_mass(self, q: _Array, momentum: _Array) -> _Array:
+    def _divide_by_mass(self, q: Floats, momentum: Floats) -> Floats:
         """Returns M(q)⁻¹ times momenta or forces, shape (…, nv)."""
         columns = np.linalg.solve(self.calc_mass_matrix(q), momentum[..., np.newaxis])
         return np.asarray(columns[..., 0], dtype=np.float64)

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import math
 from numbers import Real
-from typing import TYPE_CHECKING, TypeGuard, overload
+from typing import TypeGuard, overload
 
 import numpy as np
+from numpy.typing import ArrayLike
 
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import ScenarioError
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 
 def as_number(
@@ -45,7 +44,7 @@ def as_number(
     return number
 
 
-def as_vector(name: str, value: object) -> npt.NDArray[np.float64]:
+def as_vector(name: str, value: object) -> Floats:
     """Returns a read-only array (n,) of finite floats, n ≥ 1, from a scalar or a sequence.
 
     Raises:
@@ -63,14 +62,14 @@ def as_vector(name: str, value: object) -> npt.NDArray[np.float64]:
     return _lock([as_number(name, item) for item in items])
 
 
-def _is_fine(value: object) -> TypeGuard[npt.NDArray[np.float64]]:
+def _is_fine(value: object) -> TypeGuard[Floats]:
     """Returns whether a value is such an array already, as that of another scenario is."""
     if not (isinstance(value, np.ndarray) and value.dtype == np.float64 and value.ndim == 1):
         return False
     return value.size > 0 and bool(np.isfinite(value).all())
 
 
-def _lock(values: npt.ArrayLike) -> npt.NDArray[np.float64]:
+def _lock(values: ArrayLike) -> Floats:
     vector = np.array(values, dtype=float)
     vector.flags.writeable = False
     return vector
@@ -86,7 +85,7 @@ class VectorField:
     @overload
     def __get__(self, instance: None, owner: type) -> VectorField: ...
     @overload
-    def __get__(self, instance: object, owner: type) -> npt.NDArray[np.float64]: ...
+    def __get__(self, instance: object, owner: type) -> Floats: ...
     def __get__(self, instance: object, owner: type) -> object:
         """Returns the array."""
         if instance is None:
@@ -94,6 +93,6 @@ class VectorField:
             raise AttributeError(self._name)
         return instance.__dict__[self._name]
 
-    def __set__(self, instance: object, value: npt.ArrayLike) -> None:
+    def __set__(self, instance: object, value: ArrayLike) -> None:
         """Checks and stores; a frozen dataclass calls this once, from ``__init__``."""
         instance.__dict__[self._name] = as_vector(self._name, value)

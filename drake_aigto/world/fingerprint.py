@@ -5,15 +5,13 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from drake_aigto.errors import ModelError
 from drake_aigto.world.equations import EquationsOfMotion
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 _Rows = tuple[tuple[float, ...], ...]
 
@@ -97,7 +95,7 @@ class Fingerprint:
                 yield field.name, mine, yours
 
 
-def _rows(values: npt.ArrayLike) -> _Rows:
+def _rows(values: ArrayLike) -> _Rows:
     return tuple(map(tuple, np.asarray(values).tolist()))
 
 

@@ -6,10 +6,7 @@ from typing import Any
 
 import numpy as np
 from pydrake.geometry import GeometryId, ProximityProperties, RoleAssign, SceneGraph, SourceId
-from pydrake.multibody.plant import (
-    CalcContactFrictionFromSurfaceProperties,
-    MultibodyPlant,
-)
+from pydrake.multibody.plant import CalcContactFrictionFromSurfaceProperties, MultibodyPlant
 from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.systems.framework import Context
 

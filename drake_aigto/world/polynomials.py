@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.symbolic import Expression, Polynomial, Variables
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
+from drake_aigto.arrays import Floats
 
 # Coefficients below this, relative to the largest, are rounding left by rotations such as
 # cos(π/2) = 6e-17, not physics. They would make constants look like functions.
@@ -27,7 +27,7 @@ def find_nonpolynomial_variable(expression: Expression) -> Any | None:
     return None
 
 
-def tidy(expressions: npt.NDArray[Any]) -> npt.NDArray[Any]:
+def tidy(expressions: NDArray[Any]) -> NDArray[Any]:
     """Returns polynomial expressions expanded and rid of rounding, as a read-only array.
 
     Args:
@@ -49,9 +49,7 @@ def is_constant(expressions: Any) -> bool:
     return all(expression.GetVariables().empty() for expression in np.ravel(expressions))
 
 
-def evaluate(
-    expressions: npt.NDArray[Any], at: dict[Any, float] | None = None
-) -> npt.NDArray[np.float64]:
+def evaluate(expressions: NDArray[Any], at: dict[Any, float] | None = None) -> Floats:
     """Returns the values of expressions, of the same shape.
 
     Args:
@@ -80,7 +78,7 @@ class PolynomialMap:
         coefficients: C, shape (m, monomials).
     """
 
-    def __init__(self, expressions: npt.NDArray[Any], variables: npt.NDArray[Any]) -> None:
+    def __init__(self, expressions: NDArray[Any], variables: NDArray[Any]) -> None:
         """Compiles.
 
         Args:
@@ -101,7 +99,7 @@ class PolynomialMap:
         self._constant = self.coefficients @ (degrees == 0).astype(float)
         self._slope = self.coefficients @ (self.exponents * (degrees == 1)[:, np.newaxis])
 
-    def __call__(self, x: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    def __call__(self, x: Floats) -> Floats:
         """Returns f(x), shape (…, m), for x of shape (…, n)."""
         if self._is_affine:
             return x @ self._slope.T + self._constant

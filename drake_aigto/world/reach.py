@@ -3,21 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.geometry import Role, SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import RigidBody
 from pydrake.symbolic import Expression
 
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
 from drake_aigto.world.contact import Contact, SphereAndFace, find_pairs
 from drake_aigto.world.polynomials import evaluate, is_constant, tidy
 from drake_aigto.world.symbolic_plant import SymbolicPlant
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 # A sphere that slides along a face, at a distance that is zero but for rounding, is not inside [m].
 _ROUNDING = 1e-9
@@ -33,7 +32,7 @@ class ReachableFace(NamedTuple):
     """
 
     face: SphereAndFace
-    lateral: npt.NDArray[Any]
+    lateral: NDArray[Any]
     contact: Contact
 
 
@@ -105,10 +104,7 @@ def find_sphere_body(plant: MultibodyPlant, reachable: Sequence[ReachableFace]) 
 
 
 def _choose(
-    pair: list[SphereAndFace],
-    places: list[npt.NDArray[Any]],
-    q: npt.NDArray[Any],
-    default: npt.NDArray[np.float64],
+    pair: list[SphereAndFace], places: list[NDArray[Any]], q: NDArray[Any], default: Floats
 ) -> tuple[list[int], list[int]]:
     """Returns the indices of the faces that count, and of the one that the sphere is stuck in."""
     distances = [place[2] for place in places]
@@ -149,7 +145,7 @@ def _refuse_no_contact(pairs: list[list[SphereAndFace]], scene_graph: SceneGraph
     )
 
 
-def _check_line(face: SphereAndFace, place: npt.NDArray[Any]) -> None:
+def _check_line(face: SphereAndFace, place: NDArray[Any]) -> None:
     """Refuses two spheres whose centres leave the line on which one is a wall to the other."""
     if face.is_ball and not all(length.EqualTo(Expression(0.0)) for length in place[:2]):
         raise ModelError(

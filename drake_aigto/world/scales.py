@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    import numpy.typing as npt
+from drake_aigto.arrays import Floats
 
+if TYPE_CHECKING:
     from drake_aigto.world.scenario import Scenario
     from drake_aigto.world.world import World
 
@@ -43,7 +43,7 @@ class Scales:
         return self.length / self.time
 
 
-def calc_inertia(world: World, q: npt.NDArray[np.float64]) -> float:
+def calc_inertia(world: World, q: Floats) -> float:
     """Returns the largest entry of B⁺ M(q): control per acceleration [kg]."""
     return float(np.abs(world.inverse_actuation @ world.calc_mass_matrix(q)).max())
 

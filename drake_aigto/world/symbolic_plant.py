@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import MultibodyForces_, RigidBody
 from pydrake.symbolic import Expression, MakeVectorVariable, Variable
@@ -13,9 +14,6 @@ from drake_aigto.errors import ModelError
 from drake_aigto.world.contact import SphereAndFace
 from drake_aigto.world.diagram import find_joint
 from drake_aigto.world.polynomials import evaluate, find_nonpolynomial_variable, tidy
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 
 class SymbolicPlant:
@@ -49,7 +47,7 @@ class SymbolicPlant:
         """Replaces a body's mass [kg]; its inertia scales along."""
         self._twin.get_body(body.index()).SetMass(self._context, Expression(mass))
 
-    def calc_place(self, face: SphereAndFace) -> npt.NDArray[Any]:
+    def calc_place(self, face: SphereAndFace) -> NDArray[Any]:
         """Returns where a sphere is before a face, (x, y, φ), shape (3,) [m].
 
         x and y are its centre's coordinates along the edges. A face without any has none: zeros.
@@ -65,7 +63,7 @@ class SymbolicPlant:
             return np.array([zero, zero, *self._tidy(np.array([distance]), what)])
         return self._tidy(np.array([x, y, distance]), what)
 
-    def calc_mass_matrix(self) -> npt.NDArray[Any]:
+    def calc_mass_matrix(self) -> NDArray[Any]:
         """Returns M(q), shape (nv, nv) [kg].
 
         Raises:
@@ -81,7 +79,7 @@ class SymbolicPlant:
             )
         return M
 
-    def calc_bias(self) -> npt.NDArray[Any]:
+    def calc_bias(self) -> NDArray[Any]:
         """Returns h(q, v), shape (nv,) [N]: all that B u and contact must balance at v̇ = 0.
 
         Raises:
@@ -95,7 +93,7 @@ class SymbolicPlant:
         h = self._twin.CalcInverseDynamics(self._context, rest, forces)
         return self._tidy(h, "the bias force")
 
-    def _tidy(self, expressions: npt.NDArray[Any], what: str) -> npt.NDArray[Any]:
+    def _tidy(self, expressions: NDArray[Any], what: str) -> NDArray[Any]:
         for expression in expressions.flat:
             variable = find_nonpolynomial_variable(expression)
             if variable is not None:

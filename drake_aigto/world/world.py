@@ -6,7 +6,6 @@ import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.geometry import GeometryId, SceneGraph
@@ -14,6 +13,7 @@ from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 from pydrake.symbolic import MakeVectorVariable
 from pydrake.systems.framework import Context, Diagram
 
+from drake_aigto.arrays import Bools, Floats
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.world.constant import read_only
 from drake_aigto.world.contact import SphereAndFace
@@ -32,9 +32,6 @@ from drake_aigto.world.polynomials import PolynomialMap
 from drake_aigto.world.reach import ReachableFace, find_reach, find_sphere_body
 from drake_aigto.world.scenario import Scenario
 from drake_aigto.world.symbolic_plant import SymbolicPlant
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,12 +128,12 @@ class World(EquationsOfMotion):
         names = self.plant.GetPositionNames(), self.plant.GetActuatorNames()
         return Fingerprint.of(self, self.model, *names)
 
-    def is_on_face(self, q: npt.NDArray[np.float64]) -> npt.NDArray[np.bool_]:
+    def is_on_face(self, q: Floats) -> Bools:
         """Returns whether the sphere's centre projects onto each face, shape (m,)."""
         off = self._lateral_map(q).reshape(-1, 2)
         return np.logical_and.reduce(np.abs(off) <= self._half_extents, axis=1)
 
-    def restitutions(self, scenario: Scenario) -> npt.NDArray[np.float64]:
+    def restitutions(self, scenario: Scenario) -> Floats:
         """Returns the restitution of each contact, shape (m,): the model's own, or the scenario's.
 
         A model has its own as the proximity property ("material", "restitution") of a shape; of two
@@ -247,7 +244,7 @@ class World(EquationsOfMotion):
             "scenario's friction: 0 (--friction 0).",
         )
 
-    def _check_place(self, name: str, q: npt.NDArray[np.float64]) -> None:
+    def _check_place(self, name: str, q: Floats) -> None:
         """Refuses a position inside or against a solid, or beside the one face that it has."""
         for faces, distance in zip(self.solids, self.calc_clearance(q), strict=True):
             face = self._reachable[faces[0]].face
@@ -263,7 +260,7 @@ class World(EquationsOfMotion):
         return PolynomialMap(lateral, self.positions)
 
     @cached_property
-    def _half_extents(self) -> npt.NDArray[np.float64]:
+    def _half_extents(self) -> Floats:
         return np.array([each.face.half_extents for each in self._reachable])
 
 
@@ -284,7 +281,7 @@ def _refuse_inside(
     )
 
 
-def _refuse_beside(name: str, face: SphereAndFace, off: npt.NDArray[np.float64]) -> ScenarioError:
+def _refuse_beside(name: str, face: SphereAndFace, off: Floats) -> ScenarioError:
     """Returns the error of a position off the edges of the only face of a wall."""
     return ScenarioError(
         f"{name} is beside the face of the wall ({face.pair})",
