@@ -67,9 +67,8 @@ drake-aigto replay plan.json --no-confirm   # without Drake's plant
 def add_plan(commands: Any) -> None:
     """Adds the command that plans."""
     plan = add_command(commands, "plan", _plan, "plan for a scenario", _PLAN_EXAMPLES)
-    plan.add_argument(
-        "scenario", metavar="SCENARIO", help=f"a YAML file, or one of {', '.join(scenario_names())}"
-    )
+    text = f"a YAML file, or one of {', '.join(scenario_names())}"
+    plan.add_argument("scenario", metavar="SCENARIO", help=text)
     _add_fields(plan.add_argument_group("change the scenario's fields"))
     _add_numerics(plan.add_argument_group("numerics"))
     add_confirm(plan)
@@ -86,24 +85,18 @@ def add_replay(commands: Any) -> None:
 
 
 def _add_fields(group: Any) -> None:
-    for field in dataclasses.fields(Scenario):
-        flag = f"--{field.name.replace('_', '-')}"
-        text = _FIELDS[field.name]
-        if field.name == "model":
-            group.add_argument(flag, metavar="URI", help=text)
-        elif field.name in _VECTORS:
-            group.add_argument(flag, type=float, nargs="+", metavar="X", help=text)
-        else:
-            group.add_argument(flag, type=float, metavar="X", help=text)
+    for name, text in _FIELDS.items():
+        look: dict[str, Any] = {"type": float, "metavar": "X"}
+        if name == "model":
+            look = {"metavar": "URI"}
+        elif name in _VECTORS:
+            look["nargs"] = "+"
+        group.add_argument(f"--{name.replace('_', '-')}", help=text, **look)
 
 
 def _add_numerics(group: Any) -> None:
-    group.add_argument(
-        "--transcription",
-        choices=_OPTIONS,
-        default="rigid",
-        help="rigid: plans that hold on rigid walls; literal: the paper's (default: %(default)s)",
-    )
+    text = "rigid: plans that hold on rigid walls; literal: the paper's (default: %(default)s)"
+    group.add_argument("--transcription", choices=_OPTIONS, default="rigid", help=text)
     defaults = {**vars(LiteralOptions()), **vars(PlanOptions())}
     for name, text in _NUMERICS.items():
         flag, default = f"--{name.replace('_', '-')}", defaults[name]

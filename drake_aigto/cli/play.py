@@ -40,16 +40,10 @@ def add_play(commands: Any) -> None:
     play.add_argument("--html", metavar="FILE", help="write one self-contained page instead")
     play.add_argument("--port", type=int, metavar="N", help="where Meshcat listens (0: anywhere)")
     what = play.add_mutually_exclusive_group()
-    what.add_argument(
-        "--beside",
-        choices=["gradient"],
-        help="show what a gradient solver makes of the same scenario beside the plan",
-    )
-    what.add_argument(
-        "--optimization",
-        action="store_true",
-        help="show how AIGO's boxes shrink onto the plan instead",
-    )
+    text = "show what a gradient solver makes of the same scenario beside the plan"
+    what.add_argument("--beside", choices=["gradient"], help=text)
+    text = "show how AIGO's boxes shrink onto the plan instead"
+    what.add_argument("--optimization", action="store_true", help=text)
 
 
 def _play(options: argparse.Namespace) -> int:

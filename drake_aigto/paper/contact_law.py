@@ -39,11 +39,6 @@ class PolynomialLaw:
         a wall 1 m away that is 1.07: 36 degrees more for a tenth of the error. As sums of powers,
         rounding ends all gain before a degree of 30.
 
-        Args:
-            scenario: has ε and δ.
-            degree: of the polynomial, 0 or more.
-            reach: the largest distance that counts [m].
-
         Raises:
             OptionsError: a degree below 0, a reach that is not above 0, or δ = 0.
         """

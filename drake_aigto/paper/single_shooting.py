@@ -179,7 +179,8 @@ def _states(
     state = [Polynomial(Expression(value)) for value in start]
     yield state
     for k, u_k in enumerate(controls, 1):
-        values = _table(names, state) | _table(world.controls, map(_polynomial, u_k))
+        inputs = [Polynomial(Expression(u)) for u in u_k]
+        values = _table(names, state) | _table(world.controls, inputs)
         label = f"the state after {k} of {len(controls)} steps"
         state = [_substitute(label, part, values, max_terms) for part in step]
         yield state
@@ -204,10 +205,6 @@ def _names(world: World) -> npt.NDArray[Any]:
 
 def _table(names: Any, values: Any) -> dict[Variable, Polynomial]:
     return dict(zip(names, values, strict=True))
-
-
-def _polynomial(variable: Variable) -> Polynomial:
-    return Polynomial(Expression(variable))
 
 
 def _count(polynomial: Polynomial) -> int:

@@ -174,13 +174,9 @@ def run_rigid_cell(row: int, confirm: bool = True) -> RigidCell:
     """Plans for one row with the rigid transcription."""
     scenario = Scenario.named(f"table1/{row}")
     planner = Planner(scenario, PlanOptions(confirm=confirm))
-    return RigidCell(
-        row,
-        scenario.restitution,
-        rigid_optimum(planner.world, scenario),
-        contact_delay(planner.world),
-        (_plan_method(RIGID_METHOD, _plan(planner)),),
-    )
+    optimum, delay = rigid_optimum(planner.world, scenario), contact_delay(planner.world)
+    methods = (_plan_method(RIGID_METHOD, _plan(planner)),)
+    return RigidCell(row, scenario.restitution, optimum, delay, methods)
 
 
 def run_table1(
@@ -193,6 +189,8 @@ def run_table1(
 ) -> Table1:
     """Runs the table: with φ free as the paper must have had it, with φ ≥ 0, and on a rigid wall.
 
+    Ctrl-C leaves those cells that were done.
+
     Args:
         rows: which, each shown once.
         num_guesses: random guesses of the gradient solvers.
@@ -200,9 +198,6 @@ def run_table1(
         confirm: whether the plans are also replayed on Drake's plant.
         executor: where cells run, entered here; `open_workers`, with a process a core, if None.
         progress: called with a line of text after each cell.
-
-    Returns:
-        The table. Ctrl-C leaves those cells that were done.
 
     Raises:
         StudyError: from `open_workers`; or the processes that ran a cell died.

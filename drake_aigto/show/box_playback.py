@@ -16,20 +16,13 @@ from drake_aigto.aigo import AigoResult, Annealing, Iterate, SlowMotion
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError
 from drake_aigto.paper import LiteralOptions, make_literal_problem
-from drake_aigto.planning import (
-    Plan,
-    PlanningProblem,
-    PlanOptions,
-    Rung,
-    SearchOptions,
-    make_problem,
-)
+from drake_aigto.planning import Plan, PlanningProblem, PlanOptions, Rung, make_problem
 from drake_aigto.show.coordinates import coordinate_names, wall_places
 from drake_aigto.show.motion import PALETTE, PLAN_LABEL
 from drake_aigto.show.picture import make_mesh
 from drake_aigto.show.playback import ROOT, clear, new_animation
 from drake_aigto.transcription import Transcription
-from drake_aigto.world import Scenario, World
+from drake_aigto.world import World
 
 TITLE = "AIGO's boxes: the optimization, not a motion"
 
@@ -289,7 +282,12 @@ def run_boxes(plan: Plan, world: World | None = None) -> BoxRun:
     if plan.additions:
         names = ", ".join(plan.additions)
         raise _refuse(f"costs or constraints of one's own, by name only ({names})")
-    problem = _make_problem(plan.scenario, world, plan.options)
+    problem: PlanningProblem
+    if isinstance(plan.options, LiteralOptions):
+        problem = make_literal_problem(world, plan.scenario, plan.options)
+    else:
+        assert isinstance(plan.options, PlanOptions)
+        problem = make_problem(world, plan.scenario, plan.options)
     algorithm = problem.make_algorithm(rung)
     if isinstance(algorithm, Annealing):
         algorithm = SlowMotion(algorithm)
@@ -303,11 +301,3 @@ def _refuse(what: str) -> OptionsError:
         got=f"a plan that names {what}",
         expected="its options and the rung that it came from, of a program without additions",
     )
-
-
-def _make_problem(scenario: Scenario, world: World, options: SearchOptions) -> PlanningProblem:
-    """Returns the problem that a plan with such options is of."""
-    if isinstance(options, LiteralOptions):
-        return make_literal_problem(world, scenario, options)
-    assert isinstance(options, PlanOptions)
-    return make_problem(world, scenario, options)

@@ -83,7 +83,9 @@ class Effects:
         if motion.controls is not None and self.largest_force > 0:
             forces = self._forces(motion.controls)
             for mover, force in zip(self._stage.movers, forces, strict=True):
-                self._add_arrow(motion, mover, force, f"{folder}/{mover.name}", meshcat, animation)
+                self._add_arrow(
+                    motion, mover, force, f"{folder}/{mover.name}/control", meshcat, animation
+                )
         for contact in sorted({touch.contact for touch in motion.impacts}):
             self._add_flashes(motion, contact, aside, f"{folder}/impacts", meshcat, animation)
 
@@ -103,36 +105,26 @@ class Effects:
         motion: Motion,
         mover: Actor,
         forces: Floats,
-        parent: str,
+        path: str,
         meshcat: Meshcat,
         animation: MeshcatAnimation,
     ) -> None:
         """Adds a mover's arrow along its forces, shape (N, 3) in the world [N]."""
         assert motion.control_times is not None
-        path, r = f"{parent}/control", mover.radius
-        shaft = _ARROW - _HEAD
-        meshcat.SetObject(f"{path}/shaft", Cylinder(_SHAFT_RADIUS * r, shaft * r), _INK)
-        meshcat.SetTransform(f"{path}/shaft", RigidTransform([0, 0, shaft * r / 2]))
-        # Meshcat's cones stand on their tips.
-        meshcat.SetObject(f"{path}/head", MeshcatCone(_HEAD * r, *[_HEAD_RADIUS * r] * 2), _INK)
-        tip = RigidTransform(RotationMatrix.MakeXRotation(np.pi), [0, 0, _ARROW * r])
-        meshcat.SetTransform(f"{path}/head", tip)
+        _shape_arrow(path, mover.radius, meshcat)
         sizes = np.linalg.norm(forces, axis=1)
         scales = np.maximum(sizes / self.largest_force, _GONE)
         rotation = self._stage.rotation(mover).inverse()
-        last = np.array([1.0, 0.0, 0.0])
-        for k, (time, force, size) in enumerate(
-            zip(motion.control_times[:-1], forces, sizes, strict=True)
-        ):
-            direction = last if size == 0 else rotation @ (force / size)
-            last = direction
-            frame = self._clock.frame(time)
-            pose = RigidTransform(
-                RotationMatrix.MakeFromOneVector(direction, 2), mover.radius * direction
-            )
+        direction = np.array([1.0, 0.0, 0.0])
+        for k, time in enumerate(motion.control_times[:-1]):
+            if sizes[k] > 0:
+                direction = rotation @ (forces[k] / sizes[k])
+            turned = RotationMatrix.MakeFromOneVector(direction, 2)
+            pose = RigidTransform(turned, mover.radius * direction)
             if k == 0:
                 meshcat.SetTransform(path, pose)
                 meshcat.SetProperty(path, "scale", [scales[0]] * 3)
+            frame = self._clock.frame(time)
             animation.SetTransform(frame, path, pose)
             animation.SetProperty(frame, path, "scale", [scales[k]] * 3)
         for frame in (self._clock.frame(motion.control_times[-1]), self._clock.last_frame):
@@ -195,3 +187,14 @@ class Effects:
             keys[frame + round(_FLASH_TIME * self._clock.rate)] = _GONE
         keys = {f: scale for f, scale in keys.items() if f < self._clock.last_frame}
         return {**keys, self._clock.last_frame: _GONE}
+
+
+def _shape_arrow(path: str, r: float, meshcat: Meshcat) -> None:
+    """Puts an arrow of full size along z, for a body of radius r [m]."""
+    shaft = (_ARROW - _HEAD) * r
+    meshcat.SetObject(f"{path}/shaft", Cylinder(_SHAFT_RADIUS * r, shaft), _INK)
+    meshcat.SetTransform(f"{path}/shaft", RigidTransform([0, 0, shaft / 2]))
+    # Meshcat's cones stand on their tips.
+    meshcat.SetObject(f"{path}/head", MeshcatCone(_HEAD * r, *[_HEAD_RADIUS * r] * 2), _INK)
+    tip = RigidTransform(RotationMatrix.MakeXRotation(np.pi), [0, 0, _ARROW * r])
+    meshcat.SetTransform(f"{path}/head", tip)

@@ -43,17 +43,12 @@ _SECONDS, _ANY_COST = 3600.0, 1e300
 def paper_methods(
     scenario: Scenario, world: World | None = None, nonpenetration: bool = False, seed: int = 0
 ) -> dict[str, Candidate]:
-    """Runs the three methods of AIGTO Fig. 2 on the paper's transcription.
+    """Runs the three methods of AIGTO Fig. 2 on the paper's transcription, before one wall.
 
     AIGTO is the center of its last box, pulled towards the rows by raising their penalties, which
     are not quite met; the gradient solver that starts from it is the planner's local one, with the
-    contact moved to and fro; the one that starts from a random guess is SNOPT.
-
-    Args:
-        scenario: the question; a world with one wall.
-        world: built from the scenario's model if None.
-        nonpenetration: whether φ ≥ 0 is asked for at the knots; the paper's figures need it off.
-        seed: of the random guess.
+    contact moved to and fro; the one that starts from a random guess, of a seed, is SNOPT. The
+    paper's figures need φ ≥ 0 not to be asked for at the knots.
 
     Returns:
         A run, replayed on the rigid wall, by the method's name, in that order.

@@ -148,10 +148,8 @@ def _search(plan: Plan, names: Sequence[str]) -> Iterator[str]:
     steps, options = plan.scenario.num_steps, plan.options
     boxes = [f"boxes of {steps} steps"] if options else []
     if isinstance(options, PlanOptions):
-        boxes = [
-            f"boxes of {min(options.aigo_steps, steps)} steps",
-            f"relaxation {options.relaxation:g}",
-        ]
+        boxes = [f"boxes of {min(options.aigo_steps, steps)} steps"]
+        boxes.append(f"relaxation {options.relaxation:g}")
     yield from _row("found by", boxes)
     for part in str(plan.best.origin).split("; "):
         yield from _row("", part.split(", "))

@@ -67,7 +67,7 @@ def report_plan(
     say = progress or (lambda line: None)
     world = plan.find_world(world)
     say("running AIGO again, for its boxes")
-    run: BoxRun | None = None
+    run, no_boxes = None, ""
     try:
         run = run_boxes(plan, world)
     except OptionsError as error:

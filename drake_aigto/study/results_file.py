@@ -59,15 +59,12 @@ def refuse_damaged(path: str | os.PathLike[str]) -> Iterator[None]:
     """
     try:
         yield
-    except KeyError as error:
-        raise _refuse_damaged(path, f"no {error}") from error
-    except (AigtoError, TypeError) as error:
-        raise _refuse_damaged(path, error) from error
-
-
-def _refuse_damaged(path: str | os.PathLike[str], got: object) -> ResultsFileError:
-    remedy = "Delete it, and measure again."
-    return ResultsFileError(f"results file {path} is damaged", got=got, remedy=remedy)
+    except (AigtoError, KeyError, TypeError) as error:
+        raise ResultsFileError(
+            f"results file {path} is damaged",
+            got=f"no {error}" if isinstance(error, KeyError) else error,
+            remedy="Delete it, and measure again.",
+        ) from error
 
 
 def check_same_question(

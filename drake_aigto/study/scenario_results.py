@@ -219,6 +219,8 @@ def summarize(
     runs = [result.runs[method] for result in done]
     budgets = study.question.budgets
     errors = [run.error for run in runs if run.error is not None]
+    optima = [result for result in done if result.optimum > ABSOLUTE]
+    ratios = [study.cost(each, method, budgets[-1]) / each.optimum for each in optima]
     return MethodSummary(
         method=method,
         num_scenarios=len(done),
@@ -226,13 +228,7 @@ def summarize(
             sum(study.succeeds(result, method, budget) for result in done)
             for budget in (budgets[:1] if method == PLANNER else budgets)
         ),
-        ratios=tuple(
-            sorted(
-                study.cost(result, method, budgets[-1]) / result.optimum
-                for result in done
-                if result.optimum > ABSOLUTE
-            )
-        ),
+        ratios=tuple(sorted(ratios)),
         median_seconds=float(np.median([run.seconds for run in runs])) if runs else math.nan,
         errors=tuple(dict.fromkeys(errors)),
         num_errors=len(errors),

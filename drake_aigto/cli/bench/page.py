@@ -19,15 +19,10 @@ def add_page(commands: Any, run: Callable[[argparse.Namespace], int] | None = No
     """Adds the command, which `run` does; this module's own if None."""
     text = "make the results page of saved results"
     command = add_command(commands, "page", run or _page, text, _EXAMPLES)
-    command.add_argument(
-        "results", nargs="+", metavar="RESULTS.json", help="what benchmarks wrote with --json"
-    )
-    command.add_argument(
-        "--out",
-        metavar="PAGE.md",
-        default="docs/results.md",
-        help="the page; pictures go into a folder images beside it (default: %(default)s)",
-    )
+    text = "what benchmarks wrote with --json"
+    command.add_argument("results", nargs="+", metavar="RESULTS.json", help=text)
+    text = "the page; pictures go into a folder images beside it (default: %(default)s)"
+    command.add_argument("--out", metavar="PAGE.md", default="docs/results.md", help=text)
 
 
 def _page(options: argparse.Namespace) -> int:

@@ -28,9 +28,8 @@ def add_running(command: Any) -> None:
     """Adds how it is run, and where its results go."""
     add_workers(command)
     add_json(command, "write the results, again and again")
-    command.add_argument(
-        "--resume", action="store_true", help="go on from the results that are there"
-    )
+    text = "go on from the results that are there"
+    command.add_argument("--resume", action="store_true", help=text)
 
 
 def run_study(options: argparse.Namespace, run: Callable[..., _Study], question: object) -> _Study:
@@ -41,10 +40,8 @@ def run_study(options: argparse.Namespace, run: Callable[..., _Study], question:
     """
     try:
         with show_progress(options) as say:
-            executor = read_workers(options)
-            return run(
-                question, options.json, resume=options.resume, executor=executor, progress=say
-            )
+            how = {"resume": options.resume, "executor": read_workers(options), "progress": say}
+            return run(question, options.json, **how)
     except KeyboardInterrupt:
         if options.json:
             print(f"drake-aigto: --resume goes on from {options.json}", file=sys.stderr)

@@ -39,35 +39,21 @@ def add_scenarios(commands: Any) -> None:
     usual = ScenarioQuestion()
     add_question(command, usual)
     _add_rivals(command, usual)
-    command.add_argument(
-        "--read-boxes",
-        action="store_true",
-        help="also tell what boxes alone say, before any polish",
-    )
-    command.add_argument(
-        "--require",
-        type=share,
-        metavar="SHARE",
-        default=0.0,
-        help=f"of scenarios whose optimum {PLANNER} is to find, else exit with 1",
-    )
+    text = "also tell what boxes alone say, before any polish"
+    command.add_argument("--read-boxes", action="store_true", help=text)
+    text = f"of scenarios whose optimum {PLANNER} is to find, else exit with 1"
+    command.add_argument("--require", type=share, metavar="SHARE", default=0.0, help=text)
     add_running(command)
 
 
 def _add_rivals(command: Any, usual: ScenarioQuestion) -> None:
     names = ", ".join(f"'{name}'" if " " in name else name for name in BASELINES)
-    command.add_argument(
-        "--methods",
-        nargs="+",
-        metavar="NAME",
-        default=[PLANNER],
-        help=f"{PLANNER}, the planner (default); {names}; or {_ALL}",
-    )
+    text = f"{PLANNER}, the planner (default); {names}; or {_ALL}"
+    command.add_argument("--methods", nargs="+", metavar="NAME", default=[PLANNER], help=text)
     budgets, text = list(usual.budgets), "units of time at which the others are judged"
     text += f" (default: {' '.join(f'{budget:g}' for budget in budgets)})"
-    command.add_argument(
-        "--budgets", type=float, nargs="+", metavar="B", default=budgets, help=text
-    )
+    look = {"type": float, "nargs": "+", "metavar": "B", "default": budgets}
+    command.add_argument("--budgets", help=text, **look)
     text = f"of one core (default: what {PLANNER} takes on the same scenario)"
     command.add_argument("--seconds-per-unit", type=float, metavar="S", help=text)
 
