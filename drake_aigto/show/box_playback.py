@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
-from pydrake.geometry import Box, Meshcat, MeshcatAnimation, Rgba
+from pydrake.geometry import Box, Meshcat, Rgba
 from pydrake.math import RigidTransform, RotationMatrix
 
 from drake_aigto.aigo import AigoResult, Annealing, Iterate, SlowMotion
@@ -18,9 +18,10 @@ from drake_aigto.errors import OptionsError
 from drake_aigto.paper import LiteralOptions, make_literal_problem
 from drake_aigto.planning import Plan, PlanningProblem, PlanOptions, Rung, make_problem
 from drake_aigto.show.coordinates import coordinate_names, wall_places
+from drake_aigto.show.effects import Film
 from drake_aigto.show.motion import PALETTE, PLAN_LABEL
 from drake_aigto.show.picture import make_mesh
-from drake_aigto.show.playback import ROOT, clear, new_animation
+from drake_aigto.show.playback import ROOT, clear
 from drake_aigto.transcription import Transcription
 from drake_aigto.world import World
 
@@ -68,11 +69,11 @@ def play_boxes(
     meshcat.SetTransform(f"{ROOT}/boxes", X_WF)
     low, high = graph.corners
     meshcat.SetObject(f"{ROOT}/boxes/graph", make_mesh(graph.paint(), low, high))
-    animation = new_animation(_FRAMES_PER_SECOND)
-    graph.add_boxes(meshcat, animation)
-    graph.add_texts(meshcat, animation)
-    graph.add_plan(meshcat, animation)
-    meshcat.SetAnimation(animation)
+    film = Film(meshcat, 0, graph.last_frame / _FRAMES_PER_SECOND, _FRAMES_PER_SECOND)
+    graph.add_boxes(film)
+    graph.add_texts(film)
+    graph.add_plan(film)
+    film.play()
     _aim_camera(high - low, meshcat)
 
 
@@ -142,7 +143,7 @@ class _Graph:
         figure.text(0.02, 1 - _LEGEND_TOP / self._height, legend, size=13, va="top")
         return figure
 
-    def add_boxes(self, meshcat: Meshcat, animation: MeshcatAnimation) -> None:
+    def add_boxes(self, film: Film) -> None:
         """Adds the boxes, and how they shrink."""
         step = self._times[1] - self._times[0]
         iterates = [self._run.positions(self._run.result.history[i]) for i in self._shown]
@@ -150,19 +151,16 @@ class _Graph:
             unit = np.diff(self._place(panel, np.array([[0.0, 0.0], [step, 1.0]])), axis=0)[0]
             for knot, time in enumerate(self._times):
                 path = f"{ROOT}/boxes/{panel}/{knot}"
-                meshcat.SetObject(path, Box(_FILLED * unit[0], 1.0, 1.0), _BOX_COLOR)
+                film.meshcat.SetObject(path, Box(_FILLED * unit[0], 1.0, 1.0), _BOX_COLOR)
                 for number, (center, half_width) in enumerate(iterates):
                     place = self._place(panel, np.array([[time, center[knot, panel]]]))[0]
                     height = max(_THINNEST, 2 * half_width[knot, panel] * unit[1])
                     depth = _DEPTH * height
                     pose = RigidTransform([*place, depth / 2])
                     frame = number * _FRAMES_EACH
-                    if number == 0:
-                        meshcat.SetTransform(path, pose)
-                        meshcat.SetProperty(path, "scale", [1.0, height, depth])
-                    animation.SetTransform(frame, path, pose)
-                    animation.SetProperty(frame, path, "scale", [1.0, height, depth])
-                animation.SetTransform(self._last_frame, path, pose)
+                    film.move(frame, path, pose)
+                    film.change(frame, path, "scale", [1.0, height, depth])
+                film.move(self.last_frame, path, pose)
 
     @property
     def _end_frame(self) -> int:
@@ -170,10 +168,11 @@ class _Graph:
         return (len(self._shown) - 1) * _FRAMES_EACH
 
     @property
-    def _last_frame(self) -> int:
+    def last_frame(self) -> int:
+        """When the end has been held for a moment."""
         return self._end_frame + _HOLD
 
-    def add_texts(self, meshcat: Meshcat, animation: MeshcatAnimation) -> None:
+    def add_texts(self, film: Film) -> None:
         """Adds what is to be said of each iterate, while it is shown."""
         last = len(self._run.result.history) - 1
         low, high = self.corners
@@ -184,16 +183,16 @@ class _Graph:
             path = f"{ROOT}/boxes/texts/{number}"
             top = high[1] - _TEXT_TOP / _INCHES_PER_METER
             corners = (low[0], top - _TEXT / _INCHES_PER_METER), (high[0], top)
-            meshcat.SetObject(path, make_mesh(figure, *corners))
+            film.meshcat.SetObject(path, make_mesh(figure, *corners))
             frame, following = number * _FRAMES_EACH, (number + 1) * _FRAMES_EACH
-            self._show_between(path, frame, following, meshcat, animation)
+            self._show_between(path, frame, following, film)
 
     def _describe(self, iterate: Iterate, index: int, last: int) -> str:
         widest = float(np.max(self._run.positions(iterate)[1]))
         hot = f"temperature {iterate.temperature:.1e}, " if np.isfinite(iterate.temperature) else ""
         return f"iteration {index} of {last}: {hot}widest box ±{widest:.2g} m"
 
-    def add_plan(self, meshcat: Meshcat, animation: MeshcatAnimation) -> None:
+    def add_plan(self, film: Film) -> None:
         """Adds the plan, which appears at the end."""
         figure, panels = self._lay_out()
         trajectory = self._plan.trajectory
@@ -204,19 +203,16 @@ class _Graph:
         row = 1 - _LEGEND_TOP / self._height
         figure.text(0.98, row, f"polished: {PLAN_LABEL}", ha="right", **look)
         path = f"{ROOT}/boxes/plan"
-        meshcat.SetObject(path, make_mesh(figure, *self.corners))
-        meshcat.SetTransform(path, RigidTransform([0, 0, 2 * _THINNEST]))
-        self._show_between(path, self._end_frame, self._last_frame + 1, meshcat, animation)
+        film.meshcat.SetObject(path, make_mesh(figure, *self.corners))
+        film.meshcat.SetTransform(path, RigidTransform([0, 0, 2 * _THINNEST]))
+        self._show_between(path, self._end_frame, self.last_frame + 1, film)
 
-    def _show_between(
-        self, path: str, first: int, end: int, meshcat: Meshcat, animation: MeshcatAnimation
-    ) -> None:
+    def _show_between(self, path: str, first: int, end: int, film: Film) -> None:
         """Makes an object visible from a frame until another."""
-        end = self._last_frame + 1 if end > self._end_frame else end
-        meshcat.SetProperty(path, "visible", first == 0)
-        for frame in sorted({0, first, end, self._last_frame}):
-            if frame <= self._last_frame:
-                animation.SetProperty(frame, path, "visible", first <= frame < end)
+        end = self.last_frame + 1 if end > self._end_frame else end
+        for frame in sorted({0, first, end, self.last_frame}):
+            if frame <= self.last_frame:
+                film.change(frame, path, "visible", first <= frame < end)
 
 
 def _aim_camera(size: Floats, meshcat: Meshcat) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from pydrake.geometry import Cylinder, Meshcat, MeshcatAnimation, MeshcatCone, Rgba, Sphere
@@ -25,30 +24,52 @@ _LEAST_FLASH = 0.4
 _FLASH_TIME = 0.15  # from an impact until its flash is gone [s]
 # Scale of what is not to be seen: at 0 a transform has no inverse, of which browsers complain.
 _GONE = 1e-3
+_REPETITIONS = 10_000
 
 
-@dataclass(frozen=True)
-class Clock:
-    """Frames of a recording whose parts all have one length, so that they repeat together.
+class Film:
+    """A recording in the making, whose parts all have one length, so that they repeat together.
+
+    How something looks when it is first keyed is also how it looks before the film is played.
 
     Attributes:
-        begin: when the first frame is [s].
-        end: when the last frame is [s].
+        meshcat: where it is shown.
         rate: frames per second.
+        last_frame: that all parts end with.
     """
 
-    begin: float
-    end: float
-    rate: int
+    def __init__(self, meshcat: Meshcat, begin: float, end: float, rate: int) -> None:
+        """Begins with a frame at one time, and ends with one at another [s]."""
+        self.meshcat, self.rate, self._begin = meshcat, rate, begin
+        self.last_frame = self.frame(end)
+        self._animation, self._keyed = MeshcatAnimation(rate), set[tuple[str, ...]]()
 
     def frame(self, time: float) -> int:
         """Returns the frame of a time [s]."""
-        return round((time - self.begin) * self.rate)
+        return round((time - self._begin) * self.rate)
 
-    @property
-    def last_frame(self) -> int:
-        """The frame that all parts end with."""
-        return self.frame(self.end)
+    def move(self, frame: int, path: str, pose: RigidTransform) -> None:
+        """Has an object be somewhere at a frame."""
+        if self._is_first(path, ""):
+            self.meshcat.SetTransform(path, pose)
+        self._animation.SetTransform(frame, path, pose)
+
+    def change(self, frame: int, path: str, name: str, value: bool | list[float]) -> None:
+        """Has a property of an object be something at a frame."""
+        if self._is_first(path, name):
+            self.meshcat.SetProperty(path, name, value)
+        self._animation.SetProperty(frame, path, name, value)
+
+    def _is_first(self, *key: str) -> bool:
+        is_first = key not in self._keyed
+        self._keyed.add(key)
+        return is_first
+
+    def play(self) -> None:
+        """Plays it again and again."""
+        self._animation.set_loop_mode(MeshcatAnimation.LoopMode.kLoopRepeat)
+        self._animation.set_repetitions(_REPETITIONS)
+        self.meshcat.SetAnimation(self._animation)
 
 
 class Effects:
@@ -61,9 +82,9 @@ class Effects:
         flashes: whether there is an impact.
     """
 
-    def __init__(self, stage: Stage, world: World, motions: Sequence[Motion], clock: Clock) -> None:
+    def __init__(self, stage: Stage, world: World, motions: Sequence[Motion], film: Film) -> None:
         """Finds the scales."""
-        self._stage, self._world, self._clock = stage, world, clock
+        self._stage, self._world, self._film = stage, world, film
         forces = [self._forces(m.controls) for m in motions if m.controls is not None]
         sizes = [np.max(np.linalg.norm(force, axis=-1), initial=0.0) for force in forces]
         self.largest_force = float(max(sizes, default=0.0))
@@ -71,23 +92,14 @@ class Effects:
         self.flashes = bool(speeds)
         self._largest_speed = max(speeds, default=0.0) or 1.0
 
-    def add(
-        self,
-        motion: Motion,
-        aside: RigidTransform,
-        folder: str,
-        meshcat: Meshcat,
-        animation: MeshcatAnimation,
-    ) -> None:
-        """Puts the shapes where they belong, and adds how they change."""
+    def add(self, motion: Motion, aside: RigidTransform, folder: str) -> None:
+        """Adds to the film what rides on a motion's bodies, which are moved aside in the world."""
         if motion.controls is not None and self.largest_force > 0:
             forces = self._forces(motion.controls)
             for mover, force in zip(self._stage.movers, forces, strict=True):
-                self._add_arrow(
-                    motion, mover, force, f"{folder}/{mover.name}/control", meshcat, animation
-                )
+                self._add_arrow(motion, mover, force, f"{folder}/{mover.name}/control")
         for contact in sorted({touch.contact for touch in motion.impacts}):
-            self._add_flashes(motion, contact, aside, f"{folder}/impacts", meshcat, animation)
+            self._add_flashes(motion, contact, aside, f"{folder}/impacts/{contact}")
 
     def _forces(self, controls: Floats) -> Floats:
         """Returns the controls' forces (N, nu) on each mover, in the world: (movers, N, 3) [N]."""
@@ -100,59 +112,36 @@ class Effects:
             forces[mover] += np.outer(generalized[:, i], directions[mover, i])
         return forces
 
-    def _add_arrow(
-        self,
-        motion: Motion,
-        mover: Actor,
-        forces: Floats,
-        path: str,
-        meshcat: Meshcat,
-        animation: MeshcatAnimation,
-    ) -> None:
+    def _add_arrow(self, motion: Motion, mover: Actor, forces: Floats, path: str) -> None:
         """Adds a mover's arrow along its forces, shape (N, 3) in the world [N]."""
         assert motion.control_times is not None
-        _shape_arrow(path, mover.radius, meshcat)
+        film = self._film
+        _shape_arrow(path, mover.radius, film.meshcat)
         sizes = np.linalg.norm(forces, axis=1)
         scales = np.maximum(sizes / self.largest_force, _GONE)
         rotation = self._stage.rotation(mover).inverse()
         direction = np.array([1.0, 0.0, 0.0])
-        for k, time in enumerate(motion.control_times[:-1]):
+        for k, frame in enumerate(map(film.frame, motion.control_times[:-1])):
             if sizes[k] > 0:
                 direction = rotation @ (forces[k] / sizes[k])
             turned = RotationMatrix.MakeFromOneVector(direction, 2)
-            pose = RigidTransform(turned, mover.radius * direction)
-            if k == 0:
-                meshcat.SetTransform(path, pose)
-                meshcat.SetProperty(path, "scale", [scales[0]] * 3)
-            frame = self._clock.frame(time)
-            animation.SetTransform(frame, path, pose)
-            animation.SetProperty(frame, path, "scale", [scales[k]] * 3)
-        for frame in (self._clock.frame(motion.control_times[-1]), self._clock.last_frame):
-            animation.SetProperty(frame, path, "scale", [_GONE] * 3)
+            film.move(frame, path, RigidTransform(turned, mover.radius * direction))
+            film.change(frame, path, "scale", [scales[k]] * 3)
+        for frame in (film.frame(motion.control_times[-1]), film.last_frame):
+            film.change(frame, path, "scale", [_GONE] * 3)
 
-    def _add_flashes(
-        self,
-        motion: Motion,
-        contact: int,
-        aside: RigidTransform,
-        folder: str,
-        meshcat: Meshcat,
-        animation: MeshcatAnimation,
-    ) -> None:
+    def _add_flashes(self, motion: Motion, contact: int, aside: RigidTransform, path: str) -> None:
         """Adds what flashes where one contact is touched."""
         mover, toward = self._struck(contact)
-        path = f"{folder}/{contact}"
-        meshcat.SetObject(path, Sphere(_FLASH_RADIUS * mover.radius), _YELLOW)
-        meshcat.SetProperty(path, "scale", [_GONE] * 3)
+        film = self._film
+        film.meshcat.SetObject(path, Sphere(_FLASH_RADIUS * mover.radius), _YELLOW)
         touches = [touch for touch in motion.impacts if touch.contact == contact]
-        for i, touch in enumerate(touches):
+        for touch in touches:
             place = self._stage.pose(mover, motion.positions[self._row(motion, touch)])
             pose = aside.multiply(place.multiply(RigidTransform(mover.radius * toward)))
-            if i == 0:
-                meshcat.SetTransform(path, pose)
-            animation.SetTransform(max(self._clock.frame(touch.start) - 1, 0), path, pose)
+            film.move(max(film.frame(touch.start) - 1, 0), path, pose)
         for frame, scale in self._flash_keys(motion, touches).items():
-            animation.SetProperty(frame, path, "scale", [scale] * 3)
+            film.change(frame, path, "scale", [scale] * 3)
 
     def _row(self, motion: Motion, touch: Touch) -> int:
         """Returns a motion's row as it touches: of the two of an impact the first."""
@@ -178,15 +167,15 @@ class Effects:
         """Returns frame → scale: nothing, an impact's size at once, and nothing a moment later."""
         keys: dict[int, float] = {0: _GONE}
         for touch in touches:
-            frame = self._clock.frame(touch.start)
+            frame = self._film.frame(touch.start)
             # What is left of an earlier flash ends here.
             keys = {f: scale for f, scale in keys.items() if f < frame - 1}
             keys[max(frame - 1, 0)] = _GONE
             share = self._speed(motion, touch) / self._largest_speed
             keys[frame] = _LEAST_FLASH + (1 - _LEAST_FLASH) * share
-            keys[frame + round(_FLASH_TIME * self._clock.rate)] = _GONE
-        keys = {f: scale for f, scale in keys.items() if f < self._clock.last_frame}
-        return {**keys, self._clock.last_frame: _GONE}
+            keys[frame + round(_FLASH_TIME * self._film.rate)] = _GONE
+        keys = {f: scale for f, scale in keys.items() if f < self._film.last_frame}
+        return {**keys, self._film.last_frame: _GONE}
 
 
 def _shape_arrow(path: str, r: float, meshcat: Meshcat) -> None:

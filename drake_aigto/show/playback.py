@@ -8,14 +8,14 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.colors import to_rgb
-from pydrake.geometry import Meshcat, MeshcatAnimation, Rgba
+from pydrake.geometry import Meshcat, Rgba
 from pydrake.math import RigidTransform
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError
 from drake_aigto.planning import Plan
 from drake_aigto.show.board import Board
-from drake_aigto.show.effects import Clock, Effects
+from drake_aigto.show.effects import Effects, Film
 from drake_aigto.show.motion import (
     DOT_SECONDS,
     Motion,
@@ -39,7 +39,6 @@ ROOT = "/drake_aigto"
 FRAMES_PER_SECOND = 1000
 # The end is held for a moment [s], then all motions start again, together: one length for all.
 _HOLD = 0.5
-_REPETITIONS = 10_000
 
 _LANE_WIDTH = 4.0  # in radii of what moves
 _LEAST_LENGTH = 5.5  # of the track, in widths of a lane, so that labels fit
@@ -130,8 +129,8 @@ def publish(motions: Sequence[Motion], meshcat: Meshcat, world: World, scenario:
     ends = np.array([scenario.initial_position, scenario.goal_position])
     stage = Stage(world, np.vstack([ends, *(motion.positions for motion in motions)]))
     begin, end = time_span(motions)
-    clock = Clock(begin, end + _HOLD, FRAMES_PER_SECOND)
-    effects = Effects(stage, world, motions, clock)
+    film = Film(meshcat, begin, end + _HOLD, FRAMES_PER_SECOND)
+    effects = Effects(stage, world, motions, film)
     ground: Track | Board
     if stage.is_line:
         ground = _lay_track(stage, motions, scenario, _explain(effects))
@@ -153,7 +152,10 @@ def publish(motions: Sequence[Motion], meshcat: Meshcat, world: World, scenario:
     # Above ground that the model may have where the balls roll.
     lift = 0.0 if stage.is_line else _LIFT * stage.radius
     meshcat.SetTransform(f"{ROOT}/track", stage.X_WT.multiply(RigidTransform([0.0, 0.0, lift])))
-    meshcat.SetAnimation(_animate(stage, places, motions, effects, clock, meshcat))
+    for index, (motion, aside) in enumerate(zip(motions, places, strict=True)):
+        _animate(stage, motion, index, aside, film)
+        effects.add(motion, aside, _folder(index))
+    film.play()
     if isinstance(ground, Track):
         _aim_camera(stage, ground, meshcat)
     else:
@@ -165,14 +167,6 @@ def clear(meshcat: Meshcat) -> None:
     meshcat.Delete(ROOT)
     for path in ("/Background", "/Grid", "/Axes"):
         meshcat.SetProperty(path, "visible", False)
-
-
-def new_animation(frames_per_second: int) -> MeshcatAnimation:
-    """Returns an animation that plays again and again."""
-    animation = MeshcatAnimation(frames_per_second)
-    animation.set_loop_mode(MeshcatAnimation.LoopMode.kLoopRepeat)
-    animation.set_repetitions(_REPETITIONS)
-    return animation
 
 
 def save_html(meshcat: Meshcat, path: str | os.PathLike[str]) -> None:
@@ -276,31 +270,20 @@ def _find_touches(motion: Motion, ways: Sequence[Floats]) -> Floats:
     return np.vstack([way[rows] for way in ways])
 
 
-def _animate(
-    stage: Stage,
-    places: Sequence[RigidTransform],
-    motions: Sequence[Motion],
-    effects: Effects,
-    clock: Clock,
-    meshcat: Meshcat,
-) -> MeshcatAnimation:
-    """Puts the moving shapes into their places, and returns how they move there."""
-    animation = new_animation(FRAMES_PER_SECOND)
-    for lane, (motion, aside) in enumerate(zip(motions, places, strict=True)):
-        # Of several rows in one frame the last one counts.
-        rows = dict(zip(map(clock.frame, motion.times), motion.positions, strict=True))
-        rows[clock.last_frame] = motion.positions[-1]
-        folder = f"{ROOT}/motions/{lane + 1}"
-        for actor in stage.actors:
-            if not actor.moves:
-                continue
-            path = f"{folder}/{actor.name}"
-            meshcat.SetObject(path, actor.shape, Rgba(*to_rgb(color_of(lane))))
-            meshcat.SetTransform(path, aside.multiply(stage.pose(actor, motion.positions[0])))
-            for frame, q in rows.items():
-                animation.SetTransform(frame, path, aside.multiply(stage.pose(actor, q)))
-        effects.add(motion, aside, folder, meshcat, animation)
-    return animation
+def _animate(stage: Stage, motion: Motion, index: int, aside: RigidTransform, film: Film) -> None:
+    """Adds a motion's bodies to a film, moved aside in the world."""
+    # Of several rows in one frame the last one counts.
+    rows = dict(zip(map(film.frame, motion.times), motion.positions, strict=True))
+    rows[film.last_frame] = motion.positions[-1]
+    for actor in filter(lambda actor: actor.moves, stage.actors):
+        path = f"{_folder(index)}/{actor.name}"
+        film.meshcat.SetObject(path, actor.shape, Rgba(*to_rgb(color_of(index))))
+        for frame, q in rows.items():
+            film.move(frame, path, aside.multiply(stage.pose(actor, q)))
+
+
+def _folder(index: int) -> str:
+    return f"{ROOT}/motions/{index + 1}"
 
 
 def _aim_camera(stage: Stage, track: Track, meshcat: Meshcat) -> None:
