@@ -10,7 +10,7 @@ from benchmarks.ablations.ablations import AblationQuestion
 from benchmarks.ablations.command import add_ablations
 from benchmarks.robustness import results as robustness_results
 from benchmarks.robustness.command import add_robustness
-from drake_aigto.cli.bench.page import add_page
+from drake_aigto.cli.bench import add_page
 from drake_aigto.cli.command_line import run
 from drake_aigto.cli.flags import add_common
 from drake_aigto.cli.parser import Parser

@@ -10,8 +10,7 @@ from scenario_studies import TOYS, Inline
 
 from drake_aigto import jobs
 from drake_aigto.baselines import registry
-from drake_aigto.cli import BAD_INPUT, FINE, INTERRUPTED, NOTHING_HOLDS, main
-from drake_aigto.cli.bench import scenarios
+from drake_aigto.cli import BAD_INPUT, FINE, INTERRUPTED, NOTHING_HOLDS, bench, main
 from drake_aigto.errors import PlanFileError
 from drake_aigto.planning import Planner
 from drake_aigto.show.text import WIDTH
@@ -110,7 +109,7 @@ def test_spreads_are_read_as_help_says(tmp_path: Path) -> None:
 
 
 def test_all_stands_for_every_method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scenarios, "BASELINES", {"coast": TOYS["coast"]})
+    monkeypatch.setattr(bench, "BASELINES", {"coast": TOYS["coast"]})
     path = tmp_path / "study.json"
     assert main([*SCENARIOS, "--methods", "all", "--count", "1", "--json", str(path)]) == FINE
     assert ScenarioStudy.load(path).question.methods == ("aigto", "coast")

@@ -15,8 +15,7 @@ from refusals import check_refused
 from scenario_studies import TOYS, made_up_study
 
 from drake_aigto.baselines import registry
-from drake_aigto.cli import FINE, main
-from drake_aigto.cli.bench import scenarios
+from drake_aigto.cli import FINE, bench, main
 from drake_aigto.show.scenario_figures import (
     COST_CLASSES,
     plot_costs,
@@ -121,7 +120,7 @@ def test_the_command_on_the_page_asks_the_studys_question(
         return ScenarioStudy(question)
 
     monkeypatch.setattr(registry, "BASELINES", TOYS)
-    monkeypatch.setattr(scenarios, "run_scenario_study", ask)
+    monkeypatch.setattr(bench, "run_scenario_study", ask)
     assert main(shlex.split(command_of(question))[1:]) == FINE
     assert asked == [question]
 

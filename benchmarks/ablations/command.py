@@ -8,9 +8,9 @@ from typing import Any
 
 from benchmarks.ablations.ablations import VARIANTS, AblationQuestion
 from benchmarks.ablations.tables import format_ablations
-from drake_aigto.cli.bench.running import add_question, add_running, read_question, run_study
 from drake_aigto.cli.flags import add_command
 from drake_aigto.cli.status import FINE
+from drake_aigto.cli.studies import add_question, add_running, read_question, run_study
 from drake_aigto.show.text import WIDTH
 from drake_aigto.study.scenario_study import run_scenario_study
 

@@ -8,9 +8,9 @@ from typing import Any
 from benchmarks.robustness.figures import format_robustness
 from benchmarks.robustness.question import RobustnessQuestion
 from benchmarks.robustness.study import run_robustness
-from drake_aigto.cli.bench.running import add_running, run_study
 from drake_aigto.cli.flags import add_command, add_confirm
 from drake_aigto.cli.status import FINE
+from drake_aigto.cli.studies import add_running, run_study
 from drake_aigto.paper import ROWS
 
 _EXAMPLES = """\

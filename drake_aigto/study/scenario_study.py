@@ -129,12 +129,10 @@ class _Sweep:
                 self._jobs.start(job, run_job, job)
 
     def _make_job(self, number: int, method: str) -> Job:
-        question = self._question
-        scenario = question.scenario(number)
-        if question.runner is not None:
-            return Job(number, scenario, method, runner=question.runner)
-        if method == PLANNER:
-            return Job(number, scenario, method, reads_boxes=question.reads_boxes)
+        question, scenario = self._question, self._question.scenario(number)
+        if method == PLANNER or question.runner is not None:
+            reads_boxes, runner = question.reads_boxes, question.runner
+            return Job(number, scenario, method, reads_boxes=reads_boxes, runner=runner)
         return Job(
             number,
             scenario,
@@ -224,10 +222,6 @@ def find_optimum(scenario: Scenario) -> RigidOptimum:
     return rigid_optimum(_make_world(scenario.mass), scenario)
 
 
-def _run_method(world: World, job: Job) -> MethodRun:
-    return _run_planner(world, job) if job.method == PLANNER else _run_baseline(world, job)
-
-
 def _run_planner(world: World, job: Job) -> MethodRun:
     start = time.process_time()
     plan = Planner(job.scenario, OPTIONS, world).plan()
@@ -244,7 +238,9 @@ def read_boxes(plan: Plan) -> tuple[int, ...]:
     return tuple(count for count in plan.stats.box_contacts if count is not None)
 
 
-def _run_baseline(world: World, job: Job) -> MethodRun:
+def _run_method(world: World, job: Job) -> MethodRun:
+    if job.method == PLANNER:
+        return _run_planner(world, job)
     run = run_baseline(job.method, world, job.scenario, job.seconds, job.seed, job.good_enough)
     return MethodRun(run.improvements, run.seconds, run.evaluations)
 
