@@ -7,5 +7,13 @@ from drake_aigto.simulation.replay import (
     replay_drake,
     replay_event_driven,
 )
+from drake_aigto.simulation.simulator import make_simulator
 
-__all__ = ["Replay", "confirms", "replay_costs", "replay_drake", "replay_event_driven"]
+__all__ = [
+    "Replay",
+    "confirms",
+    "make_simulator",
+    "replay_costs",
+    "replay_drake",
+    "replay_event_driven",
+]

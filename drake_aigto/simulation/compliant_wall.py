@@ -1,4 +1,4 @@
-"""Drake's own contact: the continuous plant, its compliant walls, and an implicit rule."""
+"""Drake's own contact, recorded: a controller on the continuous plant and its compliant walls."""
 
 from __future__ import annotations
 
@@ -7,43 +7,24 @@ import math
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
+from pydrake.systems.framework import EventStatus
 
 from drake_aigto.arrays import Floats
 from drake_aigto.simulation.contact_motion import Clearance, ContactMotion, calc_time_to_wall
 from drake_aigto.simulation.controller import Controller, Held
-from drake_aigto.simulation.material import calc_dissipation, contact_delays, set_dissipation
+from drake_aigto.simulation.material import contact_delays
 from drake_aigto.simulation.recording import Impact, Recording, Rest
+from drake_aigto.simulation.simulator import (
+    SETTLED,
+    ContactMonitor,
+    calc_acceleration,
+    start_simulator,
+)
 
 if TYPE_CHECKING:
     from pydrake.systems.framework import Context
 
     from drake_aigto.world import World
-
-# Radau's rule at this accuracy returns the energy of an elastic bounce to 1e-5. At such stiffness
-# explicit rules make energy from nothing (2.9 times the speed), and so does implicit Euler.
-_SCHEME = "radau3"
-_ACCURACY = 1e-5
-# Flight advances by this part of the predicted time to the wall, then predicts again, …
-_APPROACH = 0.9
-# … and at least so often, as a part of the simulated time.
-_FLIGHT = 1 / 100
-# The rest in durations of a contact. This near to the wall in time, and in it,
-_NEAR = 0.5
-# steps are so fine that no contact is stepped over and its depth is well resolved, …
-_FINE_STEP = 1 / 20
-# … unless it is older than this, so that the ball rests, …
-_SETTLED = 3.0
-# … or as slow as this part of the fastest approach so far. Then they may be so long.
-_SLOW = 1e-2
-_COARSE_STEP = 10.0
-# Radau's rule has its Jacobian from differences of √ε, and nearer to a wall than this part of the
-# largest position, or of 1 m, takes it for touched. What leaves a wall goes on in fine steps until
-# it is farther, unless that takes so many durations of a contact.
-_BLURRED, _LINGERS = 1e-7, 30.0
-# Dissipation is matched to no speed below this part of the fastest approach so far: it grows as
-# speeds fall, and with it the number of steps that bodies take which are pressed together.
-_SLOWEST_MATCH = 5e-2
 
 
 def simulate_compliant_wall(
@@ -55,9 +36,8 @@ def simulate_compliant_wall(
 ) -> Recording:
     """Runs a controller on the world's own plant, by Radau's implicit rule.
 
-    A contact of restitution 1 keeps the model's dissipation. Any other gets, just before each
-    impact, the Hunt-Crossley dissipation that makes its restitution at the speed that is coming.
-    The plant and its scene graph stay as they are: it goes into the context alone.
+    Each contact gets, just before an impact, the dissipation that makes its restitution at the
+    speed that is coming (`ContactMonitor`). The plant and its scene graph stay as they are.
 
     A controller that feels contact is asked again when one ends. While one goes on it is not, for
     no plan says how fast the ball should be inside a wall; unless it lasts so long that it is rest.
@@ -76,162 +56,34 @@ def simulate_compliant_wall(
     Raises:
         ModelError: a shape has no stiffness.
     """
-    root = world.create_context()
-    if without_friction:
-        world.remove_friction(root)
-    context = world.plant.GetMyMutableContextFromRoot(root)
-    world.plant.SetPositionsAndVelocities(context, np.concatenate(state))
-    root.SetTime(controller.start)
-    simulator = Simulator(world.diagram, root)
-    config = SimulatorConfig(integration_scheme=_SCHEME, accuracy=_ACCURACY, use_error_control=True)
-    ApplySimulatorConfig(config, simulator)
-    delays, motion = contact_delays(world), ContactMotion(world.constant_inertia)
-    matching = _Matching(world, root, restitutions, delays)
-    pace = _Pace(world, motion, delays, controller, matching)
-    trace = _Trace(world, motion, delays)
-    simulator.set_monitor(
-        lambda _: trace.add(context.get_time(), world.plant.GetPositionsAndVelocities(context))
-    )
-    longest_step = math.inf
-    held: Held | None = None
+    plant = world.plant
+    simulator = start_simulator(world, state, controller.start, without_friction)
+    root = simulator.get_mutable_context()
+    context = plant.GetMyMutableContextFromRoot(root)
+    contacts = ContactMonitor(world, simulator, restitutions, controller.end - controller.start)
+    trace = _Trace(world, controller)
+
+    def watch(root: Context) -> EventStatus:
+        # Of what belongs to the simulator it knows but this: neither would ever be freed.
+        now = root.get_time()
+        trace.add(now, plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(root)))
+        if trace.is_due(now):
+            return EventStatus.ReachedTermination(world.diagram, "the controller is asked again")
+        contacts(root)
+        return EventStatus.DidNothing()
+
+    simulator.set_monitor(watch)
     while (now := context.get_time()) < controller.end:
-        x = world.plant.GetPositionsAndVelocities(context)
-        if held is None or trace.is_due(now, held, controller):
+        if trace.is_due(now):
+            x = plant.GetPositionsAndVelocities(context)
             held = controller.sample(now, x, trace.bounces)
-            trace.hold(now, held.control)
-            world.plant.get_actuation_input_port().FixValue(context, held.control)
-        stretch, step = pace.plan(now, x, held.control)
-        if step > longest_step:
-            _forget(simulator)
-        longest_step = step
-        simulator.get_mutable_integrator().set_maximum_step_size(step)
-        until = held.until if held.until > now else controller.end
-        simulator.AdvanceTo(min(now + stretch, until))
+            trace.hold(now, held)
+            plant.get_actuation_input_port().FixValue(context, held.control)
+            contacts.plan(root)
+        simulator.AdvanceTo(held.until if held.until > now else controller.end)
     recording = trace.read(controller.end)
-    recording.matched_speeds = matching.speeds
+    recording.matched_speeds = contacts.speeds
     return recording
-
-
-def _forget(simulator: Simulator) -> None:
-    """Starts the integrator anew, which leaves a wall.
-
-    Radau's rule keeps its Jacobian as long as Newton's method converges with it. That of a contact
-    is a million times too stiff for flight, and may converge to a wrong velocity, in tiny steps.
-    """
-    integrator = simulator.get_mutable_integrator()
-    integrator.Reset()
-    integrator.set_target_accuracy(_ACCURACY)
-    integrator.Initialize()
-
-
-class _Matching:
-    """Gives contacts the dissipation for the impact that is coming."""
-
-    def __init__(
-        self, world: World, root: Context, restitutions: Floats, delays: list[float]
-    ) -> None:
-        self._world = world
-        self._root = root
-        self._restitutions = restitutions.tolist()
-        self._delays = delays
-        self.speeds: list[float] = []
-
-    def match(self, near: Clearance, push: float, slowest: float) -> None:
-        """Sets the dissipation for the speed of an approach, or of rest, or the slowest."""
-        e = self._restitutions[near.contact]
-        speed = math.sqrt(max(near.rate**2 - 2 * push * near.distance, 0.0))
-        speed = max(speed, slowest, abs(push) * self._delays[near.contact])
-        if e < 1 and speed > 0:
-            set_dissipation(self._world, self._root, near.contact, calc_dissipation(e, speed))
-            self.speeds.append(speed)
-
-
-class _Pace:
-    """Chooses how far to simulate next, and in what steps, so that no contact is missed."""
-
-    def __init__(
-        self,
-        world: World,
-        motion: ContactMotion,
-        delays: list[float],
-        controller: Controller,
-        matching: _Matching,
-    ) -> None:
-        self._world = world
-        self._motion = motion
-        start, flight = controller.start, _FLIGHT * (controller.end - controller.start)
-        shortest = [min(delays[i] for i in faces) for faces in motion.solids]
-        self._solids = [_SolidPace(delay, flight, start, matching) for delay in shortest]
-
-    def plan(self, time: float, x: Floats, control: Floats) -> tuple[float, float]:
-        """Returns how long to go on before planning again, and the longest step [s]."""
-        clearances = self._motion.calc_clearances(x)
-        acceleration = _calc_acceleration(self._world, self._motion, x, control, clearances)
-        pushes = self._motion.calc_pushes(acceleration)
-        blurred = _BLURRED * max(1.0, float(np.max(np.abs(x[: x.size // 2]))))
-        plans = [
-            pace.plan(time, near, pushes[near.contact], blurred)
-            for pace, near in zip(self._solids, clearances, strict=True)
-        ]
-        return min(stretch for stretch, _ in plans), min(step for _, step in plans)
-
-
-class _SolidPace:
-    """What one solid asks for."""
-
-    def __init__(self, delay: float, flight: float, start: float, matching: _Matching) -> None:
-        self._delay = delay
-        self._flight = flight
-        self._matching = matching
-        self._touched = start  # no contact that is still going on began before this [s]
-        self._is_slow = False
-        self._is_matched = False
-        self._fastest = 0.0  # approach so far [m/s]
-
-    def plan(
-        self, time: float, near: Clearance, push: float, blurred: float
-    ) -> tuple[float, float]:
-        """Returns how long to go on before planning again, and the longest step [s].
-
-        Args:
-            time: now [s].
-            near: where the ball is.
-            push: φ̈ without this contact [m/s²].
-            blurred: how near an integrator takes a wall for touched [m].
-        """
-        self._fastest = max(self._fastest, -near.rate)
-        if 0 < near.distance < blurred:
-            leaving = calc_time_to_wall(blurred - near.distance, -near.rate, -push)
-            if leaving < _LINGERS * self._delay:
-                step = _FINE_STEP * self._delay
-                return max(leaving, step), step
-        if near.distance > 0:
-            fall = calc_time_to_wall(near.distance, near.rate, push)
-            if fall > _NEAR * self._delay:
-                stretch = min(_APPROACH * fall, self._flight)
-                self._touched, self._is_slow, self._is_matched = time + stretch, False, False
-                return stretch, stretch
-            self._touched, self._is_slow = time, -near.rate <= _SLOW * self._fastest
-        if near.rate < 0 and not self._is_matched:
-            self._matching.match(near, push, _SLOWEST_MATCH * self._fastest)
-            self._is_matched = True
-        if self._is_slow or time - self._touched > _SETTLED * self._delay:
-            return _COARSE_STEP * self._delay, _COARSE_STEP * self._delay
-        return self._delay, _FINE_STEP * self._delay
-
-
-def _calc_acceleration(
-    world: World,
-    motion: ContactMotion,
-    x: Floats,
-    control: Floats,
-    clearances: list[Clearance],
-    but: int | None = None,
-) -> Floats:
-    """Returns v̇ as if the ball rested on all that it touches, but for one contact [m/s²]."""
-    q, v = np.split(x, 2)
-    touched = [near.contact for near in clearances if near.distance <= 0 and near.contact != but]
-    return motion.calc_supported(world.calc_acceleration(q, v, control), touched)
 
 
 class _Sample(NamedTuple):
@@ -254,12 +106,13 @@ class _Row(NamedTuple):
 class _Trace:
     """Every step of a simulation, and the contacts that are read off it."""
 
-    def __init__(self, world: World, motion: ContactMotion, delays: list[float]) -> None:
+    def __init__(self, world: World, controller: Controller) -> None:
         self._world = world
-        self._motion = motion
-        self._delays = delays
+        self._controller = controller
+        self._motion = ContactMotion(world.constant_inertia)
+        self._delays = contact_delays(world)
         self._samples: list[_Sample] = []
-        self._control = np.zeros(world.num_actuators)
+        self._held: Held | None = None
         self._recording = Recording()
         # Of each solid that is touched: since when [s], and which face.
         self._touched: dict[int, tuple[float, int]] = {}
@@ -269,27 +122,30 @@ class _Trace:
     def add(self, time: float, x: Floats) -> None:
         """Appends a step's end."""
         clearances = self._motion.calc_clearances(x)
-        self._samples.append(_Sample(time, x, self._control, clearances))
+        assert self._held is not None, "a control is held from the start"
+        self._samples.append(_Sample(time, x, self._held.control, clearances))
         for solid, near in enumerate(clearances):
             if near.distance <= 0:
                 self._touched.setdefault(solid, (time, near.contact))
             elif solid in self._touched:
                 self.bounces.append(self._touched.pop(solid)[1])
 
-    def hold(self, time: float, control: Floats) -> None:
+    def hold(self, time: float, held: Held) -> None:
         """Appends a control, held from now on."""
-        self._recording.hold(time, control)
-        self._control, self._known = control, len(self.bounces)
+        self._recording.hold(time, held.control)
+        self._held, self._known = held, len(self.bounces)
 
-    def is_due(self, time: float, held: Held, controller: Controller) -> bool:
-        """Returns whether the controller is to be asked again."""
-        if controller.feels_contact:
+    def is_due(self, time: float) -> bool:
+        """Returns whether the controller is to be asked again, or for the first time."""
+        if self._held is None:
+            return True
+        if self._controller.feels_contact:
             if len(self.bounces) > self._known:
                 return True
             touches = self._touched.values()
-            if any(time - since < _SETTLED * self._delays[contact] for since, contact in touches):
+            if any(time - since < SETTLED * self._delays[contact] for since, contact in touches):
                 return False
-        return time >= held.until
+        return time >= self._held.until
 
     def read(self, end: float) -> Recording:
         """Returns the states at samples and about contacts, and the impacts."""
@@ -353,7 +209,7 @@ class _Trace:
         """Returns when and how flight is at the wall, forward (+1) or backward (−1); 0: as is."""
         x = sample.x
         clearances = sample.clearances
-        acceleration = _calc_acceleration(
+        acceleration = calc_acceleration(
             self._world, self._motion, x, control, clearances, but=face
         )
         push = self._motion.calc_pushes(acceleration)[face]

@@ -112,7 +112,6 @@ def _read_stiffness(world: World, shape: GeometryId) -> float:
             f"collision shape {inspector.GetName(shape)!r}",
             got="no stiffness, so Drake's default, which hardly rebounds",
             expected="<drake:point_contact_stiffness>",
-            remedy="Give both shapes 2e9 N/m, and <drake:hunt_crossley_dissipation> 0, for a "
-            "nearly rigid, elastic wall.",
+            remedy="Give both shapes 2e9 N/m, for a nearly rigid wall.",
         )
     return float(properties.GetProperty(*_STIFFNESS))

@@ -49,8 +49,7 @@ class Replay(ArrayRecord):
         compliance_cost: what of the cost this explains at most.
         matched_speeds: "drake" only, restitution < 1 only: the speeds, in the order of time, for
             which the dissipation was set to give each impact its restitution [m/s]. Impacts below a
-            twentieth of the fastest count as that, and return more. Empty: the model's own
-            dissipation.
+            twentieth of the fastest count as that, and return more.
         added_costs: what of the cost users added, by name (`Planner.transcription`).
         violations: by how much the motion misses each constraint that users added, by name, in
             parts of the task's scales (`Additions.violations`) and apart from what compliance
@@ -179,11 +178,11 @@ def replay_drake(world: World, scenario: Scenario, times: ArrayLike, controls: A
     """Replays a held control on the world's own continuous plant in Drake.
 
     Its walls are compliant, so each bounce is late by `contact_delay` and dips in by v √(m / k).
-    With restitution 1 the model keeps its own dissipation, which the shipped models have at zero.
-    The restitution that Hunt-Crossley dissipation makes depends on the speed. So with less than 1
-    it is set before each impact for the speed that is coming (`Replay.matched_speeds`), in the
-    simulation's context alone, and so is friction if the scenario leaves that out. A ball rolls
-    round the corners of a box, which the event-driven replay takes for sharp.
+    The restitution that Hunt-Crossley dissipation makes depends on the speed. So it is set before
+    each impact for the speed that is coming (`Replay.matched_speeds`), or to zero for restitution
+    1, in the simulation's context alone, and so is friction if the scenario leaves that out:
+    `make_simulator` has the same plant for diagrams of your own. A ball rolls round the corners of
+    a box, which the event-driven replay takes for sharp.
 
     Args:
         world: its diagram, whose actuation this replaces.

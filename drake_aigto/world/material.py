@@ -74,8 +74,10 @@ def set_material(
     name: tuple[str, str],
     value: object,
 ) -> None:
-    """Changes a property of a shape, in this context only."""
+    """Changes a property of a shape, in this context only, unless it has that value already."""
     properties = read_material(scene_graph, root, shape)
+    if properties.HasProperty(*name) and properties.GetProperty(*name) == value:
+        return
     properties.UpdateProperty(*name, value)
     context = scene_graph.GetMyMutableContextFromRoot(root)
     scene_graph.AssignRole(context, source, shape, properties, RoleAssign.kReplace)

@@ -1,0 +1,266 @@
+"""Drake's Simulator of the continuous plant, whose compliant walls return what they should."""
+
+from __future__ import annotations
+
+import math
+import weakref
+from typing import TYPE_CHECKING
+
+import numpy as np
+from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
+
+from drake_aigto.arrays import Floats
+from drake_aigto.simulation.contact_motion import Clearance, ContactMotion, calc_time_to_wall
+from drake_aigto.simulation.material import calc_dissipation, contact_delays, set_dissipation
+
+if TYPE_CHECKING:
+    from pydrake.systems.framework import Context
+
+    from drake_aigto.world import Scenario, World
+
+# Radau's rule at this accuracy returns the energy of an elastic bounce to 1e-5. At such stiffness
+# explicit rules make energy from nothing (2.9 times the speed), and so does implicit Euler.
+_SCHEME = "radau3"
+_ACCURACY = 1e-5
+# Flight advances by this part of the predicted time to the wall, then predicts again, …
+_APPROACH = 0.9
+# … and at least so often, as a part of the simulated time.
+_FLIGHT = 1 / 100
+# The rest in durations of a contact. This near to the wall in time, and in it,
+_NEAR = 0.5
+# steps are so fine that no contact is stepped over and its depth is well resolved, …
+_FINE_STEP = 1 / 20
+# … unless it is older than this, so that the ball rests, …
+SETTLED = 3.0
+# … or as slow as this part of the fastest approach so far. Then they may be so long.
+_SLOW = 1e-2
+_COARSE_STEP = 10.0
+# Radau's rule has its Jacobian from differences of √ε, and nearer to a wall than this part of the
+# largest position, or of 1 m, takes it for touched. What leaves a wall goes on in fine steps until
+# it is farther, unless that takes so many durations of a contact.
+_BLURRED, _LINGERS = 1e-7, 30.0
+# Dissipation is matched to no speed below this part of the fastest approach so far: it grows as
+# speeds fall, and with it the number of steps that bodies take which are pressed together.
+_SLOWEST_MATCH = 5e-2
+
+
+def make_simulator(world: World, scenario: Scenario) -> Simulator:
+    """Returns Drake's Simulator of the world's diagram at the scenario's start, time 0.
+
+    Its walls return what the scenario and the model's shapes say. In Drake that takes a
+    Hunt-Crossley dissipation which depends on the speed of the impact, so that no model can have
+    it beforehand: it is set just before each impact (`calc_dissipation`), in place of the model's.
+    The scenario's mass counts, and so does its friction. All of that is in the Simulator's context
+    alone: the plant and its scene graph stay as they are.
+
+    Walls are as stiff as the model has them, so that a bounce is late by π √(m / k). The
+    integrator is Radau's of third order, in steps so fine about contacts that none is missed. What
+    else is in the diagram runs as it is: controllers, loggers, visualizers.
+
+    What does all this is the Simulator's monitor (`Simulator.get_monitor`): call it from the one
+    that replaces it, if you set one of your own.
+
+    Args:
+        world: of a diagram of your own (`World.from_diagram`), in which something drives the
+            actuators; or of a scenario, whose diagram has an input port "actuation" to fix.
+        scenario: start, restitution, friction and duration; it has to fit the world
+            (`World.check`). Simulations may go on beyond the duration.
+
+    Raises:
+        ScenarioError: it does not fit.
+        ModelError: a sphere can slide with friction, or a shape has no stiffness.
+    """
+    world.check(scenario)
+    start = scenario.initial_position, scenario.initial_velocity
+    simulator = start_simulator(world, start, without_friction=scenario.friction == 0)
+    restitutions = world.restitutions(scenario)
+    simulator.set_monitor(ContactMonitor(world, simulator, restitutions, scenario.duration))
+    return simulator
+
+
+def start_simulator(
+    world: World,
+    state: tuple[Floats, Floats],
+    time: float = 0.0,
+    without_friction: bool = False,
+) -> Simulator:
+    """Returns a Simulator by Radau's rule, which knows nothing of contacts yet.
+
+    Args:
+        world: of the diagram.
+        state: the start, (q, v).
+        time: of the start [s].
+        without_friction: whether to leave the model's friction out, in its context.
+    """
+    root = world.create_context()
+    if without_friction:
+        world.remove_friction(root)
+    context = world.plant.GetMyMutableContextFromRoot(root)
+    world.plant.SetPositionsAndVelocities(context, np.concatenate(state))
+    root.SetTime(time)
+    simulator = Simulator(world.diagram, root)
+    config = SimulatorConfig(integration_scheme=_SCHEME, accuracy=_ACCURACY, use_error_control=True)
+    ApplySimulatorConfig(config, simulator)
+    return simulator
+
+
+class ContactMonitor:
+    """Called after each step, gives contacts their dissipation and chooses how long steps may be.
+
+    Attributes:
+        speeds: for which dissipation was set so far, restitution < 1 only [m/s].
+    """
+
+    def __init__(
+        self,
+        world: World,
+        simulator: Simulator,
+        restitutions: Floats,
+        duration: float,
+    ) -> None:
+        """Looks at nothing yet.
+
+        Args:
+            world: whose diagram is simulated.
+            simulator: what is to call this.
+            restitutions: e of each contact, in [0, 1], shape (m,).
+            duration: about how long it will simulate [s].
+
+        Raises:
+            ModelError: a shape has no stiffness.
+        """
+        self._world = world
+        self._simulator = weakref.ref(simulator)  # It holds this: neither would ever be freed.
+        self._motion = ContactMotion(world.constant_inertia)
+        delays = contact_delays(world)
+        self._matching = _Matching(world, restitutions, delays)
+        start, flight = simulator.get_context().get_time(), _FLIGHT * duration
+        shortest = [min(delays[i] for i in faces) for faces in self._motion.solids]
+        self._solids = [_SolidPace(delay, flight, start, self._matching) for delay in shortest]
+        self._planned, self._due = -math.inf, -math.inf  # [s]
+        self._longest_step = math.inf
+        self.speeds = self._matching.speeds
+
+    def __call__(self, root: Context) -> None:
+        """Plans, unless the next step can't lead beyond what was planned."""
+        if not self._planned <= root.get_time() <= self._due:
+            self.plan(root)
+
+    def plan(self, root: Context) -> None:
+        """Plans the next steps from the state, and the control, as they are."""
+        now = root.get_time()
+        stretch, step = self._find_steps(root)
+        simulator = self._simulator()
+        assert simulator is not None, "it called"
+        if step > self._longest_step:
+            _forget(simulator)
+        simulator.get_mutable_integrator().set_maximum_step_size(step)
+        self._longest_step = step
+        self._planned, self._due = now, now + stretch - step
+
+    def _find_steps(self, root: Context) -> tuple[float, float]:
+        """Returns how long to go on before planning again, and the longest step [s]."""
+        plant = self._world.plant
+        context = plant.GetMyContextFromRoot(root)
+        x = plant.GetPositionsAndVelocities(context)
+        control = plant.get_net_actuation_output_port().Eval(context)
+        clearances = self._motion.calc_clearances(x)
+        acceleration = calc_acceleration(self._world, self._motion, x, control, clearances)
+        pushes = self._motion.calc_pushes(acceleration)
+        blurred = _BLURRED * max(1.0, float(np.max(np.abs(x[: x.size // 2]))))
+        plans = [
+            pace.plan(root, near, pushes[near.contact], blurred)
+            for pace, near in zip(self._solids, clearances, strict=True)
+        ]
+        return min(stretch for stretch, _ in plans), min(step for _, step in plans)
+
+
+def _forget(simulator: Simulator) -> None:
+    """Starts the integrator anew, which leaves a wall.
+
+    Radau's rule keeps its Jacobian as long as Newton's method converges with it. That of a contact
+    is a million times too stiff for flight, and may converge to a wrong velocity, in tiny steps.
+    """
+    integrator = simulator.get_mutable_integrator()
+    integrator.Reset()
+    integrator.set_target_accuracy(_ACCURACY)
+    integrator.Initialize()
+
+
+class _Matching:
+    """Gives contacts the dissipation for the impact that is coming."""
+
+    def __init__(self, world: World, restitutions: Floats, delays: list[float]) -> None:
+        self._world = world
+        self._restitutions = restitutions.tolist()
+        self._delays = delays
+        self.speeds: list[float] = []
+
+    def match(self, root: Context, near: Clearance, push: float, slowest: float) -> None:
+        """Sets the dissipation for the speed of an approach, or of rest, or the slowest."""
+        e, dissipation = self._restitutions[near.contact], 0.0
+        speed = math.sqrt(max(near.rate**2 - 2 * push * near.distance, 0.0))
+        speed = max(speed, slowest, abs(push) * self._delays[near.contact])
+        if e < 1 and speed > 0:
+            dissipation = calc_dissipation(e, speed)
+            self.speeds.append(speed)
+        set_dissipation(self._world, root, near.contact, dissipation)
+
+
+class _SolidPace:
+    """What one solid asks for."""
+
+    def __init__(self, delay: float, flight: float, start: float, matching: _Matching) -> None:
+        self._delay = delay
+        self._flight = flight
+        self._matching = matching
+        self._touched = start  # no contact that is still going on began before this [s]
+        self._is_slow = False
+        self._is_matched = False
+        self._fastest = 0.0  # approach so far [m/s]
+
+    def plan(
+        self, root: Context, near: Clearance, push: float, blurred: float
+    ) -> tuple[float, float]:
+        """Returns how long to go on before planning again, and the longest step [s].
+
+        Args:
+            root: what is simulated.
+            near: where the ball is.
+            push: φ̈ without this contact [m/s²].
+            blurred: how near an integrator takes a wall for touched [m].
+        """
+        time = root.get_time()
+        self._fastest = max(self._fastest, -near.rate)
+        if 0 < near.distance < blurred:
+            leaving = calc_time_to_wall(blurred - near.distance, -near.rate, -push)
+            if leaving < _LINGERS * self._delay:
+                step = _FINE_STEP * self._delay
+                return max(leaving, step), step
+        if near.distance > 0:
+            fall = calc_time_to_wall(near.distance, near.rate, push)
+            if fall > _NEAR * self._delay:
+                stretch = min(_APPROACH * fall, self._flight)
+                self._touched, self._is_slow, self._is_matched = time + stretch, False, False
+                return stretch, stretch
+            self._touched, self._is_slow = time, -near.rate <= _SLOW * self._fastest
+        if near.rate < 0 and not self._is_matched:
+            self._matching.match(root, near, push, _SLOWEST_MATCH * self._fastest)
+            self._is_matched = True
+        if self._is_slow or time - self._touched > SETTLED * self._delay:
+            return _COARSE_STEP * self._delay, _COARSE_STEP * self._delay
+        return self._delay, _FINE_STEP * self._delay
+
+
+def calc_acceleration(
+    world: World,
+    motion: ContactMotion,
+    x: Floats,
+    control: Floats,
+    clearances: list[Clearance],
+    but: int | None = None,
+) -> Floats:
+    """Returns v̇ as if the ball rested on all that it touches, but for one contact [m/s²]."""
+    q, v = np.split(x, 2)
+    touched = [near.contact for near in clearances if near.distance <= 0 and near.contact != but]
+    return motion.calc_supported(world.calc_acceleration(q, v, control), touched)
