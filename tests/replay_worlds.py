@@ -31,6 +31,19 @@ def hold(value: float, duration: float = 1.0, steps: int = 200) -> tuple[Any, An
     return np.linspace(0.0, duration, steps + 1), np.full((steps, 1), value)
 
 
+def make_properties(
+    stiffness: float | None = 2e9, dissipation: float | None = 0.0
+) -> ProximityProperties:
+    """Returns what a shape without friction is made of; None: not given."""
+    properties = ProximityProperties()
+    properties.AddProperty("material", "coulomb_friction", CoulombFriction(0.0, 0.0))
+    if dissipation is not None:
+        properties.AddProperty("material", "hunt_crossley_dissipation", dissipation)
+    if stiffness is not None:
+        properties.AddProperty("material", "point_contact_stiffness", stiffness)
+    return properties
+
+
 def make_diagram(
     num_joints: int = 1,
     spring: float = 0.0,
@@ -41,6 +54,7 @@ def make_diagram(
     rail: tuple[float, float] = (1.0, 1.0),
     num_actuators: int = 2,
     density: float = 1.0,
+    dissipation: float | None = 0.0,
 ) -> Diagram:
     """Returns a ball of 1.5 kg before a wall at x = 0, made in code as a user would.
 
@@ -52,12 +66,7 @@ def make_diagram(
     builder = DiagramBuilder()
     plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     plant.mutable_gravity_field().set_gravity_vector([-gravity, 0.0, 0.0])
-    friction = CoulombFriction(0.0, 0.0)
-    properties = ProximityProperties()
-    properties.AddProperty("material", "coulomb_friction", friction)
-    properties.AddProperty("material", "hunt_crossley_dissipation", 0.0)
-    if stiffness is not None:
-        properties.AddProperty("material", "point_contact_stiffness", stiffness)
+    properties = make_properties(stiffness, dissipation)
     inertia = UnitInertia.SolidSphere(0.1)
     ball = plant.AddRigidBody("ball", SpatialInertia(1.5 * density, np.zeros(3), inertia))
     parent, slide = plant.world_frame(), [1.0, 0.0, 0.0]

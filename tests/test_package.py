@@ -99,9 +99,16 @@ def test_installed_wheel_finds_its_own_models(installed: Path) -> None:
     program = """
 import numpy as np
 from drake_aigto import Scenario, World
-from drake_aigto.world.files import models_directory
-world = World.from_scenario(Scenario.named("table1/1"))
-print(models_directory(), *world.calc_signed_distance(np.array([1.0])), sep="|")
+from drake_aigto.world import package_map
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import MultibodyPlant
+scenario = Scenario.named("table1/1")
+parser = Parser(MultibodyPlant(time_step=0.0))
+parser.package_map().AddMap(package_map())
+assert len(parser.AddModelsFromUrl(scenario.model)) == 1
+world = World.from_scenario(scenario)
+models = package_map().GetPath("drake_aigto_models")
+print(models, *world.calc_signed_distance(np.array([1.0])), sep="|")
 """
     directory, distance = run_python(program, installed).split("|")
     assert Path(directory) == installed / "drake_aigto" / "models"

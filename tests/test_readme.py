@@ -1,4 +1,4 @@
-"""README tells the truth: its examples print what it says, and its commands are those of CI."""
+"""README and the page of models tell the truth: examples print it, commands are those of CI."""
 
 from __future__ import annotations
 
@@ -10,8 +10,11 @@ from pathlib import Path
 
 import pytest
 
+from drake_aigto import ModelError, Planner, Scenario
+
 CHECKOUT = Path(__file__).parents[1]
 README = (CHECKOUT / "README.md").read_text(encoding="utf-8")
+MODELS_PAGE = (CHECKOUT / "docs" / "your_own_model.md").read_text(encoding="utf-8")
 
 FENCED = re.compile(r"^```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d*)?(?:e[-+]?\d+)?(?![\w.]*\w)")
@@ -40,11 +43,12 @@ def assert_same_output(printed: str, promised: str) -> None:
     assert got == pytest.approx(expected, rel=RELATIVE_TOLERANCE)
 
 
-@pytest.mark.parametrize(("code", "promised"), examples(README))
-def test_an_example_prints_what_readme_says(
+@pytest.mark.parametrize(("code", "promised"), [*examples(README), *examples(MODELS_PAGE)])
+def test_an_example_prints_what_is_promised(
     code: str, promised: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(tmp_path)  # For files that it writes.
+    monkeypatch.chdir(tmp_path)  # For files that it writes, and the model that the page shows.
+    (tmp_path / "ball.urdf").write_text(shown_models()[0], encoding="utf-8")
     printed = io.StringIO()
     with contextlib.redirect_stdout(printed):
         exec(compile(code, "README.md", "exec"), {"__name__": "__main__"})
@@ -77,6 +81,28 @@ def test_output_may_differ_in_the_last_digits(printed: str) -> None:
 def test_output_may_not_differ_otherwise(printed: str) -> None:
     with pytest.raises(AssertionError):
         assert_same_output(printed, "cost 1.20e-5 m at row1")
+
+
+def shown_models() -> list[str]:
+    """Returns the URDF of the page of models, and the properties in SDF."""
+    return [match[2] for match in FENCED.finditer(MODELS_PAGE) if match[1] == "xml"]
+
+
+def test_the_properties_that_are_shown_in_sdf_are_read(tmp_path: Path) -> None:
+    shipped = (CHECKOUT / "models" / "room.sdf").read_text(encoding="utf-8")
+    _, properties = shown_models()
+    element = re.compile(
+        r"<drake:proximity_properties>.*?</drake:proximity_properties>\n", re.DOTALL
+    )
+    start = {"initial_position": [0.5] * 2, "initial_velocity": [1, 0], "goal_position": [0.4] * 2}
+    model = tmp_path / "room.sdf"
+    model.write_text(element.sub("", shipped), encoding="utf-8")
+    with pytest.raises(ModelError, match="friction of"):
+        Planner(Scenario(model=str(model), **start))
+    with pytest.raises(ModelError, match="no stiffness"):
+        Planner(Scenario(model=str(model), friction=0, **start))
+    model.write_text(element.sub(properties, shipped), encoding="utf-8")
+    Planner(Scenario(model=str(model), **start))
 
 
 def commands() -> dict[str, str]:

@@ -154,7 +154,9 @@ class ContactMonitor:
         assert simulator is not None, "it called"
         if step > self._longest_step:
             _forget(simulator)
-        simulator.get_mutable_integrator().set_maximum_step_size(step)
+        integrator = simulator.get_mutable_integrator()
+        integrator.set_maximum_step_size(step)
+        integrator.request_initial_step_size_target(step)  # Else Drake refuses to start anew.
         self._longest_step = step
         self._planned, self._due = now, now + stretch - step
 
@@ -248,7 +250,7 @@ class _SolidPace:
             self._matching.match(root, near, push, _SLOWEST_MATCH * self._fastest)
             self._is_matched = True
         if self._is_slow or time - self._touched > SETTLED * self._delay:
-            return _COARSE_STEP * self._delay, _COARSE_STEP * self._delay
+            return 2 * _COARSE_STEP * self._delay, _COARSE_STEP * self._delay
         return self._delay, _FINE_STEP * self._delay
 
 

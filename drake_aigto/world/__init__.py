@@ -3,6 +3,7 @@
 from drake_aigto.world.constant import ConstantDynamics, ConstantInertia
 from drake_aigto.world.contact import Contact
 from drake_aigto.world.equations import EquationsOfMotion
+from drake_aigto.world.files import package_map
 from drake_aigto.world.fingerprint import Fingerprint
 from drake_aigto.world.scales import Scales
 from drake_aigto.world.scenario import Scenario, scenario_names
@@ -17,5 +18,6 @@ __all__ = [
     "Scales",
     "Scenario",
     "World",
+    "package_map",
     "scenario_names",
 ]

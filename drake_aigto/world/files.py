@@ -33,7 +33,11 @@ def models_directory() -> Path:
 
 
 def package_map() -> PackageMap:
-    """Returns Drake's packages and ours, ``package://drake_aigto_models/…``."""
+    """Returns Drake's packages and ours, in which ``package://drake_aigto_models/…`` is found.
+
+    For a Parser of your own, ``parser.package_map().AddMap(package_map())``: then
+    ``parser.AddModelsFromUrl(scenario.model)`` reads a shipped model, from a checkout or a wheel.
+    """
     packages = PackageMap()
     packages.AddPackageXml(models_directory() / "package.xml")
     return packages

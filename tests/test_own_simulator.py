@@ -1,0 +1,174 @@
+"""A diagram of one's own, in a Simulator whose walls return what the scenario says."""
+
+from __future__ import annotations
+
+import dataclasses
+import gc
+import itertools
+import weakref
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import Context, DiagramBuilder, EventStatus
+from pydrake.systems.primitives import TrajectorySource, ZeroOrderHold
+from pydrake.trajectories import PiecewisePolynomial
+from replay_worlds import make_diagram
+
+from drake_aigto import ModelError, Scenario, ScenarioError, World
+from drake_aigto.simulation import make_simulator, replay_drake, replay_event_driven
+from drake_aigto.world import package_map
+
+CORRIDOR = "package://drake_aigto_models/corridor.sdf"
+# What the integrator makes of a control that jumps within its steps [m].
+JUMPS = 1e-4
+
+
+def make_corridor(
+    mass: float | None = None,
+    controls: npt.NDArray[np.float64] | None = None,
+    period: float | None = None,
+) -> World:
+    """Returns a corridor that is driven in a diagram of one's own, for a second.
+
+    Args:
+        mass: of the ball [kg].
+        controls: held between even knots, shape (N, 1) [N].
+        period: of the sampling that the control goes through [s]; None: it does not.
+    """
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
+    parser = Parser(plant)
+    parser.package_map().AddMap(package_map())
+    parser.AddModelsFromUrl(CORRIDOR)
+    plant.Finalize()
+    plant.SetDefaultPositions([0.5])
+    if controls is not None:
+        knots = np.linspace(0.0, 1.0, len(controls) + 1)
+        held = PiecewisePolynomial.ZeroOrderHold(knots, np.vstack([controls, controls[-1:]]).T)
+        port = builder.AddSystem(TrajectorySource(held)).get_output_port()
+        if period is not None:
+            sampler = builder.AddSystem(ZeroOrderHold(period, 1))
+            builder.Connect(port, sampler.get_input_port())
+            port = sampler.get_output_port()
+        builder.Connect(port, plant.get_actuation_input_port())
+    return World.from_diagram(builder.Build(), mass)
+
+
+def make_task(speed: float, **fields: Any) -> Scenario:
+    return Scenario(
+        model=CORRIDOR,
+        initial_position=0.5,
+        initial_velocity=-speed,
+        goal_position=0.3,
+        time_step=0.02,
+        duration=1.0,
+        **fields,
+    )
+
+
+def simulate(world: World, scenario: Scenario) -> tuple[float, float]:
+    """Returns q and v at the end."""
+    simulator = make_simulator(world, scenario)
+    simulator.AdvanceTo(scenario.duration)
+    q, v = state_of(world, simulator.get_context())
+    return q, v
+
+
+def state_of(world: World, root: Context) -> list[float]:
+    plant = world.plant
+    return plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(root)).tolist()
+
+
+CASES = [
+    *itertools.product([1.0, 0.8, 0.5], [2.0, 5.0], [(0.3, None), (5.0, 0.02)]),
+    (0.9, 20.0, (1.0, None)),
+    (0.0, 5.0, (5.0, 0.02)),
+]
+
+
+@pytest.mark.parametrize(("e", "speed", "driven"), CASES)
+def test_it_arrives_where_rigid_walls_lead_but_for_what_compliance_explains(
+    e: float, speed: float, driven: tuple[float, float | None]
+) -> None:
+    mass, period = driven
+    times = np.linspace(0.0, 1.0, 51)
+    controls = 5 * mass * np.sin(9 * times[:-1])[:, np.newaxis]
+    world = make_corridor(mass, controls, period)
+    scenario = make_task(speed, restitution=e, mass=mass)
+    rigid = replay_event_driven(world, scenario, times, controls)
+    explained = replay_drake(world, scenario, times, controls).compliance_error
+    end, _ = simulate(world, scenario)
+    assert rigid.bounce_times
+    assert abs(end - rigid.positions[-1, 0]) < explained + JUMPS
+    assert explained < 0.1
+
+
+@pytest.mark.parametrize("e", [1.0, 0.6])
+def test_what_the_model_says_of_dissipation_does_not_count(e: float) -> None:
+    # The shapes give none, so Drake's default: nearly nothing would come back.
+    world = World.from_diagram(make_diagram(dissipation=None))
+    scenario = dataclasses.replace(make_task(2.0), restitution=e)
+    _, v = simulate(world, scenario)
+    assert v == pytest.approx(2.0 * e, rel=1e-3)
+    # The diagram is as it was.
+    simulator = Simulator(world.diagram)
+    plant = world.plant
+    context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+    plant.SetPositionsAndVelocities(context, [0.5, -2.0])
+    simulator.AdvanceTo(1.0)
+    assert state_of(world, simulator.get_context())[1] < 0.5
+
+
+def test_the_scenarios_restitution_and_start_count_and_each_run_is_its_own() -> None:
+    world = make_corridor()
+    speeds = [simulate(world, make_task(2.0, restitution=e))[1] for e in (0.5, 1.0, 0.5)]
+    assert speeds == pytest.approx([1.0, -2.0, 1.0], rel=1e-3)
+
+
+def test_a_monitor_of_ones_own_calls_the_one_that_is_there() -> None:
+    world, scenario, times = make_corridor(), make_task(2.0, restitution=0.5), list[float]()
+    simulator = make_simulator(world, scenario)
+    contacts = simulator.get_monitor()
+
+    def watch(root: Context) -> EventStatus:
+        times.append(root.get_time())
+        return contacts(root)
+
+    simulator.set_monitor(watch)
+    simulator.AdvanceTo(1.0)
+    assert tuple(state_of(world, simulator.get_context())) == simulate(world, scenario)
+    assert times[0] == 0.0 and times[-1] == 1.0
+
+
+def test_it_may_be_set_back_and_run_again() -> None:
+    world, scenario = make_corridor(), make_task(2.0, restitution=0.5)
+    simulator = make_simulator(world, scenario)
+    start = simulator.get_context().Clone()
+    ends = []
+    for _ in range(2):
+        simulator.get_mutable_context().SetTimeStateAndParametersFrom(start)
+        simulator.Initialize()
+        simulator.AdvanceTo(1.0)
+        ends.append(state_of(world, simulator.get_context()))
+    assert ends[0] == pytest.approx(ends[1], abs=1e-6)
+
+
+def test_simulators_are_freed() -> None:
+    simulator = make_simulator(make_corridor(), make_task(2.0))
+    simulator.AdvanceTo(0.1)
+    gone = weakref.ref(simulator)
+    del simulator
+    gc.collect()
+    assert gone() is None
+
+
+def test_what_does_not_fit_is_refused_by_name() -> None:
+    with pytest.raises(ScenarioError, match="mass: got 2 kg"):
+        make_simulator(make_corridor(), make_task(2.0, mass=2.0))
+    with pytest.raises(ModelError, match=r"collision shape '.*': got no stiffness, .* 2e9 N/m"):
+        make_simulator(World.from_diagram(make_diagram(stiffness=None)), make_task(2.0))
