@@ -7,6 +7,7 @@ import io
 import re
 import subprocess
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -94,7 +95,11 @@ def test_the_properties_that_are_shown_in_sdf_are_read(tmp_path: Path) -> None:
     element = re.compile(
         r"<drake:proximity_properties>.*?</drake:proximity_properties>\n", re.DOTALL
     )
-    start = {"initial_position": [0.5] * 2, "initial_velocity": [1, 0], "goal_position": [0.4] * 2}
+    start: dict[str, Any] = {
+        "initial_position": [0.5] * 2,
+        "initial_velocity": [1, 0],
+        "goal_position": [0.4] * 2,
+    }
     model = tmp_path / "room.sdf"
     model.write_text(element.sub("", shipped), encoding="utf-8")
     with pytest.raises(ModelError, match="friction of"):
