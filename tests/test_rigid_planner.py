@@ -33,6 +33,7 @@ from drake_aigto.planning import (
 )
 from drake_aigto.planning.options import RIGID_LADDER, Rung
 from drake_aigto.planning.rigid_search import RigidSearch
+from drake_aigto.show.plans import format_plan
 from drake_aigto.study import ScenarioQuestion
 from drake_aigto.transcription import (
     PhaseTranscription,
@@ -57,6 +58,29 @@ def bounce_plan() -> Plan:
 @cache
 def all_candidates() -> Plan:
     return plan(table1(1, **COARSE), dataclasses.replace(UNCONFIRMED, exhaustive=True))
+
+
+# Of few time steps.
+
+
+@pytest.mark.parametrize("steps", [1, 2, 3, 5, 20])
+@pytest.mark.parametrize("name", ["table1/1", "table1/3", "corridor/six_bounces", "room/two_walls"])
+def test_which_contacts_a_plan_has_does_not_depend_on_the_time_step(name: str, steps: int) -> None:
+    fine, world = fine_plan(name), World.from_scenario(Scenario.named(name))
+    scenario = Scenario.named(name)
+    coarse = dataclasses.replace(scenario, time_step=scenario.duration / steps)
+    found = plan(coarse, UNCONFIRMED, world)
+    assert [c.contact for c in found.best.contacts] == [c.contact for c in fine.best.contacts]
+    assert len(found.trajectory.controls) == max(steps, 1 + len(fine.best.contacts))
+    # A force that falls steadily to 0 costs a third more if it is held throughout.
+    assert fine.cost * (1 - 1e-6) <= found.cost <= 4 / 3 * fine.cost
+    told = f"instead of {steps}, which are too few for its phases"
+    assert (told in format_plan(found)) == (steps <= len(fine.best.contacts))
+
+
+@cache
+def fine_plan(name: str) -> Plan:
+    return plan(Scenario.named(name), UNCONFIRMED)
 
 
 # Optimal, and true.
@@ -146,9 +170,9 @@ def test_a_bounce_that_knots_step_over_is_found_in_the_replay() -> None:
 def test_a_handful_of_steps_is_enough_for_some_plan(steps: int) -> None:
     scenario = table1(4, time_step=1 / steps)
     found = plan(scenario, UNCONFIRMED, shipped_world())
-    assert len(found.trajectory.times) == steps + 1
-    if steps > 1:  # One phase before the bounce, and one after it.
-        assert found.cost < 1e-9
+    # One phase before the bounce, and one after it.
+    assert len(found.trajectory.controls) == max(steps, 2)
+    assert found.cost < 1e-9
 
 
 def test_touches_at_the_very_start_or_end_are_left_out() -> None:

@@ -136,7 +136,8 @@ class PlanOptions(SearchOptions):
         relaxation: ε of the complementarity φ p = dt ε, which the wall pushes from afar with while
             boxes shrink (`RigidTranscription`).
         aigo_steps: how many time steps boxes have: coarse ones show the contact sequence, and the
-            last polish, of finalists, has the scenario's.
+            last polish, of finalists, has the scenario's. Candidates are judged with as many or
+            more; only the plan itself has the scenario's where these are fewer, or one a phase.
         exhaustive: whether rungs are run, too, that can hardly tell anything new
             (`RigidSearch.rungs`), and flights polished that cost too much (`RigidSearch.add`).
         branches: of how many candidates neighbours are tried, with a bounce more or less.

@@ -156,7 +156,7 @@ def run_search(search: RigidSearch, scenario: Scenario, progress: Progress | Non
     """
     search.run(progress)
     search.add_idle()
-    best = search.find_feasible()[0]
+    best = search.find_best()
     if not search.confirm(best):
         search.add_left_out()
         others = (other for other in search.find_feasible() if other.is_confirmed)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import logging
 import math
 from collections.abc import Iterable
@@ -55,8 +56,9 @@ _ARC_ITERATIONS = 60
 # stationary: a loose tolerance at few temperatures reads as many sequences right as careful ones.
 # Fewer Newton steps than that takes are too few around the straight line, where bounces get lost.
 _COOLED = 5e-5
-# AIGO's boxes tell a bounce from the start's own push if so many steps lead to the wall.
-_STEPS_TO_WALL = 3
+# AIGO's boxes tell a bounce from the start's own push if so many steps lead to the wall; for that
+# they have so many times the steps at most, if the scenario does not have more.
+_STEPS_TO_WALL, _MOST_FINER = 3, 4
 
 
 def make_problem(
@@ -75,10 +77,11 @@ def transcribe(world: World, scenario: Scenario, options: PlanOptions) -> RigidT
 def coarsen(world: World, scenario: Scenario, options: PlanOptions) -> Scenario:
     """Returns the scenario with the time steps of AIGO's boxes (`PlanOptions.aigo_steps`).
 
-    There are more of them, up to the scenario's, if a wall would be touched in less than three.
+    There are more of them if a wall would be touched in less than three: up to the scenario's, or
+    four times as many if those are few.
     """
-    steps = max(options.aigo_steps, min(_count_steps(world, scenario), scenario.num_steps))
-    return scenario.in_steps(steps)
+    most = max(scenario.num_steps, _MOST_FINER * options.aigo_steps)
+    return scenario.in_steps(max(options.aigo_steps, min(_count_steps(world, scenario), most)))
 
 
 def _count_steps(world: World, scenario: Scenario) -> int:
@@ -94,7 +97,13 @@ def _count_steps(world: World, scenario: Scenario) -> int:
 
 
 class RigidProblem(PlanningProblem):
-    """The rigid transcription: a contact sequence is the times of touches."""
+    """The rigid transcription: a contact sequence is the times of touches.
+
+    Attributes:
+        asked_steps: time steps that plans are to have.
+        num_steps: those that candidates are judged with, `PlanOptions.aigo_steps` at least: what
+            few steps cost has nothing to do with which contacts are best.
+    """
 
     transcription: RigidTranscription
     options: PlanOptions
@@ -118,7 +127,8 @@ class RigidProblem(PlanningProblem):
             programs: those of the same world, and the same additions.
         """
         super().__init__(transcription, options or PlanOptions(), programs)
-        self.num_steps = num_steps or transcription.scenario.num_steps
+        self.asked_steps = num_steps or transcription.scenario.num_steps
+        self.num_steps = max(self.asked_steps, self.options.aigo_steps)
         self._arc_programs = ArcPrograms()
         self._scenarios: dict[int, Scenario] = {}  # By their number of steps.
 
@@ -127,6 +137,12 @@ class RigidProblem(PlanningProblem):
         """Of the motion without control: a multiple of the transcription's, as many as plans'."""
         coarse = self.transcription.scenario.num_steps
         return coarse * math.ceil(self.num_steps / coarse)
+
+    def in_steps(self, num_steps: int) -> RigidProblem:
+        """Returns the same problem, whose plans are polished with so many time steps."""
+        other = copy.copy(self)
+        other.num_steps = num_steps
+        return other
 
     def make_algorithm(self, rung: Rung) -> Algorithm:
         """Returns an annealing that ends as soon as boxes show contacts."""
@@ -260,9 +276,7 @@ class RigidProblem(PlanningProblem):
         has_boxes = world.num_solids < world.num_contacts
         facings = find_facings(world, *_bend(path, *stops), sequence) if has_boxes else ()
         if self._has_arcs:
-            turns = (facing.start for facing in facings)
-            fits = len({0.0, *joints, *turns}) <= self.num_steps
-            phases = self._phases(sequence, facings, self.num_steps if fits else None)
+            phases = self._phases(sequence, facings, self.num_steps)
             most = min(_ARC_ITERATIONS, max_iterations or _ARC_ITERATIONS)
             x = solve_in_arcs(
                 phases,
@@ -340,17 +354,16 @@ class RigidProblem(PlanningProblem):
     def _phases(
         self, sequence: TouchSequence, facings: Iterable[Facing], num_steps: int | None
     ) -> PhaseTranscription:
-        """Returns the multi-phase problem, with so many steps or this problem's."""
+        """Returns the multi-phase problem, with so many steps or AIGO's, one a phase at least."""
         coarse, facings = self.transcription, tuple(facings)
         scenario = coarse.scenario
-        if self._instants.size:
-            turns = (facing.start for facing in facings)
-            phases = {0.0, *joint_times(sequence), *turns, *self._instants.tolist()}
-            num_steps = max(num_steps or scenario.num_steps, len(phases))
-        if num_steps is not None:
-            if num_steps not in self._scenarios:
-                self._scenarios[num_steps] = scenario.in_steps(num_steps)
-            scenario = self._scenarios[num_steps]
+        turns = (facing.start for facing in facings)
+        phases = {0.0, *joint_times(sequence), *turns, *self._instants.tolist()}
+        steps = max(num_steps or scenario.num_steps, len(phases))
+        if steps != scenario.num_steps:
+            if steps not in self._scenarios:
+                self._scenarios[steps] = scenario.in_steps(steps)
+            scenario = self._scenarios[steps]
         return PhaseTranscription(coarse.world, scenario, sequence, facings, self.additions)
 
 

@@ -168,7 +168,7 @@ class RigidSearch(Search):
         costs = (
             other.replay.cost
             for other in self.by_sequence.values()
-            if other.is_feasible and other.is_confirmed and len(other.contacts) < self._num_steps
+            if other.is_feasible and other.is_confirmed
         )
         is_dear = self._least_flight_cost > _GOOD * min(costs, default=np.inf)
         return is_dear and not self.problem.options.exhaustive
@@ -288,24 +288,43 @@ class RigidSearch(Search):
         return (phases, x) if is_feasible and is_good else None
 
     def improve(self, sequence: TouchSequence) -> None:
-        """Polishes a candidate with the scenario's time step, in its place."""
-        coarse, optimum = self.by_sequence[sequence], self._optimum(sequence)
-        num_phases = 1 + len(joint_times(optimum))
-        if self._num_steps == len(coarse.trajectory.controls) or self._num_steps < num_phases:
-            return
-        self.tell(f"polishing {coarse.describe_contacts()} with {self._num_steps} time steps")
-        path = coarse.trajectory.times, coarse.trajectory.positions
+        """Polishes a candidate with the steps that all are judged with, in its place."""
+        self._polish_again(sequence, self.problem)
+
+    def find_best(self) -> Candidate:
+        """Returns the best candidate, polished with as few time steps as the scenario has.
+
+        If that makes another one the best, it is that one, and so on.
+        """
+        few, presented = self.problem.in_steps(self.problem.asked_steps), set[int]()
+        while True:
+            best = self.find_feasible()[0]
+            sequence = next((key for key, each in self.by_sequence.items() if each is best), None)
+            if sequence is None or id(best) in presented or few.num_steps >= self._num_steps:
+                return best
+            presented.add(id(self._polish_again(sequence, few)))
+
+    def _polish_again(self, sequence: TouchSequence, problem: RigidProblem) -> Candidate:
+        """Puts a candidate with a problem's steps in its place, if it holds, and returns it."""
+        known, optimum = self.by_sequence[sequence], self._optimum(sequence)
+        steps = max(problem.num_steps, 1 + len(joint_times(optimum)))
+        if steps == len(known.trajectory.controls):
+            return known
+        self.tell(f"polishing {known.describe_contacts()} with {steps} time steps")
+        path = known.trajectory.times, known.trajectory.positions
         self.solve(
-            coarse.origin,
+            known.origin,
             self.centers[sequence],
             optimum,
-            lambda _, touches: self.problem.polish_along(path, touches, self._num_steps),
+            lambda _, touches: problem.polish_along(path, touches, steps),
         )
-        fine = self.by_sequence[optimum]
-        if (fine.is_feasible, fine.is_confirmed) < (coarse.is_feasible, coarse.is_confirmed):
-            self.by_sequence[sequence] = coarse
-        elif optimum != sequence:
+        other = self.by_sequence[optimum]
+        if (other.is_feasible, other.is_confirmed) < (known.is_feasible, known.is_confirmed):
+            self.by_sequence[sequence] = known
+            return known
+        if optimum != sequence:
             del self.by_sequence[sequence]
+        return other
 
     def finalists(self) -> list[TouchSequence]:
         """Returns the sequences by rank, one of each optimum, of those that may still win."""
@@ -331,12 +350,11 @@ class RigidSearch(Search):
     def rank(self, candidate: Candidate) -> tuple[float, ...]:
         """Orders by feasibility, what the event-driven replay confirms, time step, and its cost.
 
-        Where the scenario's time step would do, another one only costs a little more.
+        Where the steps that candidates are judged with would do, others only cost a little more.
         """
         has_other_steps = len(candidate.trajectory.controls) != self._num_steps
-        needs_more = has_other_steps and self._num_steps <= len(candidate.contacts)
         price = _times(1 + _STEPS_PRICE * has_other_steps, candidate.replay.cost)
-        return not candidate.is_feasible, not candidate.is_confirmed, needs_more, price
+        return not candidate.is_feasible, not candidate.is_confirmed, price
 
     def _optimum(self, sequence: TouchSequence) -> TouchSequence:
         """Returns what the polish made of a sequence's times."""

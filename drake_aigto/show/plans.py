@@ -81,6 +81,7 @@ def _answer(plan: Plan, world: World, contact_delay: float | None) -> Iterator[s
             f"deepest penetration {length_text(best.max_penetration)}",
         ],
     )
+    yield from _text("steps", describe_steps(plan))
     yield from _row("added", _additions(plan))
     yield from _row("defects", _defects(best))
     yield from _row("contacts", _contacts(best, names))
@@ -145,11 +146,10 @@ def _bounces(replay: Replay, names: Sequence[str]) -> str:
 
 
 def _search(plan: Plan, names: Sequence[str]) -> Iterator[str]:
-    steps, options = plan.scenario.num_steps, plan.options
-    boxes = [f"boxes of {steps} steps"] if options else []
+    options = plan.options
+    boxes = [f"boxes of {plan.scenario.num_steps} steps"] if options else []
     if isinstance(options, PlanOptions):
-        boxes = [f"boxes of {min(options.aigo_steps, steps)} steps"]
-        boxes.append(f"relaxation {options.relaxation:g}")
+        boxes = [f"boxes of {options.aigo_steps} steps", f"relaxation {options.relaxation:g}"]
     yield from _row("found by", boxes)
     for part in str(plan.best.origin).split("; "):
         yield from _row("", part.split(", "))
@@ -284,6 +284,14 @@ def describe_idle(plan: Plan) -> str | None:
     return (
         f"{less}it costs {replay.cost:.3e} and ends {length_text(replay.goal_error)} off the goal"
     )
+
+
+def describe_steps(plan: Plan) -> str | None:
+    """Returns how many time steps a plan has, if it needs more than were asked for."""
+    steps, asked = len(plan.trajectory.controls), plan.scenario.num_steps
+    if steps <= asked or plan.best.is_idle:
+        return None
+    return f"{steps} instead of {asked}, which are too few for its phases"
 
 
 def describe_vetoes(plan: Plan, world: World) -> Iterator[str]:

@@ -23,6 +23,7 @@ from drake_aigto.show.plans import (
     INTERRUPTED,
     candidate_texts,
     describe_idle,
+    describe_steps,
     describe_verdict,
     describe_vetoes,
     format_replays,
@@ -111,6 +112,8 @@ def add_verdict(page: Page, plan: Plan, world: World) -> None:
         page.paragraph(f"Interrupted: {INTERRUPTED}.")
     for veto in describe_vetoes(plan, world):
         page.paragraph(f"Vetoed: {veto}.")
+    if steps := describe_steps(plan):
+        page.paragraph(f"Time steps: {steps}.")
     if idle := describe_idle(plan):
         page.paragraph(f"Without control: {idle}.")
 
