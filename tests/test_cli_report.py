@@ -7,7 +7,8 @@ from pathlib import Path
 import pytest
 from refusals import check_refused, refuse_work
 
-from drake_aigto.cli import BAD_INPUT, FINE, main
+from drake_aigto.cli import BAD_INPUT, FINE, INTERRUPTED, main
+from drake_aigto.paper import Table1
 
 
 def test_report_writes_a_page_without_a_display(
@@ -57,14 +58,18 @@ def test_a_plan_cut_short_leaves_no_page(
     assert not page.exists()
 
 
-def test_table1_writes_a_page(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.mark.parametrize(("rows", "status"), [((), FINE), ((4,), INTERRUPTED)])
+def test_table1_writes_a_page_and_tells_an_interruption(
+    rows: tuple[int, ...],
+    status: int,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
 ) -> None:
-    table = object()
+    table = Table1((), (), rows)  # Of row 4, nothing is done.
     monkeypatch.setattr("drake_aigto.cli.table1.run_table1", lambda **keywords: table)
-    monkeypatch.setattr("drake_aigto.cli.table1.format_table1", lambda got: "the table")
     monkeypatch.setattr("drake_aigto.show.report_table1", lambda got: f"page {got}")
     page = tmp_path / "table1.html"
-    assert main(["table1", "--html", str(page)]) == FINE
+    assert main(["table1", "--html", str(page)]) == status
     assert page.read_text(encoding="utf-8") == f"page {table}"
-    assert capsys.readouterr().out == "the table\n"
+    assert ("Interrupted: 3 of 3 cells" in capsys.readouterr().out) == (status == INTERRUPTED)

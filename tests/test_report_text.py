@@ -8,7 +8,9 @@ import gzip
 import html
 import re
 
+import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from drake_aigto import Plan, Planner, PlanOptions, Scenario, World, __version__
 from drake_aigto.optima import RigidOptimum
@@ -21,7 +23,7 @@ from drake_aigto.show.report import (
     has_landscape,
     report_plan,
 )
-from drake_aigto.show.table_report import report_table1
+from drake_aigto.show.table_report import frame, report_table1
 
 
 def unpack(packed: str) -> str:
@@ -142,15 +144,32 @@ def test_table_1_has_a_row_for_each_plan_with_all_that_it_is_worth(plan: Plan) -
     entry = Entry("AIGTO, rigid", plan.best, plan.replay.drake, plan.holds)
     method = Method("AIGTO, rigid", (plan.cost,), 1, (entry,), 0.5)
     optimum = RigidOptimum(2.18e-4, (0.55,), (-1.7,), 1.0)
-    table = Table1((), tuple(RigidCell(row, 1.0, optimum, 1e-4, (method,)) for row in (1, 3)))
+    cells = tuple(RigidCell(row, 1.0, optimum, 1e-4, (method,)) for row in (1, 3))
+    table = Table1((), cells, rows=(1, 3), num_guesses=2, seed=7, confirm=False)
     page = report_table1(table)
     text = words(page)
     assert "2 of 2 plans of the rigid transcription hold in simulation." in text
     assert "Row 1: q(0) = 1 m" in text and "Row 3: q(0) = 0.6 m" in text
-    assert "drake-aigto table1 --rows 1 3 --html table1.html" in text
+    assert "2 tasks of the paper's four" in text and "Interrupted: 4 of 6 cells" in text
+    command = "drake-aigto table1 --rows 1 3 --guesses 2 --seed 7 --no-confirm --html table1.html"
+    assert command in text
     assert len(scenes(page)) == 2
     assert text.count(f"{plan.replay.event_driven.cost:.2e}") >= 2
     assert "dynamics defect" in text
+
+
+def test_what_a_literal_plan_alone_does_is_cut_off_and_told() -> None:
+    axes = Figure().subplots()
+    simulated, literal = np.array([[-2.0], [2.0]]), np.array([[-2.0], [2500.0]])
+    axes.plot(simulated)
+    frame(axes, "m/s", [simulated], [simulated])
+    assert axes.get_title("right") == "" and axes.get_ylim()[1] < 3.0
+    axes = Figure().subplots()
+    axes.plot(simulated)
+    axes.plot(literal)
+    frame(axes, "m/s", [simulated, literal], [simulated])
+    assert axes.get_ylim()[1] == 4.0
+    assert "goes from -2.0 to 2,500.0 m/s" in axes.get_title("right")
 
 
 def test_a_simulation_that_costs_something_else_says_why(plan: Plan) -> None:

@@ -76,6 +76,19 @@ def test_above_an_optimum_of_nothing_costs_stand_for_themselves(plan: Plan) -> N
     assert re.search(r"\n  above the optimum +\+1\.0e-04 +\+1\.0e-04 +\+9\.9e-05\n", text)
 
 
+def test_rounding_noise_is_not_shown_as_a_cost(plan: Plan) -> None:
+    cell = rigid_cell(plan, optimum=1e-30, drake=False)
+    (entry,) = cell.methods[0].entries
+    noise = dataclasses.replace(
+        entry.candidate, cost=7e-36, replay=dataclasses.replace(entry.candidate.replay, cost=3e-30)
+    )
+    method = dataclasses.replace(
+        cell.methods[0], entries=(dataclasses.replace(entry, candidate=noise),)
+    )
+    text = format_table1(Table1((), (dataclasses.replace(cell, methods=(method,)),)))
+    assert not re.search(r"e-3\d", text) and re.search(r"\n  above the optimum +0 +0\n", text)
+
+
 def test_what_drake_did_not_simulate_is_not_compared(plan: Plan) -> None:
     text = format_table1(Table1((), (rigid_cell(plan, optimum=1e-4, drake=False),)))
     block = text[: text.index("\n\n", 1)]

@@ -16,7 +16,7 @@ from drake_aigto.cli.flags import (
     read_workers,
 )
 from drake_aigto.cli.progress import show_progress
-from drake_aigto.cli.status import FINE
+from drake_aigto.cli.status import FINE, INTERRUPTED
 from drake_aigto.paper import ROWS, run_table1
 from drake_aigto.plain import to_plain
 from drake_aigto.show.tables import format_table1
@@ -66,4 +66,4 @@ def _table1(options: argparse.Namespace) -> int:
             page = report_table1(table)
         write_text(options.html, page)
     print(format_table1(table), flush=True)
-    return FINE
+    return INTERRUPTED if table.num_missing else FINE

@@ -143,15 +143,28 @@ class RigidCell:
 
 @dataclass(frozen=True)
 class Table1:
-    """The table, as far as it was run.
+    """The table, as far as it was run, and what was asked for.
 
     Attributes:
         literal: with the paper's transcription, φ free first.
         rigid: with the rigid one.
+        rows: that were asked for.
+        num_guesses: random guesses of the gradient solvers.
+        seed: of the guesses.
+        confirm: whether the plans are also replayed on Drake's plant.
     """
 
     literal: tuple[Cell, ...]
     rigid: tuple[RigidCell, ...]
+    rows: tuple[int, ...] = ROWS
+    num_guesses: int = 10
+    seed: int = 0
+    confirm: bool = True
+
+    @property
+    def num_missing(self) -> int:
+        """How many cells an interruption left out."""
+        return 3 * len(self.rows) - len(self.literal) - len(self.rigid)
 
 
 def run_cell(
@@ -229,6 +242,7 @@ def run_table1(
     return Table1(
         tuple(cell for cell in cells if isinstance(cell, Cell)),
         tuple(cell for cell in cells if isinstance(cell, RigidCell)),
+        *(tuple(dict.fromkeys(rows)), num_guesses, seed, confirm),
     )
 
 

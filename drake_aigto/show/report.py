@@ -30,6 +30,7 @@ from drake_aigto.show.plans import (
 )
 from drake_aigto.show.playback import open_meshcat, play
 from drake_aigto.show.text import (
+    NO_COST,
     contact_names,
     energy_text,
     friction_items,
@@ -44,7 +45,6 @@ _ANY_PORT = 0
 _MOST_CANDIDATES = 10
 _MOST_TOUCHES = 6
 _SAME_COST = 1e-4  # Costs that differ by this part or less are called the same.
-_NO_COST = 1e-9  # Below it a cost is 0 but for rounding, and nothing is so many percent of it.
 
 NUMBERS = ("cost J", "dynamics defect", "off the goal", "deepest penetration", "energy ratio")
 PROBLEM = """\
@@ -121,10 +121,10 @@ def add_verdict(page: Page, plan: Plan, world: World) -> None:
 def describe_difference(cost: float, replay: Replay) -> str:
     """Returns by how much a simulation's cost differs from a plan's, and what explains it."""
     off = replay.cost - cost
-    if abs(off) <= max(_SAME_COST * cost, _NO_COST):
+    if abs(off) <= max(_SAME_COST * cost, NO_COST):
         return "It costs the same"
     # Of plans that cost next to nothing, no number of percent tells anything.
-    part = f", {100 * off / cost:+.2f} %" if cost > max(_NO_COST, abs(off) / 10) else ""
+    part = f", {100 * off / cost:+.2f} %" if cost > max(NO_COST, abs(off) / 10) else ""
     text = f"Its cost differs by {off:+.1e}{part}"
     if not replay.compliance_cost:
         return text

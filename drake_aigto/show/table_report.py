@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 
+import numpy as np
+from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from drake_aigto import __version__
+from drake_aigto.arrays import Floats
 from drake_aigto.paper import PAPER_COSTS, Cell, Entry, RigidCell, Table1
 from drake_aigto.show.figures import plot_motions
 from drake_aigto.show.motion import PLAN_LABEL, SIMULATION_LABELS, Motion
@@ -14,10 +16,11 @@ from drake_aigto.show.page import Page
 from drake_aigto.show.playback import open_meshcat, publish
 from drake_aigto.show.report import PROBLEM, describe_versions
 from drake_aigto.show.tables import entries_of, format_table1
-from drake_aigto.show.text import length_text, run_texts, task_items
+from drake_aigto.show.text import cost_text, length_text, run_texts, task_items
 from drake_aigto.world import Scenario, World
 
 _ANY_PORT = 0
+_FRAME = 0.5  # What is shown beside simulations, in parts of their range.
 _HEADER = (
     *("", "cost J", "dynamics defect", "deepest penetration", "energy ratio"),
     *("J simulated, rigid", "off the goal there", "J simulated, Drake", "verdict"),
@@ -35,9 +38,10 @@ def report_table1(table: Table1, progress: Callable[[str], None] | None = None) 
     page = Page("Table I of AIGTO, and what its plans do on a rigid wall")
     _add_verdict(page, table)
     page.heading("The question")
-    page.paragraph("A point mass before a wall, in four tasks.")
-    page.code(PROBLEM)
     rows = sorted({cell.row for cell in _cells(table)})
+    tasks = f"{len(rows)} tasks" if len(rows) > 1 else "one task"
+    page.paragraph(f"A point mass before a wall: {tasks} of the paper's four.")
+    page.code(PROBLEM)
     say("recording the plans")
     page.heading("In motion")
     page.scenes({f"Row {row}": _record(table, row) for row in rows})
@@ -47,13 +51,19 @@ def report_table1(table: Table1, progress: Callable[[str], None] | None = None) 
     page.heading("All numbers")
     page.code(format_table1(table).strip())
     page.heading("How to reproduce it")
-    chosen = " ".join(map(str, rows))
-    page.code(
-        f"pip install drake_aigto=={__version__}\n"
-        f"drake-aigto table1 --rows {chosen} --html table1.html"
-    )
-    page.paragraph(describe_versions())
+    page.code(_command(table))
+    page.paragraph(f"Times apart, the numbers will be the same. {describe_versions()}")
     return page.to_html()
+
+
+def _command(table: Table1) -> str:
+    """Returns the command line that asks for the same table."""
+    rows = " ".join(map(str, table.rows))
+    confirm = "" if table.confirm else " --no-confirm"
+    return (
+        f"drake-aigto table1 --rows {rows} --guesses {table.num_guesses} --seed {table.seed}"
+        f"{confirm} --html table1.html"
+    )
 
 
 def _add_verdict(page: Page, table: Table1) -> None:
@@ -63,6 +73,9 @@ def _add_verdict(page: Page, table: Table1) -> None:
             held = sum(entry.holds for entry in entries)
             text = f"{held} of {len(entries)} plans of the {name} transcription hold in simulation."
             page.verdict(text, held == len(entries))
+    if table.num_missing:
+        missing = f"{table.num_missing} of {3 * len(table.rows)} cells"
+        page.paragraph(f"Interrupted: {missing} of the table are not done.")
 
 
 def _cells(table: Table1) -> list[Cell | RigidCell]:
@@ -80,14 +93,29 @@ def _add_row(page: Page, table: Table1, row: int) -> None:
     page.table(_HEADER, _number_rows(table, row))
     for cell in table.rigid:
         if cell.row == row:
-            cost = cell.optimum.cost
-            page.paragraph(f"The exact optimum on a rigid wall costs {cost:.4e}.")
+            cost = cost_text(cell.optimum.cost, 4)
+            page.paragraph(f"The exact optimum on a rigid wall costs {cost}.")
     world = World.from_scenario(scenario)
     entries = _pick_entries(table, row)
     motions = [motion for entry in entries for motion in _make_motions(entry, world)]
     figure = Figure(figsize=(9, 6.5), layout="constrained")
-    plot_motions(figure.subplots(3, 1, sharex=True), motions, world, scenario)
+    axes = figure.subplots(3, 1, sharex=True)
+    plot_motions(axes, motions, world, scenario)
+    simulated = [motion for motion in motions if motion.controls is None]
+    frame(axes[0], "m", [m.positions for m in motions], [m.positions for m in simulated])
+    frame(axes[1], "m/s", [m.velocities for m in motions], [m.velocities for m in simulated])
     page.figure(figure, f"Row {row}: plans, and rigid simulations of their controls.")
+
+
+def frame(axes: Axes, unit: str, values: Sequence[Floats], simulated: Sequence[Floats]) -> None:
+    """Frames what was simulated: a literal plan's jump of thousands of m/s would hide all else."""
+    low, high = np.min(np.vstack(simulated)), np.max(np.vstack(simulated))
+    bottom, top = axes.get_ylim()
+    axes.set_ylim(max(bottom, low - _FRAME * (high - low)), min(top, high + _FRAME * (high - low)))
+    if (bottom, top) != axes.get_ylim():
+        least, most = np.min(np.vstack(values)), np.max(np.vstack(values))
+        text = f"cut off: the literal plan goes from {least:,.1f} to {most:,.1f} {unit}"
+        axes.set_title(text, loc="right", fontsize="small")
 
 
 def _number_rows(table: Table1, row: int) -> Iterator[tuple[str, ...]]:
@@ -105,10 +133,11 @@ def _number_row(name: str, entry: Entry) -> tuple[str, ...]:
     rigid, drake = entry.replays.event_driven, entry.replays.drake
     return (
         name,
-        *run_texts(entry.candidate),
-        f"{rigid.cost:.2e}",
+        cost_text(entry.candidate.cost),
+        *run_texts(entry.candidate)[1:],
+        cost_text(rigid.cost),
         length_text(rigid.goal_error),
-        "-" if drake is None else f"{drake.cost:.2e}",
+        "-" if drake is None else cost_text(drake.cost),
         "holds" if entry.holds else "fails",
     )
 

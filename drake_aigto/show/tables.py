@@ -5,7 +5,15 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Sequence
 
 from drake_aigto.paper import PAPER_COSTS, Cell, Entry, Method, RigidCell, Table1
-from drake_aigto.show.text import WIDTH, length_text, run_texts, task_items, time_text
+from drake_aigto.show.text import (
+    NO_COST,
+    WIDTH,
+    cost_text,
+    length_text,
+    run_texts,
+    task_items,
+    time_text,
+)
 from drake_aigto.world import Scenario
 
 _COLUMNS = (
@@ -32,8 +40,6 @@ wall     holds if both simulations come within 5 % + 4e-6 of the plan's cost and
          beside what the compliance of Drake's wall explains
 optimum  of a point mass on a rigid wall, over all controls; the planner does not know it. Plan and
          simulations are so much above it: in percent, or in J where it is 0"""
-# An optimum below this is 0 but for rounding, and no number is so many percent above it.
-_ZERO = 1e-9
 
 
 def format_table1(table: Table1) -> str:
@@ -67,7 +73,7 @@ def _rigid_lines(cell: RigidCell) -> Iterator[str]:
     optimum = cell.optimum
     bounces = ", ".join(f"bounce at {time:.3f} s" for time in optimum.bounce_times)
     title = (
-        f"  rigid wall, e = {cell.restitution:g}; exact optimum {_cost_text(optimum.cost)}, "
+        f"  rigid wall, e = {cell.restitution:g}; exact optimum {cost_text(optimum.cost, 4)}, "
         f"{bounces or 'no bounce'}"
     )
     if any(method.best.replays.drake for method in cell.methods):
@@ -83,15 +89,11 @@ def _rigid_lines(cell: RigidCell) -> Iterator[str]:
         yield _join(("  above the optimum", "", plan, "", "", "", rigid, "", drake, "", ""))
 
 
-def _cost_text(cost: float) -> str:
-    return f"{cost:.4e}" if cost >= _ZERO else "0"
-
-
 def _excess(cell: RigidCell, cost: float) -> str:
     """Returns how far a cost is above the exact optimum, in eight columns."""
     excess = cost - cell.optimum.cost
-    if cell.optimum.cost < _ZERO:
-        return f"{excess:+.1e}"
+    if cell.optimum.cost < NO_COST:
+        return f"{excess:+.1e}" if excess >= NO_COST else "0"
     percent = 100 * excess / cell.optimum.cost
     return f"{percent:+.3f} %" if abs(percent) < 9.9995 else f"{percent:+.2g} %"
 
@@ -104,17 +106,17 @@ def _method_lines(methods: Iterable[Method]) -> Iterator[str]:
 
 def _entry_line(entry: Entry, seconds: float | None) -> str:
     run, rigid, drake = entry.candidate, entry.replays.event_driven, entry.replays.drake
-    cost, defect, *others = run_texts(run, 1)
+    _, defect, *others = run_texts(run)
     return _join(
         (
             f"  {entry.label}",
             f"{run.start_cost:.0e}/{max(run.start_defects.values()):.0e}",
-            cost,
+            cost_text(run.cost, 1),
             f"{defect}{'' if run.is_feasible else '*'}",
             *others,
-            f"{rigid.cost:.1e}",
+            cost_text(rigid.cost, 1),
             length_text(rigid.goal_error),
-            "-" if drake is None else f"{drake.cost:.1e}",
+            "-" if drake is None else cost_text(drake.cost, 1),
             "holds" if entry.holds else "fails",
             "" if seconds is None else f"{seconds:.1f}",
         )
@@ -137,6 +139,8 @@ def _summary(table: Table1) -> Iterator[str]:
                 yield f"  row {cell.row}, {_bound(cell)}: {'; '.join(labels)}"
         yield "Its contacts are free impulses, and its wall pushes from afar: a low cost is real"
         yield "only where it holds."
+    if table.num_missing:
+        yield f"Interrupted: {table.num_missing} of {3 * len(table.rows)} cells are not done."
     if rigid:
         yield f"Rigid transcription: {_count(rigid)} there."
 

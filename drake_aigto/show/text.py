@@ -8,6 +8,7 @@ from drake_aigto.planning import Candidate
 from drake_aigto.world import Scenario, World
 
 WIDTH = 100
+NO_COST = 1e-9  # Below it a cost is 0 but for rounding, and nothing is so many percent of it.
 _AGAINST = " against "
 
 
@@ -42,6 +43,11 @@ def friction_items(scenario: Scenario, world: World) -> list[str]:
     if scenario.friction is None or not largest:
         return []
     return [f"left out of the simulation, as asked: the model's, μ = {largest:g} at the most"]
+
+
+def cost_text(cost: float, digits: int = 2) -> str:
+    """Returns a cost, or 0 where nothing but rounding is left of it."""
+    return f"{cost:.{digits}e}" if abs(cost) >= NO_COST else "0"
 
 
 def length_text(meters: float) -> str:
