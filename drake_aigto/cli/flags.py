@@ -13,15 +13,11 @@ from typing import Any
 def add_command(
     commands: Any, name: str, run: Callable[..., int], text: str, examples: str, notes: str = ""
 ) -> Any:
-    """Adds a command to those of a parser, and returns its own.
+    """Adds a command to those of a parser (`Parser.add_commands`), and returns its own.
 
-    Args:
-        commands: what `Parser.add_commands` returned.
-        name: of the command.
-        run: takes the parsed options and returns the exit status.
-        text: what the command does, without capital and full stop.
-        examples: command lines, as they are typed.
-        notes: what else there is to know, in lines of at most 100 columns.
+    Its text is without capital and full stop; examples are command lines, as they are typed; notes
+    are what else there is to know, in lines of at most 100 columns. `run` takes the parsed options
+    and returns the exit status.
     """
     sentence = f"{text[0].upper()}{text[1:]}."
     epilog = "\n".join(filter(None, [format_examples(examples), notes]))

@@ -24,15 +24,9 @@ def plan_literal(
 ) -> Plan:
     """Plans as the paper does (AIGTO Sec. IV): explicit Euler, with the contact force ε/(φ + δ).
 
-    The plan of least cost is the answer, whether simulations confirm it or not, and whether it is
-    worth more than doing nothing or not; see `Plan.holds`. Ctrl-C ends the search; the best
-    candidate so far is returned.
-
-    Args:
-        scenario: the question, with its ε and δ; a world with one wall.
-        options: numerics; the defaults if None.
-        world: a plant of your own (`World.from_diagram`); built from the scenario's model if None.
-        progress: called with a line of text before each candidate.
+    The plan of least cost is the answer, whether simulations confirm it or not; see `Plan.holds`.
+    Ctrl-C ends the search; the best candidate so far is returned. A world of your own
+    (`World.from_diagram`) has one wall; before each candidate, `progress` gets a line of text.
 
     Raises:
         ScenarioError: the scenario does not fit the world.

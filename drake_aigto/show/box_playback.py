@@ -248,13 +248,9 @@ class BoxRun:
     def pick(self, count: int, smallest: float = 0.0) -> list[int]:
         """Returns which iterates show best how the boxes shrink: evenly, by the logarithm of size.
 
-        Args:
-            count: at most so many, the first and the last one included.
-            smallest: where the widest box around q is narrower than twice this, iterates count as
-                equal [m].
-
-        Returns:
-            Places in `result.history`, increasing.
+        They are places in `result.history`, increasing, at most so many, the first and the last one
+        included. Where the widest box around q is narrower than twice the smallest [m], iterates
+        count as equal.
         """
         widths = [np.max(self.positions(each)[1]) for each in self.result.history]
         sizes = np.log(np.maximum(widths, max(smallest, np.finfo(float).tiny)))

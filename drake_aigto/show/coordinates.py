@@ -31,13 +31,9 @@ def coordinate_names(world: World) -> list[str]:
 def solid_regions(world: World, coordinates: tuple[int, int], window: Floats) -> list[Floats]:
     """Returns where solids are in the plane of two coordinates, as polygons.
 
-    There the sphere would be inside: φ(q) < 0 for all faces of the solid. Solids that other
-    coordinates matter to have no place in this plane, and are left out.
-
-    Args:
-        world: φ is affine.
-        coordinates: i and j.
-        window: opposite corners of the part of the plane to look at, shape (2, 2) [m].
+    There the sphere would be inside: φ(q) < 0 for all faces of the solid, φ being affine. Solids
+    that other coordinates matter to have no place in this plane, and are left out. What is looked
+    at is a window, opposite corners of shape (2, 2) [m].
 
     Returns:
         for each solid that is there, its corners in order, shape (k, 2) [m].

@@ -93,14 +93,11 @@ class Page:
 
 
 def embed_scenes(scenes: Mapping[str, str], height: int = 560) -> str:
-    """Returns HTML that shows Meshcat's pages in a frame, with a button for each and a slider.
+    """Returns HTML that shows Meshcat's pages in a frame [px], with a button for each and a slider.
 
     Nothing is fetched from anywhere: a script unpacks the chosen page as it is first shown. The
-    library that the pages share, by far the most of them, is there once.
-
-    Args:
-        scenes: title → `Meshcat.StaticHtml()`; at least one.
-        height: of the frame [px].
+    library that the pages share, by far the most of them, is there once. Scenes are title →
+    `Meshcat.StaticHtml()`, at least one.
     """
     stored = "\n".join(
         f'<script type="text/plain" id="scene-{name}">{pack(text)}</script>'

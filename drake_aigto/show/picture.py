@@ -20,10 +20,7 @@ _COLORS = 256
 def make_mesh(figure: Figure, low: npt.ArrayLike, high: npt.ArrayLike) -> Mesh:
     """Returns a flat shape with a figure on it, in a frame's x and y.
 
-    Args:
-        figure: its picture is this rectangle's.
-        low: its lower left corner, shape (2,) [m].
-        high: its upper right corner [m].
+    It is the rectangle from its lower left to its upper right corner, shape (2,) each [m].
     """
     gltf = json.loads(resources.files(__package__).joinpath("square.gltf").read_text("utf-8"))
     (left, bottom), (width, height) = np.array([low, np.subtract(high, low)]).tolist()

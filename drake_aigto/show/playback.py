@@ -89,17 +89,13 @@ def _refuse_port(got: str) -> OptionsError:
 def play(
     plan: Plan, meshcat: Meshcat, world: World | None = None, beside: Sequence[Motion] = ()
 ) -> None:
-    """Shows a plan and what simulations made of its control, side by side.
+    """Shows a plan, labeled as no simulation, and what simulations made of its control.
 
-    Args:
-        plan: the plan; its trajectory is labeled as no simulation.
-        meshcat: where to show it.
-        world: that it was made in, if it has to be given (`Plan.find_world`).
-        beside: motions to compare with, of the same world, such as `gradient_motions` returns. Of
-            the plan's simulations the exactly rigid one is shown then.
+    Motions of the same world to compare with, such as `gradient_motions` returns, are shown beside
+    them; of the plan's simulations then only the exactly rigid one.
 
     Raises:
-        ModelError: from `Plan.find_world`.
+        ModelError: the world has to be given (`Plan.find_world`).
     """
     world = plan.find_world(world)
     planned, *simulated = motions_of_plan(plan, world)
@@ -115,16 +111,10 @@ def publish(motions: Sequence[Motion], meshcat: Meshcat, world: World, scenario:
     """Publishes one recording, with a time slider, of several motions of the same world.
 
     Each motion has a place of its own, so that none hides another. Along a level line that is a
-    lane, beside walls that are shown once, where they are; in a plane, a copy of the world, with
-    the motion's planned contacts on a board. Dots are where bodies were every so often, an arrow
-    is the control, a flash an impact. Start and goal are marked, and the camera sees all of it.
-    What was shown below `ROOT` before is gone.
-
-    Args:
-        motions: at least one; the first is at the back, or at the left.
-        meshcat: where to show them.
-        world: has the shapes.
-        scenario: has start and goal.
+    lane, the first at the back, beside walls that are shown once, where they are; in a plane, a
+    copy of the world, the first at the left, with the motion's planned contacts on a board. Dots
+    are where bodies were every so often, an arrow is the control, a flash an impact. Start and goal
+    are marked, and the camera sees all of it. What was shown below `ROOT` before is gone.
     """
     ends = np.array([scenario.initial_position, scenario.goal_position])
     stage = Stage(world, np.vstack([ends, *(motion.positions for motion in motions)]))

@@ -24,13 +24,9 @@ def write_results_page(
     sections: Sections = SECTIONS,
     command: str = "drake-aigto bench page",
 ) -> None:
-    """Writes a page on all results, and its pictures into a folder `images` beside it.
+    """Writes a page on results of any kinds, and its pictures into a folder `images` beside it.
 
-    Args:
-        files: of results, of any kinds.
-        page: the Markdown file.
-        sections: what the page may have.
-        command: that makes such a page.
+    The page is Markdown, says which command made it, and has one of the sections for each kind.
 
     Raises:
         OutputFileError: the page, or the folder of images, can't be written.
