@@ -237,9 +237,9 @@ def test_a_space_offers_its_best_and_not_what_is_hardly_better(
     space = ControlSpace(recorder)
     points = np.random.default_rng(2).normal(0, 0.3, (40, space.dimension))
     costs = space.costs(points)
-    assert recorder.evaluations == 1 and recorder.cost == pytest.approx(np.min(costs), rel=1e-9)
+    assert recorder.run.evaluations == 1 and recorder.cost == pytest.approx(np.min(costs), rel=1e-9)
     space.costs(points)
-    assert recorder.evaluations == 1
+    assert recorder.run.evaluations == 1
 
 
 def test_sampling_refuses_flights_that_are_no_parabolas() -> None:

@@ -72,6 +72,7 @@ class Recorder:
     Attributes:
         world: that controls act in.
         scenario: the question.
+        run: what is recorded so far.
     """
 
     def __init__(
@@ -92,7 +93,7 @@ class Recorder:
             raise OptionsError("seconds", got=seconds, expected="a finite number above 0")
         world.check(scenario)
         self.world, self.scenario = world, scenario
-        self._run = BaselineRun("", (), (), 0.0, 0, None, None)
+        self.run = BaselineRun("", (), (), 0.0, 0, None, None)
         self._seconds, self._good_enough = seconds, good_enough
         self._clock, self._began = clock, clock()
 
@@ -102,14 +103,9 @@ class Recorder:
         return self._clock() - self._began
 
     @property
-    def evaluations(self) -> int:
-        """How many controls were offered."""
-        return self._run.evaluations
-
-    @property
     def cost(self) -> float:
         """The least cost so far; infinity before the first offer."""
-        return self._run.cost
+        return self.run.cost
 
     @property
     def is_over(self) -> bool:
@@ -128,19 +124,19 @@ class Recorder:
             TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
         """
         cost = replay_event_driven(self.world, self.scenario, times, controls).cost
-        run, seconds = self._run, self.seconds
+        run, seconds = self.run, self.seconds
         changes: dict[str, Any] = {"evaluations": run.evaluations + 1}
         if cost < run.cost:
             changes |= {"times": read_only(times), "controls": read_only(controls)}
             changes["improvements"] = (*run.improvements, Improvement(seconds, cost))
         if claim < (run.claims[-1].cost if run.claims else math.inf):
             changes["claims"] = (*run.claims, Improvement(seconds, claim))
-        self._run = dataclasses.replace(run, **changes)
+        self.run = dataclasses.replace(run, **changes)
         return cost
 
     def finish(self, method: str) -> BaselineRun:
         """Returns what was recorded under a method's name."""
-        return dataclasses.replace(self._run, method=method, seconds=self.seconds)
+        return dataclasses.replace(self.run, method=method, seconds=self.seconds)
 
 
 class Baseline(ABC):
