@@ -1,5 +1,5 @@
-from .contact_law import PolynomialLaw as PolynomialLaw
 from .literal import LiteralTranscription as LiteralTranscription
+from .literal import PolynomialLaw as PolynomialLaw
 from .options import LITERAL_LADDER as LITERAL_LADDER
 from .options import LiteralOptions as LiteralOptions
 from .planner import LiteralSearch as LiteralSearch

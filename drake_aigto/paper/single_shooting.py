@@ -20,8 +20,7 @@ from pydrake.symbolic import (
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import UnsupportedTermError
-from drake_aigto.paper.contact_law import PolynomialLaw
-from drake_aigto.paper.literal import LiteralTranscription
+from drake_aigto.paper.literal import LiteralTranscription, PolynomialLaw
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription.knots import Layout
 from drake_aigto.transcription.shared import as_expression, shared_cost
