@@ -1,6 +1,7 @@
 """Draws the pictures of README into a folder.
 
-Row 1 of the paper's Table I, planned in three ways and simulated; and ways between several walls.
+Row 1 of the paper's Table I, planned in three ways and simulated, also as an animation of two of
+them; and ways between several walls.
 
 python docs/make_picture.py [docs/images]
 """
@@ -9,10 +10,12 @@ from __future__ import annotations
 
 import dataclasses
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import matplotlib as mpl
+import numpy as np
+from matplotlib.animation import FuncAnimation, PillowWriter
 
 from drake_aigto import Planner, Scenario, World
 from drake_aigto.paper import (
@@ -23,7 +26,7 @@ from drake_aigto.paper import (
 )
 from drake_aigto.planning import Candidate
 from drake_aigto.show.figures import plot_motions, plot_path
-from drake_aigto.show.motion import Motion
+from drake_aigto.show.motion import PLAN_LABEL, Motion, color_of
 
 mpl.use("Agg")
 
@@ -34,6 +37,9 @@ _WAYS = {
     "room_with_block/off_the_block": "off a block in a room",
     "two_masses/handed_on": "two masses on a line",
 }
+# The animation: how many frames, how many more at its end, how fast; how big a ball looks [m].
+_FRAMES, _REST, _FRAMES_PER_SECOND = 51, 20, 20
+_RADIUS = 0.02
 
 
 def make_runs(world: World, scenario: Scenario) -> Iterator[tuple[str, Candidate]]:
@@ -46,14 +52,14 @@ def make_runs(world: World, scenario: Scenario) -> Iterator[tuple[str, Candidate
     yield "with impulses at knots: holds", Planner(scenario, world=world).plan().best
 
 
-def draw_row(path: Path) -> None:
+def draw_row(
+    runs: Sequence[tuple[str, Candidate]], world: World, scenario: Scenario, path: Path
+) -> None:
     """Writes the picture of the paper's row."""
-    scenario = Scenario.named("table1/1")
-    world = World.from_scenario(scenario)
     figure, grid = plt.subplots(
         3, 3, figsize=(10, 6), sharex=True, sharey="row", layout="constrained"
     )
-    for axes, (title, run) in zip(grid.T, make_runs(world, scenario), strict=True):
+    for axes, (title, run) in zip(grid.T, runs, strict=True):
         motions = [
             Motion.from_trajectory(run.trajectory, world),
             Motion.from_replay(run.replay, "simulation of its control on a rigid wall"),
@@ -67,6 +73,39 @@ def draw_row(path: Path) -> None:
     handles, labels = grid[0, 2].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=3)
     figure.savefig(path, dpi=100)
+
+
+def animate(
+    ours: Candidate, snopt: Candidate, world: World, scenario: Scenario, path: Path
+) -> None:
+    """Writes the same row in motion: two plans, each above the simulation of its control."""
+    lanes = []
+    for name, run in (("drake_aigto", ours), ("SNOPT", snopt)):
+        planned = Motion.from_trajectory(run.trajectory, world)
+        simulated = Motion.from_replay(run.replay)
+        lanes.append((f"{name}: {PLAN_LABEL}, cost {run.cost:.1e}", planned))
+        lanes.append((f"its control, simulated on a rigid wall: {run.replay.cost:.1e}", simulated))
+    figure, axes = plt.subplots(figsize=(6.4, 3.0), layout="constrained")
+    heights = -np.arange(len(lanes))
+    for height, (label, _) in zip(heights, lanes, strict=True):
+        axes.text(0.0, height + 0.3, label, fontsize="small", color=color_of(-height // 2))
+        axes.axhline(height, color="0.85", linewidth=1, zorder=0)
+    axes.axvspan(-0.1, -_RADIUS, color="#8a8f98")
+    axes.axvline(*scenario.goal_position, color="black", linestyle=":", linewidth=1)
+    axes.set(xlim=(-0.1, 1.1), ylim=(-3.5, 0.75), yticks=[])
+    axes.set_xlabel("distance from the wall [m]; dotted: goal")
+    colors = [color_of(-height // 2) for height in heights]
+    faces = [color if i % 2 else "white" for i, color in enumerate(colors)]
+    balls = axes.scatter(np.zeros(4), heights, s=130, c=faces, edgecolors=colors, linewidths=2)
+
+    def show(time: float) -> None:
+        places = [np.interp(time, motion.times, motion.positions[:, 0]) for _, motion in lanes]
+        balls.set_offsets(np.column_stack([places, heights]))
+        axes.set_title(f"t = {time:.2f} s, slowed down", fontsize="small", loc="right")
+
+    times = [*np.linspace(0.0, scenario.duration, _FRAMES), *[scenario.duration] * _REST]
+    animation = FuncAnimation(figure, show, times, init_func=lambda: None)
+    animation.save(path, PillowWriter(fps=_FRAMES_PER_SECOND), dpi=100)
 
 
 def draw_ways(path: Path) -> None:
@@ -90,5 +129,9 @@ def draw_ways(path: Path) -> None:
 
 if __name__ == "__main__":
     folder = Path(sys.argv[1]) if len(sys.argv) > 1 else Path(__file__).parent / "images"
-    draw_row(folder / "table1_row1.png")
+    row = Scenario.named("table1/1")
+    wall = World.from_scenario(row)
+    three = list(make_runs(wall, row))
+    draw_row(three, wall, row, folder / "table1_row1.png")
+    animate(three[-1][1], three[0][1], wall, row, folder / "plan_and_snopt.gif")
     draw_ways(folder / "ways_between_walls.png")
