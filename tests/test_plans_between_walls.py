@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from benchmarks.world_scenarios import WORLDS
+from benchmarks.worlds import load_unequal
 from drake_aigto import PlanOptions, Scenario, World, plan
 from drake_aigto.optima import walls_optimum
 from drake_aigto.planning import Origin, make_problem
@@ -54,6 +55,29 @@ def test_plans_are_optimal(model: str) -> None:
         optimum = walls_optimum(world, scenario)
         assert found.replay.event_driven.cost <= 1.01 * optimum.cost + 1e-7
         assert found.cost >= (1 - 1e-6) * optimum.cost - 1e-9
+
+
+def test_contacts_of_unequal_masses_that_nothing_but_the_motion_without_control_has_are_found() -> (
+    None
+):
+    scenario = Scenario(
+        model="package://drake_aigto_models/two_masses.sdf",
+        initial_position=[0.19434618, 0.55799003],
+        initial_velocity=[0.18030109, -0.89792862],
+        goal_position=[0.62395172, 0.74167857],
+        duration=1.5,
+        time_step=0.03,
+    )
+    world = load_unequal(scenario, 5.0)
+    found = plan(scenario, QUICK, world)
+    # By `masses_optimum` with up to four meetings; doing nothing costs 154 times as much.
+    assert found.replay.event_driven.cost == pytest.approx(5.6154e-06, rel=1e-2)
+
+
+def test_masses_are_mirrors_to_each_other_if_they_are_equal() -> None:
+    scenario = Scenario.named("two_masses/apart")
+    unfold = [make_problem(load_unequal(scenario, ratio), scenario).unfolds for ratio in (1.0, 3.0)]
+    assert unfold == [True, False]
 
 
 def test_plans_between_mirrored_walls_are_mirrored() -> None:

@@ -15,6 +15,7 @@ from line_rivals import SAMPLES, Leg, legs_of
 from replay_worlds import make_diagram, make_scenario, shipped_world
 
 from benchmarks.world_scenarios import WORLDS
+from benchmarks.worlds import load_unequal
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.optima import (
     ContactOptimum,
@@ -150,6 +151,71 @@ def test_two_masses_in_a_mirror_cost_the_same(seed: int) -> None:
     one, other = solve("two_masses", scenario), solve("two_masses", mirrored)
     assert one.cost == pytest.approx(other.cost, rel=1e-9)
     assert [2 - contact for contact in one.contacts] == list(other.contacts)
+
+
+@pytest.mark.parametrize(("ratio", "e"), [(3.0, 1.0), (5.0, 0.8), (0.2, 1.0), (0.3, 0.8)])
+@pytest.mark.parametrize("seed", [1, 4])
+def test_unequal_masses_cost_what_the_times_of_their_contacts_ask_for(
+    ratio: float, e: float, seed: int
+) -> None:
+    scenario = draw("two_masses", seed, restitution=e)
+    world = load_unequal(scenario, ratio)
+    found = masses_optimum(world, scenario, most_meetings=1)
+    contacts, times = list(found.contacts), np.array([touch.start for touch in found.touches])
+    least = cost_of_times(scenario, ratio, contacts, times)
+    assert found.cost == pytest.approx(least, rel=1e-6, abs=1e-15)
+    rng = np.random.default_rng(seed)
+    for size in (1e-4, 1e-2):
+        for moves in rng.uniform(-size, size, (20, times.size)):
+            others = times + moves
+            if np.all(np.diff([0.0, *others, scenario.duration]) > 0):
+                cost = cost_of_times(scenario, ratio, contacts, others)
+                assert cost >= found.cost * (1 - 1e-6) - 1e-15
+
+
+def cost_of_times(
+    scenario: Scenario, ratio: float, contacts: list[int], times: np.ndarray
+) -> float:
+    """Returns the least cost of two masses that are at these contacts at these times.
+
+    Between given times all is linear: state x = (q, v), contact c at distance g · q + φ₀, where it
+    sends v to V v. Each thing that is asked for, aᵀ x(t) = b, is ∫ k(s) · u(s) ds = b − aᵀ x₀(t),
+    with x₀ the motion without control and k(s) the costate that a leaves at s. So the least of
+    w_u ∫ u² is w_u rᵀ (∫ k kᵀ)⁻¹ r; a miss of the goal at a price w_f adds w_u/w_f to the diagonal.
+    """
+    masses, T = np.array([1.0, ratio]), scenario.duration
+    slopes = np.array([[1.0, 0.0], [-1.0, 1.0], [0.0, -1.0]])
+    maps = []
+    for contact in contacts:
+        J, kick = slopes[contact], slopes[contact] / masses
+        V = np.eye(2) - (1 + scenario.restitution) * np.outer(kick, J) / (J @ kick)
+        maps.append(np.block([[np.eye(2), np.zeros((2, 2))], [np.zeros((2, 2)), V]]))
+    asked = [
+        (t, np.append(slopes[c], [0, 0]), -float(c == 2))
+        for t, c in zip(times, contacts, strict=True)
+    ]
+    asked += [(T, np.eye(4)[i], scenario.goal_position[i]) for i in range(2)]
+    can_miss = np.array([0.0] * len(times) + [1.0, 1.0])
+    joints = np.array([0.0, *times, T])
+    start = np.concatenate([scenario.initial_position, scenario.initial_velocity])
+    kernels, misses = [], []
+    for t, row, value in asked:
+        # At both ends and in the middle of each interval, for Simpson's rule.
+        kernel = np.zeros((len(joints) - 1, 3, 2))
+        for j in reversed(range(len(joints) - 1)):
+            h = joints[j + 1] - joints[j]
+            if joints[j + 1] <= t:
+                for k, left in enumerate((h, h / 2, 0.0)):
+                    kernel[j, k] = (row[2:] + left * row[:2]) / masses
+                row = np.concatenate([row[:2], row[2:] + h * row[:2]])
+                if j > 0:
+                    row = row @ maps[j - 1]
+        kernels.append(kernel)
+        misses.append(value - row @ start)
+    h = np.diff(joints)[:, np.newaxis, np.newaxis] * np.array([1, 4, 1])[:, np.newaxis] / 6
+    gram = np.einsum("aijk,bijk->ab", np.array(kernels), h * np.array(kernels))
+    gram += np.diag(can_miss) * scenario.control_weight / scenario.goal_weight
+    return float(scenario.control_weight * np.dot(misses, np.linalg.solve(gram, misses)))
 
 
 def test_masses_that_stay_apart_are_two_corridors() -> None:

@@ -20,8 +20,8 @@ _WORDS: dict[ChangeName, str] = {
     "left out": "left out at first",
 }
 
-# The proposer of doing nothing.
-NO_CONTROL = "no control"
+# The proposers of doing nothing, and of the contacts that this has.
+NO_CONTROL, COASTING = "no control", "contacts of the motion without control"
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Origin:
 
     Attributes:
         proposer: AIGO's algorithm, as the options name it, or another's guess: "zero", "random",
-            or "no control", which is what the world does by itself.
+            or "no control", which is what the world does by itself, or that motion's contacts.
         rung: where AIGO started; None for another's guess, and in plan files of version 3, whose
             whole sentence is the proposer.
         changes: of the contact sequence that was proposed, in order.

@@ -325,8 +325,9 @@ class RigidProblem(PlanningProblem):
         """Whether plans of the same contacts, in the same order, are expected to be one plan.
 
         Mirrored at each wall that it bounces off, and with nothing but controls that bends it, a
-        motion is a free flight to the goal's image, and the cost of that is convex. A block can be
-        passed on two sides, and under gravity a ball bounces high and late or low and early.
+        motion is a free flight to the goal's image, and the cost of that is convex, if in the image
+        accelerations cost what they do here. A block can be passed on two sides, and under gravity
+        a ball bounces high and late or low and early; and of two masses the lighter one is cheaper.
         """
         world, dynamics = self.transcription.world, self._find_dynamics()
         return bool(
@@ -334,6 +335,7 @@ class RigidProblem(PlanningProblem):
             and world.num_solids == world.num_contacts
             and np.all(world.restitutions(self.transcription.scenario) > 0)
             and not np.any(dynamics.drift)
+            and _mirrors_keep_costs(dynamics)
         )
 
     @cached_property
@@ -365,6 +367,19 @@ class RigidProblem(PlanningProblem):
                 self._scenarios[steps] = scenario.in_steps(steps)
             scenario = self._scenarios[steps]
         return PhaseTranscription(coarse.world, scenario, sequence, facings, self.additions)
+
+
+def _mirrors_keep_costs(dynamics: ConstantDynamics) -> bool:
+    """Returns whether G Gᵀ, of G = M⁻¹ B, is its own image in each wall's mirror.
+
+    The mirror changes velocities as an elastic impact does.
+    """
+    worth = dynamics.gain @ dynamics.gain.T
+    for J, kick in zip(dynamics.jacobian, dynamics.kicks, strict=True):
+        mirror = np.eye(J.size) - 2 * np.outer(kick, J) / (J @ kick)
+        if not np.allclose(mirror @ worth @ mirror.T, worth, atol=1e-9 * np.max(worth)):
+            return False
+    return True
 
 
 def _bend(path: Path, times: npt.NDArray[np.float64], stops: npt.NDArray[np.float64]) -> Path:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Iterator
-from itertools import chain, combinations
+from itertools import chain, combinations, starmap
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +12,7 @@ import numpy as np
 from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
 from drake_aigto.planning.insertions import find_insertions
 from drake_aigto.planning.options import Rung
-from drake_aigto.planning.origin import ChangeName, Origin
+from drake_aigto.planning.origin import COASTING, ChangeName, Origin
 from drake_aigto.planning.plan import LARGEST_DEFECT, Candidate
 from drake_aigto.planning.rigid import Path, RigidProblem, Solved
 from drake_aigto.planning.search import Search, Stopwatch
@@ -231,8 +231,19 @@ class RigidSearch(Search):
     def refine(self) -> None:
         """Adds neighbours of the best candidates, then improves the best of all."""
         self.tell(f"{len(self.by_sequence)} candidates; looking for others near the best")
+        self._add_coast()
         self.branch()
         super().refine()
+
+    def _add_coast(self) -> None:
+        """Adds the contacts of the motion without control, if that may lead to another plan."""
+        coast = self.problem.coast
+        bounces = zip(coast.bounce_times, coast.bounce_contacts, strict=True)
+        sequence = tuple(starmap(Touch.bounce, bounces))
+        is_possible = len(sequence) <= _MOST_TOUCHES and self.problem.fits(sequence)
+        if is_possible and not self.problem.unfolds and not self.is_known(sequence):
+            path = coast.times, coast.positions
+            self.add(Origin(COASTING), self.problem.box.center, sequence, path)
 
     def branch(self) -> None:
         """Adds neighbours (`neighbors`) of good sequences, the best first, of each once."""
