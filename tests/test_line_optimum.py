@@ -173,7 +173,7 @@ def test_no_other_start_and_no_wall_twice_in_a_row_is_better(e: float) -> None:
             for walls in itertools.product((0, 1), repeat=number):
                 sequence = _Sequence(line, walls, None, slack=False)
                 starts = starts_by_chance(sequence, 20, rng)
-                for other, z in sequence.flights.minimize(starts, sequence.positive):
+                for other, z in sequence.flights.minimize(starts):
                     if other < cost * (1 - 1e-7) - 1e-12:
                         assert not sequence.is_admissible(z), (line, walls)
 

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.optima.least_effort import Flights
+from drake_aigto.optima.least_effort import Coordinate, Flights
 from drake_aigto.optima.walls_optimum import (
     ContactOptimum,
     KnownTouch,
@@ -127,7 +127,7 @@ class _Room:
         for sequence in self.sequences(axis, most_touches):
             problem = _Sequence(self, {axis: sequence}, None)
             costs: list[float] = []
-            for cost, z in problem.solve(problem.starts(rng)):
+            for cost, z in problem.flights.minimize(problem.starts(rng)):
                 if not any(math.isclose(cost, other, rel_tol=1e-6) for other in costs):
                     costs.append(cost)
                     path = problem.path(cost, z)
@@ -186,7 +186,7 @@ class _Room:
 
     def _improve(self, best: _Path, problem: _Sequence, starts: Floats) -> _Path:
         """Returns a sequence's cheapest admissible motion, or this one if none is cheaper."""
-        for cost, z in problem.solve(starts):
+        for cost, z in problem.flights.minimize(starts):
             if cost < best.cost:
                 path = problem.path(cost, z)
                 if self.is_clear(path.positions, path.touches):
@@ -234,43 +234,33 @@ class _Sequence:
         corner: tuple[tuple[int, ...], tuple[float, ...]] | None,
     ) -> None:
         self.room, self.faces, self.corner = room, faces, corner
-        count = 2 * sum(map(len, faces.values()))
-        self.flights = Flights(count + (0 if corner is None else 3))
-        self.positive: list[Floats] = []
-        self.axes: list[int] = []  # of each flight
+        self.first_of_corner = 2 * sum(map(len, faces.values()))
+        self.flights = Flights(self.first_of_corner + (0 if corner is None else 3))
+        self.coordinates: list[Coordinate] = []
         first = 0
         for axis in faces:
-            self._add_axis(axis, first, count)
+            self._add_axis(axis, first)
             first += 2 * len(faces[axis])
 
-    def _add_axis(self, axis: int, first: int, corner: int) -> None:
-        room, constant, variable = self.room, self.flights.constant, self.flights.variable
-        effort = float(room.efforts[axis])
-        time, place = constant(0.0), float(room.position[axis])
-        velocity = constant(float(room.velocity[axis]))
-        # Time, place, velocity before and after.
-        stops: list[tuple[Floats, float, Floats, Floats]] = []
+    def _add_axis(self, axis: int, first: int) -> None:
+        room, variable, constant = self.room, self.flights.variable, self.flights.constant
+        state = room.position[axis], room.velocity[axis], float(room.efforts[axis])
+        coordinate = Coordinate(self.flights, *state)
+        stops: list[tuple[Floats, Floats, Floats, Floats]] = []
         for i, face in enumerate(self.faces[axis]):
-            at, speed = variable(first + 2 * i), variable(first + 2 * i + 1)
-            self.positive.append(speed)
-            stops.append((at, face.place, -face.side * speed, face.side * face.restitution * speed))
+            time, speed = variable(first + 2 * i), variable(first + 2 * i + 1)
+            self.flights.keep_positive(speed)
+            after = face.side * face.restitution * speed
+            stops.append((time, constant(face.place), -face.side * speed, after))
         if self.corner is not None:
-            passing = variable(corner + 1 + axis)
-            after, places = self.corner
-            stops.insert(after[axis], (variable(corner), places[axis], passing, passing))
-        for at, stop, before, leaving in stops:
-            self.flights.add(constant(stop - place), velocity, before, at - time, effort)
-            self.positive.append(at - time)
-            time, place, velocity = at, stop, leaving
-        left = constant(1.0) - time
-        way = constant(float(room.goal[axis]) - place)
-        self.flights.add_last(way, velocity, left, room.weight / effort, effort)
-        self.positive.append(left)
-        self.axes += [axis] * (len(stops) + 1)
-
-    def solve(self, starts: Floats) -> Iterator[tuple[float, Floats]]:
-        """Yields local optima."""
-        return self.flights.minimize(starts, self.positive)
+            number, (after_touch, places) = self.first_of_corner, self.corner
+            passing = variable(number + 1 + axis)
+            stop = variable(number), constant(places[axis]), passing, passing
+            stops.insert(after_touch[axis], stop)
+        for stop in stops:
+            coordinate.fly(*stop)
+        coordinate.finish(float(room.goal[axis]), room.weight)
+        self.coordinates.append(coordinate)
 
     def starts(self, rng: np.random.Generator) -> Floats:
         """Returns where to start Newton's method for one axis, by chance, shape (k, n)."""
@@ -300,24 +290,15 @@ class _Sequence:
 
     def path(self, cost: float, z: Floats) -> _Path:
         """Returns the motion of this z."""
-        times = np.linspace(0.0, 1.0, _SAMPLES)
-        rows: dict[int, Floats] = {}
-        at = {axis: [0.0, float(self.room.position[axis])] for axis in self.faces}
-        for axis, (way, start, end, span) in zip(self.axes, self.flights.values(z), strict=True):
-            first, place = at[axis]
-            row = rows.setdefault(axis, np.full(_SAMPLES, place))
-            s = np.maximum(times - first, 0.0)
-            rest, turn = way - start * span, (end - start) * span
-            cubic = (
-                start * s
-                + (3 * rest - turn) * (s / span) ** 2
-                + (turn - 2 * rest) * (s / span) ** 3
-            )
-            row[times >= first] = (place + cubic)[times >= first]
-            at[axis] = [first + span, place + way]
+        times, positions = np.linspace(0.0, 1.0, _SAMPLES), []
+        for coordinate in self.coordinates:
+            row = np.empty(_SAMPLES)
+            for first, _, piece in coordinate.paths(z):
+                row[times >= first] = piece(times[times >= first] - first)
+            positions.append(row)
         faces = [face for axis in self.faces for face in self.faces[axis]]
         touches = [(float(z[2 * i]), face, float(z[2 * i + 1])) for i, face in enumerate(faces)]
-        return _Path(cost, tuple(touches), np.array([rows[axis] for axis in self.faces]))
+        return _Path(cost, tuple(touches), np.array(positions))
 
 
 def _make_room(world: World, scenario: Scenario) -> _Room:
@@ -325,15 +306,14 @@ def _make_room(world: World, scenario: Scenario) -> _Room:
     dynamics = world.constant_dynamics
     _check_world(dynamics)
     q, T = scenario.initial_position, scenario.duration
-    distances, restitutions = world.calc_signed_distance(q), world.restitutions(scenario)
+    distances, restitutions = world.calc_signed_distance(q), world.restitutions(scenario).tolist()
     solids = [contact.solid for contact in world.contacts]
     faces = []
     for contact, slopes in enumerate(dynamics.jacobian):
         axis = int(np.argmax(np.abs(slopes)))
         place = float(q[axis] - distances[contact] / slopes[axis])
-        side, restitution = 1 if slopes[axis] > 0 else -1, float(restitutions[contact])
-        is_of_box = solids.count(solids[contact]) > 1
-        faces.append(_Face(contact, axis, place, side, restitution, is_of_box))
+        side, is_of_box = 1 if slopes[axis] > 0 else -1, solids.count(solids[contact]) > 1
+        faces.append(_Face(contact, axis, place, side, restitutions[contact], is_of_box))
     return _Room(
         position=q,
         velocity=scenario.initial_velocity * T,

@@ -8,11 +8,11 @@ small smooth problem, which this module solves. It knows nothing of knots, boxes
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.polynomial import Polynomial
 
 from drake_aigto.arrays import Floats
 from drake_aigto.jit import kernel
@@ -51,43 +51,39 @@ class Flights:
     gravity: float = 0.0
     _rows: list[Floats] = field(default_factory=list, repr=False)
     _prices: list[tuple[float, float]] = field(default_factory=list, repr=False)
+    _positive: list[Floats] = field(default_factory=list, repr=False)
 
     def variable(self, number: int) -> Floats:
         """Returns z[number] as a row: n coefficients and a constant."""
-        row = np.zeros(self.size + 1)
-        row[number] = 1.0
-        return row
+        return np.eye(self.size + 1)[number]
 
     def constant(self, value: float) -> Floats:
         """Returns a number as a row."""
-        row = np.zeros(self.size + 1)
-        row[-1] = value
-        return row
+        return value * np.eye(self.size + 1)[-1]
 
-    def add(
-        self, way: Floats, start: Floats, end: Floats, time: Floats, factor: float = 1.0
-    ) -> None:
-        """Adds a flight between touches: rows of Δ, v₀, v₁, τ."""
-        self._rows.append(np.array([way, start, end, time]))
-        self._prices.append((factor, math.inf))
+    def keep_positive(self, *rows: Floats) -> None:
+        """Takes rows that have to stay above zero, as the times of all flights have."""
+        self._positive += rows
 
-    def add_last(
-        self, way: Floats, start: Floats, time: Floats, weight: float, factor: float = 1.0
-    ) -> None:
-        """Adds a flight to the end: rows of Δ, v₀, τ, and the price w of the goal."""
-        self._rows.append(np.array([way, start, self.constant(0.0), time]))
-        self._prices.append((factor, weight))
-
-    def minimize(self, starts: Floats, positive: ArrayLike) -> Iterator[tuple[float, Floats]]:
-        """Yields the local optimum (cost, z) of each start that leads to one.
+    def add(self, flight: Sequence[Floats], factor: float, weight: float = math.inf) -> int:
+        """Adds a flight, and returns its number.
 
         Args:
-            starts: shape (k, n).
-            positive: rows that have to stay above zero, such as times and speeds. What ends at a
-                bound is not yielded.
+            flight: Rows of Δ, v₀, v₁, τ.
+            factor: Of its cost.
+            weight: The price w of the goal; infinite between two touches.
         """
-        rows, prices = np.array(self._rows), np.array(self._prices)
-        bounds = np.array(positive, dtype=float).reshape(-1, self.size + 1)
+        self._rows.append(np.array(flight))
+        self._prices.append((factor, weight))
+        self.keep_positive(flight[3])
+        return len(self._rows) - 1
+
+    def minimize(self, starts: Floats) -> Iterator[tuple[float, Floats]]:
+        """Yields the local optimum (cost, z) of each start (k, n) that leads to one.
+
+        What ends where a row that has to stay above zero is zero is not yielded.
+        """
+        rows, prices, bounds = (np.array(x) for x in (self._rows, self._prices, self._positive))
         for start in starts:
             if np.all(bounds[:, :-1] @ start + bounds[:, -1] > 0):
                 z, cost, is_optimal = _minimize(start, rows, prices, self.gravity, bounds)
@@ -109,25 +105,59 @@ class Flights:
         return values
 
 
-def polynomial(flight: ArrayLike) -> Floats:
-    """Returns the coefficients, constant first, of x(t) − x(0) of a flight (Δ, v₀, v₁, τ)."""
-    way, start, end, time = np.asarray(flight, dtype=float)
-    rest = way - start * time
-    turn = (end - start) * time
-    return np.array([0.0, start, (3 * rest - turn) / time**2, (turn - 2 * rest) / time**3])
+class Coordinate:
+    """A coordinate of a mass, from its start through its flights.
+
+    Attributes:
+        time: When the next flight begins, a row.
+        place: Where it does.
+        velocity: With which velocity.
+    """
+
+    def __init__(
+        self, flights: Flights, position: float, velocity: float, effort: float = 1.0
+    ) -> None:
+        """Starts; the effort is the factor of the flights' costs."""
+        self._flights, self._effort = flights, effort
+        self.time = flights.constant(0.0)
+        self.place, self.velocity = flights.constant(position), flights.constant(velocity)
+        self._position, self._numbers = position, list[int]()
+
+    def fly(self, time: Floats, place: Floats, before: Floats, after: Floats) -> None:
+        """Flies to a touch: its time, its place, the velocity before it and after it."""
+        flight = place - self.place, self.velocity, before, time - self.time
+        self._numbers.append(self._flights.add(flight, self._effort))
+        self.time, self.place, self.velocity = time, place, after
+
+    def finish(self, goal: float, weight: float) -> None:
+        """Flies on to time 1, at a price for the squared distance from a goal."""
+        zero, one = self._flights.constant(0.0), self._flights.constant(1.0)
+        flight = self._flights.constant(goal) - self.place, self.velocity, zero, one - self.time
+        self._numbers.append(self._flights.add(flight, self._effort, weight / self._effort))
+
+    def paths(self, z: Floats) -> list[tuple[float, float, Polynomial]]:
+        """Returns start, end and path since its start of each flight; rests take no time here."""
+        found, time, place = [], 0.0, self._position
+        for flight in self._flights.values(z)[self._numbers]:
+            way, start, end, span = flight.tolist()
+            rest, turn = way - start * span, (end - start) * span
+            cubic = [place, start, (3 * rest - turn) / span**2, (turn - 2 * rest) / span**3]
+            found.append((time, time + span, Polynomial(cubic)))
+            time, place = time + span, place + way
+        return found
 
 
-def extremes(cubic: ArrayLike, first: float, last: float) -> tuple[float, float]:
-    """Returns the least and the largest value of a cubic over first ≤ t ≤ last."""
-    a, b, c, d = np.asarray(cubic, dtype=float)
-    times = [first, last]
+def extremes(path: Polynomial, last: float) -> tuple[float, float]:
+    """Returns the least and the largest value of a cubic over 0 ≤ t ≤ last."""
+    a, b, c, d = np.append(path.coef, np.zeros(4 - path.coef.size)).tolist()
+    times = [0.0, last]
     # The stable form of the quadratic formula, for 3d t² + 2c t + b.
     discriminant = c * c - 3 * b * d
     if discriminant > 0:
         q = -(c + math.copysign(math.sqrt(discriminant), c))
         roots = [q / (3 * d)] if d else []
         roots += [b / q] if q else []
-        times += [t for t in roots if first < t < last]
+        times += [t for t in roots if 0.0 < t < last]
     values = [a + t * (b + t * (c + t * d)) for t in times]
     return min(values), max(values)
 

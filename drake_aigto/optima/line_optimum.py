@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.optima.least_effort import Flights, extremes, polynomial
+from drake_aigto.optima.least_effort import Coordinate, Flights, extremes
 
 # Flights may leave the line by this much, for rounding; and one that is over sooner is none.
 _TOLERANCE = 1e-9
@@ -143,11 +143,7 @@ class Line:
         return 2 * e / (abs(self.gravity) * (1 - e))
 
     def _least_effort(self, walls: tuple[int, ...]) -> float:
-        """Returns a bound of the effort of these touches, from the way alone.
-
-        Without gravity. A touch takes speed away, never gives it: to go a way D in all, turning at
-        walls, ∫ (1 − t) |ẍ| dt ≥ D − V with V the velocity along that way, so ∫ ẍ² ≥ 3 (D − V)².
-        """
+        """Returns a bound of the effort of these touches: 3 (way − velocity along it)²; or 0."""
         if self.gravity != 0:
             return 0.0
         places = [self.position, *(self.walls[wall].place for wall in walls)]
@@ -165,7 +161,7 @@ class Line:
         best = LineMotion(math.inf, (), None)
         for slack in (False,) if rests is None else (False, True):
             sequence = _Sequence(self, walls, rests, slack)
-            for cost, z in sequence.flights.minimize(sequence.starts(), sequence.positive):
+            for cost, z in sequence.flights.minimize(sequence.starts()):
                 if cost < best.cost and sequence.is_admissible(z):
                     best = sequence.motion(cost, z)
         return best
@@ -183,20 +179,19 @@ class _Sequence:
         self.line, self.walls, self.rests, self.slack = line, walls, rests, slack
         n = len(walls)
         self.flights = flights = Flights(2 * n + slack, line.gravity)
-        constant, variable = flights.constant, flights.variable
-        place, velocity, left = line.position, constant(line.velocity), constant(1.0)
+        self.mass = mass = Coordinate(flights, line.position, line.velocity)
         for i, number in enumerate(walls):
-            wall, time, speed = line.walls[number], variable(i), variable(n + i)
-            flights.add(constant(wall.place - place), velocity, -wall.side * speed, time)
-            place, velocity = wall.place, wall.side * wall.restitution * speed
-            left = left - time
+            wall, speed = line.walls[number], flights.variable(n + i)
+            after = wall.side * wall.restitution * speed
+            time, place = mass.time + flights.variable(i), flights.constant(wall.place)
+            mass.fly(time, place, -wall.side * speed, after)
             if i == rests:
-                velocity = constant(0.0)
-                left = left - line.settling(wall) * speed
+                mass.velocity = flights.constant(0.0)
+                mass.time = mass.time + line.settling(wall) * speed
                 if slack:
-                    left = left - variable(2 * n)
-        flights.add_last(constant(line.goal - place), velocity, left, line.weight)
-        self.positive = [*map(variable, range(flights.size)), left]
+                    mass.time = mass.time + flights.variable(2 * n)
+        mass.finish(line.goal, line.weight)
+        flights.keep_positive(*map(flights.variable, range(n, flights.size)))
 
     def starts(self) -> Floats:
         """Returns where to start Newton's method, shape (k, n)."""
@@ -207,24 +202,28 @@ class _Sequence:
         ways = np.abs(np.diff(places))
         ways[ways == 0] = np.mean(ways)
         starts = []
-        ratios = _RATIOS if n > 1 else (1.0,)
-        for ratio, first, last in itertools.product(ratios, self._first_times(ways[0]), _LAST):
-            times = ways * ratio ** np.arange(n + 1)
-            times[-1] *= last
-            times[1:] *= (1 - first) / times[1:].sum()
-            times[0] = first
+        for times in self._times(ways):
             # As in flights that start at rest, or hop.
-            speeds = ways[:n] / times[:n] + abs(line.gravity) * times[:n] / 2
+            speeds = ways[:n] / times + abs(line.gravity) * times / 2
             if self.rests is None:
-                starts.append([*times[:n], *speeds])
+                starts.append([*times, *speeds])
                 continue
             settling = line.settling(line.walls[self.walls[self.rests]])
             speeds[self.rests] = min(speeds[self.rests], 0.2 / max(settling, 1e-9))
             # All flights, 0.2 at most to settle, and the rest's own time fill what there is.
             for slack in _SLACKS if self.slack else (0.0,):
-                flights = (0.8 - slack) * times[:n]
-                starts.append([*flights, *speeds, *([slack] if self.slack else [])])
+                starts.append([*(0.8 - slack) * times, *speeds, *([slack] if self.slack else [])])
         return np.array(starts)
+
+    def _times(self, ways: Floats) -> Iterator[Floats]:
+        """Yields how long each flight but the last may take, of these ways."""
+        ratios = _RATIOS if ways.size > 2 else (1.0,)
+        for ratio, first, last in itertools.product(ratios, self._first_times(ways[0]), _LAST):
+            times = ways * ratio ** np.arange(ways.size)
+            times[-1] *= last
+            times[1:] *= (1 - first) / times[1:].sum()
+            times[0] = first
+            yield times[:-1]
 
     def _first_times(self, way: float) -> list[float]:
         """Returns how long the first flight may last: some parts of all time, and by itself."""
@@ -239,15 +238,13 @@ class _Sequence:
         lower, upper = -math.inf, math.inf
         for wall in self.line.walls:
             lower, upper = (wall.place, upper) if wall.side > 0 else (lower, wall.place)
-        place = self.line.position
-        for number, flight in enumerate(self.flights.values(z)):
+        for number, (start, end, path) in enumerate(self.mass.paths(z)):
             # The first one may be as short as the way to the wall is.
-            if flight[3] <= (_TOLERANCE if number else 0.0):
+            if end - start <= (_TOLERANCE if number else 0.0):
                 return False
-            least, largest = extremes(polynomial(flight), 0.0, flight[3])
-            if place + least < lower - _TOLERANCE or place + largest > upper + _TOLERANCE:
+            least, largest = extremes(path, end - start)
+            if least < lower - _TOLERANCE or largest > upper + _TOLERANCE:
                 return False
-            place += flight[0]
         return True
 
     def motion(self, cost: float, z: Floats) -> LineMotion:

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.polynomial import Polynomial
 
 from drake_aigto.arrays import Floats
-from drake_aigto.optima.least_effort import Flights, extremes, polynomial
+from drake_aigto.optima.least_effort import Coordinate, Flights, extremes
 from drake_aigto.optima.walls_optimum import (
     ContactOptimum,
     KnownTouch,
@@ -34,12 +34,10 @@ def masses_optimum(world: World, scenario: Scenario, most_meetings: int = 3) -> 
         minimise   control_weight ∫₀ᵀ ‖u‖² dt + goal_weight ‖q(T) − goal‖²
         subject to m_i q̈_i = B_i u  while apart from walls and each other; Newton restitution
 
-    *Equal masses, e = 1: exact.* Where they meet they swap velocities, and may be taken for two
-    ghosts that fly through each other, each alone between the walls. Who of them ends left and who
-    right is free: ghosts are assigned to goals in the order in which they would coast, as a sum of
-    squares is least for equal orders. So the optimum is
+    *Equal masses, e = 1: exact.* They swap velocities where they meet, as two ghosts that fly
+    through each other, each between the walls alone. In the order in which they would coast,
 
-        k Σ_i (sorted fold(p + vT)_i − goal_i)²,    k as in `walls_optimum`
+        k Σ_i (sorted fold(p + vT)_i − goal_i)²,    k = 3w/(3 + w), w the goal's weight in unit time
 
     *Otherwise: the best of what was listed*, an upper bound. Sequences of up to `most_meetings` in
     which no contact follows itself, without rest; each by Newton's method from seeded starts on
@@ -100,8 +98,7 @@ class _Pair:
 
     def solve_ghosts(self) -> tuple[float, Contacts]:
         """Returns the exact optimum of equal elastic masses."""
-        ends = self.positions + self.velocities
-        period = 2 * self.length
+        ends, period = self.positions + self.velocities, 2 * self.length
         folded = np.abs((ends + self.length) % period - self.length)
         misses = np.empty(2)
         misses[np.argsort(folded)] = self.goals - np.sort(folded)
@@ -125,7 +122,7 @@ class _Pair:
         best: tuple[float, Contacts] = math.inf, []
         for kinds in _list_sequences(most_meetings):
             sequence = _Sequence(self, kinds)
-            for cost, z in sequence.flights.minimize(sequence.starts(), sequence.positive):
+            for cost, z in sequence.flights.minimize(sequence.starts()):
                 if cost < best[0] and sequence.is_admissible(z):
                     best = cost, sequence.contacts(z)
         return best
@@ -133,11 +130,11 @@ class _Pair:
 
 def _cross(path: Polynomial, period: float, kinds: Sequence[int]) -> Contacts:
     """Returns when and how fast a path crosses multiples of a period, whose kinds take turns."""
-    least, largest = extremes(_four(path), 0.0, 1.0)
+    least, largest = extremes(path, 1.0)
     return [
         (float(root.real), kinds[i % len(kinds)], abs(float(path.deriv()(root.real))))
         for i in range(math.ceil(least / period), math.floor(largest / period) + 1)
-        for root in np.roots(_four(path - period * i)[::-1]).tolist()
+        for root in np.roots((path - period * i).coef[::-1]).tolist()
         if abs(root.imag) < _TOLERANCE and 0 < root.real < 1
     ]
 
@@ -164,53 +161,30 @@ class _Sequence:
         self.pair, self.kinds = pair, tuple(kinds)
         sizes = [4 if kind == _MEETING else 2 for kind in kinds]
         self.offsets = [0, *itertools.accumulate(sizes)]
-        self.flights = Flights(self.offsets[-1])
-        constant, variable = self.flights.constant, self.flights.variable
-        self.bodies: list[int] = []  # of each flight
-        self._at = [[constant(0.0), constant(p)] for p in pair.positions]  # time and place
-        self._velocities = [constant(v) for v in pair.velocities]
-        self.positive: list[Floats] = []
+        self.flights = flights = Flights(self.offsets[-1])
+        states = zip(pair.positions, pair.velocities, pair.efforts.tolist(), strict=True)
+        self.masses = [Coordinate(flights, *state) for state in states]
         for offset, kind in zip(self.offsets, self.kinds, strict=False):
-            time = variable(offset)
             if kind == _MEETING:
-                self._meet(time, *(variable(offset + i) for i in (1, 2, 3)))
+                self._meet(*map(flights.variable, range(offset, offset + 4)))
             else:
-                self._touch(kind, time, variable(offset + 1))
-        for body in range(2):
-            self._fly_to_end(body)
-
-    def _fly_to_end(self, body: int) -> None:
-        """Adds a mass's last flight."""
-        start, place = self._at[body]
-        left, effort = self.flights.constant(1.0) - start, float(self.pair.efforts[body])
-        way = self.flights.constant(self.pair.goals[body]) - place
-        weight = self.pair.weight / effort
-        self.flights.add_last(way, self._velocities[body], left, weight, effort)
-        self.positive.append(left)
-        self.bodies.append(body)
-
-    def _fly(self, body: int, time: Floats, place: Floats, velocity: Floats) -> None:
-        """Adds a mass's flight to its next contact."""
-        start, origin = self._at[body]
-        factor = float(self.pair.efforts[body])
-        self.flights.add(place - origin, self._velocities[body], velocity, time - start, factor)
-        self.positive.append(time - start)
-        self.bodies.append(body)
-        self._at[body] = [time, place]
+                self._touch(kind, flights.variable(offset), flights.variable(offset + 1))
+        for mass, goal in zip(self.masses, pair.goals, strict=True):
+            mass.finish(goal, pair.weight)
 
     def _touch(self, kind: int, time: Floats, speed: Floats) -> None:
         body, side, place = (0, 1, 0.0) if kind == _LEFT else (1, -1, self.pair.length)
-        self._fly(body, time, self.flights.constant(place), -side * speed)
-        self._velocities[body] = side * self.pair.restitutions[kind] * speed
-        self.positive.append(speed)
+        after = side * self.pair.restitutions[kind] * speed
+        self.masses[body].fly(time, self.flights.constant(place), -side * speed, after)
+        self.flights.keep_positive(speed)
 
     def _meet(self, time: Floats, place: Floats, one: Floats, other: Floats) -> None:
-        self._fly(0, time, place, one)
-        self._fly(1, time, place, other)
-        closing = one - other
+        closing, (left, right) = one - other, self.pair.masses
         push = (1 + self.pair.restitutions[_MEETING]) / np.sum(self.pair.masses) * closing
-        self._velocities = [one - self.pair.masses[1] * push, other + self.pair.masses[0] * push]
-        self.positive += [closing, place, self.flights.constant(self.pair.length) - place]
+        self.masses[0].fly(time, place, one, one - right * push)
+        self.masses[1].fly(time, place, other, other + left * push)
+        length = self.flights.constant(self.pair.length)
+        self.flights.keep_positive(closing, place, length - place)
 
     def starts(self) -> Floats:
         """Returns where to start Newton's method, shape (k, n): seeded, by chance."""
@@ -231,29 +205,20 @@ class _Sequence:
 
     def is_admissible(self, z: Floats) -> bool:
         """Returns whether the masses stay between the walls, and in their order."""
-        paths = self._paths(z)
-        for body, (lower, upper) in enumerate(((0.0, math.inf), (-math.inf, self.pair.length))):
-            for first, last, path in paths[body]:
-                least, largest = extremes(path.coef, 0.0, last - first)
-                if least < lower - _TOLERANCE or largest > upper + _TOLERANCE:
-                    return False
-        for one, other in itertools.product(*paths):
+        left, right = (mass.paths(z) for mass in self.masses)
+        for first, last, path in left:
+            if extremes(path, last - first)[0] < -_TOLERANCE:
+                return False
+        for first, last, path in right:
+            if extremes(path, last - first)[1] > self.pair.length + _TOLERANCE:
+                return False
+        for one, other in itertools.product(left, right):
             first, last = max(one[0], other[0]), min(one[1], other[1])
             if first < last:
                 gap = _later(other, first) - _later(one, first)
-                if extremes(_four(gap), 0.0, last - first)[0] < -_TOLERANCE:
+                if extremes(gap, last - first)[0] < -_TOLERANCE:
                     return False
         return True
-
-    def _paths(self, z: Floats) -> list[list[tuple[float, float, Polynomial]]]:
-        """Returns start, end and path since the start of each flight of both masses."""
-        paths: list[list[tuple[float, float, Polynomial]]] = [[], []]
-        at = [[0.0, float(p)] for p in self.pair.positions]
-        for body, flight in zip(self.bodies, self.flights.values(z), strict=True):
-            time, place = at[body]
-            paths[body].append((time, time + flight[3], Polynomial(polynomial(flight)) + place))
-            at[body] = [time + flight[3], place + flight[0]]
-        return paths
 
     def contacts(self, z: Floats) -> Contacts:
         """Returns time, kind and closing speed of each contact."""
@@ -267,13 +232,6 @@ class _Sequence:
 def _later(piece: tuple[float, float, Polynomial], time: float) -> Polynomial:
     """Returns a path since a later time."""
     return piece[2](Polynomial([time - piece[0], 1.0]))
-
-
-def _four(path: Polynomial) -> Floats:
-    """Returns the four coefficients of a cubic, zeros included."""
-    coefficients = np.zeros(4)
-    coefficients[: len(path.coef)] = path.coef
-    return coefficients
 
 
 def _make_pair(world: World, scenario: Scenario) -> tuple[_Pair, list[int], float]:

@@ -44,37 +44,10 @@ def rigid_optimum(world: World, scenario: Scenario) -> RigidOptimum:
         subject to m q̈ = B u  while φ(q) > 0,   φ ≥ 0,
                    φ̇⁺ = −e φ̇⁻  when φ = 0, φ̇⁻ ≤ 0;   q(0), v(0) given, v(T) free
 
-    Let x = φ, let time run from 0 to 1, and price the effort ∫ ẍ² at 1 and the goal at w. From
-    (x₀, v₀) to (x₁, v₁) in time h the least effort is that of a cubic, with D = x₁ − x₀ − v₀h:
-
-        4 (v₁ − v₀ − 3D/(2h))² / h + 3D²/h³,    and 3D²/h³ if v₁ is free.
-
-    *One touch is enough.* From (0, V), V ≥ 0, with τ left, the cheapest flight to x(1) = X ≥ 0
-    takes 3(X − Vτ)²/τ³, and it never meets the wall: ẍ keeps its sign, and upwards the curve is
-    above its tangent, downwards above its chord. Touching once more, h later at speed y ≥ 0 with
-    s = τ − h left, takes C = 4(V² − Vy + y²)/h + (0 or more), and is no cheaper:
-
-    - If y s ≥ X, then C ≥ 3 max(V, y)²/h ≥ 3 max(V, X/τ)²/τ ≥ 3(X − Vτ)²/τ³.
-    - If y s < X, then C = 4(V² − Vy + y²)/h + 3(X − e y s)²/s³ is least for e = 1. That is a path
-      without a wall from (0, V) to −X, so C ≥ 3(X + Vτ)²/τ³.
-
-    So a last touch can be dropped, then the one before it, until one is left; infinitely many are a
-    limit of that. Rest at the wall saves nothing either: leaving later is dearer, 3X²/s³.
-
-    *Before it.* The cheapest path to (0, v) at time s is a cubic, or it meets the wall sooner and
-    is a case above with an earlier touch. With p = x(0) > 0, the cubic stays off the wall if
-    3p + v₀s ≥ 0, for x ≥ (1 − t/s)² (p + (2p + v₀s) t/s).
-
-    *The touch.* The cost is a parabola in v. Where 3p + v₀s > 0 its bottom lies between two
-    negative numbers, the v that is free of charge before the touch and that after it, so a graze,
-    v = 0, is never best. Where 3p + v₀s ≤ 0 nothing is best: a bottom out of reach makes v that of
-    a path which meets the wall on its way; and at a bottom v < 0, where ẍ⁻ = −e ẍ⁺, both ẍ⁻ and its
-    slope j⁻ are negative, hence ẍ⁺ > 0, and the cost grows with s, by
-    (1 − e²)(ẍ⁺)² + 2 j⁻v + 2e ẍ⁺|v|/(1 − s) > 0.
-
-    At the bottom the cost is a rational function of s, and its slope has the sign of a polynomial
-    of degree 8. Its roots are all the candidates, next to the flight: a touch at the very end is
-    the limit of flights or, where the flight would meet the wall, dearer than one just before.
+    One touch is enough, and rest saves nothing. Up to a touch at time s, and after it, the cheapest
+    motion is a cubic; at the best velocity there, the cost is a rational function of s whose slope
+    has the sign of a polynomial of degree 8: its roots, and the flight that touches nothing, are
+    all the candidates. The documentation, "Why the optima are exact", has the proof.
 
     Args:
         world: one coordinate, no bias, φ affine in q.
@@ -97,7 +70,8 @@ def rigid_optimum(world: World, scenario: Scenario) -> RigidOptimum:
 def bounce_costs(world: World, scenario: Scenario, times: ArrayLike, speeds: ArrayLike) -> Floats:
     """Returns the least cost of motions that touch a rigid wall once, at a time and a speed.
 
-    In the units of `rigid_optimum`, the cubic to the touch (s, V), and the best flight after it:
+    In unit time, with x = φ from p at v₀, the cubic to the touch (s, V), and the best flight to the
+    goal g after it, where k(τ) = 3w/(3 + wτ³):
 
         3(p + v₀s)²/s³ + 4(V + (3p + v₀s)/(2s))²/s + k(1 − s) (g + e (1 − s) V)²
 

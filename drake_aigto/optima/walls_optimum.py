@@ -60,29 +60,13 @@ def walls_optimum(world: World, scenario: Scenario, most_touches: int = 6) -> Co
         subject to m_i q̈_i + h_i = B_i u  while φ > 0,   φ ≥ 0,
                    φ̇⁺ = −e φ̇⁻  when φ = 0, φ̇⁻ ≤ 0;   q(0), v(0) given, v(T) free
 
-    *Axes.* A frictionless wall across an axis pushes along that axis only. If moreover M and B Bᵀ
-    are diagonal and h is constant, then dynamics, contacts and cost of one coordinate know nothing
-    of the others: the optimum of a room is the sum of the optima of two corridors.
-
-    *One axis.* In unit time, between touches the cheapest flight is a cubic, whose effort is a
-    rational function of the times and speeds of the touches (`Flights`). So each contact sequence
+    The axes know nothing of each other, so that the optimum is the sum of theirs. On one, in unit
+    time, the cheapest flight between touches is a cubic (`Flights`), so that each contact sequence
     is a small smooth problem: Newton's method, from dozens of starts, on times and speeds together.
-    Sequences are listed:
-
-    - *Without gravity* a touch has a speed > 0, and rest never pays: the cost is a parabola in the
-      speed y of a touch, with its bottom y > 0 unless the flight to it, or the one after, meets the
-      wall before; and after a rest the cheapest way is straight to the goal, for at the other wall
-      one would have come past it; so one leaves at once, and touches at y = 0. Touches alternate
-      between walls: with one wall, that is proven at `rigid_optimum`; with two, checked against
-      all sequences of four touches, and for e = 1 exact (below). Longer sequences are tried until
-      the way from wall to wall alone costs more than the best.
-    - *Under gravity* all sequences up to `most_touches`, and those of up to three touches with a
-      rest. A mass settles by itself, at no cost, in 2ey/(g(1 − e)); two rests would be one.
-
-    *Elastic walls are mirrors.* For e = 1 and without gravity the cost is that of the flight
-    without walls to an image of the goal, and the nearest one is in the same image of the corridor
-    as where the mass would coast to: so the optimum is k (fold(p + vT) − goal)², and touches what
-    coasting touches, as often. The tests hold this against the enumeration.
+    Sequences are listed. Without gravity rest never pays, touches alternate between walls, and
+    longer ones are tried until the way from wall to wall alone costs more than the best. Under
+    gravity, those of up to `most_touches`, and of up to three with a rest. The documentation, "Why
+    the optima are exact", has the proofs, and says what was checked instead.
 
     Args:
         world: constant bias, diagonal M and B Bᵀ; each contact a wall across one axis, at most one
