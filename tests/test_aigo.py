@@ -24,9 +24,9 @@ from drake_aigto.aigo import (
     Status,
     minimize,
 )
-from drake_aigto.aigo.banded import factorize, solve
 from drake_aigto.aigo.descent import leave_out
-from drake_aigto.aigo.newton import PointObjective, SmoothedObjective, newton
+from drake_aigto.aigo.newton import SmoothedObjective, newton, point_objective
+from drake_aigto.aigo.systems import factorize_band, solve_band
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
 from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock
@@ -288,21 +288,21 @@ def test_band_factors_solve_what_is_positive_definite_and_tell_what_is_not(
         band[: size - d, d] = np.diag(matrix, -d)
     x = rng.normal(size=size)
     factors, solution = band.copy(), matrix @ x
-    assert factorize(factors)
-    solve(factors, solution)
+    assert factorize_band(factors)
+    solve_band(factors, solution)
     np.testing.assert_allclose(solution, x, rtol=0, atol=1e-14 * np.linalg.cond(matrix) * size)
     least = np.linalg.eigvalsh(matrix)[0]
     for shift, is_definite in ((-0.9 * least, True), (-1.1 * least, False)):
         shifted = band.copy()
         shifted[:, 0] += shift
-        assert factorize(shifted) == is_definite
+        assert factorize_band(shifted) == is_definite
     band[size // 2, 0] = np.nan
-    assert not factorize(band)
+    assert not factorize_band(band)
 
 
 def test_newton_on_a_quadratic_takes_one_step() -> None:
     f = univariate(np.array([4.0, -8.0, 4.0]))
-    objective = PointObjective(f, np.array([True]), tolerance=1e-10)
+    objective = point_objective(f, np.array([True]), tolerance=1e-10)
     result = newton(objective, np.array([30.0]), max_steps=20, damping=0.0)
     assert result.steps == 1
     assert result.y[0] == pytest.approx(1.0)
@@ -310,7 +310,7 @@ def test_newton_on_a_quadratic_takes_one_step() -> None:
 
 def test_newton_descends_from_an_indefinite_hessian() -> None:
     f = univariate(np.array([0.0, 0.01, -2.0, 0.0, 1.0]))  # concave at 0
-    objective = PointObjective(f, np.array([True]), tolerance=1e-10)
+    objective = point_objective(f, np.array([True]), tolerance=1e-10)
     result = newton(objective, np.array([0.0]), max_steps=100, damping=0.0)
     assert result.y[0] == pytest.approx(-1.00125, abs=1e-4)
     assert result.value < f(np.array([0.0]))

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drake_aigto.aigo import Annealing, Box, BoxSearch, FaceFlow, Iterate, LowPoint, box_search
-from drake_aigto.aigo.newton import PointObjective, bold_newton, newton
+from drake_aigto.aigo.newton import bold_newton, newton, point_objective
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
 from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock
@@ -211,7 +211,7 @@ def test_several_first_algorithms_each_leave_their_widths() -> None:
 def test_newton_ends_on_a_bound_that_is_in_the_way() -> None:
     # The minimum of Rosenbrock's function over x ≤ 0.5 is where that bound is, on the valley.
     lower, upper = np.array([-2.0, -2.0]), np.array([0.5, 2.0])
-    objective = PointObjective(rosenbrock_pair(), np.ones(2, bool), 1e-8, (lower, upper))
+    objective = point_objective(rosenbrock_pair(), np.ones(2, bool), 1e-8, (lower, upper))
     f = rosenbrock_pair()
     start = np.array([-1.2, 1.0])
     (x,) = f.to_variables(newton(objective, start[f.order], 200, 0.0).y)
@@ -266,6 +266,6 @@ def test_a_slope_that_overflows_is_no_warning() -> None:
     f = BoxPolynomial(
         1, (TermBlock("f", (Term(1e160, (Factor(0, FunctionKind.POWER),)), square), [0]),)
     )
-    objective = PointObjective(f, np.ones(1, bool), 1.0)
+    objective = point_objective(f, np.ones(1, bool), 1.0)
     assert newton(objective, np.zeros(1), 0, 0.0).residual == np.inf
     assert bold_newton(objective, np.zeros(1), 1)[1] == 1

@@ -17,7 +17,7 @@ from random_boxes import (
 )
 
 from drake_aigto import OptionsError, UnsupportedTermError
-from drake_aigto.aigo.newton import PointObjective, newton
+from drake_aigto.aigo.newton import newton, point_objective
 from drake_aigto.box import BoxPolynomial, add_means
 from drake_aigto.local import PolynomialNlp
 from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock, stack_terms
@@ -183,7 +183,7 @@ def test_boxes_and_points_share_one_compilation() -> None:
     nlp.evaluate(x)
     nlp.cost_magnitude(x)
     nlp.kkt_structure.assemble(x, np.ones(2), np.ones(1))
-    newton(PointObjective(f, np.ones(2, bool), 1e-9), x, 1, 0.0)
+    newton(point_objective(f, np.ones(2, bool), 1e-9), x, 1, 0.0)
     signatures = add_means.signatures  # type: ignore[attr-defined]
     assert len(signatures) == compilations, "each costs seconds when the package first runs"
 

@@ -15,7 +15,7 @@ from sparse_matrices import grid, whole
 
 from drake_aigto import AigoOptions, AigoSolver
 from drake_aigto.aigo import Annealing, BoundedAnnealing, Box, Status, minimize
-from drake_aigto.aigo.newton import PointObjective, bold_newton, newton
+from drake_aigto.aigo.newton import bold_newton, newton, point_objective
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.linear import Factorization, storage
 from drake_aigto.local import InteriorPoint, LocalStatus, compile_nlp
@@ -122,7 +122,7 @@ def test_newtons_method_keeps_within_bounds_and_to_its_free_variables() -> None:
         g = shared_variable(250)
     for h in (f, g):
         start = np.full(250, 0.5)
-        objective = PointObjective(h, free, 1e-8, bounds)
+        objective = point_objective(h, free, 1e-8, bounds)
         (damped,) = h.to_variables(newton(objective, start[h.order], 60, 0.0).y)
         y, steps = bold_newton(objective, start[h.order], 12)
         assert steps > 2

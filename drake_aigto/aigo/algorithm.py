@@ -92,6 +92,16 @@ class Iterate:
     residual: float = float("inf")
     memory: Any = None
 
+    @classmethod
+    def of_gradient(
+        cls, box: Box, means: tuple[float, Floats, Floats], inner_steps: int, memory: Any
+    ) -> Iterate:
+        """Returns where a method of gradients stands, given f̄, ∂f̄/∂c, ∂f̄/∂z: μ is ∂f̄/∂z's mean."""
+        mean, by_center, by_log_width = means
+        temperature = float(np.sum(by_log_width)) / max(1, int(np.count_nonzero(box.free)))
+        residual = float(np.linalg.norm(by_center[box.free]))
+        return cls(box, mean, temperature, inner_steps, residual, memory)
+
 
 class Algorithm(Protocol):
     """One way to shrink boxes; a frozen dataclass of its settings."""
@@ -181,12 +191,24 @@ def minimize(
     return AigoResult(status, last.box, f(last.box.center), tuple(history), f.storage)
 
 
-def as_positive(name: str, value: float, below: float = np.inf) -> None:
-    """Refuses an option that is not in (0, below).
+def check_positive(options: object, *names: str, below: float = np.inf) -> None:
+    """Refuses options that are not in (0, below).
 
     Raises:
-        OptionsError: it is not.
+        OptionsError: one is not.
     """
-    if not 0 < value < below:
-        limit = "" if np.isinf(below) else f" and below {below:g}"
-        raise OptionsError(name, got=f"{value:g}", expected=f"a number above 0{limit}")
+    for name in names:
+        if not 0 < (value := getattr(options, name)) < below:
+            limit = "" if np.isinf(below) else f" and below {below:g}"
+            raise OptionsError(name, got=f"{value:g}", expected=f"a number above 0{limit}")
+
+
+def check_counts(options: object, **least: int) -> None:
+    """Refuses options that are below the least that each may be.
+
+    Raises:
+        OptionsError: one is.
+    """
+    for name, smallest in least.items():
+        if (value := getattr(options, name)) < smallest:
+            raise OptionsError(name, got=value, expected=f"{smallest} or more")

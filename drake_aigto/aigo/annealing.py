@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
-from drake_aigto.aigo.algorithm import Box, Iterate, as_positive
+from drake_aigto.aigo.algorithm import Box, Iterate, check_counts, check_positive
 from drake_aigto.aigo.newton import SmoothedObjective, newton
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
@@ -57,12 +57,9 @@ class Annealing:
 
     def __post_init__(self) -> None:
         """Checks the ranges."""
-        as_positive("initial_temperature", self.initial_temperature)
-        as_positive("final_temperature", self.final_temperature)
-        as_positive("cooling", self.cooling, below=1.0)
-        as_positive("tolerance", self.tolerance)
-        if self.max_newton_steps < 1:
-            raise OptionsError("max_newton_steps", got=self.max_newton_steps, expected="1 or more")
+        check_positive(self, "initial_temperature", "final_temperature", "tolerance")
+        check_positive(self, "cooling", below=1.0)
+        check_counts(self, max_newton_steps=1)
         if not 0 <= self.narrowing < np.inf:
             raise OptionsError("narrowing", got=self.narrowing, expected="a number, 0 or more")
 
@@ -105,3 +102,85 @@ class Annealing:
     def terminate(self, f: BoxPolynomial, iterate: Iterate) -> bool:
         """Returns whether the temperature has passed the final one."""
         return iterate.temperature < self.final_temperature
+
+
+@dataclass(frozen=True, kw_only=True)
+class BoundedAnnealing(Annealing):
+    """Annealing for any cost: nothing of its scale has to be known, and no box leaves the first.
+
+        minimize over (c, z = log w)   f̄(c, e^z) − μ Σ_i z_i
+        subject to   |c_i − c_i⁰| ≤ w_i⁰,   w_i ≤ w_i⁰
+
+    As `Annealing`, with both temperatures in units of the mean |w_i ∂f̄/∂w_i| of the first box. A
+    variable that f hardly depends on keeps its width, which μ alone would widen for ever.
+    """
+
+    final_temperature: float = 1e-8
+    max_newton_steps: int = 20
+
+    def init(self, f: BoxPolynomial, box: Box) -> Iterate:
+        """Returns the first box; the memory is it, the unit of μ, and the annealing's."""
+        mean, _, slopes = f.gradient(box.center, box.half_width)
+        unit = float(np.mean(np.abs(slopes[box.free]))) if np.any(box.free) else 0.0
+        # Where no mean changes with a width, any unit does.
+        unit = unit if unit > 0.0 else 1.0
+        start = self.initial_temperature * unit
+        memory = AnnealingMemory(start)
+        return Iterate(box, mean, start, memory=(box, unit, memory))
+
+    def step(self, f: BoxPolynomial, iterate: Iterate) -> Iterate:
+        """Minimizes at the temperature, then lowers it."""
+        first, unit, memory = iterate.memory
+        objective = SmoothedObjective(f, first.free, iterate.temperature, self.tolerance, first)
+        cooled = self._cool(iterate, objective, memory)
+        return replace(cooled, memory=(first, unit, cooled.memory))
+
+    def terminate(self, f: BoxPolynomial, iterate: Iterate) -> bool:
+        """Returns whether the temperature has passed the final one."""
+        _, unit, _ = iterate.memory
+        return iterate.temperature < self.final_temperature * unit
+
+
+@dataclass(frozen=True)
+class SlowMotion:
+    """Annealing's boxes, Newton step by Newton step.
+
+    An outer step is one Newton step, and keeps the temperature; or none, where the box is
+    stationary or has had its most steps, and lowers it.
+
+    Attributes:
+        annealing: what is watched.
+    """
+
+    annealing: Annealing
+
+    @property
+    def max_steps(self) -> int:
+        """As many as the annealing may take at all its temperatures."""
+        return self.annealing.max_steps * (self.annealing.max_newton_steps + 1)
+
+    def init(self, f: BoxPolynomial, box: Box) -> Iterate:
+        """Returns the first box; the memory is the annealing's, and steps at the temperature."""
+        return _with_memory(self.annealing.init(f, box), 0)
+
+    def step(self, f: BoxPolynomial, iterate: Iterate) -> Iterate:
+        """Takes one Newton step, or goes on to the next temperature."""
+        memory, taken = iterate.memory
+        if taken == self.annealing.max_newton_steps:
+            cooled = iterate.temperature * self.annealing.cooling
+            return replace(iterate, temperature=cooled, inner_steps=0, memory=(memory, 0))
+        one = replace(self.annealing, max_newton_steps=1)
+        after = one.step(f, replace(iterate, memory=memory))
+        if after.inner_steps == 0:
+            return _with_memory(after, 0)
+        after = replace(after, temperature=iterate.temperature)
+        return _with_memory(after, taken + 1)
+
+    def terminate(self, f: BoxPolynomial, iterate: Iterate) -> bool:
+        """Returns whether the annealing has ended."""
+        memory, _ = iterate.memory
+        return self.annealing.terminate(f, replace(iterate, memory=memory))
+
+
+def _with_memory(iterate: Iterate, taken: int) -> Iterate:
+    return replace(iterate, memory=(iterate.memory, taken))

@@ -8,11 +8,19 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_aigto.aigo.algorithm import AigoResult, Algorithm, Box, Status, as_positive, minimize
-from drake_aigto.aigo.bounded_annealing import BoundedAnnealing
+from drake_aigto.aigo.algorithm import (
+    AigoResult,
+    Algorithm,
+    Box,
+    Status,
+    check_counts,
+    check_positive,
+    minimize,
+)
+from drake_aigto.aigo.annealing import BoundedAnnealing
 from drake_aigto.aigo.coupling import CouplingGraph
 from drake_aigto.aigo.face_flow import FaceFlow, Pace
-from drake_aigto.aigo.newton import PointObjective, bold_newton, newton
+from drake_aigto.aigo.newton import Objective, bold_newton, newton, point_objective
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
@@ -124,15 +132,12 @@ class BoxSearch:
 
     def __post_init__(self) -> None:
         """Checks the ranges."""
-        counts = {"rounds": 0, "patience": 1, "newton_steps": 0, "polished_renewals": 0}
-        for name, least in counts.items():
-            if getattr(self, name) < least:
-                raise OptionsError(name, got=getattr(self, name), expected=f"{least} or more")
+        check_counts(self, rounds=0, patience=1, newton_steps=0, polished_renewals=0)
         if not self.first:
             raise OptionsError("first", got="no algorithm", expected="one or more")
         if not all(size >= 1 for size in self.cluster_sizes):
             raise OptionsError("cluster_sizes", got=self.cluster_sizes, expected="1 or more each")
-        as_positive("least_width", self.least_width, below=1.0 + 1e-12)
+        check_positive(self, "least_width", below=1.0 + 1e-12)
 
     def run(
         self,
@@ -270,7 +275,7 @@ class _Search:
     def _descend(self, x: Floats, free: NDArray[np.bool_], together: bool = True) -> Floats:
         """Returns a local minimum in the first box, nearly; or of each cluster for itself."""
         f = self._f
-        objective = PointObjective(f, free, 1e-6, (self._lower, self._upper))
+        objective = point_objective(f, free, 1e-6, (self._lower, self._upper))
         start = np.clip(x, self._lower, self._upper)[f.order]
         if together:
             y, steps = self._descend_together(objective, start)
@@ -280,7 +285,7 @@ class _Search:
         (y,) = f.to_variables(y)
         return y
 
-    def _descend_together(self, objective: PointObjective, start: Floats) -> tuple[Floats, int]:
+    def _descend_together(self, objective: Objective, start: Floats) -> tuple[Floats, int]:
         """Returns the end of Newton's method and its steps: a few, and more where that pays."""
         most = self._options.newton_steps
         few = most if not self._num_rounds else min(_TRIAL_STEPS, most)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_aigto.aigo.newton import PointObjective, newton
+from drake_aigto.aigo.newton import newton, point_objective
 from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial
 
@@ -46,7 +46,7 @@ class PenaltyContinuation:
         y, damping = x[f.order], 0.0
         for k in range(1, self.raises + 1):
             raised = f.with_weights({name: w * self.factor**k for name, w in weights.items()})
-            objective = PointObjective(raised, free, self.tolerance)
+            objective = point_objective(raised, free, self.tolerance)
             result = newton(objective, y, self.max_newton_steps, damping)
             y, damping = result.y, result.damping
         (center,) = f.to_variables(y)

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drake_aigto.aigo.algorithm import Box, Iterate, as_positive
-from drake_aigto.aigo.newton import PointObjective, newton
+from drake_aigto.aigo.algorithm import Box, Iterate, check_counts, check_positive
+from drake_aigto.aigo.newton import newton, point_objective
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
 
@@ -51,10 +51,9 @@ class EqualWidths:
             raise OptionsError(
                 "final_share", got="0", expected="a number above 0, unless first_share is 0 too"
             )
-        as_positive("shrink", self.shrink, below=1.0)
-        as_positive("tolerance", self.tolerance)
-        if self.max_newton_steps < 1:
-            raise OptionsError("max_newton_steps", got=self.max_newton_steps, expected="1 or more")
+        check_positive(self, "shrink", below=1.0)
+        check_positive(self, "tolerance")
+        check_counts(self, max_newton_steps=1)
 
     @property
     def max_steps(self) -> int:
@@ -77,7 +76,7 @@ class EqualWidths:
         """Minimizes over the center at one share."""
         first, steps, damping = iterate.memory
         half_width = self.first_share * self.shrink**steps * first.half_width
-        objective = PointObjective(f, first.free, self.tolerance, half_width=half_width)
+        objective = point_objective(f, first.free, self.tolerance, half_width=half_width)
         found = newton(objective, iterate.box.center[f.order], self.max_newton_steps, damping)
         (center,) = f.to_variables(found.y)
         box, memory = Box(center, half_width), (first, steps + 1, found.damping)

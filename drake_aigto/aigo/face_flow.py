@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drake_aigto.aigo.algorithm import Box, Iterate, as_positive
+from drake_aigto.aigo.algorithm import Box, Iterate, check_counts, check_positive
 from drake_aigto.aigo.coupling import CouplingGraph
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.box import BoxPolynomial
@@ -60,13 +60,10 @@ class FaceFlow:
 
     def __post_init__(self) -> None:
         """Checks the ranges."""
-        as_positive("share", self.share, below=1.0)
-        as_positive("least_shrink", self.least_shrink, below=1.0)
-        as_positive("final_width", self.final_width, below=1.0)
+        check_positive(self, "share", "least_shrink", "final_width", below=1.0)
+        check_counts(self, max_steps=1)
         if not 0 <= self.beta <= 1:
             raise OptionsError("beta", got=f"{self.beta:g}", expected="a number in [0, 1]")
-        if self.max_steps < 1:
-            raise OptionsError("max_steps", got=self.max_steps, expected="1 or more")
 
     def init(self, f: BoxPolynomial, box: Box) -> Iterate:
         """Returns the first box; the memory is that box, and each coordinate's group."""
@@ -79,22 +76,15 @@ class FaceFlow:
         center, half_width = iterate.box.center.copy(), iterate.box.half_width.copy()
         target = 0.5 * _largest_part(half_width, first.half_width)
         part, inner_steps = np.inf, 0
-        mean, gradient, gradient_z = f.gradient(center, half_width)
-        while part > target and np.isfinite(mean):
+        means = f.gradient(center, half_width)
+        while part > target and np.isfinite(means[0]):
             part = _flow(
-                *(self.share, self.beta, self.least_shrink, groups, gradient),
+                *(self.share, self.beta, self.least_shrink, groups, means[1]),
                 *(first.center, first.half_width, center, half_width),
             )
-            mean, gradient, gradient_z = f.gradient(center, half_width)
+            means = f.gradient(center, half_width)
             inner_steps += 1
-        return Iterate(
-            Box(center, half_width),
-            mean,
-            temperature=float(np.sum(gradient_z)) / max(1, int(np.count_nonzero(first.free))),
-            inner_steps=inner_steps,
-            residual=float(np.linalg.norm(gradient[first.free])),
-            memory=iterate.memory,
-        )
+        return Iterate.of_gradient(Box(center, half_width), means, inner_steps, iterate.memory)
 
     def terminate(self, f: BoxPolynomial, iterate: Iterate) -> bool:
         """Returns whether all widths have shrunk to the final part of their first."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import dataclass
 
@@ -13,18 +14,21 @@ from drake_aigto.aigo.descent import Problem, descend, descend_boldly
 from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial, Order
 
+_NO_BOUNDS = np.empty(0), np.empty(0)
+
 
 class Objective:
     """A function of unknowns y in elimination order, held ones included.
 
-    Attributes:
+    Args:
         problem: what it is, for the hot loop.
         largest_residual: y is stationary where √(Σ g²/D) is no more than this, D being the
             diagonal that damping is measured in.
     """
 
-    problem: Problem
-    largest_residual: float
+    def __init__(self, problem: Problem, largest_residual: float) -> None:
+        """Stores both."""
+        self.problem, self.largest_residual = problem, largest_residual
 
 
 def _make_problem(
@@ -32,32 +36,31 @@ def _make_problem(
     order: Order,
     free: NDArray[np.bool_],
     half_width: ArrayLike,
-    bounds: tuple[Floats, Floats] | None,
+    bounds: tuple[Floats, Floats],
     temperature: float,
 ) -> Problem:
     """Returns the arrays of the hot loop, as `Problem` has them."""
-    stride = order.num_unknowns
-    places = stride * f.position
-    lower, upper = (np.empty(0), np.empty(0)) if bounds is None else bounds
+    places = order.num_unknowns * f.position
     return Problem(
-        f.lanes(order),
-        f.copy_weights,
-        np.ones_like(f.copy_weights),
-        np.full(f.copy_weights.size, -1),
-        np.empty_like(f.copy_weights),
-        places,
-        np.where(free, places, -1),
+        *(f.lanes(order), f.copy_weights, np.ones_like(f.copy_weights)),
+        *(np.full(f.copy_weights.size, -1), np.empty_like(f.copy_weights)),
+        *(places, np.where(free, places, -1)),
         np.array(np.broadcast_to(half_width, free.shape), dtype=float),
-        lower,
-        upper,
-        temperature,
-        f.hessian_shape(order),
-        f.pattern(order),
+        *bounds,
+        temperature=temperature,
+        shape=f.hessian_shape(order),
+        pattern=f.pattern(order),
     )
 
 
-class PointObjective(Objective):
-    """f̄(c, w) of boxes of given widths; by default f(c) itself: every box is its center.
+def point_objective(
+    f: BoxPolynomial,
+    free: NDArray[np.bool_],
+    tolerance: float,
+    bounds: tuple[Floats, Floats] | None = None,
+    half_width: ArrayLike = 0.0,
+) -> Objective:
+    """Returns f̄(c, w) of boxes of given widths; by default f(c) itself: every box is its center.
 
     It is stationary once √(gᵀ diag(H)⁻¹ g) is no more than the tolerance.
 
@@ -68,19 +71,8 @@ class PointObjective(Objective):
         bounds: lower and upper bounds (n,) of the variables, where steps are cut off.
         half_width: w, shape (n,), or a scalar for all.
     """
-
-    def __init__(
-        self,
-        f: BoxPolynomial,
-        free: NDArray[np.bool_],
-        tolerance: float,
-        bounds: tuple[Floats, Floats] | None = None,
-        half_width: ArrayLike = 0.0,
-    ) -> None:
-        """Brings all in elimination order."""
-        within = None if bounds is None else (bounds[0][f.order], bounds[1][f.order])
-        self.problem = _make_problem(f, Order.CENTERS, free, half_width, within, 0.0)
-        self.largest_residual = tolerance
+    within = _NO_BOUNDS if bounds is None else (bounds[0][f.order], bounds[1][f.order])
+    return Objective(_make_problem(f, Order.CENTERS, free, half_width, within, 0.0), tolerance)
 
 
 class SmoothedObjective(Objective):
@@ -107,20 +99,20 @@ class SmoothedObjective(Objective):
     ) -> None:
         """Prepares for one temperature."""
         self.f = f
-        bounds = None if first is None else self._bounds(first)
-        self.problem = _make_problem(f, Order.BOXES, free, 0.0, bounds, temperature)
-        self._tolerance, self._num_unknowns = tolerance, 2 * np.count_nonzero(free)
-        self.largest_residual = self._calc_largest_residual()
+        bounds = _NO_BOUNDS if first is None else self._bounds(first)
+        self._unit = tolerance, 2 * np.count_nonzero(free)
+        problem = _make_problem(f, Order.BOXES, free, 0.0, bounds, temperature)
+        super().__init__(problem, self._calc_largest_residual(temperature))
 
-    def _calc_largest_residual(self) -> float:
-        return self._tolerance * math.sqrt(self._num_unknowns * self.problem.temperature)
+    def _calc_largest_residual(self, temperature: float) -> float:
+        tolerance, num_unknowns = self._unit
+        return tolerance * math.sqrt(num_unknowns * temperature)
 
     def at(self, temperature: float) -> SmoothedObjective:
         """Returns the same objective at another temperature."""
-        other = object.__new__(SmoothedObjective)
-        other.__dict__.update(self.__dict__)
+        other = copy.copy(self)
         other.problem = self.problem._replace(temperature=temperature)
-        other.largest_residual = other._calc_largest_residual()
+        other.largest_residual = self._calc_largest_residual(temperature)
         return other
 
     def _bounds(self, first: Box) -> tuple[Floats, Floats]:

@@ -1,4 +1,4 @@
-"""What Algorithm 1 and the one before it share: a penalty on the size of boxes, which shrinks."""
+"""The paper's Algorithm 1, and the one before it: a penalty on the size of boxes, which shrinks."""
 
 from __future__ import annotations
 
@@ -6,26 +6,21 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
+import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
+from numpy.typing import ArrayLike
 
-from drake_aigto.aigo.algorithm import Box, as_positive
+from drake_aigto.aigo.algorithm import Box, Iterate, check_counts, check_positive
 from drake_aigto.arrays import Floats
+from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
 
-LEAST_LOG_WIDTH = float(np.log(np.finfo(float).tiny) / 4)  # w² must not underflow.
+_LEAST_LOG_WIDTH = float(np.log(np.finfo(float).tiny) / 4)  # w² must not underflow.
+_ARMIJO, _HALVINGS = 1e-4, 40
 
 
 @dataclass(frozen=True, kw_only=True)
-class SizePenalty:
-    """I_p = f̄ + ζ (log S(w) − log s)², whose size s shrinks.
-
-    Attributes:
-        beta: β in [0, 1), in w ← w − β|Δc|.
-        gamma: γ > 1 in s ← min(S(w), s/γ), per dimension.
-        zeta: ζ > 0, in units of the cost.
-        final_width: converged at this part of the first geometric-mean half width.
-        least_shrink: the part of a half width that w − β|Δc| leaves at least, in (0, 1).
-        max_steps: the most outer steps.
-    """
+class _SizePenalty:
+    """I_p = f̄ + ζ (log S(w) − log s)², whose size s shrinks; the memory is log s, log s_thr, A₀."""
 
     beta: float
     gamma: float
@@ -34,7 +29,8 @@ class SizePenalty:
     least_shrink: float
     max_steps: int
 
-    _counts: ClassVar[tuple[str, ...]] = ("max_steps",)
+    _counts: ClassVar[tuple[str, ...]]
+    _with_centers: ClassVar[bool]
 
     def __post_init__(self) -> None:
         """Checks the ranges."""
@@ -42,17 +38,21 @@ class SizePenalty:
             raise OptionsError("beta", got=f"{self.beta:g}", expected="a number in [0, 1)")
         if not self.gamma > 1:
             raise OptionsError("gamma", got=f"{self.gamma:g}", expected="a number above 1")
-        as_positive("zeta", self.zeta)
-        as_positive("final_width", self.final_width, below=1.0)
-        as_positive("least_shrink", self.least_shrink, below=1.0)
-        for name in self._counts:
-            if getattr(self, name) < 1:
-                raise OptionsError(name, got=getattr(self, name), expected="1 or more")
+        check_positive(self, "zeta")
+        check_positive(self, "final_width", "least_shrink", below=1.0)
+        check_counts(self, **dict.fromkeys(self._counts, 1))
 
-    def _sizes(self, box: Box) -> tuple[float, float]:
-        """Returns log s = log S(w), and log s_thr."""
+    def init(self, f: BoxPolynomial, box: Box) -> Iterate:
+        """Returns the first box, of the first size."""
         log_s = box.log_size
-        return log_s, log_s + np.count_nonzero(box.free) * np.log(self.final_width)
+        log_s_thr = log_s + np.count_nonzero(box.free) * np.log(self.final_width)
+        mean = f.mean(box.center, box.half_width)
+        return Iterate(box, mean, np.inf, memory=(log_s, log_s_thr, box))
+
+    def terminate(self, f: BoxPolynomial, iterate: Iterate) -> bool:
+        """Returns whether s ≤ s_thr."""
+        log_s, log_s_thr, _ = iterate.memory
+        return bool(log_s <= log_s_thr)
 
     def _shrink(self, half_width: Floats, shift: Floats) -> Floats:
         """Returns w − β|Δc|, but at least the least part of w."""
@@ -63,7 +63,147 @@ class SizePenalty:
         """Returns log min(S(w), s/γⁿ)."""
         return float(min(box.log_size, log_s - np.count_nonzero(box.free) * np.log(self.gamma)))
 
-    def _penalty(self, z: Floats, log_s: float) -> tuple[float, float]:
-        """Returns ζ (Σ log 2 e^z_i − log s)², and its derivative by any z_i."""
-        excess = float(z.size * np.log(2) + np.sum(z) - log_s)
-        return self.zeta * excess**2, 2 * self.zeta * excess
+    def _minimize(
+        self, f: BoxPolynomial, box: Box, log_s: float, upper: ArrayLike, **options: int
+    ) -> tuple[Box, int]:
+        """Returns the end of L-BFGS-B on I_p over log w ≤ upper, or (c, log w); and its steps."""
+        free = np.flatnonzero(box.free)
+        first = free.size if self._with_centers else 0  # of the widths among the unknowns
+        center, half_width = box.center.copy(), box.half_width.copy()
+
+        def penalized(y: Floats) -> tuple[float, Floats]:
+            center[free[:first]], half_width[free] = y[:first], np.exp(y[first:])
+            mean, by_center, by_log_width = f.gradient(center, half_width)
+            excess = float(free.size * np.log(2) + np.sum(y[first:]) - log_s)
+            slopes = by_log_width[free] + 2 * self.zeta * excess
+            slopes = np.concatenate([by_center[free[:first]], slopes])
+            return mean + self.zeta * excess**2, slopes
+
+        start = np.concatenate([center[free[:first]], np.log(half_width[free])])
+        lower = np.repeat([-np.inf, _LEAST_LOG_WIDTH], [first, free.size])
+        bounds = scipy.optimize.Bounds(lower, upper)
+        found = scipy.optimize.minimize(
+            penalized, start, jac=True, method="L-BFGS-B", bounds=bounds, options=options
+        )
+        center[free[:first]], half_width[free] = found.x[:first], np.exp(found.x[first:])
+        return Box(center, half_width), int(found.nit)
+
+
+@dataclass(frozen=True, kw_only=True)
+class FullGradient(_SizePenalty):
+    """AIGTO Algorithm 1, line by line.
+
+        2   s ← S(w)
+        3   while s > s_thr
+        4       c, w ← minimize over (c, w)   I_p(c, w, s, ζ)
+        5       w ← w − β |Δc|
+        6       s ← min(S(w), s/γ)
+
+    In hundreds of dimensions S(w) = ∏ 2w_i underflows, so this differs from the print as follows.
+    The size is compared in logarithms, I_p = f̄ + ζ (log S(w) − log s)²: the mean instead of the
+    integral, whose factor S would be 0. γ acts per dimension, s/γⁿ, and the loop ends when the
+    geometric-mean half width is `final_width` of the first one's. Line 5 leaves at least
+    `least_shrink` of each half width. Line 4 is SciPy's L-BFGS-B over (c, log w), cut off by its
+    count.
+
+    Attributes:
+        beta: β of line 5, in [0, 1).
+        gamma: γ > 1 of line 6, per dimension.
+        zeta: ζ > 0, in units of the cost.
+        final_width: converged at this part of the first geometric-mean half width.
+        least_shrink: the part of a half width that line 5 leaves at least, in (0, 1).
+        inner_steps: the most L-BFGS steps in line 4.
+        max_steps: the most outer steps.
+    """
+
+    beta: float = 0.5
+    gamma: float = 1.1
+    zeta: float = 1e-2
+    final_width: float = 1e-6
+    least_shrink: float = 1e-2
+    inner_steps: int = 20
+    max_steps: int = 2000
+
+    _counts: ClassVar[tuple[str, ...]] = ("inner_steps", "max_steps")
+    _with_centers: ClassVar[bool] = True
+
+    def step(self, f: BoxPolynomial, iterate: Iterate) -> Iterate:
+        """Does lines 4 to 6."""
+        log_s, log_s_thr, first = iterate.memory
+        maxiter = self.inner_steps
+        box, steps = self._minimize(f, iterate.box, log_s, np.inf, maxiter=maxiter, maxcor=20)
+        box = Box(box.center, self._shrink(box.half_width, box.center - iterate.box.center))
+        means = f.gradient(box.center, box.half_width)
+        memory = self._next_size(box, log_s), log_s_thr, first
+        return Iterate.of_gradient(box, means, steps, memory)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Alternating(_SizePenalty):
+    """AIGO as it was first published ([5]: Labbe & Del Prete 2025, L4DC, PMLR 283:711-722).
+
+        while s > s_thr
+            c ← line search along −∂f̄/∂c
+            w ← w − β |Δc|
+            s ← min(S(w), s/γ)
+            w ← `width_steps` BFGS steps in w alone on   I_p(c, w, s, ζ)
+
+    It differs from the print as `FullGradient` does, for the same reason ([5]: s_thr = 0.5ⁿ); BFGS
+    is SciPy's L-BFGS-B over log w. The line search tries the step by which the fastest center moves
+    half its half width, and halves it until f̄ descends (Armijo).
+
+    Boxes never leave the first one.
+
+    Attributes:
+        beta: β in [0, 1); [5] uses 0.5 to 0.99.
+        gamma: γ > 1, per dimension; [5] uses 1.001 to 1.05, for s itself.
+        zeta: ζ > 0, in units of the cost.
+        width_steps: the most BFGS steps in w.
+        final_width: converged at this part of the first geometric-mean half width.
+        least_shrink: the part of a half width that w − β|Δc| leaves at least, in (0, 1).
+        max_steps: the most outer steps.
+    """
+
+    beta: float = 0.5
+    gamma: float = 1.02
+    zeta: float = 1.0
+    width_steps: int = 2
+    final_width: float = 1e-3
+    least_shrink: float = 1e-2
+    max_steps: int = 5000
+
+    _counts: ClassVar[tuple[str, ...]] = ("width_steps", "max_steps")
+    _with_centers: ClassVar[bool] = False
+
+    def step(self, f: BoxPolynomial, iterate: Iterate) -> Iterate:
+        """Runs the loop's body once."""
+        log_s, log_s_thr, first = iterate.memory
+        center = self._search_line(f, iterate.box, first)
+        box = Box(center, self._shrink(iterate.box.half_width, center - iterate.box.center))
+        log_s = self._next_size(box, log_s)
+        room = (first.half_width - np.abs(center - first.center))[box.free]
+        widest = np.log(np.maximum(room, np.exp(_LEAST_LOG_WIDTH)))
+        upper = np.maximum(np.log(box.half_width[box.free]), widest)
+        box, steps = self._minimize(f, box, log_s, upper, maxiter=self.width_steps)
+        means = f.gradient(box.center, box.half_width)
+        return Iterate.of_gradient(box, means, steps + 1, (log_s, log_s_thr, first))
+
+    def _search_line(self, f: BoxPolynomial, box: Box, first: Box) -> Floats:
+        """Returns the next center, no box being moved out of the first one."""
+        mean, gradient, _ = f.gradient(box.center, box.half_width)
+        gradient[~box.free] = 0.0
+        speeds = np.abs(gradient[box.free] / box.half_width[box.free])
+        fastest = float(np.max(speeds, initial=0.0))
+        if not (fastest > 0 and np.isfinite(fastest)):
+            return box.center
+        room = first.half_width - box.half_width
+        length = 0.5 / fastest
+        for _ in range(_HALVINGS):
+            tried = np.clip(
+                box.center - length * gradient, first.center - room, first.center + room
+            )
+            decrease = float(gradient @ (tried - box.center))
+            if f.mean(tried, box.half_width) <= mean + _ARMIJO * decrease:
+                return tried
+            length /= 2
+        return box.center
