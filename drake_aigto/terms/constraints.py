@@ -18,10 +18,8 @@ from pydrake.symbolic import Expression
 from drake_aigto.arrays import Ints
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.terms.costs import affine_terms, quadratic_terms
-from drake_aigto.terms.expressions import expression_terms
+from drake_aigto.terms.expressions import expression_terms, shown
 from drake_aigto.terms.sums import Factor, FunctionKind, Term
-
-_LONGEST_SHOWN = 300  # characters of a row in a message
 
 
 @dataclass(frozen=True)
@@ -42,8 +40,7 @@ class ConstraintRow:
 
     def __str__(self) -> str:
         """Returns the formula, or the beginning of a long one."""
-        text = " + ".join(map(str, self.terms)) if self.formula is None else str(self.formula)
-        return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]} …"
+        return shown(" + ".join(map(str, self.terms)) if self.formula is None else self.formula)
 
 
 def parse_rows(
@@ -107,9 +104,9 @@ def _row_sums(label: str, constraint: EvaluatorBase) -> list[tuple[Term, ...]]:
     if isinstance(constraint, QuadraticConstraint):
         return [quadratic_terms(np.asarray(constraint.Q()), constraint.b(), 0.0)]
     if isinstance(constraint, ExpressionConstraint):
-        index = {v.get_id(): i for i, v in enumerate(constraint.vars())}
+        variables = constraint.vars()
         return [
-            expression_terms(label, formula, lambda v: index[v.get_id()], is_row=True)
+            expression_terms(label, formula, variables, is_row=True)
             for formula in constraint.expressions()
         ]
     raise UnsupportedTermError(

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterator, Sequence
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydrake.solvers import (
     Binding,
     Cost,
@@ -72,7 +71,7 @@ def _parse_alike(costs: Sequence[_Labelled]) -> list[tuple[Term, ...]]:
     for alike in polynomials.values():
         total = sum((cost.expression() for _, cost in alike), Expression(0.0))
         try:
-            parsed.append(_expression_terms(alike[0][0], total, alike[0][1].vars()))
+            parsed.append(expression_terms(alike[0][0], total, alike[0][1].vars()))
         except UnsupportedTermError:  # Too many terms in all, or in one, which is to be named.
             parsed += [_parse_cost(label, cost) for label, cost in alike]
     return parsed
@@ -165,7 +164,7 @@ def _parse_cost(label: str, cost: EvaluatorBase) -> tuple[Term, ...]:
     if isinstance(cost, QuadraticCost):
         return quadratic_terms(np.asarray(cost.Q()), cost.b(), cost.c())
     if isinstance(cost, ExpressionCost):
-        return _expression_terms(label, cost.expression(), cost.vars())
+        return expression_terms(label, cost.expression(), cost.vars())
     # PolynomialCost has no Python class of its own.
     kind = "PolynomialCost" if type(cost) is Cost else type(cost).__name__
     raise UnsupportedTermError(
@@ -174,14 +173,6 @@ def _parse_cost(label: str, cost: EvaluatorBase) -> tuple[Term, ...]:
         expected="a LinearCost, a QuadraticCost or an ExpressionCost",
         remedy="Add it as `c = ExpressionCost(expression); prog.AddCost(c, vars=c.vars())`.",
     )
-
-
-def _expression_terms(
-    label: str, expression: Expression, variables: NDArray[Any]
-) -> tuple[Term, ...]:
-    """Returns the terms of an expression, local variables counted as they stand."""
-    index = {variable.get_id(): i for i, variable in enumerate(variables)}
-    return expression_terms(label, expression, lambda v: index[v.get_id()])
 
 
 def affine_terms(a: ArrayLike, b: float) -> tuple[Term, ...]:

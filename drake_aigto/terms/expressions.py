@@ -5,10 +5,17 @@ from __future__ import annotations
 import functools
 import math
 import operator
-from collections.abc import Callable, Iterator
+from collections.abc import Iterable, Mapping
 from typing import Any, cast
 
-from pydrake.symbolic import Expression, ExpressionKind, Monomial, Polynomial, Variable
+from pydrake.symbolic import (
+    DecomposeAffineExpression,
+    Expression,
+    ExpressionKind,
+    ExtractVariablesFromExpression,
+    Polynomial,
+    Variable,
+)
 
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.terms.products import (
@@ -26,12 +33,12 @@ from drake_aigto.terms.products import (
 )
 from drake_aigto.terms.sums import WAVES, Factor, FunctionKind, Term
 
-# Place of a variable among those that an evaluator is bound to.
-LocalIndex = Callable[[Variable], int]
+# Id of a variable ↦ its place among those that an evaluator is bound to.
+LocalIndex = Mapping[int, int]
 
 _VARIABLE = operator.attrgetter("variable")
 
-_LONGEST_SHOWN = 300  # characters of a term in a message
+_LONGEST_SHOWN = 300  # characters of a formula in a message
 
 _IN_ROWS = "sums of products of powers, sin, cos and exp of affine functions"
 _IN_COSTS = f"{_IN_ROWS}, and max(0, y)² or -log(y) times a constant, with y affine in one variable"
@@ -49,35 +56,51 @@ _WAVES = {
 
 
 def expression_terms(
-    label: str, expression: Expression, index: LocalIndex, is_row: bool = False
+    label: str, expression: Expression, variables: Iterable[Variable], is_row: bool = False
 ) -> tuple[Term, ...]:
     """Returns the terms of a sum of products of one-variable functions, multiplied out.
 
     Args:
         label: How messages call what the expression is the formula of.
         expression: See `parse_costs` for what may stand in it.
-        index: Place of a variable.
+        variables: The local variables, in their order.
         is_row: Whether it is a row of a constraint, where penalties and barriers have no place.
 
     Raises:
         UnsupportedTermError: A term has no closed-form mean here, or there are too many.
     """
-    polynomial, functions = Expression(0.0), []
-    for summand in _summands(expression):
+    try:
+        index = {variable.get_id(): i for i, variable in enumerate(variables)}
+        return _all_terms(label, expression, index, is_row)
+    except TooManyTermsError as error:
+        raise UnsupportedTermError(
+            f"{label} has too many terms",
+            got=f"{error.count:,} when multiplied out",
+            expected=f"at most {MAX_TERMS:,}",
+            remedy="Give parts of it variables of their own by equality constraints.",
+        ) from None
+
+
+def _all_terms(
+    label: str, expression: Expression, index: LocalIndex, is_row: bool
+) -> tuple[Term, ...]:
+    polynomial, functions, is_sum = Expression(0.0), [], expression.get_kind() == ExpressionKind.Add
+    is_whole = expression.is_polynomial() or not is_sum
+    for summand in [expression] if is_whole else _operands(expression):
         if summand.is_polynomial():
             polynomial += summand
         else:
             functions.append(_summand_terms(label, summand, index, is_row))
-    _check_count(label, _count_monomials(polynomial)[0])
-    terms = polynomial_terms(polynomial, index)
+    _check_count(_count_monomials(polynomial)[0])
+    terms = _polynomial_terms(polynomial, index)
     if not functions:
         return terms
     total = add(from_terms(terms), *functions)
-    _check_count(label, len(total))
+    _check_count(len(total))
     return to_terms(total)
 
 
-def polynomial_terms(expression: Expression, index: LocalIndex) -> tuple[Term, ...]:
+def _polynomial_terms(expression: Expression, index: LocalIndex) -> tuple[Term, ...]:
     """Returns the terms of a polynomial expression, multiplied out."""
     terms = []
     known: dict[tuple[int, int], Factor] = {}  # few factors make up many terms
@@ -86,19 +109,11 @@ def polynomial_terms(expression: Expression, index: LocalIndex) -> tuple[Term, .
         for variable, exponent in monomial.get_powers().items():
             key = variable.get_id(), exponent
             if key not in known:
-                known[key] = Factor(index(variable), FunctionKind.POWER, exponent)
+                known[key] = Factor(index[key[0]], FunctionKind.POWER, exponent)
             factors.append(known[key])
         factors.sort(key=_VARIABLE)
         terms.append(Term(coefficient.Evaluate(), tuple(factors)))
     return tuple(terms)
-
-
-def _summands(expression: Expression) -> Iterator[Expression]:
-    """Yields the summands, as they stand; a polynomial is one."""
-    if expression.get_kind() == ExpressionKind.Add and not expression.is_polynomial():
-        yield from _operands(expression)
-    else:
-        yield expression
 
 
 def _operands(expression: Expression) -> list[Expression]:
@@ -115,12 +130,10 @@ def _summand_terms(label: str, summand: Expression, index: LocalIndex, is_row: b
             _check_smooth(total)
         else:
             _check_barriers(label, summand, total)
-    except TooManyTermsError as error:
-        raise _too_many(label, error.count) from None
     except NoClosedFormError as error:
         raise UnsupportedTermError(
             f"{label} can't be integrated",
-            got=f"the term {_shown(summand)}, where {error}",
+            got=f"the term {shown(summand)}, where {error}",
             expected=_IN_ROWS if is_row else _IN_COSTS,
             remedy=(_FOR_ROWS if is_row else "") + _FOR_ALL,
         ) from None
@@ -143,31 +156,22 @@ def _check_barriers(label: str, summand: Expression, total: Sum) -> None:
             if coefficient < 0.0:
                 raise UnsupportedTermError(
                     f"{label} can't be minimized",
-                    got=f"the term {_shown(summand)}, which falls to minus infinity where the "
+                    got=f"the term {shown(summand)}, which falls to minus infinity where the "
                     "logarithm's argument is 0",
                     expected="logarithms as barriers, -a*log(y) with a > 0",
                     remedy="Check the term's sign.",
                 )
 
 
-def _shown(expression: Expression) -> str:
-    """Returns its formula, or the beginning of a long one."""
-    text = str(expression)
+def shown(formula: object) -> str:
+    """Returns a formula's text, or the beginning of a long one."""
+    text = str(formula)
     return text if len(text) <= _LONGEST_SHOWN else f"{text[:_LONGEST_SHOWN]} …"
 
 
-def _check_count(label: str, count: int) -> None:
+def _check_count(count: int) -> None:
     if count > MAX_TERMS:
-        raise _too_many(label, count)
-
-
-def _too_many(label: str, count: int) -> UnsupportedTermError:
-    return UnsupportedTermError(
-        f"{label} has too many terms",
-        got=f"{count:,} when multiplied out",
-        expected=f"at most {MAX_TERMS:,}",
-        remedy="Give parts of it variables of their own by equality constraints.",
-    )
+        raise TooManyTermsError(count)
 
 
 def _expand(e: Expression, index: LocalIndex) -> Sum:
@@ -179,10 +183,8 @@ def _expand(e: Expression, index: LocalIndex) -> Sum:
     """
     kind = e.get_kind()
     if e.is_polynomial():
-        count = _count_monomials(e)[0]
-        if count > MAX_TERMS:
-            raise TooManyTermsError(count)
-        return from_terms(polynomial_terms(e, index))
+        _check_count(_count_monomials(e)[0])
+        return from_terms(_polynomial_terms(e, index))
     if kind == ExpressionKind.Add:
         return add(*(_expand(operand, index) for operand in _operands(e)))
     if kind == ExpressionKind.Mul:
@@ -193,7 +195,7 @@ def _expand(e: Expression, index: LocalIndex) -> Sum:
         return _expand_power(e, index)
     if kind in _WAVES:
         scales, offset = _affine(e, _operands(e)[0])
-        return wave_of_sum(_WAVES[kind], [(index(v), a) for v, a in scales], offset)
+        return wave_of_sum(_WAVES[kind], [(index[v.get_id()], a) for v, a in scales], offset)
     if kind == ExpressionKind.Log:
         return _of_one_variable(-1.0, FunctionKind.NEG_LOG, e, _operands(e)[0], index)
     if kind == ExpressionKind.Max:
@@ -251,25 +253,20 @@ def _of_one_variable(
     if len(scales) != 1:
         raise NoClosedFormError(f"{e} is a function of {len(scales)} variables at once")
     ((variable, scale),) = scales
-    (parts,) = function(index(variable), kind, 1, scale, offset)
+    (parts,) = function(index[variable.get_id()], kind, 1, scale, offset)
     return {parts: coefficient}
 
 
 def _affine(e: Expression, argument: Expression) -> tuple[list[tuple[Variable, float]], float]:
     """Returns [(x, scale), …] and the offset of e's argument Σ scale·x + offset."""
-    if not argument.is_polynomial():
-        raise NoClosedFormError(f"the argument of {e} is not affine")
-    scales, offset = [], 0.0
-    for monomial, coefficient in Polynomial(argument).monomial_to_coefficient_map().items():
-        if monomial.total_degree() > 1:
-            raise NoClosedFormError(f"the argument of {e} is not affine")
-        if monomial == Monomial():
-            offset = coefficient.Evaluate()
-        else:
-            (variable,) = monomial.GetVariables()
-            scales.append((variable, coefficient.Evaluate()))
-    scales = [(variable, scale) for variable, scale in scales if scale != 0.0]
-    return scales or [(next(iter(e.GetVariables())), 0.0)], offset
+    variables, index = ExtractVariablesFromExpression(argument)
+    try:
+        scales, offset = DecomposeAffineExpression(argument, index)
+    except RuntimeError:
+        raise NoClosedFormError(f"the argument of {e} is not affine") from None
+    pairs = zip(variables[::-1], scales[::-1].tolist(), strict=True)
+    found = [(variable, scale) for variable, scale in pairs if scale != 0.0]
+    return found or [(next(iter(e.GetVariables())), 0.0)], offset
 
 
 def _count_monomials(e: Expression | float) -> tuple[int, int]:
