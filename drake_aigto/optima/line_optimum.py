@@ -205,14 +205,13 @@ class _Sequence:
         for times in self._times(ways):
             # As in flights that start at rest, or hop.
             speeds = ways[:n] / times + abs(line.gravity) * times / 2
-            if self.rests is None:
-                starts.append([*times, *speeds])
-                continue
-            settling = line.settling(line.walls[self.walls[self.rests]])
-            speeds[self.rests] = min(speeds[self.rests], 0.2 / max(settling, 1e-9))
+            if self.rests is not None:
+                settling = line.settling(line.walls[self.walls[self.rests]])
+                speeds[self.rests] = min(speeds[self.rests], 0.2 / max(settling, 1e-9))
             # All flights, 0.2 at most to settle, and the rest's own time fill what there is.
             for slack in _SLACKS if self.slack else (0.0,):
-                starts.append([*(0.8 - slack) * times, *speeds, *([slack] if self.slack else [])])
+                share = 1.0 if self.rests is None else 0.8 - slack
+                starts.append([*share * times, *speeds, *([slack] if self.slack else [])])
         return np.array(starts)
 
     def _times(self, ways: Floats) -> Iterator[Floats]:
@@ -238,10 +237,11 @@ class _Sequence:
         lower, upper = -math.inf, math.inf
         for wall in self.line.walls:
             lower, upper = (wall.place, upper) if wall.side > 0 else (lower, wall.place)
-        for number, (start, end, path) in enumerate(self.mass.paths(z)):
-            # The first one may be as short as the way to the wall is.
-            if end - start <= (_TOLERANCE if number else 0.0):
-                return False
+        spans = self.flights.values(z)[:, 3]
+        # The first one may be as short as the way to the wall is.
+        if spans[0] <= 0.0 or np.any(spans[1:] <= _TOLERANCE):
+            return False
+        for start, end, path in self.mass.paths(z):
             least, largest = extremes(path, end - start)
             if least < lower - _TOLERANCE or largest > upper + _TOLERANCE:
                 return False
