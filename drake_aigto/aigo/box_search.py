@@ -189,18 +189,12 @@ class _Search:
         except KeyboardInterrupt:
             was_interrupted = True
         if self._num_rounds and self._polish is not None and not was_interrupted:
-            self._offer(
-                self._polish(self._best.x), f"polish of: {self._best.origin}", is_polished=True
-            )
+            name = f"polish of: {self._best.origin}"
+            self._offer(self._polish(self._best.x), name, is_polished=True)
         return SearchResult(
-            self._best,
-            self._unpolished,
-            tuple(self._candidates),
-            self._num_boxes,
-            self._num_steps,
-            self._num_rounds,
-            tuple(widths),
-            was_interrupted,
+            *(self._best, self._unpolished, tuple(self._candidates)),
+            *(self._num_boxes, self._num_steps, self._num_rounds),
+            *(tuple(widths), was_interrupted),
         )
 
     def _minimize(self, box: Box, algorithm: Algorithm) -> AigoResult:

@@ -191,19 +191,11 @@ def _add_slopes(
     band: Floats,
     pattern: Pattern | None,
 ) -> None:
-    """Adds the lanes' first derivatives to the gradient, or to A.
+    """Adds the lanes' first derivatives, in rows (rows, lanes), to the gradient or to A.
 
-    Args:
-        slopes: Of all tapes.
-        tape: Record of the one that ran.
-        after: Record of the next one, where what belongs to it starts.
-        count: How many lanes it ran in.
-        rows: What it computed (rows, lanes).
-        places: `System.variable_places` of the local variables (variables, lanes).
-        ends: `System.copy_places` of the copies (lanes,).
-        gradient: Added to, as in `System`.
-        band: Added to.
-        pattern: Of it.
+    Places are `System.variable_places` of the tape's local variables (variables, lanes), ends
+    `System.copy_places` of its copies (lanes,). What belongs to a tape ends where that of the next
+    one starts.
     """
     for s in range(tape.first_slope, after.first_slope):
         slope = slopes[s]
@@ -233,13 +225,12 @@ def _add_curvatures(
     """Adds the lanes' second derivatives, times their factors, to W; otherwise as `_add_slopes`."""
     for c in range(tape.first_curvature, after.first_curvature):
         it = curvatures[c]
-        row, variable, unknown = it.row, it.variable, it.unknown
-        other_variable, other_unknown = it.other_variable, it.other_unknown
+        row, unknown, other_unknown = it.row, it.unknown, it.other_unknown
         for k in range(count):
-            place, other = places[variable, k], places[other_variable, k]
+            place, other = places[it.variable, k], places[it.other_variable, k]
             if min(place, other) >= 0:
-                i, j = place + unknown, other + other_unknown
-                _add_entry(pattern, band, i, j, factors[k] * rows[row, k])
+                value = factors[k] * rows[row, k]
+                _add_entry(pattern, band, place + unknown, other + other_unknown, value)
 
 
 @kernel
@@ -288,17 +279,8 @@ def add_means(
                 tables.arguments, tape, after, variables, count, center, half_width, rows
             )
             row = _load_functions(
-                tables.functions,
-                tape,
-                after,
-                tables.transcendental,
-                variables,
-                count,
-                center,
-                half_width,
-                parts,
-                rows,
-                row,
+                *(tables.functions, tape, after, tables.transcendental, variables, count),
+                *(center, half_width, parts, rows, row),
             )
             row = _load_coefficients(
                 tables.coefficients, tape.num_terms, lanes, chosen, count, factors, rows, row

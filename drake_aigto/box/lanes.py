@@ -14,30 +14,21 @@ from drake_aigto.box.functions import TRANSCENDENTAL
 from drake_aigto.box.tapes import OPERATION, Order, Tape, make_tape
 from drake_aigto.terms import FACTOR, StackedTerms
 
+
 # Records, so that kernels have few arrays to take and read one place in memory for each.
-LANE = np.dtype(
-    [("copy", np.int64), ("first_variable", np.int64), ("first_coefficient", np.int64)], align=True
-)
+def _integers(*names: str) -> np.dtype[np.void]:
+    return np.dtype([(name, np.int64) for name in names], align=True)
+
+
+LANE = _integers("copy", "first_variable", "first_coefficient")
 ARGUMENT = np.dtype(
     [("variable", np.int64), ("scale", np.float64), ("offset", np.float64)], align=True
 )
-SLOPE = np.dtype([("row", np.int64), ("variable", np.int64), ("unknown", np.int64)], align=True)
-CURVATURE = np.dtype(
-    [
-        (name, np.int64)
-        for name in ("row", "variable", "unknown", "other_variable", "other_unknown")
-    ],
-    align=True,
-)
-TAPE = np.dtype(
-    [
-        (name, np.int64)
-        for name in (
-            *("first_lane", "first_operation", "first_slope", "first_curvature"),
-            *("first_argument", "first_function", "num_variables", "num_terms"),
-        )
-    ],
-    align=True,
+SLOPE = _integers("row", "variable", "unknown")
+CURVATURE = _integers("row", "variable", "unknown", "other_variable", "other_unknown")
+TAPE = _integers(
+    *("first_lane", "first_operation", "first_slope", "first_curvature"),
+    *("first_argument", "first_function", "num_variables", "num_terms"),
 )
 
 # Copies that run a tape side by side at most: enough for a processor's vector units, few enough for
@@ -59,11 +50,7 @@ class Lanes(NamedTuple):
         copy_variables: Variables of the copies, as in `StackedTerms`.
         coefficients: Of the terms, one sum after the other (M + 1,).
         tapes: First entry of each tape in the arrays here, and its numbers, see `Tape`.
-        operations: See `tapes`.
-        arguments: See `Tape`.
-        functions: See `Tape`.
-        slopes: See `Tape`.
-        curvatures: See `Tape`.
+        operations, arguments, functions, slopes, curvatures: See `Tape`.
         most_lanes: How many lanes run side by side at most.
         most_rows: Largest number of rows that a tape has.
         most_variables: Largest number of local variables that a tape has.
@@ -181,10 +168,9 @@ def _stack(
         parts = tape.operations, tape.slopes, tape.curvatures, tape.arguments, tape.functions
         starts += [count, *(len(part) for part in parts)]
     records.append((*starts.tolist(), 0, 0))
-    operations = [np.empty(0, dtype=OPERATION), *(tape.operations for tape in tapes)]
     stacks = (
         np.array(records, dtype=TAPE),
-        np.concatenate(operations),
+        np.concatenate([np.empty(0, dtype=OPERATION), *(tape.operations for tape in tapes)]),
         np.array([entry for tape in tapes for entry in tape.arguments], dtype=ARGUMENT),
         np.array([entry for tape in tapes for entry in tape.functions], dtype=FACTOR),
         np.array([entry for tape in tapes for entry in tape.slopes], dtype=SLOPE),

@@ -85,13 +85,8 @@ def _take_apart(
 ) -> tuple[Term, ...]:
     """Returns the terms of a block over x alone, and adds the parts of their coefficients.
 
-    The coefficient of each new term is its number, counted on from the last summand's.
-
-    Args:
-        block: over x and p.
-        places: of each local variable, which parameter it is; −1 for those of x.
-        num_parameters: P.
-        summands: so far.
+    The coefficient of each new term is its number, counted on from the last summand's. Places are,
+    of each local variable, which parameter it is; −1 for those of x.
     """
     local = (np.cumsum(np.array(places) < 0) - 1).tolist()
     numbers: dict[tuple[Factor, ...], int] = {}

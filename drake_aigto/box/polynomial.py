@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
@@ -14,7 +15,7 @@ from drake_aigto.box.lanes import Lanes, make_lanes
 from drake_aigto.box.tapes import Order
 from drake_aigto.errors import OptionsError
 from drake_aigto.linear import Pattern, as_order, choose_storage, narrow_band, spread
-from drake_aigto.terms import TermBlock, stack_terms
+from drake_aigto.terms import TermBlock, copy_weights, stack_terms
 
 
 @dataclass(frozen=True)
@@ -76,7 +77,8 @@ class BoxPolynomial:
         self.blocks = tuple(blocks)
         self._terms = stack_terms(self.blocks)
         self._lanes: dict[Order, Lanes] = {}
-        self.copy_weights = self._make_copy_weights()
+        self.copy_weights = copy_weights(self.blocks)
+        self._patterns: dict[Order, Pattern] = {}
         edges = self.couplings().T
         if order is not None:
             places = np.argsort(as_order(order, num_variables))
@@ -86,12 +88,6 @@ class BoxPolynomial:
         self.position = self.storage.places
         self.order = as_order(np.argsort(self.position), num_variables)
         self.bandwidth = (self.storage.bandwidth + 1) // 2 - 1
-        self._patterns: dict[Order, Pattern] = {}
-
-    def _make_copy_weights(self) -> Floats:
-        """Returns the weight of each copy, in the kernels' order."""
-        copies = [block.variables.shape[0] for block in self.blocks]
-        return np.repeat(np.array([block.weight for block in self.blocks], dtype=float), copies)
 
     def couplings(self) -> Ints:
         """Returns pairs of variables that a term reads, each with itself among them: (P, 2)."""
@@ -120,12 +116,11 @@ class BoxPolynomial:
                 got=f"no cost named {unknown}",
                 expected=f"names among {sorted(self.weights)}",
             )
-        other = object.__new__(BoxPolynomial)
-        other.__dict__.update(self.__dict__)
+        other = copy.copy(self)
         other.blocks = tuple(
             b.with_weight(weights[b.name]) if b.name in weights else b for b in self.blocks
         )
-        other.copy_weights = other._make_copy_weights()
+        other.copy_weights = copy_weights(other.blocks)
         return other
 
     def with_coefficients(self, coefficients: Floats) -> BoxPolynomial:
@@ -138,8 +133,7 @@ class BoxPolynomial:
         Raises:
             UnsupportedTermError: One is not finite.
         """
-        other = object.__new__(BoxPolynomial)
-        other.__dict__.update(self.__dict__)
+        other = copy.copy(self)
         other._terms = self._terms.with_coefficients(coefficients)
         changed = other._terms.coefficients
         other._lanes = {

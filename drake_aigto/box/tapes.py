@@ -31,14 +31,7 @@ from drake_aigto.terms import FunctionKind
 
 # row_to = factor · row_a · row_b, or += where it adds.
 OPERATION = np.dtype(
-    [
-        ("to", np.int64),
-        ("adds", np.int64),
-        ("a", np.int64),
-        ("b", np.int64),
-        ("factor", np.float64),
-    ],
-    align=True,
+    [*((name, np.int64) for name in ("to", "adds", "a", "b")), ("factor", np.float64)], align=True
 )
 
 ONES, MEAN = 0, 1  # The first rows: ones, and the sum's mean.
@@ -156,19 +149,15 @@ class _Writer:
         for f, partial in self._partials.items():
             self._write_variable(self._factors[f][0], partial, parts[f])
         for (f, g), pair in self._pairs.items():
-            variables = self._factors[f][0], self._factors[g][0]
-            self._write_pair(*variables, pair, parts[f], parts[g])
+            self._write_pair(f, g, pair, parts)
         operations = np.array(self._operations, dtype=OPERATION)
         operations.setflags(write=False)
         return Tape(
-            operations,
-            max((factor[0] for factor in self._factors), default=-1) + 1,
+            *(operations, max((factor[0] for factor in self._factors), default=-1) + 1),
             tuple((row, *key) for key, row in self._slopes.items()),
             tuple((row, *key) for key, row in self._curvatures.items()),
-            tuple(self._arguments),
-            tuple(self._functions),
-            len(self._members),
-            self._num_rows,
+            *(tuple(self._arguments), tuple(self._functions)),
+            *(len(self._members), self._num_rows),
         )
 
     def _new_rows(self, keys: Iterable[_Key], each: int = 1) -> dict[_Key, int]:
@@ -193,10 +182,9 @@ class _Writer:
 
     def _parts(self, factor: Function) -> dict[int, _Scaled]:
         """Returns the value and derivatives of a factor, those left out being 0 or not needed."""
-        needed = {VALUE, *self._order.value}
+        needed = VALUE, *self._order.value
         if not _is_power(factor):
-            first = self._functions[factor]
-            return {part: (1.0, first + part) for part in needed}
+            return {part: (1.0, self._functions[factor] + part) for part in needed}
         y, p, scale = _argument(factor), factor[2], factor[3]
         makers: dict[int, tuple[float, int, int]] = {
             VALUE: (1.0, p, 0),
@@ -207,11 +195,11 @@ class _Writer:
             D_ZZ: (1.0, p, 2),
         }
         found = {}
-        for part in sorted(needed):
-            factor_, power, times = makers[part]
+        for part in needed:
+            by, power, times = makers[part]
             if power >= (2 if times else 0):
-                by, row = self._moment(y, power, times)
-                found[part] = factor_ * by, row
+                share, row = self._moment(y, power, times)
+                found[part] = by * share, row
         return found
 
     def _moment(self, y: Argument, p: int, times: int) -> _Scaled:
@@ -287,25 +275,18 @@ class _Writer:
                 key = variable, one, variable, other
                 self._add(self._curvatures, key, (1.0, partial), scaled)
 
-    def _write_pair(
-        self,
-        variable: int,
-        other: int,
-        pair: int,
-        parts: dict[int, _Scaled],
-        other_parts: dict[int, _Scaled],
-    ) -> None:
+    def _write_pair(self, f: int, g: int, pair: int, parts: list[dict[int, _Scaled]]) -> None:
         """Adds P_fg ∂μ_f ∂μ_g to the derivatives by the variables of f and g."""
         half, *_ = self._scratch.values()
         for unknown, part in enumerate(_SLOPES):
-            if part not in parts:
+            if part not in parts[f]:
                 continue
-            by, row = parts[part]
+            by, row = parts[f][part]
             product = by, pair if row == ONES else self._set(pair, row, half)
             for other_unknown, other_part in enumerate(_SLOPES):
-                if other_part in other_parts:
-                    key = variable, unknown, other, other_unknown
-                    self._add(self._curvatures, key, product, other_parts[other_part])
+                if other_part in parts[g]:
+                    key = self._factors[f][0], unknown, self._factors[g][0], other_unknown
+                    self._add(self._curvatures, key, product, parts[g][other_part])
 
 
 def _is_power(factor: Function) -> bool:

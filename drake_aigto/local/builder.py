@@ -58,10 +58,7 @@ class NlpBuilder:
         upper: float,
         offset: float = 0.0,
     ) -> None:
-        """Adds lower ≤ coefficients · x + offset ≤ upper: of one variable bounds, of several a row.
-
-        An inequality of several has a variable for the sum.
-        """
+        """Adds lower ≤ coefficients · x + offset ≤ upper as bounds, a row, or a sum's variable."""
         used = np.flatnonzero(coefficients)
         scales, read = coefficients[used], variables[used]
         if used.size == 1:

@@ -23,6 +23,9 @@ _PATIENCE = 5  # idle steps in a row
 _LOWER = 0.9  # of a violation or an error: lower by more than rounding
 
 
+_Pair = tuple[float, float]
+
+
 class Filter:
     """Pairs (θ, φ); a point that is worse than one of them in both is not accepted."""
 
@@ -30,7 +33,7 @@ class Filter:
         """Starts with θ ≥ 10⁴ max(1, θ(x₀)) shut off."""
         self.least_violation = 1e-4 * max(1.0, first_violation)
         self._largest_violation = 1e4 * max(1.0, first_violation)
-        self._entries: list[tuple[float, float]] = []
+        self._entries: list[_Pair] = []
 
     def clear(self) -> None:
         """Forgets all entries, as φ changes with μ."""
@@ -162,13 +165,7 @@ class Progress:
         """Forgets all steps."""
         self._idle_steps, self._least_barrier, self._least_error = 0, math.inf, math.inf
 
-    def add(
-        self,
-        violations: tuple[float, float],
-        barriers: tuple[float, float],
-        rounding: float,
-        error: float,
-    ) -> None:
+    def add(self, violations: _Pair, barriers: _Pair, rounding: float, error: float) -> None:
         """Counts a step.
 
         Args:

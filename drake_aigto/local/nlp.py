@@ -14,7 +14,7 @@ from drake_aigto.box import NO_SYSTEM, Lanes, Order, add_means, make_lanes
 from drake_aigto.errors import OptionsError, UnsupportedTermError
 from drake_aigto.linear import as_order
 from drake_aigto.local.kkt import KktStructure
-from drake_aigto.terms import TermBlock, stack_terms
+from drake_aigto.terms import TermBlock, copy_weights, stack_terms
 
 
 def check_bounds(lower: Floats, upper: Floats, name: Callable[[int], str]) -> None:
@@ -71,10 +71,7 @@ class PolynomialNlp:
         self.costs = costs
         self.blocks = (*costs, *rows)
         self.terms = stack_terms(self.blocks)
-        self.copy_weights = np.repeat(
-            np.array([block.weight for block in self.blocks], dtype=float),
-            [len(block.variables) for block in self.blocks],
-        )
+        self.copy_weights = copy_weights(self.blocks)
         self.num_costs = sum(len(block.variables) for block in costs)
         self.row_names = tuple(block.name for block in rows for _ in block.variables)
         for array in (self.lower, self.upper, self.copy_weights):

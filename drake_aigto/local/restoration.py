@@ -6,7 +6,6 @@ from collections.abc import Callable
 
 import numpy as np
 
-from drake_aigto.arrays import Floats
 from drake_aigto.local.newton import NewtonSearch
 from drake_aigto.local.scaled import Point, ScaledProblem
 
@@ -50,7 +49,7 @@ class Restoration:
         """Returns the next point and damping; None where c is stationary but for rounding."""
         linearization = self._problem.linearize(point.y, point.rows)
         gradient = linearization.row_force  # Aᵀc
-        metric = self._metric(point)
+        metric = 1.0 + self._problem.bound_curvature(1.0 / point.slacks**2)
         steepness = np.linalg.norm(gradient / np.sqrt(metric))
         if not steepness > _STATIONARY * np.linalg.norm(point.rows):
             return None
@@ -67,9 +66,6 @@ class Restoration:
                 return tried, max(_SOFTER * damping, _LEAST_DAMPING)
             damping *= _HARDER
         return None
-
-    def _metric(self, point: Point) -> Floats:
-        return 1.0 + self._problem.bound_curvature(1.0 / point.slacks**2)
 
 
 def _half_square(point: Point) -> float:

@@ -303,8 +303,7 @@ class _Sequence:
 
 def _make_room(world: World, scenario: Scenario) -> _Room:
     """Returns the problem in unit time."""
-    dynamics = world.constant_dynamics
-    _check_world(dynamics)
+    dynamics = _read_room(world)
     q, T = scenario.initial_position, scenario.duration
     distances, restitutions = world.calc_signed_distance(q), world.restitutions(scenario).tolist()
     solids = [contact.solid for contact in world.contacts]
@@ -324,8 +323,9 @@ def _make_room(world: World, scenario: Scenario) -> _Room:
     )
 
 
-def _check_world(dynamics: ConstantDynamics) -> None:
-    """Refuses what is no room with one box."""
+def _read_room(world: World) -> ConstantDynamics:
+    """Returns the dynamics of a room with one box; refuses what is none."""
+    dynamics = world.constant_dynamics
     faces = sorted(map(tuple, dynamics.jacobian.tolist()))
     sizes = sorted(map(len, dynamics.solids))
     expected = sorted(2 * [(1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0)])
@@ -334,3 +334,4 @@ def _check_world(dynamics: ConstantDynamics) -> None:
             f"∂φ/∂q = {faces} of solids with {sizes} faces, h = {dynamics.bias.tolist()}",
             "four walls and one box across two axes, and no other force",
         )
+    return dynamics

@@ -141,8 +141,8 @@ class Coordinate:
         for flight in self._flights.values(z)[self._numbers]:
             way, start, end, span = flight.tolist()
             rest, turn = way - start * span, (end - start) * span
-            cubic = [place, start, (3 * rest - turn) / span**2, (turn - 2 * rest) / span**3]
-            found.append((time, time + span, Polynomial(cubic)))
+            curve = ((3 * rest - turn) / span**2, (turn - 2 * rest) / span**3) if span > 0 else ()
+            found.append((time, time + span, Polynomial([place, start, *curve])))
             time, place = time + span, place + way
         return found
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
+from numpy.typing import NDArray
 
 from drake_aigto.aigo import Box
 from drake_aigto.arrays import Floats, Ints
@@ -13,9 +12,6 @@ from drake_aigto.solver.program import AigoProgram
 from drake_aigto.solver.ranges import sum_range
 from drake_aigto.solver.tighten import Bounds, tighten
 from drake_aigto.terms import FunctionKind
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 _LARGEST_MEAN = 1e20  # of costs or squared rows: beyond it, they hide all else
 _MOST_HALVINGS = 60  # of exponentials' variables
@@ -56,12 +52,7 @@ def make_first_box(program: AigoProgram, guess: Floats, options: AigoOptions) ->
     return _cut_exponentials(program, bounds, start, reach)
 
 
-def _cut_exponentials(
-    program: AigoProgram,
-    bounds: Bounds,
-    start: Floats,
-    reach: Floats,
-) -> Box:
+def _cut_exponentials(program: AigoProgram, bounds: Bounds, start: Floats, reach: Floats) -> Box:
     """Returns the box, smaller in exponentials' variables where that makes means usable."""
     box = whole = _box(program, bounds, start, reach)
     exponents = _exponents(program)
@@ -93,20 +84,14 @@ def _overflows(program: AigoProgram, box: Box) -> bool:
     return not np.all(np.abs(means) < _LARGEST_MEAN)
 
 
-def _is_growing(program: AigoProgram, box: Box) -> npt.NDArray[np.bool_]:
+def _is_growing(program: AigoProgram, box: Box) -> NDArray[np.bool_]:
     """Returns which faces have a lower mean than the box."""
     _, by_center, by_log_width = program.costs.gradient(box.center, box.half_width)
     fall = box.half_width * np.abs(by_center)
-    is_growing: npt.NDArray[np.bool_] = by_log_width < fall * (1 - 1e-12)
-    return is_growing
+    return np.less(by_log_width, fall * (1 - 1e-12))
 
 
-def _box(
-    program: AigoProgram,
-    bounds: Bounds,
-    start: Floats,
-    reach: Floats,
-) -> Box:
+def _box(program: AigoProgram, bounds: Bounds, start: Floats, reach: Floats) -> Box:
     """Returns the box of x within reach of a start and within tight bounds, with its slacks."""
     lower, upper = program.nlp.lower, program.nlp.upper
     n = start.size

@@ -5,13 +5,11 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from drake_aigto.errors import OptionsError
 
 PolishName = Literal["newton", "ipopt", "snopt", "none"]
-
-CHOICES: dict[str, tuple[str, ...]] = {"polish": ("newton", "ipopt", "snopt", "none")}
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,9 +43,9 @@ class AigoOptions:
 
     def __post_init__(self) -> None:
         """Checks the choices and ranges."""
-        for name, known in CHOICES.items():
-            if (got := getattr(self, name)) not in known:
-                raise OptionsError(name, got=repr(got), expected=f"one of {', '.join(known)}")
+        if self.polish not in (known := get_args(PolishName)):
+            expected = f"one of {', '.join(known)}"
+            raise OptionsError("polish", got=repr(self.polish), expected=expected)
         for name in ("feasibility", "first_half_width"):
             if not 0 < (value := getattr(self, name)) < float("inf"):
                 raise OptionsError(name, got=value, expected="a number above 0")

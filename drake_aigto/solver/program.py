@@ -14,7 +14,6 @@ from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.local import PolynomialNlp
 from drake_aigto.solver.ranges import LARGEST
 from drake_aigto.terms import (
-    MAX_TERMS,
     ConstraintRow,
     Factor,
     FunctionKind,
@@ -235,9 +234,4 @@ def _square(label: str, row: ConstraintRow, terms: tuple[Term, ...]) -> tuple[Te
             remedy="Give one of the two functions a variable s of its own: s == exp(x).",
         ) from None
     except TooManyTermsError as error:
-        raise UnsupportedTermError(
-            f"{label} has too many terms",
-            got=f"{error.count:,} in the square of the row {row}",
-            expected=f"at most {MAX_TERMS:,}",
-            remedy="Give parts of it variables of their own by equality constraints.",
-        ) from None
+        raise error.refusal(label, f"in the square of the row {row}") from None

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 from pydrake.solvers import (
     MathematicalProgram,
     MathematicalProgramResult,
@@ -26,9 +27,6 @@ from drake_aigto.solver.result import (
     fill_result,
 )
 from drake_aigto.solver.solve import Observer, Solve
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 _SUPPORTED = {
     ProgramAttribute.kLinearCost,
@@ -97,7 +95,7 @@ class AigoSolver(SolverInterface):
     def Solve(
         self,
         prog: MathematicalProgram,
-        initial_guess: npt.ArrayLike | None = None,
+        initial_guess: ArrayLike | None = None,
         solver_options: SolverOptions | None = None,
         result: MathematicalProgramResult | None = None,
     ) -> Any:
@@ -144,7 +142,7 @@ class AigoSolver(SolverInterface):
         return self.options.with_solver_options(values), bool(common.get("kPrintToConsole", 0))
 
 
-def _check_guess(prog: MathematicalProgram, guess: npt.ArrayLike | None) -> Floats:
+def _check_guess(prog: MathematicalProgram, guess: ArrayLike | None) -> Floats:
     values = np.array(prog.initial_guess() if guess is None else guess, dtype=float)
     if values.shape != (prog.num_vars(),):
         raise OptionsError(

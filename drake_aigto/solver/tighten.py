@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.jit import kernel
+from drake_aigto.local import PolynomialNlp
 from drake_aigto.solver.ranges import LARGEST, Range, affine, power_range, product
-from drake_aigto.terms import FunctionKind, stack_terms
-
-if TYPE_CHECKING:
-    from drake_aigto.local import PolynomialNlp
-    from drake_aigto.terms import StackedTerms
+from drake_aigto.terms import FunctionKind, StackedTerms, stack_terms
 
 Bounds = tuple[Floats, Floats]
 

@@ -19,6 +19,7 @@ from .sums import Term as Term
 from .sums import TermBlock as TermBlock
 from .tables import FACTOR as FACTOR
 from .tables import StackedTerms as StackedTerms
+from .tables import copy_weights as copy_weights
 from .tables import stack_terms as stack_terms
 
 __all__: list[str]

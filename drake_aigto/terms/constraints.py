@@ -104,11 +104,8 @@ def _row_sums(label: str, constraint: EvaluatorBase) -> list[tuple[Term, ...]]:
     if isinstance(constraint, QuadraticConstraint):
         return [quadratic_terms(np.asarray(constraint.Q()), constraint.b(), 0.0)]
     if isinstance(constraint, ExpressionConstraint):
-        variables = constraint.vars()
-        return [
-            expression_terms(label, formula, variables, is_row=True)
-            for formula in constraint.expressions()
-        ]
+        variables, formulas = constraint.vars(), constraint.expressions()
+        return [expression_terms(label, each, variables, is_row=True) for each in formulas]
     raise UnsupportedTermError(
         f"{label} can't be compiled",
         got=f"a {type(constraint).__name__}",

@@ -73,12 +73,7 @@ def expression_terms(
         index = {variable.get_id(): i for i, variable in enumerate(variables)}
         return _all_terms(label, expression, index, is_row)
     except TooManyTermsError as error:
-        raise UnsupportedTermError(
-            f"{label} has too many terms",
-            got=f"{error.count:,} when multiplied out",
-            expected=f"at most {MAX_TERMS:,}",
-            remedy="Give parts of it variables of their own by equality constraints.",
-        ) from None
+        raise error.refusal(label, "when multiplied out") from None
 
 
 def _all_terms(

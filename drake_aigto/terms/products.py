@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.terms.sums import Factor, FunctionKind, Term
 
 # More terms than this are refused: 1e6 take some 10 s and 1 GB to parse.
@@ -39,6 +40,15 @@ class TooManyTermsError(Exception):
         """Stores the count."""
         super().__init__(count)
         self.count = count
+
+    def refusal(self, label: str, where: str) -> UnsupportedTermError:
+        """Returns the error that tells a user what has so many terms, and where."""
+        return UnsupportedTermError(
+            f"{label} has too many terms",
+            got=f"{self.count:,} {where}",
+            expected=f"at most {MAX_TERMS:,}",
+            remedy="Give parts of it variables of their own by equality constraints.",
+        )
 
 
 class Part(NamedTuple):

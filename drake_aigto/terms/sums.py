@@ -129,10 +129,7 @@ class TermBlock:
 
     def with_weight(self, weight: float) -> TermBlock:
         """Returns the same block under another weight; terms and variables are shared."""
-        block = object.__new__(TermBlock)
-        block.__dict__.update(self.__dict__)
-        block.weight = _finite_weight(self.name, weight)
-        return block
+        return self._with(weight=_finite_weight(self.name, weight))
 
     def with_coefficients(self, coefficients: Sequence[float]) -> TermBlock:
         """Returns the same functions, variables and weight, with other coefficients of the terms.
@@ -145,9 +142,11 @@ class TermBlock:
         if not all(map(math.isfinite, coefficients)):
             for term in terms:
                 _check_numbers(self.name, term)
+        return self._with(terms=terms)
+
+    def _with(self, **changes: object) -> TermBlock:
         block = object.__new__(TermBlock)
-        block.__dict__.update(self.__dict__)
-        block.terms = terms
+        block.__dict__.update(self.__dict__, **changes)
         return block
 
 

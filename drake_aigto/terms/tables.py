@@ -15,11 +15,8 @@ COPY = np.dtype([("sum_index", np.int64), ("first_variable", np.int64)], align=T
 SUM = np.dtype([("first_factor", np.int64), ("first_term", np.int64)], align=True)
 FACTOR = np.dtype(
     [
-        ("variable", np.int64),
-        ("kind", np.int64),
-        ("exponent", np.int64),
-        ("scale", np.float64),
-        ("offset", np.float64),
+        *((name, np.int64) for name in ("variable", "kind", "exponent")),
+        *((name, np.float64) for name in ("scale", "offset")),
     ],
     align=True,
 )
@@ -94,6 +91,12 @@ class StackedTerms(NamedTuple):
         first_variable = self.copies["first_variable"][copies]
         columns = [self.copy_variables[first_variable + part[pair]] for part in (a, b)]
         return copies, np.column_stack(columns)
+
+
+def copy_weights(blocks: Sequence[TermBlock]) -> Floats:
+    """Returns the weight of each copy, block after block (C,)."""
+    counts = [len(block.variables) for block in blocks]
+    return np.repeat(np.array([block.weight for block in blocks], dtype=float), counts)
 
 
 def stack_terms(blocks: Sequence[TermBlock]) -> StackedTerms:
