@@ -40,14 +40,14 @@ def make_parser(_: Sequence[str] = ()) -> Parser:
 
 def _write_page(options: argparse.Namespace) -> int:
     # Matplotlib takes its time.
-    from benchmarks.ablations.page import write_ablations
-    from benchmarks.robustness.page import write_robustness
+    from benchmarks.ablations.page import ABLATIONS
+    from benchmarks.robustness.page import ROBUSTNESS
     from drake_aigto.show.results_page import SECTIONS, write_results_page
 
     sections = {
         **SECTIONS,
-        AblationQuestion.kind: write_ablations,
-        robustness_results.KIND: write_robustness,
+        AblationQuestion.kind: ABLATIONS,
+        robustness_results.KIND: ROBUSTNESS,
     }
     with show_progress(options, "drawing"):
         write_results_page(options.results, options.out, sections, "python -m benchmarks page")

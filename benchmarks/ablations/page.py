@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 from benchmarks.ablations.ablations import AblationQuestion
 from benchmarks.ablations.figures import plot_variants
 from benchmarks.ablations.tables import markdown_ablations
-from drake_aigto.show.images import Images
+from drake_aigto.show.images import Images, Section
 from drake_aigto.show.scenario_page import command_of
 from drake_aigto.study.scenario_results import ScenarioStudy
 
@@ -59,24 +59,8 @@ _CONCLUSION = """\
 """
 
 
-def write_ablations(paths: Sequence[Path], images: Images) -> str:
-    """Returns Markdown on some studies of variants, and draws their figures.
-
-    Args:
-        paths: of their files.
-        images: where the figures go.
-
-    Raises:
-        ResultsFileError: a file is damaged.
-    """
-    parts = [_INTRODUCTION]
-    for path in paths:
-        study = ScenarioStudy.load(path, AblationQuestion)
-        parts.extend(_study_parts(study, path.stem, images))
-    return "\n".join([*parts, _CONCLUSION])
-
-
-def _study_parts(study: ScenarioStudy, name: str, images: Images) -> Iterator[str]:
+def _describe(path: Path, images: Images) -> Iterator[str]:
+    study = ScenarioStudy.load(path, AblationQuestion)
     bounces = sum(result.contacts > 0 for result in study.results)
     yield f"    {command_of(study.question, _FLAGS)}\n"
     yield (
@@ -85,7 +69,10 @@ def _study_parts(study: ScenarioStudy, name: str, images: Images) -> Iterator[st
     )
     yield f"{markdown_ablations(study)}\n"
     text = "Share of optima, and of boxes with as many contacts as the optimum, by variant"
-    yield images.add(f"{name}_variants", draw_variants(study), text)
+    yield images.add(f"{path.stem}_variants", draw_variants(study), text)
+
+
+ABLATIONS = Section(_INTRODUCTION, _describe, _CONCLUSION)
 
 
 def draw_variants(study: ScenarioStudy) -> Figure:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from pathlib import Path
 
 from matplotlib.figure import Figure
@@ -11,7 +11,7 @@ from benchmarks.robustness.figures import markdown_robustness, plot_robustness
 from benchmarks.robustness.question import RobustnessQuestion
 from benchmarks.robustness.results import RobustnessStudy
 from drake_aigto.plain import to_plain
-from drake_aigto.show.images import Images
+from drake_aigto.show.images import Images, Section
 
 _INTRODUCTION = """\
 ## Robustness
@@ -27,23 +27,8 @@ _FLAGS = {"confirm": "--no-confirm"}
 _TASKS_A_ROW = 12
 
 
-def write_robustness(paths: Sequence[Path], images: Images) -> str:
-    """Returns Markdown on some studies of robustness, and draws their figures.
-
-    Args:
-        paths: of their files.
-        images: where the figures go.
-
-    Raises:
-        ResultsFileError: a file is damaged.
-    """
-    parts = [_INTRODUCTION]
-    for path in paths:
-        parts.extend(_study_parts(RobustnessStudy.load(path), path.stem, images))
-    return "\n".join(parts)
-
-
-def _study_parts(study: RobustnessStudy, name: str, images: Images) -> Iterator[str]:
+def _describe(path: Path, images: Images) -> Iterator[str]:
+    study = RobustnessStudy.load(path)
     question = study.question
     yield f"### Everything ± {question.percent:g} %\n"
     yield f"    {command_of(question)}\n"
@@ -55,11 +40,14 @@ def _study_parts(study: RobustnessStudy, name: str, images: Images) -> Iterator[
             if plan.error is not None:
                 yield f"- {result.name}, {plan.method}: {plan.error}\n"
     yield images.add(
-        f"{name}_costs",
+        f"{path.stem}_costs",
         draw_robustness(study),
         "Costs under random perturbations of every task: ours and the gradient solver's plan, open "
         "loop and with feedback, and what is possible",
     )
+
+
+ROBUSTNESS = Section(_INTRODUCTION, _describe)
 
 
 def command_of(question: RobustnessQuestion) -> str:
@@ -80,7 +68,7 @@ def draw_robustness(study: RobustnessStudy) -> Figure:
     """Returns the costs of every task under random perturbations, some tasks a row."""
     starts = range(0, len(study.results), _TASKS_A_ROW)
     figure = Figure(figsize=(9.0, 0.6 + 3.0 * len(starts)), layout="constrained")
-    column = figure.subplots(len(starts), squeeze=False, sharey=True)[:, 0]
+    column = figure.subplots(len(starts), squeeze=False)[:, 0]
     for axes, start in zip(column, starts, strict=True):
         plot_robustness(axes, study, study.results[start : start + _TASKS_A_ROW])
         if start:

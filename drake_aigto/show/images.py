@@ -1,8 +1,9 @@
-"""The pictures of a page: where they lie, and how the page shows them."""
+"""The sections of a results page, and its pictures: where they lie, and how it shows them."""
 
 from __future__ import annotations
 
 import io
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -34,3 +35,28 @@ class Images:
         figure.savefig(data, format="png", dpi=150)
         write_bytes(path, data.getvalue())
         return f"![{text}]({path.relative_to(self.page.parent).as_posix()})\n"
+
+
+@dataclass(frozen=True)
+class Section:
+    """What a page says of one kind of study.
+
+    Attributes:
+        introduction: before all studies.
+        describe: gives Markdown on the study of a file, and draws its figures; raises
+            ResultsFileError if the file is damaged.
+        conclusion: after all studies.
+    """
+
+    introduction: str
+    describe: Callable[[Path, Images], Iterable[str]]
+    conclusion: str = ""
+
+    def write(self, paths: Sequence[Path], images: Images) -> str:
+        """Returns Markdown on the studies of some files.
+
+        Raises:
+            ResultsFileError: a file is damaged.
+        """
+        parts = [part for path in paths for part in self.describe(path, images)]
+        return "\n".join([self.introduction, *parts, *filter(None, [self.conclusion])])

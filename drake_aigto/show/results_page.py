@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 
 from drake_aigto.errors import ResultsFileError
-from drake_aigto.show.images import Images
-from drake_aigto.show.scenario_page import write_scenarios
+from drake_aigto.show.images import Images, Section
+from drake_aigto.show.scenario_page import SCENARIOS
 from drake_aigto.study.results_file import read_results
 from drake_aigto.study.scenario_question import ScenarioQuestion
 from drake_aigto.world.files import check_writable, write_text
 
-# Kind of results → what makes Markdown and images of its files, in the order of the page.
-Sections = Mapping[str, Callable[[Sequence[Path], Images], str]]
-SECTIONS: Sections = {ScenarioQuestion.kind: write_scenarios}
+# Kind of results → what the page says of them, in its order.
+Sections = Mapping[str, Section]
+SECTIONS: Sections = {ScenarioQuestion.kind: SCENARIOS}
 
 
 def write_results_page(
@@ -46,7 +46,7 @@ def write_results_page(
             )
         by_kind[kind].append(file)
     images.folder.mkdir(exist_ok=True)
-    texts = [write(by_kind[kind], images) for kind, write in sections.items() if by_kind[kind]]
+    texts = [each.write(by_kind[kind], images) for kind, each in sections.items() if by_kind[kind]]
     write_text(page, "\n".join([_head(command, by_kind.values()), *texts]))
 
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 import shlex
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from drake_aigto.plain import to_plain
-from drake_aigto.show.images import Images
+from drake_aigto.show.images import Images, Section
 from drake_aigto.show.scenario_figures import plot_costs, plot_map, plot_success_over_time
 from drake_aigto.show.scenario_tables import describe_unit, markdown_study
 from drake_aigto.study.method_run import PLANNER
@@ -33,20 +33,8 @@ _LEGEND_WIDTH = 8.7
 _FLAGS = {"num_steps": "steps", "reads_boxes": "read-boxes"}
 
 
-def write_scenarios(paths: Sequence[Path], images: Images) -> str:
-    """Returns Markdown on some studies of random scenarios, and draws their figures.
-
-    Raises:
-        ResultsFileError: a file is damaged.
-    """
-    parts = [_INTRODUCTION]
-    for path in paths:
-        study = ScenarioStudy.load(path)
-        parts.extend(_study_parts(study, path.stem, images))
-    return "\n".join(parts)
-
-
-def _study_parts(study: ScenarioStudy, name: str, images: Images) -> Iterator[str]:
+def _describe(path: Path, images: Images) -> Iterator[str]:
+    study = ScenarioStudy.load(path)
     question = study.question
     has_rivals = any(method != PLANNER for method in question.methods)
     title = "The planner against others" if has_rivals else "The planner"
@@ -63,7 +51,10 @@ def _study_parts(study: ScenarioStudy, name: str, images: Images) -> Iterator[st
         yield "Not all of these scenarios are done with all methods.\n"
     for kind in _FIGURES if has_rivals else ("map",):
         draw, caption = _FIGURES[kind]
-        yield images.add(f"{name}_{kind}", draw(study), caption)
+        yield images.add(f"{path.stem}_{kind}", draw(study), caption)
+
+
+SCENARIOS = Section(_INTRODUCTION, _describe)
 
 
 def command_of(question: ScenarioQuestion, flags: Mapping[str, str] = _FLAGS) -> str:
