@@ -30,6 +30,7 @@ from drake_aigto.planning import (
     RigidProblem,
     make_problem,
     plan,
+    rigid,
 )
 from drake_aigto.planning.options import RIGID_LADDER, Rung
 from drake_aigto.planning.rigid_search import RigidSearch
@@ -76,6 +77,17 @@ def test_which_contacts_a_plan_has_does_not_depend_on_the_time_step(name: str, s
     assert fine.cost * (1 - 1e-6) <= found.cost <= 4 / 3 * fine.cost
     told = f"instead of {steps}, which are too few for its phases"
     assert (told in format_plan(found)) == (steps <= len(fine.best.contacts))
+
+
+def test_a_plan_that_arcs_do_not_lead_to_has_so_many_steps_at_most_and_says_so(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(rigid, "solve_in_arcs", lambda *_: None)
+    monkeypatch.setattr(rigid, "_MOST_GENERAL", 80)
+    found = plan(table1(1, time_step=1e-3), UNCONFIRMED, shipped_world())
+    assert len(found.trajectory.controls) == 80
+    assert found.cost == pytest.approx(2.1805e-4, rel=1e-3)
+    assert "80 instead of 1000, with which it was not polished" in format_plan(found)
 
 
 @cache

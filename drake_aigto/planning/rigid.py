@@ -52,6 +52,8 @@ _MOST_MOVES = 20
 _STEPS_OF_START = 3
 # Of the local solver on arcs: what takes more is left to the general way.
 _ARC_ITERATIONS = 60
+# The general way takes minutes for more steps than this, which hardly make a plan any cheaper.
+_MOST_GENERAL = 1000
 # How far an anneal cools down. Which contacts a plan has, boxes show long before they are
 # stationary: a loose tolerance at few temperatures reads as many sequences right as careful ones.
 # Fewer Newton steps than that takes are too few around the straight line, where bounces get lost.
@@ -265,7 +267,7 @@ class RigidProblem(PlanningProblem):
         """Returns the local optimum of one multi-phase problem.
 
         Arcs, where they lead to the optimum, have the last polish's steps at once: their number
-        makes no difference.
+        makes no difference. Where they don't, there are `_MOST_GENERAL` steps at most.
         """
         world, (times, positions) = self.transcription.world, path
         joints = joint_times(sequence)
@@ -286,6 +288,7 @@ class RigidProblem(PlanningProblem):
             )
             if x is not None:
                 return phases, x
+            num_steps = min(num_steps or self.transcription.scenario.num_steps, _MOST_GENERAL)
         phases = self._phases(sequence, facings, num_steps)
         prog, guess = phases.prog(), phases.vector(phases.guess(through))
         order = phases.elimination_order()

@@ -287,11 +287,12 @@ def describe_idle(plan: Plan) -> str | None:
 
 
 def describe_steps(plan: Plan) -> str | None:
-    """Returns how many time steps a plan has, if it needs more than were asked for."""
+    """Returns how many time steps a plan has, if others than were asked for."""
     steps, asked = len(plan.trajectory.controls), plan.scenario.num_steps
-    if steps <= asked or plan.best.is_idle:
+    if steps == asked or plan.best.is_idle:
         return None
-    return f"{steps} instead of {asked}, which are too few for its phases"
+    why = "which are too few for its phases" if steps > asked else "with which it was not polished"
+    return f"{steps} instead of {asked}, {why}"
 
 
 def describe_vetoes(plan: Plan, world: World) -> Iterator[str]:
