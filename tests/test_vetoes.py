@@ -40,6 +40,20 @@ def bounce_plan() -> Plan:
     return plan(table1(1, **COARSE))
 
 
+# What a plan does not show.
+
+
+def test_a_contact_that_only_the_simulation_has_is_told() -> None:
+    found = bounce_plan()
+    assert found.best.unplanned == ()
+    assert "unplanned" not in format_plan(found)
+    silent = dataclasses.replace(found.best, contacts=())
+    hidden = dataclasses.replace(found, candidates=(silent, *found.candidates[1:]))
+    (time,) = found.replay.event_driven.bounce_times
+    assert silent.unplanned == ((time, 0),)
+    assert f"on rigid walls it also touches wall at {time:.3f} s" in format_plan(hidden)
+
+
 # What is worth less than nothing.
 
 

@@ -136,6 +136,23 @@ class Candidate:
         ratios = [contact.energy_ratio for contact in self.contacts]
         return math.prod(ratios) if ratios else None
 
+    @property
+    def unplanned(self) -> tuple[TimedContact, ...]:
+        """The contacts that its control has on the rigid wall, and its trajectory has not.
+
+        Where a path grazes a wall between knots it may touch, and keep its promise nonetheless.
+        """
+        near = _SAME_TIME * self.scales.time
+        seen = zip(self.replay.bounce_times, self.replay.bounce_contacts, strict=True)
+        return tuple(
+            (time, i)
+            for time, i in seen
+            if not any(
+                each.contact == i and each.time - near <= time <= each.last_time + near
+                for each in self.contacts
+            )
+        )
+
     def describe_contacts(self) -> str:
         """Returns its contact sequence in words."""
         times = ", ".join(f"{contact.time:.3f} s" for contact in self.contacts)

@@ -52,8 +52,9 @@ _MOST_MOVES = 20
 _STEPS_OF_START = 3
 # Of the local solver on arcs: what takes more is left to the general way.
 _ARC_ITERATIONS = 60
-# The general way takes minutes for more steps than this, which hardly make a plan any cheaper.
-_MOST_GENERAL = 1000
+# The general way takes minutes for more steps than this, which hardly make a plan any cheaper; and
+# seconds for more than that, before it is known which candidates are the best.
+_MOST_GENERAL, _MOST_COARSE = 1000, 300
 # How far an anneal cools down. Which contacts a plan has, boxes show long before they are
 # stationary: a loose tolerance at few temperatures reads as many sequences right as careful ones.
 # Fewer Newton steps than that takes are too few around the straight line, where bounces get lost.
@@ -288,7 +289,8 @@ class RigidProblem(PlanningProblem):
             )
             if x is not None:
                 return phases, x
-            num_steps = min(num_steps or self.transcription.scenario.num_steps, _MOST_GENERAL)
+            coarse = min(self.transcription.scenario.num_steps, _MOST_COARSE)
+            num_steps = min(num_steps or coarse, _MOST_GENERAL)
         phases = self._phases(sequence, facings, num_steps)
         prog, guess = phases.prog(), phases.vector(phases.guess(through))
         order = phases.elimination_order()

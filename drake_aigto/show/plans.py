@@ -85,6 +85,7 @@ def _answer(plan: Plan, world: World, contact_delay: float | None) -> Iterator[s
     yield from _row("added", _additions(plan))
     yield from _row("defects", _defects(best))
     yield from _row("contacts", _contacts(best, names))
+    yield from _text("unplanned", describe_unplanned(plan, world))
     for replay in plan.replay:
         yield from _row("simulated", _simulation(replay, contact_delay, names))
 
@@ -284,6 +285,16 @@ def describe_idle(plan: Plan) -> str | None:
     return (
         f"{less}it costs {replay.cost:.3e} and ends {length_text(replay.goal_error)} off the goal"
     )
+
+
+def describe_unplanned(plan: Plan, world: World) -> str | None:
+    """Returns which contacts a plan's control has on rigid walls, and its trajectory has not."""
+    found, names = plan.best.unplanned, touch_names(world)
+    if not found or plan.best.is_idle:
+        return None
+    touches = ", ".join(_touch(each, names) for each in found[:_MOST_TOUCHES])
+    more = f", and {len(found) - _MOST_TOUCHES} more" if len(found) > _MOST_TOUCHES else ""
+    return f"on rigid walls it also touches {touches}{more}"
 
 
 def describe_steps(plan: Plan) -> str | None:

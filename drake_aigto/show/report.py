@@ -24,6 +24,7 @@ from drake_aigto.show.plans import (
     candidate_texts,
     describe_idle,
     describe_steps,
+    describe_unplanned,
     describe_verdict,
     describe_vetoes,
     format_replays,
@@ -112,6 +113,8 @@ def add_verdict(page: Page, plan: Plan, world: World) -> None:
         page.paragraph(f"Interrupted: {INTERRUPTED}.")
     for veto in describe_vetoes(plan, world):
         page.paragraph(f"Vetoed: {veto}.")
+    if unplanned := describe_unplanned(plan, world):
+        page.paragraph(f"Unplanned: {unplanned}.")
     if steps := describe_steps(plan):
         page.paragraph(f"Time steps: {steps}.")
     if idle := describe_idle(plan):
