@@ -98,19 +98,13 @@ def ballistic_guess(transcription: Transcription, x: Floats, knots: Knots) -> Fl
     positions, _, controls = transcription.split(x)
     last = len(positions) - 1
     stops = {0: scenario.initial_position, last: scenario.goal_position}
-    stops |= {k: _onto_wall(transcription, positions[k]) for k in knots}
+    every = range(transcription.world.num_contacts)
+    stops |= {k: transcription.world.move_onto(positions[k], every) for k in knots}
     ways = zip(*(stops[k] for k in sorted(stops)), strict=True)
     path = np.column_stack([np.interp(range(last + 1), sorted(stops), way) for way in ways])
     steps = np.diff(path, axis=0) / transcription.time_step()
     velocities = np.vstack([steps, steps[-1:]])
     return transcription.vector_of(path, velocities, np.zeros(controls.shape))
-
-
-def _onto_wall(transcription: Transcription, q: Floats) -> Floats:
-    """Returns the nearest q with φ(q) = 0, exact for an affine φ."""
-    J = transcription.world.calc_contact_jacobian(q)
-    moved: Floats = q - np.linalg.pinv(J) @ (transcription.world.calc_signed_distance(q))
-    return moved
 
 
 def gradient_from_zero(problem: LiteralProblem) -> Candidate:

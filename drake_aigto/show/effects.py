@@ -9,7 +9,7 @@ from pydrake.geometry import Cylinder, Meshcat, MeshcatAnimation, MeshcatCone, R
 from pydrake.math import RigidTransform, RotationMatrix
 
 from drake_aigto.arrays import Floats
-from drake_aigto.show.motion import Motion
+from drake_aigto.show.motion import Motion, calc_approach_speed, find_row
 from drake_aigto.show.stage import Actor, Stage
 from drake_aigto.transcription import Touch
 from drake_aigto.world import World
@@ -137,21 +137,14 @@ class Effects:
         film.meshcat.SetObject(path, Sphere(_FLASH_RADIUS * mover.radius), _YELLOW)
         touches = [touch for touch in motion.impacts if touch.contact == contact]
         for touch in touches:
-            place = self._stage.pose(mover, motion.positions[self._row(motion, touch)])
+            place = self._stage.pose(mover, motion.positions[find_row(motion, touch.start)])
             pose = aside.multiply(place.multiply(RigidTransform(mover.radius * toward)))
             film.move(max(film.frame(touch.start) - 1, 0), path, pose)
         for frame, scale in self._flash_keys(motion, touches).items():
             film.change(frame, path, "scale", [scale] * 3)
 
-    def _row(self, motion: Motion, touch: Touch) -> int:
-        """Returns a motion's row as it touches: of the two of an impact the first."""
-        return min(int(np.searchsorted(motion.times, touch.start)), len(motion.times) - 1)
-
     def _speed(self, motion: Motion, touch: Touch) -> float:
-        """Returns how fast a motion approaches what it is about to touch [m/s]."""
-        row = self._row(motion, touch)
-        slope = self._world.calc_contact_jacobian(motion.positions[row])[touch.contact]
-        return max(0.0, -float(slope @ motion.velocities[row]))
+        return calc_approach_speed(self._world, motion, touch.start, touch.contact)
 
     def _struck(self, contact: int) -> tuple[Actor, Floats]:
         """Returns the first mover that a contact pushes, and where it is touched, in its frame."""

@@ -13,7 +13,7 @@ from matplotlib.ticker import LogLocator, MaxNLocator
 from drake_aigto.optima import bounce_costs, rigid_optimum
 from drake_aigto.planning import Candidate
 from drake_aigto.show.box_playback import BoxRun
-from drake_aigto.show.motion import color_of
+from drake_aigto.show.motion import calc_approach_speed, color_of
 from drake_aigto.world import Scenario, World
 
 _COLORMAP = "viridis"
@@ -126,7 +126,5 @@ def _first_contact(world: World, run: Candidate) -> tuple[float, float] | None:
     """Returns when a run first touches a wall, and how fast it approaches; None if it does not."""
     if not run.contacts:
         return None
-    contact, trajectory = run.contacts[0], run.trajectory
-    row = int(np.searchsorted(trajectory.times, contact.time))
-    slope = world.calc_contact_jacobian(trajectory.positions[row])[contact.contact]
-    return contact.time, max(0.0, -float(slope @ trajectory.velocities[row]))
+    first = run.contacts[0]
+    return first.time, calc_approach_speed(world, run.trajectory, first.time, first.contact)

@@ -139,6 +139,20 @@ def _fill_in(times: Floats, positions: Floats, velocities: Floats) -> tuple[Floa
     )
 
 
+def find_row(path: Motion | Trajectory, time: float) -> int:
+    """Returns the row as something is touched at that time: of the two of an impact the first."""
+    return min(int(np.searchsorted(path.times, time)), len(path.times) - 1)
+
+
+def calc_approach_speed(
+    world: World, path: Motion | Trajectory, time: float, contact: int
+) -> float:
+    """Returns how fast a path approaches what it is about to touch at that time [m/s]."""
+    row = find_row(path, time)
+    slope = world.calc_contact_jacobian(path.positions[row])[contact]
+    return max(0.0, -float(slope @ path.velocities[row]))
+
+
 def find_dots(motion: Motion) -> Floats:
     """Returns q every so many seconds and at the end, shape (d, nq) [m]."""
     begin, end = motion.times[0], motion.times[-1]

@@ -385,8 +385,5 @@ def straight_path(
         stops[1:-1] = np.reshape(through, (len(times) - 2, world.num_positions))
     for stop, time in zip(stops[1:-1], times[1:-1], strict=True):
         touched = [touch.contact for touch in sequence if touch.start <= time <= touch.end]
-        J = world.calc_contact_jacobian(stop)[touched]
-        # Of one row: a singular value decomposition takes ten times as long as its norm.
-        inverse = J.T / np.sum(J**2) if len(touched) == 1 else np.linalg.pinv(J)
-        stop -= inverse @ world.calc_signed_distance(stop)[touched]
+        stop[:] = world.move_onto(stop, touched)
     return times, stops

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -177,6 +178,18 @@ class EquationsOfMotion:
         """Returns J(q) = ∂φ/∂q, shape (…, m, nv), at q of shape (…, nq) [m]."""
         shape = self.num_contacts, self.num_velocities
         return self._jacobian_map(q).reshape(*q.shape[:-1], *shape)
+
+    def move_onto(self, q: Floats, contacts: Sequence[int]) -> Floats:
+        """Returns the nearest positions where φ_i = 0, exact for an affine φ, shape (nq,) [m].
+
+        Args:
+            q: the positions, shape (nq,) [m].
+            contacts: i, at least one.
+        """
+        J = self.calc_contact_jacobian(q)[contacts]
+        # Of one row: a singular value decomposition takes ten times as long as its norm.
+        inverse = J.T / np.sum(J**2) if len(contacts) == 1 else np.linalg.pinv(J)
+        return q - inverse @ self.calc_signed_distance(q)[contacts]
 
     def calc_acceleration(self, q: Floats, v: Floats, u: Floats) -> Floats:
         """Returns v̇ = M⁻¹ (B u − h(q, v)), without contact, shape (…, nv) [m/s²].
