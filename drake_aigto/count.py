@@ -1,4 +1,4 @@
-"""How much of long work is done, as a line that people read."""
+"""Lines of progress: how much of long work is done, and what to know once."""
 
 from __future__ import annotations
 
@@ -19,3 +19,7 @@ class Count(str):
         line = super().__new__(cls, f"{done} of {total} {text}")
         line.done, line.total = done, total
         return line
+
+
+class Notice(str):
+    """A line of progress that stays when the next one comes."""

@@ -6,15 +6,24 @@ import hashlib
 import os
 import re
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from functools import cache
 from typing import Any, TypeVar
 
 import llvmlite
 import numba
 from numba.core.caching import FunctionCache
+from numba.core.event import Event, Listener, install_listener
+
+from drake_aigto.count import Notice
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+
+# `python -m benchmarks.start_time` measures 10 s on two idle cores of a server.
+_COMPILES = "compiling machine code, which takes about 10 s"
+_KEPT = "; it is kept for the next time"
+_LOST = " in each process, as it can be kept nowhere: NUMBA_CACHE_DIR may name a folder"
 
 _PACKAGE = __name__.partition(".")[0]
 _IMPORT = re.compile(
@@ -57,6 +66,33 @@ inner = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True)
 # LLVM would optimize all of it once more. Short functions gain nothing by it, and many in one lose,
 # as Numba's time grows faster than a function's length.
 pasted = njit(nogil=True, error_model="numpy", inline="always")
+
+
+@contextmanager
+def tell_compilation(tell: Callable[[Notice], None]) -> Iterator[None]:
+    """Tells when the first function is compiled in a `with` block, and nothing if none has to be.
+
+    Args:
+        tell: called once, in the thread that compiles, before it does.
+    """
+    with install_listener("numba:compile", _FirstCompilation(tell)):
+        yield
+
+
+class _FirstCompilation(Listener):
+    """Tells of the first compilation that it hears of."""
+
+    def __init__(self, tell: Callable[[Notice], None]) -> None:
+        self._tell: Callable[[Notice], None] | None = tell
+
+    def on_start(self, event: Event) -> None:
+        if self._tell:
+            tell, self._tell = self._tell, None
+            is_kept = isinstance(event.data["dispatcher"]._cache, FunctionCache)
+            tell(Notice(_COMPILES + (_KEPT if is_kept else _LOST)))
+
+    def on_end(self, event: Event) -> None:
+        pass
 
 
 class _SourceCache(FunctionCache):

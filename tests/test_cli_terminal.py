@@ -16,13 +16,14 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any, NoReturn
 
+import numba
 import pytest
 
 from drake_aigto.cli import BAD_INPUT, FAULT, FINE, INTERRUPTED, NOTHING_HOLDS, main
 from drake_aigto.cli.command_line import make_parser
-from drake_aigto.count import Count
+from drake_aigto.count import Count, Notice
 from drake_aigto.errors import AigtoError
-from drake_aigto.planning import Plan, Planner, PlanningError
+from drake_aigto.planning import Plan, Planner, PlanningError, Search
 
 # Quick to plan: far from the wall.
 FLIGHT = [
@@ -222,6 +223,58 @@ def test_a_file_gets_no_progress(
     printed = capsys.readouterr()
     assert not printed.err
     assert ESCAPE not in printed.out
+
+
+KEPT = Notice("compiling machine code")
+
+
+def test_a_notice_stays_on_the_terminal_above_the_line(
+    telling: Callable[..., None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal = open_terminal(monkeypatch)
+    telling("AIGO 1 of 5", KEPT, "AIGO 2 of 5")
+    assert main(["plan", "table1/1"]) == FINE
+    written = terminal.getvalue()
+    assert written.count(f"drake-aigto: {KEPT}\n") == 1
+    # The bar is drawn below it, and cleared at the end; it is not.
+    assert "AIGO 2 of 5" in written.split(KEPT)[-1]
+    assert written.endswith("\033[1A\033[2K") and "\033[2A" not in written
+
+
+def test_a_file_gets_a_notice_alone_and_quiet_none(
+    telling: Callable[..., None], capsys: pytest.CaptureFixture[str]
+) -> None:
+    telling("AIGO 1 of 5", KEPT, "AIGO 2 of 5")
+    assert main(["plan", "table1/1"]) == FINE
+    assert capsys.readouterr().err == f"drake-aigto: {KEPT}\n"
+    for words in (["--quiet"], ["--verbose"]):  # Verbose has it in the log, with its time.
+        assert main([*words, "plan", "table1/1"]) == FINE
+        assert KEPT not in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("compiles", [True, False])
+def test_the_search_says_once_that_it_compiles_if_it_does(
+    compiles: bool, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tell = Search.tell
+
+    def compile_meanwhile(search: Search, line: str) -> None:
+        tell(search, line)
+        if compiles and line.startswith("AIGO"):
+            numba.njit(lambda x: x + 1.0)(1.0)  # A new function: no cache has it.
+
+    assert main([*FLIGHT, "--no-confirm"]) == FINE  # All else is compiled by now.
+    capsys.readouterr()
+    monkeypatch.setattr(Search, "tell", compile_meanwhile)
+    assert main([*FLIGHT, "--no-confirm"]) == FINE
+    told = (
+        "drake-aigto: compiling machine code, which takes about 10 s in each process, as it can be "
+        "kept nowhere: NUMBA_CACHE_DIR may name a folder\n"
+    )
+    assert capsys.readouterr().err == (told if compiles else "")
+    monkeypatch.setattr(Search, "tell", tell)
+    assert main([*FLIGHT, "--no-confirm", "-v"]) == FINE
+    assert "compiling" not in capsys.readouterr().err
 
 
 def test_verbose_tells_what_the_planner_does(capsys: pytest.CaptureFixture[str]) -> None:

@@ -65,11 +65,16 @@ def outer(record: Record):
 
 PROGRAM = """
 from numba.core import event
+from drake_aigto.jit import tell_compilation
 from little.outer import outer
 from little import record
+told = []
 record = getattr(record, "Record", None) or record.Pair
-with event.install_recorder("numba:compile") as recorder:
+with event.install_recorder("numba:compile") as recorder, tell_compilation(told.append):
     print(outer(record(first=1.0, second=2.0)), len(recorder.buffer) > 0)
+compiled = len(recorder.buffer) > 0
+assert len(told) == compiled, told
+assert all(line.endswith("; it is kept for the next time") for line in told), told
 """
 
 Run = Callable[[], tuple[float, bool]]

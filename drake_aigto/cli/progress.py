@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from drake_aigto.count import Count
+from drake_aigto.count import Count, Notice
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -24,10 +24,15 @@ def show_progress(
     """Yields what shows a line of progress in place of the one before; None if nobody would see.
 
     Before the line is the time, and a bar where the total is known (`Count`). Nothing is left on
-    the terminal.
+    the terminal but what stays (`Notice`), which a file gets, too. If the options are verbose, that
+    is in the log.
     """
-    if options.quiet or not sys.stderr.isatty():
+    if options.quiet:
         yield None
+        return
+    keep = _ignore if options.verbose else _keep
+    if not sys.stderr.isatty():
+        yield keep
         return
     progress = _make_progress()
     task = progress.add_task(line, total=None)
@@ -35,6 +40,7 @@ def show_progress(
     progress.columns = (spinner, elapsed, text)
 
     def show(line: str) -> None:
+        keep(line)
         progress.update(task, description=line)
         if isinstance(line, Count):
             progress.columns = (elapsed, *counted, text)
@@ -45,6 +51,16 @@ def show_progress(
         yield show
     finally:
         progress.stop()
+
+
+def _keep(line: str) -> None:
+    """Writes a line that stays; a bar moves aside for that."""
+    if isinstance(line, Notice):
+        print(f"drake-aigto: {line}", file=sys.stderr, flush=True)
+
+
+def _ignore(line: str) -> None:
+    """Does nothing."""
 
 
 def _make_progress() -> Progress:

@@ -107,7 +107,8 @@ class Planner:
             control_weight: instead of the scenario's [1/(N² s)].
             goal_weight: instead of the scenario's [1/m²].
             duration: instead of the scenario's, of time steps of its length [s].
-            progress: called with a line of text before each candidate.
+            progress: called with a line of text before each candidate, and with a `Notice` if
+                machine code has to be compiled first.
 
         Raises:
             ScenarioError: a changed value does not fit.

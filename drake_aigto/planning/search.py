@@ -17,6 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from drake_aigto.aigo import AigoResult, Iterate, Status
+from drake_aigto.jit import tell_compilation
 from drake_aigto.planning.idle import idle_candidate
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.origin import Origin
@@ -96,7 +97,8 @@ class Search(ABC):
         """Runs the ladder, and refines what comes out.
 
         Args:
-            progress: called with a line of text before each part.
+            progress: called with a line of text before each part, and once, with a `Notice`, if
+                machine code has to be compiled.
 
         Raises:
             KeyboardInterrupt: before there was any candidate; after that, it ends the search.
@@ -110,9 +112,10 @@ class Search(ABC):
             self.tell(f"AIGO {len(begun)} of {len(options.ladder)}: {start}")
 
         try:
-            for rungs in self.rungs():
-                self.add_rungs(rungs, tell_rung)
-            self.refine()
+            with tell_compilation(self.tell):
+                for rungs in self.rungs():
+                    self.add_rungs(rungs, tell_rung)
+                self.refine()
         except KeyboardInterrupt:
             if not self.by_sequence:
                 raise
