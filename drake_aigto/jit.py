@@ -21,9 +21,9 @@ from drake_aigto.count import Notice
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
 # `python -m benchmarks.start_time` measures 10 s on two idle cores of a server.
-_COMPILES = "compiling machine code, which takes about 10 s"
-_KEPT = "; it is kept for the next time"
-_LOST = " in each process, as it can be kept nowhere: NUMBA_CACHE_DIR may name a folder"
+_COMPILES = "compiling machine code, about 10 s; "
+_KEPT = "it is kept for next time"
+_LOST = "it can be kept nowhere: NUMBA_CACHE_DIR may name a folder"
 
 _PACKAGE = __name__.partition(".")[0]
 _IMPORT = re.compile(

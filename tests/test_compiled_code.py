@@ -74,7 +74,7 @@ with event.install_recorder("numba:compile") as recorder, tell_compilation(told.
     print(outer(record(first=1.0, second=2.0)), len(recorder.buffer) > 0)
 compiled = len(recorder.buffer) > 0
 assert len(told) == compiled, told
-assert all(line.endswith("; it is kept for the next time") for line in told), told
+assert all(line.endswith("; it is kept for next time") for line in told), told
 """
 
 Run = Callable[[], tuple[float, bool]]

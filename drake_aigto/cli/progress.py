@@ -40,7 +40,9 @@ def show_progress(
     progress.columns = (spinner, elapsed, text)
 
     def show(line: str) -> None:
-        keep(line)
+        if isinstance(line, Notice):
+            keep(line)
+            return
         progress.update(task, description=line)
         if isinstance(line, Count):
             progress.columns = (elapsed, *counted, text)
