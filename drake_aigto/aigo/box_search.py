@@ -6,7 +6,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drake_aigto.aigo.algorithm import (
     AigoResult,
@@ -21,7 +20,7 @@ from drake_aigto.aigo.annealing import BoundedAnnealing
 from drake_aigto.aigo.coupling import CouplingGraph
 from drake_aigto.aigo.face_flow import FaceFlow, Pace
 from drake_aigto.aigo.newton import Objective, bold_newton, newton, point_objective
-from drake_aigto.arrays import Floats, Ints
+from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
 
@@ -257,7 +256,7 @@ class _Search:
         number, odd = divmod(self._num_of_all, 2)
         return not odd and number <= self._options.polished_renewals
 
-    def _random_box(self, x: Floats, opened: NDArray[np.bool_]) -> Box:
+    def _random_box(self, x: Floats, opened: Bools) -> Box:
         """Returns random boxes inside the first one for the opened variables."""
         first = self._box
         part, place = self._rng.random((2, x.size))
@@ -266,7 +265,7 @@ class _Search:
         center = first.center + (2 * place - 1) * (first.half_width - half_width)
         return Box(np.where(opened, center, x), np.where(opened, half_width, 0.0))
 
-    def _descend(self, x: Floats, free: NDArray[np.bool_], together: bool = True) -> Floats:
+    def _descend(self, x: Floats, free: Bools, together: bool = True) -> Floats:
         """Returns a local minimum in the first box, nearly; or of each cluster for itself."""
         f = self._f
         objective = point_objective(f, free, 1e-6, (self._lower, self._upper))

@@ -5,11 +5,8 @@ from __future__ import annotations
 from collections.abc import Collection
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from drake_aigto.aigo.newton import newton, point_objective
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Bools, Floats
 from drake_aigto.box import BoxPolynomial
 
 
@@ -31,9 +28,7 @@ class PenaltyContinuation:
     max_newton_steps: int = 10
     tolerance: float = 1e-10
 
-    def run(
-        self, f: BoxPolynomial, penalties: Collection[str], x: Floats, free: NDArray[np.bool_]
-    ) -> Floats:
+    def run(self, f: BoxPolynomial, penalties: Collection[str], x: Floats, free: Bools) -> Floats:
         """Returns the minimizer at the last weights.
 
         Args:

@@ -6,10 +6,9 @@ from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.sparse import coo_array
 
-from drake_aigto.arrays import Floats, Ints
+from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.jit import kernel
 
@@ -44,12 +43,12 @@ class CouplingGraph:
         graph = coo_array(edges, shape=shape).tocsr()
         return cls(graph.indptr.astype(np.int64), graph.indices.astype(np.int64))
 
-    def components(self, free: NDArray[np.bool_]) -> Ints:
+    def components(self, free: Bools) -> Ints:
         """Labels the variables that are coupled once the others are held: −1 where held."""
         seeds = np.flatnonzero(free)
         return _pack(self.starts, self.neighbors, seeds, np.zeros(free.size), free.size)
 
-    def clusters(self, size: int, free: NDArray[np.bool_], rng: np.random.Generator) -> Ints:
+    def clusters(self, size: int, free: Bools, rng: np.random.Generator) -> Ints:
         """Packs random connected clusters of at most `size` variables, none beside another.
 
         Returns:

@@ -61,12 +61,7 @@ class Problem(NamedTuple):
 
 @pasted
 def _evaluate(
-    problem: Problem,
-    y: Floats,
-    center: Floats,
-    half_width: Floats,
-    gradient: Floats,
-    band: Floats,
+    problem: Problem, y: Floats, center: Floats, half_width: Floats, gradient: Floats, band: Floats
 ) -> tuple[float, float]:
     """Fills center and half width (n,), gradient (size,) and Hessian (size, diagonals) at y.
 
@@ -81,8 +76,7 @@ def _evaluate(
     gradient[:] = 0.0
     band[:] = 0.0
     system = System(
-        *(problem.multipliers, free_places, problem.copy_places),
-        *(gradient, band, problem.pattern),
+        problem.multipliers, free_places, problem.copy_places, gradient, band, problem.pattern
     )
     mean = add_means(problem.lanes, problem.weights, center, half_width, problem.values, system)
     entropy = 0.0

@@ -7,11 +7,11 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from drake_aigto.aigo.algorithm import Box
 from drake_aigto.aigo.descent import Problem, descend, descend_boldly
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Bools, Floats
 from drake_aigto.box import BoxPolynomial, Order
 
 _NO_BOUNDS = np.empty(0), np.empty(0)
@@ -34,7 +34,7 @@ class Objective:
 def _make_problem(
     f: BoxPolynomial,
     order: Order,
-    free: NDArray[np.bool_],
+    free: Bools,
     half_width: ArrayLike,
     bounds: tuple[Floats, Floats],
     temperature: float,
@@ -55,7 +55,7 @@ def _make_problem(
 
 def point_objective(
     f: BoxPolynomial,
-    free: NDArray[np.bool_],
+    free: Bools,
     tolerance: float,
     bounds: tuple[Floats, Floats] | None = None,
     half_width: ArrayLike = 0.0,
@@ -92,7 +92,7 @@ class SmoothedObjective(Objective):
     def __init__(
         self,
         f: BoxPolynomial,
-        free: NDArray[np.bool_],
+        free: Bools,
         temperature: float,
         tolerance: float,
         first: Box | None = None,

@@ -258,13 +258,7 @@ def _wave_mean(
 
 @inner
 def _trigonometric_mean(
-    exponent: int,
-    scale: float,
-    offset: float,
-    is_sine: bool,
-    c: float,
-    w: float,
-    row: Floats,
+    exponent: int, scale: float, offset: float, is_sine: bool, c: float, w: float, row: Floats
 ) -> None:
     """Fills a row with the mean of x^p cos(scale·x + offset), or of x^p sin(…).
 

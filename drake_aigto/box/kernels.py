@@ -306,7 +306,6 @@ def add_means(
                 *(system.gradient, band, pattern),
             )
             _add_curvatures(
-                *(tables.curvatures, tape, after, count, rows, variables, factors),
-                *(band, pattern),
+                tables.curvatures, tape, after, count, rows, variables, factors, band, pattern
             )
     return total

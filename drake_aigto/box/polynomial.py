@@ -67,10 +67,7 @@ class BoxPolynomial:
     """
 
     def __init__(
-        self,
-        num_variables: int,
-        blocks: tuple[TermBlock, ...],
-        order: ArrayLike | None = None,
+        self, num_variables: int, blocks: tuple[TermBlock, ...], order: ArrayLike | None = None
     ) -> None:
         """Stacks the blocks and finds the Hessian's bandwidth under the elimination order."""
         self.num_variables = num_variables

@@ -53,9 +53,7 @@ def make_pattern(size: int, edges: Ints) -> Pattern:
     columns = np.concatenate([diagonal, below_columns])
     below = np.arange(size, rows.size)
     in_whole, whole_rows, whole_starts = _by_columns(
-        size,
-        np.concatenate([rows, below_columns]),
-        np.concatenate([columns, below_rows]),
+        size, np.concatenate([rows, below_columns]), np.concatenate([columns, below_rows])
     )
     entries = np.concatenate([diagonal, below, below])
     in_both, _, beside_starts = _by_columns(

@@ -6,6 +6,7 @@ import logging
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from pydrake.solvers import IpoptSolver, MathematicalProgram, SnoptSolver, SolverOptions
@@ -16,6 +17,15 @@ from drake_aigto.arrays import Floats
 # below 1e-8.
 _FEASIBILITY = 1e-11
 _OPTIMALITY = 1e-8
+
+# What solvers call these two, and the number of iterations.
+_SOLVERS: dict[str, tuple[Any, str, str, str]] = {
+    "snopt": (
+        SnoptSolver,
+        *("Major feasibility tolerance", "Major optimality tolerance", "Major iterations limit"),
+    ),
+    "ipopt": (IpoptSolver, "constr_viol_tol", "tol", "max_iter"),
+}
 
 
 @dataclass(frozen=True)
@@ -44,9 +54,12 @@ def solve_with_drake(
         solver: "snopt" or "ipopt".
         max_iterations: the solver's major iterations.
     """
-    chosen = SnoptSolver() if solver == "snopt" else IpoptSolver()
+    kind, *names = _SOLVERS[solver]
+    options = SolverOptions()
+    for name, value in zip(names, (_FEASIBILITY, _OPTIMALITY, max_iterations), strict=True):
+        options.SetOption(kind.id(), name, value)
     with _quiet():
-        result = chosen.Solve(prog, guess, _options(solver, max_iterations))
+        result = kind().Solve(prog, guess, options)
     x = result.get_x_val()
     is_finite = bool(np.all(np.isfinite(x)))
     status = result.get_solution_result().name
@@ -63,22 +76,3 @@ def _quiet() -> Iterator[None]:
         yield
     finally:
         logger.setLevel(level)
-
-
-def _options(solver: str, max_iterations: int) -> SolverOptions:
-    options = SolverOptions()
-    if solver == "snopt":
-        for name, value in (
-            ("Major feasibility tolerance", _FEASIBILITY),
-            ("Major optimality tolerance", _OPTIMALITY),
-            ("Major iterations limit", max_iterations),
-        ):
-            options.SetOption(SnoptSolver.id(), name, value)
-    else:
-        for name, value in (
-            ("constr_viol_tol", _FEASIBILITY),
-            ("tol", _OPTIMALITY),
-            ("max_iter", max_iterations),
-        ):
-            options.SetOption(IpoptSolver.id(), name, value)
-    return options

@@ -9,11 +9,10 @@ from __future__ import annotations
 from abc import ABC, abstractmethod
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg.blas import dsbmv
 from scipy.linalg.lapack import dsytrf, dsytrs
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Bools, Floats
 from drake_aigto.linear import Factorization, Pattern, SparseFactors, Storage, factorize
 from drake_aigto.linear import multiply as multiply_sparse
 from drake_aigto.local import multifrontal
@@ -28,7 +27,7 @@ _SHIFT, _ROW_SHIFT = 1e-9, 1e-10
 _LARGEST_ERROR = 1e-6  # of a refined solution's product, for a right-hand side of ones and −1
 
 
-def make_factors(storage: Storage, is_row: NDArray[np.bool_]) -> SymmetricFactors:
+def make_factors(storage: Storage, is_row: Bools) -> SymmetricFactors:
     """Returns room for factors of KKT matrices, of whose unknowns (size,) some belong to rows."""
     if storage.pattern is not None:
         return SparseKktFactors(storage.pattern, is_row)
@@ -152,7 +151,7 @@ class SparseKktFactors(SymmetricFactors):
     _refinements = 10
     _factors: SparseFactors
 
-    def __init__(self, pattern: Pattern, is_row: NDArray[np.bool_]) -> None:
+    def __init__(self, pattern: Pattern, is_row: Bools) -> None:
         """Takes the pattern, and which unknowns are multipliers of rows (size,)."""
         self._pattern = self._sparsity = pattern
         self._is_row = is_row

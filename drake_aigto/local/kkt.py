@@ -5,9 +5,8 @@ from __future__ import annotations
 import logging
 
 import numpy as np
-from numpy.typing import NDArray
 
-from drake_aigto.arrays import Floats, Ints
+from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.box import Order, System, add_means, make_lanes
 from drake_aigto.linear import choose_storage, narrow_band
 from drake_aigto.local.factors import multiply
@@ -44,7 +43,7 @@ class KktStructure:
         terms: StackedTerms,
         copy_weights: Floats,
         num_costs: int,
-        is_free: NDArray[np.bool_],
+        is_free: Bools,
         order: Ints | None,
     ) -> None:
         """Orders the unknowns.

@@ -68,8 +68,7 @@ class PolynomialNlp:
         self.num_variables = num_variables
         self.lower, self.upper = lower, upper
         self.order = None if order is None else as_order(order, num_variables)
-        self.costs = costs
-        self.blocks = (*costs, *rows)
+        self.costs, self.blocks = costs, (*costs, *rows)
         self.terms = stack_terms(self.blocks)
         self.copy_weights = copy_weights(self.blocks)
         self.num_costs = sum(len(block.variables) for block in costs)

@@ -12,12 +12,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.optima.least_effort import Coordinate, Flights
-from drake_aigto.optima.walls_optimum import (
-    ContactOptimum,
-    KnownTouch,
-    calc_efforts,
-    refuse_world,
-)
+from drake_aigto.optima.walls_optimum import ContactOptimum, KnownTouch, calc_efforts, refuse_world
 from drake_aigto.world import ConstantDynamics, Scenario, World
 
 # Paths are looked at so many times, and may be this deep inside anything.

@@ -12,12 +12,7 @@ from numpy.polynomial import Polynomial
 
 from drake_aigto.arrays import Floats
 from drake_aigto.optima.least_effort import Coordinate, Flights, extremes
-from drake_aigto.optima.walls_optimum import (
-    ContactOptimum,
-    KnownTouch,
-    calc_efforts,
-    refuse_world,
-)
+from drake_aigto.optima.walls_optimum import ContactOptimum, KnownTouch, calc_efforts, refuse_world
 from drake_aigto.world import ConstantDynamics, Scenario, World
 
 _TOLERANCE = 1e-9

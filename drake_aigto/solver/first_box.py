@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
 from drake_aigto.aigo import Box
-from drake_aigto.arrays import Floats, Ints
+from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.solver.options import AigoOptions
 from drake_aigto.solver.program import AigoProgram
 from drake_aigto.solver.ranges import sum_range
@@ -84,7 +83,7 @@ def _overflows(program: AigoProgram, box: Box) -> bool:
     return not np.all(np.abs(means) < _LARGEST_MEAN)
 
 
-def _is_growing(program: AigoProgram, box: Box) -> NDArray[np.bool_]:
+def _is_growing(program: AigoProgram, box: Box) -> Bools:
     """Returns which faces have a lower mean than the box."""
     _, by_center, by_log_width = program.costs.gradient(box.center, box.half_width)
     fall = box.half_width * np.abs(by_center)

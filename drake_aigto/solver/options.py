@@ -64,7 +64,6 @@ class AigoOptions:
         for name in values:
             if name not in known:
                 raise OptionsError(
-                    f"unknown option {name!r} of AigoSolver",
-                    expected=f"one of {', '.join(known)}",
+                    f"unknown option {name!r} of AigoSolver", expected=f"one of {', '.join(known)}"
                 )
         return dataclasses.replace(self, **values)

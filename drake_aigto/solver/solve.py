@@ -63,11 +63,7 @@ class Solve:
     """
 
     def __init__(
-        self,
-        program: AigoProgram,
-        options: AigoOptions,
-        guess: Floats,
-        observers: list[Observer],
+        self, program: AigoProgram, options: AigoOptions, guess: Floats, observers: list[Observer]
     ) -> None:
         """Makes the first box."""
         self._program, self._options, self._observers = program, options, observers

@@ -237,11 +237,7 @@ def _split_constant(expression: Expression) -> tuple[float, Expression]:
 
 
 def _of_one_variable(
-    coefficient: float,
-    kind: FunctionKind,
-    e: Expression,
-    argument: Expression,
-    index: LocalIndex,
+    coefficient: float, kind: FunctionKind, e: Expression, argument: Expression, index: LocalIndex
 ) -> Sum:
     """Returns coefficient times function of an affine argument, shown as e in messages."""
     scales, offset = _affine(e, argument)
