@@ -132,10 +132,8 @@ class BoxPolynomial:
         """
         other = copy.copy(self)
         other._terms = self._terms.with_coefficients(coefficients)
-        changed = other._terms.coefficients
-        other._lanes = {
-            order: lanes._replace(coefficients=changed) for order, lanes in self._lanes.items()
-        }
+        new = other._terms.coefficients
+        other._lanes = {k: lanes._replace(coefficients=new) for k, lanes in self._lanes.items()}
         places = self._terms.first_terms(len(block.variables) for block in self.blocks)
         other.blocks = tuple(
             block.with_coefficients(coefficients[place : place + len(block.terms)].tolist())

@@ -198,15 +198,11 @@ class _Writer:
         for part in needed:
             by, power, times = makers[part]
             if power >= (2 if times else 0):
-                share, row = self._moment(y, power, times)
-                found[part] = by * share, row
+                found[part] = self._moment(y, power, times, by)
         return found
 
-    def _moment(self, y: Argument, p: int, times: int) -> _Scaled:
-        """Returns (w ∂/∂w)^times of the mean of y^p.
-
-        It is Σ_j C(p, 2j)/(2j + 1) (2j)^times y^{p−2j} w^{2j}.
-        """
+    def _moment(self, y: Argument, p: int, times: int, factor: float) -> _Scaled:
+        """Returns factor · (w ∂/∂w)^times of Σ_j C(p, 2j)/(2j + 1) y^{p−2j} w^{2j}, y^p's mean."""
         key = y, p, times
         if key not in self._moments:
             summands = [
@@ -219,7 +215,8 @@ class _Writer:
                     self._operations.append((row, number > 0, ONES, monomial, by))
                 summands = [(1.0, row)]
             (self._moments[key],) = summands
-        return self._moments[key]
+        by, row = self._moments[key]
+        return factor * by, row
 
     def _monomial(self, y: Argument, p: int, j: int) -> int:
         """Returns the row of y^{p−2j} w^{2j}."""

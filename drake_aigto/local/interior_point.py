@@ -287,16 +287,8 @@ class _Solve:
         multipliers[problem.structure.rows] = self._duals.rows * problem.row_scales / scale
         is_upper = (np.arange(problem.bounded.size) >= problem.num_lower).astype(int)
         z[is_upper, free[problem.bounded]] = self._duals.bounds / scale
+        optimality = self._history[-1].optimality if self._history else np.inf
         return LocalResult(
-            x=x,
-            cost=cost,
-            status=status,
-            iterations=self._iterations,
-            residual=max_norm(rows),
-            optimality=self._history[-1].optimality if self._history else np.inf,
-            multipliers=multipliers,
-            lower_multipliers=z[0],
-            upper_multipliers=z[1],
-            history=tuple(self._history),
-            storage=problem.structure.storage,
+            *(x, cost, status, self._iterations, max_norm(rows), optimality),
+            *(multipliers, z[0], z[1], problem.structure.storage, tuple(self._history)),
         )

@@ -168,7 +168,6 @@ def _through(x: Floats, g: float, slope: Floats, bend: Floats) -> float:
     way, start, end, t = x
     W, S = end - start + g * t, way - (start + end) * t / 2
     by_W, by_S = 2 * W / t, 24 * S / t**3
-    # ∂W/∂x = (0, −1, 1, g), ∂S/∂x = (1, −t/2, −t/2, −(v₀ + v₁)/2)
     dW, dS = (0.0, -1.0, 1.0, g), (1.0, -t / 2, -t / 2, -(start + end) / 2)
     for i in range(4):
         slope[i] = by_W * dW[i] + by_S * dS[i]
@@ -208,6 +207,15 @@ def _last(x: Floats, w: float, g: float, slope: Floats, bend: Floats) -> float:
 
 
 @kernel
+def _value(row: Floats, z: Floats) -> float:
+    """Returns what a row is at z."""
+    value = row[z.size]
+    for i in range(z.size):
+        value += row[i] * z[i]
+    return value
+
+
+@kernel
 def _evaluate(
     z: Floats, rows: Floats, prices: Floats, g: float, gradient: Floats, hessian: Floats
 ) -> float:
@@ -221,9 +229,7 @@ def _evaluate(
         row = rows[flight]
         factor, weight = prices[flight]
         for a in range(4):
-            x[a] = row[a, n]
-            for i in range(n):
-                x[a] += row[a, i] * z[i]
+            x[a] = _value(row[a], z)
         if np.isinf(weight):
             total += factor * _through(x, g, slope, bend)
         else:
@@ -293,11 +299,10 @@ def _newton_step(gradient: Floats, hessian: Floats) -> Floats:
 @kernel
 def _longest(z: Floats, step: Floats, bounds: Floats) -> float:
     """Returns how much of a step to take at most, to stay within bounds."""
-    n, length = z.size, 1.0
+    length = 1.0
     for bound in bounds:
-        left, change = bound[n], 0.0
-        for i in range(n):
-            left += bound[i] * z[i]
+        left, change = _value(bound, z), 0.0
+        for i in range(z.size):
             change += bound[i] * step[i]
         if change < 0:
             length = min(length, -_TO_BOUND * left / change)

@@ -274,8 +274,6 @@ def _count_monomials(e: Expression | float) -> tuple[int, int]:
     if kind == ExpressionKind.Pow:
         count, degree = _count_monomials(operands[0])
         exponent = int(_operands(e)[1].Evaluate())
-        if count == 1:
-            return 1, degree * exponent
         count, degree = math.comb(count + exponent - 1, exponent), degree * exponent
     else:
         counts, degrees = zip(*map(_count_monomials, operands), strict=True)
