@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_aigto.arrays import Floats, Ints, Records
+from drake_aigto.arrays import Floats, Ints, Records, locked
 from drake_aigto.box.functions import TRANSCENDENTAL
 from drake_aigto.box.tapes import OPERATION, Order, Tape, make_tape
 from drake_aigto.terms import FACTOR, StackedTerms
@@ -114,11 +114,9 @@ def make_lanes(stacked: StackedTerms, order: Order) -> Lanes:
     lanes["copy"] = copies
     lanes["first_variable"] = stacked.copies["first_variable"][copies]
     lanes["first_coefficient"] = stacked.sums["first_term"][sums[copies]]
-    lanes.setflags(write=False)
     return Lanes(
-        *(lanes, stacked.copy_variables, stacked.coefficients, *stacks.records, *stacks.sizes),
-        stacks.transcendental,
-        False,
+        *(locked(lanes), stacked.copy_variables, stacked.coefficients, *stacks.records),
+        *(*stacks.sizes, stacks.transcendental, False),
     )
 
 
@@ -168,14 +166,11 @@ def _stack(
         parts = tape.operations, tape.slopes, tape.curvatures, tape.arguments, tape.functions
         starts += [count, *(len(part) for part in parts)]
     records.append((*starts.tolist(), 0, 0))
-    stacks = (
-        np.array(records, dtype=TAPE),
-        np.concatenate([np.empty(0, dtype=OPERATION), *(tape.operations for tape in tapes)]),
-        np.array([entry for tape in tapes for entry in tape.arguments], dtype=ARGUMENT),
-        np.array([entry for tape in tapes for entry in tape.functions], dtype=FACTOR),
-        np.array([entry for tape in tapes for entry in tape.slopes], dtype=SLOPE),
-        np.array([entry for tape in tapes for entry in tape.curvatures], dtype=CURVATURE),
+    return (
+        locked(np.array(records, dtype=TAPE)),
+        locked(np.concatenate([np.empty(0, OPERATION), *(tape.operations for tape in tapes)])),
+        locked(np.array([each for tape in tapes for each in tape.arguments], dtype=ARGUMENT)),
+        locked(np.array([each for tape in tapes for each in tape.functions], dtype=FACTOR)),
+        locked(np.array([each for tape in tapes for each in tape.slopes], dtype=SLOPE)),
+        locked(np.array([each for tape in tapes for each in tape.curvatures], dtype=CURVATURE)),
     )
-    for array in stacks:
-        array.setflags(write=False)
-    return stacks

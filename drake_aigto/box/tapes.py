@@ -25,7 +25,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from drake_aigto.arrays import Records
+from drake_aigto.arrays import Records, locked
 from drake_aigto.box.functions import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE
 from drake_aigto.terms import FunctionKind
 
@@ -150,8 +150,7 @@ class _Writer:
             self._write_variable(self._factors[f][0], partial, parts[f])
         for (f, g), pair in self._pairs.items():
             self._write_pair(f, g, pair, parts)
-        operations = np.array(self._operations, dtype=OPERATION)
-        operations.setflags(write=False)
+        operations = locked(np.array(self._operations, dtype=OPERATION))
         return Tape(
             *(operations, max((factor[0] for factor in self._factors), default=-1) + 1),
             tuple((row, *key) for key, row in self._slopes.items()),

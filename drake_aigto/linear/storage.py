@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import reverse_cuthill_mckee
 
-from drake_aigto.arrays import Ints
+from drake_aigto.arrays import Ints, locked
 from drake_aigto.errors import OptionsError
 from drake_aigto.linear.pattern import Pattern, make_pattern
 from drake_aigto.linear.sparse import count_fill, minimum_degree
@@ -143,8 +143,7 @@ def as_order(order: ArrayLike, num_variables: int) -> Ints:
     Raises:
         OptionsError: It is no permutation of the variables.
     """
-    places = np.array(order, dtype=np.int64)
-    places.setflags(write=False)
+    places = locked(np.array(order, dtype=np.int64))
     if not np.array_equal(np.sort(places), np.arange(num_variables)):
         raise OptionsError(
             "the elimination order",

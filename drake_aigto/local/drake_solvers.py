@@ -60,9 +60,8 @@ def solve_with_drake(
         options.SetOption(kind.id(), name, value)
     with _quiet():
         result = kind().Solve(prog, guess, options)
-    x = result.get_x_val()
+    x, status = result.get_x_val(), result.get_solution_result().name
     is_finite = bool(np.all(np.isfinite(x)))
-    status = result.get_solution_result().name
     return DrakeSolution(x if is_finite else guess, result.is_success() and is_finite, status)
 
 

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Floats, locked
 from drake_aigto.box import NO_SYSTEM, Lanes, Order, add_means, make_lanes
 from drake_aigto.errors import OptionsError, UnsupportedTermError
 from drake_aigto.linear import as_order
@@ -66,15 +66,13 @@ class PolynomialNlp:
     ) -> None:
         """Stacks the blocks."""
         self.num_variables = num_variables
-        self.lower, self.upper = lower, upper
+        self.lower, self.upper = locked(lower), locked(upper)
         self.order = None if order is None else as_order(order, num_variables)
         self.costs, self.blocks = costs, (*costs, *rows)
         self.terms = stack_terms(self.blocks)
-        self.copy_weights = copy_weights(self.blocks)
+        self.copy_weights = locked(copy_weights(self.blocks))
         self.num_costs = sum(len(block.variables) for block in costs)
         self.row_names = tuple(block.name for block in rows for _ in block.variables)
-        for array in (self.lower, self.upper, self.copy_weights):
-            array.setflags(write=False)
 
     def with_bounds(self, lower: Floats, upper: Floats) -> PolynomialNlp:
         """The same costs and rows within other bounds.
@@ -88,9 +86,7 @@ class PolynomialNlp:
             other.__dict__["kkt_structure"] = self.kkt_structure
         else:
             other.__dict__.pop("kkt_structure", None)
-        other.lower, other.upper = lower, upper
-        for array in (lower, upper):
-            array.setflags(write=False)
+        other.lower, other.upper = locked(lower), locked(upper)
         return other
 
     @cached_property

@@ -14,7 +14,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_aigto.arrays import Ints
+from drake_aigto.arrays import Ints, locked
 from drake_aigto.errors import OptionsError, UnsupportedTermError
 
 
@@ -107,8 +107,7 @@ class TermBlock:
         self.name = name
         self.terms = tuple(terms)
         self.weight = _finite_weight(name, weight)
-        self.variables = np.atleast_2d(np.array(variables, dtype=np.int64))
-        self.variables.setflags(write=False)
+        self.variables = locked(np.atleast_2d(np.array(variables, dtype=np.int64)))
         for term in self.terms:
             _check_numbers(name, term)
         self._check_distinct()

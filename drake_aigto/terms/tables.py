@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drake_aigto.arrays import Floats, Ints, Records
+from drake_aigto.arrays import Floats, Ints, Records, locked
 from drake_aigto.terms.sums import Factor, Term, TermBlock
 
 # Records, so that kernels have few arrays to take and read one place in memory for each.
@@ -51,16 +51,13 @@ class StackedTerms(NamedTuple):
     @property
     def coefficients(self) -> Floats:
         """Of the terms, one sum after the other, and one at the end (M + 1,), read-only."""
-        coefficients = np.ascontiguousarray(self.terms["coefficient"])
-        coefficients.setflags(write=False)
-        return coefficients
+        return locked(np.ascontiguousarray(self.terms["coefficient"]))
 
     def with_coefficients(self, coefficients: Floats) -> StackedTerms:
         """Returns the same with other coefficients of the terms (M,)."""
         terms = self.terms.copy()
         terms["coefficient"][:-1] = coefficients
-        terms.setflags(write=False)
-        return self._replace(terms=terms)
+        return self._replace(terms=locked(terms))
 
     def first_terms(self, counts: Iterable[int]) -> list[int]:
         """Returns the place of the first term of each of the blocks, which have so many copies."""
