@@ -20,6 +20,8 @@ def least_rest(
 ) -> tuple[float, float, float]:
     """Returns the least cost of a fall from rest to a floor and a jump back up to that height.
 
+    There has to be time for the hops in between.
+
     Returns:
         The cost, when it lands, and when it jumps [s].
     """
@@ -42,6 +44,6 @@ def least_rest(
 
     jump_time, jump_cost = find_least(jump, 1e-3, 0.75 * duration)
     land_time, land_cost = math.sqrt(2 * height / gravity), 0.0
-    if e > 0:  # It lands without speed.
+    if e == 1:  # It lands without speed; else it settles by hops that cost nothing.
         land_time, land_cost = find_least(land, 1e-3, 0.75 * duration)
     return land_cost + jump_cost, land_time, duration - jump_time

@@ -13,7 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from line_rivals import bounces_by_chance, cost_of, legs_of, transcribe
 
-from drake_aigto.optima.line_optimum import Line, LineBounce, LineMotion, Wall, _Sequence
+from drake_aigto.optima.line_optimum import Line, LineBounce, LineMotion, LineSequence, Wall
 
 
 def make_corridor(
@@ -153,7 +153,7 @@ def test_a_ball_settles_for_nothing() -> None:
 # Sequences and starts that were not tried.
 
 
-def starts_by_chance(sequence: _Sequence, count: int, rng: np.random.Generator) -> np.ndarray:
+def starts_by_chance(sequence: LineSequence, count: int, rng: np.random.Generator) -> np.ndarray:
     line, n = sequence.line, len(sequence.walls)
     times = rng.dirichlet(np.ones(n + 1), count)[:, :n]
     speed = max(abs(line.velocity), 1.0)
@@ -171,7 +171,7 @@ def test_no_other_start_and_no_wall_twice_in_a_row_is_better(e: float) -> None:
         cost = solve(line).cost
         for number in (1, 2, 3, 4):
             for walls in itertools.product((0, 1), repeat=number):
-                sequence = _Sequence(line, walls, None, slack=False)
+                sequence = LineSequence(line, walls, None, slack=False)
                 starts = starts_by_chance(sequence, 20, rng)
                 for other, z in sequence.flights.minimize(starts):
                     if other < cost * (1 - 1e-7) - 1e-12:

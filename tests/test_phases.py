@@ -103,7 +103,7 @@ def resting(e: float, N: int) -> Scenario:
     )
 
 
-@pytest.mark.parametrize("e", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("e", [0.0, 0.3, 1.0])
 def test_a_contact_that_lasts_carries_the_weight_and_is_optimal(floor: World, e: float) -> None:
     errors = []
     for N in (20, 40):
@@ -119,8 +119,8 @@ def test_a_contact_that_lasts_carries_the_weight_and_is_optimal(floor: World, e:
         np.testing.assert_array_equal(forces[~lasts], 0.0)
         np.testing.assert_allclose(motion.positions[:-1][lasts], 0.0, atol=MET)
         np.testing.assert_allclose(motion.controls[lasts], 0.0, atol=1e-4)
-        speed = math.sqrt(2 * 3.0 * 0.3) if e == 0 else 0.0
-        assert np.max(motion.impulses) == pytest.approx((1 + e) * 1.5 * speed, abs=1e-6)
+        speed = math.sqrt(2 * 3.0 * 0.3) if e < 1 else 0.0
+        assert np.max(motion.impulses) == pytest.approx(1.5 * speed, abs=1e-6)
         replay = rest.replay()
         assert replay.cost == pytest.approx(rest.cost, rel=1e-8)
         assert replay.max_penetration < 1e-9
@@ -178,8 +178,13 @@ def test_two_joints_replay_as_planned(e: float, touches: TouchSequence) -> None:
     assert replay.cost == pytest.approx(found.cost, rel=1e-7)
     motion = found.trajectory
     ends = np.searchsorted(replay.times, motion.times, side="right") - 1
-    np.testing.assert_allclose(replay.positions[ends], motion.positions, atol=1e-6)
     lasting = [touch for touch in found.touches if touch.lasts]
+    # Where it hops before it rests, the phases only know how long that takes.
+    hops = [each for each in lasting if 0 < e < 1]
+    known = np.ones(motion.times.size, dtype=bool)
+    for each in hops:
+        known &= (motion.times <= each.start) | (motion.times >= each.end)
+    np.testing.assert_allclose(replay.positions[ends][known], motion.positions[known], atol=1e-6)
     assert np.any(motion.forces > 1.0) == bool(lasting)
     # It slides while it rests.
     for touch in lasting:
@@ -202,9 +207,10 @@ def test_a_guess_goes_straight_from_stop_to_stop() -> None:
         (k,) = np.flatnonzero(np.isclose(guess.times, time))
         np.testing.assert_allclose(guess.positions[k], stop, atol=1e-15)
     np.testing.assert_array_equal(guess.velocities[0], [-0.4, -1.0])
-    tau = np.diff(guess.times)[:, np.newaxis]
-    np.testing.assert_allclose(np.diff(guess.positions, axis=0), tau * guess.velocities[1:])
-    np.testing.assert_array_equal(guess.controls, np.zeros((20, 2)))
+    # Up to the jump, which takes control.
+    tau = np.diff(guess.times)[:-4, np.newaxis]
+    np.testing.assert_allclose(np.diff(guess.positions, axis=0)[:-4], tau * guess.velocities[1:-4])
+    np.testing.assert_array_equal(guess.controls[:-4], np.zeros((16, 2)))
     np.testing.assert_array_equal(
         phases.trajectory(phases.vector(guess)).positions, guess.positions
     )

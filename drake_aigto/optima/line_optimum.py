@@ -160,14 +160,14 @@ class Line:
         """
         best = LineMotion(math.inf, (), None)
         for slack in (False,) if rests is None else (False, True):
-            sequence = _Sequence(self, walls, rests, slack)
+            sequence = LineSequence(self, walls, rests, slack)
             for cost, z in sequence.flights.minimize(sequence.starts()):
                 if cost < best.cost and sequence.is_admissible(z):
                     best = sequence.motion(cost, z)
         return best
 
 
-class _Sequence:
+class LineSequence:
     """One contact sequence of a line, as flights.
 
     Free are the times of all flights but the last, the speeds before all touches, and, with slack,
@@ -176,6 +176,14 @@ class _Sequence:
     """
 
     def __init__(self, line: Line, walls: tuple[int, ...], rests: int | None, slack: bool) -> None:
+        """Lists the flights.
+
+        Args:
+            line: the problem.
+            walls: the number of the wall that each touch is on.
+            rests: after which of them the mass settles; None if it doesn't.
+            slack: whether it rests after that.
+        """
         self.line, self.walls, self.rests, self.slack = line, walls, rests, slack
         n = len(walls)
         self.flights = flights = Flights(2 * n + slack, line.gravity)

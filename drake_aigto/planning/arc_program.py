@@ -34,6 +34,7 @@ class ArcShape:
         counts: steps of each arc, shape (J,); where no row reads them, 1 for one and 2 for more.
         phases: which phase each arc is a part of, shape (J,).
         rests: which contacts last during each arc, shape (J, m).
+        lands: which contacts last from each joint on, shape (J+1, m).
         starts: which contacts are touched anew at each joint, shape (J+1, m).
         struck: as `Timeline` has it, shape (J+1, m).
         held: likewise.
@@ -46,6 +47,7 @@ class ArcShape:
     counts: Ints
     phases: Ints
     rests: Mask
+    lands: Mask
     starts: Mask
     struck: Mask
     held: Mask
@@ -66,6 +68,7 @@ class ArcShape:
             counts=counts,
             phases=np.searchsorted(ends, knots[:-1], side="right"),
             rests=rests,
+            lands=line.lands[knots],
             starts=line.starts[knots],
             struck=line.struck[knots],
             held=line.held[knots],
@@ -164,8 +167,9 @@ class ArcProgram:
 
     def _impact(self, joint: int) -> JointImpact:
         struck = self._shape.struck[joint]
-        restitutions = tuple(self._shape.restitutions[struck].tolist())
-        return JointImpact.of(self._dynamics, tuple(np.flatnonzero(struck).tolist()), restitutions)
+        restitutions = np.where(self._shape.lands[joint], 0.0, self._shape.restitutions)[struck]
+        contacts = tuple(np.flatnonzero(struck).tolist())
+        return JointImpact.of(self._dynamics, contacts, tuple(restitutions.tolist()))
 
     def _add_impact(self, j: int, velocities: Floats) -> None:
         """Adds w = R v at a joint, for the speeds that an impact changes."""
@@ -231,14 +235,30 @@ class ArcProgram:
         """Adds how the ball comes to walls, and that no wall pulls in an impact."""
         builder, shape = self._builder, self._shape
         for j, i in np.argwhere(shape.starts).tolist():
-            # Only a ball that does not rebound can stay; else it must be at rest already.
-            stays = j < len(shape.rests) and shape.rests[j, i] and shape.restitutions[i] > 0
+            # What rebounds elastically must be at rest already to stay.
+            stays = shape.lands[j, i] and shape.restitutions[i] == 1
             least = 0.0 if stays else -np.inf
             builder.bound_sum(RESTITUTION, self._dynamics.jacobian[i], self.v[j], least, 0.0)
+            if shape.lands[j, i] and 0 < shape.restitutions[i] < 1:
+                self._add_settling(j, i)
         for j in np.flatnonzero(np.any(shape.struck, axis=1)).tolist():
             impact = self._impact(j)
             for row in impact.impulses[impact.coupled]:
                 builder.bound_sum(RESTITUTION, row, self.v[j], 0.0, np.inf)
+
+    def _add_settling(self, joint: int, i: int) -> None:
+        """Adds that hops end before the contact does: (1 − e) Σ H f_i + 2 e m_i J_i v ≥ 0."""
+        e, ends = self._shape.restitutions[i], np.flatnonzero(~self._shape.rests[joint:, i])
+        arcs = slice(joint, joint + int(ends[0]) if ends.size else None)
+        hold = np.column_stack([self.h[arcs], self.f[arcs, i]])
+        spare = self._builder.new(1)
+        self._builder.bound(spare, 0.0, np.inf)
+        closing = 2 * e * self._dynamics.masses[i] * self._dynamics.jacobian[i]
+        n = hold.size
+        row: list[Monomial] = [(1 - e, (k, k + 1)) for k in range(0, n, 2)]
+        row += [(speed, (n + k,)) for k, speed in enumerate(closing.tolist())]
+        row += [(-1.0, (n + closing.size,))]
+        self._builder.add_row(CONTACT, row, np.concatenate([hold.ravel(), self.v[joint], spare]))
 
     def _add_forces(self) -> None:
         """Adds λ ≥ 0 at both ends of arcs, and that contacts stay at rest."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import dataclasses
 import logging
 import math
 from collections.abc import Iterable
@@ -18,13 +19,17 @@ from drake_aigto.planning.arcs import solve_in_arcs
 from drake_aigto.planning.compiled import CompiledPrograms
 from drake_aigto.planning.instants import keep_apart, moved_past
 from drake_aigto.planning.options import PlanOptions, Rung
-from drake_aigto.planning.plan import LARGEST_DEFECT
-from drake_aigto.planning.problem import PlanningProblem
+from drake_aigto.planning.origin import Origin
+from drake_aigto.planning.plan import LARGEST_DEFECT, Candidate
+from drake_aigto.planning.problem import PlanningProblem, sample
+from drake_aigto.planning.simulated import calc_defects, read_motion
 from drake_aigto.planning.touches import read_sequences
+from drake_aigto.simulation.contacts import find_contacts, max_penetration
 from drake_aigto.transcription import (
     PhaseTranscription,
     RigidTranscription,
     TouchSequence,
+    Transcription,
     touches_at_once,
 )
 from drake_aigto.transcription.facings import Facing, find_facings
@@ -252,6 +257,33 @@ class RigidProblem(PlanningProblem):
                 break
             best = better
         return best
+
+    def judge(
+        self,
+        origin: Origin,
+        start: npt.NDArray[np.float64],
+        solved: Transcription,
+        x: npt.NDArray[np.float64],
+    ) -> Candidate:
+        """Returns the candidate of a solution; hops that lead to rest are as they are simulated.
+
+        The multi-phase problem counts their time, not their heights.
+        """
+        found = super().judge(origin, start, solved, x)
+        if not (isinstance(solved, PhaseTranscription) and solved.hops(x)):
+            return found
+        world, planned = solved.world, found.trajectory
+        motion = read_motion(
+            world, found.replay, planned.times, planned.controls, self.scales.length
+        )
+        missed = self.additions.violations(sample(motion)) if self.additions else {}
+        return dataclasses.replace(
+            found,
+            trajectory=motion,
+            defects={**calc_defects(world, motion), **missed},
+            max_penetration=max_penetration(world, motion),
+            contacts=find_contacts(world, motion),
+        )
 
     def _merit(self, phases: PhaseTranscription, x: npt.NDArray[np.float64]) -> tuple[float, float]:
         """Returns what is less for a better solution: by how much it misses rows, then its cost."""

@@ -14,6 +14,7 @@ from drake_aigto.planning.insertions import find_insertions
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.origin import COASTING, ChangeName, Origin
 from drake_aigto.planning.plan import LARGEST_DEFECT, Candidate
+from drake_aigto.planning.rests import find_rests
 from drake_aigto.planning.rigid import Path, RigidProblem, Solved
 from drake_aigto.planning.search import Search, Stopwatch
 from drake_aigto.planning.touches import are_near, are_neighbors, is_same, kinds, neighbors, swapped
@@ -269,11 +270,13 @@ class RigidSearch(Search):
         origin = self.by_sequence[sequence].origin
         path = phases.sample_times(x), phases.split(x)[0]
         more = [*phases.grazes(x), *find_insertions(phases, x)]
-        for other in neighbors(phases.contact_sequence(x), more):
-            # Where a plan holds, its times are the best ones; of others they may not be.
+        rests = find_rests(phases, x)
+        for other in [*rests, *neighbors(phases.contact_sequence(x), more)]:
+            # Where a plan holds, its times are the best ones, but for rests, which also last to the
+            # end; of others they may not be.
             held = [kinds(each) for each, it in self.by_sequence.items() if it.is_confirmed]
-            is_new = kinds(other) not in held and not self.is_known(other)
-            if is_new and len(other) <= _MOST_TOUCHES:
+            is_new = (other in rests or kinds(other) not in held) and not self.is_known(other)
+            if is_new and len(other) <= _MOST_TOUCHES and self.problem.fits(other):
                 if tried := self._try(other, path):
                     # Where arcs did without the program, the trial was the polish.
                     solved = tried if tried[0].is_as_made else None
@@ -319,7 +322,9 @@ class RigidSearch(Search):
         """Puts a candidate with a problem's steps in its place, if it holds, and returns it."""
         known, optimum = self.by_sequence[sequence], self._optimum(sequence)
         steps = max(problem.num_steps, 1 + len(joint_times(optimum)))
-        if steps == len(known.trajectory.controls):
+        # A contact that ran into the end leaves a phase that vanishes: more steps win nothing.
+        vanishes = optimum and optimum[-1].end > (1 - _SAME_END) * self._duration
+        if steps == self.solved[sequence][0].scenario.num_steps or vanishes:
             return known
         self.tell(f"polishing {known.describe_contacts()} with {steps} time steps")
         path = known.trajectory.times, known.trajectory.positions

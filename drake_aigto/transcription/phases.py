@@ -15,8 +15,14 @@ from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription.additions import NO_ADDITIONS, Additions
 from drake_aigto.transcription.facings import Facing, find_facings
-from drake_aigto.transcription.rigid_contact import ImpactTranscription, JointImpact
-from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, RESTITUTION
+from drake_aigto.transcription.guesses import make_guess
+from drake_aigto.transcription.rigid_contact import (
+    ImpactTranscription,
+    JointImpact,
+    rigid_defects,
+)
+from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, NONPENETRATION, RESTITUTION
+from drake_aigto.transcription.settling import find_settlings
 from drake_aigto.transcription.shared import SharedEvaluator, as_expression, shared_constraint
 from drake_aigto.transcription.timeline import Phase, check_sequence, make_timeline
 from drake_aigto.transcription.touch import Touch, TouchSequence, joint_times, touches_at_once
@@ -28,6 +34,8 @@ from drake_aigto.world import Scenario, World
 _SHORTEST_FLIGHT, _SHORTEST_CONTACT = 1e-7, 1e-3
 # A wall is grazed where it is nearer than this part of the length scale.
 _GRAZE = 1e-5
+# What comes at less than this part of the velocity scale comes to rest without hops.
+_SLOW = 1e-6
 
 
 class PhaseTranscription(ImpactTranscription):
@@ -47,8 +55,10 @@ class PhaseTranscription(ImpactTranscription):
 
     C are all contacts that are touched at that knot, and those that were resting until then: they
     are struck at once (`JointImpact`), and no impulse pulls. A contact that lasts holds its normal
-    only, so that the body slides along the frictionless wall. Of a box with several faces the one
-    that is in force (`Facing`) stands for all; where it is touched, φ ≤ 0 for the others.
+    only, so that the body slides along the frictionless wall. It also stands for the hops
+    that come first (`Settling`); only elastic walls hold nothing but what comes without speed. Of a
+    box with several faces the one that is in force (`Facing`) stands for all; where it is touched,
+    φ ≤ 0 for the others.
 
     Held controls make flight exact for a constant h; with springs and dampers this is the implicit
     midpoint rule. Forces are variables here, for the mode is known.
@@ -110,13 +120,18 @@ class PhaseTranscription(ImpactTranscription):
         if self._has_clock:
             self._steps, self._times = new("h", N), new("t", N + 1)
         knots = np.flatnonzero(line.struck.any(axis=1)).tolist()
-        self.impacts = {k: self._impact(line.struck[k]) for k in knots}
+        self.impacts = {k: self._impact(k) for k in knots}
         self._is_coupled = np.zeros_like(line.struck)
         for k, impact in self.impacts.items():
             self._is_coupled[k, line.struck[k]] = impact.coupled
         self._closing = scatter("closing", line.starts)
         self._push = scatter("push", self._is_coupled)
         self._forces = scatter("f", line.rests)
+        self._settlings = find_settlings(line, self.sequence, self.restitutions, self._inertia)
+        self._settles = np.zeros_like(line.held)
+        for each in self._settlings:
+            self._settles[each.first : each.last + 1, each.contact] = True
+        self._unsettled = scatter("unsettled", self._settles)
 
     @cached_property
     def _step(self) -> NDArray[Any]:
@@ -125,6 +140,10 @@ class PhaseTranscription(ImpactTranscription):
     @cached_property
     def _clock(self) -> NDArray[Any]:
         return MakeVectorVariable(2, "t")
+
+    @cached_property
+    def _momentum(self) -> NDArray[Any]:
+        return MakeVectorVariable(2 * self.world.num_contacts, "p")  # at this knot and the next
 
     @cached_property
     def _force(self) -> NDArray[Any]:
@@ -138,9 +157,15 @@ class PhaseTranscription(ImpactTranscription):
     def _has_clock(self) -> bool:
         return len(self.timeline.phases) > 1
 
-    def _impact(self, struck: Bools) -> JointImpact:
-        contacts = tuple(np.flatnonzero(struck).tolist())
-        return JointImpact.of(self._inertia, contacts, tuple(self.restitutions[struck].tolist()))
+    def _impact(self, k: int) -> JointImpact:
+        contacts = np.flatnonzero(self.timeline.struck[k])
+        restitutions = self._returned[k, contacts]
+        return JointImpact.of(self._inertia, tuple(contacts.tolist()), tuple(restitutions.tolist()))
+
+    @property
+    def _returned(self) -> Floats:
+        """Which part of its speed a touch at a knot returns there, shape (N+1, m)."""
+        return np.where(self.timeline.lands, 0.0, self.restitutions)
 
     def _add_rows(self) -> None:
         if self._has_clock:
@@ -150,6 +175,7 @@ class PhaseTranscription(ImpactTranscription):
         self._bound_distances(line.beside, lower=-np.inf, upper=0.0)
         self._bound_distances(line.held, CONTACT, upper=0.0)
         self._add_touches()
+        self._add_settlings()
         self._hold_controls()
         rows: dict[bytes, list[SharedEvaluator]] = {}
         for k in range(len(self._u)):
@@ -187,8 +213,8 @@ class PhaseTranscription(ImpactTranscription):
         for k, i in np.argwhere(line.starts).tolist():
             closing = self._variables_at(self._closing[k, i])
             self._add_speed(closing, self._inertia.jacobian[i], k)
-            least = 0.0 if self.stays(k, i) else -np.inf
-            self._bound(closing, least, 0.0)
+            stays = line.lands[k, i] and self.restitutions[i] == 1
+            self._bound(closing, 0.0 if stays else -np.inf, 0.0)
         for k, impact in self.impacts.items():
             pushes = self._variables_at(self._push[k, self._is_coupled[k]])
             for push, row in zip(pushes, impact.impulses[impact.coupled], strict=True):
@@ -197,13 +223,15 @@ class PhaseTranscription(ImpactTranscription):
             if unilateral.size:
                 self._bound(self._variables_at(unilateral), 0.0, np.inf)
 
-    def stays(self, k: int, contact: int) -> bool:
-        """Returns whether a contact that is touched at knot k must be at rest already.
-
-        Only a ball that does not rebound can stay.
-        """
-        rests = self.timeline.rests
-        return k < len(rests) and bool(rests[k, contact]) and self.restitutions[contact] > 0
+    def _add_settlings(self) -> None:
+        """Adds that contacts last until their hops are over."""
+        for each in self._settlings:
+            closing = self._closing[each.first, each.contact]
+            momenta = self._unsettled[each.first : each.last + 1, each.contact]
+            begin = LinearEqualityConstraint(np.array([[each.factor, -1.0]]), [0.0])
+            begin.set_description(RESTITUTION)
+            self._attach(begin, self._variables_at(np.append(closing, momenta[0])))
+            self._bound(self._variables_at(momenta[-1:]), 0.0, np.inf)
 
     def _hold_controls(self) -> None:
         """Adds that controls which users bound are held as long as where they bound them."""
@@ -237,13 +265,19 @@ class PhaseTranscription(ImpactTranscription):
         force = world.actuation @ world.controls - world.express_bias(
             (world.positions + self._next_q) / 2, mean
         )
-        for i in np.flatnonzero(self.timeline.rests[k]):
+        rests, now, later = self.timeline.rests[k], *np.split(self._momentum, 2)
+        for i in np.flatnonzero(rests):
             force = force + self._inertia.jacobian[i] * self._force[i]
+        settling = rests & self._settles[k]
         flight = self._next_q - world.positions - h * mean
         dynamics = world.mass_matrix @ (self._next_v - start) - h * force
         return [
             *(shared_constraint(as_expression(row), FLIGHT) for row in flight),
             *(shared_constraint(as_expression(row), DYNAMICS) for row in dynamics),
+            *(
+                shared_constraint(later[i] - now[i] - h * self._force[i], RESTITUTION)
+                for i in np.flatnonzero(settling)
+            ),
         ]
 
     def _stage(self, k: int) -> list[tuple[NDArray[Any], NDArray[Any]]]:
@@ -256,7 +290,10 @@ class PhaseTranscription(ImpactTranscription):
             ]
         if k < len(self._u):
             rests = self.timeline.rests[k]
+            settling = rests & self._settles[k]
+            momenta = self._unsettled[k : k + 2, settling].ravel()
             pairs.append((self._force[rests], self._variables_at(self._forces[k, rests])))
+            pairs.append((self._momentum[np.tile(settling, 2)], self._variables_at(momenta)))
         return pairs
 
     def _stage_indices(self, k: int) -> Ints:
@@ -266,6 +303,7 @@ class PhaseTranscription(ImpactTranscription):
             self._push[k, self._is_coupled[k]],
             self._times[k : k + 1],
             self._steps[k : k + 1],
+            self._unsettled[k, self._settles[k]],
         ]
         of_step = [self._forces[k, line.rests[k]]] if k < len(self._u) else []
         return np.concatenate([super()._stage_indices(k), *of_knot, *of_step])
@@ -324,6 +362,22 @@ class PhaseTranscription(ImpactTranscription):
         forces[rests] = x[self._forces[rests]]
         return forces
 
+    def hops(self, x: Floats) -> bool:
+        """Returns whether a contact that lasts begins with hops: it is touched at a speed."""
+        closing = [x[self._closing[each.first, each.contact]] for each in self._settlings]
+        return bool(closing) and min(closing) < -_SLOW * self.scales.velocity
+
+    def defects(self, x: Floats) -> dict[str, float]:
+        """Returns the same, with contacts that last before their hops are over as restitution."""
+        motion, jacobian = self.trajectory(x), self._inertia.jacobian
+        found = rigid_defects(self.world, self._returned, motion)
+        left = [-each.momenta(motion, jacobian)[-1] / each.mass for each in self._settlings]
+        return {
+            **found,
+            RESTITUTION: max(found[RESTITUTION], *left, 0.0),
+            NONPENETRATION: self._depth(x),
+        }
+
     def vector(self, trajectory: Trajectory) -> Floats:
         """Returns all decision variables of a trajectory at these knots; undoes `trajectory`."""
         x = self.vector_of(trajectory.positions, trajectory.velocities, trajectory.controls)
@@ -332,38 +386,22 @@ class PhaseTranscription(ImpactTranscription):
         for k, impact in self.impacts.items():
             x[self._push[k, self._is_coupled[k]]] = impact.impulses[impact.coupled] @ v[k]
         x[self._forces[line.rests]] = trajectory.forces[line.rests]
+        for each in self._settlings:
+            places = self._unsettled[each.first : each.last + 1, each.contact]
+            x[places] = each.momenta(trajectory, self._inertia.jacobian)
         if self._has_clock:
             x[self._steps], x[self._times] = np.diff(trajectory.times), trajectory.times
         return x
 
     def guess(self, through: ArrayLike | None = None) -> Trajectory:
-        """Returns a guess that flies from stop to stop without control, bent as gravity bends it.
-
-        Contacts that last go straight.
+        """Returns a motion from stop to stop, see `make_guess`.
 
         Args:
             through: where the ball is at each of the `joint_times`, shape (J, nq) [m]; if None, on
                 the straight way to the goal. Moved to the walls that are touched.
         """
-        line, N = self.timeline, len(self._u)
-        times, stops = straight_path(self.world, self.scenario, self.sequence, through)
-        knots = [0, *(phase.last for phase in line.phases)]
-        t = np.interp(range(N + 1), knots, line.times)
-        q = np.column_stack([np.interp(t, times, column) for column in stops.T])
-        v = np.vstack(
-            [self.scenario.initial_velocity, np.diff(q, axis=0) / np.diff(t)[:, np.newaxis]]
-        )
-        still = np.zeros(self.world.num_velocities), np.zeros(self.world.num_actuators)
-        for phase in line.phases:
-            if not phase.rests:
-                inside = slice(phase.first, phase.last + 1)
-                since, left = t[inside] - t[phase.first], t[phase.last] - t[inside]
-                middle = (q[phase.first] + q[phase.last]) / 2
-                pull = self.world.calc_acceleration(middle, *still)
-                q[inside] -= np.outer(since * left / 2, pull)
-                v[inside][1:] += np.outer((since - left)[1:] / 2, pull)
-        zeros = np.zeros(line.held.shape)
-        return Trajectory(t, q, v, np.zeros(self._u.shape), zeros, zeros[1:])
+        stops = straight_path(self.world, self.scenario, self.sequence, through)
+        return make_guess(self.world, self.scenario, self.timeline, *stops)
 
 
 def straight_path(

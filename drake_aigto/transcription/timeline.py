@@ -44,6 +44,7 @@ class Timeline:
         apart: φ ≥ 0 is asked for: neither held, nor one of several faces that others stand for.
         beside: φ ≤ 0: the other faces of a box that is held, whose corners count as sharp.
         rests: which contacts rest during each step, shape (N, m).
+        lands: which contacts last from each knot on, shape (N+1, m).
     """
 
     phases: tuple[Phase, ...]
@@ -57,6 +58,7 @@ class Timeline:
     apart: Bools
     beside: Bools
     rests: Bools
+    lands: Bools
 
 
 def make_timeline(
@@ -124,6 +126,7 @@ def make_timeline(
         apart=front & ~is_solid_held,
         beside=is_solid_held & ~held,
         rests=rests,
+        lands=starts & np.vstack([rests, np.zeros((1, m), dtype=bool)]),
     )
 
 
