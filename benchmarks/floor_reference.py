@@ -102,7 +102,7 @@ def _polish(line: Line, cost: float, legs: list[_Leg]) -> Iterator[FloorMotion]:
     for slack in (False, True) if rests else (False,):
         sequence = LineSequence(line, (0,) * number, place, slack)
         start = [*z, *(max(legs[i].rest or 0.0, 1e-3) for i in rests if slack)]
-        for exact, found in sequence.flights.minimize(np.array([start]), sequence.positive):
+        for exact, found in sequence.flights.minimize(np.array([start])):
             if sequence.is_admissible(found):
                 yield FloorMotion(exact, number, bool(rests), bool(rests))
 
