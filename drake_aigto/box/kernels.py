@@ -225,9 +225,10 @@ def _add_curvatures(
     """Adds the lanes' second derivatives, times their factors, to W; otherwise as `_add_slopes`."""
     for c in range(tape.first_curvature, after.first_curvature):
         it = curvatures[c]
-        row, unknown, other_unknown = it.row, it.unknown, it.other_unknown
+        row, variable, unknown = it.row, it.variable, it.unknown
+        other_variable, other_unknown = it.other_variable, it.other_unknown
         for k in range(count):
-            place, other = places[it.variable, k], places[it.other_variable, k]
+            place, other = places[variable, k], places[other_variable, k]
             if min(place, other) >= 0:
                 value = factors[k] * rows[row, k]
                 _add_entry(pattern, band, place + unknown, other + other_unknown, value)

@@ -88,9 +88,8 @@ class BandFactors(SymmetricFactors):
     def __init__(self, size: int, bandwidth: int) -> None:
         """Allocates, which costs as much as filling the arrays."""
         capacity = 4 * (bandwidth + 2)
-        self._front = np.empty((capacity, capacity))
-        self._active = np.empty(capacity, dtype=np.int64)
-        self._columns = multifrontal.Columns(
+        self._work = np.empty((capacity, capacity)), np.empty(capacity, dtype=np.int64)
+        self._columns = (
             np.empty(size, dtype=np.int64),
             np.empty((size, 2)),
             np.empty(size + 1, dtype=np.int64),
@@ -99,11 +98,12 @@ class BandFactors(SymmetricFactors):
         )
 
     def _factorize(self, matrix: Floats) -> int:
-        return multifrontal.factorize(matrix, self._front, self._active, self._columns)
+        front, active = self._work
+        return multifrontal.factorize(matrix, front, active, *self._columns)
 
     def _solve(self, right: Floats) -> Floats:
         solution = right.copy()
-        multifrontal.solve(self._columns, solution)
+        multifrontal.solve(*self._columns, solution)
         return solution
 
 

@@ -12,32 +12,12 @@ Shape letters: size unknowns, half bandwidth b, front capacity F.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.jit import kernel
 
 # Relative size that a pivot must have. Small, since the matrices of an interior point method are
 # badly scaled on purpose; refinement makes up for it.
 _THRESHOLD = 1e-8
-
-
-class Columns(NamedTuple):
-    """L and D in the order of elimination: room for them, filled by `factorize`.
-
-    Attributes:
-        pivots: The unknowns (size,); the first of a 2×2 pivot is stored as −1 − unknown.
-        inverses: Inverses of the pivots (size, 2): (1/d, ·), or the two rows of 2×2.
-        starts: Pivot k's column of L is starts[k]:starts[k + 1] (size + 1,).
-        indices: That column's unknowns.
-        entries: Its entries, pairs of them for the first of a 2×2 pivot.
-    """
-
-    pivots: Ints
-    inverses: Floats
-    starts: Ints
-    indices: Ints
-    entries: Floats
 
 
 @kernel
@@ -119,97 +99,110 @@ def _enter(band: Floats, front: Floats, active: Ints, count: int, unknown: int) 
 
 @kernel
 def _eliminate_one(
-    front: Floats, active: Ints, i: int, count: int, to: Columns, done: int, fill: int
-) -> tuple[int, int]:
-    """Takes the front's unknown i out, which leaves `count`.
-
-    Returns:
-        How far L is filled now, and the number of negative eigenvalues of the pivot.
-    """
-    _swap(front, active, i, count, count + 1)
+    front: Floats, active: Ints, count: int, indices: Ints, entries: Floats, fill: int
+) -> int:
+    """Takes unknown `count` out, appends its column of L, and returns the new fill."""
     pivot = front[count, count]
-    to.pivots[done], to.inverses[done, 0], to.starts[done] = active[count], 1.0 / pivot, fill
     for k in range(count):
         factor = front[count, k] / pivot
         if factor == 0.0:
             continue
-        to.indices[fill], to.entries[fill] = active[k], factor
+        indices[fill], entries[fill] = active[k], factor
         fill += 1
-        for m in range(count):
-            front[k, m] -= factor * front[count, m]
-    return fill, 1 if pivot < 0.0 else 0
+        for j in range(count):
+            front[k, j] -= factor * front[count, j]
+    return fill
 
 
 @kernel
 def _eliminate_pair(
-    front: Floats, active: Ints, i: int, j: int, count: int, to: Columns, done: int, fill: int
-) -> tuple[int, int]:
-    """Takes unknowns i and j out together, as `_eliminate_one` does with one."""
-    _swap(front, active, max(i, j), count + 1, count + 2)
-    _swap(front, active, min(i, j), count, count + 2)
+    front: Floats, active: Ints, count: int, indices: Ints, entries: Floats, fill: int
+) -> int:
+    """Takes unknowns `count` and `count` + 1 out together, as `_eliminate_one` does with one."""
     a, b, c = front[count, count], front[count, count + 1], front[count + 1, count + 1]
     determinant = a * c - b * b
-    to.pivots[done], to.pivots[done + 1], to.starts[done] = (
-        -1 - active[count],
-        active[count + 1],
-        fill,
-    )
-    to.inverses[done, 0], to.inverses[done, 1] = c / determinant, -b / determinant
-    to.inverses[done + 1, 0], to.inverses[done + 1, 1] = -b / determinant, a / determinant
     for k in range(count):
         first, second = front[count, k], front[count + 1, k]
         if first == 0.0 and second == 0.0:
             continue
         factor_1 = (c * first - b * second) / determinant
         factor_2 = (a * second - b * first) / determinant
-        to.indices[fill], to.entries[fill], to.entries[fill + 1] = active[k], factor_1, factor_2
+        indices[fill], entries[fill], entries[fill + 1] = active[k], factor_1, factor_2
         fill += 2
-        for m in range(count):
-            front[k, m] -= factor_1 * front[count, m] + factor_2 * front[count + 1, m]
-    to.starts[done + 1] = fill
-    return fill, 1 if determinant < 0.0 else (2 if a < 0.0 else 0)
+        for j in range(count):
+            front[k, j] -= factor_1 * front[count, j] + factor_2 * front[count + 1, j]
+    return fill
 
 
 @kernel
-def factorize(band: Floats, front: Floats, active: Ints, to: Columns) -> int:
-    """Returns the number of negative eigenvalues of a matrix, −1 if it is singular.
+def factorize(
+    band: Floats,
+    front: Floats,
+    active: Ints,
+    pivots: Ints,
+    inverses: Floats,
+    starts: Ints,
+    indices: Ints,
+    entries: Floats,
+) -> int:
+    """Factorizes; returns the number of negative eigenvalues, −1 if singular.
 
     Args:
         band: Lower band storage (b + 1, size).
         front: Work space (F, F).
         active: Work space (F,): the unknowns in the front.
-        to: Filled.
+        pivots: Filled with the unknowns in order of elimination (size,); the first of a 2×2 pivot
+            is stored as −1 − unknown.
+        inverses: Filled with the pivots' inverses (size, 2): (1/d, ·), or the two rows of 2×2.
+        starts: Filled so that pivot k's column of L is starts[k]:starts[k + 1] (size + 1,).
+        indices: Filled with that column's unknowns.
+        entries: Filled with its entries, pairs of them for the first of a 2×2 pivot.
     """
     bandwidth, size = band.shape[0] - 1, band.shape[1]
     count = entered = done = fill = negative = 0
     while done < size:
         summed = size if entered == size else entered - bandwidth
-        i, j = _choose_pivot(front, active, count, summed)
-        if i < 0 and entered < size and count < active.size:
+        p, q = _choose_pivot(front, active, count, summed)
+        if p < 0 and entered < size and count < active.size:
             _enter(band, front, active, count, entered)
             count, entered = count + 1, entered + 1
             continue
-        if i < 0:
-            i = _force_pivot(front, active, count, summed)
-            if i < 0:
+        if p < 0:
+            p = _force_pivot(front, active, count, summed)
+            if p < 0:
                 return -1
-        width = 1 if j < 0 else 2
-        count -= width
-        if j < 0:
-            fill, signs = _eliminate_one(front, active, i, count, to, done, fill)
-        else:
-            fill, signs = _eliminate_pair(front, active, i, j, count, to, done, fill)
-        negative, done = negative + signs, done + width
-    to.starts[size] = fill
+        starts[done] = fill
+        if q < 0:
+            count -= 1
+            _swap(front, active, p, count, count + 1)
+            pivots[done], inverses[done, 0] = active[count], 1.0 / front[count, count]
+            negative += front[count, count] < 0.0
+            fill = _eliminate_one(front, active, count, indices, entries, fill)
+            done += 1
+            continue
+        count -= 2
+        _swap(front, active, max(p, q), count + 1, count + 2)
+        _swap(front, active, min(p, q), count, count + 2)
+        a, b, c = front[count, count], front[count, count + 1], front[count + 1, count + 1]
+        determinant = a * c - b * b
+        pivots[done], pivots[done + 1] = -1 - active[count], active[count + 1]
+        inverses[done, 0], inverses[done, 1] = c / determinant, -b / determinant
+        inverses[done + 1, 0], inverses[done + 1, 1] = -b / determinant, a / determinant
+        negative += 1 if determinant < 0.0 else (2 if a < 0.0 else 0)
+        fill = _eliminate_pair(front, active, count, indices, entries, fill)
+        starts[done + 1] = fill
+        done += 2
+    starts[size] = fill
     return negative
 
 
 @kernel
-def solve(by: Columns, x: Floats) -> None:
-    """Overwrites a right-hand side (size,) with the solution."""
-    pivots, inverses, starts, indices, entries = by
-    k = 0
-    while k < pivots.size:
+def solve(
+    pivots: Ints, inverses: Floats, starts: Ints, indices: Ints, entries: Floats, x: Floats
+) -> None:
+    """Overwrites a right-hand side (size,) with the solution; arguments as in `factorize`."""
+    size, k = pivots.size, 0
+    while k < size:
         if pivots[k] >= 0:
             value = x[pivots[k]]
             for e in range(starts[k], starts[k + 1]):
@@ -224,21 +217,15 @@ def solve(by: Columns, x: Floats) -> None:
             x[i] = inverses[k, 0] * first + inverses[k, 1] * second
             x[j] = inverses[k + 1, 0] * first + inverses[k + 1, 1] * second
             k += 2
-    _substitute(by, x)
-
-
-@kernel
-def _substitute(by: Columns, x: Floats) -> None:
-    """Multiplies x (size,) by L⁻ᵀ, from the last pivot back."""
-    pivots, _, starts, indices, entries = by
-    k = pivots.size - 1
+    k = size - 1
     while k >= 0:
         if k == 0 or pivots[k - 1] >= 0:
             for e in range(starts[k], starts[k + 1]):
                 x[pivots[k]] -= entries[e] * x[indices[e]]
             k -= 1
         else:
-            for e in range(starts[k - 1], starts[k], 2):
-                x[-1 - pivots[k - 1]] -= entries[e] * x[indices[e]]
-                x[pivots[k]] -= entries[e + 1] * x[indices[e]]
-            k -= 2
+            k -= 1
+            for e in range(starts[k], starts[k + 1], 2):
+                x[-1 - pivots[k]] -= entries[e] * x[indices[e]]
+                x[pivots[k + 1]] -= entries[e + 1] * x[indices[e]]
+            k -= 1
