@@ -14,7 +14,7 @@ from typing import get_args
 
 from drake_aigto.paper import LiteralOptions, LiteralProblem, make_literal_problem, plan_literal
 from drake_aigto.paper.options import AlgorithmName
-from drake_aigto.planning.plan import LARGEST_DEFECT
+from drake_aigto.planning.candidate import LARGEST_DEFECT
 from drake_aigto.transcription.rows import largest_defect
 from drake_aigto.world import Scenario, World
 

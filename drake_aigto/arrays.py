@@ -1,11 +1,13 @@
-"""Types of arrays, and arrays that nobody changes."""
+"""Types of arrays, arrays that nobody changes, and frozen records of them, equal by value."""
 
 from __future__ import annotations
 
+import dataclasses
+from functools import partial
 from typing import Any, TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 Bools = NDArray[np.bool_]
 Floats = NDArray[np.float64]
@@ -19,3 +21,42 @@ def locked(array: _Array) -> _Array:
     """Returns an array, which is read-only from now on."""
     array.setflags(write=False)
     return array
+
+
+def read_only(values: ArrayLike, dtype: Any = float) -> NDArray[Any]:
+    """Returns a read-only copy."""
+    return locked(np.array(values, dtype=dtype))
+
+
+class ArrayRecord:
+    """Base of frozen dataclasses whose fields are arrays, tuples, dicts, numbers or text.
+
+    Subclass with ``@dataclass(frozen=True, eq=False)`` and let ``__post_init__`` check the fields
+    and make the arrays read-only (`read_only`).
+    """
+
+    def _fields(self) -> dict[str, Any]:
+        fields = dataclasses.fields(self)  # type: ignore[arg-type]
+        return {field.name: getattr(self, field.name) for field in fields}
+
+    def _key(self) -> tuple[object, ...]:
+        """Returns the fields, arrays as their shape and values."""
+        return tuple(map(_hashable, self._fields().values()))
+
+    def __eq__(self, other: object) -> bool:
+        """Two records are equal if all fields are, arrays element by element."""
+        return self._key() == other._key() if type(other) is type(self) else NotImplemented
+
+    def __hash__(self) -> int:
+        """Hashes the fields, so that equal records hash alike."""
+        return hash(self._key())
+
+    def __reduce__(self) -> tuple[Any, tuple[()]]:
+        """Pickles and copies through the constructor, so that arrays stay read-only."""
+        return partial(type(self), **self._fields()), ()
+
+
+def _hashable(value: object) -> object:
+    if isinstance(value, np.ndarray):
+        return value.shape, *value.ravel().tolist()
+    return frozenset(value.items()) if isinstance(value, dict) else value

@@ -26,6 +26,12 @@ _T = TypeVar("_T")
 # Metadata of a dataclass's field that is left out: written and read otherwise, or not at all.
 LEFT_OUT = {"plain": False}
 
+
+def called(key: str) -> dict[str, str]:
+    """Returns metadata of a dataclass's field that has another name among plain values."""
+    return {"plain": key}
+
+
 _EXPECTED = {str: "text", bool: "true or false", int: "a whole number", float: "a number"}
 
 
@@ -83,28 +89,28 @@ def _converter() -> Converter:
     converter.register_unstructure_hook_func(_is_array, np.ndarray.tolist)
     converter.register_structure_hook_func(_is_array, lambda data, _: np.array(data, dtype=float))
     converter.register_unstructure_hook_factory(
-        _leaves_out, lambda kind: make_dict_unstructure_fn(kind, converter, **_omissions(kind))
+        _is_special, lambda kind: make_dict_unstructure_fn(kind, converter, **_overrides(kind))
     )
     converter.register_structure_hook_factory(
-        _leaves_out,
+        _is_special,
         lambda kind: make_dict_structure_fn(
-            kind, converter, _cattrs_forbid_extra_keys=True, **_omissions(kind)
+            kind, converter, _cattrs_forbid_extra_keys=True, **_overrides(kind)
         ),
     )
     use_class_methods(converter, "from_plain", "to_plain")
     return converter
 
 
-def _leaves_out(kind: Any) -> bool:
-    return bool(is_dataclass(kind) and _omissions(kind))
+def _is_special(kind: Any) -> bool:
+    return bool(is_dataclass(kind) and _overrides(kind))
 
 
-def _omissions(kind: Any) -> dict[str, Any]:
-    """Returns how cattrs is told which fields of a dataclass are left out."""
+def _overrides(kind: Any) -> dict[str, Any]:
+    """Returns how cattrs is told which fields are left out, and which have another name."""
     from cattrs.gen import override
 
-    left_out = (field.name for field in fields(kind) if field.metadata == LEFT_OUT)
-    return {name: override(omit=True) for name in left_out}
+    keys = {field.name: field.metadata["plain"] for field in fields(kind) if field.metadata}
+    return {name: override(rename=key or None, omit=not key) for name, key in keys.items()}
 
 
 def _is_array(kind: Any) -> bool:

@@ -178,7 +178,7 @@ def test_planned_contacts_say_where_they_are() -> None:
         times, positions, velocities, np.zeros((10, 1)), impulses, np.zeros((10, 2))
     )
     first, second = find_contacts(world, trajectory)
-    assert [first.contact, second.contact] == [1, 0]
+    assert [first.index, second.index] == [1, 0]
     assert [first.time, second.time] == pytest.approx([0.2, 0.7])
     assert first.velocity_change == pytest.approx(4.0) and first.energy_ratio == pytest.approx(1.0)
     assert second.energy_ratio == pytest.approx(0.25)
@@ -195,7 +195,7 @@ def test_a_corner_is_two_planned_contacts_at_once_and_between_faces_is_outside()
     trajectory = Trajectory(
         times, positions, velocities, np.zeros((2, 2)), impulses, np.zeros((2, 8))
     )
-    assert [contact.contact for contact in find_contacts(world, trajectory)] == [0, 2]
+    assert [contact.index for contact in find_contacts(world, trajectory)] == [0, 2]
     assert all(c.energy_ratio == pytest.approx(1.0) for c in find_contacts(world, trajectory))
     # Behind three planes of the block, in front of the fourth.
     assert max_penetration(world, trajectory) == 0

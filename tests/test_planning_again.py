@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Callable
 from typing import Any
 
+import numpy as np
 import pytest
 from pydrake.solvers import MathematicalProgram
 from replay_worlds import make_diagram, shipped_world
@@ -15,6 +17,7 @@ from drake_aigto.errors import ScenarioError
 from drake_aigto.planning import Plan, Planner, PlanOptions, compiled
 from drake_aigto.study import ScenarioQuestion
 from drake_aigto.terms import TermBlock, parse_costs
+from drake_aigto.transcription import RigidTranscription
 
 UNCONFIRMED = PlanOptions(confirm=False)
 CHANGING = (
@@ -82,6 +85,44 @@ def test_a_goal_that_costs_nothing_at_first_counts_once_it_is_given_a_weight() -
     found = Planner(scenario, UNCONFIRMED, shipped_world()).plan(goal_weight=1.0)
     after = dataclasses.replace(scenario, goal_weight=1.0)
     assert_same(found, Planner(after, UNCONFIRMED, shipped_world()).plan())
+
+
+def running_cost(program: RigidTranscription) -> None:
+    q, v = np.split(program.state(), 2)
+    program.AddRunningCost(1e-3 * (q[0] ** 2 + v[0] ** 2))
+
+
+def cost_at_a_knot(program: RigidTranscription) -> None:
+    program.prog().AddQuadraticCost(1e-2 * (program.state(20)[0] - 0.4) ** 2)
+
+
+def bounds_on_the_control(program: RigidTranscription) -> None:
+    program.AddConstraintToAllKnotPoints(program.input()[0] <= 8.0)
+
+
+def sum_at_two_knots(program: RigidTranscription) -> None:
+    program.prog().AddConstraint(program.state(15)[0] + program.state(30)[0] >= 0.7)
+
+
+@pytest.mark.parametrize(
+    "add", [running_cost, cost_at_a_knot, bounds_on_the_control, sum_at_two_knots]
+)
+def test_what_users_added_counts_as_much_when_a_planner_plans_again(
+    add: Callable[[RigidTranscription], None],
+) -> None:
+    scenario = Scenario(
+        initial_position=0.5, initial_velocity=-2.0, goal_position=0.8, time_step=0.02
+    )
+    after = dataclasses.replace(
+        scenario, initial_position=0.6, initial_velocity=-2.2, goal_position=0.9
+    )
+    planner, new = (Planner(each, UNCONFIRMED, shipped_world()) for each in (scenario, after))
+    for each in (planner, new):
+        add(each.transcription)
+    first, found = planner.plan(), planner.plan(**changes(after))
+    assert_same(found, new.plan())
+    assert found.additions == first.additions != ()
+    assert found.cost != Planner(after, UNCONFIRMED, shipped_world()).plan().cost
 
 
 def test_programs_are_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -326,7 +326,7 @@ def test_an_inequality_of_several_variables_is_refused_by_name() -> None:
     prog = MathematicalProgram()
     x = prog.NewContinuousVariables(2, "x")
     prog.AddConstraint(x[0] + x[1] <= 1.0).evaluator().set_description("budget")
-    with pytest.raises(UnsupportedTermError, match=r"'budget' can't be penalised.*one variable"):
+    with pytest.raises(UnsupportedTermError, match=r"'budget' can't be penalized.*one variable"):
         penalize(prog)
 
 

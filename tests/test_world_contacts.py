@@ -147,7 +147,7 @@ def test_two_balls_on_a_line_meet_on_the_sides_that_face_each_other() -> None:
 
 @pytest.mark.parametrize("apart", [0.0, 1e-12])
 def test_two_balls_with_one_centre_are_refused_for_no_side_is_known(apart: float) -> None:
-    with pytest.raises(ModelError, match=r"ball against ball 1: got spheres whose centres coinci"):
+    with pytest.raises(ModelError, match=r"ball against ball 1: got spheres whose centers coinci"):
         make_world("x", [], [0.3, 0.3 + apart], balls=2)
 
 

@@ -165,7 +165,7 @@ def test_a_position_beside_the_walls_face_is_refused(write_model: ModelWriter) -
     beside = dataclasses.replace(fits, goal_position=0.4)
     with pytest.raises(
         ScenarioError,
-        match=r"goal_position is beside the face of the wall .*got the sphere's centre "
+        match=r"goal_position is beside the face of the wall .*got the sphere's center "
         r"\[-0\.353553, 0\.0\] m off .* expected within \[0\.3, 0\.3\] m\. Widen the wall",
     ):
         world.check(beside)

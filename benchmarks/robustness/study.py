@@ -148,7 +148,7 @@ def _judge(
     except AigtoError as error:
         return PlanResult(method, error=str(error))
     control = plan.times, plan.controls
-    contacts = tuple(contact.contact for contact in find_contacts(world, plan))
+    contacts = tuple(contact.index for contact in find_contacts(world, plan))
     nominal = replay_event_driven(world, scenario, *control)
     runs: dict[str, Callable[[World, Scenario], Replay]] = {
         OPEN_LOOP: lambda world, scenario: replay_event_driven(world, scenario, *control),

@@ -13,10 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Floats, read_only
 from drake_aigto.errors import OptionsError
 from drake_aigto.simulation.replay import replay_event_driven
-from drake_aigto.trajectory import read_only
 from drake_aigto.world import Scenario, World
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from drake_aigto.baselines.baseline import Baseline, Recorder
 from drake_aigto.paper import LiteralOptions, make_literal_problem, random_guess
 from drake_aigto.planning import PlanningProblem, PlanOptions, make_problem
-from drake_aigto.planning.plan import LARGEST_DEFECT
+from drake_aigto.planning.candidate import LARGEST_DEFECT
 from drake_aigto.transcription.rows import largest_defect
 
 

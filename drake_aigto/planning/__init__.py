@@ -1,8 +1,9 @@
 """From a scenario to a plan: search, polish, and replay on rigid walls."""
 
+from drake_aigto.planning.candidate import Candidate, Replays, Veto
 from drake_aigto.planning.options import PlanOptions, Rung, SearchOptions
 from drake_aigto.planning.origin import Origin
-from drake_aigto.planning.plan import Candidate, Plan, PlanningError, PlanStats, Replays, Veto
+from drake_aigto.planning.plan import Plan, PlanningError, PlanStats
 from drake_aigto.planning.planner import Planner, plan, run_search
 from drake_aigto.planning.problem import PlanningProblem
 from drake_aigto.planning.rigid import RigidProblem, coarsen, make_problem

@@ -1,18 +1,15 @@
-"""Penalised programs that are compiled once, for all ends, weights and durations."""
+"""Penalized programs that are compiled once, for all ends, weights and durations."""
 
 from __future__ import annotations
 
 import logging
 from collections.abc import Hashable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 from drake_aigto.box import BoxPolynomial, ParametricPolynomial
 from drake_aigto.terms import parse_costs
-
-if TYPE_CHECKING:
-    from drake_aigto.transcription import Transcription
-    from drake_aigto.transcription.penalties import Bounds
+from drake_aigto.transcription import Transcription
+from drake_aigto.transcription.penalties import Bounds
 
 _LOG = logging.getLogger(__name__)
 
@@ -22,7 +19,7 @@ _MOST_KEPT = 32
 
 @dataclass(frozen=True, eq=False)
 class CompiledProgram:
-    """The penalised program of all transcriptions of one structure.
+    """The penalized program of all transcriptions of one structure.
 
     Attributes:
         polynomial: its costs, for any parameters.
@@ -52,7 +49,7 @@ class CompiledProgram:
         return cls(polynomial, (lower, upper), names)
 
     def at(self, transcription: Transcription) -> BoxPolynomial:
-        """Returns the penalised cost of a transcription."""
+        """Returns the penalized cost of a transcription."""
         return self.polynomial.at(transcription.parameters.vector())
 
 

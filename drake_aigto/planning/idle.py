@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from drake_aigto.planning.candidate import LARGEST_DEFECT, Candidate
 from drake_aigto.planning.origin import NO_CONTROL, Origin
-from drake_aigto.planning.plan import LARGEST_DEFECT, Candidate
 from drake_aigto.planning.problem import PlanningProblem, sample
 from drake_aigto.planning.simulated import calc_defects, read_motion
 from drake_aigto.simulation.contacts import find_contacts, max_penetration

@@ -140,7 +140,7 @@ class PlanOptions(SearchOptions):
             more; only the plan itself has the scenario's where these are fewer, or one a phase.
         exhaustive: whether rungs are run, too, that can hardly tell anything new
             (`RigidSearch.rungs`), and flights polished that cost too much (`RigidSearch.add`).
-        branches: of how many candidates neighbours are tried, with a bounce more or less.
+        branches: of how many candidates neighbors are tried, with a bounce more or less.
     """
 
     ladder: tuple[Rung, ...] = field(default=RIGID_LADDER, repr=False)

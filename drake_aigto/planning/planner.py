@@ -9,6 +9,7 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from drake_aigto.errors import OptionsError
+from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.plan import Plan, PlanningError
 from drake_aigto.planning.rigid import RigidProblem, transcribe
@@ -157,16 +158,21 @@ def run_search(search: RigidSearch, scenario: Scenario, progress: Progress | Non
     """
     search.run(progress)
     search.add_idle()
-    best = search.find_best()
-    if not search.confirm(best):
-        search.add_left_out()
-        others = (other for other in search.find_feasible() if other.is_confirmed)
-        holds = (other for other in others if other is not best and search.confirm(other))
-        best = next(holds, best)
-    found = search.make_plan(scenario, best)
+    found = search.make_plan(scenario, _choose(search))
     if not found.holds:
         raise _nothing_holds(found, len(search.problem.options.ladder))
     return found
+
+
+def _choose(search: RigidSearch) -> Candidate:
+    """Returns the best candidate that holds; if none does, the best."""
+    best = search.find_best()
+    if search.confirm(best):
+        return best
+    search.add_left_out()
+    others = (other for other in search.find_feasible() if other.is_confirmed)
+    holds = (other for other in others if other is not best and search.confirm(other))
+    return next(holds, best)
 
 
 def _nothing_holds(found: Plan, num_rungs: int) -> PlanningError:

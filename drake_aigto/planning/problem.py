@@ -26,10 +26,10 @@ from drake_aigto.local import (
     solve_with_drake,
 )
 from drake_aigto.planning.added_rows import check_added_rows
+from drake_aigto.planning.candidate import Candidate, Replays
 from drake_aigto.planning.compiled import CompiledPrograms
 from drake_aigto.planning.options import Rung, SearchOptions, StartName
 from drake_aigto.planning.origin import Origin
-from drake_aigto.planning.plan import Candidate, Replays
 from drake_aigto.simulation.contacts import find_contacts, max_penetration
 from drake_aigto.simulation.replay import Replay, replay_drake, replay_event_driven
 from drake_aigto.trajectory import Trajectory
@@ -57,7 +57,7 @@ class Start:
 
     Attributes:
         transcription: the constrained program.
-        polynomial: its penalised cost.
+        polynomial: its penalized cost.
         box: the first box.
         row_names: of the rows that penalties stand for.
     """
@@ -89,12 +89,7 @@ class PlanningProblem(ABC):
         options: SearchOptions,
         programs: CompiledPrograms | None = None,
     ) -> None:
-        """Compiles, unless there is a program of this structure already.
-
-        Args:
-            transcription: with what users added.
-            options: numerics.
-            programs: those of the same world, and the same additions.
+        """Compiles, unless the programs of the same world and additions have this structure.
 
         Raises:
             UnsupportedTermError: a cost or constraint that has no mean in closed form.
@@ -123,7 +118,7 @@ class PlanningProblem(ABC):
 
     @property
     def polynomial(self) -> BoxPolynomial:
-        """The penalised cost, for AIGO."""
+        """The penalized cost, for AIGO."""
         return self._starts["line"].polynomial
 
     @property
@@ -270,12 +265,12 @@ class PlanningProblem(ABC):
             return solve_with_drake(prog, guess, self.options.local_solver).x
         nlp = compiled() if compiled else compile_nlp(prog)
         for factor in self._cost_units:
-            result = self._minimise(nlp, guess, max_iterations or _MAX_ITERATIONS, factor)
+            result = self._minimize(nlp, guess, max_iterations or _MAX_ITERATIONS, factor)
             if result.is_success or max_iterations:
                 break
         return result.x
 
-    def _minimise(
+    def _minimize(
         self, nlp: PolynomialNlp, guess: Floats, max_iterations: int, factor: float = 1.0
     ) -> LocalResult:
         """Returns the result of one run of our local solver, costs in so many `cost_scale`."""

@@ -16,11 +16,11 @@ from drake_aigto.aigo import AigoResult, Algorithm, Annealing
 from drake_aigto.local import LocalResult, NewtonLagrange, PolynomialNlp, compile_nlp
 from drake_aigto.planning.arc_program import ArcPrograms
 from drake_aigto.planning.arcs import solve_in_arcs
+from drake_aigto.planning.candidate import LARGEST_DEFECT, Candidate
 from drake_aigto.planning.compiled import CompiledPrograms
 from drake_aigto.planning.instants import keep_apart, moved_past
 from drake_aigto.planning.options import PlanOptions, Rung
 from drake_aigto.planning.origin import Origin
-from drake_aigto.planning.plan import LARGEST_DEFECT, Candidate
 from drake_aigto.planning.problem import PlanningProblem, sample
 from drake_aigto.planning.simulated import calc_defects, read_motion
 from drake_aigto.planning.touches import read_sequences
@@ -305,7 +305,7 @@ class RigidProblem(PlanningProblem):
         world, (times, positions) = self.transcription.world, path
         joints = joint_times(sequence)
         through = np.column_stack([np.interp(joints, times, q) for q in positions.T])
-        # Box centers miss the goal, and neighbours the walls: on which side of it a block is passed
+        # Box centers miss the goal, and neighbors the walls: on which side of it a block is passed
         # is to be seen on a path that does not.
         stops = straight_path(world, self.transcription.scenario, sequence, through)
         has_boxes = world.num_solids < world.num_contacts
@@ -337,7 +337,7 @@ class RigidProblem(PlanningProblem):
         Of most sequences no bound is active in the optimum: phases have some length.
         """
         quick = NewtonLagrange(cost_unit=self._cost_scale)
-        return quick.solve(nlp, guess) or self._minimise(nlp, guess, max_iterations)
+        return quick.solve(nlp, guess) or self._minimize(nlp, guess, max_iterations)
 
     @cached_property
     def least_flight_cost(self) -> float:

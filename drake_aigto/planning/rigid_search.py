@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
+from drake_aigto.planning.candidate import LARGEST_DEFECT, Candidate
 from drake_aigto.planning.insertions import find_insertions
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.origin import COASTING, ChangeName, Origin
-from drake_aigto.planning.plan import LARGEST_DEFECT, Candidate
 from drake_aigto.planning.rests import find_rests
 from drake_aigto.planning.rigid import Path, RigidProblem, Solved
 from drake_aigto.planning.search import Search, Stopwatch
@@ -36,7 +36,7 @@ _MOST_TOUCHES = 8
 _CHATTER = 0.02
 # Another time step than the scenario's is worth this part of the cost.
 _STEPS_PRICE = 1e-2
-# Neighbours are tried of candidates that cost at most so many times the best, with so few time
+# Neighbors are tried of candidates that cost at most so many times the best, with so few time
 # steps and iterations of the local solver: most are hopeless, or no motion has them, which takes
 # the solver longest to find out.
 _GOOD, _TRIAL_STEPS, _TRIAL_ITERATIONS = 3.0, 20, 30
@@ -130,7 +130,7 @@ class RigidSearch(Search):
     ) -> None:
         """Adds the candidate of a sequence, and if its replay bounces more often, that one's.
 
-        A flight is left out once another candidate costs so little that not even its neighbours
+        A flight is left out once another candidate costs so little that not even its neighbors
         would be tried.
 
         Args:
@@ -230,7 +230,7 @@ class RigidSearch(Search):
         return []
 
     def refine(self) -> None:
-        """Adds neighbours of the best candidates, then improves the best of all."""
+        """Adds neighbors of the best candidates, then improves the best of all."""
         self.tell(f"{len(self.by_sequence)} candidates; looking for others near the best")
         self._add_coast()
         self.branch()
@@ -247,7 +247,7 @@ class RigidSearch(Search):
             self.add(Origin(COASTING), self.problem.box.center, sequence, path)
 
     def branch(self) -> None:
-        """Adds neighbours (`neighbors`) of good sequences, the best first, of each once."""
+        """Adds neighbors (`neighbors`) of good sequences, the best first, of each once."""
         branched: set[TouchSequence] = set()
         while len(branched) < self.problem.options.branches:
             least = min(candidate.replay.cost for candidate in self.by_sequence.values())
@@ -265,7 +265,7 @@ class RigidSearch(Search):
             self._branch(best)
 
     def _branch(self, sequence: TouchSequence) -> None:
-        """Adds those neighbours of a sequence that a trial finds good."""
+        """Adds those neighbors of a sequence that a trial finds good."""
         phases, x = self.solved[sequence]
         origin = self.by_sequence[sequence].origin
         path = phases.sample_times(x), phases.split(x)[0]

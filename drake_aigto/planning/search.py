@@ -18,17 +18,11 @@ import numpy as np
 
 from drake_aigto.aigo import AigoResult, Iterate, Status
 from drake_aigto.jit import tell_compilation
+from drake_aigto.planning.candidate import LARGEST_DEFECT, Candidate, Replays
 from drake_aigto.planning.idle import idle_candidate
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.origin import Origin
-from drake_aigto.planning.plan import (
-    LARGEST_DEFECT,
-    Candidate,
-    Plan,
-    PlanningError,
-    PlanStats,
-    Replays,
-)
+from drake_aigto.planning.plan import Plan, PlanningError, PlanStats
 from drake_aigto.planning.problem import ContactSequence, PlanningProblem
 from drake_aigto.transcription.rows import scaled_defects
 

@@ -7,7 +7,7 @@ import numpy.typing as npt
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 
 from drake_aigto.arrays import Floats
-from drake_aigto.planning.plan import LARGEST_DEFECT
+from drake_aigto.planning.candidate import LARGEST_DEFECT
 from drake_aigto.simulation.contacts import max_penetration
 from drake_aigto.simulation.replay import Replay
 from drake_aigto.trajectory import Trajectory

@@ -127,4 +127,4 @@ def _first_contact(world: World, run: Candidate) -> tuple[float, float] | None:
     if not run.contacts:
         return None
     first = run.contacts[0]
-    return first.time, calc_approach_speed(world, run.trajectory, first.time, first.contact)
+    return first.time, calc_approach_speed(world, run.trajectory, first.time, first.index)

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Floats, read_only
 from drake_aigto.planning import Plan
 from drake_aigto.simulation import Replay
 from drake_aigto.simulation.contacts import find_contacts
-from drake_aigto.trajectory import Trajectory, read_only
+from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch
 from drake_aigto.world import World
 
@@ -74,7 +74,7 @@ class Motion:
         """Returns a planned motion: v_k before each knot's impulse, v_k + M⁻¹ Jᵀ p_k after it."""
         jumps = world.calc_velocity_change(trajectory.positions, trajectory.impulses)
         touches = tuple(
-            Touch(c.time, c.last_time, c.contact) for c in find_contacts(world, trajectory)
+            Touch(c.time, c.last_time, c.index) for c in find_contacts(world, trajectory)
         )
         before_and_after = np.stack([trajectory.velocities, trajectory.velocities + jumps], axis=1)
         return cls(

@@ -180,7 +180,7 @@ def candidate_texts(candidate: Candidate, names: Sequence[str]) -> tuple[str, ..
     """Returns a candidate's numbers, those of its rigid simulation, and its contacts."""
     times = ", ".join(map(_when, candidate.contacts))
     if len(names) > 1:
-        times = " at ".join(["".join(_letter(c.contact) for c in candidate.contacts), times])
+        times = " at ".join(["".join(_letter(c.index) for c in candidate.contacts), times])
     cost, defect, *others = run_texts(candidate)
     return (
         cost,
@@ -254,7 +254,7 @@ def _contacts(candidate: Candidate, names: Sequence[str]) -> Iterator[str]:
         yield "none"
         return
     for contact in candidate.contacts[:_MOST_CONTACTS]:
-        where = f"{names[contact.contact]} at " if len(names) > 1 else ""
+        where = f"{names[contact.index]} at " if len(names) > 1 else ""
         yield f"{where}{_when(contact)} s (Δv {contact.velocity_change:.2f} m/s)"
     if (more := len(candidate.contacts) - _MOST_CONTACTS) > 0:
         yield f"{more} more"

@@ -175,7 +175,7 @@ def describe_contacts(best: Candidate, world: World) -> str:
     names = contact_names(world)
     if not best.contacts:
         return "The plan touches nothing."
-    touches = [f"{names[c.contact]} at {c.time:.3f} s" for c in best.contacts]
+    touches = [f"{names[c.index]} at {c.time:.3f} s" for c in best.contacts]
     count = "once" if len(touches) == 1 else f"{len(touches)} times"
     return f"The plan touches {count}: {'; '.join(touches)}."
 

@@ -2,16 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.simulation.material import LEAST_RESTITUTION, contact_delays
 from drake_aigto.simulation.recording import Impact, Recording, Rest
-
-if TYPE_CHECKING:
-    from drake_aigto.world import World
+from drake_aigto.world import World
 
 # Of a contact's duration, integrated for 1e-3 ≤ e ≤ 1: e τ(e) / τ(1) exceeds e by no more than this
 # times 1 − e. At e = 0.5 it lasts 5 % longer, at 0.2 27 %.
@@ -84,14 +80,10 @@ def calc_compliance_error(world: World, restitutions: Floats, recording: Recordi
 def _calc_displacement(
     impact: Impact, e: float, delay: float, by_position: Floats, by_velocity: Floats
 ) -> float:
-    """Returns by how much one impact moves the end at most [m].
+    """Returns by how much an impact of restitution e, late by τ_i [s], moves the end at most [m].
 
-    Args:
-        impact: its speed and push.
-        e: its restitution.
-        delay: τ_i [s].
-        by_position: how the end moves for each metre that the contact is apart, shape (nv,).
-        by_velocity: how it moves for each metre a second, shape (nv,) [s].
+    The end moves so much for each meter that the contact is apart, and for each meter a second more
+    [s], shape (nv,) both.
     """
     late = delay * (e * impact.speed * by_position + impact.push * by_velocity)
     lingering = _LINGERING * (1 - e) * impact.speed * delay

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.jit import inner, kernel
-
-if TYPE_CHECKING:
-    from drake_aigto.world import ConstantInertia
-
+from drake_aigto.world import ConstantInertia
 
 # Rates of several contacts at once below this are rounding, relative to the largest among them.
 _ROUNDING = 1e-13
@@ -95,17 +92,13 @@ class ContactMotion:
         return (self._jacobian @ acceleration).tolist()
 
     def calc_supported(self, rates: Floats, contacts: Iterable[int]) -> Floats:
-        """Returns the nearest rates of change of v, or of q, that enter none of these contacts.
+        """Returns the nearest rates x of change of v, or of q, to r that enter none of contacts C.
 
             minimize ½ (x − r)ᵀ M (x − r)   subject to   J_C x ≥ 0
 
         For accelerations that is Gauss's principle of least constraint: x = r + M⁻¹ J_Cᵀ λ with
         λ ≥ 0, J_C x ≥ 0, λᵀ J_C x = 0, the forces of rest on frictionless walls. For velocities it
         is an impact that returns nothing.
-
-        Args:
-            rates: r, shape (nv,).
-            contacts: C.
         """
         held = np.zeros(self._num_contacts, dtype=bool)
         held[list(contacts)] = True
@@ -117,12 +110,7 @@ class ContactMotion:
 
 
 def calc_depth(walls: Walls, positions: ArrayLike) -> float:
-    """Returns how deep the ball is inside a solid at most, at least 0 [m].
-
-    Args:
-        walls: the contacts.
-        positions: q of K moments, shape (K, nq) [m].
-    """
+    """Returns how deep inside a solid the ball is at most, at least 0 [m], at q (K, nq) [m]."""
     distances = np.asarray(positions) @ walls.jacobian.T + walls.offset
     outside = np.maximum.reduceat(distances, walls.firsts[:-1], axis=1)
     return max(0.0, -float(np.min(outside)))
@@ -150,10 +138,7 @@ def find_size(x: Floats) -> float:
 def calc_time_to_wall(distance: float, rate: float, push: float) -> float:
     """Return the first t ≥ 0 at which φ + φ̇ t + φ̈ t²/2 falls to 0 [s]; infinity if there is none.
 
-    Args:
-        distance: φ ≥ 0, or below 0 where φ̇ > 0 [m].
-        rate: φ̇ [m/s].
-        push: φ̈, taken for constant [m/s²].
+    The distance φ is at least 0, or below 0 where the rate φ̇ > 0; the push φ̈ is constant.
     """
     discriminant = rate * rate - 2 * push * distance
     if discriminant < 0:
@@ -165,7 +150,7 @@ def calc_time_to_wall(distance: float, rate: float, push: float) -> float:
 
 @kernel
 def support(walls: Walls, held: Bools, free: Floats, rates: Floats) -> None:
-    """Write the nearest rates to free ones that enter none of the held contacts.
+    """Write the nearest rates x to free ones r, shape (nv,), that enter none of the held contacts.
 
     `ContactMotion.calc_supported` has the problem. With multipliers μ_i = A_ii λ_i it is
 
@@ -173,12 +158,7 @@ def support(walls: Walls, held: Bools, free: Floats, rates: Floats) -> None:
 
     solved by exchanging the first μ_i or (J x)_i below 0 for the other, until there is none (K. G.
     Murty, "Note on a Bard-type scheme for solving the complementarity problem", Opsearch 11, 1974).
-
-    Args:
-        walls: the contacts.
-        held: which of them must not be entered, shape (m,).
-        free: r, shape (nv,).
-        rates: becomes x, shape (nv,); may be r itself.
+    Both may be one array.
     """
     m, tolerance = held.size, 0.0
     # w = table[:, :m] z + table[:, m], where z are the multipliers and w the rates J x, but each

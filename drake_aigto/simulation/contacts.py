@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from dataclasses import dataclass, field
 
 import numpy as np
 
-from drake_aigto.arrays import Floats
-
-if TYPE_CHECKING:
-    from drake_aigto.trajectory import Trajectory
-    from drake_aigto.world import World
+from drake_aigto.arrays import Floats, Ints
+from drake_aigto.plain import called
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.world import World
 
 # An impulse is a contact if it changes the velocity by this part of the largest one on the way. A
 # literal plan has some force at every distance; this tells the blow from the breeze.
@@ -34,14 +32,14 @@ class PlannedContact:
         velocity_change: ‖Σ M⁻¹ J_iᵀ (p_ik + λ_ik τ_k)‖ [m/s].
         energy_ratio: kinetic energy after / before, with all that happens at its knots; 1 where it
             is still before and after.
-        contact: i, which of the world's contacts.
+        index: i, which of the world's contacts.
     """
 
     time: float
     last_time: float
     velocity_change: float
     energy_ratio: float
-    contact: int = 0
+    index: int = field(default=0, metadata=called("contact"))
 
 
 def find_contacts(world: World, trajectory: Trajectory) -> tuple[PlannedContact, ...]:
@@ -58,7 +56,7 @@ def find_contacts(world: World, trajectory: Trajectory) -> tuple[PlannedContact,
         for i in range(world.num_contacts)
         for contact in _find_contacts(world, trajectory, energies, i)
     ]
-    return tuple(sorted(found, key=lambda contact: (contact.time, contact.contact)))
+    return tuple(sorted(found, key=lambda contact: (contact.time, contact.index)))
 
 
 def _find_contacts(
@@ -72,7 +70,12 @@ def _find_contacts(
     alone = np.zeros(trajectory.impulses.shape)
     alone[:, index] = impulses + np.append(held, 0.0)
     changes = world.calc_velocity_change(trajectory.positions, alone)
-    sizes = np.linalg.norm(changes, axis=1)
+    runs = _find_runs(trajectory, impulses, held, np.linalg.norm(changes, axis=1))
+    return [_contact(trajectory, energies, changes, run[0], run[-1], index) for run in runs]
+
+
+def _find_runs(trajectory: Trajectory, impulses: Floats, held: Floats, sizes: Floats) -> list[Ints]:
+    """Returns the knots of each contact, given how much velocities change there (N+1,) [m/s]."""
     largest = np.max(np.linalg.norm(trajectory.velocities, axis=1))
     if np.all(impulses[:-1]):
         hit = np.flatnonzero(sizes > _SHARE * largest)
@@ -81,10 +84,7 @@ def _find_contacts(
         touching = np.append(held != 0, False) | np.append(False, held != 0)
         hit = np.flatnonzero((sizes > _ROUNDING * largest) | touching)
         apart = held[hit[:-1]] == 0
-    if not hit.size:
-        return []
-    runs = np.split(hit, np.flatnonzero(apart) + 1)
-    return [_contact(trajectory, energies, changes, run[0], run[-1], index) for run in runs]
+    return np.split(hit, np.flatnonzero(apart) + 1) if hit.size else []
 
 
 def max_penetration(world: World, trajectory: Trajectory) -> float:
@@ -101,7 +101,7 @@ def _contact(
         last_time=float(trajectory.times[last]),
         velocity_change=float(np.linalg.norm(changes[first : last + 1].sum(axis=0))),
         energy_ratio=_energy_ratio(energies[0, first], energies[1, last], np.max(energies[0])),
-        contact=index,
+        index=index,
     )
 
 

@@ -36,10 +36,10 @@ class Controller(ABC):
 
     @abstractmethod
     def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
-        """Returns the control from now on.
+        """Returns the control from now on, in [start, end) [s].
 
         Args:
-            time: now, in [start, end) [s].
+            time: now [s].
             x: (q, v), shape (nq + nv,).
             bounces: the contact of each bounce so far.
         """
@@ -51,12 +51,7 @@ class HeldControl(Controller):
     feels_contact = False
 
     def __init__(self, times: Floats, controls: Floats) -> None:
-        """Keeps it.
-
-        Args:
-            times: of the knots, shape (N+1,), strictly increasing [s].
-            controls: held between them, shape (N, nu) [N].
-        """
+        """Keeps controls (N, nu) [N] that are held between knots (N+1,) [s]."""
         self._times, self._controls = times, controls
         self.start, self.end = float(times[0]), float(times[-1])
         self.longest_hold = float(np.max(np.diff(times)))

@@ -3,7 +3,9 @@
 A moment is a time in which v̇ without contact is constant: the whole of a control's interval where
 flight is a parabola, or else so short that it nearly is. What happens in it is found by roots.
 
-Letters as in `ContactMotion`.
+Letters as in `ContactMotion`. Wherever they are arguments, walls are all contacts, a phase becomes
+the one at the end, an acceleration is v̇ without contact, shape (nv,) [m/s²], a log has one row for
+each impact (`make_log`), and still is how fast a contact at rest may seem to move [m/s].
 """
 
 from __future__ import annotations
@@ -85,19 +87,11 @@ def run(
     any more, in the order of the world's contacts. That is exact, and the order does not matter,
     where J_i M⁻¹ J_jᵀ = 0.
 
-    Args:
-        walls: the contacts.
-        rules: of impacts.
-        phase: at the beginning; becomes the one at the end.
-        acceleration: v̇ without contact, shape (nv,) [m/s²].
-        end: when the moment ends [s].
-        left: how long it lasts [s].
-        first: the contact that is touched as it begins, −1 if that is to be found out.
-        log: one row for each impact.
-        logged: how many impacts there were.
+    The moment ends at `end` and lasts for `left` [s]; `first` is the contact that is touched as it
+    begins, −1 if that is to be found out.
 
     Returns:
-        How many impacts there were, this moment's with them.
+        How many impacts there were: those `logged` before, and this moment's.
     """
     q, v, resting, _ = phase
     m = resting.size
@@ -173,15 +167,8 @@ def find_event(
     A contact at rest that others push in is touched at once. From a contact that is rested on the
     ball slides off where it comes in front of another face of the same solid.
 
-    Args:
-        firsts: `Walls.firsts`.
-        resting: which contacts the ball rests on, shape (m,).
-        curves: φ, φ̇ and φ̈ of each contact, shape (m, 3).
-        still: how fast a contact at rest may seem to move [m/s].
-        horizon: how far to look [s].
-
     Returns:
-        How long until then [s], the contact, or −1 if nothing happens within the horizon, and
+        How long until then [s], the contact, or −1 if nothing happens within the horizon [s], and
         whether the ball slides off in front of that one instead of touching it.
     """
     wait, contact, slides = horizon, -1, False
@@ -334,12 +321,7 @@ def find_wait(
 ) -> float:
     """Return how long until a contact is touched or left [s] (`find_event`); infinity if never.
 
-    Args:
-        walls: the contacts.
-        phase: the present one.
-        acceleration: v̇ with the forces of rest, taken for constant, shape (nv,).
-        still: how fast a contact at rest may seem to move [m/s].
-        horizon: how far to look [s].
+    The acceleration is that with the forces of rest, taken for constant until the horizon [s].
     """
     curves = np.empty((phase.resting.size, 3))
     calc_curves(walls, phase.q, phase.v, acceleration, curves)
@@ -361,16 +343,7 @@ def run_again(
 ) -> int:
     """Take a phase back by a time in which it flew through contacts, and `run` it from there.
 
-    Args:
-        walls: the contacts.
-        rules: of impacts.
-        phase: as it was taken to be at the end; becomes what it is then.
-        supported: v̇ that took it there, shape (nv,) [m/s²].
-        acceleration: v̇ without contact, shape (nv,) [m/s²].
-        end: when the time ends [s].
-        left: how long it lasted [s].
-        first: the contact that is touched as it begins.
-        log: one row for each impact.
+    It was taken to the end by v̇ = `supported`, shape (nv,) [m/s²].
 
     Returns:
         How many impacts there were.

@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
 
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 from pydrake.geometry import GeometryId
+from pydrake.systems.framework import Context
 
 from drake_aigto.errors import ModelError
+from drake_aigto.world import World
 from drake_aigto.world.material import set_material
-
-if TYPE_CHECKING:
-    from pydrake.systems.framework import Context
-
-    from drake_aigto.world import World
 
 _STIFFNESS = ("material", "point_contact_stiffness")
 _DISSIPATION = ("material", "hunt_crossley_dissipation")
@@ -28,12 +24,9 @@ _NEARLY_ELASTIC = 1e-4
 def contact_delay(world: World) -> float:
     """Returns how long an elastic contact of the world lasts at most, π √(m / k) [s].
 
-    A rigid wall turns the ball round at once. Drake's compliant one, of stiffness k, keeps it for
-    half a period of mass m on spring k, which delays all that follows.
-
-    Args:
-        world: k = k₁ k₂ / (k₁ + k₂) comes from the material of its shapes, and
-            m = (J_i M⁻¹ J_iᵀ)⁻¹ from its mass matrix.
+    A rigid wall turns the ball round at once. Drake's compliant one, of stiffness k = k₁ k₂ /
+    (k₁ + k₂), keeps it for half a period of m = (J_i M⁻¹ J_iᵀ)⁻¹ on a spring, which delays all
+    that follows.
 
     Raises:
         ModelError: a shape has no stiffness.
@@ -51,15 +44,12 @@ def contact_delays(world: World) -> list[float]:
 def calc_dissipation(restitution: float, speed: float) -> float:
     """Returns the Hunt-Crossley dissipation that makes an impact's restitution e [s/m].
 
-    With f = k x (1 + d ẋ) an impact at speed v returns e v where y = d v solves
+    With f = k x (1 + d ẋ) an impact at speed v > 0 [m/s] returns e v where y = d v solves
 
         y − ln(1 + y) = −e y − ln(1 − e y)
 
-    so that it depends on the speed: other impacts have another restitution.
-
-    Args:
-        restitution: e in [0, 1]; below 1e-3 it is taken for 1e-3.
-        speed: v > 0 [m/s].
+    so that it depends on the speed: other impacts have another restitution. Below 1e-3, e is
+    taken for that.
     """
     e = max(restitution, LEAST_RESTITUTION)
     if 1 - e < _NEARLY_ELASTIC:

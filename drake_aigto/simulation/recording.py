@@ -75,12 +75,7 @@ class Recording:
         self.controls.append(control)
 
     def add_impacts(self, log: Floats, mass_matrix: Floats) -> None:
-        """Appends impacts that take no time, and the states before and after each.
-
-        Args:
-            log: one row for each, as `impacts.make_log` has it.
-            mass_matrix: M, shape (nv, nv) [kg].
-        """
+        """Appends the impacts of a log (`make_log`), and the states before and after each."""
         self.impacts += list_impacts(log, mass_matrix)
         for row in log:
             q, before, after = row[STATE:].reshape(3, -1).copy()

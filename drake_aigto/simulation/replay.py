@@ -4,12 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import ArrayRecord, Floats, read_only
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.simulation.compliance import calc_compliance_error
 from drake_aigto.simulation.compliant_wall import simulate_compliant_wall
@@ -17,12 +16,10 @@ from drake_aigto.simulation.controller import HeldControl
 from drake_aigto.simulation.recording import Recording
 from drake_aigto.simulation.rigid_wall import simulate_rigid_wall
 from drake_aigto.simulation.rollout import Parabolas
-from drake_aigto.trajectory import ArrayRecord, check_control, read_only
+from drake_aigto.trajectory import check_control
+from drake_aigto.world import Scales, Scenario, World
 
-if TYPE_CHECKING:
-    from drake_aigto.world import Scales, Scenario, World
-
-# What counts as nothing in a simulation, as a part of the task's scales: 2 mm in a task of a metre.
+# What counts as nothing in a simulation, as a part of the task's scales: 2 mm in a task of a meter.
 _NOTHING = 2e-3
 # A row is at a knot but for this part of the duration: rounding.
 _AT_KNOT = 1e-9
@@ -145,13 +142,8 @@ def replay_costs(world: World, scenario: Scenario, times: ArrayLike, controls: A
     """Returns what many held controls cost on exactly rigid walls, shape (C,).
 
     The costs of `replay_event_driven` to the last bit, without its records: where flight is a
-    parabola, compiled code runs them one after the other.
-
-    Args:
-        world: its dynamics and its contacts.
-        scenario: start, goal, weights and restitution; it has to fit the world (`World.check`).
-        times: of the knots, shape (N+1,), the same for all [s].
-        controls: C of them, held over each interval, shape (C, N, nu) [N].
+    parabola, compiled code runs them one after the other. Times (N+1,) are the same for all
+    controls, (C, N, nu); all else is as there.
 
     Raises:
         TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
@@ -175,20 +167,15 @@ def replay_costs(world: World, scenario: Scenario, times: ArrayLike, controls: A
 
 
 def replay_drake(world: World, scenario: Scenario, times: ArrayLike, controls: ArrayLike) -> Replay:
-    """Replays a held control on the world's own continuous plant in Drake.
+    """Replays a held control on the world's own continuous plant in Drake, for its actuation.
 
     Its walls are compliant, so each bounce is late by `contact_delay` and dips in by v √(m / k).
     The restitution that Hunt-Crossley dissipation makes depends on the speed. So it is set before
     each impact for the speed that is coming (`Replay.matched_speeds`), or to zero for restitution
     1, in the simulation's context alone, and so is friction if the scenario leaves that out:
     `make_simulator` has the same plant for diagrams of your own. A ball rolls round the corners of
-    a box, which the event-driven replay takes for sharp.
-
-    Args:
-        world: its diagram, whose actuation this replaces.
-        scenario: start, goal, weights and restitution; it has to fit the world (`World.check`).
-        times: of the knots, shape (N+1,), not necessarily even [s].
-        controls: held over each interval, shape (N, nu) [N].
+    a box, which the event-driven replay takes for sharp. Arguments are those of
+    `replay_event_driven`.
 
     Raises:
         ModelError: a shape of the contact has no stiffness.
@@ -220,7 +207,7 @@ def confirms(
 
     with the task's scales L and J₀. A replay that does better than its plan confirms it. The parts
     that do not grow with the cost are for plans that promise next to nothing: who ends 2 mm off the
-    goal in a task of a metre, where the plan claims 0, is still there, and J₀ is what missing the
+    goal in a task of a meter, where the plan claims 0, is still there, and J₀ is what missing the
     goal by L costs. The defaults let pass what the compliant wall of the shipped models
     takes from the optimal plans of Table I's problems (0.1 ms late, so 0.2 mm off and 0.5 % dearer
     at most), and stop a plan whose bounce no rigid wall returns. NaN never holds.
@@ -290,15 +277,9 @@ def summarize(
     recording: Recording,
     compliance_error: float = 0.0,
 ) -> Replay:
-    """Returns the replay that a recording shows.
+    """Returns the replay that a simulator's recording of a held control shows.
 
-    Args:
-        simulator: its name.
-        scenario: goal and weights.
-        times: of the control's knots, shape (N+1,) [s].
-        controls: held between them, shape (N, nu) [N].
-        recording: the simulation.
-        compliance_error: how far off the end is at most, as walls are compliant [m].
+    Its end is off by the compliance error [m] at most, as walls are compliant.
     """
     cost, goal_error = _calc_cost(scenario, times, controls, recording.positions[-1])
     unexplained = max(0.0, goal_error - compliance_error)

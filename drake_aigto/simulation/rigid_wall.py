@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
@@ -29,10 +29,7 @@ from drake_aigto.simulation.contact_motion import (
 from drake_aigto.simulation.controller import Controller
 from drake_aigto.simulation.impacts import HybridState, Rules
 from drake_aigto.simulation.recording import Recording
-
-if TYPE_CHECKING:
-    from drake_aigto.world import World
-
+from drake_aigto.world import World
 
 # Times are parts of the simulated duration T.
 
@@ -87,7 +84,7 @@ class RigidWall(LeafSystem):
             world: its dynamics and its contacts.
             restitutions: e of each contact, in [0, 1], shape (m,).
             duration: T, how long will be simulated [s].
-            longest_step: the longest that the Simulator will take [s].
+            longest_step: of the Simulator [s].
             recording: where impacts are noted, with the states before and after.
         """
         super().__init__()
@@ -197,9 +194,7 @@ class RigidWall(LeafSystem):
     def predict_impact(self, context: Context, horizon: float) -> float:
         """Returns how long until the next φ = 0 under the present φ̈ [s]; infinity if never.
 
-        Args:
-            context: the present state.
-            horizon: what is hardly within this is not looked at, and infinity [s].
+        What is hardly within the horizon [s] is not looked at, and infinity.
         """
         x, resting = _get_state(context), self._get_resting(context)
         if not any(
@@ -314,13 +309,9 @@ class RigidWall(LeafSystem):
 def simulate_rigid_wall(
     world: World, restitutions: Floats, state: tuple[Floats, Floats], controller: Controller
 ) -> Recording:
-    """Runs a controller against exactly rigid walls.
+    """Runs a controller, of an open or a closed loop, against exactly rigid walls.
 
-    Args:
-        world: its dynamics and its contacts.
-        restitutions: e of each contact, in [0, 1], shape (m,).
-        state: the start, (q, v).
-        controller: decides the control, open or closed loop.
+    Letters as in `RigidWall`; the start is (q, v).
 
     Returns:
         The states whenever the controller is asked, at the end, and before and after each impact.

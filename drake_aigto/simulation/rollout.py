@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
@@ -21,10 +19,7 @@ from drake_aigto.simulation.impacts import (
     run,
 )
 from drake_aigto.simulation.recording import Recording, list_impacts
-
-if TYPE_CHECKING:
-    from drake_aigto.world import ConstantDynamics
-
+from drake_aigto.world import ConstantDynamics
 
 # Of the first log; what has more impacts runs a second time.
 _USUAL_IMPACTS = 64
@@ -51,7 +46,7 @@ class Parabolas:
         """Reads what is constant.
 
         Args:
-            dynamics: with the contacts (`World.constant_dynamics`).
+            dynamics: with the contacts.
             restitutions: e of each contact, in [0, 1], shape (m,).
             state: the start, (q, v).
             times: of the knots, shape (N+1,) [s].
@@ -66,8 +61,7 @@ class Parabolas:
     def record(self, controls: Floats) -> Recording:
         """Returns the states at all knots, and before and after each impact.
 
-        Args:
-            controls: held between the knots, shape (N, nu).
+        Controls are held between the knots, shape (N, nu).
         """
         knots, n = self._times.size, self._start.shape[1]
         states, impacts_until = np.empty((knots, 2, n)), np.zeros(knots, dtype=np.int64)
@@ -76,17 +70,7 @@ class Parabolas:
         while (count := self._roll_out(accelerations, states, impacts_until, log)) > len(log):
             log = make_log(count, n)
         log = log[:count]
-        # A knot's row stands behind two for each impact until then.
-        at_knots = np.arange(knots) + 2 * impacts_until
-        times, rows = np.empty(knots + 2 * count), np.empty((knots + 2 * count, 2, n))
-        times[at_knots], rows[at_knots] = self._times, states
-        is_impact = np.ones(times.size, dtype=bool)
-        is_impact[at_knots] = False
-        at_impacts = np.flatnonzero(is_impact)
-        q, before, after = log[:, STATE:].reshape(-1, 3, n).transpose(1, 0, 2)
-        for part, v in enumerate((before, after)):
-            rows[at_impacts[part::2], 0], rows[at_impacts[part::2], 1] = q, v
-            times[at_impacts[part::2]] = log[:, TIME]
+        times, rows = self._insert_impacts(states, impacts_until, log)
         return Recording(
             times=times,
             positions=rows[:, 0],
@@ -96,6 +80,23 @@ class Parabolas:
             impacts=list_impacts(log, self._dynamics.mass_matrix),
             max_penetration=calc_depth(self._walls, rows[:, 0]),
         )
+
+    def _insert_impacts(
+        self, states: Floats, impacts_until: Ints, log: Floats
+    ) -> tuple[Floats, Floats]:
+        """Returns times and states (q, v), with two rows for each impact between the knots'."""
+        knots, _, n = states.shape
+        at_knots = np.arange(knots) + 2 * impacts_until
+        times, rows = np.empty(knots + 2 * len(log)), np.empty((knots + 2 * len(log), 2, n))
+        times[at_knots], rows[at_knots] = self._times, states
+        is_impact = np.ones(times.size, dtype=bool)
+        is_impact[at_knots] = False
+        at_impacts = np.flatnonzero(is_impact)
+        q, *velocities = log[:, STATE:].reshape(-1, 3, n).transpose(1, 0, 2)
+        for part, v in enumerate(velocities):
+            rows[at_impacts[part::2], 0], rows[at_impacts[part::2], 1] = q, v
+            times[at_impacts[part::2]] = log[:, TIME]
+        return times, rows
 
     def _calc_accelerations(self, controls: Floats) -> Floats:
         """Returns v̇ without contact, shape (…, nv) [m/s²]."""
@@ -114,11 +115,9 @@ class Parabolas:
         return HybridState(q, v, np.zeros(m, dtype=bool), np.zeros(m))
 
     def find_ends(self, controls: Floats, times: Floats | None = None) -> Floats:
-        """Returns the positions that many controls lead to, shape (C, nq) [m].
+        """Returns the positions that many controls (C, N, nu) lead to, shape (C, nq) [m].
 
-        Args:
-            controls: C of them, held between the knots, shape (C, N, nu).
-            times: of the knots of each, shape (C, N+1), from 0 to T; None: those of all [s].
+        Each may have times of its own, shape (C, N+1), from 0 to T [s].
         """
         times = np.broadcast_to(
             self._times if times is None else times, (len(controls), self._times.size)
@@ -142,17 +141,11 @@ def roll_out(
     impacts_until: Ints,
     log: Floats,
 ) -> int:
-    """Write the motion from a start, under the acceleration of each interval.
+    """Write the motion from a phase, under the acceleration of each interval (N, nv).
 
-    Args:
-        walls: the contacts.
-        rules: of impacts.
-        phase: at the start; becomes the one at the end.
-        times: of the knots, shape (N+1,) [s].
-        accelerations: v̇ without contact, shape (N, nv) [m/s²].
-        states: becomes (q, v) at each knot, shape (N+1, 2, nq).
-        impacts_until: becomes how many impacts there were until each knot, shape (N+1,).
-        log: one row for each impact, as many as it has.
+    States become (q, v) at each knot, shape (N+1, 2, nq), and `impacts_until` how many impacts
+    there were by then, shape (N+1,). Other arguments are those of `impacts.run`; a log that is too
+    short has the first impacts.
 
     Returns:
         How many impacts there were.
@@ -185,17 +178,7 @@ def roll_out_many(
     ends: Floats,
     log: Floats,
 ) -> None:
-    """Write the last position of each of C motions from a start (`roll_out`).
-
-    Args:
-        walls: the contacts.
-        rules: of impacts.
-        start: of each.
-        times: of the knots, shape (C, N+1) [s].
-        accelerations: v̇ without contact, shape (C, N, nv) [m/s²].
-        ends: becomes q at the last knots, shape (C, nq).
-        log: has no row.
-    """
+    """Write the last position of each of C motions from a start, shape (C, nq), as `roll_out`."""
     states = np.empty((times.shape[1], 2, start.q.size))
     impacts_until = np.empty(times.shape[1], np.int64)
     for c in range(len(ends)):

@@ -9,9 +9,8 @@ from numpy.typing import ArrayLike
 from pydrake.polynomial import Polynomial
 from pydrake.trajectories import PiecewisePolynomial
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import ArrayRecord, Floats, read_only
 from drake_aigto.errors import TrajectoryError
-from drake_aigto.trajectory.records import ArrayRecord, read_only
 
 
 @dataclass(frozen=True, eq=False)

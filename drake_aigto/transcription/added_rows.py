@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
@@ -12,11 +11,8 @@ from pydrake.solvers import Constraint
 from pydrake.symbolic import MakeVectorVariable, Variable
 
 from drake_aigto.arrays import Floats, Ints
+from drake_aigto.transcription.additions import Addition, Additions
 from drake_aigto.transcription.shared import formula_rows, is_affine_in_one, shared_constraint
-
-if TYPE_CHECKING:
-    from drake_aigto.transcription.additions import Addition, Additions
-
 
 # How the variables of their own are called.
 SLACK = "slack"
@@ -62,14 +58,10 @@ class AddedRow:
 def make_rows(
     addition: Addition, additions: Additions, reads: Ints, stages: Ints, new: Callable[[int], Ints]
 ) -> Iterator[AddedRow]:
-    """Yields the rows of a user's constraint.
+    """Yields the rows of a user's constraint, one of these additions.
 
-    Args:
-        addition: the constraint.
-        additions: that it is one of.
-        reads: decision variables, as the constraint has them, shape (K, …).
-        stages: the last knot that each copy reads, shape (K,).
-        new: returns so many new decision variables.
+    Its K copies read decision variables (K, …), at knots up to these stages (K,); `new` returns so
+    many new variables.
 
     Raises:
         UnsupportedTermError: Drake does not give its formula.

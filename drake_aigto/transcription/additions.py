@@ -241,14 +241,9 @@ def read_binding(
     expected: str,
     remedy: str,
 ) -> Addition:
-    """Returns a cost or constraint with its variables as places.
+    """Returns a cost or constraint with its variables as places, by their ids.
 
-    Args:
-        evaluator: as Drake made it.
-        variables: that it is bound to.
-        places: of variables, by their ids.
-        expected: which variables these are, for messages.
-        remedy: what to do where there is another one.
+    A message tells which variables are expected, and what to do where there is another one.
 
     Raises:
         ProgramError: it reads another variable.

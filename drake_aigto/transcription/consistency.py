@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterable, Sequence
 from functools import partial
-from typing import TYPE_CHECKING
 
 import numpy as np
 from pydrake.solvers import Binding, ClpSolver, MathematicalProgram, SolutionResult
@@ -12,9 +11,7 @@ from pydrake.solvers import Binding, ClpSolver, MathematicalProgram, SolutionRes
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import ProgramError
 from drake_aigto.transcription.added_rows import SLACK
-
-if TYPE_CHECKING:
-    from drake_aigto.transcription.additions import Additions
+from drake_aigto.transcription.additions import Additions
 
 
 def check_bounds_of(additions: Additions) -> None:
@@ -51,11 +48,7 @@ def check_start(additions: Additions, state: Floats) -> None:
 
 
 def check_linear(prog: MathematicalProgram, names: Collection[str]) -> None:
-    """Refuses bounds and linear constraints that contradict each other.
-
-    Args:
-        prog: has them.
-        names: descriptions of those that count.
+    """Refuses bounds and linear constraints of these descriptions that contradict each other.
 
     Raises:
         ProgramError: no point meets them; the message has few that contradict each other.
@@ -72,11 +65,7 @@ def check_linear(prog: MathematicalProgram, names: Collection[str]) -> None:
 def check_together(
     constraints: Sequence[Binding], may_be_feasible: Callable[[Sequence[Binding]], bool]
 ) -> None:
-    """Refuses constraints that contradict each other.
-
-    Args:
-        constraints: all that count.
-        may_be_feasible: whether some of them leave a point, as far as is known.
+    """Refuses constraints that leave no point, as far as is known.
 
     Raises:
         ProgramError: they leave none; the message has few that contradict each other.

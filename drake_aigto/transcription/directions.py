@@ -4,15 +4,12 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 
 from drake_aigto.arrays import Bools, Floats
-
-if TYPE_CHECKING:
-    from drake_aigto.world import ConstantInertia
+from drake_aigto.world import ConstantInertia
 
 # Jacobians are parallel, or directions dependent, within this.
 _PARALLEL = 1e-9
@@ -75,18 +72,11 @@ class ImpulseDirections:
         return cls(J, D, R, shares, masses, basis[rank:].T, are_independent)
 
     def contact_impulses(self, impulses: Floats, distances: Floats, in_force: Bools) -> Floats:
-        """Returns λ of net impulses: each direction's goes to the nearest wall that pushes so.
+        """Returns λ (K, m) of net impulses p (K, nv) [N s]: the nearest wall that pushes so has it.
 
         What nothing can push, a pull, is the nearest wall's too. Where directions depend on each
         other, λ ≥ 0 are those that explain p best, pushes from nearby before those from afar.
-
-        Args:
-            impulses: p, shape (K, nv) [N s].
-            distances: φ at these knots, shape (K, m) [m].
-            in_force: which contacts there are at these knots, shape (K, m).
-
-        Returns:
-            Shape (K, m) [N s].
+        Distances φ [m], and which contacts there are, are of shape (K, m).
         """
         if not self.are_independent:
             return np.array(list(map(self._explain, impulses, distances, in_force)))

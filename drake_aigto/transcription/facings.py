@@ -4,17 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.errors import OptionsError
 from drake_aigto.transcription.touch import Touch
-
-if TYPE_CHECKING:
-    from drake_aigto.world import World
-
+from drake_aigto.world import World
 
 # How finely a path is looked at to find the faces that it passes, in parts of the duration.
 _GRID = 200
@@ -61,20 +57,12 @@ class Fronts:
                 expected=f"those of {known}, the faces of boxes",
             )
         for faces in boxes:
-            starts = [facing.start for facing in facings if facing.contact in faces]
-            if not starts or starts[0] != 0 or np.any(np.diff([*starts, duration]) <= 0):
-                raise OptionsError(
-                    "facings",
-                    got=f"faces of one box from {starts} s on",
-                    expected=f"the first from 0 s, and increasing times below {duration:g} s",
-                )
+            _check_starts([each.start for each in facings if each.contact in faces], duration)
 
     def at_knots(self, times: Floats, knots: Sequence[int]) -> Bools:
         """Returns which faces are in force, shape (N+1, m); both of them where one takes over.
 
-        Args:
-            times: when phases meet, and both ends [s].
-            knots: those at these times.
+        Phases meet at these times [s] and knots, the ends among them.
         """
         front = np.tile(self._is_alone, (knots[-1] + 1, 1))
         for facing in self._facings:
@@ -90,19 +78,24 @@ class Fronts:
         return front
 
 
+def _check_starts(starts: Sequence[float], duration: float) -> None:
+    """Refuses faces of one box if there is none at some time."""
+    if not starts or starts[0] != 0 or np.any(np.diff([*starts, duration]) <= 0):
+        raise OptionsError(
+            "facings",
+            got=f"faces of one box from {starts} s on",
+            expected=f"the first from 0 s, and increasing times below {duration:g} s",
+        )
+
+
 def find_facings(
     world: World, times: Floats, path: Floats, sequence: Sequence[Touch] = ()
 ) -> tuple[Facing, ...]:
     """Returns the faces that a path goes along, as few changes as it takes.
 
     A face lasts for as long as the path is in front of it, or, where the path cuts a box, nearer to
-    it than to the others. It takes over in the middle of the time in which both are.
-
-    Args:
-        world: whose boxes these are.
-        times: of the path's points, shape (K,) [s].
-        path: shape (K, nq) [m]; straight between its points.
-        sequence: touches; at their times the touched face is the one.
+    it than to the others. It takes over in the middle of the time in which both are. Where a face
+    is touched, it is the one. The path is straight between its points (K, nq) [m], at times (K,).
     """
     boxes = [faces for faces in world.solids if len(faces) > 1]
     if not boxes:
@@ -128,11 +121,7 @@ def find_facings(
 
 
 def _cover(fits: Bools) -> list[tuple[int, int]]:
-    """Returns from which row on which column to take, so that all fit and few change.
-
-    Args:
-        fits: shape (K, F); every row has a True.
-    """
+    """Returns from which row on which column to take, so that all fit (K, F) and few change."""
     cover: list[tuple[int, int]] = []
     k, K = 0, len(fits)
     while k < K:

@@ -30,6 +30,11 @@ from drake_aigto.transcription.knot_program import KnotProgram, numbers_of
 from drake_aigto.transcription.shared import SharedEvaluator, as_expression, shared_cost
 from drake_aigto.world import Scenario, World
 
+_NO_OTHERS = (
+    "Write it as an expression of these: an inequality of several variables is given one of its "
+    "own."
+)
+
 _Self = TypeVar("_Self", bound="OpenProgram")
 
 
@@ -130,17 +135,10 @@ class OpenProgram(KnotProgram):
         foreign = self._foreign_bindings()
         if not (foreign or self._added):
             return self._additions
-        places = self._places()
+        places, expected = self._places(), "variables of state(k) and input(k)"
         at_knots = tuple(
-            read_binding(
-                binding.evaluator(),
-                binding.variables(),
-                places,
-                expected="variables of state(k) and input(k)",
-                remedy="Write it as an expression of these: an inequality of several variables is "
-                "given one of its own.",
-            )
-            for binding in foreign
+            read_binding(each.evaluator(), each.variables(), places, expected, _NO_OTHERS)
+            for each in foreign
         )
         found = Additions(at_knots=at_knots).joined(self._additions).joined(self._added)
         return self._at_own_knots(found)

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.symbolic import MakeVectorVariable
 
-if TYPE_CHECKING:
-    from drake_aigto.world import Scenario
+from drake_aigto.world import Scenario
 
 
 class Parameters(NamedTuple):

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pydrake.solvers import BoundingBoxConstraint, Constraint, MathematicalProgram
 from pydrake.symbolic import Expression, MakeVectorVariable
 
-from drake_aigto.arrays import Floats, Ints
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.transcription.shared import (
     SharedEvaluator,
@@ -44,7 +44,7 @@ def penalize(
 
     Args:
         prog: the program; it is not changed.
-        inequality: how inequalities are penalised. A log barrier needs boxes that stay on its
+        inequality: how inequalities are penalized. A log barrier needs boxes that stay on its
             feasible side.
         scale: common factor of all penalties.
         per_unit: description → what residuals of such constraints are multiplied by: a number, or
@@ -72,17 +72,12 @@ def penalize(
         x, penalty = penalties[evaluator]
         if penalty is not None:
             penalty.bind(penalized, themselves | substitutions([x], [variables]))
-    fixed, values = fixed_variables(prog)
-    if fixed.size:
-        penalized.AddBoundingBoxConstraint(values, values, prog.decision_variables()[fixed])
-    return penalized
-
-
-def fixed_variables(prog: MathematicalProgram) -> tuple[Ints, Floats]:
-    """Returns the indices and values of the variables that equal lower and upper bounds fix."""
     lower, upper = read_bounds(prog)
     fixed = np.flatnonzero(lower == upper)
-    return fixed, lower[fixed]
+    if fixed.size:
+        held = lower[fixed], upper[fixed]
+        penalized.AddBoundingBoxConstraint(*held, prog.decision_variables()[fixed])
+    return penalized
 
 
 def cut_to_bounds(
@@ -130,9 +125,8 @@ def _penalty(
             if not isinstance(constraint, BoundingBoxConstraint):
                 total += scale * sym.pow((y - lower) * factor, 2)
             continue
-        sides = [y - lower] if np.isfinite(lower) else []
-        sides += [upper - y] if np.isfinite(upper) else []
-        for side in sides:
+        sides = (y - lower, lower), (upper - y, upper)
+        for side in (side for side, bound in sides if np.isfinite(bound)):
             total += scale * _inequality_penalty(name, as_expression(side), factor, inequality)
     if total.EqualTo(Expression(0.0)):
         return None
@@ -145,7 +139,7 @@ def _inequality_penalty(
     """Returns max(0, −y)² or −log y, of y times the factor."""
     if not is_affine_in_one(y):
         raise UnsupportedTermError(
-            f"the constraint '{name}' can't be penalised",
+            f"the constraint '{name}' can't be penalized",
             got=f"the inequality {y} ≥ 0",
             expected="inequalities that are affine in one variable",
             remedy="Give the expression a variable s of its own: expression == s, s ≥ 0.",

@@ -39,7 +39,7 @@ _SLOW = 1e-6
 
 
 class PhaseTranscription(ImpactTranscription):
-    """What is left to optimise once the contact sequence is known: a multi-phase problem.
+    """What is left to optimize once the contact sequence is known: a multi-phase problem.
 
     Phases meet where a contact is touched or left. Knots are spread evenly over each phase, whose
     duration is free, so time steps h_k are decision variables. From the velocity v⁺_k after knot k,
@@ -394,12 +394,7 @@ class PhaseTranscription(ImpactTranscription):
         return x
 
     def guess(self, through: ArrayLike | None = None) -> Trajectory:
-        """Returns a motion from stop to stop, see `make_guess`.
-
-        Args:
-            through: where the ball is at each of the `joint_times`, shape (J, nq) [m]; if None, on
-                the straight way to the goal. Moved to the walls that are touched.
-        """
+        """Returns a motion from stop to stop of the `straight_path` (`make_guess`)."""
         stops = straight_path(self.world, self.scenario, self.sequence, through)
         return make_guess(self.world, self.scenario, self.timeline, *stops)
 
@@ -409,12 +404,8 @@ def straight_path(
 ) -> tuple[Floats, Floats]:
     """Returns start, goal and the stops between, when and where: shapes (J+2,) [s], (J+2, nq) [m].
 
-    Args:
-        world: the plant, read.
-        scenario: the task.
-        sequence: the contacts; there is a stop at each of its `joint_times`.
-        through: the stops, shape (J, nq) [m]; if None, those of the straight way from start to
-            goal. Each is moved to the walls that are touched then.
+    There is a stop at each of a sequence's `joint_times`, on the straight way from start to goal
+    unless it is given, (J, nq), and moved to the walls that are touched then.
     """
     times = np.array([0.0, *joint_times(sequence), scenario.duration])
     ends = scenario.initial_position, scenario.goal_position

@@ -4,20 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.errors import OptionsError
+from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, NONPENETRATION, RESTITUTION
 from drake_aigto.transcription.transcription import Transcription
-
-if TYPE_CHECKING:
-    from drake_aigto.trajectory import Trajectory
-    from drake_aigto.world import ConstantInertia, Scenario, World
-
+from drake_aigto.world import ConstantInertia, Scenario, World
 
 # Least eigenvalue of J_C M⁻¹ J_Cᵀ in units of their masses, 1 if they don't feel each other.
 _DEPENDENT = 1e-9
@@ -48,12 +44,7 @@ class JointImpact:
     def of(
         cls, inertia: ConstantInertia, contacts: tuple[int, ...], restitutions: tuple[float, ...]
     ) -> JointImpact:
-        """Returns the impact of c contacts.
-
-        Args:
-            inertia: M, and J of all contacts.
-            contacts: which of them.
-            restitutions: theirs.
+        """Returns the impact of c of all contacts, given their restitutions.
 
         Raises:
             OptionsError: J_C has dependent rows: how they share an impulse is not defined.

@@ -40,12 +40,7 @@ class SharedEvaluator:
     placeholders: tuple[Variable, ...]
 
     def bind(self, prog: MathematicalProgram, values: dict[int, Variable]) -> None:
-        """Adds the evaluator to a program, with a decision variable for each placeholder.
-
-        Args:
-            prog: the program.
-            values: placeholder id → decision variable.
-        """
+        """Adds the evaluator to a program; values are variables by their placeholders' ids."""
         if isinstance(self.evaluator, Cost):
             prog.AddCost(self.evaluator, vars=self.variables(values))
         else:

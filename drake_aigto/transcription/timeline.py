@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,9 +13,7 @@ from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.errors import OptionsError
 from drake_aigto.transcription.facings import Facing, Fronts
 from drake_aigto.transcription.touch import TouchSequence, joint_times
-
-if TYPE_CHECKING:
-    from drake_aigto.world import Scenario, World
+from drake_aigto.world import Scenario, World
 
 
 @dataclass(frozen=True)
@@ -68,14 +65,10 @@ def make_timeline(
     facings: Sequence[Facing] = (),
     instants: ArrayLike = (),
 ) -> Timeline:
-    """Spreads the knots over a sequence's phases.
+    """Spreads the knots over the phases of a sequence that is checked (`check_sequence`).
 
-    Args:
-        world: whose contacts these are.
-        scenario: its duration and number of steps.
-        sequence: the contacts, checked by `check_sequence`.
-        facings: the faces of solids that have several; phases meet at their starts, too.
-        instants: other times at which phases are to meet, after the start and before the end [s].
+    Phases also meet where another face of a box takes over, and at these instants, which are after
+    the start and before the end [s].
 
     Raises:
         OptionsError: more phases than steps, or facings that leave out a box or what is touched.

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from drake_aigto.simulation.contact_motion import calc_time_to_wall
-
-if TYPE_CHECKING:
-    from drake_aigto.world import Scenario, World
+from drake_aigto.world import Scenario, World
 
 # What is touched within this part of the duration without control is touched whatever the control:
 # to brake before would take the inverse of that in force.

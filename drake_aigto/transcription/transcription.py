@@ -26,7 +26,7 @@ _LEAST_GROWN = 1e-2
 class Transcription(OpenProgram):
     """A contact problem as a MathematicalProgram over knots k = 0 … N (AIGTO Sec. III-B, IV).
 
-        minimise over q_k, v_k, u_k    Σ_{k<N} dt g(x_k, u_k) + g_N(x_N),     x = [q, v]
+        minimize over q_k, v_k, u_k    Σ_{k<N} dt g(x_k, u_k) + g_N(x_N),     x = [q, v]
         subject to                     x_0 given, the subclass's dynamics and contact rows
 
     where g starts as w_u ‖u‖² and g_N as w_f ‖q_N − goal‖². Every row and cost of a kind shares one
@@ -144,12 +144,8 @@ class Transcription(OpenProgram):
         """Returns center and half width of a box around a motion, narrow at first.
 
         Half widths are those of `initial_box` times share · (t/T)², as far off as a push of unknown
-        size leads, but at least a hundredth of the last ones. Controls are around zero.
-
-        Args:
-            positions: q at the knots, shape (N+1, nq) [m].
-            velocities: v at the knots, shape (N+1, nv) [m/s].
-            share: of the first box's size, at the end.
+        size leads, but at least a hundredth of the last ones. Controls are around zero. Positions
+        (N+1, nq) [m] and velocities (N+1, nv) [m/s] are those at the knots.
         """
         grown = np.maximum(np.linspace(0, 1, self.num_samples()) ** 2, _LEAST_GROWN)
         return self._box(positions, velocities, share * grown)

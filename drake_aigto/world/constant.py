@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Floats, read_only
 from drake_aigto.errors import ModelError
 from drake_aigto.world.polynomials import evaluate, is_constant
 
@@ -89,24 +89,12 @@ class ConstantDynamics(ConstantInertia):
 
 
 def read_constant(name: str, expressions: NDArray[Any], remedy: str) -> Floats:
-    """Returns the values of expressions, of the same shape, read-only.
-
-    Args:
-        name: what they are.
-        expressions: any shape.
-        remedy: where they vary.
+    """Returns the values of expressions of this name, of the same shape, read-only.
 
     Raises:
-        ModelError: they vary.
+        ModelError: they vary; with the remedy.
     """
     if not is_constant(expressions):
         got = ", ".join(map(str, expressions.flat))
         raise ModelError(name, got, expected="a constant", remedy=remedy)
     return read_only(evaluate(expressions))
-
-
-def read_only(array: Any) -> NDArray[Any]:
-    """Returns a copy of an array, locked."""
-    array = np.array(array)
-    array.flags.writeable = False
-    return array

@@ -1,7 +1,7 @@
 """Contact geometry, read from a SceneGraph: a sphere, a flat face, and how far they are apart.
 
 Drake's geometry queries have no symbolic form, so φ is built here from the shapes and the plant's
-symbolic kinematics: φ(q) = n · (p_sphere(q) − p_face) − r, exact while the sphere's centre projects
+symbolic kinematics: φ(q) = n · (p_sphere(q) − p_face) − r, exact while the sphere's center projects
 onto the face.
 """
 
@@ -24,7 +24,7 @@ from drake_aigto.errors import ModelError
 # Where a scene graph keeps the restitution of a shape, if its maker put it there.
 RESTITUTION = ("material", "restitution")
 
-# Centres that are nearer than this part of a radius coincide but for rounding.
+# Centers that are nearer than this part of a radius coincide but for rounding.
 _ROUNDING = 1e-9
 
 
@@ -57,7 +57,7 @@ class SphereAndFace:
         pair: both, such as "ball against wall".
         face: which of several faces it is, such as "+x"; empty if there is but one.
         sphere_body: the body S that carries the sphere.
-        p_SC: the sphere's centre C in its body's frame, shape (3,) [m].
+        p_SC: the sphere's center C in its body's frame, shape (3,) [m].
         radius: r [m].
         face_body: the body B that carries the face.
         X_BF: the face's frame F in its body's: the origin in the face's middle, x and y along its
@@ -80,21 +80,18 @@ class SphereAndFace:
 
     @property
     def is_unbounded(self) -> bool:
-        """Whether every centre projects onto the face."""
+        """Whether every center projects onto the face."""
         return bool(np.all(np.isinf(self.half_extents)))
 
     @property
     def is_ball(self) -> bool:
-        """Whether the face is that of a second sphere, flat on the line through both centres."""
+        """Whether the face is that of a second sphere, flat on the line through both centers."""
         return not np.any(self.half_extents)
 
     def calc_center(self, plant: Any, context: Any, scalar: type = float) -> NDArray[Any]:
-        """Returns the sphere's centre in the face's frame, shape (3,) [m]; the third is φ + r.
+        """Returns the sphere's center in the face's frame, shape (3,) [m]; the third is φ + r.
 
-        Args:
-            plant: the plant that the bodies belong to, or its symbolic twin.
-            context: that plant's context.
-            scalar: float, or Expression for the symbolic twin.
+        The plant is that of the bodies, or its symbolic twin, whose scalar is Expression.
         """
         X_BS = _calc_pose(plant, context, self.face_body, self.sphere_body)
         X_FB = self.X_BF.inverse().cast[scalar]()
@@ -108,7 +105,7 @@ def find_pairs(
 
     Each pair is a list: the six faces of a box, the one of a half space. Of two spheres, the second
     counts as a wall that faces the first one, in the given context: exact on the line through their
-    centres.
+    centers.
 
     Raises:
         ModelError: a pair of shapes that is not supported, by name.
@@ -169,11 +166,11 @@ def _read_pair(
 
 
 def _check_apart(pair: str, p_GC: Floats, radius: float, plant: MultibodyPlant) -> None:
-    """Refuses spheres with one centre, of which none is on any side of the other."""
+    """Refuses spheres with one center, of which none is on any side of the other."""
     if np.linalg.norm(p_GC) <= _ROUNDING * radius:
         raise ModelError(
             f"contact of {pair}",
-            got="spheres whose centres coincide at the plant's default positions, "
+            got="spheres whose centers coincide at the plant's default positions, "
             f"{plant.GetDefaultPositions().tolist()}",
             expected="default positions that show which one is on which side of the other",
             remedy="Start them apart; in your own diagram, by the plant's SetDefaultPositions.",
@@ -215,7 +212,7 @@ def _read_restitution(inspector: Any, sphere: GeometryId, wall: GeometryId) -> f
 def _faces(
     shape: Box | HalfSpace | Sphere, p_GC: Floats
 ) -> list[tuple[str, RigidTransform, Floats]]:
-    """Returns name, X_GF and half extents of each face of a geometry G, seen from a centre C."""
+    """Returns name, X_GF and half extents of each face of a geometry G, seen from a center C."""
     if isinstance(shape, HalfSpace):
         return [("", RigidTransform(), np.full(2, np.inf))]
     if isinstance(shape, Sphere):

@@ -21,12 +21,10 @@ from drake_aigto.world.files import find_model, package_map
 
 
 def build_diagram(model: str) -> Diagram:
-    """Returns a diagram of the model's continuous plant and its scene graph.
+    """Returns a diagram of a model's continuous plant and its scene graph.
 
-    Ports: ``actuation`` in; ``state`` and ``query`` (for a visualizer) out.
-
-    Args:
-        model: a ``package://`` URI, or a path to a file that Drake parses.
+    The model is a ``package://`` URI, or a path to a file that Drake parses. Ports: ``actuation``
+    in; ``state`` and ``query`` (for a visualizer) out.
 
     Raises:
         ModelError: there is no such file, or Drake can't parse it.
@@ -108,12 +106,9 @@ def find_joint(plant: MultibodyPlant, position_index: int) -> Joint:
 
 
 def move_shape(diagram: Diagram, shape: GeometryId, translation: Floats) -> Diagram:
-    """Returns a copy of a diagram with one shape elsewhere on its body.
+    """Returns a copy of a diagram with one shape, in all of its roles, elsewhere on its body.
 
-    Args:
-        diagram: with one plant and its scene graph.
-        shape: what moves, in all of its roles.
-        translation: by how much, in the frame of its body, shape (3,) [m].
+    The translation is in the frame of its body, shape (3,) [m].
 
     Raises:
         ModelError: a system in the diagram can't be copied.
@@ -175,16 +170,18 @@ def _check_velocities(plant: MultibodyPlant) -> None:
         block = N[joint.position_start() :, joint.velocity_start() :][:nq, :nv]
         if nq == nv and np.allclose(block, np.eye(nq)):
             continue
-        if joint.is_ephemeral():
-            what = f"no joint attaches link {joint.child_body().name()!r}, so it floats"
-        else:
-            what = f"joint {joint.name()!r} ({joint.type_name()})"
         raise ModelError(
-            what,
+            _describe(joint),
             got="velocities v that are not q̇",
             expected="q̇ = v",
             remedy="Attach the link by prismatic joints.",
         )
+
+
+def _describe(joint: Joint) -> str:
+    if joint.is_ephemeral():
+        return f"no joint attaches link {joint.child_body().name()!r}, so it floats"
+    return f"joint {joint.name()!r} ({joint.type_name()})"
 
 
 def _check_effort_limits(plant: MultibodyPlant) -> None:

@@ -11,8 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.symbolic import Expression
 
-from drake_aigto.arrays import Bools, Floats
-from drake_aigto.world.constant import ConstantDynamics, ConstantInertia, read_constant, read_only
+from drake_aigto.arrays import Bools, Floats, read_only
+from drake_aigto.world.constant import ConstantDynamics, ConstantInertia, read_constant
 from drake_aigto.world.contact import Contact
 from drake_aigto.world.polynomials import PolynomialMap, is_constant
 
@@ -94,7 +94,7 @@ class EquationsOfMotion:
     def are_of_one_solid(self) -> Bools:
         """Which contacts are faces of one solid, shape (m, m)."""
         solids = np.array([contact.solid for contact in self.contacts])
-        return read_only(solids[:, np.newaxis] == solids)
+        return read_only(solids[:, np.newaxis] == solids, bool)
 
     @cached_property
     def inverse_actuation(self) -> Floats:
@@ -168,7 +168,7 @@ class EquationsOfMotion:
         """Returns how far the sphere is outside each solid, (…, S) [m], at q of shape (…, nq).
 
         The largest φ_i of the solid's faces: at least 0 outside, and the distance itself where the
-        sphere's centre projects onto a face. Past an edge or a corner the distance is larger: the
+        sphere's center projects onto a face. Past an edge or a corner the distance is larger: the
         corner counts as sharp though the sphere would round it.
         """
         firsts = [faces[0] for faces in self.solids]
@@ -192,13 +192,7 @@ class EquationsOfMotion:
         return q - inverse @ self.calc_signed_distance(q)[contacts]
 
     def calc_acceleration(self, q: Floats, v: Floats, u: Floats) -> Floats:
-        """Returns v̇ = M⁻¹ (B u − h(q, v)), without contact, shape (…, nv) [m/s²].
-
-        Args:
-            q: positions, shape (…, nq) [m].
-            v: velocities, shape (…, nv) [m/s].
-            u: controls, shape (…, nu) [N].
-        """
+        """Returns v̇ = M⁻¹ (B u − h(q, v)), without contact, (…, nv) [m/s²], at u (…, nu) [N]."""
         force = u @ self.actuation.T - self.calc_bias(q, v)
         if self.has_constant_inertia:  # Simulations ask this in every step.
             return force @ self.constant_inertia.inverse_mass.T

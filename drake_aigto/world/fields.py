@@ -9,7 +9,7 @@ from typing import TypeGuard, overload
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Floats, read_only
 from drake_aigto.errors import ScenarioError
 
 
@@ -51,7 +51,7 @@ def as_vector(name: str, value: object) -> Floats:
         ScenarioError: not numbers, NaN or infinity among them, empty, or of two dimensions.
     """
     if _is_fine(value):
-        return _lock(value)
+        return read_only(value)
     items = np.array(value, dtype=object, ndmin=1)
     if items.ndim != 1 or items.size == 0:
         raise ScenarioError(
@@ -59,7 +59,7 @@ def as_vector(name: str, value: object) -> Floats:
             got=f"an array of shape {items.shape}",
             expected="a number, or a sequence of one number per coordinate",
         )
-    return _lock([as_number(name, item) for item in items])
+    return read_only([as_number(name, item) for item in items])
 
 
 def _is_fine(value: object) -> TypeGuard[Floats]:
@@ -67,12 +67,6 @@ def _is_fine(value: object) -> TypeGuard[Floats]:
     if not (isinstance(value, np.ndarray) and value.dtype == np.float64 and value.ndim == 1):
         return False
     return value.size > 0 and bool(np.isfinite(value).all())
-
-
-def _lock(values: ArrayLike) -> Floats:
-    vector = np.array(values, dtype=float)
-    vector.flags.writeable = False
-    return vector
 
 
 class VectorField:

@@ -44,10 +44,7 @@ def package_map() -> PackageMap:
 
 
 def find_model(model: str) -> Path:
-    """Returns the file that a model's name stands for.
-
-    Args:
-        model: a ``package://`` URI, or a path to an SDF, URDF or other file that Drake parses.
+    """Returns the file of a model: a ``package://`` URI, or a path to what Drake parses.
 
     Raises:
         ModelError: unknown package, or no such file.
@@ -81,7 +78,7 @@ def write_text(path: str | os.PathLike[str], text: str) -> None:
 
 
 def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
-    """Writes a file whole or not at all: to a neighbour first, which then takes its name.
+    """Writes a file whole or not at all: to a neighbor first, which then takes its name.
 
     Raises:
         OutputFileError: it can't be written.

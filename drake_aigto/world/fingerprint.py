@@ -75,12 +75,8 @@ class Fingerprint:
     def check(self, other: Fingerprint, remedy: str) -> None:
         """Checks that another world is the same, wherever it was built from.
 
-        Args:
-            other: that world's.
-            remedy: what to do if it is not.
-
         Raises:
-            ModelError: it is not; names the first thing that differs.
+            ModelError: it is not; names the first thing that differs, and the remedy.
         """
         for name, expected, got in self._differences(other):
             raise ModelError(

@@ -26,14 +26,8 @@ def read_friction(
     """Returns μ that acts on a sphere at a face: of its two coefficients, the larger one.
 
     It is what the plant computes with, μ = 2 μ₁ μ₂ / (μ₁ + μ₂): of a shape that gives none, Drake's
-    default. Where the sphere can't move along the face, as a ball on a line across it, friction has
-    nothing to act on, and this is 0.
-
-    Args:
-        plant: with both bodies.
-        scene_graph: with both shapes.
-        root: of the diagram. Drake's defaults are in contexts only.
-        face: the pair.
+    default, which is in contexts only. Where the sphere can't move along the face, as a ball on a
+    line across it, friction has nothing to act on, and this is 0.
     """
     materials = [read_material(scene_graph, root, shape) for shape in face.shapes]
     # What `GetProperty` returns lives no longer than the properties.

@@ -28,11 +28,7 @@ def find_nonpolynomial_variable(expression: Expression) -> Any | None:
 
 
 def tidy(expressions: NDArray[Any]) -> NDArray[Any]:
-    """Returns polynomial expressions expanded and rid of rounding, as a read-only array.
-
-    Args:
-        expressions: any shape; each a polynomial in all of its variables.
-    """
+    """Returns polynomials of any shape expanded and rid of rounding, as a read-only array."""
     polynomials = [Polynomial(expression) for expression in expressions.flat]
     largest = max((abs(c) for p in polynomials for c in _coefficients(p).values()), default=0.0)
     tolerance = max(_ROUNDING * largest, np.finfo(float).tiny)  # Drake wants more than zero.
@@ -50,12 +46,7 @@ def is_constant(expressions: Any) -> bool:
 
 
 def evaluate(expressions: NDArray[Any], at: dict[Any, float] | None = None) -> Floats:
-    """Returns the values of expressions, of the same shape.
-
-    Args:
-        expressions: any shape.
-        at: the value of each of their variables.
-    """
+    """Returns the values of expressions of any shape, given those of their variables."""
     values = [expression.Evaluate(at or {}) for expression in expressions.flat]
     return np.array(values, dtype=float).reshape(expressions.shape)
 
@@ -79,12 +70,7 @@ class PolynomialMap:
     """
 
     def __init__(self, expressions: NDArray[Any], variables: NDArray[Any]) -> None:
-        """Compiles.
-
-        Args:
-            expressions: shape (m,), polynomials in the variables.
-            variables: shape (n,).
-        """
+        """Compiles polynomials (m,) in variables (n,)."""
         tables = [_coefficients(Polynomial(e)) for e in expressions]
         monomials = list(dict.fromkeys(monomial for table in tables for monomial in table))
         self.exponents = np.array(

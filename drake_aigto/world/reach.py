@@ -27,7 +27,7 @@ class ReachableFace(NamedTuple):
 
     Attributes:
         face: its geometry.
-        lateral: the sphere's centre along the face's edges, shape (2,) Expressions [m].
+        lateral: the sphere's center along the face's edges, shape (2,) Expressions [m].
         contact: φ and J.
     """
 
@@ -146,11 +146,11 @@ def _refuse_no_contact(pairs: list[list[SphereAndFace]], scene_graph: SceneGraph
 
 
 def _check_line(face: SphereAndFace, place: NDArray[Any]) -> None:
-    """Refuses two spheres whose centres leave the line on which one is a wall to the other."""
+    """Refuses two spheres whose centers leave the line on which one is a wall to the other."""
     if face.is_ball and not all(length.EqualTo(Expression(0.0)) for length in place[:2]):
         raise ModelError(
             f"contact of {face.pair}",
-            got="two spheres that do not move along the line through their centres",
+            got="two spheres that do not move along the line through their centers",
             expected="Sphere against Box or HalfSpace, or spheres on one line",
             remedy="Change a collision shape, or exclude the pair with a "
             "<drake:collision_filter_group>.",

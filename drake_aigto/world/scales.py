@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from drake_aigto.arrays import Floats
-
-if TYPE_CHECKING:
-    from drake_aigto.world.scenario import Scenario
-    from drake_aigto.world.world import World
+from drake_aigto.world.scenario import Scenario
+from drake_aigto.world.world import World
 
 
 @dataclass(frozen=True)

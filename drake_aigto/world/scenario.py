@@ -7,13 +7,13 @@ import difflib
 import math
 import os
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import yaml
 from pydrake.common.yaml import yaml_load_data
 
+from drake_aigto.arrays import ArrayRecord
 from drake_aigto.errors import ScenarioError
 from drake_aigto.world.fields import VectorField, as_number
 from drake_aigto.world.files import models_directory, write_text
@@ -36,17 +36,17 @@ _BOUNDS: dict[str, dict[str, Any]] = {
 # These keep what the model has if they are None.
 _OPTIONAL = ("mass", "friction")
 
-# Whole numbers of steps are recognised up to this relative error: 1.0 / 0.005 is not 200 exactly.
+# Whole numbers of steps are recognized up to this relative error: 1.0 / 0.005 is not 200 exactly.
 _STEP_TOLERANCE = 1e-9
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
-class Scenario:
+class Scenario(ArrayRecord):
     """A contact problem: physics and task, no numerics.
 
     Bring the system from its start to the goal with little control (AIGTO Sec. IV):
 
-        minimise   control_weight ∫₀ᵀ ‖u(t)‖² dt + goal_weight ‖q(T) − goal_position‖²
+        minimize   control_weight ∫₀ᵀ ‖u(t)‖² dt + goal_weight ‖q(T) − goal_position‖²
         subject to M(q) v̇ + h(q, v) = B u + Jᵀ λ,   0 ≤ φ(q) ⊥ λ ≥ 0,   q(0), v(0) given
 
     Immutable; `dataclasses.replace` makes a changed copy. Scalars are taken for one coordinate.
@@ -190,44 +190,17 @@ class Scenario:
         Raises:
             ScenarioError: no such file, broken YAML, an unknown or a missing key, or a bad value.
         """
-        try:
-            text = Path(path).read_text(encoding="utf-8")
-        except (OSError, UnicodeDecodeError) as error:
-            raise ScenarioError(f"scenario file {path} can't be read", got=error) from error
-        try:
-            data = yaml_load_data(text)
-        except yaml.YAMLError as error:
-            raise ScenarioError(
-                f"{path} is not valid YAML", got=" ".join(str(error).split())
-            ) from error
-        if isinstance(data, dict):
-            data = {k: v if k == "model" else _parse_numbers(v) for k, v in data.items()}
+        data = _read_yaml(path)
         try:
             return cls.from_plain(data)
         except ScenarioError as error:
-            raise ScenarioError(
-                f"{path}: {error.what}", error.got, error.expected, error.remedy
-            ) from error
+            what = f"{path}: {error.what}"
+            raise ScenarioError(what, error.got, error.expected, error.remedy) from error
 
     def save(self, path: str | os.PathLike[str]) -> None:
         """Writes a YAML file that `load` reads back to an equal scenario."""
         # Drake's own dump of a plain mapping would sort the fields.
         write_text(path, yaml.safe_dump(self.to_plain(), sort_keys=False, default_flow_style=None))
-
-    def _key(self) -> tuple[object, ...]:
-        return tuple(tuple(v) if isinstance(v, list) else v for v in self.to_plain().values())
-
-    def __eq__(self, other: object) -> bool:
-        """Two scenarios are equal if all fields are, arrays element by element."""
-        return self._key() == other._key() if isinstance(other, Scenario) else NotImplemented
-
-    def __hash__(self) -> int:
-        """Hashes the fields, so that equal scenarios share a cache entry."""
-        return hash(self._key())
-
-    def __reduce__(self) -> tuple[Any, tuple[()]]:
-        """Pickles and copies through the constructor, so that arrays stay read-only."""
-        return partial(type(self), **self.to_plain()), ()
 
 
 def scenario_names() -> list[str]:
@@ -244,6 +217,21 @@ def _scenarios_directory() -> Path:
 def _suggestion(word: str, known: list[str]) -> str | None:
     close = difflib.get_close_matches(word, known, n=1)
     return f"Did you mean {close[0]!r}?" if close else None
+
+
+def _read_yaml(path: str | os.PathLike[str]) -> object:
+    """Returns what is in a YAML file; all but the model may be numbers."""
+    try:
+        data = yaml_load_data(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"scenario file {path} can't be read", got=error) from error
+    except yaml.YAMLError as error:
+        raise ScenarioError(
+            f"{path} is not valid YAML", got=" ".join(str(error).split())
+        ) from error
+    if not isinstance(data, dict):
+        return data
+    return {k: v if k == "model" else _parse_numbers(v) for k, v in data.items()}
 
 
 def _parse_numbers(value: object) -> object:

@@ -50,10 +50,7 @@ class SymbolicPlant:
     def calc_place(self, face: SphereAndFace) -> NDArray[Any]:
         """Returns where a sphere is before a face, (x, y, φ), shape (3,) [m].
 
-        x and y are its centre's coordinates along the edges. A face without any has none: zeros.
-
-        Raises:
-            ModelError: not polynomial.
+        x and y are its center's coordinates along the edges. A face without any has none: zeros.
         """
         x, y, z = face.calc_center(self._twin, self._context, Expression)
         distance = z - face.radius
@@ -67,7 +64,7 @@ class SymbolicPlant:
         """Returns M(q), shape (nv, nv) [kg].
 
         Raises:
-            ModelError: it is not polynomial, or singular at the default positions.
+            ModelError: it is singular at the default positions.
         """
         M = self._tidy(self._twin.CalcMassMatrix(self._context), "the mass matrix")
         values = evaluate(M, dict(zip(self.q, self._plant.GetDefaultPositions(), strict=True)))
@@ -80,11 +77,7 @@ class SymbolicPlant:
         return M
 
     def calc_bias(self) -> NDArray[Any]:
-        """Returns h(q, v), shape (nv,) [N]: all that B u and contact must balance at v̇ = 0.
-
-        Raises:
-            ModelError: it is not polynomial.
-        """
+        """Returns h(q, v), shape (nv,) [N]: all that B u and contact must balance at v̇ = 0."""
         # Force elements (gravity, springs) and joint damping go into `forces`; inverse dynamics
         # adds the Coriolis and centrifugal terms.
         forces = MultibodyForces_[Expression](self._twin)

@@ -13,9 +13,8 @@ from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
 from pydrake.symbolic import MakeVectorVariable
 from pydrake.systems.framework import Context, Diagram
 
-from drake_aigto.arrays import Bools, Floats
+from drake_aigto.arrays import Bools, Floats, read_only
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.world.constant import read_only
 from drake_aigto.world.contact import SphereAndFace
 from drake_aigto.world.diagram import (
     build_diagram,
@@ -106,9 +105,9 @@ class World(EquationsOfMotion):
             plant=plant,
             scene_graph=scene_graph,
             mass=mass,
-            positions=read_only(symbolic_plant.q),
-            velocities=read_only(symbolic_plant.v),
-            controls=read_only(MakeVectorVariable(plant.num_actuated_dofs(), "u")),
+            positions=read_only(symbolic_plant.q, object),
+            velocities=read_only(symbolic_plant.v, object),
+            controls=read_only(MakeVectorVariable(plant.num_actuated_dofs(), "u"), object),
             mass_matrix=symbolic_plant.calc_mass_matrix(),
             bias=symbolic_plant.calc_bias(),
             actuation=read_only(plant.MakeActuationMatrix()),
@@ -129,7 +128,7 @@ class World(EquationsOfMotion):
         return Fingerprint.of(self, self.model, *names)
 
     def is_on_face(self, q: Floats) -> Bools:
-        """Returns whether the sphere's centre projects onto each face, shape (m,)."""
+        """Returns whether the sphere's center projects onto each face, shape (m,)."""
         off = self._lateral_map(q).reshape(-1, 2)
         return np.logical_and.reduce(np.abs(off) <= self._half_extents, axis=1)
 
@@ -188,14 +187,10 @@ class World(EquationsOfMotion):
         return body.default_mass() if self.mass is None else self.mass
 
     def with_wall_moved(self, contact: int, distance: float) -> World:
-        """Returns a copy of this world with the shape that contact i touches elsewhere.
+        """Returns a copy of this world with the shape of contact i, all of its faces, elsewhere.
 
         Its diagram is a copy, too, so that Drake simulates what is read here. What is only drawn
-        stays where it is.
-
-        Args:
-            contact: i; its shape moves with all of its faces.
-            distance: by how much, along the face's outward normal, so that φ_i falls by it [m].
+        stays where it is. The distance [m] is along the face's outward normal: φ_i falls by it.
 
         Raises:
             ModelError: the shape is on a link that moves, or the diagram can't be copied.
@@ -285,7 +280,7 @@ def _refuse_beside(name: str, face: SphereAndFace, off: Floats) -> ScenarioError
     """Returns the error of a position off the edges of the only face of a wall."""
     return ScenarioError(
         f"{name} is beside the face of the wall ({face.pair})",
-        got=f"the sphere's centre {np.round(off, 6).tolist()} m off the face's middle",
+        got=f"the sphere's center {np.round(off, 6).tolist()} m off the face's middle",
         expected=f"within {face.half_extents.tolist()} m",
         remedy="Widen the wall, or use a half space.",
     )

@@ -1,0 +1,243 @@
+"""The search for rigid plans: which rungs and flights it leaves out, threads, and Ctrl-C."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import os
+import signal
+import threading
+import time
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+import pytest
+from replay_worlds import make_diagram, shipped_world
+
+from drake_aigto import Scenario, World
+from drake_aigto.aigo import AigoResult, Iterate, Status
+from drake_aigto.errors import OptionsError
+from drake_aigto.planning import (
+    Origin,
+    Plan,
+    Planner,
+    PlanOptions,
+    RigidProblem,
+    make_problem,
+    plan,
+)
+from drake_aigto.planning.options import RIGID_LADDER, Rung
+from drake_aigto.planning.rigid_search import RigidSearch
+from drake_aigto.study import ScenarioQuestion
+from drake_aigto.transcription import (
+    RigidTranscription,
+    Touch,
+    TouchSequence,
+)
+
+COARSE: dict[str, Any] = {"time_step": 0.02}
+UNCONFIRMED = PlanOptions(confirm=False)
+
+
+def table1(row: int, **fields: Any) -> Scenario:
+    return dataclasses.replace(Scenario.named(f"table1/{row}"), **fields)
+
+
+@cache
+def bounce_plan() -> Plan:
+    return plan(table1(1, **COARSE))
+
+
+@cache
+def all_candidates() -> Plan:
+    return plan(table1(1, **COARSE), dataclasses.replace(UNCONFIRMED, exhaustive=True))
+
+
+# Optimal, and true.
+
+
+def test_every_candidate_was_read_off_a_box() -> None:
+    problem = make_problem(shipped_world(), table1(1, **COARSE), UNCONFIRMED)
+    read = {
+        tuple(touch.lasts for touch in sequence)
+        for rung in RIGID_LADDER
+        for sequence in problem.find_sequences(problem.run_aigo(rung), rung)
+    }
+    origins = [Origin("annealing", rung) for rung in RIGID_LADDER]
+    for candidate in (each for each in all_candidates().candidates if not each.is_idle):
+        assert candidate.origin in origins
+        assert tuple(False for _ in candidate.contacts) in read
+    assert {len(c.contacts) for c in all_candidates().candidates} >= {0, 1}
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_rungs_that_are_left_out_would_find_nothing_better(number: int) -> None:
+    scenario = ScenarioQuestion(seed=11, num_steps=50).scenario(number)
+    few, all_of_them = (
+        plan(scenario, dataclasses.replace(UNCONFIRMED, exhaustive=exhaustive))
+        for exhaustive in (False, True)
+    )
+    assert few.replay.event_driven.cost == pytest.approx(
+        all_of_them.replay.event_driven.cost, rel=1e-4
+    )
+    assert None in few.stats.box_contacts and None not in all_of_them.stats.box_contacts
+    # What was run gave the same.
+    assert all(
+        one in (None, other)
+        for one, other in zip(few.stats.box_contacts, all_of_them.stats.box_contacts, strict=True)
+    )
+
+
+def test_rungs_are_left_out_by_what_the_others_show() -> None:
+    problem = make_problem(shipped_world(), table1(1, **COARSE), UNCONFIRMED)
+
+    def run(shown: Mapping[int, TouchSequence]) -> list[int]:
+        """Returns the places of the rungs that are run, if these show that."""
+        search = RigidSearch(problem)
+        places = []
+        for lot in search.rungs():
+            for rung in lot:
+                places.append(RIGID_LADDER.index(rung))
+                search.shown.append((rung, [shown[places[-1]]]))
+        return places
+
+    once, twice = (Touch.bounce(0.3),), (Touch.bounce(0.3), Touch.bounce(0.6))
+    assert problem.coast.bounce_contacts == (0,)
+    everywhere: dict[int, TouchSequence] = dict.fromkeys(range(5), once)
+    assert run(everywhere) == [0, 2, 3, 4]
+    assert run({**everywhere, 2: ()}) == [0, 2, 3, 4]
+    assert run({**everywhere, 0: twice, 2: ()}) == [0, 2, 1, 3, 4]
+
+
+@pytest.mark.parametrize("gravity", [0.0, 9.81])
+@pytest.mark.parametrize("goal", [0.7, 1.4])
+def test_no_flight_costs_less_than_its_bound(gravity: float, goal: float) -> None:
+    world = World.from_diagram(make_diagram(gravity=gravity))
+    scenario = table1(1, initial_velocity=0.3, goal_position=goal, time_step=0.01)
+    problem = make_problem(world, scenario, UNCONFIRMED)
+    phases, x = problem.polish(problem.box.center, ())
+    # Held over N = 100 steps, a control costs 1/(4 N²) more than a free one, of its linear part.
+    assert 0 < problem.least_flight_cost < phases.scenario_cost(x)
+    assert problem.least_flight_cost == pytest.approx(phases.scenario_cost(x), rel=1e-4)
+
+
+def test_a_flight_has_no_bound_where_something_was_added() -> None:
+    scenario = table1(1, **COARSE)
+    transcription = RigidTranscription(shipped_world(), scenario)
+    transcription.AddRunningCost(transcription.input()[0] ** 2, "more effort")
+    assert RigidProblem(transcription, UNCONFIRMED).least_flight_cost == 0.0
+
+
+def test_colder_rungs_are_left_out_once_only_a_flight_is_left() -> None:
+    assert bounce_plan().stats.box_contacts == (1, None, None, None, None)
+
+
+def test_a_flight_that_cannot_win_is_left_out_and_told() -> None:
+    few, all_of_them = bounce_plan(), all_candidates()
+    flight = next(c for c in all_of_them.candidates if not c.contacts)
+    assert few.cost == all_of_them.cost
+    assert few.stats.flight_left_out == pytest.approx(flight.cost, rel=1e-2)
+    assert all(candidate.contacts for candidate in few.candidates)
+    assert all_of_them.stats.flight_left_out is None
+
+
+def test_under_gravity_every_rung_is_run() -> None:
+    problem = make_problem(
+        World.from_diagram(make_diagram(gravity=9.81)), table1(1, **COARSE), UNCONFIRMED
+    )
+    search = RigidSearch(problem)
+    assert list(search.rungs()) == [RIGID_LADDER]
+
+
+def test_candidates_are_ranked_by_their_replay() -> None:
+    found = all_candidates()
+    costs = [c.replay.cost for c in found.candidates if c.is_feasible and c.is_confirmed]
+    assert costs == sorted(costs) and len(costs) >= 2
+    assert found.best is found.candidates[0]
+
+
+def test_ctrl_c_keeps_the_candidates_so_far() -> None:
+    def interrupt(line: str) -> None:
+        if line.startswith("AIGO 2"):
+            raise KeyboardInterrupt
+
+    options = dataclasses.replace(UNCONFIRMED, threads=1, exhaustive=True)
+    found = Planner(table1(1, **COARSE), options).plan(progress=interrupt)
+    first = Origin("annealing", RIGID_LADDER[0])
+    assert found.is_interrupted
+    assert all(each.origin == first for each in found.candidates if not each.is_idle)
+
+
+@pytest.mark.parametrize("gravity", [0.0, 9.81])
+def test_threads_change_no_bit(gravity: float) -> None:
+    world = World.from_diagram(make_diagram(gravity=gravity))
+    one, three = (
+        plan(
+            table1(2, **COARSE),
+            dataclasses.replace(UNCONFIRMED, threads=threads, exhaustive=gravity == 0),
+            world,
+        )
+        for threads in (1, 3)
+    )
+    assert one.candidates == three.candidates
+    assert one.stats.box_contacts == three.stats.box_contacts
+    assert one.stats.aigo_steps == three.stats.aigo_steps
+
+
+def test_boxes_of_many_variables_get_threads() -> None:
+    scenario = table1(1, time_step=1e-3)
+    several: list[dict[str, Any]] = [{}, {"aigo_steps": 500}, {"aigo_steps": 500, "threads": 3}]
+    problems = [
+        make_problem(shipped_world(), scenario, dataclasses.replace(UNCONFIRMED, **changes))
+        for changes in several
+    ]
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
+    assert [problem.num_threads for problem in problems] == [1, cores, 3]
+
+
+def test_ctrl_c_ends_all_threads_and_keeps_what_they_have(monkeypatch: pytest.MonkeyPatch) -> None:
+    run_aigo, statuses, interrupts = RigidProblem.run_aigo, list[Status](), iter([True])
+    both_run = threading.Barrier(2)
+
+    main_thread = threading.main_thread().ident
+    assert main_thread is not None
+
+    def run_until_stopped(problem: Any, rung: Rung, algorithm: Any, callback: Any) -> AigoResult:
+        def wait_for_others(iterate: Iterate) -> None:
+            if iterate.inner_steps:  # The first box was shrunk once.
+                both_run.wait()
+                if next(interrupts, False):
+                    signal.pthread_kill(main_thread, signal.SIGINT)
+                while True:
+                    callback(iterate)
+                    time.sleep(1e-3)
+
+        result = run_aigo(problem, rung, algorithm, wait_for_others)
+        statuses.append(result.status)
+        return result
+
+    monkeypatch.setattr(RigidProblem, "run_aigo", run_until_stopped)
+    options = dataclasses.replace(UNCONFIRMED, threads=2, exhaustive=True)
+    found = Planner(table1(1, **COARSE), options).plan()
+    assert statuses and set(statuses) == {Status.INTERRUPTED}
+    assert found.candidates
+
+
+@pytest.mark.parametrize("threads", [0, -1])
+def test_no_thread_is_refused(threads: int) -> None:
+    with pytest.raises(OptionsError, match=rf"threads: got {threads}, expected 1 or more, or None"):
+        PlanOptions(threads=threads)
+
+
+def test_what_can_not_win_any_more_gets_no_fine_polish(caplog: pytest.LogCaptureFixture) -> None:
+    # With 20,000 steps that would take most of the time.
+    caplog.set_level(logging.INFO, "drake_aigto")
+    lines: list[str] = []
+    scenario = table1(1, duration=20.0)
+    found = Planner(scenario, UNCONFIRMED).plan(progress=lines.append)
+    flight = next(each for each in found.candidates if not each.contacts)
+    assert flight.cost > 3 * found.cost
+    assert len(found.trajectory.controls) == scenario.num_steps
+    assert len(flight.trajectory.controls) < scenario.num_steps
+    assert lines[-1] == f"replaying the best of {len(found.candidates)} candidates, 4000 time steps"
