@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cache
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 import pytest
@@ -72,6 +72,14 @@ def test_contacts_of_unequal_masses_that_nothing_but_the_motion_without_control_
     found = plan(scenario, QUICK, world)
     # By `masses_optimum` with up to four meetings; doing nothing costs 154 times as much.
     assert found.replay.event_driven.cost == pytest.approx(5.6154e-06, rel=1e-2)
+
+
+def test_a_block_that_the_motion_without_control_bounces_off_may_be_passed() -> None:
+    scenario = next(islice(WORLDS["room_with_block"].draw(16, seed=0), 15, None))
+    coarse = dataclasses.replace(scenario, time_step=0.03)
+    found = plan(coarse, QUICK, world_of("room_with_block"))
+    # By `block_optimum`: one wall, instead of that wall and a face of the block.
+    assert found.replay.event_driven.cost == pytest.approx(9.06e-5, rel=0.02)
 
 
 def test_masses_are_mirrors_to_each_other_if_they_are_equal() -> None:

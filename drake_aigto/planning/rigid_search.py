@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+from collections import Counter
 from collections.abc import Iterable, Iterator
 from itertools import chain, combinations, starmap
 from typing import TYPE_CHECKING
@@ -237,14 +238,20 @@ class RigidSearch(Search):
         super().refine()
 
     def _add_coast(self) -> None:
-        """Adds the contacts of the motion without control, if that may lead to another plan."""
-        coast = self.problem.coast
+        """Adds the contacts of the motion without control, if that may lead to another plan.
+
+        A block that this bounces off may be passed, too.
+        """
+        coast, world = self.problem.coast, self.problem.transcription.world
         bounces = zip(coast.bounce_times, coast.bounce_contacts, strict=True)
-        sequence = tuple(starmap(Touch.bounce, bounces))
-        is_possible = len(sequence) <= _MOST_TOUCHES and self.problem.fits(sequence)
-        if is_possible and not self.problem.unfolds and not self.is_known(sequence):
-            path = coast.times, coast.positions
-            self.add(Origin(COASTING), self.problem.box.center, sequence, path)
+        all_of_it = tuple(starmap(Touch.bounce, bounces))
+        solids = Counter(contact.solid for contact in world.contacts)
+        of_walls = (t for t in all_of_it if solids[world.contacts[t.contact].solid] == 1)
+        for sequence in (all_of_it, tuple(of_walls)):
+            is_possible = len(sequence) <= _MOST_TOUCHES and self.problem.fits(sequence)
+            if is_possible and not self.problem.unfolds and not self.is_known(sequence):
+                path = coast.times, coast.positions
+                self.add(Origin(COASTING), self.problem.box.center, sequence, path)
 
     def branch(self) -> None:
         """Adds neighbors (`neighbors`) of good sequences, the best first, of each once."""
