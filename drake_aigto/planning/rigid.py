@@ -33,7 +33,7 @@ from drake_aigto.transcription import (
     touches_at_once,
 )
 from drake_aigto.transcription.facings import Facing, find_facings
-from drake_aigto.transcription.phases import straight_path
+from drake_aigto.transcription.guesses import straight_path
 from drake_aigto.transcription.rows import largest_defect
 from drake_aigto.transcription.touch import AT_ONCE, joint_times
 

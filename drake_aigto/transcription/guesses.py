@@ -2,12 +2,35 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
+from numpy.typing import ArrayLike
 
 from drake_aigto.arrays import Floats
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription.timeline import Phase, Timeline
+from drake_aigto.transcription.touch import Touch, joint_times
 from drake_aigto.world import Scenario, World
+
+
+def straight_path(
+    world: World, scenario: Scenario, sequence: Sequence[Touch], through: ArrayLike | None = None
+) -> tuple[Floats, Floats]:
+    """Returns start, goal and the stops between, when and where: shapes (J+2,) [s], (J+2, nq) [m].
+
+    There is a stop at each of a sequence's `joint_times`, on the straight way from start to goal
+    unless it is given, (J, nq), and moved to the walls that are touched then.
+    """
+    times = np.array([0.0, *joint_times(sequence), scenario.duration])
+    ends = scenario.initial_position, scenario.goal_position
+    stops = ends[0] + np.outer(times / times[-1], ends[1] - ends[0])
+    if through is not None:
+        stops[1:-1] = np.reshape(through, (len(times) - 2, world.num_positions))
+    for stop, time in zip(stops[1:-1], times[1:-1], strict=True):
+        touched = [touch.contact for touch in sequence if touch.start <= time <= touch.end]
+        stop[:] = world.move_onto(stop, touched)
+    return times, stops
 
 
 def make_guess(

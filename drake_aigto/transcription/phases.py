@@ -15,7 +15,7 @@ from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription.additions import NO_ADDITIONS, Additions
 from drake_aigto.transcription.facings import Facing, find_facings
-from drake_aigto.transcription.guesses import make_guess
+from drake_aigto.transcription.guesses import make_guess, straight_path
 from drake_aigto.transcription.rigid_contact import (
     ImpactTranscription,
     JointImpact,
@@ -25,7 +25,7 @@ from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, NONPENETRA
 from drake_aigto.transcription.settling import find_settlings
 from drake_aigto.transcription.shared import SharedEvaluator, as_expression, shared_constraint
 from drake_aigto.transcription.timeline import Phase, check_sequence, make_timeline
-from drake_aigto.transcription.touch import Touch, TouchSequence, joint_times, touches_at_once
+from drake_aigto.transcription.touch import Touch, TouchSequence, touches_at_once
 from drake_aigto.world import Scenario, World
 
 # The least parts of the duration. Flights: times of a trajectory have to increase, and a bounce may
@@ -397,22 +397,3 @@ class PhaseTranscription(ImpactTranscription):
         """Returns a motion from stop to stop of the `straight_path` (`make_guess`)."""
         stops = straight_path(self.world, self.scenario, self.sequence, through)
         return make_guess(self.world, self.scenario, self.timeline, *stops)
-
-
-def straight_path(
-    world: World, scenario: Scenario, sequence: Sequence[Touch], through: ArrayLike | None = None
-) -> tuple[Floats, Floats]:
-    """Returns start, goal and the stops between, when and where: shapes (J+2,) [s], (J+2, nq) [m].
-
-    There is a stop at each of a sequence's `joint_times`, on the straight way from start to goal
-    unless it is given, (J, nq), and moved to the walls that are touched then.
-    """
-    times = np.array([0.0, *joint_times(sequence), scenario.duration])
-    ends = scenario.initial_position, scenario.goal_position
-    stops = ends[0] + np.outer(times / times[-1], ends[1] - ends[0])
-    if through is not None:
-        stops[1:-1] = np.reshape(through, (len(times) - 2, world.num_positions))
-    for stop, time in zip(stops[1:-1], times[1:-1], strict=True):
-        touched = [touch.contact for touch in sequence if touch.start <= time <= touch.end]
-        stop[:] = world.move_onto(stop, touched)
-    return times, stops
