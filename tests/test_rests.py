@@ -85,6 +85,21 @@ def test_a_ball_that_settles_rests_until_it_is_time_to_jump(
     assert times == pytest.approx(made.replay.event_driven.bounce_times[: len(times)], abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    ("scenario", "gravity", "mass"),
+    [
+        (on_floor(0.92168282, -1.50178118, 0.30328249, 1.5, 1.0), 9.81, 1.0),  # High and late.
+        (on_floor(0.36634367, -0.70831679, 0.10440947, 1.5, 1.0), 9.81, 1.0),  # Once more, late.
+        (on_floor(0.373032, -0.35086, 0.014089, 1.0, 1.0), 8.62315, 1.73192),  # Just at the end.
+    ],
+)
+def test_of_high_and_late_and_low_and_early_it_is_the_better_one(
+    scenario: Scenario, gravity: float, mass: float
+) -> None:
+    made = Planner(scenario, OPTIONS, make_world(gravity, mass)).plan()
+    assert made.replay.event_driven.cost <= 1.01 * floor_optimum(scenario, gravity, mass).cost
+
+
 def test_the_reference_of_floors_is_no_worse_than_all_listed_sequences() -> None:
     for scenario, gravity, mass in list(draw(12, seed=7))[::3]:
         world = make_world(gravity, mass)

@@ -15,7 +15,7 @@ from replay_worlds import make_diagram, make_scenario, shipped_world
 from rigid_worlds import Array, make_motion, physics_of
 
 from drake_aigto import World
-from drake_aigto.planning.touches import is_same, neighbors, read_sequences, swapped
+from drake_aigto.planning.touches import is_same, neighbors, read_sequences, retimed, swapped
 from drake_aigto.simulation.contacts import find_contacts
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import RigidTranscription, Touch, TouchSequence
@@ -69,6 +69,16 @@ def test_bounces_at_one_moment_change_places() -> None:
     # Of one wall there is nothing to swap, and what lasts stays.
     assert swapped((Touch.bounce(0.2), Touch.bounce(0.2001)), 1e-3) == []
     assert swapped((Touch(0.2, 0.3, 1), Touch.bounce(0.2001)), 1e-3) == []
+
+
+def test_a_bounce_is_moved_to_its_neighbors_but_no_rest_and_no_other_wall() -> None:
+    sequence = (Touch.bounce(0.4, 0), Touch.bounce(0.6, 1), Touch(0.7, 0.8, 0))
+    early, late = retimed(sequence, {0}, 1.0)
+    assert contacts(early) == contacts(late) == contacts(sequence)
+    assert early[1:] == late[1:] == sequence[1:]
+    assert 0.0 < early[0].start < 0.1
+    assert 0.55 < late[0].start < 0.6
+    assert retimed(sequence, (), 1.0) == []
 
 
 # Sequences that boxes propose.

@@ -13,6 +13,8 @@ if TYPE_CHECKING:
 
 # Distance of a new touch to those before and after it, as a part of the time between them.
 _MARGIN = 0.2
+# Of one that comes soon before the next.
+_SOON = 0.05
 # Less time between touches than this part of the duration has no room for another.
 _LEAST_GAP = 1e-3
 # Contacts are felt by each other if J M⁻¹ Jᵀ is more than this.
@@ -24,7 +26,8 @@ def find_insertions(phases: PhaseTranscription, x: npt.NDArray[np.float64]) -> l
 
     A contact does not feel another if no impulse of it changes the other's speed, J_i M⁻¹ J_jᵀ = 0;
     their order makes no difference. A wall that was touched last, or is next, is left out, unless
-    something pulls towards it. Each bounce is where the motion comes nearest to the wall.
+    something pulls towards it. Each bounce is where the motion comes nearest to the wall, and where
+    something pulls also soon before the next touch: high and late.
 
     Args:
         phases: the multi-phase problem of a motion.
@@ -51,4 +54,6 @@ def find_insertions(phases: PhaseTranscription, x: npt.NDArray[np.float64]) -> l
             nearest = inside[np.argmin(distances[inside, contact])] if inside.size else None
             time = (start + end) / 2 if nearest is None else float(times[nearest])
             found.append(Touch.bounce(time, contact))
+            if pulls[contact] < 0:
+                found.append(Touch.bounce(end - _SOON * (end - start), contact))
     return found

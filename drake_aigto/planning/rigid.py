@@ -24,6 +24,7 @@ from drake_aigto.planning.origin import Origin
 from drake_aigto.planning.problem import PlanningProblem, sample
 from drake_aigto.planning.simulated import calc_defects, read_motion
 from drake_aigto.planning.touches import read_sequences
+from drake_aigto.planning.unfolding import least_flight_cost, unfolds
 from drake_aigto.simulation.contacts import find_contacts, max_penetration
 from drake_aigto.transcription import (
     PhaseTranscription,
@@ -341,39 +342,15 @@ class RigidProblem(PlanningProblem):
 
     @cached_property
     def least_flight_cost(self) -> float:
-        """What a motion that touches nothing costs at least; 0 where that has no closed form.
-
-        Without walls, and with a control that is free at any time, which is affine in t then:
-
-            d = goal − q₀ − T v₀ − ½ T² a₀,   G = M⁻¹ B,   J ≥ dᵀ (I/w_f + T³/(3 w_u) G Gᵀ)⁻¹ d
-        """
-        scenario = self.transcription.scenario
-        w_u, w_f, T = scenario.control_weight, scenario.goal_weight, scenario.duration
+        """What a motion that touches nothing costs at least; 0 where that has no closed form."""
         dynamics = self._find_dynamics()
-        if dynamics is None or w_f == 0:
-            return 0.0
-        way = scenario.goal_position - scenario.initial_position
-        way = way - T * scenario.initial_velocity - T**2 / 2 * dynamics.drift
-        compliance = np.eye(way.size) / w_f + T**3 / (3 * w_u) * dynamics.gain @ dynamics.gain.T
-        return float(way @ np.linalg.solve(compliance, way))
+        return least_flight_cost(dynamics, self.transcription.scenario) if dynamics else 0.0
 
     @cached_property
     def unfolds(self) -> bool:
-        """Whether plans of the same contacts, in the same order, are expected to be one plan.
-
-        Mirrored at each wall that it bounces off, and with nothing but controls that bends it, a
-        motion is a free flight to the goal's image, and the cost of that is convex, if in the image
-        accelerations cost what they do here. A block can be passed on two sides, and under gravity
-        a ball bounces high and late or low and early; and of two masses the lighter one is cheaper.
-        """
-        world, dynamics = self.transcription.world, self._find_dynamics()
-        return bool(
-            dynamics is not None
-            and world.num_solids == world.num_contacts
-            and np.all(world.restitutions(self.transcription.scenario) > 0)
-            and not np.any(dynamics.drift)
-            and _mirrors_keep_costs(dynamics)
-        )
+        """Whether plans of the same contacts, in the same order, are expected to be one plan."""
+        dynamics, world = self._find_dynamics(), self.transcription.world
+        return bool(dynamics and unfolds(dynamics, world, self.transcription.scenario))
 
     @cached_property
     def _instants(self) -> npt.NDArray[np.float64]:
@@ -404,19 +381,6 @@ class RigidProblem(PlanningProblem):
                 self._scenarios[steps] = scenario.in_steps(steps)
             scenario = self._scenarios[steps]
         return PhaseTranscription(coarse.world, scenario, sequence, facings, self.additions)
-
-
-def _mirrors_keep_costs(dynamics: ConstantDynamics) -> bool:
-    """Returns whether G Gᵀ, of G = M⁻¹ B, is its own image in each wall's mirror.
-
-    The mirror changes velocities as an elastic impact does.
-    """
-    worth = dynamics.gain @ dynamics.gain.T
-    for J, kick in zip(dynamics.jacobian, dynamics.kicks, strict=True):
-        mirror = np.eye(J.size) - 2 * np.outer(kick, J) / (J @ kick)
-        if not np.allclose(mirror @ worth @ mirror.T, worth, atol=1e-9 * np.max(worth)):
-            return False
-    return True
 
 
 def _bend(path: Path, times: npt.NDArray[np.float64], stops: npt.NDArray[np.float64]) -> Path:

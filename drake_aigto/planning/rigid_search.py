@@ -4,64 +4,58 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Iterable, Iterator
-from itertools import chain, combinations, starmap
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
+from itertools import combinations, starmap
 
 import numpy as np
 
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
-from drake_aigto.planning.candidate import LARGEST_DEFECT, Candidate
-from drake_aigto.planning.insertions import find_insertions
+from drake_aigto.planning.branching import (
+    GOOD,
+    MOST_TOUCHES,
+    SAME_END,
+    SAME_START,
+    BranchingSearch,
+    scaled,
+)
+from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.options import Rung
-from drake_aigto.planning.origin import COASTING, ChangeName, Origin
-from drake_aigto.planning.rests import find_rests
+from drake_aigto.planning.origin import COASTING, Origin
 from drake_aigto.planning.rigid import Path, RigidProblem, Solved
-from drake_aigto.planning.search import Search, Stopwatch
-from drake_aigto.planning.touches import are_near, are_neighbors, is_same, kinds, neighbors, swapped
+from drake_aigto.planning.search import Stopwatch
+from drake_aigto.planning.touches import (
+    are_near,
+    are_neighbors,
+    kinds,
+    swapped,
+)
 from drake_aigto.transcription import Touch, TouchSequence
-from drake_aigto.transcription.rows import largest_defect
 from drake_aigto.transcription.touch import joint_times
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 _LOG = logging.getLogger(__name__)
 
-# Parts of the duration by which the times of two sequences of the same contacts differ at most, if
-# their polish is expected to end in one optimum, and if it has.
-_SAME_START, _SAME_END = 0.05, 1e-3
-# Of a sequence that grows by bounces which its replay has and it lacks.
-_MOST_TOUCHES = 8
 # Touches of one wall that are nearer than this part of the duration are chatter.
 _CHATTER = 0.02
 # Another time step than the scenario's is worth this part of the cost.
 _STEPS_PRICE = 1e-2
-# Neighbors are tried of candidates that cost at most so many times the best, with so few time
-# steps and iterations of the local solver: most are hopeless, or no motion has them, which takes
-# the solver longest to find out.
-_GOOD, _TRIAL_STEPS, _TRIAL_ITERATIONS = 3.0, 20, 30
 # A candidate that costs no more than so many times the best may become the best.
 _PROMISING = 20.0
 
 
-class RigidSearch(Search):
+class RigidSearch(BranchingSearch):
     """AIGO proposes touches, which are polished; the best again if the first polish was coarse.
 
     If a candidate's replay bounces where its plan does not, the plan with that bounce is another
     candidate: knots may step over a short contact, and AIGO's do over one right after the start.
     """
 
-    problem: RigidProblem
-
     def __init__(self, problem: RigidProblem, clock: Stopwatch | None = None) -> None:
         """Starts with no candidate."""
         super().__init__(problem, clock)
         self._num_steps = problem.num_steps
         self._least_flight_cost = problem.least_flight_cost
-        self._left_out: tuple[Origin, npt.NDArray[np.float64]] | None = None  # A flight's.
-        self._duration = problem.transcription.scenario.duration
-        self._refused: list[TouchSequence] = []
+        self._left_out: tuple[Origin, Floats] | None = None  # A flight's.
         self._is_open = False  # Whether what costs too much to win is improved, too.
 
     def rungs(self) -> Iterator[tuple[Rung, ...]]:
@@ -124,7 +118,7 @@ class RigidSearch(Search):
     def add(
         self,
         origin: Origin,
-        center: npt.NDArray[np.float64],
+        center: Floats,
         sequence: TouchSequence,
         path: Path | None = None,
         solved: Solved | None = None,
@@ -145,7 +139,7 @@ class RigidSearch(Search):
             self._leave_flight_out(origin, center)
             return
 
-        def polish(center: npt.NDArray[np.float64], touches: TouchSequence) -> Solved:
+        def polish(center: Floats, touches: TouchSequence) -> Solved:
             if solved or path is None:
                 return solved or self.problem.polish(center, touches)
             return self.problem.polish_along(path, touches)
@@ -163,7 +157,7 @@ class RigidSearch(Search):
         if not candidate.is_confirmed:
             seen_path = candidate.replay.times, candidate.replay.positions
             for seen in self._with_unplanned_bounce(sequence):
-                if len(seen) <= _MOST_TOUCHES and not self.is_known(seen):
+                if len(seen) <= MOST_TOUCHES and not self.is_known(seen):
                     self.add(origin.changed("seen", sequence), center, seen, seen_path)
 
     def _can_leave_flight_out(self) -> bool:
@@ -172,10 +166,10 @@ class RigidSearch(Search):
             for other in self.by_sequence.values()
             if other.is_feasible and other.is_confirmed
         )
-        is_dear = self._least_flight_cost > _GOOD * min(costs, default=np.inf)
+        is_dear = self._least_flight_cost > GOOD * min(costs, default=np.inf)
         return is_dear and not self.problem.options.exhaustive
 
-    def _leave_flight_out(self, origin: Origin, center: npt.NDArray[np.float64]) -> None:
+    def _leave_flight_out(self, origin: Origin, center: Floats) -> None:
         _LOG.info("  free flight: left out, costs %.3e at least", self._least_flight_cost)
         self._left_out = origin.changed("left out", ()), center
         self._refused.append(())
@@ -196,7 +190,7 @@ class RigidSearch(Search):
     def _is_promising(self, candidate: Candidate) -> bool:
         """Returns whether a candidate costs little enough for those near it to become the best."""
         costs = (other.replay.cost for other in self.by_sequence.values() if other.is_confirmed)
-        return candidate.cost <= _times(_PROMISING, min(costs, default=np.inf))
+        return candidate.cost <= scaled(_PROMISING, min(costs, default=np.inf))
 
     def _chatters(self, sequence: TouchSequence) -> bool:
         """Returns whether a wall is touched again at once: more touches make it no better."""
@@ -210,7 +204,7 @@ class RigidSearch(Search):
         """Adds a candidate's sequence with touches swapped that became one moment."""
         candidate, (phases, x) = self.by_sequence[sequence], self.solved[sequence]
         if candidate.is_feasible:
-            for other in swapped(phases.contact_sequence(x), _SAME_END * self._duration):
+            for other in swapped(phases.contact_sequence(x), SAME_END * self._duration):
                 if not self.is_known(other):
                     origin = candidate.origin.changed("swapped", sequence)
                     path = phases.sample_times(x), phases.split(x)[0]
@@ -218,7 +212,7 @@ class RigidSearch(Search):
 
     def _with_unplanned_bounce(self, sequence: TouchSequence) -> list[TouchSequence]:
         """Returns a sequence up to the first bounce of its replay that it lacks, and all of it."""
-        optimum, near = self._optimum(sequence), _SAME_START * self._duration
+        optimum, near = self._optimum(sequence), SAME_START * self._duration
         replay = self.by_sequence[sequence].replay
         for time, contact in zip(replay.bounce_times, replay.bounce_contacts, strict=True):
             planned = (touch for touch in optimum if touch.contact == contact)
@@ -248,65 +242,10 @@ class RigidSearch(Search):
         solids = Counter(contact.solid for contact in world.contacts)
         of_walls = (t for t in all_of_it if solids[world.contacts[t.contact].solid] == 1)
         for sequence in (all_of_it, tuple(of_walls)):
-            is_possible = len(sequence) <= _MOST_TOUCHES and self.problem.fits(sequence)
+            is_possible = len(sequence) <= MOST_TOUCHES and self.problem.fits(sequence)
             if is_possible and not self.problem.unfolds and not self.is_known(sequence):
                 path = coast.times, coast.positions
                 self.add(Origin(COASTING), self.problem.box.center, sequence, path)
-
-    def branch(self) -> None:
-        """Adds neighbors (`neighbors`) of good sequences, the best first, of each once."""
-        branched: set[TouchSequence] = set()
-        while len(branched) < self.problem.options.branches:
-            least = min(candidate.replay.cost for candidate in self.by_sequence.values())
-            good = [
-                sequence
-                for sequence, candidate in self.by_sequence.items()
-                if sequence not in branched
-                and candidate.is_feasible
-                and candidate.replay.cost <= _times(_GOOD, least)
-            ]
-            if not good:
-                break
-            best = min(good, key=self.rank_of)
-            branched.add(best)
-            self._branch(best)
-
-    def _branch(self, sequence: TouchSequence) -> None:
-        """Adds those neighbors of a sequence that a trial finds good."""
-        phases, x = self.solved[sequence]
-        origin = self.by_sequence[sequence].origin
-        path = phases.sample_times(x), phases.split(x)[0]
-        more = [*phases.grazes(x), *find_insertions(phases, x)]
-        rests = find_rests(phases, x)
-        for other in [*rests, *neighbors(phases.contact_sequence(x), more)]:
-            # Where a plan holds, its times are the best ones, but for rests, which also last to the
-            # end; of others they may not be.
-            held = [kinds(each) for each, it in self.by_sequence.items() if it.is_confirmed]
-            is_new = (other in rests or kinds(other) not in held) and not self.is_known(other)
-            if is_new and len(other) <= _MOST_TOUCHES and self.problem.fits(other):
-                if tried := self._try(other, path):
-                    # Where arcs did without the program, the trial was the polish.
-                    solved = tried if tried[0].is_as_made else None
-                    kind: ChangeName = "dropped" if len(other) < len(sequence) else "added"
-                    near = origin.changed(kind, sequence)
-                    self.add(near, self.centers[sequence], other, path, solved)
-                else:
-                    self._refused.append(other)
-
-    def _try(self, sequence: TouchSequence, path: Path) -> Solved | None:
-        """Returns a trial polish, if it meets the rows, and costs little more than the best."""
-        least = min(candidate.replay.cost for candidate in self.by_sequence.values())
-        try:
-            with self.clock("polish"):
-                phases, x = self.problem.polish_along(
-                    path, sequence, _TRIAL_STEPS, _TRIAL_ITERATIONS
-                )
-        except (OptionsError, TrajectoryError, UnsupportedTermError):
-            return None
-        defects = self.problem.defects(phases, x)
-        is_feasible = largest_defect(defects, self.problem.scales) <= LARGEST_DEFECT
-        is_good = self.problem.cost(phases, x) <= _times(_GOOD, least)
-        return (phases, x) if is_feasible and is_good else None
 
     def improve(self, sequence: TouchSequence) -> None:
         """Polishes a candidate with the steps that all are judged with, in its place."""
@@ -330,7 +269,7 @@ class RigidSearch(Search):
         known, optimum = self.by_sequence[sequence], self._optimum(sequence)
         steps = max(problem.num_steps, 1 + len(joint_times(optimum)))
         # A contact that ran into the end leaves a phase that vanishes: more steps win nothing.
-        vanishes = optimum and optimum[-1].end > (1 - _SAME_END) * self._duration
+        vanishes = optimum and optimum[-1].end > (1 - SAME_END) * self._duration
         if steps == self.solved[sequence][0].scenario.num_steps or vanishes:
             return known
         self.tell(f"polishing {known.describe_contacts()} with {steps} time steps")
@@ -354,21 +293,15 @@ class RigidSearch(Search):
         kept: list[TouchSequence] = []
         for sequence in sorted(self.by_sequence, key=self.rank_of):
             optima = map(self._optimum, kept)
-            if not self._is_among(self._optimum(sequence), optima, _SAME_END):
+            if not self._is_among(self._optimum(sequence), optima, SAME_END):
                 kept.append(sequence)
         costs = [
             candidate.replay.cost
             for candidate in self.by_sequence.values()
             if candidate.is_feasible and candidate.is_confirmed
         ]
-        most = np.inf if self._is_open else _times(_GOOD, min(costs, default=np.inf))
+        most = np.inf if self._is_open else scaled(GOOD, min(costs, default=np.inf))
         return [sequence for sequence in kept if self.by_sequence[sequence].cost <= most]
-
-    def is_known(self, sequence: TouchSequence) -> bool:
-        """Returns whether nearly this sequence has been polished or refused, or came out."""
-        optima = map(self._optimum, self.by_sequence)
-        known = chain(self.by_sequence, optima, self._refused)
-        return self._is_among(sequence, known, _SAME_START)
 
     def rank(self, candidate: Candidate) -> tuple[float, ...]:
         """Orders by feasibility, what the event-driven replay confirms, time step, and its cost.
@@ -376,20 +309,5 @@ class RigidSearch(Search):
         Where the steps that candidates are judged with would do, others only cost a little more.
         """
         has_other_steps = len(candidate.trajectory.controls) != self._num_steps
-        price = _times(1 + _STEPS_PRICE * has_other_steps, candidate.replay.cost)
+        price = scaled(1 + _STEPS_PRICE * has_other_steps, candidate.replay.cost)
         return not candidate.is_feasible, not candidate.is_confirmed, price
-
-    def _optimum(self, sequence: TouchSequence) -> TouchSequence:
-        """Returns what the polish made of a sequence's times."""
-        phases, x = self.solved[sequence]
-        return phases.contact_sequence(x)
-
-    def _is_among(
-        self, sequence: TouchSequence, others: Iterable[TouchSequence], share: float
-    ) -> bool:
-        return any(is_same(sequence, other, share * self._duration) for other in others)
-
-
-def _times(factor: float, cost: float) -> float:
-    """Returns so many times a cost; of one below 0, which users may add, as much more."""
-    return cost + (factor - 1) * abs(cost)

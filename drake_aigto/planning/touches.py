@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Container, Iterable, Iterator
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -22,6 +22,8 @@ _GAP = 0.1
 # Bounces off two walls at one knot are this part of the duration apart: which is first, and whether
 # they are at once, is for the polish.
 _APART = 1e-3
+# A bounce that is moved to its neighbor's time keeps this part of the distance.
+_SOON = 0.125
 # So many knots in a row that the wall pushes at may be a contact that lasts.
 _LASTING = 4
 
@@ -107,6 +109,30 @@ def swapped(sequence: TouchSequence, near: float) -> list[TouchSequence]:
         if at_once and one.contact != other.contact:
             pair = Touch.bounce(one.start, other.contact), Touch.bounce(other.start, one.contact)
             found.append((*sequence[:place], *pair, *sequence[place + 2 :]))
+    return found
+
+
+def retimed(
+    sequence: TouchSequence, contacts: Container[int], duration: float
+) -> list[TouchSequence]:
+    """Returns the sequences with a bounce soon after the touch before it, or soon before the next.
+
+    Under gravity, high and late and low and early are two optima of the same contacts.
+
+    Args:
+        sequence: as polished.
+        contacts: those whose bounces are moved.
+        duration: when the motion ends [s].
+    """
+    found = []
+    for place, touch in enumerate(sequence):
+        if touch.lasts or touch.contact not in contacts:
+            continue
+        before = sequence[place - 1].end if place else 0.0
+        after = sequence[place + 1].start if place + 1 < len(sequence) else duration
+        for near in (before, after):
+            moved = Touch.bounce(near + _SOON * (touch.start - near), touch.contact)
+            found.append((*sequence[:place], moved, *sequence[place + 1 :]))
     return found
 
 
