@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import logging
+import signal
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -17,6 +18,10 @@ from drake_aigto import Planner, PlanOptions, Scenario
 # examples every time: a test that fails fails again.
 settings.register_profile("drake_aigto", deadline=None, derandomize=True)
 settings.load_profile("drake_aigto")
+
+# A shell that starts tests in the background has Ctrl-C ignored, which some of them test.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture
