@@ -103,7 +103,8 @@ from drake_aigto.world import package_map
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import MultibodyPlant
 scenario = Scenario.named("table1/1")
-parser = Parser(MultibodyPlant(time_step=0.0))
+plant = MultibodyPlant(time_step=0.0)
+parser = Parser(plant)
 parser.package_map().AddMap(package_map())
 assert len(parser.AddModelsFromUrl(scenario.model)) == 1
 world = World.from_scenario(scenario)
