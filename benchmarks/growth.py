@@ -82,7 +82,7 @@ def main() -> int:
 
 def start(steps: int, turn: int) -> Growth:
     """Returns what a process of its own measures."""
-    command = [sys.executable, __file__, "--steps", str(steps)]
+    command = [sys.executable, "-m", "benchmarks.growth", "--steps", str(steps)]
     answer = subprocess.run(command, check=True, capture_output=True, text=True).stdout
     return Growth(**{**json.loads(answer), "turn": turn})
 

@@ -115,7 +115,15 @@ def compare(family: str, method: str, variables: int) -> list[Run]:
 
 def start(family: str, method: str, variables: int, may_be_sparse: bool) -> Run:
     """Returns what a process of its own measures."""
-    command = [sys.executable, __file__, "--run", family, method, str(variables)]
+    command = [
+        sys.executable,
+        "-m",
+        "benchmarks.wide_bands",
+        "--run",
+        family,
+        method,
+        str(variables),
+    ]
     process = subprocess.run(
         [*command, str(may_be_sparse)], check=True, stdout=subprocess.PIPE, text=True
     )

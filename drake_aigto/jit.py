@@ -20,8 +20,8 @@ from drake_aigto.count import Notice
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
-# `python -m benchmarks.start_time` measures 10 s on two idle cores of a server.
-_COMPILES = "compiling machine code, about 10 s; "
+# `python -m benchmarks.start_time` measures 10 to 15 s on idle cores of servers.
+_COMPILES = "compiling machine code, some 10 to 20 s; "
 _KEPT = "it is kept for next time"
 _LOST = "it can be kept nowhere: NUMBA_CACHE_DIR may name a folder"
 

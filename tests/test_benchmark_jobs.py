@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from scenario_studies import Inline
 
+from benchmarks import growth, wide_bands
 from benchmarks.jobs import add_options, run_as, run_jobs
 from drake_aigto import jobs
 from drake_aigto.cli import BAD_INPUT
@@ -73,3 +74,10 @@ def test_a_script_without_its_scheduler_ends_with_one_clear_error(
     assert ended.value.code == BAD_INPUT
     told = "benchmarks.random_programs: scheduler tcp://a:1: got no module 'distributed', expected"
     assert capsys.readouterr().err.startswith(told)
+
+
+def test_benchmarks_that_measure_in_processes_of_their_own_get_answers() -> None:
+    assert growth.start(50, turn=3).turn == 3
+    run = wide_bands.start(wide_bands.ARROW, wide_bands.BOXES, 100, True)
+    assert run.variables == 100
+    assert run.iterations > 0
