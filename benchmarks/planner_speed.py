@@ -173,7 +173,14 @@ def tell(name: str, runs: Sequence[Run]) -> None:
 
 def judge(runs: Sequence[Run], by: str) -> bool:
     """Prints the ratios, and returns whether the figures are reached."""
-    print("\nA plan's time, as a multiple of")
+    print("\nMedians over the scenarios")
+    for method in dict.fromkeys(run.method for run in runs):
+        ms, cost = (
+            float(np.median([getattr(run, field) for run in runs if run.method == method]))
+            for field in (f"{by}_seconds", "replayed_cost")
+        )
+        print(f"  {method:28}{1e3 * ms:7.1f} ms, on a rigid wall {cost:.1e}")
+    print("A plan's time, as a multiple of")
     ratios = {method: compare(runs, method, by) for method in METHODS[1:]}
     for method, spread in ratios.items():
         if spread is not None:
