@@ -76,7 +76,8 @@ def _tell(error: Exception, verbose: bool) -> int:
         if isinstance(error, OSError):
             _forget_output()
     else:
-        text = f"{type(error).__name__}: {error}. This is a fault of drake-aigto, not yours: "
+        what = f"{type(error).__name__}: {error}".rstrip(".")
+        text = f"{what}. This is a fault of drake-aigto, not yours: "
         text, status = f"{text}please report it with what -v tells.", FAULT
     print(f"drake-aigto: {text}", file=sys.stderr)
     return status
