@@ -85,7 +85,7 @@ def block_optimum(world: World, scenario: Scenario, most_touches: int = 4) -> Co
 
 @dataclass(frozen=True)
 class _Room:
-    """The problem in unit time: minimise Σ_i efforts_i ∫ ẍ_i² dt + weight ‖x(1) − goal‖²."""
+    """The problem in unit time: minimize Σ_i efforts_i ∫ ẍ_i² dt + weight ‖x(1) − goal‖²."""
 
     position: Floats
     velocity: Floats

@@ -1,7 +1,7 @@
 """Motions of point masses that fly from touch to touch: least effort, by Newton's method.
 
 Contact fixes positions or ties velocities and leaves times and speeds free. Between two touches
-nothing is left to optimise, because the cheapest flight is a cubic; so a contact sequence is a
+nothing is left to optimize, because the cheapest flight is a cubic; so a contact sequence is a
 small smooth problem, which this module solves. It knows nothing of knots, boxes or the planner.
 """
 

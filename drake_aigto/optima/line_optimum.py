@@ -67,7 +67,7 @@ class LineMotion:
 
 @dataclass(frozen=True)
 class Line:
-    """The problem: minimise ∫₀¹ (ẍ + g)² dt + w (x(1) − goal)², bouncing off the walls.
+    """The problem: minimize ∫₀¹ (ẍ + g)² dt + w (x(1) − goal)², bouncing off the walls.
 
     Attributes:
         position: x(0).

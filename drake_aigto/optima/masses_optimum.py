@@ -26,7 +26,7 @@ _LEFT, _MEETING, _RIGHT = range(3)
 def masses_optimum(world: World, scenario: Scenario, most_meetings: int = 3) -> ContactOptimum:
     """Returns the best motion of two masses on a line that is known.
 
-        minimise   control_weight ∫₀ᵀ ‖u‖² dt + goal_weight ‖q(T) − goal‖²
+        minimize   control_weight ∫₀ᵀ ‖u‖² dt + goal_weight ‖q(T) − goal‖²
         subject to m_i q̈_i = B_i u  while apart from walls and each other; Newton restitution
 
     *Equal masses, e = 1: exact.* They swap velocities where they meet, as two ghosts that fly
@@ -69,7 +69,7 @@ Contacts = list[tuple[float, int, float]]
 class _Pair:
     """Two masses that meet where their coordinates are equal, 0 ≤ x₁ ≤ x₂ ≤ length, in unit time.
 
-    Minimise Σ_i efforts_i ∫₀¹ ẍ_i² dt + weight Σ_i (x_i(1) − goals_i)².
+    Minimize Σ_i efforts_i ∫₀¹ ẍ_i² dt + weight Σ_i (x_i(1) − goals_i)².
     """
 
     positions: Floats

@@ -40,7 +40,7 @@ class RigidOptimum:
 def rigid_optimum(world: World, scenario: Scenario) -> RigidOptimum:
     """Returns the optimum over all controls u(t), whatever the number of impacts.
 
-        minimise   control_weight ∫₀ᵀ ‖u‖² dt + goal_weight (q(T) − goal)²
+        minimize   control_weight ∫₀ᵀ ‖u‖² dt + goal_weight (q(T) − goal)²
         subject to m q̈ = B u  while φ(q) > 0,   φ ≥ 0,
                    φ̇⁺ = −e φ̇⁻  when φ = 0, φ̇⁻ ≤ 0;   q(0), v(0) given, v(T) free
 
@@ -106,7 +106,7 @@ class _Bounce(NamedTuple):
 
 @dataclass(frozen=True)
 class _Task:
-    """The problem in unit time: minimise ∫₀¹ ẍ² ds + weight (x(1) − goal)², x ≥ 0.
+    """The problem in unit time: minimize ∫₀¹ ẍ² ds + weight (x(1) − goal)², x ≥ 0.
 
     Attributes:
         position: p = x(0) > 0 [m].

@@ -56,7 +56,7 @@ class ContactOptimum:
 def walls_optimum(world: World, scenario: Scenario, most_touches: int = 6) -> ContactOptimum:
     """Returns the optimum over all controls u(t), whatever the contacts.
 
-        minimise   control_weight ∫₀ᵀ ‖u‖² dt + goal_weight ‖q(T) − goal‖²
+        minimize   control_weight ∫₀ᵀ ‖u‖² dt + goal_weight ‖q(T) − goal‖²
         subject to m_i q̈_i + h_i = B_i u  while φ > 0,   φ ≥ 0,
                    φ̇⁺ = −e φ̇⁻  when φ = 0, φ̇⁻ ≤ 0;   q(0), v(0) given, v(T) free
 
