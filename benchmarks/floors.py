@@ -18,7 +18,6 @@ import time
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from pydrake.multibody.parsing import Parser
@@ -26,7 +25,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
 from benchmarks.floor_reference import FloorMotion, floor_optimum
-from benchmarks.jobs import add_options, run_as, run_jobs
+from benchmarks.jobs import add_options, run_all, run_as
 from drake_aigto.baselines import run_baseline
 from drake_aigto.errors import AigtoError
 from drake_aigto.planning import Plan, Planner, PlanOptions
@@ -165,13 +164,8 @@ def main() -> int:
     add_options(parser)
     options = parser.parse_args()
     jobs = [Job(*each, options.rival) for each in draw(options.count, options.seed)]
-    outcomes: dict[int, Any] = {}
-    for number, future in run_jobs(run, jobs, options):
-        if error := future.exception():
-            print(f"FAILED {jobs[number]}: {error!r}", flush=True)
-        else:
-            outcomes[number] = future.result()
-    is_enough = report([outcomes[number] for number in sorted(outcomes)])
+    outcomes = run_all(run, jobs, options)
+    is_enough = report(outcomes)
     print(f"{len(outcomes)} of {len(jobs)} scenarios done")
     return 0 if is_enough and len(outcomes) == len(jobs) else 1
 

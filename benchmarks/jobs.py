@@ -49,6 +49,22 @@ def run_jobs(
             print(f"TIME IS UP: {num_left} jobs not done", flush=True)
 
 
+def run_all(
+    work: Callable[[Any], Any], jobs: Sequence[Any], options: argparse.Namespace
+) -> list[Any]:
+    """Runs jobs, tells which fail, and returns the results of the others in the order of the jobs.
+
+    The arguments are those of `run_jobs`.
+    """
+    done: dict[int, Any] = {}
+    for number, future in run_jobs(work, jobs, options):
+        if error := future.exception():
+            print(f"FAILED {jobs[number]}: {error!r}", flush=True)
+        else:
+            done[number] = future.result()
+    return [done[number] for number in sorted(done)]
+
+
 def run_as(name: str) -> NoReturn:
     """Runs `main` of a module under its name, by which workers find its functions, and exits."""
     try:

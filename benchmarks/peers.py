@@ -295,11 +295,6 @@ def collect(
     Tells what a job records as it ends, and keeps all that is done in a CSV file.
     """
     path = arguments.out / name
-    where = (
-        f"workers of {arguments.scheduler}"
-        if arguments.scheduler
-        else f"{arguments.workers} runs at once"
-    )
     if arguments.reread:
         return read_csv(path)
     scheduler, workers = arguments.scheduler, arguments.workers

@@ -31,21 +31,19 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cache
-from typing import Any
 
 import numpy as np
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
-from benchmarks.jobs import add_options, run_as, run_jobs
+from benchmarks.jobs import add_options, run_all, run_as
 from benchmarks.world_scenarios import WORLDS
 from drake_aigto.baselines import Recorder
 from drake_aigto.baselines.enumeration import list_sequences, offer_polished
 from drake_aigto.errors import AigtoError
 from drake_aigto.optima import ContactOptimum
 from drake_aigto.planning import Planner, PlanOptions, RigidProblem, make_problem
-from drake_aigto.simulation.replay import replay_event_driven
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import Scenario, World
 from drake_aigto.world.files import find_model
@@ -192,11 +190,8 @@ def run_peer(
 
 def coasting_sequences(problem: RigidProblem) -> Iterator[TouchSequence]:
     """Yields the bounces of a motion without control, and the first ones of them."""
-    world, scenario = problem.transcription.world, problem.transcription.scenario
-    times = problem.transcription.GetSampleTimes()
-    controls = np.zeros((scenario.num_steps, world.num_actuators))
-    replay = replay_event_driven(world, scenario, times, controls)
-    bounces = tuple(map(Touch.bounce, replay.bounce_times, replay.bounce_contacts))
+    coast = problem.coast
+    bounces = tuple(map(Touch.bounce, coast.bounce_times, coast.bounce_contacts))
     for number in range(len(bounces), -1, -1):
         yield bounces[:number]
 
@@ -289,13 +284,8 @@ def main() -> int:
     if options.world != "two_masses" and options.ratios != [1.0]:
         parser.error("--mass-ratio is about two_masses")
     jobs = list(make_jobs(options))
-    outcomes: dict[int, Any] = {}
-    for number, future in run_jobs(run, jobs, options):
-        if error := future.exception():
-            print(f"FAILED {jobs[number].scenario}: {error!r}", flush=True)
-        else:
-            outcomes[number] = future.result()
-    is_enough = report(options.world, [outcomes[number] for number in sorted(outcomes)])
+    outcomes = run_all(run, jobs, options)
+    is_enough = report(options.world, outcomes)
     print(f"{len(outcomes)} of {len(jobs)} scenarios done")
     return 0 if is_enough and len(outcomes) == len(jobs) else 1
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 from replay_worlds import make_diagram, shipped_world
+from table1_plans import COARSE, UNCONFIRMED, bounce_plan, table1
 
 from drake_aigto import Scenario, World
 from drake_aigto.optima import rigid_optimum
@@ -26,24 +27,7 @@ from drake_aigto.planning import (
 )
 from drake_aigto.planning.options import RIGID_LADDER
 from drake_aigto.show.plans import format_plan
-from drake_aigto.transcription import (
-    PhaseTranscription,
-    RigidTranscription,
-    Touch,
-)
-
-COARSE: dict[str, Any] = {"time_step": 0.02}
-UNCONFIRMED = PlanOptions(confirm=False)
-
-
-def table1(row: int, **fields: Any) -> Scenario:
-    return dataclasses.replace(Scenario.named(f"table1/{row}"), **fields)
-
-
-@cache
-def bounce_plan() -> Plan:
-    return plan(table1(1, **COARSE))
-
+from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch
 
 # Of few time steps.
 

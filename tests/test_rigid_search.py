@@ -14,8 +14,9 @@ from typing import Any
 
 import pytest
 from replay_worlds import make_diagram, shipped_world
+from table1_plans import COARSE, UNCONFIRMED, bounce_plan, table1
 
-from drake_aigto import Scenario, World
+from drake_aigto import World
 from drake_aigto.aigo import AigoResult, Iterate, Status
 from drake_aigto.errors import OptionsError
 from drake_aigto.planning import (
@@ -30,23 +31,7 @@ from drake_aigto.planning import (
 from drake_aigto.planning.options import RIGID_LADDER, Rung
 from drake_aigto.planning.rigid_search import RigidSearch
 from drake_aigto.study import ScenarioQuestion
-from drake_aigto.transcription import (
-    RigidTranscription,
-    Touch,
-    TouchSequence,
-)
-
-COARSE: dict[str, Any] = {"time_step": 0.02}
-UNCONFIRMED = PlanOptions(confirm=False)
-
-
-def table1(row: int, **fields: Any) -> Scenario:
-    return dataclasses.replace(Scenario.named(f"table1/{row}"), **fields)
-
-
-@cache
-def bounce_plan() -> Plan:
-    return plan(table1(1, **COARSE))
+from drake_aigto.transcription import RigidTranscription, Touch, TouchSequence
 
 
 @cache

@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import html
 import logging
-from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -13,12 +12,13 @@ import numpy as np
 import pytest
 from replay_worlds import make_diagram, shipped_world
 from several_walls import make_wedge
+from table1_plans import COARSE, UNCONFIRMED, bounce_plan, table1
 
 from drake_aigto import Scenario, World, plan
 from drake_aigto.cli import INTERRUPTED, main
 from drake_aigto.optima import rigid_optimum
 from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal
-from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions, RigidProblem
+from drake_aigto.planning import Plan, Planner, PlanningError, RigidProblem
 from drake_aigto.planning import problem as planning_problem
 from drake_aigto.planning.idle import idle_candidate
 from drake_aigto.show.page import Page
@@ -26,18 +26,7 @@ from drake_aigto.show.plans import format_plan
 from drake_aigto.show.report import add_verdict
 from drake_aigto.simulation import Replay, replay_event_driven
 
-COARSE: dict[str, Any] = {"time_step": 0.02}
 MODELS = "package://drake_aigto_models"
-UNCONFIRMED = PlanOptions(confirm=False)
-
-
-def table1(row: int, **fields: Any) -> Scenario:
-    return dataclasses.replace(Scenario.named(f"table1/{row}"), **fields)
-
-
-@cache
-def bounce_plan() -> Plan:
-    return plan(table1(1, **COARSE))
 
 
 # What a plan does not show.

@@ -26,6 +26,8 @@ def check_added_rows(prog: MathematicalProgram, additions: Additions) -> None:
         for each in (*prog.generic_constraints(), *prog.quadratic_constraints())
         if each.evaluator().get_description() in names
     ]
+    if not rows:
+        return
     read = {variable.get_id() for each in rows for variable in each.variables()}
     bounds = [
         each

@@ -12,9 +12,9 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
 from drake_aigto.planning.candidate import LARGEST_DEFECT
-from drake_aigto.planning.insertions import find_insertions
+from drake_aigto.planning.insertions import find_insertions, find_pulls
 from drake_aigto.planning.origin import ChangeName, Origin
-from drake_aigto.planning.rests import find_pulls, find_rests
+from drake_aigto.planning.rests import find_rests
 from drake_aigto.planning.rigid import Path, RigidProblem, Solved
 from drake_aigto.planning.search import Search, Stopwatch
 from drake_aigto.planning.touches import is_same, kinds, neighbors, retimed
@@ -52,15 +52,7 @@ class BranchingSearch(Search):
         path: Path | None = None,
         solved: Solved | None = None,
     ) -> None:
-        """Adds the candidate of a sequence.
-
-        Args:
-            origin: where it came from.
-            center: of the box that led to it.
-            sequence: the contacts.
-            path: near which they are; the box center's if None.
-            solved: the polish, if that is done.
-        """
+        """Adds the candidate of a sequence, near a path if one is given; its polish may be done."""
 
     def branch(self) -> None:
         """Adds neighbors (`neighbors`) of good sequences, the best first, of each once."""
@@ -108,7 +100,7 @@ class BranchingSearch(Search):
     def _pulling(self) -> frozenset[int]:
         """The contacts that something but the control pulls towards."""
         transcription = self.problem.transcription
-        pulls = find_pulls(transcription.world, transcription.scenario)
+        pulls = find_pulls(transcription.world, transcription.scenario.goal_position)
         return frozenset(np.flatnonzero(pulls > 0).tolist())
 
     def _try(self, sequence: TouchSequence, path: Path) -> Solved | None:

@@ -5,21 +5,12 @@ from __future__ import annotations
 import dataclasses
 import math
 
-import numpy as np
-
 from drake_aigto.arrays import Floats
+from drake_aigto.planning.insertions import find_pulls
 from drake_aigto.transcription import PhaseTranscription, TouchSequence
-from drake_aigto.world import Scenario, World
 
 # Rests are tried that last at least this part of the duration, and end as long before its end.
 _LEAST = 0.02
-
-
-def find_pulls(world: World, scenario: Scenario) -> Floats:
-    """Returns the acceleration towards each contact without control, at the goal, (m,) [m/s²]."""
-    still = np.zeros(world.num_velocities), np.zeros(world.num_actuators)
-    J = world.constant_inertia.jacobian
-    return -J @ world.calc_acceleration(scenario.goal_position, *still)
 
 
 def find_rests(phases: PhaseTranscription, x: Floats) -> list[TouchSequence]:
@@ -34,7 +25,7 @@ def find_rests(phases: PhaseTranscription, x: Floats) -> list[TouchSequence]:
         x: its decision variables.
     """
     world, scenario, T = phases.world, phases.scenario, phases.scenario.duration
-    pulls = find_pulls(world, scenario)
+    pulls = find_pulls(world, scenario.goal_position)
     heights = world.calc_signed_distance(scenario.goal_position)
     sequence, found = phases.contact_sequence(x), []
     for place, touch in enumerate(sequence):
