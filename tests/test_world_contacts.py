@@ -151,12 +151,14 @@ def test_two_balls_with_one_centre_are_refused_for_no_side_is_known(apart: float
         make_world("x", [], [0.3, 0.3 + apart], balls=2)
 
 
-def test_two_balls_that_leave_their_line_are_refused() -> None:
-    with pytest.raises(
-        ModelError,
-        match="contact of ball against ball 1: got two spheres that do not move along the line",
-    ):
-        make_world("xy", [], [0.0, 0.0, 1.0, 0.0], balls=2)
+def test_two_balls_that_leave_their_line_are_round() -> None:
+    world = make_world("xy", [], [0.0, 0.0, 1.0, 0.0], balls=2)
+    R = 2 * RADIUS
+    q = np.array([0.1, 0.2, 0.1 + 0.6 * R, 0.2 + 0.8 * R])
+    np.testing.assert_allclose(world.calc_signed_distance(q), [0.0], atol=RELATIVE)
+    normal = [-0.6, -0.8, 0.6, 0.8]
+    np.testing.assert_allclose(world.calc_contact_jacobian(q), [normal], atol=RELATIVE)
+    assert not world.has_constant_inertia
 
 
 def test_a_shape_that_is_not_supported_is_refused_by_name() -> None:

@@ -6,6 +6,7 @@ from .costs import evaluator_name as evaluator_name
 from .costs import parse_costs as parse_costs
 from .costs import shared_evaluators as shared_evaluators
 from .costs import term_blocks as term_blocks
+from .expressions import expression_terms as expression_terms
 from .products import MAX_TERMS as MAX_TERMS
 from .products import NoClosedFormError as NoClosedFormError
 from .products import TooManyTermsError as TooManyTermsError

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from drake_aigto.arrays import Floats, read_only
 from drake_aigto.errors import ModelError
-from drake_aigto.world.polynomials import evaluate, is_constant
+from drake_aigto.world.sums import evaluate, is_constant
 
 
 @dataclass(frozen=True, eq=False)

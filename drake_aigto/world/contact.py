@@ -1,8 +1,8 @@
 """Contact geometry, read from a SceneGraph: a sphere, a flat face, and how far they are apart.
 
-Drake's geometry queries have no symbolic form, so φ is built here from the shapes and the plant's
-symbolic kinematics: φ(q) = n · (p_sphere(q) − p_face) − r, exact while the sphere's center projects
-onto the face.
+Drake's geometry queries have no closed form, so φ is built here from the shapes and the plant's
+kinematics: φ(q) = n · (p_sphere(q) − p_face) − r, exact while the sphere's center projects onto the
+face.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Contact:
 
     Attributes:
         name: such as "ball against wall", or "ball against block, +x face".
-        signed_distance: φ(q) [m], positive when apart, a polynomial.
+        signed_distance: φ(q) [m], positive when apart.
         jacobian: J = ∂φ/∂q, shape (nv,), as q̇ = v.
         solid: index of what is touched. All faces of a box that one sphere can reach have the same:
             the sphere is outside when it is in front of one of them.
@@ -88,14 +88,10 @@ class SphereAndFace:
         """Whether the face is that of a second sphere, flat on the line through both centers."""
         return not np.any(self.half_extents)
 
-    def calc_center(self, plant: Any, context: Any, scalar: type = float) -> NDArray[Any]:
-        """Returns the sphere's center in the face's frame, shape (3,) [m]; the third is φ + r.
-
-        The plant is that of the bodies, or its symbolic twin, whose scalar is Expression.
-        """
+    def calc_center(self, plant: MultibodyPlant, context: Any) -> Floats:
+        """Returns the sphere's center in the face's frame, shape (3,) [m]; the third is φ + r."""
         X_BS = _calc_pose(plant, context, self.face_body, self.sphere_body)
-        X_FB = self.X_BF.inverse().cast[scalar]()
-        return X_FB.multiply(X_BS.multiply(self.p_SC))
+        return np.asarray(self.X_BF.inverse().multiply(X_BS.multiply(self.p_SC)))
 
 
 def find_pairs(
@@ -178,9 +174,8 @@ def _check_apart(pair: str, p_GC: Floats, radius: float, plant: MultibodyPlant) 
 
 
 def _calc_pose(plant: Any, context: Any, base: RigidBody, body: RigidBody) -> Any:
-    """Returns the pose of a body in another, in the plant's own scalar."""
-    frames = (plant.get_body(each.index()).body_frame() for each in (base, body))
-    return plant.CalcRelativeTransform(context, *frames)
+    """Returns the pose of a body in another."""
+    return plant.CalcRelativeTransform(context, base.body_frame(), body.body_frame())
 
 
 def _name(plant: MultibodyPlant, inspector: Any, shape: GeometryId) -> str:

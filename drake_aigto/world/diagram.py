@@ -19,6 +19,14 @@ from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
 from drake_aigto.world.files import find_model, package_map
 
+# Joints that can be read, and which of their positions are angles.
+_HINGES = {
+    "prismatic": [False],
+    "revolute": [True],
+    "planar": [False, False, True],
+    "universal": [True, True],
+}
+
 
 def build_diagram(model: str) -> Diagram:
     """Returns a diagram of a model's continuous plant and its scene graph.
@@ -71,7 +79,7 @@ def check_plant(plant: MultibodyPlant) -> None:
     """Refuses a plant that can't be planned for, whatever its equations are.
 
     Raises:
-        ModelError: discrete, no moving joint, q̇ ≠ v, no actuator, or a finite effort limit.
+        ModelError: discrete, no moving joint, q̇ ≠ v, no actuator, or a joint of another kind.
     """
     if plant.time_step() > 0:
         raise ModelError(
@@ -84,16 +92,39 @@ def check_plant(plant: MultibodyPlant) -> None:
     if plant.num_positions() == 0:
         raise ModelError(
             "the model lacks a joint that moves",
-            remedy="Attach the moving link by a prismatic joint.",
+            remedy="Attach the moving link by a prismatic or a revolute joint.",
         )
     _check_velocities(plant)
+    find_hinges(plant)
     if plant.num_actuators() == 0:
         raise ModelError(
             "the model lacks an actuator",
             remedy="In SDF drop <effort>0</effort> from the joint's <limit>; in URDF add a "
             "<transmission>.",
         )
-    _check_effort_limits(plant)
+
+
+def find_hinges(plant: MultibodyPlant) -> list[bool]:
+    """Returns whether each generalized position is an angle, (nq,); other ones are lengths.
+
+    Raises:
+        ModelError: a joint of another kind than prismatic, revolute, planar or universal.
+    """
+    found = [False] * plant.num_positions()
+    for index in plant.GetJointIndices():
+        joint = plant.get_joint(index)
+        if joint.num_positions() == 0:
+            continue
+        if joint.type_name() not in _HINGES:
+            raise ModelError(
+                f"joint {joint.name()!r} ({joint.type_name()})",
+                got="a motion that is neither a slider's nor a hinge's",
+                expected=f"one of {', '.join(_HINGES)}",
+                remedy="Use one of these, or weld it.",
+            )
+        start = joint.position_start()
+        found[start : start + joint.num_positions()] = _HINGES[joint.type_name()]
+    return found
 
 
 def find_joint(plant: MultibodyPlant, position_index: int) -> Joint:
@@ -174,7 +205,7 @@ def _check_velocities(plant: MultibodyPlant) -> None:
             _describe(joint),
             got="velocities v that are not q̇",
             expected="q̇ = v",
-            remedy="Attach the link by prismatic joints.",
+            remedy="Attach the link by prismatic, revolute or planar joints.",
         )
 
 
@@ -182,19 +213,3 @@ def _describe(joint: Joint) -> str:
     if joint.is_ephemeral():
         return f"no joint attaches link {joint.child_body().name()!r}, so it floats"
     return f"joint {joint.name()!r} ({joint.type_name()})"
-
-
-def _check_effort_limits(plant: MultibodyPlant) -> None:
-    """Refuses actuators that clip: a plan that ignores it would not be the one that is run."""
-    limits = np.minimum(-plant.GetEffortLowerLimits(), plant.GetEffortUpperLimits())
-    for index in plant.GetJointActuatorIndices():
-        actuator = plant.get_joint_actuator(index)
-        limit = limits[actuator.input_start()]
-        if np.isfinite(limit):
-            raise ModelError(
-                f"actuator {actuator.name()!r} of joint {actuator.joint().name()!r}",
-                got=f"an effort limit of {limit:g}",
-                expected="none",
-                remedy="Clipping is no polynomial: leave <effort> out of the model (or call the "
-                "plant's RemoveAllJointActuatorEffortLimits), and bound the control instead.",
-            )

@@ -14,7 +14,7 @@ from pydrake.symbolic import Expression
 from drake_aigto.arrays import Bools, Floats, read_only
 from drake_aigto.world.constant import ConstantDynamics, ConstantInertia, read_constant
 from drake_aigto.world.contact import Contact
-from drake_aigto.world.polynomials import PolynomialMap, is_constant
+from drake_aigto.world.sums import SumMap, is_constant
 
 _INERTIA_REMEDY = "Use the literal transcription."
 _BIAS_REMEDY = (
@@ -29,7 +29,8 @@ class EquationsOfMotion:
 
         M(q) v̇ + h(q, v) = B u + J(q)ᵀ λ,    0 ≤ φ(q) ⊥ λ ≥ 0,    q̇ = v
 
-    The expressions are the one source: the functions of numbers are compiled from them, and
+    The expressions are sums of products of powers, sin and cos, which have means over boxes. They
+    are the one source: the functions of numbers are compiled from them, and
     `constant_inertia` and `constant_dynamics` are read off them. Letters: nq positions, nv = nq
     velocities, nu actuators, m contacts, S solids; a shape's "…" are axes of many states at once.
     One state goes with many controls or impulses, too.
@@ -39,12 +40,12 @@ class EquationsOfMotion:
     each contact is a solid of its own.
 
     Attributes:
-        positions: the variables q, shape (nq,) [m].
-        velocities: the variables v, shape (nv,) [m/s].
-        controls: the variables u, shape (nu,) [N].
-        mass_matrix: M(q), shape (nv, nv), polynomial Expressions [kg].
-        bias: h(q, v), shape (nv,), polynomial Expressions [N]: Coriolis and centrifugal terms,
-            gravity, springs and dampers, on the left side of the equation above.
+        positions: the variables q, shape (nq,) [m, rad].
+        velocities: the variables v, shape (nv,) [m/s, rad/s].
+        controls: the variables u, shape (nu,) [N, N m].
+        mass_matrix: M(q), shape (nv, nv), Expressions [kg, kg m, kg m²].
+        bias: h(q, v), shape (nv,), Expressions [N, N m]: Coriolis and centrifugal terms, gravity,
+            springs and dampers, on the left side of the equation above.
         actuation: B, shape (nv, nu).
         contacts: φ and J of each contact, those of one solid in a row.
     """
@@ -215,19 +216,19 @@ class EquationsOfMotion:
         return np.asarray(columns[..., 0], dtype=np.float64)
 
     @cached_property
-    def _mass_map(self) -> PolynomialMap:
-        return PolynomialMap(self.mass_matrix.ravel(), self.positions)
+    def _mass_map(self) -> SumMap:
+        return SumMap(self.mass_matrix.ravel(), self.positions)
 
     @cached_property
-    def _bias_map(self) -> PolynomialMap:
-        return PolynomialMap(self.bias, np.concatenate([self.positions, self.velocities]))
+    def _bias_map(self) -> SumMap:
+        return SumMap(self.bias, np.concatenate([self.positions, self.velocities]))
 
     @cached_property
-    def _signed_distance_map(self) -> PolynomialMap:
+    def _signed_distance_map(self) -> SumMap:
         distances = np.array([contact.signed_distance for contact in self.contacts])
-        return PolynomialMap(distances, self.positions)
+        return SumMap(distances, self.positions)
 
     @cached_property
-    def _jacobian_map(self) -> PolynomialMap:
+    def _jacobian_map(self) -> SumMap:
         jacobians = np.concatenate([contact.jacobian for contact in self.contacts])
-        return PolynomialMap(jacobians, self.positions)
+        return SumMap(jacobians, self.positions)

@@ -15,8 +15,8 @@ from pydrake.symbolic import Expression
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
 from drake_aigto.world.contact import Contact, SphereAndFace, find_pairs
-from drake_aigto.world.polynomials import evaluate, is_constant, tidy
-from drake_aigto.world.symbolic_plant import SymbolicPlant
+from drake_aigto.world.plant_reader import PlantReader
+from drake_aigto.world.sums import evaluate, is_constant, tidy
 
 # A sphere that slides along a face, at a distance that is zero but for rounding, is not inside [m].
 _ROUNDING = 1e-9
@@ -50,9 +50,7 @@ class Reach(NamedTuple):
     stuck: tuple[SphereAndFace, ...]
 
 
-def find_reach(
-    plant: MultibodyPlant, scene_graph: SceneGraph, symbolic_plant: SymbolicPlant
-) -> Reach:
+def find_reach(plant: MultibodyPlant, scene_graph: SceneGraph, reader: PlantReader) -> Reach:
     """Returns every face that a sphere can touch, and those that it is stuck in.
 
     Of a box that the sphere can only move along one line to, that is the face which it faces at the
@@ -65,14 +63,13 @@ def find_reach(
     solid = 0
     pairs = find_pairs(plant, scene_graph, plant.CreateDefaultContext())
     for pair in pairs:
-        places = [symbolic_plant.calc_place(face) for face in pair]
-        chosen, fixed = _choose(pair, places, symbolic_plant.q, plant.GetDefaultPositions())
+        places = [_read_place(reader, scene_graph, face) for face in pair]
+        chosen, fixed = _choose(pair, places, reader.q, plant.GetDefaultPositions())
         stuck += [pair[i] for i in fixed]
         for i in chosen:
             face, distance = pair[i], places[i][2]
-            _check_line(face, places[i])
             name = f"{face.pair}, {face.face} face" if len(chosen) > 1 else face.pair
-            jacobian = tidy(distance.Jacobian(symbolic_plant.q))
+            jacobian = tidy(distance.Jacobian(reader.q))
             contact = Contact(name, distance, jacobian, solid, face.restitution)
             found.append(ReachableFace(face, places[i][:2], contact))
         solid += bool(chosen)
@@ -112,10 +109,8 @@ def _choose(
     if any(distances[i].Evaluate() >= -_ROUNDING for i in fixed):
         return [], []
     at_default = dict(zip(q, default, strict=True))
-    if len(pair) > 1:
-        rates = np.array([length.Jacobian(q) for length in places[0]])
-        if np.linalg.matrix_rank(evaluate(rates, at_default)) > 1:
-            return [i for i in range(len(pair)) if i not in fixed], []
+    if len(pair) > 1 and not _is_on_line(places[0], q):
+        return [i for i in range(len(pair)) if i not in fixed], []
     nearest = int(np.argmax(evaluate(np.array(distances), at_default)))
     return ([], [nearest]) if nearest in fixed else ([nearest], [])
 
@@ -145,13 +140,31 @@ def _refuse_no_contact(pairs: list[list[SphereAndFace]], scene_graph: SceneGraph
     )
 
 
-def _check_line(face: SphereAndFace, place: NDArray[Any]) -> None:
-    """Refuses two spheres whose centers leave the line on which one is a wall to the other."""
-    if face.is_ball and not all(length.EqualTo(Expression(0.0)) for length in place[:2]):
-        raise ModelError(
-            f"contact of {face.pair}",
-            got="two spheres that do not move along the line through their centers",
-            expected="Sphere against Box or HalfSpace, or spheres on one line",
-            remedy="Change a collision shape, or exclude the pair with a "
-            "<drake:collision_filter_group>.",
-        )
+def _is_on_line(place: NDArray[Any], q: NDArray[Any]) -> bool:
+    """Returns whether a center can only move along one line."""
+    rates = np.array([length.Jacobian(q) for length in place])
+    return is_constant(rates) and np.linalg.matrix_rank(evaluate(rates)) <= 1
+
+
+def _read_place(reader: PlantReader, scene_graph: SceneGraph, face: SphereAndFace) -> NDArray[Any]:
+    """Returns where a sphere is before a face, (x, y, φ), shape (3,) [m]."""
+    place = reader.calc_place(face)
+    if not face.is_ball:
+        return place
+    wall: Any = scene_graph.model_inspector().GetShape(face.shapes[1])
+    return _round(place, (face.radius, wall.radius()))
+
+
+def _round(place: NDArray[Any], radii: tuple[float, float]) -> NDArray[Any]:
+    """Returns a sphere's place before another sphere, as that is no wall but on one line.
+
+    φ = (|d|² − R²)/2R, with d from one center to the other and R the sum of radii: zero where they
+    touch, and with the gradient of the distance there, n = d/R. Elsewhere it is |d| − R times
+    (|d| + R)/2R.
+    """
+    x, y, height = place
+    R = sum(radii)
+    if x.EqualTo(Expression(0.0)) and y.EqualTo(Expression(0.0)):
+        return place
+    distance = (x**2 + y**2 + (height + R) ** 2 - R**2) / (2 * R)
+    return tidy(np.array([Expression(0.0), Expression(0.0), distance]))

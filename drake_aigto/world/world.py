@@ -26,11 +26,12 @@ from drake_aigto.world.diagram import (
 from drake_aigto.world.equations import EquationsOfMotion
 from drake_aigto.world.fields import as_number
 from drake_aigto.world.fingerprint import Fingerprint
+from drake_aigto.world.limits import Limits
 from drake_aigto.world.material import FRICTION, read_friction, set_material
-from drake_aigto.world.polynomials import PolynomialMap
+from drake_aigto.world.plant_reader import PlantReader
 from drake_aigto.world.reach import ReachableFace, find_reach, find_sphere_body
 from drake_aigto.world.scenario import Scenario
-from drake_aigto.world.symbolic_plant import SymbolicPlant
+from drake_aigto.world.sums import SumMap
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,6 +47,7 @@ class World(EquationsOfMotion):
         scene_graph: its geometry.
         mass: replaces the model's mass of the only body with spheres that touch [kg], or None. The
             plant is not edited: it acts in all that is read here and in `create_context`.
+        limits: how far the model's joints and actuators go.
         model: what it was built from; None: a diagram of one's own.
     """
 
@@ -53,6 +55,7 @@ class World(EquationsOfMotion):
     plant: MultibodyPlant
     scene_graph: SceneGraph
     mass: float | None
+    limits: Limits
     _reachable: tuple[ReachableFace, ...] = field(repr=False)
     _stuck: tuple[SphereAndFace, ...] = field(repr=False)
     model: str | None = None
@@ -89,29 +92,31 @@ class World(EquationsOfMotion):
 
         Raises:
             ModelError: the plant is discrete, lacks a joint, an actuator or a contact, has shapes
-                that are not supported, or moves in a way that is not polynomial; or the mass is
-                that of several bodies, or of one that does not move. Says which.
+                or joints that are not supported, or feels forces that are; or the mass is that of
+                several bodies, or of one that does not move. Says which.
             ScenarioError: the mass is not above zero.
         """
         plant, scene_graph = find_plant(diagram)
         check_plant(plant)
-        symbolic_plant = SymbolicPlant(plant)
-        reachable, stuck = find_reach(plant, scene_graph, symbolic_plant)
+        reader = PlantReader(plant)
+        reachable, stuck = find_reach(plant, scene_graph, reader)
         if mass is not None:
             mass = as_number("mass", mass, above=0.0, unit="kg")
-            symbolic_plant.set_mass(find_sphere_body(plant, reachable), mass)
+            reader.set_mass(find_sphere_body(plant, reachable), mass)
+        mass_matrix = reader.calc_mass_matrix()
         return cls(
             diagram=diagram,
             plant=plant,
             scene_graph=scene_graph,
             mass=mass,
-            positions=read_only(symbolic_plant.q, object),
-            velocities=read_only(symbolic_plant.v, object),
+            positions=read_only(reader.q, object),
+            velocities=read_only(reader.v, object),
             controls=read_only(MakeVectorVariable(plant.num_actuated_dofs(), "u"), object),
-            mass_matrix=symbolic_plant.calc_mass_matrix(),
-            bias=symbolic_plant.calc_bias(),
+            mass_matrix=mass_matrix,
+            bias=reader.calc_bias(mass_matrix),
             actuation=read_only(plant.MakeActuationMatrix()),
             contacts=tuple(each.contact for each in reachable),
+            limits=Limits.of(plant),
             _reachable=reachable,
             _stuck=stuck,
         )
@@ -211,9 +216,11 @@ class World(EquationsOfMotion):
         Raises:
             ScenarioError: sizes differ from the plant's, its mass is another, or start or goal
                 touches the wall, is inside or behind it, or beside its face.
-            ModelError: a sphere can slide with friction, and the scenario does not leave it out.
+            ModelError: the model has limits; or a sphere can slide with friction, and the scenario
+                does not leave it out.
         """
         _check_sizes(self.plant, scenario)
+        self.limits.check_none(self.plant)
         if scenario.mass is not None and scenario.mass != self.mass:
             raise ScenarioError(
                 "mass",
@@ -250,9 +257,9 @@ class World(EquationsOfMotion):
                 raise _refuse_beside(name, face, off)
 
     @cached_property
-    def _lateral_map(self) -> PolynomialMap:
+    def _lateral_map(self) -> SumMap:
         lateral = np.concatenate([each.lateral for each in self._reachable])
-        return PolynomialMap(lateral, self.positions)
+        return SumMap(lateral, self.positions)
 
     @cached_property
     def _half_extents(self) -> Floats:

@@ -1,0 +1,152 @@
+"""Sums of products of powers, sin and cos: read, tidied once, and compiled to arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.symbolic import Expression, cos, sin
+
+from drake_aigto.arrays import Floats
+from drake_aigto.terms import Factor, FunctionKind, Term, expression_terms
+
+# Coefficients below this, relative to the largest, are rounding left by rotations such as
+# cos(π/2) = 6e-17, not physics. They would make constants look like functions.
+_ROUNDING = 1e-13
+# Digits that rounding leaves of a coefficient: 0.7 read as a difference is 0.70000000000000018.
+_DIGITS = 14
+
+
+def tidy(expressions: NDArray[Any]) -> NDArray[Any]:
+    """Returns expressions multiplied out and rid of rounding, as a read-only array.
+
+    Args:
+        expressions: any shape; each a sum of products of powers, sin and cos.
+
+    Raises:
+        UnsupportedTermError: one is none.
+    """
+    variables = _find_variables(expressions)
+    sums = [_read(expression, variables) for expression in expressions.flat]
+    largest = max((abs(term.coefficient) for sum_ in sums for term in sum_), default=0.0)
+    result = np.empty(expressions.size, dtype=object)
+    for i, sum_ in enumerate(sums):
+        kept = (term for term in sum_ if abs(term.coefficient) > _ROUNDING * largest)
+        result[i] = sum((_express(term, variables) for term in kept), Expression(0.0))
+    result.flags.writeable = False
+    return result.reshape(expressions.shape)
+
+
+def is_constant(expressions: Any) -> bool:
+    """Returns whether expressions, one or an array of them, have no variable."""
+    return all(expression.GetVariables().empty() for expression in np.ravel(expressions))
+
+
+def evaluate(expressions: NDArray[Any], at: dict[Any, float] | None = None) -> Floats:
+    """Returns the values of expressions, of the same shape.
+
+    Args:
+        expressions: any shape.
+        at: the value of each of their variables.
+    """
+    values = [expression.Evaluate(at or {}) for expression in expressions.flat]
+    return np.array(values, dtype=float).reshape(expressions.shape)
+
+
+def _find_variables(expressions: NDArray[Any]) -> list[Any]:
+    """Returns the variables of expressions, each once."""
+    found = {v.get_id(): v for expression in expressions.flat for v in expression.GetVariables()}
+    return list(found.values())
+
+
+def _read(expression: Expression, variables: Iterable[Any]) -> tuple[Term, ...]:
+    """Returns the terms of an expression, each variable being its place."""
+    return expression_terms("the world", expression, variables, is_row=True)
+
+
+def _express(term: Term, variables: list[Any]) -> Expression:
+    """Returns a term as an expression."""
+    product = Expression(float(f"{term.coefficient:.{_DIGITS}g}"))
+    for factor in term.factors:
+        x = variables[factor.variable]
+        if factor.kind != FunctionKind.POWER:
+            wave = cos if factor.kind == FunctionKind.COSINE else sin
+            product *= wave(factor.scale * x + factor.offset)
+        if factor.exponent:
+            product *= x**factor.exponent
+    return product
+
+
+class SumMap:
+    """Sums of products f: ℝⁿ → ℝᵐ compiled to arrays, f(x)ⱼ = Σₖ Cⱼₖ ∏ᵢ gₖᵢ(x).
+
+    A simulator calls this in every derivative; it takes some ten microseconds, one where f is
+    affine.
+
+    Attributes:
+        coefficients: C, shape (m, products).
+    """
+
+    def __init__(self, expressions: NDArray[Any], variables: NDArray[Any]) -> None:
+        """Compiles.
+
+        Args:
+            expressions: shape (m,), sums of products of powers, sin and cos of the variables.
+            variables: shape (n,).
+        """
+        sums = [_read(expression, variables) for expression in expressions]
+        products = list(dict.fromkeys(term.factors for sum_ in sums for term in sum_))
+        row = {product: k for k, product in enumerate(products)}
+        self.coefficients = np.zeros((len(sums), len(products)))
+        for j, sum_ in enumerate(sums):
+            for term in sum_:
+                self.coefficients[j, row[term.factors]] += term.coefficient
+        self._compile_factors(products)
+        self._compile_affine(products, len(variables))
+
+    def _compile_factors(self, products: list[tuple[Factor, ...]]) -> None:
+        """Lists the functions g, and which of them each product has; the last g is 1."""
+        factors = list(dict.fromkeys(factor for product in products for factor in product))
+        place = {factor: i for i, factor in enumerate(factors)}
+        most = max(map(len, products), default=0)
+        self._members = np.full((len(products), most), len(factors))
+        for k, product in enumerate(products):
+            self._members[k, : len(product)] = [place[factor] for factor in product]
+        self._variable = np.array([factor.variable for factor in factors], dtype=int)
+        self._exponent = np.array([float(factor.exponent) for factor in factors])
+        self._scale = np.array([factor.scale for factor in factors])
+        self._offset = np.array([factor.offset for factor in factors])
+        kinds = np.array([factor.kind for factor in factors])
+        self._cosines = np.flatnonzero(kinds == FunctionKind.COSINE)
+        self._sines = np.flatnonzero(kinds == FunctionKind.SINE)
+
+    def _compile_affine(self, products: list[tuple[Factor, ...]], num_variables: int) -> None:
+        """Finds whether f is affine, and its slope and constant."""
+        degrees = [_degree(product) for product in products]
+        self._is_affine = max(degrees, default=0) <= 1
+        self._constant = self.coefficients @ np.equal(degrees, 0)
+        self._slope = np.zeros((len(self.coefficients), num_variables))
+        for k, product in enumerate(products):
+            if degrees[k] == 1:
+                self._slope[:, product[0].variable] = self.coefficients[:, k]
+
+    def __call__(self, x: Floats) -> Floats:
+        """Returns f(x), shape (…, m), for x of shape (…, n)."""
+        if self._is_affine:
+            return x @ self._slope.T + self._constant
+        x = x[..., self._variable]
+        values = np.ones((*x.shape[:-1], x.shape[-1] + 1))
+        values[..., :-1] = x**self._exponent
+        y = self._scale * x + self._offset
+        values[..., self._cosines] *= np.cos(y[..., self._cosines])
+        values[..., self._sines] *= np.sin(y[..., self._sines])
+        return values[..., self._members].prod(axis=-1) @ self.coefficients.T
+
+
+def _degree(product: tuple[Factor, ...]) -> float:
+    """Returns the degree of a product of powers, infinite for one with a wave."""
+    if any(factor.kind != FunctionKind.POWER for factor in product):
+        return np.inf
+    return sum(factor.exponent for factor in product)

@@ -1,0 +1,200 @@
+"""Hinges and sliders: what is read off a mechanism agrees with Drake's own numbers."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from mechanisms import (
+    LEFT,
+    MECHANISMS,
+    PASSIVE,
+    build,
+    build_world,
+    joint,
+    link,
+    plane,
+    sphere,
+    wall,
+)
+from pydrake.multibody.tree import MultibodyForces
+
+from drake_aigto import ModelError, World
+
+# Sums over some hundred products, each of a few roundings, of numbers of size 1 to 100.
+ROUNDING = 1e-10
+
+read = cache(build)
+
+
+@pytest.fixture(params=MECHANISMS)
+def world(request: pytest.FixtureRequest) -> World:
+    return read(request.param)
+
+
+def draw(world: World, number: int = 5) -> list[Any]:
+    """Returns states (q, v, u) by chance, with angles on the whole circle."""
+    rng = np.random.default_rng(7)
+    sizes = 2 * world.num_positions + world.num_actuators
+    spread = np.full(sizes, 3.0)
+    points = rng.uniform(-spread, spread, (number, sizes))
+    return [np.split(p, [world.num_positions, 2 * world.num_positions]) for p in points]
+
+
+def set_state(world: World, q: Any, v: Any) -> Any:
+    context = world.plant.GetMyMutableContextFromRoot(world.create_context())
+    world.plant.SetPositions(context, q)
+    world.plant.SetVelocities(context, v)
+    return context
+
+
+def test_the_mass_matrix_is_the_plants(world: World) -> None:
+    for q, v, _ in draw(world):
+        expected = world.plant.CalcMassMatrix(set_state(world, q, v))
+        np.testing.assert_allclose(world.calc_mass_matrix(q), expected, atol=ROUNDING)
+
+
+def test_the_bias_is_the_plants(world: World) -> None:
+    for q, v, _ in draw(world):
+        context = set_state(world, q, v)
+        forces = MultibodyForces(world.plant)
+        world.plant.CalcForceElementsContribution(context, forces)
+        expected = world.plant.CalcInverseDynamics(context, np.zeros(len(v)), forces)
+        np.testing.assert_allclose(world.calc_bias(q, v), expected, atol=ROUNDING)
+
+
+def test_gravity_is_what_is_left_of_the_bias_at_rest() -> None:
+    world = read("arm with a slider")
+    for q, v, _ in draw(world):
+        expected = -world.plant.CalcGravityGeneralizedForces(set_state(world, q, v))
+        np.testing.assert_allclose(world.calc_bias(q, 0 * v), expected, atol=ROUNDING)
+
+
+def test_the_acceleration_is_the_plants(world: World) -> None:
+    for q, v, u in draw(world):
+        context = set_state(world, q, v)
+        forces = MultibodyForces(world.plant)
+        world.plant.CalcForceElementsContribution(context, forces)
+        applied = world.plant.MakeActuationMatrix() @ u
+        forces.mutable_generalized_forces()[:] += applied
+        acceleration = world.calc_acceleration(q, v, u)
+        left = world.plant.CalcInverseDynamics(context, acceleration, forces)
+        np.testing.assert_allclose(left, 0.0, atol=100 * ROUNDING)
+
+
+def find_distances(world: World, q: Any) -> Any:
+    """Returns Drake's own distance of the two shapes of each contact."""
+    root = world.create_context()
+    world.plant.SetPositions(world.plant.GetMyMutableContextFromRoot(root), q)
+    query = world.scene_graph.get_query_output_port().Eval(
+        world.scene_graph.GetMyContextFromRoot(root)
+    )
+    pairs = [query.ComputeSignedDistancePairClosestPoints(*pair) for pair in world.shapes]
+    return np.array([pair.distance for pair in pairs])
+
+
+@pytest.mark.parametrize("name", ["pendulum", "cart-pole", "arm with a slider"])
+def test_the_distance_of_a_half_space_is_drakes(name: str) -> None:
+    world = read(name)
+    for q, _, _ in draw(world):
+        got = world.calc_signed_distance(q)
+        np.testing.assert_allclose(got, find_distances(world, q), atol=ROUNDING)
+
+
+@pytest.mark.parametrize("name", ["double pendulum", "paddle"])
+def test_the_distance_of_a_box_is_drakes_where_the_sphere_is_over_a_face(name: str) -> None:
+    world = read(name)
+    compared = 0
+    for q, _, _ in draw(world, 200):
+        distances = world.calc_signed_distance(q)
+        nearest = int(np.argmax(distances))
+        if distances[nearest] > 0.01 and world.is_on_face(q)[nearest]:
+            compared += 1
+            expected = find_distances(world, q)[nearest]
+            assert distances[nearest] == pytest.approx(expected, abs=ROUNDING)
+    assert compared >= 10
+
+
+def test_two_discs_touch_where_drake_says_with_the_same_gradient() -> None:
+    world = read("two discs")
+    assert world.num_contacts == 1
+    for q, _, _ in draw(world):
+        apart = find_distances(world, q)[0] + 0.5
+        (distance,) = world.calc_signed_distance(q)
+        assert distance == pytest.approx((apart**2 - 0.25) / (2 * 0.5), abs=ROUNDING)
+    q, disc = np.zeros(5), world.plant.GetJointByName("one_joint").position_start()
+    q[disc : disc + 3] = [1.1 - 0.5 * 0.6, -0.5 * 0.8, 0.4]
+    np.testing.assert_allclose(world.calc_signed_distance(q), [0.0], atol=1e-12)
+    (J,) = world.calc_contact_jacobian(q)
+    np.testing.assert_allclose(J[disc : disc + 3], [-0.6, -0.8, 0.0], atol=1e-12)
+
+
+def test_the_jacobian_is_the_slope_of_the_distance(world: World) -> None:
+    step = 1e-6
+    for q, _, _ in draw(world):
+        moves = step * np.eye(world.num_positions)
+        slopes = (world.calc_signed_distance(q + moves) - world.calc_signed_distance(q - moves)).T
+        np.testing.assert_allclose(world.calc_contact_jacobian(q), slopes / (2 * step), atol=1e-7)
+
+
+def test_many_states_at_once_are_one_after_another(world: World) -> None:
+    states = draw(world, 6)
+    q, v, u = (np.array(each).reshape(2, 3, -1) for each in zip(*states, strict=True))
+    together = world.calc_acceleration(q, v, u).reshape(6, -1)
+    for got, (one_q, one_v, one_u) in zip(together, states, strict=True):
+        np.testing.assert_allclose(got, world.calc_acceleration(one_q, one_v, one_u), atol=1e-9)
+
+
+def test_a_pendulum_has_the_equation_of_the_textbook() -> None:
+    world = read("cart-pole")
+    q = np.array([0.3, 0.7])
+    M = world.calc_mass_matrix(q)
+    iyy = 0.03 + 0.1 * 0.8**2
+    coupling = 0.1 * 0.8 * np.cos(0.7)
+    np.testing.assert_allclose(M, [[1.1, coupling], [coupling, iyy]], atol=1e-12)
+    h = world.calc_bias(q, np.array([0.0, 2.0]))
+    expected = [-0.1 * 0.8 * np.sin(0.7) * 4.0, 0.1 * 9.81 * 0.8 * np.sin(0.7)]
+    np.testing.assert_allclose(h, expected, atol=1e-12)
+    assert not world.has_constant_inertia
+
+
+# Limits, and what is refused.
+
+
+def test_limits_are_read_and_refused_by_who_has_no_use_for_them() -> None:
+    limit = (
+        "<limit><lower>-1</lower><upper>2</upper><velocity>5</velocity><effort>7.5</effort></limit>"
+    )
+    rod = link("rod", 1.3, ">0 0 0 0 0 0", "0 0 -0.7", sphere("tip", "0 0 -0.8"))
+    world = build_world(
+        rod + joint("revolute", "world", "rod", "0 1 0", limit=limit) + wall(plane("left", LEFT))
+    )
+    np.testing.assert_array_equal(world.limits.position, [[-1.0], [2.0]])
+    np.testing.assert_array_equal(world.limits.velocity, [[-5.0], [5.0]])
+    np.testing.assert_array_equal(world.limits.control, [[-7.5], [7.5]])
+    with pytest.raises(ModelError, match=r"actuator 'rod_joint' of .*got effort limits from -7\.5"):
+        world.limits.check_none(world.plant)
+    for name in MECHANISMS:
+        limits = read(name).limits
+        assert not np.isfinite([*limits.position.flat, *limits.velocity.flat]).any()
+
+
+@pytest.mark.parametrize(
+    ("kind", "message"),
+    [
+        ("ball", r"joint 'rod_joint' \(ball_rpy\): got velocities v that are not q̇"),
+        ("screw", r"joint 'rod_joint' \(screw\): got a motion that is neither a slider's nor"),
+    ],
+)
+def test_other_joints_are_refused_by_name(kind: str, message: str) -> None:
+    rod = link("rod", 1.3, ">0 0 0 0 0 0", "0 0 -0.7", sphere("tip", "0 0 -0.8"))
+    with pytest.raises(ModelError, match=message):
+        build_world(rod + joint(kind, "world", "rod", "0 1 0") + wall(plane("left", LEFT)))
+
+
+def test_an_unactuated_joint_has_no_column_in_b() -> None:
+    world = read("cart-pole")
+    np.testing.assert_array_equal(world.actuation, [[1.0], [0.0]])
+    assert PASSIVE in MECHANISMS["cart-pole"]
