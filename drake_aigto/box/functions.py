@@ -36,6 +36,7 @@ _SQUARED_HINGE = int(FunctionKind.SQUARED_HINGE)
 _NEG_LOG = int(FunctionKind.NEG_LOG)
 _EXPONENTIAL = int(FunctionKind.EXPONENTIAL)
 _SINE = int(FunctionKind.SINE)
+_HINGE = int(FunctionKind.HINGE)
 
 # Columns of the row that `factor_mean` fills.
 VALUE, D_C, D_Z, D_CC, D_CZ, D_ZZ = range(6)
@@ -92,6 +93,24 @@ def _squared_hinge_mean(c: float, w: float, row: Floats) -> None:
         row[D_Z] = below * below * ((w + above) / (6.0 * w))
         row[D_CZ] = -below * (above / (2.0 * w))
         row[D_ZZ] = below * ((4.0 * w * w + c * w + c * c) / (6.0 * w))
+
+
+@inner
+def _hinge_mean(c: float, w: float, row: Floats) -> None:
+    """Fills a row with the mean of max(0, −y): 0 for c ≥ w, −c for c ≤ −w, else (w − c)²/(4w)."""
+    row[:] = 0.0
+    if c >= w:
+        return
+    if c <= -w:
+        row[VALUE], row[D_C] = -c, -1.0
+        return
+    below, above = w - c, w + c
+    row[VALUE] = below * (below / (4.0 * w))
+    row[D_C] = -below / (2.0 * w)
+    row[D_CC] = 1.0 / (2.0 * w)
+    row[D_Z] = below * (above / (4.0 * w))
+    row[D_CZ] = -c / (2.0 * w)
+    row[D_ZZ] = (w * w + c * c) / (4.0 * w)
 
 
 @inner
@@ -338,6 +357,8 @@ def factor_mean(
         _power_mean(2 if is_hinge else exponent, c, w, row)
     elif is_hinge:
         _squared_hinge_mean(c, w, row)
+    elif kind == _HINGE:
+        _hinge_mean(c, w, row)
     elif transcendental is not None:
         if kind == _NEG_LOG:
             _neg_log_mean(c, w, row)

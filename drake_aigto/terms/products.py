@@ -76,7 +76,7 @@ def function(
     """Returns the function that a `Factor` of these attributes is, times 1."""
     if kind == _POWER:
         return {(Part(variable, kind, exponent),): 1.0} if exponent else constant(1.0)
-    if kind in (FunctionKind.SQUARED_HINGE, FunctionKind.NEG_LOG):
+    if kind in (FunctionKind.HINGE, FunctionKind.SQUARED_HINGE, FunctionKind.NEG_LOG):
         return {(Part(variable, kind, exponent, scale, offset),): 1.0}
     coefficient, part = _wave(Part(variable, kind, exponent, scale, offset))
     return {() if part is None else (part,): coefficient}
@@ -214,6 +214,9 @@ def _times(
 def _times_part(a: Part, b: Part) -> Iterator[tuple[float, Part | None]]:
     """Yields the terms of a product of two functions of one variable; None for a constant."""
     kinds = {a.kind, b.kind}
+    if FunctionKind.HINGE in kinds:
+        yield from _times_hinge(a, b)
+        return
     if kinds & {FunctionKind.SQUARED_HINGE, FunctionKind.NEG_LOG}:
         raise NoClosedFormError("max(0, y)² or log(y) is multiplied by a function of its variable")
     exponent = a.exponent + b.exponent
@@ -236,6 +239,26 @@ def _times_part(a: Part, b: Part) -> Iterator[tuple[float, Part | None]]:
             negative = b.kind == _SINE and sign == (1 if same else -1)
             coefficient, part = _wave(Part(a.variable, kind, exponent, scale, offset))
             yield (-0.5 if negative else 0.5) * coefficient, part
+
+
+def _times_hinge(a: Part, b: Part) -> Iterator[tuple[float, Part | None]]:
+    """Yields the terms of a product with h = max(0, −y), y = scale·x + offset.
+
+    x h = −(h² + offset h)/scale. The product of two that are never both above 0 is 0.
+    """
+    hinge, other = (a, b) if a.kind == FunctionKind.HINGE else (b, a)
+    if other.kind == _POWER and other.exponent == 1:
+        yield -1.0 / float(hinge.scale), hinge._replace(kind=FunctionKind.SQUARED_HINGE)
+        if hinge.offset:
+            yield -float(hinge.offset) / float(hinge.scale), hinge
+    elif other == hinge:
+        yield 1.0, hinge._replace(kind=FunctionKind.SQUARED_HINGE)
+    elif other.kind == FunctionKind.HINGE and hinge.scale * other.scale < 0:
+        low, high = (hinge, other) if hinge.scale > 0 else (other, hinge)
+        if -low.offset / low.scale > -high.offset / high.scale:
+            raise NoClosedFormError("two springs that push at once are multiplied")
+    else:
+        raise NoClosedFormError("max(0, y) is multiplied by that function of its variable")
 
 
 def _wave(part: Part) -> tuple[float, Part | None]:

@@ -29,6 +29,7 @@ class FunctionKind(IntEnum):
         COSINE          x^p cos y
         EXPONENTIAL     x^p exp y
         SINE            x^p sin y
+        HINGE           max(0, −y), the force of a spring that only pushes
     """
 
     POWER = 0
@@ -37,6 +38,7 @@ class FunctionKind(IntEnum):
     COSINE = 3
     EXPONENTIAL = 4
     SINE = 5
+    HINGE = 6
 
 
 # The functions G with G″ = ±scale² G, which take a power x^p as a factor.
