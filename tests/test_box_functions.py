@@ -23,6 +23,7 @@ VALUE_TOLERANCE = 1e-14
 # The log's closed form subtracts numbers that are up to 3/0.3² = 33 times their difference.
 DERIVATIVE_TOLERANCE = 1e-13
 SQUARED_HINGE = Factor(0, FunctionKind.SQUARED_HINGE)
+HINGE = Factor(0, FunctionKind.HINGE)
 NEG_LOG = Factor(0, FunctionKind.NEG_LOG)
 
 # The ranges: |c| up to 1e3; w is 0, or 1e-12 to 1e3, in all sizes alike.
@@ -154,6 +155,25 @@ def test_derivatives_of_the_squared_hinge_are_those_of_exact_arithmetic(
     assert_derivatives_exact(SQUARED_HINGE, *box)
 
 
+@given(hinge_boxes())
+def test_the_hinge_is_minus_half_the_slope_of_its_square(box: tuple[float, float]) -> None:
+    square, hinge = evaluate(SQUARED_HINGE, *box), evaluate(HINGE, *box)
+    for of_square, of_hinge in ((D_C, VALUE), (D_CC, D_C), (D_CZ, D_Z)):
+        size = max(abs(square[of_square]), 1e-300)
+        assert abs(-2.0 * hinge[of_hinge] - square[of_square]) <= DERIVATIVE_TOLERANCE * size
+
+
+@pytest.mark.parametrize("center", [-0.3, 0.0, 0.2, 0.49, -0.8, 0.8])
+def test_second_derivatives_of_the_hinge_are_the_slopes_of_the_first(center: float) -> None:
+    w, h = 0.5, 1e-6
+    here = evaluate(HINGE, center, w)
+    right, left = evaluate(HINGE, center + h, w), evaluate(HINGE, center - h, w)
+    wide, narrow = (evaluate(HINGE, center, w * math.exp(sign * h)) for sign in (1.0, -1.0))
+    assert here[D_CC] == pytest.approx((right[D_C] - left[D_C]) / (2 * h), abs=1e-8)
+    assert here[D_CZ] == pytest.approx((wide[D_C] - narrow[D_C]) / (2 * h), abs=1e-8)
+    assert here[D_ZZ] == pytest.approx((wide[D_Z] - narrow[D_Z]) / (2 * h), abs=1e-8)
+
+
 @settings(max_examples=60)
 @given(log_boxes().filter(lambda box: box[0] - box[1] > 1e-9 * box[0]))
 def test_derivatives_of_the_logarithm_are_those_of_exact_arithmetic(
@@ -195,6 +215,8 @@ def test_scale_and_offset_act_as_a_change_of_variable(
 @pytest.mark.parametrize(
     ("factor", "function", "center", "half_width"),
     [
+        (HINGE, lambda y: max(-y, 0.0), 0.3, 0.7),
+        (HINGE, lambda y: max(-y, 0.0), -5.0, 2.0),
         (SQUARED_HINGE, lambda y: min(y, 0.0) ** 2, 0.3, 0.7),
         (SQUARED_HINGE, lambda y: min(y, 0.0) ** 2, -0.3, 0.7),
         (SQUARED_HINGE, lambda y: min(y, 0.0) ** 2, -5.0, 2.0),
