@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar, Literal, get_args
 
-from drake_aigto.planning import Rung, SearchOptions
+from drake_aigto.planning import LadderOptions, Rung
 from drake_aigto.transcription import NONPENETRATION
 from drake_aigto.transcription.rows import DYNAMICS, KINEMATICS
 
@@ -31,11 +31,11 @@ LITERAL_LADDER = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class LiteralOptions(SearchOptions):
+class LiteralOptions(LadderOptions):
     """Numerics of a plan in the paper's transcription (`LiteralTranscription`).
 
     Attributes:
-        ladder: see `SearchOptions`, as local_solver, finalists, threads and confirm.
+        ladder: see `LadderOptions`, as local_solver, finalists, threads and confirm.
         nonpenetration: whether φ(q_k) ≥ 0 is asked for. The paper's figures need it off.
         algorithm: "annealing"; or "full gradient", the paper's Algorithm 1, or "alternating", the
             one before it.

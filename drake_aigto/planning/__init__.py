@@ -1,7 +1,7 @@
 """From a scenario to a plan: search, polish, and replay on rigid walls."""
 
 from drake_aigto.planning.candidate import Candidate, Replays, Veto
-from drake_aigto.planning.options import PlanOptions, Rung, SearchOptions
+from drake_aigto.planning.options import LadderOptions, PlanOptions, Rung, SearchOptions
 from drake_aigto.planning.origin import Origin
 from drake_aigto.planning.plan import Plan, PlanningError, PlanStats
 from drake_aigto.planning.planner import Planner, plan, run_search
@@ -12,6 +12,7 @@ from drake_aigto.planning.search import Search, Stopwatch
 
 __all__ = [
     "Candidate",
+    "LadderOptions",
     "Origin",
     "Plan",
     "PlanOptions",

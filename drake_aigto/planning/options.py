@@ -77,19 +77,13 @@ class SearchOptions:
     """Numerics of any search for a plan.
 
     Attributes:
-        ladder: the starts of AIGO; candidates come out of each.
-        local_solver: polishes AIGO's results: "newton" (`local.InteriorPoint`), or "ipopt" or
-            "snopt" through Drake.
         finalists: how many of the best candidates are improved.
-        threads: how many rungs are run at once, in threads of this process: plans are the same to
-            the last bit. None: as many as it has cores where boxes are of a thousand variables or
-            more, else one, as starting threads takes longer than it saves.
-        confirm: whether the plan is also replayed on Drake's plant; the event-driven replay is
+        threads: how many starts are run at once, in threads of this process: plans are the same to
+            the last bit. None: as many as it has cores where that pays, else one.
+        confirm: whether the plan is also replayed on Drake's plant; the independent replay is
             always run.
     """
 
-    ladder: tuple[Rung, ...] = field(repr=False)
-    local_solver: LocalSolverName = "newton"
     finalists: int = 2
     threads: int | None = None
     confirm: bool = True
@@ -98,12 +92,9 @@ class SearchOptions:
 
     def __post_init__(self) -> None:
         """Checks what does not depend on the problem."""
-        self._check_choice("local_solver", get_args(LocalSolverName))
         self._check_count("finalists", 1)
         if self.threads is not None and self.threads < 1:
             raise OptionsError("threads", got=self.threads, expected="1 or more, or None")
-        if not self.ladder:
-            raise OptionsError("ladder", got="no rung", expected="at least one")
 
     @staticmethod
     def kind_of(transcription: str) -> type[SearchOptions]:
@@ -128,11 +119,34 @@ class SearchOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class PlanOptions(SearchOptions):
+class LadderOptions(SearchOptions):
+    """Numerics of a search that polishes the contact sequences of a ladder of boxes.
+
+    Attributes:
+        ladder: the starts of AIGO; candidates come out of each.
+        local_solver: polishes AIGO's results: "newton" (`local.InteriorPoint`), or "ipopt" or
+            "snopt" through Drake.
+        finalists: see `SearchOptions`, as threads and confirm. Threads pay where boxes are of a
+            thousand variables or more; for less, starting them takes longer than it saves.
+    """
+
+    ladder: tuple[Rung, ...] = field(repr=False)
+    local_solver: LocalSolverName = "newton"
+
+    def __post_init__(self) -> None:
+        """Checks what does not depend on the problem."""
+        self._check_choice("local_solver", get_args(LocalSolverName))
+        super().__post_init__()
+        if not self.ladder:
+            raise OptionsError("ladder", got="no rung", expected="at least one")
+
+
+@dataclass(frozen=True, kw_only=True)
+class PlanOptions(LadderOptions):
     """Numerics of a plan that holds on rigid walls.
 
     Attributes:
-        ladder: see `SearchOptions`, as local_solver, finalists, threads and confirm.
+        ladder: see `LadderOptions`, as local_solver, finalists, threads and confirm.
         relaxation: ε of the complementarity φ p = dt ε, which the wall pushes from afar with while
             boxes shrink (`RigidTranscription`).
         aigo_steps: how many time steps boxes have: coarse ones show the contact sequence, and the

@@ -28,7 +28,7 @@ from drake_aigto.local import (
 from drake_aigto.planning.added_rows import check_added_rows
 from drake_aigto.planning.candidate import Candidate, Replays
 from drake_aigto.planning.compiled import CompiledPrograms
-from drake_aigto.planning.options import Rung, SearchOptions, StartName
+from drake_aigto.planning.options import LadderOptions, Rung, StartName
 from drake_aigto.planning.origin import Origin
 from drake_aigto.simulation.contacts import find_contacts, max_penetration
 from drake_aigto.simulation.replay import Replay, replay_drake, replay_event_driven
@@ -86,7 +86,7 @@ class PlanningProblem(ABC):
     def __init__(
         self,
         transcription: Transcription,
-        options: SearchOptions,
+        options: LadderOptions,
         programs: CompiledPrograms | None = None,
     ) -> None:
         """Compiles, unless the programs of the same world and additions have this structure.
@@ -176,7 +176,7 @@ class PlanningProblem(ABC):
 
     @property
     def num_threads(self) -> int:
-        """How many rungs are run at once, see `SearchOptions.threads`."""
+        """How many rungs are run at once, see `LadderOptions.threads`."""
         if self.options.threads is not None:
             return self.options.threads
         if self.polynomial.num_variables < _MANY:
