@@ -5,10 +5,11 @@ from drake_aigto.planning.options import LadderOptions, PlanOptions, Rung, Searc
 from drake_aigto.planning.origin import Origin
 from drake_aigto.planning.plan import Plan, PlanningError, PlanStats
 from drake_aigto.planning.planner import Planner, plan, run_search
+from drake_aigto.planning.pool import Stopwatch
 from drake_aigto.planning.problem import PlanningProblem
 from drake_aigto.planning.rigid import RigidProblem, coarsen, make_problem
 from drake_aigto.planning.rigid_search import RigidSearch
-from drake_aigto.planning.search import Search, Stopwatch
+from drake_aigto.planning.search import Search
 
 __all__ = [
     "Candidate",

@@ -12,9 +12,9 @@ from drake_aigto.errors import OptionsError
 from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.plan import Plan, PlanningError
+from drake_aigto.planning.pool import Progress, Stopwatch
 from drake_aigto.planning.rigid import RigidProblem, transcribe
 from drake_aigto.planning.rigid_search import RigidSearch
-from drake_aigto.planning.search import Progress, Stopwatch
 from drake_aigto.simulation.material import contact_delay
 from drake_aigto.transcription import RigidTranscription
 from drake_aigto.world import Scenario, World
@@ -160,7 +160,7 @@ def run_search(search: RigidSearch, scenario: Scenario, progress: Progress | Non
     search.add_idle()
     found = search.make_plan(scenario, _choose(search))
     if not found.holds:
-        raise _nothing_holds(found, len(search.problem.options.ladder))
+        raise _nothing_holds(found, search.problem.sources)
     return found
 
 
@@ -175,7 +175,7 @@ def _choose(search: RigidSearch) -> Candidate:
     return next(holds, best)
 
 
-def _nothing_holds(found: Plan, num_rungs: int) -> PlanningError:
+def _nothing_holds(found: Plan, sources: str) -> PlanningError:
     """Returns the error of a search whose every candidate a replay contradicts."""
     tried = [
         f"{candidate.describe_contacts()} for {candidate.cost:.2e}, "
@@ -190,7 +190,7 @@ def _nothing_holds(found: Plan, num_rungs: int) -> PlanningError:
         tried[0] += f"; there it breaks {', '.join(map(repr, broken))}"
     error = PlanningError(
         "nothing that was planned holds in simulation",
-        got=f"{len(tried)} candidates from {num_rungs} rungs of AIGO ({'; '.join(tried)})",
+        got=f"{len(tried)} candidates from {sources} of AIGO ({'; '.join(tried)})",
         expected="simulations that come near a plan's cost and goal",
         remedy="Allow more time, move the goal closer, or try another ladder.",
     )

@@ -34,7 +34,7 @@ from drake_aigto.simulation.contacts import find_contacts, max_penetration
 from drake_aigto.simulation.replay import Replay, replay_drake, replay_event_driven
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Samples, Transcription
-from drake_aigto.world import Scales
+from drake_aigto.world import Scales, World
 
 _LOG = logging.getLogger(__name__)
 
@@ -207,6 +207,22 @@ class PlanningProblem(ABC):
         start = self.start(rung.start)
         weighted = start.polynomial.with_weights(self._weights(rung))
         return minimize(weighted, start.box, algorithm, callback)
+
+    @property
+    def world(self) -> World:
+        """Where the task is."""
+        return self.transcription.world
+
+    @property
+    def sources(self) -> str:
+        """What candidates come from, in words."""
+        return f"{len(self.options.ladder)} rungs"
+
+    @property
+    def remedy(self) -> str:
+        """What a user may try where no candidate meets the rows."""
+        relax = "Relax what was added, or try" if self.additions else "Try"
+        return f"{relax} another ladder or local solver."
 
     @property
     def scales(self) -> Scales:

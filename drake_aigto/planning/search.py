@@ -2,90 +2,58 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
-import math
 import threading
-import time
-from abc import ABC, abstractmethod
-from collections import defaultdict
-from collections.abc import Callable, Iterator
+from abc import abstractmethod
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from drake_aigto.aigo import AigoResult, Iterate, Status
 from drake_aigto.jit import tell_compilation
-from drake_aigto.planning.candidate import LARGEST_DEFECT, Candidate, Replays
+from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.idle import idle_candidate
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.origin import Origin
-from drake_aigto.planning.plan import Plan, PlanningError, PlanStats
+from drake_aigto.planning.pool import CandidatePool, Progress, Stopwatch
 from drake_aigto.planning.problem import ContactSequence, PlanningProblem
-from drake_aigto.transcription.rows import scaled_defects
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
-    from drake_aigto.world import Scenario
-
 _LOG = logging.getLogger(__name__)
 
 Polish = Callable[..., tuple[Any, Any]]
-Progress = Callable[[str], None]
 
 
-class Stopwatch:
-    """Wall time by part of the road.
-
-    Attributes:
-        seconds: part → its time so far [s].
-    """
-
-    def __init__(self) -> None:
-        """Starts at nothing."""
-        self.seconds: defaultdict[str, float] = defaultdict(float)
-
-    @contextmanager
-    def __call__(self, part: str) -> Iterator[None]:
-        """Adds the time of a `with` block to a part's."""
-        start = time.perf_counter()
-        try:
-            yield
-        finally:
-            self.seconds[part] += time.perf_counter() - start
-
-
-class Search(ABC):
+class Search(CandidatePool):
     """Candidates by contact sequence; the work is cut off by counts, never by clocks.
 
     Attributes:
         problem: that is searched.
-        clock: what the parts of the search took.
         by_sequence: the candidates so far, in the order that they were found.
         centers: of the boxes that each sequence was read off.
         solved: the transcription that each polish solved, and its decision variables.
-        aigo_steps: inner iterations of AIGO so far.
         shown: the rungs so far, each with the contact sequences that its last box shows, the most
             literal first.
-        others: candidates that no sequence was polished for.
-        is_interrupted: whether Ctrl-C ended it.
     """
+
+    problem: PlanningProblem
 
     def __init__(self, problem: PlanningProblem, clock: Stopwatch | None = None) -> None:
         """Starts with no candidate."""
-        self.problem, self.clock = problem, clock or Stopwatch()
+        super().__init__(problem, clock)
         self.by_sequence: dict[ContactSequence, Candidate] = {}
         self.centers: dict[ContactSequence, npt.NDArray[np.float64]] = {}
         self.solved: dict[ContactSequence, tuple[Any, npt.NDArray[np.float64]]] = {}
-        self.aigo_steps = 0
         self.shown: list[tuple[Rung, list[ContactSequence]]] = []
-        self.others: list[Candidate] = []
-        self.is_interrupted = False
-        self._progress: Progress | None = None
-        self._replays: dict[int, Replays] = {}  # Of those that were to be the plan, by id.
+
+    @property
+    def candidates(self) -> Iterable[Candidate]:
+        """Those that were searched for, in the order that they were found."""
+        return self.by_sequence.values()
 
     def run(self, progress: Progress | None = None) -> None:
         """Runs the ladder, and refines what comes out.
@@ -115,12 +83,6 @@ class Search(ABC):
                 raise
             self.is_interrupted = True
             _LOG.info("interrupted: going on with what was found")
-
-    def tell(self, line: str) -> None:
-        """Logs and shows what begins."""
-        _LOG.info("%s", line)
-        if self._progress:
-            self._progress(line)
 
     def rungs(self) -> Iterator[tuple[Rung, ...]]:
         """Yields the ladder's rungs in the order to run them, those that may run at once together.
@@ -238,98 +200,9 @@ class Search(ABC):
         with self.clock("replay"):
             self.others.append(idle_candidate(self.problem))
 
-    def ranked(self) -> list[Candidate]:
-        """Returns all candidates, the best first."""
-        return sorted([*self.by_sequence.values(), *self.others], key=self.rank)
-
-    def find_feasible(self) -> list[Candidate]:
-        """Returns the candidates that meet the rows, the best first.
-
-        Raises:
-            PlanningError: there is none.
-        """
-        feasible = [candidate for candidate in self.ranked() if candidate.is_feasible]
-        if not feasible:
-            polished = [scaled_defects(each.defects, each.scales) for each in self.ranked()]
-            nearest = min(polished, key=lambda by: max(by.values()), default={"rows": math.inf})
-            missed = [name for name, by in nearest.items() if by > LARGEST_DEFECT]
-            relax = "Relax what was added, or try" if self.problem.additions else "Try"
-            raise PlanningError(
-                "no candidate meets the transcription's rows",
-                got=f"{len(polished)} candidates from {len(self.problem.options.ladder)} rungs, "
-                f"the smallest defect {max(nearest.values()):.1e}, in {', '.join(missed)}",
-                expected=f"at most {LARGEST_DEFECT:g} of the task's scales",
-                remedy=f"{relax} another ladder or local solver.",
-            )
-        return feasible
-
-    def confirm(self, candidate: Candidate) -> bool:
-        """Replays a candidate's control, and returns whether the replays confirm it.
-
-        Ctrl-C leaves out what has not been simulated by then.
-        """
-        steps = len(candidate.trajectory.controls)
-        self.tell(f"replaying the best of {len(self.ranked())} candidates, {steps} time steps")
-        self._replays[id(candidate)] = Replays(candidate.replay, None)
-        try:
-            with self.clock("replay"):
-                self._replays[id(candidate)] = self.problem.confirm(candidate)
-        except KeyboardInterrupt:
-            self.is_interrupted = True
-        replays = self._replays[id(candidate)]
-        for replay in replays:
-            if not candidate.is_confirmed_by(replay):
-                _LOG.info(
-                    "  vetoed by the %s replay: %s promises cost %.3e and %.1e m off the goal; "
-                    "simulated %.3e and %.1e m",
-                    replay.simulator,
-                    candidate.describe_contacts(),
-                    candidate.cost,
-                    candidate.goal_error,
-                    replay.cost,
-                    replay.goal_error,
-                )
-        return candidate.holds(replays)
-
-    def make_plan(self, scenario: Scenario, best: Candidate) -> Plan:
-        """Returns the plan with this candidate, which was replayed, and the others by rank."""
-        rest = [
-            dataclasses.replace(other, drake=self._replays[id(other)].drake)
-            if id(other) in self._replays
-            else other
-            for other in self.ranked()
-            if other is not best
-        ]
-        stats = PlanStats(
-            self.aigo_steps,
-            sum(candidate.is_feasible for candidate in self.by_sequence.values()),
-            dict(self.clock.seconds),
-            self.box_contacts,
-            self.flight_left_out,
-        )
-        took = ", ".join(f"{part} {seconds:.2f}" for part, seconds in stats.seconds.items())
-        _LOG.info("%d inner steps of AIGO; seconds: %s", stats.aigo_steps, took)
-        options, world = self.problem.options, self.problem.transcription.world
-        return Plan(
-            scenario=scenario,
-            transcription=options.transcription,
-            candidates=(best, *rest),
-            replay=self._replays[id(best)],
-            stats=stats,
-            made_in=world.fingerprint,
-            is_interrupted=self.is_interrupted,
-            options=options,
-            world=world,
-        )
-
     @abstractmethod
     def is_known(self, sequence: ContactSequence) -> bool:
         """Returns whether there is a candidate of nearly this sequence."""
-
-    @property
-    def flight_left_out(self) -> float | None:
-        """What a free flight costs at least, if it was left out for that."""
-        return None
 
     def refine(self) -> None:
         """Improves the best candidates."""
@@ -349,7 +222,3 @@ class Search(ABC):
     def rank_of(self, sequence: ContactSequence) -> tuple[float, ...]:
         """Returns what its candidate is ordered by."""
         return self.rank(self.by_sequence[sequence])
-
-    @abstractmethod
-    def rank(self, candidate: Candidate) -> tuple[float, ...]:
-        """Returns what candidates are ordered by, the best least."""
