@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
 from typing import Any
 
@@ -20,8 +21,9 @@ from mechanisms import (
     wall,
 )
 from pydrake.multibody.tree import MultibodyForces
+from world_models import make_scenario
 
-from drake_aigto import ModelError, World
+from drake_aigto import ModelError, ScenarioError, World
 
 # Sums over some hundred products, each of a few roundings, of numbers of size 1 to 100.
 ROUNDING = 1e-10
@@ -163,14 +165,16 @@ def test_a_pendulum_has_the_equation_of_the_textbook() -> None:
 # Limits, and what is refused.
 
 
+LIMIT = "<limit><lower>-1</lower><upper>2</upper><velocity>5</velocity><effort>7.5</effort></limit>"
+LIMITED = (
+    link("rod", 1.3, ">0 0 0 0 0 0", "0 0 -0.7", sphere("tip", "0 0 -0.8"))
+    + joint("revolute", "world", "rod", "0 1 0", limit=LIMIT)
+    + wall(plane("left", LEFT))
+)
+
+
 def test_limits_are_read_and_refused_by_who_has_no_use_for_them() -> None:
-    limit = (
-        "<limit><lower>-1</lower><upper>2</upper><velocity>5</velocity><effort>7.5</effort></limit>"
-    )
-    rod = link("rod", 1.3, ">0 0 0 0 0 0", "0 0 -0.7", sphere("tip", "0 0 -0.8"))
-    world = build_world(
-        rod + joint("revolute", "world", "rod", "0 1 0", limit=limit) + wall(plane("left", LEFT))
-    )
+    world = build_world(LIMITED)
     np.testing.assert_array_equal(world.limits.position, [[-1.0], [2.0]])
     np.testing.assert_array_equal(world.limits.velocity, [[-5.0], [5.0]])
     np.testing.assert_array_equal(world.limits.control, [[-7.5], [7.5]])
@@ -179,6 +183,28 @@ def test_limits_are_read_and_refused_by_who_has_no_use_for_them() -> None:
     for name in MECHANISMS:
         limits = read(name).limits
         assert not np.isfinite([*limits.position.flat, *limits.velocity.flat]).any()
+
+
+@pytest.mark.parametrize(
+    ("fields", "message"),
+    [
+        (
+            {"initial_position": 2.5},
+            r"initial_position\[0\]: got 2\.5, expected from -1 to 2, the l",
+        ),
+        ({"goal_position": -1.5}, r"goal_position\[0\]: got -1\.5, expected from -1 to 2, the lim"),
+        ({"initial_velocity": 6.0}, r"initial_velocity\[0\]: got 6, expected from -5 to 5, the li"),
+    ],
+)
+def test_a_scenario_beyond_the_limits_of_the_joints_is_refused(
+    fields: dict[str, Any], message: str
+) -> None:
+    world = build_world(LIMITED)
+    inside = make_scenario(initial_position=0.5, goal_position=-0.5, initial_velocity=0.0)
+    assert world.bounds(inside) is world.limits
+    world.check(inside)
+    with pytest.raises(ScenarioError, match=message):
+        world.check(dataclasses.replace(inside, **fields))
 
 
 @pytest.mark.parametrize(

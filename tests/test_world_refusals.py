@@ -15,7 +15,9 @@ from world_models import (
     read_thin_walled,
 )
 
-from drake_aigto import ModelError, ScenarioError, World
+from drake_aigto import ModelError, Planner, ScenarioError, World
+from drake_aigto.baselines import Recorder
+from drake_aigto.optima import rigid_optimum
 from drake_aigto.world.diagram import build_diagram
 
 # Bad models, each with one clear error.
@@ -34,6 +36,24 @@ def between(start: str, end: str) -> str:
     return text[first : text.index(end, first) + len(end)]
 
 
+# Models in which nothing can touch: worlds, but not for balls' plans.
+CONTACT_FREE: dict[str, tuple[dict[str, str], str]] = {
+    "no wall": (
+        {between('<collision name="wall_collision">', "</collision>"): ""},
+        "the model lacks a contact: got 1 collision shape, expected a sphere, and a box, half space"
+        " or sphere that it can touch. Add <collision> shapes to both links",
+    ),
+    "filtered": (
+        {
+            "</model>": """<drake:collision_filter_group name="all">
+              <drake:member>ball</drake:member> <drake:member>wall</drake:member>
+              <drake:ignored_collision_filter_group>all</drake:ignored_collision_filter_group>
+            </drake:collision_filter_group></model>"""
+        },
+        "got 2 collision shapes, of which Drake lets no two collide.*collision_filter_group",
+    ),
+}
+
 # name → (replacements in the shipped SDF, message)
 BAD_MODELS: dict[str, tuple[dict[str, str], str]] = {
     "ball joint": (
@@ -51,20 +71,6 @@ BAD_MODELS: dict[str, tuple[dict[str, str], str]] = {
     "no actuator": (
         {AXIS: f"{AXIS}<limit><effort>0</effort></limit>"},
         r"the model lacks an actuator\. In SDF drop <effort>0</effort>",
-    ),
-    "no wall": (
-        {between('<collision name="wall_collision">', "</collision>"): ""},
-        "the model lacks a contact: got 1 collision shape, expected a sphere, and a box, half space"
-        " or sphere that it can touch. Add <collision> shapes to both links",
-    ),
-    "filtered": (
-        {
-            "</model>": """<drake:collision_filter_group name="all">
-              <drake:member>ball</drake:member> <drake:member>wall</drake:member>
-              <drake:ignored_collision_filter_group>all</drake:ignored_collision_filter_group>
-            </drake:collision_filter_group></model>"""
-        },
-        "got 2 collision shapes, of which Drake lets no two collide.*collision_filter_group",
     ),
     "box against box": (
         {BALL_SHAPE: "<box><size>0.1 0.1 0.1</size></box>"},
@@ -96,11 +102,30 @@ def test_a_missing_model_is_refused_by_name(model: str, message: str) -> None:
         World.from_scenario(make_scenario(model))
 
 
-def test_plans_without_limits_refuse_a_model_that_has_one(write_model: ModelWriter) -> None:
-    limited = write_model({AXIS: f"{AXIS}<limit><effort>7.5</effort></limit>"})
-    message = r"actuator 'slider' of joint 'slider': got effort limits from -7\.5 to 7\.5"
+@pytest.mark.parametrize("name", CONTACT_FREE)
+def test_a_ball_without_a_wall_is_a_world_but_not_planned_for(
+    write_model: ModelWriter, name: str
+) -> None:
+    replacements, message = CONTACT_FREE[name]
+    scenario = make_scenario(write_model(replacements))
+    world = World.from_scenario(scenario)
+    assert world.num_contacts == 0
     with pytest.raises(ModelError, match=message):
-        World.from_scenario(make_scenario(limited))
+        Planner(scenario)
+    with pytest.raises(ModelError, match="mass: got a model in which nothing touches"):
+        World.from_scenario(dataclasses.replace(scenario, mass=2.0))
+
+
+def test_plans_without_limits_refuse_a_model_that_has_one(write_model: ModelWriter) -> None:
+    limited = make_scenario(write_model({AXIS: f"{AXIS}<limit><effort>7.5</effort></limit>"}))
+    message = r"actuator 'slider' of joint 'slider': got effort limits from -7\.5 to 7\.5"
+    world = World.from_scenario(limited)
+    with pytest.raises(ModelError, match=message):
+        Planner(limited)
+    with pytest.raises(ModelError, match=message):
+        Recorder(world, limited, seconds=1.0)
+    with pytest.raises(ModelError, match=message):
+        rigid_optimum(world, limited)
 
 
 # Scenarios that don't fit the world.

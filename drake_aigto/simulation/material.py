@@ -8,12 +8,8 @@ import scipy  # Not scipy.optimize, which takes a tenth of a second and few need
 from pydrake.geometry import GeometryId
 from pydrake.systems.framework import Context
 
-from drake_aigto.errors import ModelError
 from drake_aigto.world import World
-from drake_aigto.world.material import set_material
-
-_STIFFNESS = ("material", "point_contact_stiffness")
-_DISSIPATION = ("material", "hunt_crossley_dissipation")
+from drake_aigto.world.material import DISSIPATION, read_stiffness, set_material
 
 # No finite dissipation takes all of the speed; below this restitution it is this.
 LEAST_RESTITUTION = 1e-3
@@ -31,14 +27,13 @@ def contact_delay(world: World) -> float:
     Raises:
         ModelError: a shape has no stiffness.
     """
-    return max(contact_delays(world))
+    return max(contact_delays(world), default=0.0)
 
 
 def contact_delays(world: World) -> list[float]:
     """Returns `contact_delay` of each contact [s]."""
     masses = world.constant_inertia.masses
-    stiffnesses = [_calc_stiffness(world, shapes) for shapes in world.shapes]
-    return [math.pi * math.sqrt(m / k) for m, k in zip(masses, stiffnesses, strict=True)]
+    return [math.pi * math.sqrt(m / k) for m, k in zip(masses, world.stiffness, strict=True)]
 
 
 def calc_dissipation(restitution: float, speed: float) -> float:
@@ -72,7 +67,7 @@ def set_dissipation(world: World, root: Context, contact: int, dissipation: floa
     it, so that no other contact which is going on is another.
     """
     shapes = world.shapes[contact]
-    k = [_read_stiffness(world, shape) for shape in shapes]
+    k = [read_stiffness(world.scene_graph, shape) for shape in shapes]
     alone = [_is_alone(world, shape) for shape in shapes]
     values = [dissipation, dissipation]
     if alone[0] != alone[1]:
@@ -81,27 +76,9 @@ def set_dissipation(world: World, root: Context, contact: int, dissipation: floa
         values[own] = dissipation * (k[0] + k[1]) / k[1 - own]
     source = world.plant.get_source_id()
     for shape, value in zip(shapes, values, strict=True):
-        set_material(world.scene_graph, source, root, shape, _DISSIPATION, value)
+        set_material(world.scene_graph, source, root, shape, DISSIPATION, value)
 
 
 def _is_alone(world: World, shape: GeometryId) -> bool:
     """Returns whether a shape can touch but one other."""
     return sum(shape in pair for pair in set(world.shapes)) == 1
-
-
-def _calc_stiffness(world: World, shapes: tuple[GeometryId, GeometryId]) -> float:
-    """Returns the stiffness of two shapes in series, k₁ k₂ / (k₁ + k₂) [N/m]."""
-    return 1 / sum(1 / _read_stiffness(world, shape) for shape in shapes)
-
-
-def _read_stiffness(world: World, shape: GeometryId) -> float:
-    inspector = world.scene_graph.model_inspector()
-    properties = inspector.GetProximityProperties(shape)
-    if not properties.HasProperty(*_STIFFNESS):
-        raise ModelError(
-            f"collision shape {inspector.GetName(shape)!r}",
-            got="no stiffness, so Drake's default, which hardly rebounds",
-            expected="<drake:point_contact_stiffness>",
-            remedy="Give both shapes 2e9 N/m, for a nearly rigid wall.",
-        )
-    return float(properties.GetProperty(*_STIFFNESS))

@@ -5,16 +5,22 @@ from drake_aigto.world.contact import Contact
 from drake_aigto.world.equations import EquationsOfMotion
 from drake_aigto.world.files import package_map
 from drake_aigto.world.fingerprint import Fingerprint
+from drake_aigto.world.law import CompliantLaw, ContactLaw, RigidLaw
+from drake_aigto.world.limits import Limits
 from drake_aigto.world.scales import Scales
 from drake_aigto.world.scenario import Scenario, scenario_names
 from drake_aigto.world.world import World
 
 __all__ = [
+    "CompliantLaw",
     "ConstantDynamics",
     "ConstantInertia",
     "Contact",
+    "ContactLaw",
     "EquationsOfMotion",
     "Fingerprint",
+    "Limits",
+    "RigidLaw",
     "Scales",
     "Scenario",
     "World",

@@ -94,7 +94,7 @@ class EquationsOfMotion:
     @cached_property
     def are_of_one_solid(self) -> Bools:
         """Which contacts are faces of one solid, shape (m, m)."""
-        solids = np.array([contact.solid for contact in self.contacts])
+        solids = np.array([contact.solid for contact in self.contacts], dtype=int)
         return read_only(solids[:, np.newaxis] == solids, bool)
 
     @cached_property
@@ -137,10 +137,9 @@ class EquationsOfMotion:
     def _read_inertia(self) -> tuple[Floats, Floats, Floats, Floats, tuple[tuple[int, ...], ...]]:
         """Returns M, B, J, φ(0) and the solids."""
         mass_matrix = read_constant("the mass matrix M(q)", self.mass_matrix, _INERTIA_REMEDY)
-        slopes = [
-            read_constant(f"∂φ/∂q of {contact.name}", contact.jacobian, _INERTIA_REMEDY)
-            for contact in self.contacts
-        ]
+        slopes = np.empty((self.num_contacts, self.num_velocities))
+        for i, contact in enumerate(self.contacts):
+            slopes[i] = read_constant(f"∂φ/∂q of {contact.name}", contact.jacobian, _INERTIA_REMEDY)
         offset = self.calc_signed_distance(np.zeros(self.num_positions))
         return mass_matrix, self.actuation, read_only(slopes), read_only(offset), self.solids
 
@@ -172,7 +171,7 @@ class EquationsOfMotion:
         sphere's center projects onto a face. Past an edge or a corner the distance is larger: the
         corner counts as sharp though the sphere would round it.
         """
-        firsts = [faces[0] for faces in self.solids]
+        firsts = np.array([faces[0] for faces in self.solids], dtype=int)
         return np.maximum.reduceat(self.calc_signed_distance(q), firsts, axis=-1)
 
     def calc_contact_jacobian(self, q: Floats) -> Floats:
@@ -230,5 +229,5 @@ class EquationsOfMotion:
 
     @cached_property
     def _jacobian_map(self) -> SumMap:
-        jacobians = np.concatenate([contact.jacobian for contact in self.contacts])
-        return SumMap(jacobians, self.positions)
+        jacobians = (contact.jacobian for contact in self.contacts)
+        return SumMap(np.concatenate([[], *jacobians]), self.positions)

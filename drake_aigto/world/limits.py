@@ -9,7 +9,7 @@ import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
 from drake_aigto.arrays import Floats
-from drake_aigto.errors import ModelError
+from drake_aigto.errors import ModelError, ScenarioError
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +39,21 @@ class Limits:
             array.flags.writeable = False
         return cls(*arrays)
 
+    @staticmethod
+    def check_within(name: str, bounds: Floats, value: Floats) -> None:
+        """Refuses positions or velocities of this name that are out of their bounds.
+
+        Raises:
+            ScenarioError: one is; says which.
+        """
+        for i, (number, lower, upper) in enumerate(zip(value, *bounds, strict=True)):
+            if not lower <= number <= upper:
+                raise ScenarioError(
+                    f"{name}[{i}]",
+                    got=f"{number:g}",
+                    expected=f"from {lower:g} to {upper:g}, the limits of its joint",
+                )
+
     def check_none(self, plant: MultibodyPlant) -> None:
         """Refuses a model with limits, for whoever plans without them.
 
@@ -49,7 +64,7 @@ class Limits:
             raise ModelError(
                 what,
                 got=f"{name} limits from {bounds[0]:g} to {bounds[1]:g}",
-                expected="none, for plans know of no limits",
+                expected="none, for balls are planned for without limits",
                 remedy="Leave <limit> out of the model, and bound the program's variables instead.",
             )
 

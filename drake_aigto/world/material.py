@@ -10,9 +10,13 @@ from pydrake.multibody.plant import CalcContactFrictionFromSurfaceProperties, Mu
 from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.systems.framework import Context
 
+from drake_aigto.errors import ModelError
 from drake_aigto.world.contact import SphereAndFace
 
 FRICTION = ("material", "coulomb_friction")
+STIFFNESS = ("material", "point_contact_stiffness")
+COMPLIANCE = ("hydroelastic", "compliance_type")
+DISSIPATION = ("material", "hunt_crossley_dissipation")
 
 # Rates along a face below this part of the largest entry are rounding.
 _ROUNDING = 1e-9
@@ -51,6 +55,44 @@ def can_slide(plant: MultibodyPlant, face: SphereAndFace) -> bool:
     )
     along = edges.T @ rates
     return bool(np.any(np.abs(along) > _ROUNDING * np.max(np.abs(rates), initial=0.0)))
+
+
+def read_stiffness(scene_graph: SceneGraph, shape: GeometryId) -> float:
+    """Returns the stiffness that a model gives a shape [N/m].
+
+    Raises:
+        ModelError: it gives none.
+    """
+    remedy = "Give both shapes 2e9 N/m, for a nearly rigid wall."
+    return _read_given(
+        scene_graph, shape, STIFFNESS, "so Drake's default, which hardly rebounds", remedy
+    )
+
+
+def read_dissipation(scene_graph: SceneGraph, shape: GeometryId) -> float:
+    """Returns the Hunt-Crossley dissipation that a model gives a shape [s/m].
+
+    Raises:
+        ModelError: it gives none.
+    """
+    remedy = "Give both shapes theirs: 0 s/m, for a wall that returns all energy."
+    return _read_given(scene_graph, shape, DISSIPATION, "so Drake's default, 50 s/m", remedy)
+
+
+def _read_given(
+    scene_graph: SceneGraph, shape: GeometryId, name: tuple[str, str], default: str, remedy: str
+) -> float:
+    """Returns a property that a shape has to have of its own."""
+    inspector: Any = scene_graph.model_inspector()
+    properties = inspector.GetProximityProperties(shape)
+    if not properties.HasProperty(*name):
+        raise ModelError(
+            f"collision shape {inspector.GetName(shape)!r}",
+            got=f"no {name[1].split('_')[-1]}, {default}",
+            expected=f"<drake:{name[1]}>",
+            remedy=remedy,
+        )
+    return float(properties.GetProperty(*name))
 
 
 def read_material(scene_graph: SceneGraph, root: Context, shape: GeometryId) -> ProximityProperties:

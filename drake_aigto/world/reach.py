@@ -57,7 +57,8 @@ def find_reach(plant: MultibodyPlant, scene_graph: SceneGraph, reader: PlantRead
     default positions; of another box, every face that the sphere can move to or from.
 
     Raises:
-        ModelError: there is none, or a pair of shapes is not supported.
+        ModelError: no motion brings any two shapes together that may collide, or a pair of shapes
+            is not supported.
     """
     found, stuck = list[ReachableFace](), list[SphereAndFace]()
     solid = 0
@@ -73,14 +74,21 @@ def find_reach(plant: MultibodyPlant, scene_graph: SceneGraph, reader: PlantRead
             contact = Contact(name, distance, jacobian, solid, face.restitution)
             found.append(ReachableFace(face, places[i][:2], contact))
         solid += bool(chosen)
-    if not found:
-        raise _refuse_no_contact(pairs, scene_graph)
+    if pairs and not found:
+        raise _refuse_apart(pairs)
     return Reach(tuple(found), tuple(stuck))
 
 
 def find_sphere_body(plant: MultibodyPlant, reachable: Sequence[ReachableFace]) -> RigidBody:
     """Returns the only body with spheres that touch, whose mass a scenario may replace."""
     bodies = {each.face.sphere_body.index(): each.face.sphere_body for each in reachable}
+    if not bodies:
+        raise ModelError(
+            "mass",
+            got="a model in which nothing touches",
+            expected="one link with spheres that do",
+            remedy="Edit the masses in the model instead.",
+        )
     if len(bodies) > 1:
         raise ModelError(
             "mass",
@@ -115,15 +123,10 @@ def _choose(
     return ([], [nearest]) if nearest in fixed else ([nearest], [])
 
 
-def _refuse_no_contact(pairs: list[list[SphereAndFace]], scene_graph: SceneGraph) -> ModelError:
-    """Returns the error of a model in which nothing can touch, with the reason."""
+def refuse_no_contact(scene_graph: SceneGraph) -> ModelError:
+    """Returns the error of a model in which no two shapes may collide, with the reason."""
     inspector = scene_graph.model_inspector()
-    if pairs:
-        got = f"no motion that brings together {' or '.join(pair[0].pair for pair in pairs)}"
-        remedy = (
-            "Move a shape into the other's way: distances that no joint changes are no contact."
-        )
-    elif len(shapes := inspector.GetAllGeometryIds(Role.kProximity)) < 2:
+    if len(shapes := inspector.GetAllGeometryIds(Role.kProximity)) < 2:
         got = f"{len(shapes)} collision shape{'s' if len(shapes) != 1 else ''}"
         remedy = "Add <collision> shapes to both links."
     else:
@@ -132,12 +135,19 @@ def _refuse_no_contact(pairs: list[list[SphereAndFace]], scene_graph: SceneGraph
             "Shapes that are welded together, or anchored, or on links that a joint connects, "
             "don't collide, nor those that a <drake:collision_filter_group> excludes."
         )
-    return ModelError(
-        "the model lacks a contact",
-        got=got,
-        expected="a sphere, and a box, half space or sphere that it can touch",
-        remedy=remedy,
-    )
+    return _refuse(got, remedy)
+
+
+def _refuse_apart(pairs: list[list[SphereAndFace]]) -> ModelError:
+    """Returns the error of shapes that no joint brings together."""
+    got = f"no motion that brings together {' or '.join(pair[0].pair for pair in pairs)}"
+    remedy = "Move a shape into the other's way: distances that no joint changes are no contact."
+    return _refuse(got, remedy)
+
+
+def _refuse(got: str, remedy: str) -> ModelError:
+    expected = "a sphere, and a box, half space or sphere that it can touch"
+    return ModelError("the model lacks a contact", got, expected, remedy)
 
 
 def _is_on_line(place: NDArray[Any], q: NDArray[Any]) -> bool:

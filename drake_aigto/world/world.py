@@ -19,6 +19,7 @@ from drake_aigto.world.contact import SphereAndFace
 from drake_aigto.world.diagram import (
     build_diagram,
     check_plant,
+    find_hinges,
     find_plant,
     hide_half_space_warning,
     move_shape,
@@ -26,10 +27,16 @@ from drake_aigto.world.diagram import (
 from drake_aigto.world.equations import EquationsOfMotion
 from drake_aigto.world.fields import as_number
 from drake_aigto.world.fingerprint import Fingerprint
+from drake_aigto.world.law import CompliantLaw, ContactLaw, RigidLaw, calc_stiffness
 from drake_aigto.world.limits import Limits
 from drake_aigto.world.material import FRICTION, read_friction, set_material
 from drake_aigto.world.plant_reader import PlantReader
-from drake_aigto.world.reach import ReachableFace, find_reach, find_sphere_body
+from drake_aigto.world.reach import (
+    ReachableFace,
+    find_reach,
+    find_sphere_body,
+    refuse_no_contact,
+)
 from drake_aigto.world.scenario import Scenario
 from drake_aigto.world.sums import SumMap
 
@@ -91,9 +98,9 @@ class World(EquationsOfMotion):
             mass: replaces that of the only body with spheres that touch [kg]; None: the model's.
 
         Raises:
-            ModelError: the plant is discrete, lacks a joint, an actuator or a contact, has shapes
-                or joints that are not supported, or feels forces that are; or the mass is that of
-                several bodies, or of one that does not move. Says which.
+            ModelError: the plant is discrete, lacks a joint or an actuator, has shapes or joints
+                that are not supported, none of which can meet, or feels forces that are; or the
+                mass is that of several bodies, or of one that does not move. Says which.
             ScenarioError: the mass is not above zero.
         """
         plant, scene_graph = find_plant(diagram)
@@ -127,6 +134,11 @@ class World(EquationsOfMotion):
         return tuple(each.face.shapes for each in self._reachable)
 
     @cached_property
+    def is_hinge(self) -> Bools:
+        """Whether each position is an angle [rad], shape (nq,); other ones are lengths [m]."""
+        return read_only(find_hinges(self.plant), bool)
+
+    @cached_property
     def fingerprint(self) -> Fingerprint:
         """What tells it from other worlds."""
         names = self.plant.GetPositionNames(), self.plant.GetActuatorNames()
@@ -149,6 +161,38 @@ class World(EquationsOfMotion):
                 for contact in self.contacts
             ]
         )
+
+    @cached_property
+    def stiffness(self) -> Floats:
+        """That of each contact as the model has it, k₁ k₂ / (k₁ + k₂), shape (m,) [N/m].
+
+        Raises:
+            ModelError: a shape has none.
+        """
+        return calc_stiffness(self.scene_graph, self.shapes)
+
+    def contact_law(self, scenario: Scenario, contact: str = "rigid") -> ContactLaw:
+        """Returns what contacts push with, "rigid" or "compliant".
+
+        Raises:
+            ModelError: a shape lacks stiffness or dissipation for compliant contact, or Drake's
+                plant would have another force there.
+        """
+        if contact == "rigid":
+            return RigidLaw(self.restitutions(scenario))
+        return CompliantLaw.of(self.scene_graph, self._reachable)
+
+    def bounds(self, scenario: Scenario) -> Limits:
+        """Returns within which bounds a motion has to stay.
+
+        Raises:
+            ScenarioError: start or goal are outside.
+        """
+        bounds = self.limits
+        bounds.check_within("initial_position", bounds.position, scenario.initial_position)
+        bounds.check_within("initial_velocity", bounds.velocity, scenario.initial_velocity)
+        bounds.check_within("goal_position", bounds.position, scenario.goal_position)
+        return bounds
 
     @property
     def frictions(self) -> Mapping[str, float]:
@@ -210,17 +254,26 @@ class World(EquationsOfMotion):
         translation = distance * face.X_BF.rotation().col(2)
         return World.from_diagram(move_shape(self.diagram, face.shapes[1], translation), self.mass)
 
+    def check_plain(self) -> None:
+        """Refuses what is not planned for where balls are: limits, and a world without contact.
+
+        Raises:
+            ModelError: there are limits, or nothing can touch.
+        """
+        self.limits.check_none(self.plant)
+        if not self.contacts:
+            raise refuse_no_contact(self.scene_graph)
+
     def check(self, scenario: Scenario) -> None:
         """Checks that a scenario can be asked of this world.
 
         Raises:
-            ScenarioError: sizes differ from the plant's, its mass is another, or start or goal
-                touches the wall, is inside or behind it, or beside its face.
-            ModelError: the model has limits; or a sphere can slide with friction, and the scenario
-                does not leave it out.
+            ScenarioError: sizes differ from the plant's, its mass is another, start or goal touches
+                the wall, is inside or behind it, or beside its face, or is beyond joint limits.
+            ModelError: a sphere can slide with friction, and the scenario does not leave it out.
         """
         _check_sizes(self.plant, scenario)
-        self.limits.check_none(self.plant)
+        self.bounds(scenario)
         if scenario.mass is not None and scenario.mass != self.mass:
             raise ScenarioError(
                 "mass",
@@ -258,12 +311,12 @@ class World(EquationsOfMotion):
 
     @cached_property
     def _lateral_map(self) -> SumMap:
-        lateral = np.concatenate([each.lateral for each in self._reachable])
-        return SumMap(lateral, self.positions)
+        laterals = (each.lateral for each in self._reachable)
+        return SumMap(np.concatenate([[], *laterals]), self.positions)
 
     @cached_property
     def _half_extents(self) -> Floats:
-        return np.array([each.face.half_extents for each in self._reachable])
+        return np.array([each.face.half_extents for each in self._reachable]).reshape(-1, 2)
 
 
 def _refuse_inside(

@@ -1,0 +1,108 @@
+"""What contacts push with: impulses that return a part of the speed, or springs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any, TypeAlias
+
+import numpy as np
+from pydrake.geometry import GeometryId, SceneGraph
+
+from drake_aigto.arrays import ArrayRecord, Floats, read_only
+from drake_aigto.errors import ModelError
+from drake_aigto.world.material import COMPLIANCE, read_dissipation, read_stiffness
+from drake_aigto.world.reach import ReachableFace
+from drake_aigto.world.sums import is_constant
+
+
+@dataclass(frozen=True, eq=False)
+class RigidLaw(ArrayRecord):
+    """Walls that nothing enters, and impacts that last no time: φ̇⁺ = −e φ̇⁻.
+
+    Attributes:
+        restitution: e of each contact, shape (m,), in [0, 1].
+    """
+
+    restitution: Floats
+
+    def __post_init__(self) -> None:
+        """Makes the array read-only."""
+        object.__setattr__(self, "restitution", read_only(self.restitution))
+
+
+@dataclass(frozen=True, eq=False)
+class CompliantLaw(ArrayRecord):
+    """Springs with Hunt-Crossley's dissipation, as Drake's point contact has them.
+
+        f = k x max(0, 1 + d ẋ),    x = max(0, −φ),    ẋ = −φ̇
+
+    Of two shapes k = k₁ k₂ / (k₁ + k₂) and d = (k₂ d₁ + k₁ d₂) / (k₁ + k₂).
+
+    Attributes:
+        stiffness: k of each contact, shape (m,) [N/m].
+        dissipation: d of each contact, shape (m,) [s/m].
+    """
+
+    stiffness: Floats
+    dissipation: Floats
+
+    def __post_init__(self) -> None:
+        """Makes the arrays read-only."""
+        for name in ("stiffness", "dissipation"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    @classmethod
+    def of(cls, scene_graph: SceneGraph, reachable: Sequence[ReachableFace]) -> CompliantLaw:
+        """Returns that of the shapes, with what the model says of them.
+
+        Raises:
+            ModelError: a shape lacks stiffness or dissipation; or f is not what Drake simulates: of
+                several faces of one box, of spheres that are not on one line, and where both shapes
+                are hydroelastic.
+        """
+        for each in reachable:
+            _check_simulated(scene_graph, each)
+        shapes = [each.face.shapes for each in reachable]
+        dissipation = [_combine_dissipation(scene_graph, pair) for pair in shapes]
+        return cls(calc_stiffness(scene_graph, shapes), np.array(dissipation))
+
+
+ContactLaw: TypeAlias = RigidLaw | CompliantLaw
+
+
+def calc_stiffness(
+    scene_graph: SceneGraph, shapes: Iterable[tuple[GeometryId, GeometryId]]
+) -> Floats:
+    """Returns the stiffness of pairs of shapes in series, k₁ k₂ / (k₁ + k₂), shape (m,) [N/m].
+
+    Raises:
+        ModelError: a shape has none.
+    """
+    pairs = ([read_stiffness(scene_graph, shape) for shape in pair] for pair in shapes)
+    return read_only([1 / sum(1 / k for k in pair) for pair in pairs])
+
+
+def _combine_dissipation(scene_graph: SceneGraph, shapes: tuple[GeometryId, GeometryId]) -> float:
+    """Returns (k₂ d₁ + k₁ d₂) / (k₁ + k₂) [s/m]."""
+    k1, k2 = (read_stiffness(scene_graph, shape) for shape in shapes)
+    d1, d2 = (read_dissipation(scene_graph, shape) for shape in shapes)
+    return (k2 * d1 + k1 * d2) / (k1 + k2)
+
+
+def _check_simulated(scene_graph: SceneGraph, reachable: ReachableFace) -> None:
+    """Refuses a contact of which Drake's force is another function than ours."""
+    face, contact = reachable.face, reachable.contact
+    inspector: Any = scene_graph.model_inspector()
+    of_shapes = (inspector.GetProximityProperties(shape) for shape in face.shapes)
+    if contact.name != face.pair:
+        got, remedy = "a box of which several faces can be reached", "Make it of half spaces."
+    elif face.is_ball and not is_constant(contact.jacobian):
+        got, remedy = "two spheres that move off one line", "Give them rigid contact."
+    elif all(each.HasProperty(*COMPLIANCE) for each in of_shapes):
+        got = "hydroelastic shapes, whose force is that of a pressure field"
+        remedy = "Leave <drake:compliant_hydroelastic> or <drake:rigid_hydroelastic> out of one."
+    else:
+        return
+    expected = "a sphere against a half space, or against one face of a box"
+    raise ModelError(f"compliant contact of {face.pair}", got, expected, remedy)
