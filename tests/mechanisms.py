@@ -1,4 +1,4 @@
-"""Mechanisms as SDF: links on hinges and sliders, with spheres that touch something."""
+"""Mechanisms: links on hinges and sliders, as SDF of our own, and those that are shipped."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
-from drake_aigto import World
+from drake_aigto import Scenario, World
 
 MATERIAL = """<drake:proximity_properties><drake:mu_dynamic>0</drake:mu_dynamic>
   <drake:mu_static>0</drake:mu_static></drake:proximity_properties>"""
@@ -106,8 +106,37 @@ MECHANISMS: dict[str, str] = {
 }
 
 
+# Shipped models, and where they start.
+ROBOTS: dict[str, list[float]] = {
+    "cart_pole": [0.0, 0.0],
+    "cart_pole_soft_06": [0.0, 0.0],
+    "cart_pole_soft_10": [0.0, 0.0],
+    "cart_pole_rigid_06": [0.0, 0.0],
+    "cart_pole_rigid_10": [0.0, 0.0],
+    "pendulum": [0.0],
+    "acrobot": [0.0, 0.0],
+    "acrobot_and_wall": [0.0, 0.0],
+    "paddle": [0.0, 0.0, 0.1, 1.0],
+    "three_carts": [-3.0, 0.0, 3.0],
+    "throwing_ball": [0.0, 0.5],
+    "two_discs": [-1.0, 0.0, 1.0, 0.0],
+}
+
+
 def build(name: str) -> World:
+    if name in ROBOTS:
+        return World.from_scenario(ask_robot(name))
     return build_world(MECHANISMS[name])
+
+
+def ask_robot(name: str) -> Scenario:
+    start = ROBOTS[name]
+    return Scenario(
+        model=f"package://drake_aigto_models/{name}.sdf",
+        initial_position=start,
+        initial_velocity=[0.0] * len(start),
+        goal_position=start,
+    )
 
 
 def build_world(parts: str) -> World:

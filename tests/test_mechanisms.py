@@ -12,6 +12,7 @@ from mechanisms import (
     LEFT,
     MECHANISMS,
     PASSIVE,
+    ROBOTS,
     build,
     build_world,
     joint,
@@ -31,7 +32,7 @@ ROUNDING = 1e-10
 read = cache(build)
 
 
-@pytest.fixture(params=MECHANISMS)
+@pytest.fixture(params=[*MECHANISMS, *ROBOTS])
 def world(request: pytest.FixtureRequest) -> World:
     return read(request.param)
 
@@ -97,7 +98,13 @@ def find_distances(world: World, q: Any) -> Any:
     return np.array([pair.distance for pair in pairs])
 
 
-@pytest.mark.parametrize("name", ["pendulum", "cart-pole", "arm with a slider"])
+HALF_SPACES = [
+    *("pendulum", "cart-pole", "arm with a slider", "cart_pole_soft_06", "cart_pole_rigid_10"),
+    *("acrobot_and_wall", "paddle", "throwing_ball"),
+]
+
+
+@pytest.mark.parametrize("name", HALF_SPACES)
 def test_the_distance_of_a_half_space_is_drakes(name: str) -> None:
     world = read(name)
     for q, _, _ in draw(world):
