@@ -100,7 +100,16 @@ class Page:
             time.sleep(0.05)
 
     def take_picture(self, selector: str = "html") -> NDArray[np.float64]:
-        """Returns what an element shows: red, green, blue in [0, 1], shape (height, width, 3)."""
+        """Returns what an element shows, at rest: red, green, blue in [0, 1], shape (h, w, 3)."""
+        end = time.monotonic() + _PATIENCE
+        before, picture = self._capture(selector), self._capture(selector)
+        while not np.array_equal(before, picture):
+            if time.monotonic() > end:
+                raise TimeoutError(f"{selector} does not come to rest")
+            before, picture = picture, self._capture(selector)
+        return picture
+
+    def _capture(self, selector: str) -> NDArray[np.float64]:
         # What is not in the window is not drawn; what is, in the second frame from now on.
         element = f"document.querySelector({selector!r})"
         self.evaluate(f"{element}.scrollIntoView({{block: 'center'}})")

@@ -5,8 +5,9 @@
   const slider = find("player-slider"), time = find("player-time");
   const buttons = [...document.querySelectorAll("[data-scene]")];
   const MOST_HEIGHT = 560, LEAST_HEIGHT = 180; // of the frame [px]
-  const MARGIN = 0.97, MOST_REACH = 4; // of a scene, in half windows
-  let animator = null, shown = 0;
+  const MARGIN = 0.97; // of half a window, that a scene may fill
+  const MOST_REACH = 6, MOST_KEYS = 50; // of an object, in half windows; of one of its tracks
+  let animator = null, shown = 0, extent = null;
 
   // By turns text, and bytes that stand in the page as Base64; each after its length.
   const unpack = async (id) => {
@@ -33,7 +34,7 @@
 
   const load = async (scene) => {
     const number = ++shown;
-    animator = null;
+    animator = extent = null;
     toggle.disabled = slider.disabled = true;
     time.textContent = "loading …";
     buttons.forEach((b) => b.setAttribute("aria-pressed", b.dataset.scene === scene));
@@ -56,50 +57,79 @@
       setTimeout(() => wait(number), 50);
       return;
     }
-    fit();
+    // Commands may still be on their way, and meshes are read in the background.
+    ["handle_command", "set_object"].forEach((name) => {
+      const own = viewer[name].bind(viewer);
+      viewer[name] = (...given) => {
+        own(...given);
+        extent = null;
+      };
+    });
     animator = viewer.animator;
     slider.max = animator.duration;
     toggle.disabled = slider.disabled = false;
     requestAnimationFrame(follow);
   };
 
-  // How far the scene reaches from the middle of the window, as a part of half its width and height.
-  const reach = (viewer) => {
-    const camera = viewer.camera, most = [0, 0];
-    camera.zoom = 1;
-    camera.updateProjectionMatrix();
-    viewer.scene.updateMatrixWorld(true);
-    viewer.scene_tree.find(["drake_aigto"]).object.traverse((object) => {
+  // The times that show all of a recording: between two keys everything moves straight on.
+  const keyTimes = (animator) => {
+    const times = new Set([animator.duration]);
+    for (const { tracks } of animator.actions.map((action) => action.getClip())) {
+      for (const { times: keys } of tracks) {
+        const step = Math.ceil(keys.length / MOST_KEYS);
+        for (let i = 0; i < keys.length; i += step) times.add(keys[i]);
+      }
+    }
+    return times;
+  };
+
+  // How far an object reaches from the middle of the window, across and up, as `seen` has it.
+  const reach = (object, seen) => {
+    const { min, max } = object.geometry.boundingBox, far = [0, 0];
+    const matrix = seen.clone().multiply(object.matrixWorld), corner = min.clone();
+    for (let i = 0; i < 8; i++) {
+      corner.set(i & 1 ? max.x : min.x, i & 2 ? max.y : min.y, i & 4 ? max.z : min.z);
+      corner.applyMatrix4(matrix);
+      far[0] = Math.max(far[0], Math.abs(corner.x));
+      far[1] = Math.max(far[1], Math.abs(corner.y));
+    }
+    return far;
+  };
+
+  // How far the scene ever reaches, across and up, in half the window's height.
+  const measure = ({ animator, camera, scene, scene_tree }) => {
+    const objects = [], most = [0, 0], now = animator.time;
+    scene_tree.find(["drake_aigto"]).object.traverse((object) => {
       if (!object.geometry || object.isSprite) return;
       object.geometry.computeBoundingBox();
-      const { min, max } = object.geometry.boundingBox;
-      const far = [0, 0];
-      for (let i = 0; i < 8; i++) {
-        const corner = min.clone();
-        if (i & 1) corner.x = max.x;
-        if (i & 2) corner.y = max.y;
-        if (i & 4) corner.z = max.z;
-        corner.applyMatrix4(object.matrixWorld).project(camera);
-        far[0] = Math.max(far[0], Math.abs(corner.x));
-        far[1] = Math.max(far[1], Math.abs(corner.y));
-      }
-      // What is farther off is ground that goes on and on.
-      if (Math.max(...far) < MOST_REACH) far.forEach((x, i) => (most[i] = Math.max(most[i], x)));
+      objects.push(object);
     });
+    Object.assign(camera, { zoom: 1, aspect: 1 }).updateProjectionMatrix();
+    for (const time of keyTimes(animator)) {
+      animator.seek(time);
+      scene.updateMatrixWorld(true);
+      const seen = camera.projectionMatrix.clone().multiply(camera.matrixWorldInverse);
+      for (const object of objects) {
+        const far = reach(object, seen);
+        // What is farther off is ground that goes on and on.
+        if (Math.max(...far) < MOST_REACH) far.forEach((x, i) => (most[i] = Math.max(most[i], x)));
+      }
+    }
+    animator.seek(now);
     return most;
   };
 
   // Gives the frame the height that the scene needs at its width, and shows all of it.
   const fit = () => {
     const viewer = frame.contentWindow && frame.contentWindow.viewer;
-    if (!viewer) return;
-    const [across, up] = reach(viewer);
+    if (!viewer || !animator) return;
+    extent = extent || measure(viewer);
+    const [across, up] = extent;
     if (!across || !up) return;
-    const slim = (frame.clientHeight * up) / across;
+    const slim = (frame.clientWidth * up) / across;
     frame.style.height = `${Math.round(Math.min(MOST_HEIGHT, Math.max(LEAST_HEIGHT, slim)))}px`;
     viewer.set_3d_pane_size();
-    const again = reach(viewer);
-    viewer.camera.zoom = MARGIN / Math.max(...again);
+    viewer.camera.zoom = MARGIN / Math.max(across / viewer.camera.aspect, up);
     viewer.camera.updateProjectionMatrix();
     viewer.set_dirty();
   };
@@ -107,6 +137,7 @@
 
   const follow = () => {
     if (!animator) return;
+    if (!extent) fit();
     if (animator.playing) slider.value = animator.time;
     toggle.textContent = animator.playing ? "❚❚" : "▶";
     const now = `${Number(slider.value).toFixed(2)} s of ${Number(slider.max).toFixed(2)} s`;
