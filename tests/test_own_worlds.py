@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
-from pydrake.geometry import HalfSpace, Sphere
+from pydrake.geometry import HalfSpace, Role, Sphere
 from pydrake.math import RigidTransform
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
 from pydrake.multibody.tree import PrismaticJoint, SpatialInertia, UnitInertia
@@ -16,12 +17,14 @@ from pydrake.systems.primitives import ConstantVectorSource
 from world_models import (
     BALL_SHAPE,
     BOX,
+    TETRAHEDRON,
     ModelWriter,
     differs_by_zero,
     make_scenario,
 )
 
 from drake_aigto import ModelError, ScenarioError, World
+from drake_aigto.world.diagram import build_diagram
 
 
 def build_half_space_diagram(time_step: float = 0.0, gravity_axis: int = 2) -> Diagram:
@@ -135,3 +138,41 @@ def test_the_mass_of_a_sphere_that_does_not_move_is_refused(write_model: ModelWr
 def test_a_users_mass_is_checked(mass: float) -> None:
     with pytest.raises(ScenarioError, match=r"mass: got .*, expected"):
         World.from_diagram(build_half_space_diagram(), mass=mass)
+
+
+# Real models.
+
+BALL_COLLISION = '<collision name="ball_collision">'
+MESHED = f"""<visual name="mesh_visual"><geometry><mesh><uri>tetrahedron.obj</uri></mesh></geometry>
+  </visual><collision name="mesh"><pose>-0.5 0 0 0 0 0</pose>
+  <geometry><mesh><uri>tetrahedron.obj</uri></mesh></geometry></collision>{BALL_COLLISION}"""
+
+
+def test_a_mesh_is_left_out_by_name_here_and_in_drake_and_drawn_all_the_same(
+    write_model: ModelWriter,
+) -> None:
+    (write_model.path.parent / "tetrahedron.obj").write_text(TETRAHEDRON, encoding="utf-8")
+    diagram = build_diagram(write_model({BALL_COLLISION: MESHED}))
+    with pytest.raises(ModelError, match=r"got Mesh against Box.* leave one out by the scenario's"):
+        World.from_diagram(diagram)
+    for name in ("mesh", "point_mass_and_wall::mesh"):
+        world = World.from_diagram(diagram, mass=2.0, ignored_shapes=[name])
+        assert [contact.name for contact in world.contacts] == ["ball_collision against wall"]
+    moved = world.with_wall_moved(0, 0.1)
+    assert moved.ignored_shapes == world.ignored_shapes
+    for root, meets in ((world.create_context(), False), (diagram.CreateDefaultContext(), True)):
+        context = world.plant.GetMyMutableContextFromRoot(root)
+        world.plant.SetPositions(context, [0.35])  # The mesh is inside the wall, the ball is not.
+        query: Any = world.scene_graph.get_query_output_port().Eval(
+            world.scene_graph.GetMyContextFromRoot(root)
+        )
+        assert query.HasCollisions() == meets
+    inspector = world.scene_graph.model_inspector()
+    drawn = inspector.GetAllGeometryIds(Role.kIllustration)
+    assert any("mesh_visual" in inspector.GetName(shape) for shape in drawn)
+
+
+def test_a_shape_that_is_not_there_cannot_be_left_out() -> None:
+    message = r"ignored_shapes: got 'gound', expected of the collision shapes .*ground"
+    with pytest.raises(ModelError, match=message):
+        World.from_diagram(build_half_space_diagram(), ignored_shapes=["gound"])

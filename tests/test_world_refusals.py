@@ -9,6 +9,7 @@ import pytest
 from world_models import (
     AXIS,
     BALL_SHAPE,
+    TETRAHEDRON,
     WALL_POSE,
     ModelWriter,
     make_scenario,
@@ -77,6 +78,32 @@ BAD_MODELS: dict[str, tuple[dict[str, str], str]] = {
         "ball_collision with point_mass_and_wall::wall_collision: got Box against Box, expected "
         "Sphere against Box, HalfSpace or Sphere",
     ),
+    "mesh": (
+        {BALL_SHAPE: "<mesh><uri>tetrahedron.obj</uri></mesh>"},
+        r"contact of .*ball_collision with .*: got Mesh against Box, expected Sphere against Box, "
+        r"HalfSpace or Sphere\. Change the collision shapes, leave one out by the scen",
+    ),
+    "loop": (
+        {
+            "</model>": """<link name="rod"><inertial><mass>1</mass></inertial></link>
+              <joint name="one" type="revolute"><parent>ball</parent><child>rod</child>
+              <axis><xyz>0 1 0</xyz></axis></joint>
+              <joint name="two" type="revolute"><parent>world</parent><child>rod</child>
+              <axis><xyz>0 1 0</xyz></axis></joint></model>"""
+        },
+        r"the links of the model: got a loop of joints in .*variant\.sdf, expected a tree",
+    ),
+    "constraint": (
+        {
+            "</model>": """<drake:ball_constraint name="string">
+              <drake:ball_constraint_body_A>ball</drake:ball_constraint_body_A>
+              <drake:ball_constraint_body_B>wall</drake:ball_constraint_body_B>
+              <drake:ball_constraint_p_AP>0 0 0</drake:ball_constraint_p_AP>
+              <drake:ball_constraint_p_BQ>0 0 0</drake:ball_constraint_p_BQ>
+              </drake:ball_constraint></model>"""
+        },
+        r"the links of the model: got 1 constraint beside joints, expected a tree: one joint betw",
+    ),
     "not XML": ({"<link": "<lin k"}, r"Drake can't parse the model .*variant\.sdf: got "),
 }
 
@@ -84,6 +111,7 @@ BAD_MODELS: dict[str, tuple[dict[str, str], str]] = {
 @pytest.mark.parametrize("name", BAD_MODELS)
 def test_a_bad_model_is_refused_by_name(write_model: ModelWriter, name: str) -> None:
     replacements, message = BAD_MODELS[name]
+    (write_model.path.parent / "tetrahedron.obj").write_text(TETRAHEDRON, encoding="utf-8")
     with pytest.raises(ModelError, match=message):
         World.from_diagram(build_diagram(write_model(replacements)))
 

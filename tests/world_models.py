@@ -26,6 +26,15 @@ BOX = "<size>0.1 0.6 0.6</size>"
 BALL_SHAPE = """<sphere>
             <radius>0.05</radius>
           </sphere>"""
+TETRAHEDRON = """v 0 0 0
+v 0.1 0 0
+v 0 0.1 0
+v 0 0 0.1
+f 1 3 2
+f 1 2 4
+f 2 3 4
+f 3 1 4
+"""
 # The shipped wall's collision shape is deep; variants turn and shift a thin one.
 THIN_WALL = {
     "<pose>-0.05 0 0 0 0 0</pose>": WALL_POSE,

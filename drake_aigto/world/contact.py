@@ -7,12 +7,13 @@ face.
 
 from __future__ import annotations
 
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.geometry import Box, GeometryId, HalfSpace, SceneGraph, Sphere
+from pydrake.geometry import Box, GeometryId, HalfSpace, Role, SceneGraph, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import RigidBody
@@ -94,10 +95,36 @@ class SphereAndFace:
         return np.asarray(self.X_BF.inverse().multiply(X_BS.multiply(self.p_SC)))
 
 
+def find_shapes(scene_graph: SceneGraph, names: Iterable[str]) -> frozenset[GeometryId]:
+    """Returns the collision shapes of these names, "shape" or "model::shape".
+
+    Raises:
+        ModelError: there is none of a name.
+    """
+    inspector: Any = scene_graph.model_inspector()
+    known = {each: inspector.GetName(each) for each in inspector.GetAllGeometryIds(Role.kProximity)}
+    found = set[GeometryId]()
+    for name in names:
+        of_name = [each for each, full in known.items() if f"::{full}".endswith(f"::{name}")]
+        if not of_name:
+            raise ModelError(
+                "ignored_shapes",
+                got=repr(name),
+                expected=f"of the collision shapes {', '.join(sorted(known.values())) or '(none)'}",
+            )
+        found.update(of_name)
+    return frozenset(found)
+
+
 def find_pairs(
-    plant: MultibodyPlant, scene_graph: SceneGraph, plant_context: Any
+    plant: MultibodyPlant,
+    scene_graph: SceneGraph,
+    plant_context: Any,
+    ignored: Collection[GeometryId] = (),
 ) -> list[list[SphereAndFace]]:
     """Returns all faces of every pair of shapes that may collide (Drake's filters applied).
+
+    Pairs with a shape that is to be ignored are left out.
 
     Each pair is a list: the six faces of a box, the one of a half space. Of two spheres, the second
     counts as a wall that faces the first one, in the given context: exact on the line through their
@@ -111,6 +138,7 @@ def find_pairs(
     return [
         _read_pair(plant, inspector, *_order(inspector, first, second), plant_context)
         for first, second in sorted(candidates, key=lambda ids: [i.get_value() for i in ids])
+        if first not in ignored and second not in ignored
     ]
 
 
@@ -125,8 +153,8 @@ def _order(inspector: Any, first: GeometryId, second: GeometryId) -> tuple[Geome
         f"contact of {inspector.GetName(first)} with {inspector.GetName(second)}",
         got=" against ".join(type(shape).__name__ for shape in shapes),
         expected="Sphere against Box, HalfSpace or Sphere",
-        remedy="Change the collision shapes, or exclude the pair with a "
-        "<drake:collision_filter_group>.",
+        remedy="Change the collision shapes, leave one out by the scenario's ignored_shapes, or "
+        "exclude the pair with a <drake:collision_filter_group>.",
     )
 
 

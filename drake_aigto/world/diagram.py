@@ -3,21 +3,30 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
-from pydrake.geometry import CollisionFilterDeclaration, GeometryId, GeometrySet, SceneGraph
+from pydrake.geometry import (
+    CollisionFilterDeclaration,
+    GeometryId,
+    GeometrySet,
+    Role,
+    SceneGraph,
+)
 from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import Joint
-from pydrake.systems.framework import Diagram, DiagramBuilder
+from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
 from drake_aigto.world.files import find_model, package_map
+
+# What Drake says of joints that form a loop.
+_LOOP = "loops in the system graph"
 
 # Joints that can be read, and which of their positions are angles.
 _HINGES = {
@@ -35,7 +44,7 @@ def build_diagram(model: str) -> Diagram:
     in; ``state`` and ``query`` (for a visualizer) out.
 
     Raises:
-        ModelError: there is no such file, or Drake can't parse it.
+        ModelError: there is no such file, Drake can't parse it, or its joints form a loop.
     """
     path = find_model(model)
     builder = DiagramBuilder()
@@ -47,6 +56,8 @@ def build_diagram(model: str) -> Diagram:
         parser.AddModels(path)
         plant.Finalize()
     except RuntimeError as error:
+        if _LOOP in str(error):
+            raise _refuse_loop(f"a loop of joints in {path}") from error
         raise ModelError(f"Drake can't parse the model {path}", got=error) from error
     builder.ExportInput(plant.get_actuation_input_port(), "actuation")
     builder.ExportOutput(plant.get_state_output_port(), "state")
@@ -79,7 +90,8 @@ def check_plant(plant: MultibodyPlant) -> None:
     """Refuses a plant that can't be planned for, whatever its equations are.
 
     Raises:
-        ModelError: discrete, no moving joint, q̇ ≠ v, no actuator, or a joint of another kind.
+        ModelError: discrete, no moving joint, q̇ ≠ v, no actuator, a joint of another kind, or links
+            that are constrained otherwise than by joints.
     """
     if plant.time_step() > 0:
         raise ModelError(
@@ -96,6 +108,8 @@ def check_plant(plant: MultibodyPlant) -> None:
         )
     _check_velocities(plant)
     find_hinges(plant)
+    if count := plant.num_constraints():
+        raise _refuse_loop(f"{count} constraint{'s' if count > 1 else ''} beside joints")
     if plant.num_actuators() == 0:
         raise ModelError(
             "the model lacks an actuator",
@@ -164,6 +178,16 @@ def move_shape(diagram: Diagram, shape: GeometryId, translation: Floats) -> Diag
     return copy
 
 
+def exclude_shapes(scene_graph: SceneGraph, root: Context, shapes: Iterable[GeometryId]) -> None:
+    """Keeps shapes from touching anything, in this context only."""
+    every = scene_graph.model_inspector().GetAllGeometryIds(Role.kProximity)
+    filtered = CollisionFilterDeclaration().ExcludeBetween(
+        GeometrySet(list(shapes)), GeometrySet(list(every))
+    )
+    context = scene_graph.GetMyMutableContextFromRoot(root)
+    scene_graph.collision_filter_manager(context).Apply(filtered)
+
+
 @contextmanager
 def hide_half_space_warning() -> Iterator[None]:
     """Keeps from the log that half spaces don't touch deformable bodies: we have none."""
@@ -207,6 +231,16 @@ def _check_velocities(plant: MultibodyPlant) -> None:
             expected="q̇ = v",
             remedy="Attach the link by prismatic, revolute or planar joints.",
         )
+
+
+def _refuse_loop(got: str) -> ModelError:
+    """Returns the error of links that do not hang on joints as on a tree."""
+    return ModelError(
+        "the links of the model",
+        got=got,
+        expected="a tree: one joint between each link and its parent, and nothing else",
+        remedy="Leave out the joint or the constraint that closes a loop, or couples joints.",
+    )
 
 
 def _describe(joint: Joint) -> str:

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from pydrake.geometry import Role, SceneGraph
+from pydrake.geometry import GeometryId, Role, SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import RigidBody
 from pydrake.symbolic import Expression
@@ -50,11 +50,17 @@ class Reach(NamedTuple):
     stuck: tuple[SphereAndFace, ...]
 
 
-def find_reach(plant: MultibodyPlant, scene_graph: SceneGraph, reader: PlantReader) -> Reach:
+def find_reach(
+    plant: MultibodyPlant,
+    scene_graph: SceneGraph,
+    reader: PlantReader,
+    ignored: Collection[GeometryId] = (),
+) -> Reach:
     """Returns every face that a sphere can touch, and those that it is stuck in.
 
-    Of a box that the sphere can only move along one line to, that is the face which it faces at the
-    default positions; of another box, every face that the sphere can move to or from.
+    Shapes that are to be ignored touch nothing. Of a box that the sphere can only move along one
+    line to, what counts is the face which it faces at the default positions; of another box, every
+    face that the sphere can move to or from.
 
     Raises:
         ModelError: no motion brings any two shapes together that may collide, or a pair of shapes
@@ -62,7 +68,7 @@ def find_reach(plant: MultibodyPlant, scene_graph: SceneGraph, reader: PlantRead
     """
     found, stuck = list[ReachableFace](), list[SphereAndFace]()
     solid = 0
-    pairs = find_pairs(plant, scene_graph, plant.CreateDefaultContext())
+    pairs = find_pairs(plant, scene_graph, plant.CreateDefaultContext(), ignored)
     for pair in pairs:
         places = [_read_place(reader, scene_graph, face) for face in pair]
         chosen, fixed = _choose(pair, places, reader.q, plant.GetDefaultPositions())

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -15,10 +15,11 @@ from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Bools, Floats, read_only
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.world.contact import SphereAndFace
+from drake_aigto.world.contact import SphereAndFace, find_shapes
 from drake_aigto.world.diagram import (
     build_diagram,
     check_plant,
+    exclude_shapes,
     find_hinges,
     find_plant,
     hide_half_space_warning,
@@ -55,6 +56,8 @@ class World(EquationsOfMotion):
         mass: replaces the model's mass of the only body with spheres that touch [kg], or None. The
             plant is not edited: it acts in all that is read here and in `create_context`.
         limits: how far the model's joints and actuators go.
+        ignored_shapes: names of the collision shapes that touch nothing, neither here nor in
+            contexts that are made by `create_context`.
         model: what it was built from; None: a diagram of one's own.
     """
 
@@ -66,6 +69,7 @@ class World(EquationsOfMotion):
     _reachable: tuple[ReachableFace, ...] = field(repr=False)
     _stuck: tuple[SphereAndFace, ...] = field(repr=False)
     model: str | None = None
+    ignored_shapes: tuple[str, ...] = ()
 
     @classmethod
     def from_scenario(cls, scenario: Scenario) -> World:
@@ -87,7 +91,9 @@ class World(EquationsOfMotion):
         return world
 
     @classmethod
-    def from_diagram(cls, diagram: Diagram, mass: float | None = None) -> World:
+    def from_diagram(
+        cls, diagram: Diagram, mass: float | None = None, ignored_shapes: Iterable[str] = ()
+    ) -> World:
         """Reads a diagram of your own, which holds one continuous plant and its scene graph.
 
         Of a box that the sphere can only move along one line to, that face counts which the sphere
@@ -96,6 +102,8 @@ class World(EquationsOfMotion):
         Args:
             diagram: of one continuous MultibodyPlant and its SceneGraph, at any depth.
             mass: replaces that of the only body with spheres that touch [kg]; None: the model's.
+            ignored_shapes: collision shapes that touch nothing, such as meshes, which can't be
+                planned for: "shape" or "model::shape".
 
         Raises:
             ModelError: the plant is discrete, lacks a joint or an actuator, has shapes or joints
@@ -106,7 +114,8 @@ class World(EquationsOfMotion):
         plant, scene_graph = find_plant(diagram)
         check_plant(plant)
         reader = PlantReader(plant)
-        reachable, stuck = find_reach(plant, scene_graph, reader)
+        ignored = find_shapes(scene_graph, ignored_shapes := tuple(ignored_shapes))
+        reachable, stuck = find_reach(plant, scene_graph, reader, ignored)
         if mass is not None:
             mass = as_number("mass", mass, above=0.0, unit="kg")
             reader.set_mass(find_sphere_body(plant, reachable), mass)
@@ -126,6 +135,7 @@ class World(EquationsOfMotion):
             limits=Limits.of(plant),
             _reachable=reachable,
             _stuck=stuck,
+            ignored_shapes=ignored_shapes,
         )
 
     @property
@@ -211,12 +221,16 @@ class World(EquationsOfMotion):
         return tuple((face, friction) for face, friction in read if friction)
 
     def create_context(self) -> Context:
-        """Returns a new root context of the diagram, at defaults, with the mass replaced."""
+        """Returns a new root context, at defaults, with the mass replaced and shapes ignored."""
         with hide_half_space_warning():
             root = self.diagram.CreateDefaultContext()
         if self.mass is not None:
             context = self.plant.GetMyMutableContextFromRoot(root)
             find_sphere_body(self.plant, self._reachable).SetMass(context, self.mass)
+        if self.ignored_shapes:
+            exclude_shapes(
+                self.scene_graph, root, find_shapes(self.scene_graph, self.ignored_shapes)
+            )
         return root
 
     def remove_friction(self, root: Context) -> None:
@@ -252,7 +266,8 @@ class World(EquationsOfMotion):
                 expected="one that stands still",
             )
         translation = distance * face.X_BF.rotation().col(2)
-        return World.from_diagram(move_shape(self.diagram, face.shapes[1], translation), self.mass)
+        moved = move_shape(self.diagram, face.shapes[1], translation)
+        return World.from_diagram(moved, self.mass, self.ignored_shapes)
 
     def check_plain(self) -> None:
         """Refuses what is not planned for where balls are: limits, and a world without contact.
