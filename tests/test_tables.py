@@ -89,6 +89,24 @@ def test_rounding_noise_is_not_shown_as_a_cost(plan: Plan) -> None:
     assert not re.search(r"e-3\d", text) and re.search(r"\n  above the optimum +0 +0\n", text)
 
 
+@pytest.mark.parametrize("scale", [1e-8, 1.0, 1e8])
+def test_a_plan_shows_no_rounding_noise_at_any_scale(
+    plan: Plan, world: World, scale: float
+) -> None:
+    scales = dataclasses.replace(plan.best.scales, cost=scale)
+    noise, replay = 7e-20 * scale, dataclasses.replace(plan.best.replay, cost=3e-21 * scale)
+    best = dataclasses.replace(plan.best, cost=noise, replay=replay, scales=scales)
+    quiet = with_best(with_replays(plan, cost=-noise), best)
+    lines = format_plan(quiet, world, 1e-4).splitlines()
+    assert lines[1] == "            cost 0, on a rigid wall 0, on Drake's plant 0"
+    first = next(i for i, line in enumerate(lines) if "replayed" in line) + 1
+    cells = lines[first].split()
+    assert cells[0] == "0" and cells.count("0") >= 2
+    assert sum("cost 0" in line for line in lines) >= 4
+    loud = with_best(quiet, dataclasses.replace(best, cost=2e-6 * scale))
+    assert f"cost {2e-6 * scale:.3e}" in format_plan(loud, world, 1e-4)
+
+
 def test_what_drake_did_not_simulate_is_not_compared(plan: Plan) -> None:
     text = format_table1(Table1((), (rigid_cell(plan, optimum=1e-4, drake=False),)))
     block = text[: text.index("\n\n", 1)]

@@ -22,7 +22,7 @@ from drake_aigto.planning import Candidate, Origin
 from drake_aigto.show.box_playback import run_boxes
 from drake_aigto.show.figures import plot_motions
 from drake_aigto.show.motion import PLAN_LABEL, SIMULATION_LABELS, Motion, color_of
-from drake_aigto.show.text import run_texts
+from drake_aigto.show.text import cost_text, run_texts
 from drake_aigto.simulation.replay import replay_event_driven
 from drake_aigto.world import Scenario, World
 
@@ -104,7 +104,7 @@ def write_numbers(axes: Axes, runs: Mapping[str, Candidate]) -> None:
         axes.text(x, _TOP, name, ha="right", **look)
     for i, run in enumerate(runs.values()):
         y = _TOP - (i + 1) * _LINE
-        cells = (*run_texts(run, 1), f"{run.replay.cost:.1e}")
+        cells = (*run_texts(run, 1), cost_text(run.replay.cost, 1, run.scales.cost))
         axes.text(0, y, "■", color=color_of(i), **look)
         for x, cell in zip(ends, cells, strict=True):
             axes.text(x, y, cell, ha="right", **look)

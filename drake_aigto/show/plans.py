@@ -10,6 +10,7 @@ from drake_aigto.planning import Candidate, Plan, PlanOptions, Veto
 from drake_aigto.show.text import (
     WIDTH,
     contact_names,
+    cost_text,
     energy_text,
     friction_items,
     length_text,
@@ -57,8 +58,11 @@ def format_replays(
 def _answer(plan: Plan, world: World, contact_delay: float | None) -> Iterator[str]:
     best, scenario, names = plan.best, plan.scenario, contact_names(world)
     yield from _row("verdict", _verdict(plan, names))
-    costs = [f"{_simulator(replay, names)} {replay.cost:.3e}" for replay in plan.replay]
-    yield from _row("", [f"cost {plan.cost:.3e}", *costs])
+    scale = best.scales.cost
+    costs = [
+        f"{_simulator(replay, names)} {cost_text(replay.cost, 3, scale)}" for replay in plan.replay
+    ]
+    yield from _row("", [f"cost {cost_text(plan.cost, 3, scale)}", *costs])
     if plan.is_interrupted:
         yield from _text("interrupted", INTERRUPTED)
     for veto in describe_vetoes(plan, world):
@@ -76,7 +80,7 @@ def _answer(plan: Plan, world: World, contact_delay: float | None) -> Iterator[s
         [
             f"{plan.transcription} transcription",
             *(literal if plan.transcription == "literal" else []),
-            f"cost {plan.cost:.3e}",
+            f"cost {cost_text(plan.cost, 3, scale)}",
             f"ends {length_text(best.goal_error)} off the goal",
             f"deepest penetration {length_text(best.max_penetration)}",
         ],
@@ -87,7 +91,7 @@ def _answer(plan: Plan, world: World, contact_delay: float | None) -> Iterator[s
     yield from _row("contacts", _contacts(best, names))
     yield from _text("unplanned", describe_unplanned(plan, world))
     for replay in plan.replay:
-        yield from _row("simulated", _simulation(replay, contact_delay, names))
+        yield from _row("simulated", _simulation(replay, scale, contact_delay, names))
 
 
 def describe_verdict(plan: Plan, world: World) -> str:
@@ -117,8 +121,10 @@ def _pairs(world: World, names: Sequence[str]) -> Iterator[str]:
         yield f"{_letter(index)} {name}{own}"
 
 
-def _simulation(replay: Replay, contact_delay: float | None, names: Sequence[str]) -> Iterator[str]:
-    yield f"{_simulator(replay, names)}: cost {replay.cost:.3e}"
+def _simulation(
+    replay: Replay, scale: float, contact_delay: float | None, names: Sequence[str]
+) -> Iterator[str]:
+    yield f"{_simulator(replay, names)}: cost {cost_text(replay.cost, 3, scale)}"
     explained = f" (its compliance explains {length_text(replay.compliance_error)})"
     known = explained if replay.compliance_error else ""
     yield f"ends {length_text(replay.goal_error)} off the goal{known}"
@@ -186,7 +192,7 @@ def candidate_texts(candidate: Candidate, names: Sequence[str]) -> tuple[str, ..
         cost,
         f"{defect}{'' if candidate.is_feasible else '*'}",
         *others,
-        f"{candidate.replay.cost:.2e}",
+        cost_text(candidate.replay.cost, scale=candidate.scales.cost),
         length_text(candidate.replay.goal_error),
         ("no control: " if candidate.is_idle else "")
         + (f"{times} s" if candidate.contacts else "none"),

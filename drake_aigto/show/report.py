@@ -33,6 +33,7 @@ from drake_aigto.show.playback import open_meshcat, play
 from drake_aigto.show.text import (
     NO_COST,
     contact_names,
+    cost_text,
     energy_text,
     friction_items,
     length_text,
@@ -184,19 +185,20 @@ def _number_rows(plan: Plan) -> Iterator[tuple[str, ...]]:
     """Yields a plan's numbers and those of its simulations, as rows below `NUMBERS`."""
     best = plan.best
     times = [contact.time for contact in best.contacts]
-    yield _number_row("plan (no simulation)", best, f"{best.max_defect:.0e}", times)
+    scale = best.scales.cost
+    yield _number_row("plan (no simulation)", best, scale, f"{best.max_defect:.0e}", times)
     for replay in plan.replay:
         label = SIMULATION_LABELS[replay.simulator]
-        yield _number_row(label, replay, "obeys them", replay.bounce_times)
+        yield _number_row(label, replay, scale, "obeys them", replay.bounce_times)
 
 
 def _number_row(
-    name: str, run: Candidate | Replay, defect: str, times: Sequence[float]
+    name: str, run: Candidate | Replay, scale: float, defect: str, times: Sequence[float]
 ) -> tuple[str, ...]:
     touches = ", ".join(f"{time:.3f} s" for time in times[:_MOST_TOUCHES]) or "none"
     return (
         name,
-        f"{run.cost:.3e}",
+        cost_text(run.cost, 3, scale),
         defect,
         length_text(run.goal_error),
         length_text(run.max_penetration),

@@ -8,7 +8,8 @@ from drake_aigto.planning import Candidate
 from drake_aigto.world import Scenario, World
 
 WIDTH = 100
-NO_COST = 1e-9  # Below it a cost is 0 but for rounding, and nothing is so many percent of it.
+# Below it, in the task's scale, a cost is 0 but for rounding; nothing is so many percent of it.
+NO_COST = 1e-9
 _AGAINST = " against "
 
 
@@ -45,9 +46,9 @@ def friction_items(scenario: Scenario, world: World) -> list[str]:
     return [f"left out of the simulation, as asked: the model's, μ = {largest:g} at the most"]
 
 
-def cost_text(cost: float, digits: int = 2) -> str:
-    """Returns a cost, or 0 where nothing but rounding is left of it."""
-    return f"{cost:.{digits}e}" if abs(cost) >= NO_COST else "0"
+def cost_text(cost: float, digits: int = 2, scale: float = 1.0) -> str:
+    """Returns a cost, or 0 where nothing but rounding is left of it at a task's scale."""
+    return f"{cost:.{digits}e}" if abs(cost) >= NO_COST * scale else "0"
 
 
 def length_text(meters: float) -> str:
@@ -73,7 +74,7 @@ def energy_text(ratio: float | None) -> str:
 
 def run_texts(run: Candidate, digits: int = 2) -> tuple[str, str, str, str]:
     """Returns a run's cost, largest defect, deepest penetration, and energy ratio."""
-    cost, defect = f"{run.cost:.{digits}e}", f"{run.max_defect:.0e}"
+    cost, defect = cost_text(run.cost, digits, run.scales.cost), f"{run.max_defect:.0e}"
     return cost, defect, length_text(run.max_penetration), energy_text(run.energy_ratio)
 
 
