@@ -1,4 +1,4 @@
-"""The world and the question: models, plants read symbolically, contact geometry, scenarios."""
+"""The world and the question: models, plants read as expressions, contact geometry, scenarios."""
 
 from drake_aigto.world.constant import ConstantDynamics, ConstantInertia
 from drake_aigto.world.contact import Contact

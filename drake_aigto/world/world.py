@@ -46,7 +46,7 @@ from drake_aigto.world.sums import SumMap
 class World(EquationsOfMotion):
     """Equations of motion, and the plant and scene graph that they are read from.
 
-    M, h and B come from the symbolic plant and φ from the scene graph's shapes: nothing is assumed
+    M, h and B come from the plant's numbers and φ from the scene graph's shapes: nothing is assumed
     about masses, springs, dampers, gravity, or where the walls are.
 
     Attributes:
