@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -35,6 +37,17 @@ def die_at_first(path: Path) -> int:
 
 def fail() -> None:
     raise ValueError("a job's own failure")
+
+
+def test_a_script_without_a_guard_is_told_what_it_lacks(tmp_path: Path) -> None:
+    script = tmp_path / "script.py"
+    script.write_text("from drake_aigto.jobs import open_jobs\nwith open_jobs(): pass\n")
+    ended = subprocess.run([sys.executable, script], capture_output=True, text=True, check=False)
+    last = ended.stderr.splitlines()[-1]
+    assert ended.returncode == 1
+    assert 'start them below `if __name__ == "__main__":`' in last
+    assert ended.stderr.count("errors.StudyError") == 1  # The workers themselves say nothing.
+    assert "bootstrapping" not in ended.stderr
 
 
 @pytest.mark.slow

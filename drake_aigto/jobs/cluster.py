@@ -45,17 +45,29 @@ def start_cluster(count: int) -> Iterator[Executor]:
     """Yields as many processes of this machine, and ends them at once when the block is left."""
     with contextlib.ExitStack() as stack:
         with dask.config.set(_LOCAL), without_ctrl_c():
-            cluster = LocalCluster(
-                n_workers=count,
-                threads_per_worker=1,
-                memory_limit=0,  # Nothing pauses or is killed for what it takes.
-                dashboard_address=":0",  # No fixed port: a second study warns of nothing.
-                scheduler_kwargs={"dashboard": False},
-                silence_logs=logging.CRITICAL,  # The study tells what matters of it.
-            )
+            cluster = _start(count)
             stack.callback(_end, cluster)
         client = stack.enter_context(Client(cluster, set_as_default=False))
         yield _Dask(client, pure=False)
+
+
+def _start(count: int) -> LocalCluster:
+    try:
+        return LocalCluster(
+            n_workers=count,
+            threads_per_worker=1,
+            memory_limit=0,  # Nothing pauses or is killed for what it takes.
+            dashboard_address=":0",  # No fixed port: a second study warns of nothing.
+            scheduler_kwargs={"dashboard": False},
+            silence_logs=logging.CRITICAL,  # The study tells what matters of it.
+        )
+    except RuntimeError as error:
+        raise StudyError(
+            "workers",
+            got="processes that ended as they started",
+            expected="processes that wait for jobs",
+            remedy='Each imports the script: start them below `if __name__ == "__main__":`.',
+        ) from error
 
 
 def _end(cluster: LocalCluster) -> None:

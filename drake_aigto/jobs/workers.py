@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import contextlib
+import multiprocessing
 import os
+import sys
 from collections.abc import Iterator
 from concurrent.futures import Executor
 from importlib.util import find_spec
@@ -40,6 +42,9 @@ def open_workers(count: int | None = None, scheduler: str | None = None) -> Iter
     if count is not None and (count < 1 or scheduler is not None):
         got = f"{count} beside a scheduler" if scheduler is not None else count
         raise OptionsError("workers", got=got, expected="1 or more, or a scheduler")
+    if getattr(multiprocessing.current_process(), "_inheriting", False):
+        # A worker that imports a script without a guard. Whoever started it says so, once.
+        sys.exit(1)
     has_dask = find_spec("distributed") is not None
     if scheduler is not None and not has_dask:
         raise MissingExtraError(f"scheduler {scheduler}", "distributed", "cluster")
