@@ -11,12 +11,11 @@ import pytest
 
 from benchmarks.world_scenarios import WORLDS
 from benchmarks.worlds import load_unequal
-from drake_aigto import PlanOptions, Scenario, World, plan
+from drake_aigto import PlanOptions, Scenario, World, plan, scenario_names
 from drake_aigto.optima import walls_optimum
 from drake_aigto.planning import Origin, make_problem
 from drake_aigto.planning.rigid_search import RigidSearch
 from drake_aigto.transcription import PhaseTranscription, Touch
-from drake_aigto.world.scenario import scenario_names
 
 QUICK = PlanOptions(confirm=False)
 NEW = [name for name in scenario_names() if not name.startswith("table1")]

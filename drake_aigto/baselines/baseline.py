@@ -91,7 +91,7 @@ class Recorder:
         if not 0 < seconds < math.inf:
             raise OptionsError("seconds", got=seconds, expected="a finite number above 0")
         world.check(scenario)
-        world.check_plain()
+        world.check_plain(scenario)
         self.world, self.scenario = world, scenario
         self.run = BaselineRun("", (), (), 0.0, 0, None, None)
         self._seconds, self._good_enough = seconds, good_enough

@@ -71,7 +71,7 @@ def block_optimum(world: World, scenario: Scenario, most_touches: int = 4) -> Co
         ScenarioError: the scenario does not fit the world (`World.check`).
     """
     world.check(scenario)
-    world.check_plain()
+    world.check_plain(scenario)
     room = _make_room(world, scenario)
     by_axis = [list(room.solve_axis(axis, most_touches)) for axis in range(2)]
     best = room.find_clear_pair(by_axis)

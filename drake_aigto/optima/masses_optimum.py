@@ -49,7 +49,7 @@ def masses_optimum(world: World, scenario: Scenario, most_meetings: int = 3) -> 
         ScenarioError: the scenario does not fit the world (`World.check`).
     """
     world.check(scenario)
-    world.check_plain()
+    world.check_plain(scenario)
     pair, contacts, price = _make_pair(world, scenario)
     if pair.swaps:
         cost, found = pair.solve_ghosts()

@@ -58,7 +58,7 @@ def rigid_optimum(world: World, scenario: Scenario) -> RigidOptimum:
         ScenarioError: the scenario does not fit the world (`World.check`).
     """
     world.check(scenario)
-    world.check_plain()
+    world.check_plain(scenario)
     task, price = _make_task(world, scenario)
     flight_cost = price * task.calc_flight_cost() if task.flight_is_clear() else math.inf
     best = min(task.find_bounces(), default=None)
@@ -90,7 +90,7 @@ def bounce_costs(world: World, scenario: Scenario, times: ArrayLike, speeds: Arr
         ScenarioError: the scenario does not fit the world (`World.check`).
     """
     world.check(scenario)
-    world.check_plain()
+    world.check_plain(scenario)
     task, price = _make_task(world, scenario)
     s, speed = np.broadcast_arrays(np.asarray(times) / scenario.duration, speeds)
     impact = -speed * scenario.duration

@@ -79,7 +79,7 @@ def walls_optimum(world: World, scenario: Scenario, most_touches: int = 6) -> Co
         ScenarioError: the scenario does not fit the world (`World.check`).
     """
     world.check(scenario)
-    world.check_plain()
+    world.check_plain(scenario)
     dynamics = world.constant_dynamics
     efforts, walls = calc_efforts(dynamics), _find_walls(world, scenario)
     cost, touches = 0.0, []

@@ -80,7 +80,7 @@ def make_problem(
 
 def transcribe(world: World, scenario: Scenario, options: PlanOptions) -> RigidTranscription:
     """Returns the scenario, transcribed with the time steps of `coarsen`."""
-    world.check_plain()
+    world.check_plain(scenario)
     return RigidTranscription(world, coarsen(world, scenario, options), options.relaxation)
 
 

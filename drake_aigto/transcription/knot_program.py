@@ -74,6 +74,7 @@ class KnotProgram(Knots):
 
     def _of(self: _Self, scenario: Scenario) -> _Self:
         """Returns a copy for another scenario, of the same structure."""
+        scenario.check_plain()
         other = copy.copy(self)
         for derived in ("parameters", "scales"):
             other.__dict__.pop(derived, None)

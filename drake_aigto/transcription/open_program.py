@@ -50,7 +50,7 @@ class OpenProgram(KnotProgram):
         Raises:
             ModelError: the world has limits, or nothing in it can touch.
         """
-        world.check_plain()
+        world.check_plain(scenario)
         # What the program has from its making on, and what users have added to it since.
         self._additions = self._added = NO_ADDITIONS
         self._rows: list[AddedRow] = []

@@ -8,7 +8,9 @@ from drake_aigto.world.fingerprint import Fingerprint
 from drake_aigto.world.law import CompliantLaw, ContactLaw, RigidLaw
 from drake_aigto.world.limits import Limits
 from drake_aigto.world.scales import Scales
-from drake_aigto.world.scenario import Scenario, scenario_names
+from drake_aigto.world.scenario import Scenario
+from drake_aigto.world.scenario_files import scenario_names
+from drake_aigto.world.task_cost import TaskCost
 from drake_aigto.world.world import World
 
 __all__ = [
@@ -23,6 +25,7 @@ __all__ = [
     "RigidLaw",
     "Scales",
     "Scenario",
+    "TaskCost",
     "World",
     "package_map",
     "scenario_names",

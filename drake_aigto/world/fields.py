@@ -3,14 +3,21 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from numbers import Real
-from typing import TypeGuard, overload
+from typing import Any, Generic, TypeGuard, TypeVar, overload
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_aigto.arrays import Floats, read_only
+from drake_aigto.arrays import Floats, locked, read_only
 from drake_aigto.errors import ScenarioError
+
+_Held = TypeVar("_Held")
+_NEEDED = object()  # The default of a field that has none.
+
+# Of the largest eigenvalue: what rounding makes of zero.
+_ROUNDING = 1e-12
 
 
 def as_number(
@@ -69,24 +76,151 @@ def _is_fine(value: object) -> TypeGuard[Floats]:
     return value.size > 0 and bool(np.isfinite(value).all())
 
 
-class VectorField:
-    """A dataclass field that takes a scalar or a sequence and holds a read-only array (n,)."""
+def as_weight(
+    name: str, value: object, *, above: float = -math.inf, at_least: float = -math.inf
+) -> float | Floats:
+    """Returns a weight on a vector's square: a number for all coordinates, or one for each, (n,).
+
+    Raises:
+        ScenarioError: not numbers, NaN or infinity among them, or one out of bounds.
+    """
+    weights = as_vector(name, value)
+    for weight in weights:
+        as_number(name, weight, above=above, at_least=at_least)
+    return float(weights[0]) if weights.size == 1 else weights
+
+
+def as_weight_matrix(name: str, value: object) -> float | Floats:
+    """Returns such a weight, not below zero, or a symmetric positive semidefinite matrix, (n, n).
+
+    Raises:
+        ScenarioError: neither of these.
+    """
+    if not (_is_sequence(value) and any(map(np.ndim, value))):
+        return as_weight(name, value, at_least=0.0)
+    matrix = as_table(name, value)
+    if matrix.shape[0] != matrix.shape[1] or np.any(matrix != matrix.T):
+        raise ScenarioError(
+            name,
+            got=f"a matrix {matrix.tolist()}",
+            expected="a number, one for each coordinate, or a symmetric matrix",
+            remedy="Of any other matrix W, (W + Wᵀ)/2 weighs the same.",
+        )
+    if matrix.size == 1:
+        return as_weight(name, matrix[0], at_least=0.0)
+    least, most = np.linalg.eigvalsh(matrix)[[0, -1]]
+    if least < -_ROUNDING * max(most, 0.0):
+        raise ScenarioError(
+            name,
+            got=f"a matrix with the eigenvalue {least:g}",
+            expected="none below 0",
+            remedy="A cost that falls without end has no optimum.",
+        )
+    return matrix
+
+
+def as_bound(name: str, value: object) -> float | Floats:
+    """Returns a bound for all coordinates, or one for each, (n,); ±inf where there is none.
+
+    Raises:
+        ScenarioError: not numbers, or NaN among them.
+    """
+    items = np.array(value, dtype=object, ndmin=1)
+    is_infinite = [isinstance(item, Real) and item in (math.inf, -math.inf) for item in items]
+    finite = [0.0 if skip else item for item, skip in zip(items, is_infinite, strict=True)]
+    bounds = np.where(is_infinite, items, as_vector(name, finite)).astype(float)
+    return float(bounds[0]) if bounds.size == 1 else locked(bounds)
+
+
+def as_table(name: str, value: object) -> Floats:
+    """Returns a read-only array (K, n) of finite floats; of numbers, one a row.
+
+    Raises:
+        ScenarioError: not numbers, not finite, empty, or rows that differ in length.
+    """
+    rows = value if _is_sequence(value) else [value]
+    table = [as_vector(name, row) for row in rows]
+    if len({len(row) for row in table}) != 1:
+        raise ScenarioError(
+            name, got=f"{value!r}", expected="rows of numbers, one for each coordinate"
+        )
+    return read_only(table)
+
+
+def _is_sequence(value: object) -> TypeGuard[Sequence[Any]]:
+    """Returns whether a value has items."""
+    return isinstance(value, Sequence) or (isinstance(value, np.ndarray) and value.ndim > 0)
+
+
+def as_range(name: str, value: object, unit: str) -> tuple[float, float]:
+    """Returns the least and the most of a quantity above zero, least ≤ most.
+
+    Raises:
+        ScenarioError: not two numbers, or the least is not above zero or is more than the most.
+    """
+    ends = as_vector(name, value)
+    if len(ends) != 2:
+        raise ScenarioError(name, got=ends.tolist(), expected="the least and the most")
+    least, most = (as_number(name, end, above=0.0, unit=unit) for end in ends)
+    if least > most:
+        raise ScenarioError(
+            name, got=f"from {least:g} to {most:g} {unit}", expected="the least first"
+        )
+    return least, most
+
+
+def as_flag(name: str, value: object) -> bool:
+    """Returns True or False.
+
+    Raises:
+        ScenarioError: something else.
+    """
+    if isinstance(value, bool | np.bool_):
+        return bool(value)
+    raise ScenarioError(name, got=repr(value), expected="true or false")
+
+
+def as_choice(name: str, value: object, choices: tuple[str, ...]) -> str:
+    """Returns one of the choices.
+
+    Raises:
+        ScenarioError: something else.
+    """
+    if isinstance(value, str) and value in choices:
+        return value
+    raise ScenarioError(name, got=repr(value), expected=f"one of {', '.join(map(repr, choices))}")
+
+
+class ArrayField(Generic[_Held]):
+    """A dataclass field that is checked, and holds what its check makes of a value.
+
+    Args:
+        check: given the field's name and a value, returns what is held, or raises.
+        default: what is held if nothing is given, unchecked; without it, a value is needed. A field
+            whose default is None takes None.
+    """
+
+    def __init__(self, check: Callable[[str, object], _Held], default: Any = _NEEDED) -> None:
+        """Stores the check and the default."""
+        self._check, self._default = check, default
 
     def __set_name__(self, owner: type, name: str) -> None:
         """Learns the field's name."""
         self._name = name
 
     @overload
-    def __get__(self, instance: None, owner: type) -> VectorField: ...
+    def __get__(self, instance: None, owner: type) -> ArrayField[_Held]: ...
     @overload
-    def __get__(self, instance: object, owner: type) -> Floats: ...
+    def __get__(self, instance: object, owner: type) -> _Held: ...
     def __get__(self, instance: object, owner: type) -> object:
-        """Returns the array."""
-        if instance is None:
-            # So a dataclass sees that the field has no default.
-            raise AttributeError(self._name)
-        return instance.__dict__[self._name]
+        """Returns what is held; of the class, the default."""
+        if instance is not None:
+            return instance.__dict__[self._name]
+        if self._default is _NEEDED:
+            raise AttributeError(self._name)  # So a dataclass sees that there is no default.
+        return self._default
 
-    def __set__(self, instance: object, value: ArrayLike) -> None:
+    def __set__(self, instance: object, value: ArrayLike | None) -> None:
         """Checks and stores; a frozen dataclass calls this once, from ``__init__``."""
-        instance.__dict__[self._name] = as_vector(self._name, value)
+        is_none = value is None and self._default is None
+        instance.__dict__[self._name] = None if is_none else self._check(self._name, value)

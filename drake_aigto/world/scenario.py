@@ -3,20 +3,38 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import math
 import os
+from collections.abc import Iterator
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
+from functools import partial
+from typing import Any, Literal, get_args
 
+import numpy as np
 import yaml
-from pydrake.common.yaml import yaml_load_data
 
-from drake_aigto.arrays import ArrayRecord
+from drake_aigto.arrays import ArrayRecord, Floats
 from drake_aigto.errors import ScenarioError
-from drake_aigto.world.fields import VectorField, as_number
-from drake_aigto.world.files import models_directory, write_text
+from drake_aigto.world.fields import (
+    ArrayField,
+    as_bound,
+    as_choice,
+    as_flag,
+    as_number,
+    as_range,
+    as_table,
+    as_vector,
+    as_weight,
+    as_weight_matrix,
+)
+from drake_aigto.world.files import write_text
+from drake_aigto.world.scenario_files import (
+    read_scenario,
+    scenario_names,
+    scenarios_directory,
+    suggest,
+)
+from drake_aigto.world.task_checks import check_task
 
 DEFAULT_MODEL = "package://drake_aigto_models/point_mass_and_wall.sdf"
 
@@ -25,63 +43,138 @@ _REQUIRED = ("initial_position", "initial_velocity", "goal_position")
 _BOUNDS: dict[str, dict[str, Any]] = {
     "duration": {"above": 0.0, "unit": "s"},
     "time_step": {"above": 0.0, "unit": "s"},
-    "control_weight": {"above": 0.0},  # At zero no optimum is unique.
-    "goal_weight": {"at_least": 0.0},
+    "control_norm": {"above": 0.0},
     "epsilon": {"above": 0.0, "unit": "J"},
     "delta": {"at_least": 0.0, "unit": "m"},
     "restitution": {"at_least": 0.0, "at_most": 1.0},
     "mass": {"above": 0.0, "unit": "kg"},
     "friction": {"at_least": 0.0},
 }
-# These keep what the model has if they are None.
-_OPTIONAL = ("mass", "friction")
+# Without these something is left as it is: without bound, or as the model has it.
+_OPTIONAL = ("control_norm", "mass", "friction")
+
+Angles = Literal["exact", "modulo", "chordal"]
+ContactKind = Literal["rigid", "compliant"]
+_CHOICES = {"angles": get_args(Angles), "contact": get_args(ContactKind)}
+
+# What AIGTO's task has none of, or has as one number for all coordinates.
+_WEIGHTS = ("control_weight", "goal_weight")
+_EXTRAS = (
+    *("goal_velocity", "hard_goal", "angles", "duration_range"),
+    *("goal_velocity_weight", "position_weight", "velocity_weight"),
+    *("reference_times", "reference_positions", "reference_velocities"),
+    *("position_lower", "position_upper", "velocity_lower", "velocity_upper"),
+    *("control_lower", "control_upper", "control_norm", "contact"),
+)
 
 # Whole numbers of steps are recognized up to this relative error: 1.0 / 0.005 is not 200 exactly.
 _STEP_TOLERANCE = 1e-9
+
+_Weight = ArrayField[Any]  # A float of one number, an array of several.
+_Bound = ArrayField[float | Floats | None]
+_Vector = ArrayField[Floats | None]
+_running = partial(as_weight, at_least=0.0)
+_price = partial(as_weight, above=0.0)  # At zero no optimum is unique.
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Scenario(ArrayRecord):
     """A contact problem: physics and task, no numerics.
 
-    Bring the system from its start to the goal with little control (AIGTO Sec. IV):
+    Bring the system from its start to the goal with little control:
 
-        minimize   control_weight ∫₀ᵀ ‖u(t)‖² dt + goal_weight ‖q(T) − goal_position‖²
-        subject to M(q) v̇ + h(q, v) = B u + Jᵀ λ,   0 ≤ φ(q) ⊥ λ ≥ 0,   q(0), v(0) given
+        minimize   ∫₀ᵀ uᵀ R u + e_qᵀ Q e_q + e_vᵀ Q_v e_v dt + e_q(T)ᵀ Q_T e_q(T)
+                   + e_v(T)ᵀ Q_vT e_v(T)
+        subject to M(q) v̇ + h(q, v) = B u + Jᵀ λ,   contact,   bounds,   q(0), v(0) given
 
-    Immutable; `dataclasses.replace` makes a changed copy. Scalars are taken for one coordinate.
+    with e_q, e_v the errors of q and v, at T about the goal and before about the reference, which
+    is the goal where none is given. The weights R, Q, Q_v, Q_T, Q_vT are `control_weight`,
+    `position_weight`, `velocity_weight`, `goal_weight` and `goal_velocity_weight`. By default all
+    but R and Q_T are zero, and these are multiples of the identity (`is_plain`), as in AIGTO
+    Sec. IV; `TaskCost` evaluates J.
+
+    Units are those of the coordinates: m, m/s and N of a slider, rad, rad/s and N m of a hinge. A
+    vector has one number for each coordinate, or each actuator; scalars are taken for vectors of
+    one. A weight is one number for all or a vector, which is a diagonal; it has to be a vector, or
+    a matrix, where sliders and hinges are weighed against each other. A bound is one number for all
+    or a vector, ±inf where there is none; the model's limits act as well. Immutable;
+    `dataclasses.replace` makes a changed copy.
 
     Attributes:
         model: the world, a ``package://`` URI or a path to an SDF or URDF. A relative path starts
             at the working directory.
-        initial_position: q(0), shape (nq,) [m].
-        initial_velocity: v(0), shape (nv,) [m/s].
-        goal_position: where q(T) should be, shape (nq,) [m].
-        duration: T [s], a whole number of time steps.
+        initial_position: q(0), shape (nq,).
+        initial_velocity: v(0), shape (nv,).
+        goal_position: where q(T) should be, shape (nq,).
+        goal_velocity: what v(T) should be, shape (nv,); None: zero where it is weighed, and free
+            where the goal is hard.
+        hard_goal: q(T) has to be the goal, and v(T) the `goal_velocity` that is given.
+        angles: what the error of a hinge is, in each term: "exact", q − goal; "modulo", the nearest
+            to zero of q − goal + 2πk, k any whole number; "chordal", 2 sin((q − goal)/2), whose
+            square is 2 − 2 cos(q − goal).
+        duration: T, or where the search for it starts [s]; a whole number of time steps.
         time_step: dt [s].
-        control_weight: w_u > 0 [1/(N² s)].
-        goal_weight: w_f ≥ 0 [1/m²].
+        duration_range: the least and the most that T may be [s]; None: T is the `duration`.
+        control_weight: R > 0, one number or (nu,) [1/(N² s)], [1/((N m)² s)].
+        goal_weight: Q_T ≥ 0, one number, (nq,), or a symmetric matrix (nq, nq) [1/m²], [1/rad²].
+        goal_velocity_weight: Q_vT ≥ 0, of the same kinds [s²/m²], [s²/rad²].
+        position_weight: Q ≥ 0, one number or (nq,) [1/(m² s)], [1/(rad² s)].
+        velocity_weight: Q_v ≥ 0, one number or (nv,) [s/m²], [s/rad²].
+        reference_times: of the reference, increasing, shape (K,) [s].
+        reference_positions: at these times, shape (K, nq), piecewise linear between and constant
+            before and after; None: the goal.
+        reference_velocities: the same, shape (K, nv); None: the goal's.
+        position_lower: least q.
+        position_upper: largest q.
+        velocity_lower: least v.
+        velocity_upper: largest v.
+        control_lower: least u.
+        control_upper: largest u.
+        control_norm: largest ‖u‖; None: no such bound.
+        contact: the law, "rigid", 0 ≤ φ(q) ⊥ λ ≥ 0 with Newton's restitution, or "compliant", the
+            model's stiffness and dissipation.
         epsilon: ε > 0 in the contact force λ = ε/(φ + δ) [J]. Literal transcription only.
         delta: δ ≥ 0 that keeps this force finite at the wall [m]. Literal transcription only.
         restitution: speed after / before an impact, e ∈ [0, 1], where the model has none of its own
-            (`World.restitutions`).
+            (`World.restitutions`). Rigid contact only.
         mass: replaces the mass of the only body with spheres that touch [kg]; None keeps the
             model's.
         friction: 0 leaves out the friction of every pair that can slide; None keeps the model's,
             which has to be 0 there (`World.check`), for plans know of none.
 
     Raises:
-        ScenarioError: a value that is no number, not finite, or out of range.
+        ScenarioError: a value that is no number, not finite, or out of range, or one that
+            contradicts another or would count for nothing.
     """
 
     model: str = DEFAULT_MODEL
-    initial_position: VectorField = VectorField()  # [m]  # noqa: RUF009 (a descriptor)
-    initial_velocity: VectorField = VectorField()  # [m/s]  # noqa: RUF009 (a descriptor)
-    goal_position: VectorField = VectorField()  # [m]  # noqa: RUF009 (a descriptor)
+    initial_position: ArrayField[Floats] = ArrayField(as_vector)
+    initial_velocity: ArrayField[Floats] = ArrayField(as_vector)
+    goal_position: ArrayField[Floats] = ArrayField(as_vector)
+    goal_velocity: _Vector = ArrayField(as_vector, None)
+    hard_goal: bool = False
+    angles: Angles = "exact"
     duration: float = 1.0  # [s]
     time_step: float = 0.005  # [s]
-    control_weight: float = 1e-3  # [1/(N² s)]
-    goal_weight: float = 1.0  # [1/m²]
+    duration_range: ArrayField[tuple[float, float] | None] = ArrayField(
+        partial(as_range, unit="s"), None
+    )
+    control_weight: _Weight = ArrayField(_price, 1e-3)
+    goal_weight: _Weight = ArrayField(as_weight_matrix, 1.0)
+    goal_velocity_weight: _Weight = ArrayField(as_weight_matrix, 0.0)
+    position_weight: _Weight = ArrayField(_running, 0.0)
+    velocity_weight: _Weight = ArrayField(_running, 0.0)
+    reference_times: _Vector = ArrayField(as_vector, None)  # [s]
+    reference_positions: _Vector = ArrayField(as_table, None)
+    reference_velocities: _Vector = ArrayField(as_table, None)
+    position_lower: _Bound = ArrayField(as_bound, None)
+    position_upper: _Bound = ArrayField(as_bound, None)
+    velocity_lower: _Bound = ArrayField(as_bound, None)
+    velocity_upper: _Bound = ArrayField(as_bound, None)
+    control_lower: _Bound = ArrayField(as_bound, None)
+    control_upper: _Bound = ArrayField(as_bound, None)
+    control_norm: float | None = None
+    contact: ContactKind = "rigid"
     epsilon: float = 0.1  # [J]
     delta: float = 1e-3  # [m]
     restitution: float = 1.0
@@ -94,11 +187,14 @@ class Scenario(ArrayRecord):
             raise ScenarioError(
                 "model", got=repr(self.model), expected="a package:// URI or a path to a file"
             )
-        object.__setattr__(self, "model", str(self.model))
+        checked: dict[str, Any] = {"model": str(self.model)}
         for name, bounds in _BOUNDS.items():
             value = getattr(self, name)
             if name not in _OPTIONAL or value is not None:
-                object.__setattr__(self, name, as_number(name, value, **bounds))
+                checked[name] = as_number(name, value, **bounds)
+        for name, choices in _CHOICES.items():
+            checked[name] = as_choice(name, getattr(self, name), choices)
+        self.__dict__.update(checked, hard_goal=as_flag("hard_goal", self.hard_goal))
         if self.friction:
             raise ScenarioError(
                 "friction",
@@ -107,6 +203,8 @@ class Scenario(ArrayRecord):
                 remedy="Plans know of no friction yet.",
             )
         self._check_steps()
+        if not self.is_plain:
+            check_task(self)
 
     def _check_steps(self) -> None:
         """Refuses a duration that is no whole number of time steps."""
@@ -134,6 +232,38 @@ class Scenario(ArrayRecord):
         """The number of time steps, N = duration / time_step."""
         return round(self.duration / self.time_step)
 
+    @property
+    def is_plain(self) -> bool:
+        """Whether the task is AIGTO's: weights on ‖u‖² and on ‖q(T) − goal_position‖² alone."""
+        return next(self._find_extras(), None) is None
+
+    def check_plain(self, reader: str = "What plans for balls") -> None:
+        """Refuses a task that is not plain, for a reader who would not see what it asks for more.
+
+        Args:
+            reader: who it is, as the error names it.
+
+        Raises:
+            ScenarioError: the task is not plain; names the first field that asks for more.
+        """
+        for name in self._find_extras():
+            default = _DEFAULTS[name]
+            raise ScenarioError(
+                name,
+                got=_as_plain(getattr(self, name)),
+                expected="one number" if name in _WEIGHTS else f"its default, {default}",
+                remedy=f"{reader} would ignore it.",
+            )
+
+    def _find_extras(self) -> Iterator[str]:
+        """Yields the fields that ask for more than a plain task does."""
+        values = self.__dict__
+        yield from (name for name in _WEIGHTS if isinstance(values[name], np.ndarray))
+        for name in _EXTRAS:
+            value = values[name]
+            if isinstance(value, np.ndarray) or value != _DEFAULTS[name]:
+                yield name
+
     def in_steps(self, num_steps: int) -> Scenario:
         """Returns the same, its duration cut into so many time steps."""
         other = object.__new__(Scenario)
@@ -141,9 +271,13 @@ class Scenario(ArrayRecord):
         return other
 
     def to_plain(self) -> dict[str, Any]:
-        """Returns the fields as plain numbers, strings and lists, in order."""
-        values = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
-        return {k: v.tolist() if hasattr(v, "tolist") else v for k, v in values.items()}
+        """Returns the fields as plain numbers, strings and lists, in order.
+
+        Those that ask for more than a plain task does are left out where they do not.
+        """
+        left_out = set(_EXTRAS) - set(self._find_extras())
+        names = [field.name for field in dataclasses.fields(self) if field.name not in left_out]
+        return {name: _as_plain(getattr(self, name)) for name in names}
 
     @classmethod
     def from_plain(cls, data: object) -> Scenario:
@@ -160,7 +294,7 @@ class Scenario(ArrayRecord):
                 raise ScenarioError(
                     f"unknown key {key!r}",
                     expected=f"one of {', '.join(known)}",
-                    remedy=_suggestion(str(key), known),
+                    remedy=suggest(str(key), known),
                 )
         missing = [name for name in _REQUIRED if name not in data]
         if missing:
@@ -179,9 +313,9 @@ class Scenario(ArrayRecord):
             raise ScenarioError(
                 f"unknown scenario {name!r}",
                 expected=f"one of {', '.join(names)}",
-                remedy=_suggestion(str(name), names),
+                remedy=suggest(str(name), names),
             )
-        return cls.load(_scenarios_directory() / f"{name}.yaml")
+        return cls.load(scenarios_directory() / f"{name}.yaml")
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Scenario:
@@ -190,7 +324,7 @@ class Scenario(ArrayRecord):
         Raises:
             ScenarioError: no such file, broken YAML, an unknown or a missing key, or a bad value.
         """
-        data = _read_yaml(path)
+        data = read_scenario(path)
         try:
             return cls.from_plain(data)
         except ScenarioError as error:
@@ -203,44 +337,10 @@ class Scenario(ArrayRecord):
         write_text(path, yaml.safe_dump(self.to_plain(), sort_keys=False, default_flow_style=None))
 
 
-def scenario_names() -> list[str]:
-    """Returns the names that `Scenario.named` knows, sorted."""
-    directory = _scenarios_directory()
-    paths = directory.glob("**/*.yaml")
-    return sorted(path.relative_to(directory).with_suffix("").as_posix() for path in paths)
+_DEFAULTS = {field.name: field.default for field in dataclasses.fields(Scenario)}
 
 
-def _scenarios_directory() -> Path:
-    return models_directory() / "scenarios"
-
-
-def _suggestion(word: str, known: list[str]) -> str | None:
-    close = difflib.get_close_matches(word, known, n=1)
-    return f"Did you mean {close[0]!r}?" if close else None
-
-
-def _read_yaml(path: str | os.PathLike[str]) -> object:
-    """Returns what is in a YAML file; all but the model may be numbers."""
-    try:
-        data = yaml_load_data(Path(path).read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError) as error:
-        raise ScenarioError(f"scenario file {path} can't be read", got=error) from error
-    except yaml.YAMLError as error:
-        raise ScenarioError(
-            f"{path} is not valid YAML", got=" ".join(str(error).split())
-        ) from error
-    if not isinstance(data, dict):
-        return data
-    return {k: v if k == "model" else _parse_numbers(v) for k, v in data.items()}
-
-
-def _parse_numbers(value: object) -> object:
-    """Reads numbers that YAML 1.1 takes for text, such as 1e-3; leaves anything else alone."""
-    if isinstance(value, list):
-        return [_parse_numbers(item) for item in value]
-    if isinstance(value, str):
-        try:
-            return float(value)
-        except ValueError:
-            return value
-    return value
+def _as_plain(value: Any) -> Any:
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return list(value) if isinstance(value, tuple) else value

@@ -40,6 +40,7 @@ from drake_aigto.world.reach import (
 )
 from drake_aigto.world.scenario import Scenario
 from drake_aigto.world.sums import SumMap
+from drake_aigto.world.task_cost import TaskCost
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,12 +270,14 @@ class World(EquationsOfMotion):
         moved = move_shape(self.diagram, face.shapes[1], translation)
         return World.from_diagram(moved, self.mass, self.ignored_shapes)
 
-    def check_plain(self) -> None:
-        """Refuses what is not planned for where balls are: limits, and a world without contact.
+    def check_plain(self, scenario: Scenario) -> None:
+        """Refuses what is not planned for where balls are, so that nothing is dropped in silence.
 
         Raises:
+            ScenarioError: the task asks for more than AIGTO's (`Scenario.is_plain`); says for what.
             ModelError: there are limits, or nothing can touch.
         """
+        scenario.check_plain()
         self.limits.check_none(self.plant)
         if not self.contacts:
             raise refuse_no_contact(self.scene_graph)
@@ -283,11 +286,13 @@ class World(EquationsOfMotion):
         """Checks that a scenario can be asked of this world.
 
         Raises:
-            ScenarioError: sizes differ from the plant's, its mass is another, start or goal touches
-                the wall, is inside or behind it, or beside its face, or is beyond joint limits.
+            ScenarioError: sizes differ from the plant's, its mass is another, the cost makes no
+                sense here (`TaskCost.of`), or start or goal touches the wall, is inside or behind
+                it, or beside its face, or is beyond joint limits.
             ModelError: a sphere can slide with friction, and the scenario does not leave it out.
         """
         _check_sizes(self.plant, scenario)
+        TaskCost.of(self, scenario)
         self.bounds(scenario)
         if scenario.mass is not None and scenario.mass != self.mass:
             raise ScenarioError(

@@ -1,0 +1,212 @@
+"""What a motion costs: the one place where the task's formula is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from drake_aigto.arrays import ArrayRecord, Bools, Floats, read_only
+from drake_aigto.errors import ScenarioError
+from drake_aigto.world.scenario import Scenario
+
+if TYPE_CHECKING:
+    from drake_aigto.world.world import World
+
+_TURN = 2.0 * np.pi
+
+
+@dataclass(frozen=True, eq=False)
+class TaskCost(ArrayRecord):
+    """The cost of a scenario in its world, with every weight an array.
+
+        J = ∫₀ᵀ [ uᵀ R u + e_qᵀ Q e_q + e_vᵀ Qv e_v ] dt + e_q(T)ᵀ QT e_q(T) + e_v(T)ᵀ QTv e_v(T)
+
+    with e_q = q − q_ref(t) and e_v = v − v_ref(t) under the integral, and q − goal and
+    v − goal_velocity at T. Of a hinge that `is_modulo`, e is taken to the nearest of e + 2πk; of
+    one that `is_chordal`, 2 sin(e/2) counts in place of e, so that its square is 2 − 2 cos e.
+
+    Shapes: n coordinates, nu actuators, K times of the reference. All arrays are read-only.
+
+    Attributes:
+        R: weight of the control, the diagonal, (nu,).
+        Q: running weight of the position, the diagonal, (n,).
+        Qv: running weight of the velocity, the diagonal, (n,).
+        QT: weight of the final position, (n, n).
+        QTv: weight of the final velocity, (n, n).
+        goal: where q(T) should be, (n,).
+        goal_velocity: what v(T) should be, (n,).
+        is_modulo: of which coordinates turns do not count, (n,).
+        is_chordal: of which coordinates the error is a chord, (n,).
+        times: of the reference, (K,) [s]; before the first and after the last it stands still.
+        positions: q_ref at these times, (K, n), piecewise linear between; the goal's if none.
+        velocities: v_ref, (K, n); the goal's.
+    """
+
+    R: Floats
+    Q: Floats
+    Qv: Floats
+    QT: Floats
+    QTv: Floats
+    goal: Floats
+    goal_velocity: Floats
+    is_modulo: Bools
+    is_chordal: Bools
+    times: Floats
+    positions: Floats
+    velocities: Floats
+
+    @classmethod
+    def of(cls, world: World, scenario: Scenario) -> TaskCost:
+        """Returns the cost of a scenario.
+
+        Raises:
+            ScenarioError: a weight or a reference does not fit the model's coordinates, one weight
+                is given for coordinates of different units, or angles can't be compared as asked.
+        """
+        n, is_hinge = world.num_positions, world.is_hinge
+        is_turning = np.any(world.actuation[is_hinge] != 0, axis=0)  # Of u: a torque, no force.
+        times, positions, velocities = _find_reference(scenario, n)
+        final = _weigh(scenario, "goal_weight", is_hinge)
+        if scenario.angles != "exact":
+            _check_angles(scenario.angles, final, is_hinge)
+        return cls(
+            R=_weigh(scenario, "control_weight", is_turning).diagonal(),
+            Q=_weigh(scenario, "position_weight", is_hinge).diagonal(),
+            Qv=_weigh(scenario, "velocity_weight", is_hinge).diagonal(),
+            QT=final,
+            QTv=_weigh(scenario, "goal_velocity_weight", is_hinge),
+            goal=scenario.goal_position,
+            goal_velocity=_find_goal_velocity(scenario, n),
+            is_modulo=is_hinge & (scenario.angles == "modulo"),
+            is_chordal=is_hinge & (scenario.angles == "chordal"),
+            times=times,
+            positions=positions,
+            velocities=velocities,
+        )
+
+    def __post_init__(self) -> None:
+        """Makes every array read-only."""
+        for field in fields(self):
+            values = getattr(self, field.name)
+            object.__setattr__(self, field.name, read_only(values, np.asarray(values).dtype))
+
+    def running(self, t: ArrayLike, q: ArrayLike, v: ArrayLike, u: ArrayLike) -> Floats:
+        """Returns what is integrated, of times (…), states (…, n) each, and controls (…, nu)."""
+        about_q, about_v = self.reference(t)
+        e_q, e_v = self.position_error(q, about_q), np.asarray(v) - about_v
+        return np.asarray(u) ** 2 @ self.R + e_q**2 @ self.Q + e_v**2 @ self.Qv
+
+    def final(self, q: ArrayLike, v: ArrayLike) -> Floats:
+        """Returns what the end costs, of states (…, n)."""
+        e_q, e_v = self.position_error(q, self.goal), np.asarray(v) - self.goal_velocity
+        return _square(e_q, self.QT) + _square(e_v, self.QTv)
+
+    def reference(self, t: ArrayLike) -> tuple[Floats, Floats]:
+        """Returns q_ref and v_ref at times (…), (…, n) each."""
+        tables = self.positions, self.velocities
+        positions, velocities = (_interpolate(t, self.times, table) for table in tables)
+        return positions, velocities
+
+    def position_error(self, q: ArrayLike, about: ArrayLike) -> Floats:
+        """Returns e_q, whose square is weighed, of positions about others, (…, n)."""
+        error = _turn(np.subtract(q, about), self.is_modulo)
+        return np.where(self.is_chordal, 2.0 * np.sin(error / 2.0), error)
+
+    def goal_errors(self, q: ArrayLike) -> Floats:
+        """Returns how far positions are from the goal, signed, (…, n) [m, rad].
+
+        Turns count where the scenario's angles are exact; chords are measured along the arc.
+        """
+        return _turn(np.subtract(q, self.goal), self.is_modulo | self.is_chordal)
+
+    def goal_error(self, q: ArrayLike) -> Floats:
+        """Returns the norm of `goal_errors`, (…)."""
+        return np.linalg.norm(self.goal_errors(q), axis=-1)
+
+
+def _turn(error: Floats, does_turn: Bools) -> Floats:
+    """Returns errors, those that turn to the nearest to zero of e + 2πk."""
+    return np.where(does_turn, error - _TURN * np.round(error / _TURN), error)
+
+
+def _square(error: Floats, weights: Floats) -> Floats:
+    """Returns eᵀ W e, (…)."""
+    return np.einsum("...i,ij,...j", error, weights, error)
+
+
+def _interpolate(t: ArrayLike, times: Floats, table: Floats) -> Floats:
+    """Returns a table's rows at times (…), piecewise linear between its own, (…, n)."""
+    at = np.asarray(t, dtype=float)
+    return np.stack([np.interp(at, times, column) for column in table.T], axis=-1)
+
+
+def _weigh(scenario: Scenario, name: str, is_angle: Bools) -> Floats:
+    """Returns a weight as a matrix, of coordinates of which some are angles."""
+    weight, n = getattr(scenario, name), len(is_angle)
+    if isinstance(weight, float):
+        is_inert = weight == 0 or (name == "goal_weight" and scenario.hard_goal)
+        if len(set(is_angle.tolist())) > 1 and not is_inert:
+            raise ScenarioError(
+                name,
+                got=f"one number, {weight:g}, for lengths and angles alike",
+                expected=f"{n} numbers, as their units differ",
+            )
+        return weight * np.eye(n)
+    _check_size(name, weight, n)
+    return np.diag(weight) if weight.ndim == 1 else weight
+
+
+def _check_size(name: str, values: Floats, n: int) -> None:
+    """Refuses a vector, or a table's or a matrix's rows, of another size."""
+    of_what = "actuator" if name == "control_weight" else "coordinate"
+    if values.shape[-1] != n:
+        raise ScenarioError(
+            name,
+            got=f"{values.shape[-1]} value{'s' if values.shape[-1] > 1 else ''}"
+            f"{' a row' if values.ndim > 1 else ''}",
+            expected=f"{n}, one for each {of_what} of the model",
+        )
+
+
+def _find_goal_velocity(scenario: Scenario, n: int) -> Floats:
+    """Returns the goal's velocity, zero if none is given, (n,)."""
+    if scenario.goal_velocity is None:
+        return np.zeros(n)
+    _check_size("goal_velocity", scenario.goal_velocity, n)
+    return scenario.goal_velocity
+
+
+def _find_reference(scenario: Scenario, n: int) -> tuple[Floats, Floats, Floats]:
+    """Returns a reference's times, positions and velocities; where none is given, the goal's."""
+    times = np.zeros(1) if scenario.reference_times is None else scenario.reference_times
+    tables = []
+    for name, goal in (
+        ("reference_positions", scenario.goal_position),
+        ("reference_velocities", _find_goal_velocity(scenario, n)),
+    ):
+        table = getattr(scenario, name)
+        if table is not None:
+            _check_size(name, table, n)
+        tables.append(np.tile(goal, (len(times), 1)) if table is None else table)
+    return times, tables[0], tables[1]
+
+
+def _check_angles(angles: str, final: Floats, is_hinge: Bools) -> None:
+    """Refuses angles that are compared in a way that has no meaning here."""
+    if not np.any(is_hinge):
+        raise ScenarioError(
+            "angles",
+            got=repr(angles),
+            expected="'exact', as no coordinate of the model is an angle",
+        )
+    coupling = final - np.diag(final.diagonal())
+    if angles == "chordal" and np.any(coupling[is_hinge]):
+        raise ScenarioError(
+            "goal_weight",
+            got=f"{final.tolist()} with angles: chordal",
+            expected="nothing off the diagonal for angles",
+            remedy="A chord changes its sign with each turn: drop these, or take angles: modulo.",
+        )

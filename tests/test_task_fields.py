@@ -1,0 +1,206 @@
+"""What a robot's task asks for: fields of a scenario that AIGTO's has none of."""
+
+from __future__ import annotations
+
+import copy
+import dataclasses
+import pickle
+import re
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from drake_aigto import Scenario, ScenarioError
+
+ENDS: dict[str, Any] = {
+    "initial_position": [1.0, 0.2],
+    "initial_velocity": [0.0, 0.5],
+    "goal_position": [0.0, 3.0],
+}
+
+numbers = st.floats(-1e6, 1e6)
+weights = st.floats(0.0, 1e6)
+pairs = st.lists(numbers, min_size=2, max_size=2)
+some = weights.filter(bool) | st.just([0.0, 2.0])
+
+
+@st.composite
+def bounds(draw: st.DrawFn, name: str) -> dict[str, Any]:
+    lower, width = draw(pairs), draw(st.sampled_from([0.0, 1.0, np.inf]))
+    return {
+        f"{name}_lower": draw(st.sampled_from([None, -np.inf, min(lower), lower])),
+        f"{name}_upper": draw(st.sampled_from([None, np.inf, max(lower) + width])),
+    }
+
+
+@st.composite
+def matrices(draw: st.DrawFn) -> list[list[float]]:
+    a, b, c = draw(weights), draw(weights), draw(st.floats(-1.0, 1.0))
+    coupling = c * np.sqrt(a * b)
+    return [[a, coupling], [coupling, b]]
+
+
+@st.composite
+def tasks(draw: st.DrawFn) -> Scenario:
+    given: dict[str, Any] = {}
+    for name in ("position", "velocity", "control"):
+        given |= draw(bounds(name))
+    for name in ("goal_weight", "goal_velocity_weight"):
+        given[name] = draw(weights | st.lists(weights, min_size=2, max_size=2) | matrices())
+    if draw(st.booleans()):
+        given |= {
+            "reference_times": [0.0, 0.5, 2.0],
+            "reference_positions": draw(st.lists(pairs, min_size=3, max_size=3)),
+            "position_weight": draw(some),
+        }
+    return Scenario(
+        **ENDS,
+        **given,
+        goal_velocity=draw(pairs),
+        velocity_weight=draw(some),
+        hard_goal=draw(st.booleans()),
+        angles=draw(st.sampled_from(["exact", "modulo", "chordal"])),
+        contact=draw(st.sampled_from(["rigid", "compliant"])),
+        control_norm=draw(st.none() | st.just(9.0)),
+        duration_range=draw(st.none() | st.just((0.5, 1.0))),
+        control_weight=draw(st.just(0.5) | st.just([0.5, 2.0])),
+    )
+
+
+@given(tasks())
+def test_a_task_survives_files_copies_and_pickles(scenario: Scenario) -> None:
+    with tempfile.TemporaryDirectory() as directory:
+        path = Path(directory) / "scenario.yaml"
+        scenario.save(path)
+        copies = (
+            Scenario.load(path),
+            Scenario.from_plain(scenario.to_plain()),
+            dataclasses.replace(scenario),
+            copy.deepcopy(scenario),
+            pickle.loads(pickle.dumps(scenario)),
+        )
+    for other in copies:
+        assert other == scenario
+        assert hash(other) == hash(scenario)
+        assert other.goal_velocity is not None
+        assert not other.goal_velocity.flags.writeable
+
+
+def test_a_plain_task_is_written_as_ever_and_one_that_asks_for_more_says_only_that() -> None:
+    plain = Scenario(**ENDS)
+    more = dataclasses.replace(plain, hard_goal=True, duration_range=(0.5, 2.0))
+    added = {"hard_goal": True, "duration_range": [0.5, 2.0]}
+    assert more.to_plain() == {**plain.to_plain(), **added}
+    assert plain.is_plain
+    assert not more.is_plain
+    assert Scenario.from_plain(plain.to_plain()) == plain
+
+
+@pytest.mark.parametrize("value", [2.0, [2.0], [[2.0]], np.full((1, 1), 2.0)])
+def test_a_weight_of_one_coordinate_is_a_number(value: Any) -> None:
+    scenario = Scenario(**ENDS, goal_weight=value)
+    assert scenario.goal_weight == 2.0
+    assert scenario.is_plain
+
+
+@pytest.mark.parametrize(
+    ("given", "name"),
+    [
+        ({"goal_weight": [1.0, 2.0]}, "goal_weight"),
+        ({"control_weight": [1.0, 2.0]}, "control_weight"),
+        ({"goal_velocity_weight": 1.0}, "goal_velocity_weight"),
+        ({"goal_velocity": [0.0, 0.0], "hard_goal": True}, "goal_velocity"),
+        ({"hard_goal": True}, "hard_goal"),
+        ({"angles": "modulo"}, "angles"),
+        ({"contact": "compliant"}, "contact"),
+        ({"position_weight": [0.0, 1.0]}, "position_weight"),
+        ({"velocity_weight": 1.0}, "velocity_weight"),
+        ({"control_lower": -1.0}, "control_lower"),
+        ({"position_upper": [5.0, np.inf]}, "position_upper"),
+        ({"control_norm": 9.0}, "control_norm"),
+        ({"duration_range": (0.5, 1.0)}, "duration_range"),
+    ],
+)
+def test_who_plans_plain_tasks_refuses_what_it_would_ignore(
+    given: dict[str, Any], name: str
+) -> None:
+    scenario = Scenario(**ENDS, **given)
+    with pytest.raises(ScenarioError, match=rf"^{name}: got .* What plans for balls would ignore"):
+        scenario.check_plain()
+
+
+@pytest.mark.parametrize(
+    ("given", "message"),
+    [
+        ({"angles": "wrapped"}, "angles: got 'wrapped', expected one of 'exact', 'modulo', 'chor"),
+        ({"contact": None}, "contact: got None, expected one of 'rigid', 'compliant'"),
+        ({"hard_goal": 1}, "hard_goal: got 1, expected true or false"),
+        ({"goal_weight": None}, "goal_weight: got None (NoneType), expected a number"),
+        ({"goal_weight": [1.0, -1.0]}, "goal_weight: got -1, expected at least 0"),
+        ({"control_weight": [1.0, 0.0]}, "control_weight: got 0, expected more than 0"),
+        ({"position_weight": [[1.0, 0.0], [0.0, 1.0]]}, "position_weight: got an array of shape"),
+        (
+            {"goal_weight": [[1.0, 2.0], [0.0, 1.0]]},
+            "expected a number, one for each coordinate, or a symmetric matrix. Of any other",
+        ),
+        ({"goal_weight": [[1.0, 0.0]]}, "goal_weight: got a matrix [[1.0, 0.0]], expected"),
+        ({"goal_weight": [[1.0, 0.0], [0.0]]}, "goal_weight: got [[1.0, 0.0], [0.0]], expected"),
+        (
+            {"goal_velocity_weight": [[0.0, 1.0], [1.0, 0.0]]},
+            "goal_velocity_weight: got a matrix with the eigenvalue -1, expected none below 0",
+        ),
+        ({"control_norm": 0.0}, "control_norm: got 0, expected more than 0"),
+        ({"duration_range": [2.0, 1.0]}, "duration_range: got from 2 to 1 s, expected the least"),
+        ({"duration_range": [0.0, 1.0]}, "duration_range: got 0 s, expected more than 0 s"),
+        ({"duration_range": 1.0}, "duration_range: got [1.0], expected the least and the most"),
+        ({"duration_range": [2.0, 3.0]}, "duration: got 1 s, expected within duration_range, 2 to"),
+        ({"control_lower": np.nan}, "control_lower: got nan, expected a finite number"),
+        (
+            {"position_lower": [0.0, 2.0], "position_upper": 1.0},
+            "position_lower: got 2, with position_upper = 1, expected a lower bound that is not",
+        ),
+        ({"velocity_lower": np.inf}, "velocity_lower: got inf, with velocity_upper = inf"),
+        (
+            {"control_lower": [0.0, 0.0], "control_upper": [1.0, 1.0, 1.0]},
+            "control_lower: got 2 numbers, and 3 in control_upper, expected as many in both",
+        ),
+        ({"goal_velocity": [1.0, 0.0]}, "goal_velocity: got no weight on it, expected goal_velo"),
+        ({"reference_times": [0.0, 1.0]}, "reference_times: got them alone, expected times, with"),
+        (
+            {"reference_positions": [[0.0, 0.0]], "position_weight": 1.0},
+            "reference_times: got none, expected times, with reference_positions",
+        ),
+        (
+            {"reference_times": [0.0], "reference_velocities": [[0.0, 0.0]]},
+            "reference_velocities: got velocity_weight = 0, expected a velocity_weight above 0",
+        ),
+        (
+            {
+                "reference_times": [1.0, 0.0],
+                "reference_positions": [[0.0, 0.0]] * 2,
+                "position_weight": 1.0,
+            },
+            "reference_times: got [1.0, 0.0], expected increasing times",
+        ),
+        (
+            {
+                "reference_times": [0.0, 1.0],
+                "reference_positions": [[0.0, 0.0]] * 3,
+                "position_weight": 1.0,
+            },
+            "reference_positions: got 3 rows, expected 2, one for each time",
+        ),
+        (
+            {"contact": "compliant", "restitution": 0.5},
+            "restitution: got 0.5 with compliant contact, expected none",
+        ),
+    ],
+)
+def test_a_task_that_contradicts_itself_is_refused(given: dict[str, Any], message: str) -> None:
+    with pytest.raises(ScenarioError, match=re.escape(message)):
+        Scenario(**ENDS, **given)
