@@ -169,7 +169,10 @@ def test_who_plans_plain_tasks_refuses_what_it_would_ignore(
             {"control_lower": [0.0, 0.0], "control_upper": [1.0, 1.0, 1.0]},
             "control_lower: got 2 numbers, and 3 in control_upper, expected as many in both",
         ),
-        ({"goal_velocity": [1.0, 0.0]}, "goal_velocity: got no weight on it, expected goal_velo"),
+        (
+            {"goal_velocity": [1.0, 0.0]},
+            "goal_velocity: got goal_velocity_weight = 0.0, hard_goal = False, veloc",
+        ),
         ({"reference_times": [0.0, 1.0]}, "reference_times: got them alone, expected times, with"),
         (
             {"reference_positions": [[0.0, 0.0]], "position_weight": 1.0},
@@ -177,7 +180,7 @@ def test_who_plans_plain_tasks_refuses_what_it_would_ignore(
         ),
         (
             {"reference_times": [0.0], "reference_velocities": [[0.0, 0.0]]},
-            "reference_velocities: got velocity_weight = 0, expected a velocity_weight above 0",
+            "reference_velocities: got velocity_weight = 0.0, expected a weight that counts",
         ),
         (
             {

@@ -40,6 +40,7 @@ class EquationsOfMotion:
     each contact is a solid of its own.
 
     Attributes:
+        is_hinge: whether each position is an angle [rad], shape (nq,); other ones are lengths [m].
         positions: the variables q, shape (nq,) [m, rad].
         velocities: the variables v, shape (nv,) [m/s, rad/s].
         controls: the variables u, shape (nu,) [N, N m].
@@ -50,6 +51,7 @@ class EquationsOfMotion:
         contacts: φ and J of each contact, those of one solid in a row.
     """
 
+    is_hinge: Bools
     positions: NDArray[Any]
     velocities: NDArray[Any]
     controls: NDArray[Any]

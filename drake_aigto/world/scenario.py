@@ -34,7 +34,12 @@ from drake_aigto.world.scenario_files import (
     scenarios_directory,
     suggest,
 )
-from drake_aigto.world.task_checks import check_task
+from drake_aigto.world.task_checks import (
+    check_bounds,
+    check_counts,
+    check_duration,
+    check_reference,
+)
 
 DEFAULT_MODEL = "package://drake_aigto_models/point_mass_and_wall.sdf"
 
@@ -204,7 +209,39 @@ class Scenario(ArrayRecord):
             )
         self._check_steps()
         if not self.is_plain:
-            check_task(self)
+            self._check_task()
+
+    def _check_task(self) -> None:
+        """Refuses fields that contradict each other, or would count for nothing."""
+        for name in ("position", "velocity", "control"):
+            check_bounds(name, getattr(self, f"{name}_lower"), getattr(self, f"{name}_upper"))
+        if self.duration_range is not None:
+            check_duration(self.duration, self.duration_range)
+        self._check_targets()
+        if self.contact == "compliant" and self.restitution != 1.0:
+            raise ScenarioError(
+                "restitution",
+                got=f"{self.restitution:g} with compliant contact",
+                expected="none, as compliant walls lose what the model's dissipation takes",
+                remedy="Leave it out, or ask for contact: rigid.",
+            )
+
+    def _check_targets(self) -> None:
+        """Refuses a reference, or a velocity of the goal, that is not whole or not weighed."""
+        pairs = (
+            ("reference_positions", "position_weight"),
+            ("reference_velocities", "velocity_weight"),
+        )
+        given = [pair for pair in pairs if getattr(self, pair[0]) is not None]
+        check_reference(self.reference_times, {name: getattr(self, name) for name, _ in given})
+        for name, weight in given:
+            check_counts(name, {weight: getattr(self, weight)}, "a weight")
+        if self.goal_velocity is None:
+            return
+        names = ["goal_velocity_weight", "hard_goal"]
+        if self.reference_velocities is None:  # The way is weighed about the goal's.
+            names.append("velocity_weight")
+        check_counts("goal_velocity", {name: getattr(self, name) for name in names}, "one of these")
 
     def _check_steps(self) -> None:
         """Refuses a duration that is no whole number of time steps."""

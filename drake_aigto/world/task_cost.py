@@ -3,17 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from drake_aigto.arrays import ArrayRecord, Bools, Floats, read_only
 from drake_aigto.errors import ScenarioError
+from drake_aigto.world.equations import EquationsOfMotion
 from drake_aigto.world.scenario import Scenario
-
-if TYPE_CHECKING:
-    from drake_aigto.world.world import World
 
 _TURN = 2.0 * np.pi
 
@@ -59,7 +56,7 @@ class TaskCost(ArrayRecord):
     velocities: Floats
 
     @classmethod
-    def of(cls, world: World, scenario: Scenario) -> TaskCost:
+    def of(cls, world: EquationsOfMotion, scenario: Scenario) -> TaskCost:
         """Returns the cost of a scenario.
 
         Raises:

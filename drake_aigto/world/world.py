@@ -126,6 +126,7 @@ class World(EquationsOfMotion):
             plant=plant,
             scene_graph=scene_graph,
             mass=mass,
+            is_hinge=read_only(find_hinges(plant), bool),
             positions=read_only(reader.q, object),
             velocities=read_only(reader.v, object),
             controls=read_only(MakeVectorVariable(plant.num_actuated_dofs(), "u"), object),
@@ -143,11 +144,6 @@ class World(EquationsOfMotion):
     def shapes(self) -> tuple[tuple[GeometryId, GeometryId], ...]:
         """The sphere and the shape that it touches, of each contact, in the scene graph."""
         return tuple(each.face.shapes for each in self._reachable)
-
-    @cached_property
-    def is_hinge(self) -> Bools:
-        """Whether each position is an angle [rad], shape (nq,); other ones are lengths [m]."""
-        return read_only(find_hinges(self.plant), bool)
 
     @cached_property
     def fingerprint(self) -> Fingerprint:
