@@ -136,6 +136,8 @@ def ask_robot(name: str) -> Scenario:
         initial_position=start,
         initial_velocity=[0.0] * len(start),
         goal_position=start,
+        goal_weight=[1.0] * len(start),
+        control_weight=[1.0, 1.0] if name == "paddle" else 1.0,  # A force and a torque.
     )
 
 

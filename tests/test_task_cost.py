@@ -138,9 +138,9 @@ def test_a_cost_is_pickled_equal_and_read_only() -> None:
     [
         (
             {"goal_weight": 1.0},
-            "goal_weight: got one number, 1, for lengths and angles alike, expe",
+            "goal_weight: got one number, 1, for sliders and hinges alike, expe",
         ),
-        ({"velocity_weight": 2.0}, "velocity_weight: got one number, 2, for lengths and angles"),
+        ({"velocity_weight": 2.0}, "velocity_weight: got one number, 2, for sliders and hinges"),
         ({"goal_weight": [1.0] * 3}, "goal_weight: got 3 values, expected 2, one for each coord"),
         ({"goal_weight": np.eye(3)}, "goal_weight: got 3 values a row, expected 2, one for each"),
         (

@@ -148,7 +148,7 @@ def _weigh(scenario: Scenario, name: str, is_angle: Bools) -> Floats:
         if len(set(is_angle.tolist())) > 1 and not is_inert:
             raise ScenarioError(
                 name,
-                got=f"one number, {weight:g}, for lengths and angles alike",
+                got=f"one number, {weight:g}, for sliders and hinges alike",
                 expected=f"{n} numbers, as their units differ",
             )
         return weight * np.eye(n)
