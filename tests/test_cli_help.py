@@ -3,13 +3,17 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import shlex
 from collections.abc import Iterator
+from typing import Any
 
 import pytest
 
+from drake_aigto import Scenario
 from drake_aigto.cli import BAD_INPUT, FINE, main
 from drake_aigto.cli.command_line import make_parser
+from drake_aigto.cli.scenario_flags import load_scenario
 
 
 def commands(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
@@ -84,3 +88,52 @@ def test_what_all_commands_take_stands_before_or_after_them(words: list[str]) ->
 def test_small_negative_numbers_are_no_flags() -> None:
     options = make_parser().parse_args(["plan", "table1/1", "--initial-velocity", "-1e-3", "-.5"])
     assert options.initial_velocity == [-1e-3, -0.5]
+
+
+def test_every_field_of_a_scenario_has_a_flag_that_changes_it() -> None:
+    given: dict[str, Any] = {
+        "model": "other.sdf",
+        "initial_position": [1.0, 2.0],
+        "initial_velocity": [0.0, -3.0],
+        "goal_position": [0.5, 0.0],
+        "goal_velocity": [0.0, 1.0],
+        "hard_goal": True,
+        "angles": "modulo",
+        "duration": 2.0,
+        "time_step": 0.1,
+        "duration_range": [1.0, 3.0],
+        "control_weight": [0.1, 0.2],
+        "goal_weight": [[2.0, -1.0], [-1.0, 2.0]],
+        "goal_velocity_weight": [1.0, 0.0],
+        "position_weight": [3.0, 4.0],
+        "velocity_weight": 5.0,
+        "reference_times": [0.0, 1.0],
+        "reference_positions": [[0.0, 1.0], [1.0, 0.0]],
+        "reference_velocities": [[1.0, 1.0], [2.0, 2.0]],
+        "position_lower": [float("-inf"), -1.0],
+        "position_upper": 9.0,
+        "velocity_lower": -8.0,
+        "velocity_upper": [8.0, float("inf")],
+        "control_lower": [-7.0, -6.0],
+        "control_upper": 7.0,
+        "control_norm": 9.0,
+        "contact": "compliant",
+        "epsilon": 0.2,
+        "delta": 0.3,
+        "restitution": 1.0,
+        "mass": 3.0,
+        "friction": 0.0,
+    }
+    scenario = Scenario(**given)
+    assert list(given) == [field.name for field in dataclasses.fields(Scenario)]
+    words = ["plan", "table1/1"]
+    for name, value in given.items():
+        words += [f"--{name.replace('_', '-')}", *_as_words(value)]
+    assert load_scenario(make_parser(words).parse_args(words)) == scenario
+
+
+def _as_words(value: Any) -> list[str]:
+    if value is True:
+        return []
+    items = value if isinstance(value, list) else [value]
+    return [",".join(map(str, item)) if isinstance(item, list) else str(item) for item in items]

@@ -17,8 +17,8 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, **settings: Any) -> None:
         """Takes what argparse does."""
         super().__init__(formatter_class=argparse.RawDescriptionHelpFormatter, **settings)
-        # As of Python 3.14: -1e-3 and -3:0.5 are no flags.
-        self._negative_number_matcher = re.compile(r"-\.?\d")
+        # As of Python 3.14: -1e-3, -3:0.5, and here -inf as well, are no flags.
+        self._negative_number_matcher = re.compile(r"-(\.?\d|inf)")
 
     def error(self, message: str) -> NoReturn:
         """Exits with what is wrong, and where help is."""

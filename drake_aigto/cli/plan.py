@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-from pathlib import Path
 from typing import Any, get_args
 
 from drake_aigto.cli.flags import add_command, add_confirm, add_json
 from drake_aigto.cli.progress import show_progress
+from drake_aigto.cli.scenario_flags import add_scenario, load_scenario
 from drake_aigto.cli.status import FINE, INTERRUPTED, NOTHING_HOLDS
 from drake_aigto.errors import OptionsError
 from drake_aigto.paper import LiteralOptions, plan_literal
@@ -17,26 +17,8 @@ from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions
 from drake_aigto.planning.options import LocalSolverName
 from drake_aigto.show.plans import format_plan, format_replays
 from drake_aigto.simulation.material import contact_delay
-from drake_aigto.world import Scenario, scenario_names
 from drake_aigto.world.files import check_writable
 
-_VECTORS = ("initial_position", "initial_velocity", "goal_position")
-# Scenario field → what it is.
-_FIELDS = {
-    "model": "the world: package://… or a path to an SDF or URDF",
-    "initial_position": "q(0), one number a coordinate [m]",
-    "initial_velocity": "v(0) [m/s]",
-    "goal_position": "where q(T) should be [m]",
-    "duration": "T [s]",
-    "time_step": "dt [s]; T is a whole number of them",
-    "control_weight": "of ∫ ‖u‖² dt in the cost [1/(N² s)]",
-    "goal_weight": "of ‖q(T) − goal‖² in the cost [1/m²]",
-    "epsilon": "literal: ε of the contact force ε/(φ + δ) [J]",
-    "delta": "literal: δ of it [m]",
-    "restitution": "speed after / before an impact, 0 to 1, where the model has none",
-    "mass": "of the body that touches, in place of the model's [kg]",
-    "friction": "0 leaves out that of the model, which plans know nothing of",
-}
 # Option → what it is, of rigid plans, of literal ones, or of both.
 _NUMERICS = {
     "local_solver": "what polishes AIGO's results",
@@ -67,9 +49,7 @@ drake-aigto replay plan.json --no-confirm   # without Drake's plant
 def add_plan(commands: Any) -> None:
     """Adds the command that plans."""
     plan = add_command(commands, "plan", _plan, "plan for a scenario", _PLAN_EXAMPLES)
-    text = f"a YAML file, or one of {', '.join(scenario_names())}"
-    plan.add_argument("scenario", metavar="SCENARIO", help=text)
-    _add_fields(plan.add_argument_group("change the scenario's fields"))
+    add_scenario(plan)
     _add_numerics(plan.add_argument_group("numerics"))
     add_confirm(plan)
     add_json(plan, "write the plan, for `replay` and `play`")
@@ -82,16 +62,6 @@ def add_replay(commands: Any) -> None:
     replay.add_argument("plan", metavar="PLAN.json", help="a plan file")
     add_confirm(replay)
     add_json(replay, "write the plan with its new replays")
-
-
-def _add_fields(group: Any) -> None:
-    for name, text in _FIELDS.items():
-        look: dict[str, Any] = {"type": float, "metavar": "X"}
-        if name == "model":
-            look = {"metavar": "URI"}
-        elif name in _VECTORS:
-            look["nargs"] = "+"
-        group.add_argument(f"--{name.replace('_', '-')}", help=text, **look)
 
 
 def _add_numerics(group: Any) -> None:
@@ -136,7 +106,7 @@ def _read_options(options: argparse.Namespace) -> PlanOptions | LiteralOptions:
 
 def _plan(options: argparse.Namespace) -> int:
     check_writable(options.json)
-    scenario, chosen = _load_scenario(options), _read_options(options)
+    scenario, chosen = load_scenario(options), _read_options(options)
     try:
         with show_progress(options, "transcribing") as progress:
             if isinstance(chosen, LiteralOptions):
@@ -161,16 +131,6 @@ def _replay(options: argparse.Namespace) -> int:
     with show_progress(options, "simulating"):
         replayed = plan.replayed(confirm=options.confirm)
     return _answer(options, replayed, format_replays(replayed, contact_delay=_delay(replayed)))
-
-
-def _load_scenario(options: argparse.Namespace) -> Scenario:
-    """Returns the named or loaded scenario with the fields that flags change."""
-    name = options.scenario
-    is_file = Path(name).suffix in (".yaml", ".yml")
-    scenario = Scenario.load(name) if is_file else Scenario.named(name)
-    fields = [field.name for field in dataclasses.fields(Scenario)]
-    changes = {f: getattr(options, f) for f in fields if getattr(options, f) is not None}
-    return dataclasses.replace(scenario, **changes) if changes else scenario
 
 
 def _answer(options: argparse.Namespace, plan: Plan, text: str) -> int:

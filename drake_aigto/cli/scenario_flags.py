@@ -1,0 +1,96 @@
+"""A scenario from the command line: a file or a name, and flags that change its fields."""
+
+from __future__ import annotations
+
+import argparse
+import dataclasses
+from pathlib import Path
+from typing import Any, get_args
+
+from drake_aigto.world import Scenario, scenario_names
+from drake_aigto.world.scenario import Angles, ContactKind
+
+# Field → what it is. Of the kinds of flags below, those of no other take one number.
+_FIELDS = {
+    "model": "the world: package://… or a path to an SDF or URDF",
+    "initial_position": "q(0), one number a coordinate [m, rad]",
+    "initial_velocity": "v(0) [m/s, rad/s]",
+    "goal_position": "where q(T) should be [m, rad]",
+    "goal_velocity": "what v(T) should be [m/s, rad/s]",
+    "hard_goal": "q(T) has to be the goal, and v(T) the goal's velocity if that is given",
+    "angles": "how a hinge's error is measured: as it is, without turns, or as a chord",
+    "duration": "T [s]",
+    "time_step": "dt [s]; T is a whole number of them",
+    "duration_range": "least and most that T may be [s]",
+    "control_weight": "of ∫ ‖u‖² dt in the cost [1/(N² s)]; one number, or one an actuator",
+    "goal_weight": "of ‖q(T) − goal‖² [1/m²]; one number, one a coordinate, or a matrix",
+    "goal_velocity_weight": "of ‖v(T) − goal velocity‖² [s²/m²], of the same kinds",
+    "position_weight": "of ∫ ‖q − reference‖² dt [1/(m² s)]; one number, or one a coordinate",
+    "velocity_weight": "of ∫ ‖v − reference‖² dt [s/m²]; one number, or one a coordinate",
+    "reference_times": "of the reference; without one, the goal is it [s]",
+    "reference_positions": "q at these times",
+    "reference_velocities": "v at these times",
+    "position_lower": "least q; one number, or one a coordinate, -inf without bound",
+    "position_upper": "largest q",
+    "velocity_lower": "least v",
+    "velocity_upper": "largest v",
+    "control_lower": "least u; one number, or one an actuator",
+    "control_upper": "largest u",
+    "control_norm": "largest ‖u‖",
+    "contact": "the law of contact: rigid walls, or the model's stiffness and dissipation",
+    "epsilon": "literal: ε of the contact force ε/(φ + δ) [J]",
+    "delta": "literal: δ of it [m]",
+    "restitution": "speed after / before an impact, 0 to 1, where the model has none",
+    "mass": "of the body that touches, in place of the model's [kg]",
+    "friction": "0 leaves out that of the model, which plans know nothing of",
+}
+_CHOICES = {"angles": get_args(Angles), "contact": get_args(ContactKind)}
+_SWITCHES = ("hard_goal",)
+_PAIRS = ("duration_range",)
+_VECTORS = (
+    *("initial_position", "initial_velocity", "goal_position", "goal_velocity"),
+    *("control_weight", "position_weight", "velocity_weight", "reference_times"),
+    *("position_lower", "position_upper", "velocity_lower", "velocity_upper"),
+    *("control_lower", "control_upper"),
+)
+_MATRICES = (
+    *("goal_weight", "goal_velocity_weight", "reference_positions", "reference_velocities"),
+)
+
+
+def add_scenario(command: Any) -> None:
+    """Adds the scenario to a command, and flags that change its fields."""
+    text = f"a YAML file, or one of {', '.join(scenario_names())}"
+    command.add_argument("scenario", metavar="SCENARIO", help=text)
+    title, notes = "change the scenario's fields", "A row of a matrix or a table is 1,2,3."
+    group = command.add_argument_group(title, notes)
+    for name, text in _FIELDS.items():
+        group.add_argument(f"--{name.replace('_', '-')}", help=text, **_look(name))
+
+
+def _look(name: str) -> dict[str, Any]:
+    """Returns how argparse reads a field."""
+    if name == "model":
+        return {"metavar": "URI"}
+    if name in _CHOICES:
+        return {"choices": _CHOICES[name]}
+    if name in _SWITCHES:
+        return {"action": argparse.BooleanOptionalAction}
+    if name in _MATRICES:
+        return {"type": _read_row, "metavar": "X", "nargs": "+"}
+    count: dict[str, Any] = {"nargs": "+"} if name in _VECTORS else {}
+    return {"type": float, "metavar": "X", **({"nargs": 2} if name in _PAIRS else count)}
+
+
+def _read_row(text: str) -> float | list[float]:
+    """Returns a number, or the numbers between commas."""
+    return [float(item) for item in text.split(",")] if "," in text else float(text)
+
+
+def load_scenario(options: argparse.Namespace) -> Scenario:
+    """Returns the named or loaded scenario with the fields that flags change."""
+    name = options.scenario
+    is_file = Path(name).suffix in (".yaml", ".yml")
+    scenario = Scenario.load(name) if is_file else Scenario.named(name)
+    changes = {f: getattr(options, f) for f in _FIELDS if getattr(options, f) is not None}
+    return dataclasses.replace(scenario, **changes) if changes else scenario
