@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import pickle
 from typing import Any
 
@@ -20,6 +21,8 @@ from world_models import make_scenario
 
 from drake_aigto import ModelError, World
 from drake_aigto.world import CompliantLaw, RigidLaw
+
+COMPLIANT = make_scenario(contact="compliant")
 
 
 def material(*values: str) -> str:
@@ -54,7 +57,7 @@ def accelerate(world: World, law: CompliantLaw, q: Any, v: Any) -> Any:
 @pytest.mark.parametrize("name", ["pendulum", "cart-pole", "arm with a slider"])
 def test_the_compliant_law_is_what_drakes_plant_feels(name: str) -> None:
     world = build_soft(name)
-    law = world.contact_law(make_scenario(), "compliant")
+    law = world.contact_law(COMPLIANT)
     assert isinstance(law, CompliantLaw)
     np.testing.assert_allclose(law.stiffness, 200.0, rtol=1e-15)
     np.testing.assert_allclose(law.dissipation, (600 * 0.2 + 300 * 0.7) / 900, rtol=1e-15)
@@ -81,7 +84,7 @@ def test_the_rigid_law_is_the_restitution_and_needs_no_stiffness() -> None:
 
 @pytest.mark.parametrize("contact", ["rigid", "compliant"])
 def test_a_law_is_pickled_whole_and_read_only(contact: str) -> None:
-    law = build_soft("cart-pole").contact_law(make_scenario(), contact)
+    law = build_soft("cart-pole").contact_law(make_scenario(contact=contact))
     assert pickle.loads(pickle.dumps(law)) == law
     for name in vars(law):
         with pytest.raises(ValueError, match="read-only"):
@@ -114,7 +117,7 @@ def test_a_spring_that_drake_would_not_have_is_refused_by_name(name: str) -> Non
     parts, message = REFUSED[name]
     world = build_world(parts)
     with pytest.raises(ModelError, match=message):
-        world.contact_law(make_scenario(), "compliant")
+        world.contact_law(COMPLIANT)
     world.contact_law(make_scenario())
 
 
@@ -130,7 +133,7 @@ def test_a_world_without_contact_has_shapes_of_none() -> None:
     assert world.are_of_one_solid.shape == (0, 0)
     scenario = make_scenario(size=2)
     for contact in ("rigid", "compliant"):
-        law = world.contact_law(scenario, contact)
+        law = world.contact_law(dataclasses.replace(scenario, contact=contact))
         assert {len(each) for each in vars(law).values()} == {0}
     world.check(scenario)
     assert world.fingerprint.contacts == ()

@@ -197,10 +197,10 @@ def test_limits_are_read_and_refused_by_who_has_no_use_for_them() -> None:
     [
         (
             {"initial_position": 2.5},
-            r"initial_position\[0\]: got 2\.5, expected from -1 to 2, the l",
+            r"initial_position\[0\]: got 2\.5, expected from -1 to 2, by i",
         ),
-        ({"goal_position": -1.5}, r"goal_position\[0\]: got -1\.5, expected from -1 to 2, the lim"),
-        ({"initial_velocity": 6.0}, r"initial_velocity\[0\]: got 6, expected from -5 to 5, the li"),
+        ({"goal_position": -1.5}, r"goal_position\[0\]: got -1\.5, expected from -1 to 2, by i"),
+        ({"initial_velocity": 6.0}, r"initial_velocity\[0\]: got 6, expected from -5 to 5, by i"),
     ],
 )
 def test_a_scenario_beyond_the_limits_of_the_joints_is_refused(

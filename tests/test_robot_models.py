@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
 from typing import Any
 
@@ -82,7 +83,7 @@ def test_a_cart_pole_touches_walls_as_far_apart_and_as_stiff_as_its_name_says(na
         np.testing.assert_allclose(world.calc_signed_distance(q), [d + tip, d - tip], atol=ROUNDING)
         np.testing.assert_array_equal(world.calc_mass_matrix(q), free.calc_mass_matrix(q))
         np.testing.assert_array_equal(world.calc_bias(q, q), free.calc_bias(q, q))
-    law = world.contact_law(ask_robot(name), "compliant")
+    law = world.contact_law(dataclasses.replace(ask_robot(name), contact="compliant"))
     assert isinstance(law, CompliantLaw)
     expected = 200.0 if kind == "soft" else 1e9
     np.testing.assert_allclose(law.stiffness, expected, rtol=2 * np.finfo(float).eps)

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Bools, Floats, locked
 from drake_aigto.errors import ModelError, ScenarioError
+from drake_aigto.world.scenario import Scenario
+
+_TURN = 2.0 * np.pi
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +42,34 @@ class Limits:
             array.flags.writeable = False
         return cls(*arrays)
 
+    def narrowed(self, scenario: Scenario) -> Limits:
+        """Returns these bounds and a scenario's, whichever is narrower.
+
+        Raises:
+            ScenarioError: the scenario's are of another size, or leave nothing.
+        """
+        names = [field.name for field in fields(self)]
+        if all(getattr(scenario, bound) is None for name in names for bound in _bounds_of(name)):
+            return self
+        return Limits(*(_narrow(scenario, name, getattr(self, name)) for name in names))
+
+    def check_task(self, scenario: Scenario, is_hinge: Bools) -> None:
+        """Refuses a start or a goal that is out of these bounds.
+
+        Of angles that are compared but for turns, the goal may be any turn away.
+
+        Raises:
+            ScenarioError: one is; says which.
+        """
+        goal = scenario.goal_position
+        if scenario.angles != "exact":
+            goal = np.where(is_hinge, _turn_into(goal, self.position), goal)
+        self.check_within("initial_position", self.position, scenario.initial_position)
+        self.check_within("initial_velocity", self.velocity, scenario.initial_velocity)
+        self.check_within("goal_position", self.position, goal)
+        if scenario.goal_velocity is not None:
+            self.check_within("goal_velocity", self.velocity, scenario.goal_velocity)
+
     @staticmethod
     def check_within(name: str, bounds: Floats, value: Floats) -> None:
         """Refuses positions or velocities of this name that are out of their bounds.
@@ -51,7 +82,8 @@ class Limits:
                 raise ScenarioError(
                     f"{name}[{i}]",
                     got=f"{number:g}",
-                    expected=f"from {lower:g} to {upper:g}, the limits of its joint",
+                    expected=f"from {lower:g} to {upper:g}, by its joint's limits and the "
+                    "scenario's bounds",
                 )
 
     def check_none(self, plant: MultibodyPlant) -> None:
@@ -85,3 +117,38 @@ class Limits:
                 for bounds in array[:, start : start + size].T:
                     if np.any(np.isfinite(bounds)):
                         yield f"joint {joint.name()!r}", name, bounds
+
+
+def _bounds_of(name: str) -> tuple[str, str]:
+    """Returns a scenario's fields that bound positions, velocities or controls."""
+    return f"{name}_lower", f"{name}_upper"
+
+
+def _narrow(scenario: Scenario, name: str, limits: Floats) -> Floats:
+    """Returns a model's limits (2, n) cut to a scenario's bounds."""
+    bounds, narrowed = _bounds_of(name), limits.copy()
+    for row, bound, narrower in zip(narrowed, bounds, (np.maximum, np.minimum), strict=True):
+        given = getattr(scenario, bound)
+        if given is None:
+            continue
+        if np.size(given) not in (1, row.size):
+            raise ScenarioError(
+                bound, got=f"{np.size(given)} values", expected=f"{row.size}, or one for all"
+            )
+        narrower(row, given, out=row)
+    for i, (lower, upper) in enumerate(narrowed.T):
+        if lower > upper:
+            raise ScenarioError(
+                f"{' and '.join(bounds)}, [{i}]",
+                got=f"nothing from {lower:g} to {upper:g}",
+                expected=f"bounds within the model's limits, {limits[0, i]:g} to {limits[1, i]:g}",
+            )
+    return locked(narrowed)
+
+
+def _turn_into(angles: Floats, bounds: Floats) -> Floats:
+    """Returns angles but for turns, within bounds where any turn leads there."""
+    lower, upper = bounds
+    up = np.ceil(np.maximum(0.0, lower - angles) / _TURN)
+    down = np.ceil(np.maximum(0.0, angles - upper) / _TURN)
+    return angles + _TURN * np.where(up > 0, up, -down)

@@ -178,27 +178,25 @@ class World(EquationsOfMotion):
         """
         return calc_stiffness(self.scene_graph, self.shapes)
 
-    def contact_law(self, scenario: Scenario, contact: str = "rigid") -> ContactLaw:
-        """Returns what contacts push with, "rigid" or "compliant".
+    def contact_law(self, scenario: Scenario) -> ContactLaw:
+        """Returns what contacts push with, rigid or compliant as the scenario says.
 
         Raises:
             ModelError: a shape lacks stiffness or dissipation for compliant contact, or Drake's
                 plant would have another force there.
         """
-        if contact == "rigid":
+        if scenario.contact == "rigid":
             return RigidLaw(self.restitutions(scenario))
         return CompliantLaw.of(self.scene_graph, self._reachable)
 
     def bounds(self, scenario: Scenario) -> Limits:
-        """Returns within which bounds a motion has to stay.
+        """Returns within which bounds a motion has to stay: the model's and the scenario's.
 
         Raises:
-            ScenarioError: start or goal are outside.
+            ScenarioError: start or goal is outside, or the bounds do not fit the model.
         """
-        bounds = self.limits
-        bounds.check_within("initial_position", bounds.position, scenario.initial_position)
-        bounds.check_within("initial_velocity", bounds.velocity, scenario.initial_velocity)
-        bounds.check_within("goal_position", bounds.position, scenario.goal_position)
+        bounds = self.limits.narrowed(scenario)
+        bounds.check_task(scenario, self.is_hinge)
         return bounds
 
     @property
