@@ -1,4 +1,4 @@
-"""How contacts move while J is constant: distances, rates, and what impulses do."""
+"""How contacts move while J is constant, or at an instant: distances, rates, what impulses do."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.jit import inner, kernel
-from drake_aigto.world import ConstantInertia
+from drake_aigto.world import ConstantInertia, World
 
 # Rates of several contacts at once below this are rounding, relative to the largest among them.
 _ROUNDING = 1e-13
@@ -29,7 +29,12 @@ class Clearance(NamedTuple):
 
 
 class Walls(NamedTuple):
-    """What compiled code knows of contacts (`ConstantInertia`), of S solids."""
+    """What compiled code knows of contacts (`ConstantInertia`), of S solids.
+
+    Where J turns, as it does at an instant of a mechanism, one more coordinate carries J̇ v: its
+    position and velocity are 0, its acceleration is 1, and its column of J is J̇ v. So J v̇ is φ̈
+    there, too, and no impulse changes it, as its column of lifts is 0.
+    """
 
     jacobian: Floats  # J, shape (m, nv)
     offset: Floats  # φ(0), shape (m,) [m]
@@ -37,11 +42,19 @@ class Walls(NamedTuple):
     firsts: Ints  # the first contact of each solid, and m, shape (S+1,)
 
     @classmethod
-    def of(cls, inertia: ConstantInertia) -> Walls:
-        """Returns copies: Numba compiles once more for arrays that are read-only."""
+    def of(cls, inertia: ConstantInertia, turning: Floats | None = None) -> Walls:
+        """Returns copies: Numba compiles once more for arrays that are read-only.
+
+        Args:
+            inertia: M and J.
+            turning: J̇ v, shape (m,) [m/s²]; None where J is constant.
+        """
         firsts = [*(faces[0] for faces in inertia.solids), len(inertia.offset)]
         parts = inertia.jacobian, inertia.offset, inertia.lifts
         jacobian, offset, lifts = (np.array(part, order="C") for part in parts)
+        if turning is not None:
+            jacobian = np.column_stack([jacobian, turning])
+            lifts = np.column_stack([lifts, np.zeros(len(lifts))])
         return cls(jacobian, offset, lifts, np.array(firsts))
 
 
@@ -58,16 +71,23 @@ class ContactMotion:
         walls: the contacts, for compiled code.
     """
 
-    def __init__(self, inertia: ConstantInertia) -> None:
-        """Prepares what is asked in every step."""
+    def __init__(self, inertia: ConstantInertia, turning: Floats | None = None) -> None:
+        """Prepares what is asked in every step, with the turning of `Walls.of`."""
         self._num_contacts = len(inertia.offset)
+        self._turning = turning
         self._jacobian = inertia.jacobian
         # (φ, φ̇) = rows x + (φ(0), 0).
         self._rows = np.kron(np.eye(2), inertia.jacobian)
         self._origin = np.concatenate([inertia.offset, np.zeros(self._num_contacts)])
         self.solids = inertia.solids
         self.solid_of = [solid for solid, faces in enumerate(self.solids) for _ in faces]
-        self.walls = Walls.of(inertia)
+        self.walls = Walls.of(inertia, turning)
+
+    @classmethod
+    def at(cls, world: World, x: Floats) -> ContactMotion:
+        """Returns how contacts of any world move at an instant, in the state x = (q, v)."""
+        q, v = np.split(x, 2)
+        return cls(world.inertia_at(q), world.calc_contact_bias(q, v))
 
     def faces_beside(self, contact: int) -> tuple[int, ...]:
         """Returns all contacts of that one's solid, itself among them."""
@@ -89,7 +109,8 @@ class ContactMotion:
 
     def calc_pushes(self, acceleration: Floats) -> list[float]:
         """Returns φ̈ of each contact [m/s²]; negative is into the wall."""
-        return (self._jacobian @ acceleration).tolist()
+        pushes = self._jacobian @ acceleration
+        return (pushes if self._turning is None else pushes + self._turning).tolist()
 
     def calc_supported(self, rates: Floats, contacts: Iterable[int]) -> Floats:
         """Returns the nearest rates x of change of v, or of q, to r that enter none of contacts C.
@@ -104,9 +125,14 @@ class ContactMotion:
         held[list(contacts)] = True
         if not held.any():
             return rates
+        rates = self.extend(rates, 1.0)
         x = np.empty_like(rates)
         support(self.walls, held, rates, x)
-        return x
+        return x if self._turning is None else x[:-1]
+
+    def extend(self, row: Floats, value: float) -> Floats:
+        """Returns a row of nv values as `Walls` have it: with a value for J̇ v where J turns."""
+        return row if self._turning is None else np.append(row, value)
 
 
 def calc_depth(walls: Walls, positions: ArrayLike) -> float:

@@ -9,6 +9,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.simulation.impacts import CONTACT, PUSH, SPEED, STATE, TIME
+from drake_aigto.simulation.smooth import Samples
 
 # A list that grows, or an array of what is known at once.
 Rows: TypeAlias = Any
@@ -46,6 +47,7 @@ class Recording:
         matched_speeds: for which dissipation was set, on compliant walls [m/s].
         control_times: from when each control was held [s].
         controls: u of each of them, shape (nu,) [N].
+        samples: of the motion between rows, where it is integrated, and the control meanwhile.
     """
 
     times: Rows = field(default_factory=list)
@@ -57,6 +59,7 @@ class Recording:
     matched_speeds: list[float] = field(default_factory=list)
     control_times: Rows = field(default_factory=list)
     controls: Rows = field(default_factory=list)
+    samples: list[tuple[Samples, Floats]] = field(default_factory=list)
 
     @property
     def bounces(self) -> list[int]:

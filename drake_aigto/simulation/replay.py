@@ -13,6 +13,7 @@ from drake_aigto.errors import TrajectoryError
 from drake_aigto.simulation.compliance import calc_compliance_error
 from drake_aigto.simulation.compliant_wall import simulate_compliant_wall
 from drake_aigto.simulation.controller import HeldControl
+from drake_aigto.simulation.mechanism import simulate_mechanism
 from drake_aigto.simulation.recording import Recording
 from drake_aigto.simulation.rigid_wall import simulate_rigid_wall
 from drake_aigto.simulation.rollout import Parabolas
@@ -117,12 +118,13 @@ class Replay(ArrayRecord):
 def replay_event_driven(
     world: World, scenario: Scenario, times: ArrayLike, controls: ArrayLike
 ) -> Replay:
-    """Replays a held control on exactly rigid walls (`RigidWall` has their equations).
+    """Replays a held control on exactly rigid walls (`RigidMechanism` has their equations).
 
     The judge of plans, for any restitution in [0, 1]. Where flight under a held control is a
     parabola (`World.constant_dynamics`) it is exact but for rounding, by roots alone (`Parabolas`);
-    only hops too short to follow become rest. Elsewhere Drake's Simulator integrates, and touches
-    shorter than a millionth of the duration may not be noticed.
+    only hops too short to follow become rest. Where M or J depends on q it is integrated nearly to
+    rounding (`RigidMechanism`). Elsewhere Drake's Simulator integrates, and touches shorter than a
+    millionth of the duration may not be noticed.
 
     Args:
         world: its dynamics and its contacts.
@@ -251,8 +253,8 @@ def _simulate_rigidly(
     if world.has_constant_dynamics:
         return _roll_out(world, scenario, times).record(controls)
     start = scenario.initial_position, scenario.initial_velocity
-    controller = HeldControl(times, controls)
-    return simulate_rigid_wall(world, world.restitutions(scenario), start, controller)
+    simulate = simulate_rigid_wall if world.has_constant_inertia else simulate_mechanism
+    return simulate(world, world.restitutions(scenario), start, HeldControl(times, controls))
 
 
 def _roll_out(world: World, scenario: Scenario, times: Floats) -> Parabolas:

@@ -66,8 +66,12 @@ class ConstantInertia:
 
     @cached_property
     def lifts(self) -> Floats:
-        """M⁻¹ J_iᵀ / A_ii, shape (m, nv): how v changes as contact i changes φ̇_i by 1."""
-        return read_only(self.kicks / np.diag(self.delassus)[:, np.newaxis])
+        """M⁻¹ J_iᵀ / A_ii, shape (m, nv): how v changes as contact i changes φ̇_i by 1.
+
+        It is 0 where nothing does, as of an arm that is stretched out along the wall's normal.
+        """
+        mobility = np.diag(self.delassus)[:, np.newaxis]
+        return read_only(self.kicks / np.where(mobility > 0, mobility, np.inf))
 
 
 @dataclass(frozen=True, eq=False)

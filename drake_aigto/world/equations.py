@@ -11,10 +11,10 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.symbolic import Expression
 
-from drake_aigto.arrays import Bools, Floats, read_only
+from drake_aigto.arrays import Bools, Floats, Ints, read_only
 from drake_aigto.world.constant import ConstantDynamics, ConstantInertia, read_constant
 from drake_aigto.world.contact import Contact
-from drake_aigto.world.sums import SumMap, is_constant
+from drake_aigto.world.sums import SumMap, is_constant, tidy
 
 _INERTIA_REMEDY = "Use the literal transcription."
 _BIAS_REMEDY = (
@@ -181,6 +181,39 @@ class EquationsOfMotion:
         shape = self.num_contacts, self.num_velocities
         return self._jacobian_map(q).reshape(*q.shape[:-1], *shape)
 
+    def calc_contact_bias(self, q: Floats, v: Floats) -> Floats:
+        """Returns J̇ v, which makes φ̈ = J v̇ + J̇ v, (…, m) [m/s²], at q (…, nq), v (…, nv)."""
+        return self._contact_bias_map(np.concatenate([q, v], axis=-1))
+
+    def inertia_at(self, q: Floats) -> ConstantInertia:
+        """Returns M and J as they are at q, shape (nq,) [m], and the affine φ that is φ there."""
+        J, distances = self.calc_contact_jacobian(q), self.calc_signed_distance(q)
+        offset = distances - J @ q
+        return ConstantInertia(self.calc_mass_matrix(q), self.actuation, J, offset, self.solids)
+
+    def calc_supported_acceleration(
+        self, q: Floats, v: Floats, u: Floats, contacts: Ints
+    ) -> tuple[Floats, Floats]:
+        """Returns v̇ and the forces λ of contacts C that stay closed, whatever the forces' signs.
+
+            M v̇ + h(q, v) = B u + J_Cᵀ λ,    J_C v̇ + J̇_C v = 0
+
+        Args:
+            q: shape (…, nq) [m].
+            v: shape (…, nv) [m/s].
+            u: shape (…, nu) [N].
+            contacts: c of them.
+
+        Returns:
+            v̇, shape (…, nv) [m/s²], and λ, shape (…, c) [N].
+        """
+        free = self.calc_acceleration(q, v, u)
+        J = self.calc_contact_jacobian(q)[..., contacts, :]
+        kicks = np.linalg.solve(self.calc_mass_matrix(q), np.swapaxes(J, -1, -2))
+        approach = (J @ free[..., np.newaxis])[..., 0] + self.calc_contact_bias(q, v)[..., contacts]
+        forces = -(np.linalg.pinv(J @ kicks) @ approach[..., np.newaxis])
+        return free + (kicks @ forces)[..., 0], forces[..., 0]
+
     def move_onto(self, q: Floats, contacts: Sequence[int]) -> Floats:
         """Returns the nearest positions where φ_i = 0, exact for an affine φ, shape (nq,) [m].
 
@@ -230,6 +263,20 @@ class EquationsOfMotion:
         return SumMap(distances, self.positions)
 
     @cached_property
+    def _contact_bias_map(self) -> SumMap:
+        turns = []
+        for contact in self.contacts:
+            slopes = _dot(contact.jacobian, self.velocities).Jacobian(self.positions)
+            turns.append(_dot(slopes, self.velocities))
+        names = np.concatenate([self.positions, self.velocities])
+        return SumMap(tidy(np.array(turns, dtype=object)), names)
+
+    @cached_property
     def _jacobian_map(self) -> SumMap:
         jacobians = (contact.jacobian for contact in self.contacts)
         return SumMap(np.concatenate([[], *jacobians]), self.positions)
+
+
+def _dot(row: NDArray[Any], variables: NDArray[Any]) -> Expression:
+    """Returns Σ_k row_k variable_k; NumPy's product of objects warns at random."""
+    return sum((a * b for a, b in zip(row, variables, strict=True)), Expression(0.0))

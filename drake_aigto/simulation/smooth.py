@@ -1,0 +1,148 @@
+"""Smooth motion, integrated nearly to rounding, until something that is watched falls to zero."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Iterator
+from typing import NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.polynomial import chebyshev, legendre
+from scipy.integrate import DOP853
+
+from drake_aigto.arrays import Floats
+from drake_aigto.errors import TrajectoryError
+
+# Of one step, relative and absolute: in flight a thousand of them are off by 1e-10.
+_TOLERANCE = 1e-13
+# The farthest that a coordinate moves in what is looked at in one piece [rad, m]. There, its waves
+# are polynomials of the degree below but for rounding.
+_LONGEST = 0.5
+_DEGREE = 16
+# Nodes of a piece: of the polynomial, and of a quadrature that is exact up to the degree 19.
+_NODES = chebyshev.chebpts1(_DEGREE + 1)
+_FIT = np.linalg.inv(chebyshev.chebvander(_NODES, _DEGREE))
+_ABSCISSAE, _WEIGHTS = legendre.leggauss(10)
+# A root of the polynomial whose imaginary part is smaller is real but for rounding.
+_REAL = 1e-6
+
+# (q, v) of shape (…, 2 nv) → its rate of change, and → what is watched, shape (…, E).
+Rates: TypeAlias = Callable[[Floats], Floats]
+Watched: TypeAlias = Callable[[Floats], Floats]
+
+
+class Samples(NamedTuple):
+    """A motion at nodes of a quadrature, ∫ f dt ≈ Σ_k weights_k f(times_k, states_k)."""
+
+    times: Floats  # shape (K,) [s]
+    weights: Floats  # shape (K,) [s]
+    states: Floats  # (q, v), shape (K, 2 nv)
+
+
+class Stretch(NamedTuple):
+    """How a motion went on, at most until something that is watched fell to zero."""
+
+    end: float  # [s]
+    state: Floats  # (q, v) there, shape (2 nv,)
+    fallen: int  # which fell; −1: none
+    samples: list[Samples]  # of all of its pieces
+
+
+class _Piece(NamedTuple):
+    """A part of a step, short enough for a polynomial."""
+
+    start: float  # [s]
+    end: float  # [s]
+    states: Callable[[Floats], Floats]  # times (K,) → (q, v), shape (K, 2 nv)
+
+    def at(self, abscissae: Floats) -> Floats:
+        """Returns times of abscissae in [−1, 1]."""
+        return self.start + (self.end - self.start) / 2 * (abscissae + 1)
+
+    def sample(self, end: float) -> Samples:
+        """Returns samples until some time in it."""
+        part = self._replace(end=end)
+        times = part.at(_ABSCISSAE)
+        return Samples(times, (end - self.start) / 2 * _WEIGHTS, self.states(times))
+
+
+def follow(rates: Rates, watched: Watched, start: float, end: float, state: Floats) -> Stretch:
+    """Integrates ẋ = f(x) until a watched value falls to zero, or to the end.
+
+    By the eighth-order rule of Dormand and Prince in SciPy, with dense output. On each piece of it
+    every watched value is a Chebyshev polynomial whose roots are all found (J. P. Boyd, "Computing
+    zeros on a real interval through Chebyshev expansion and polynomial rootfinding", SIAM J. Numer.
+    Anal. 40, 2002), so that none that falls and rises again between two steps is missed.
+
+    Args:
+        rates: f, smooth.
+        watched: smooth functions, above 0 at the start; one that is not falls at once.
+        start: [s].
+        end: [s].
+        state: (q, v) at the start, shape (2 nv,).
+
+    Raises:
+        TrajectoryError: the motion runs away to infinity.
+    """
+    samples, last = [], state
+    for piece, last in _integrate(rates, start, end, state):  # noqa: B007 (used after the loop)
+        time, fallen = _find_fall(watched, piece)
+        samples.append(piece.sample(time))
+        if fallen >= 0:
+            return Stretch(time, piece.states(np.array([time]))[0], fallen, samples)
+    return Stretch(end, last, -1, samples)
+
+
+def _integrate(
+    rates: Rates, start: float, end: float, state: Floats
+) -> Iterator[tuple[_Piece, Floats]]:
+    """Yields the pieces of each step, and the state at the step's end."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        solver = DOP853(lambda _, x: rates(x), start, state, end, rtol=_TOLERANCE, atol=_TOLERANCE)
+        while solver.status == "running":
+            solver.step()
+            if solver.status == "failed" or not np.isfinite(solver.y).all():
+                raise TrajectoryError(
+                    "the motion under this control",
+                    got=f"one that runs away at {solver.t:g} s",
+                    expected="one that can be integrated until the end",
+                    remedy="Check the control's size.",
+                )
+            for piece in _divide(solver):
+                yield piece, solver.y
+
+
+def _divide(solver: DOP853) -> Iterator[_Piece]:
+    """Yields the last step in pieces in which no coordinate moves far."""
+    dense = solver.dense_output()
+
+    def states(times: Floats) -> Floats:
+        return np.ascontiguousarray(dense(times).T)
+
+    step = _Piece(solver.t_old, solver.t, states)
+    speed = np.max(np.abs(states(step.at(_NODES))[:, len(solver.y) // 2 :]))
+    count = max(1, int(np.ceil(speed * (solver.t - solver.t_old) / _LONGEST)))
+    edges = np.linspace(solver.t_old, solver.t, count + 1).tolist()
+    for first, last in itertools.pairwise(edges):
+        yield _Piece(first, last, states)
+
+
+def _find_fall(watched: Watched, piece: _Piece) -> tuple[float, int]:
+    """Returns when the first value falls to zero in a piece, and which; its end and −1 if none."""
+    coefficients = _FIT @ watched(piece.states(piece.at(_NODES)))
+    # A Chebyshev polynomial nowhere exceeds the sum of its coefficients' sizes.
+    least = coefficients[0] - np.sum(np.abs(coefficients[1:]), axis=0)
+    falls = [(_find_first_fall(coefficients[:, i]), int(i)) for i in np.flatnonzero(least <= 0)]
+    first, fallen = min(falls, default=(np.inf, -1))
+    if not np.isfinite(first):
+        return piece.end, -1
+    return float(piece.at(np.array(first))), fallen
+
+
+def _find_first_fall(coefficients: Floats) -> float:
+    """Returns the first abscissa in [−1, 1] after which a polynomial is negative, or infinity."""
+    roots = chebyshev.chebroots(chebyshev.chebtrim(coefficients, 1e-17))
+    real = np.real(roots[np.abs(np.imag(roots)) < _REAL])
+    edges = np.concatenate([[-1.0], np.sort(real[np.abs(real) < 1]), [1.0]])
+    values = chebyshev.chebval((edges[:-1] + edges[1:]) / 2, coefficients)
+    return float(edges[np.argmax(values < 0)]) if np.any(values < 0) else np.inf

@@ -1,0 +1,284 @@
+"""Mechanisms and exactly rigid walls, judged by closed forms, Drake's matrices and parabolas."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import assume, given, settings
+from hypothesis import strategies as st
+from mechanisms import MECHANISMS, build, build_world
+from pydrake.multibody.tree import JacobianWrtVariable
+from scipy.integrate import solve_ivp
+from scipy.special import ellipk, ellipkinc
+from test_direct_replay import draw_task, follows_chatter, roll_out, world_of
+
+from drake_aigto import Scenario, TrajectoryError, World
+from drake_aigto.simulation import Replay, replay_costs, replay_event_driven
+from drake_aigto.simulation.controller import HeldControl
+from drake_aigto.simulation.mechanism import simulate_mechanism
+
+
+@cache
+def read(name: str) -> World:
+    return build_world(MECHANISMS[name]) if name in MECHANISMS else build(name)
+
+
+# The pendulum of `mechanisms`: its tip touches where 0.8 sin θ = 0.55.
+INERTIA, MOMENT = 0.03 + 1.3 * 0.7**2, 1.3 * 9.81 * 0.7  # [kg m²], [N m]
+WALL = math.asin(0.55 / 0.8)  # [rad]
+
+
+def replay(name: str, start: Any, times: Any, controls: Any, e: float = 1.0) -> Replay:
+    q, v = np.reshape(start, (2, -1))
+    scenario = Scenario(initial_position=q, initial_velocity=v, goal_position=0 * q, restitution=e)
+    return replay_event_driven(read(name), scenario, times, controls)
+
+
+def swing(start: Any, duration: float, e: float = 1.0, torque: float = 0.0, steps: int = 1) -> Any:
+    times = np.linspace(0.0, duration, steps + 1)
+    return replay("pendulum", start, times, np.full((steps, 1), torque), e)
+
+
+def calc_energy(run: Replay) -> Any:
+    q, v = run.positions[:, 0], run.velocities[:, 0]
+    return INERTIA * v**2 / 2 - MOMENT * np.cos(q)
+
+
+# A pendulum and a wall.
+
+
+def test_a_free_pendulum_keeps_its_energy_over_a_hundred_bounces() -> None:
+    # It leans on the wall from above, and hops.
+    run = swing((math.pi - WALL + 0.05, 0.0), 22.0)
+    assert len(run.bounce_times) >= 100
+    np.testing.assert_allclose(calc_energy(run), calc_energy(run)[0], rtol=1e-8)
+    assert run.max_penetration <= 1e-12
+
+
+@pytest.mark.parametrize("e", [1.0, 0.8, 0.3])
+def test_bounce_times_and_speeds_are_those_of_elliptic_integrals(e: float) -> None:
+    start = -2.0
+    run = swing((start, 0.0), 8.0, e)
+    time, speed_squared = 0.0, 2 * MOMENT / INERTIA * (math.cos(WALL) - math.cos(start))
+    omega, expected, first = math.sqrt(MOMENT / INERTIA), list[float](), True
+    while True:
+        top = math.acos(math.cos(WALL) - speed_squared * INERTIA / (2 * MOMENT))
+        k = math.sin(top / 2)
+        half = (ellipk(k**2) + ellipkinc(math.asin(min(1.0, math.sin(WALL / 2) / k)), k**2)) / omega
+        time += half if first else 2 * half
+        first = False
+        if time > 8.0:
+            break
+        expected.append(time)
+        speed_squared *= e**2
+    assert len(expected) >= 4
+    np.testing.assert_allclose(run.bounce_times, expected, atol=1e-9)
+    np.testing.assert_allclose(run.energy_ratios, e**2, rtol=1e-12)
+    energies = INERTIA / 2 * 2 * MOMENT / INERTIA * (math.cos(WALL) - math.cos(start))
+    powers = e ** (2 * np.arange(len(expected)))
+    np.testing.assert_allclose(run.energies_before, energies * powers, rtol=1e-8)
+
+
+@pytest.mark.parametrize("depth", [1e-3, 1e-6, 1e-9])
+@pytest.mark.parametrize("steps", [1, 7])
+def test_a_dip_within_one_step_is_seen(depth: float, steps: int) -> None:
+    # Free flight would turn round this far behind the wall.
+    run = swing((-WALL - depth, 0.0), 1.5, 0.5, steps=steps)
+    assert len(run.bounce_times) == 1
+    expected = MOMENT * (math.cos(WALL) - math.cos(WALL + depth))
+    assert run.energies_before[0] == pytest.approx(expected, rel=1e-6, abs=1e-12)
+
+
+@pytest.mark.parametrize("e", [1.0, 0.5, 0.0])
+def test_a_graze_changes_nothing(e: float) -> None:
+    run = swing((-WALL, 0.0), 4.0, e)
+    calm = swing((-WALL + 1e-9, 0.0), 4.0, e)
+    np.testing.assert_allclose(run.positions[-1], calm.positions[-1], atol=1e-6)
+    assert run.max_penetration <= 1e-12
+
+
+@pytest.mark.parametrize("e", [1.0, 0.5])
+@pytest.mark.parametrize("shift", [0.0, 1e-15, -1e-15, 1e-13, -1e-13, 1e-9, -1e-9])
+def test_a_bounce_on_a_knot_happens_once(e: float, shift: float) -> None:
+    whole = swing((-1.0, 2.0), 1.0, e)
+    (bounce,) = whole.bounce_times
+    times = [0.0, bounce + shift, 1.0]
+    run = replay("pendulum", (-1.0, 2.0), times, np.zeros((2, 1)), e)
+    assert run.bounce_times == pytest.approx((bounce,), abs=1e-12)
+    np.testing.assert_allclose(run.positions[-1], whole.positions[-1], atol=1e-10)
+
+
+@pytest.mark.parametrize("v", [-3.0, -1e-6, 0.0, 1e-6, 3.0])
+@pytest.mark.parametrize("torque", [-30.0, 0.0, 30.0])
+@pytest.mark.parametrize("e", [0.6, 0.0])
+def test_a_start_at_the_wall(v: float, torque: float, e: float) -> None:
+    run = swing((WALL, v), 0.3, e, torque)
+    assert run.max_penetration <= 1e-12
+    if torque > 0 and v >= -1e-6:  # Pressed on, it hardly leaves.
+        assert np.max(np.abs(run.positions - WALL)) <= 1e-5
+    if torque <= 0:  # Gravity pulls off, too.
+        away = replay("pendulum", (WALL, -e * v if v > 0 else v), [0, 0.3], [[torque]], e)
+        np.testing.assert_allclose(run.positions[-1], away.positions[-1], atol=1e-9)
+        assert len(run.bounce_times) == (v > 1e-3)
+
+
+def test_it_rests_while_pressed_and_leaves_when_the_push_falls_below_gravity() -> None:
+    holding = MOMENT * math.sin(WALL)
+    times, torques = np.linspace(0.0, 2.0, 5), np.array([[20.0], [20.0], [holding + 0.1], [0.0]])
+    run = replay("pendulum", (WALL - 0.1, 0.0), times, torques, 0.3)
+    resting = (run.times >= 1.0) & (run.times <= 1.5)
+    np.testing.assert_allclose(run.positions[resting], WALL, atol=1e-12)
+    np.testing.assert_allclose(run.velocities[resting], 0.0, atol=1e-12)
+    free = swing((WALL, 0.0), 0.5)
+    np.testing.assert_allclose(run.positions[-1], free.positions[-1], atol=1e-9)
+
+
+# A cart-pole between two walls.
+
+
+def test_an_impact_changes_momentum_as_drakes_matrices_say() -> None:
+    world = read("cart-pole")
+    times, e = np.linspace(0.0, 1.0, 21), 0.7
+    controls = 15 * np.sin(np.arange(20.0))[:, np.newaxis]
+    run = replay("cart-pole", [[0.1, 0.5], [2.0, 3.0]], times, controls, e)
+    assert len(run.bounce_times) >= 2
+    rows = np.flatnonzero(np.diff(run.times) == 0)
+    plant = world.plant
+    context = plant.GetMyMutableContextFromRoot(world.create_context())
+    frames = plant.GetBodyByName("pole").body_frame(), plant.world_frame()
+    for row, contact in zip(rows, run.bounce_contacts, strict=True):
+        q, before, after = run.positions[row], run.velocities[row], run.velocities[row + 1]
+        plant.SetPositions(context, q)
+        M = plant.CalcMassMatrix(context)
+        J = plant.CalcJacobianTranslationalVelocity(
+            context, JacobianWrtVariable.kV, frames[0], [0, 0, -0.8], frames[1], frames[1]
+        )[0] * (1.0 if contact == 0 else -1.0)
+        impulse = M @ (after - before)
+        tangent = np.array([J[1], -J[0]])
+        assert tangent @ impulse == pytest.approx(0.0, abs=1e-11)  # It acts along Jᵀ alone,
+        assert J @ impulse > 0  # pushes,
+        assert J @ after == pytest.approx(-e * (J @ before), abs=1e-11)  # and returns e.
+        lost = (before @ M @ before - after @ M @ after) / 2
+        effective = 1 / (J @ np.linalg.solve(M, J))
+        assert lost == pytest.approx((1 - e**2) / 2 * effective * (J @ before) ** 2, rel=1e-9)
+
+
+def test_it_slides_along_a_wall_as_the_mechanism_with_its_tip_on_a_line() -> None:
+    # Pushed to the right with its tip on the right wall, the cart drives the pole up the wall.
+    world, force, angle = read("cart-pole"), 6.0, 0.4
+    length, place = 0.8, 0.55
+    run = replay(
+        "cart-pole",
+        [[place - length * math.sin(angle), angle], [0, 0]],
+        [0, 0.2, 0.4],
+        [[force], [force]],
+        0.0,
+    )
+
+    def rates(_: float, y: Any) -> Any:
+        # θ alone: a = place − l sin θ, virtual work along (−l cos θ, 1).
+        theta, w = y
+        q = np.array([place - length * math.sin(theta), theta])
+        way = np.array([-length * math.cos(theta), 1.0])
+        v = way * w
+        turn = np.array([length * math.sin(theta) * w**2, 0.0])
+        M = world.calc_mass_matrix(q)
+        pull = np.array([force, 0.0]) - world.calc_bias(q, v) - M @ turn
+        return [w, way @ pull / (way @ M @ way)]
+
+    oracle = solve_ivp(rates, (0, 0.4), [angle, 0.0], rtol=1e-11, atol=1e-11)
+    np.testing.assert_allclose(run.positions[-1, 1], oracle.y[0, -1], atol=1e-8)
+    np.testing.assert_allclose(run.positions @ [1, 0] + length * np.sin(run.positions[:, 1]), place)
+    assert run.bounce_times == ()
+
+
+def test_a_contact_lets_go_on_its_way_when_its_force_would_pull() -> None:
+    start = [[0.55 - 0.8 * math.sin(0.4), 0.4], [0, 0]]
+    whole = replay("cart-pole", start, [0, 1.8], [[2.0]], 0.0)
+    fine = replay("cart-pole", start, np.linspace(0, 1.8, 91), np.full((90, 1), 2.0), 0.0)
+    tip = fine.positions[:, 0] + 0.8 * np.sin(fine.positions[:, 1]) - 0.55
+    held = (fine.times > 1.0) & (fine.times < 1.3)
+    assert np.all(np.abs(tip[held]) <= 1e-12)
+    assert tip[-1] < -0.1
+    np.testing.assert_allclose(whole.positions[-1], fine.positions[-1], atol=1e-8)
+
+
+@pytest.mark.parametrize(
+    "name", ["cart-pole", "acrobot_and_wall", "arm with a slider", "two discs"]
+)
+def test_an_interval_cut_in_parts_is_the_same(name: str) -> None:
+    world, rng = read(name), np.random.default_rng(3)
+    bounced = 0
+    for _ in range(4):
+        q = rng.uniform(-0.5, 0.5, world.num_positions)
+        while np.min(world.calc_clearance(q)) < 0.01:
+            q = rng.uniform(-1.0, 1.0, world.num_positions)
+        nearest = np.argmax(world.calc_signed_distance(q))
+        J = world.calc_contact_jacobian(q)[nearest]
+        start = q, rng.uniform(-1, 1, len(q)) - 3 * J / (J @ J)
+        times, controls = np.linspace(0, 0.9, 4), rng.uniform(-3, 3, (3, world.num_actuators))
+        whole = replay(name, start, times, controls, 0.8)
+        fine = np.linspace(0, 0.9, 22)
+        cut = replay(name, start, fine, np.repeat(controls, 7, axis=0), 0.8)
+        assert whole.bounce_contacts == cut.bounce_contacts
+        bounced += len(whole.bounce_contacts)
+        np.testing.assert_allclose(whole.bounce_times, cut.bounce_times, atol=1e-8)
+        np.testing.assert_allclose(whole.positions[-1], cut.positions[-1], atol=1e-7)
+        assert whole.max_penetration <= 1e-12
+    assert bounced
+
+
+# Others.
+
+
+@pytest.mark.parametrize("name", ["point mass", "room_with_block", "two_masses"])
+@settings(max_examples=15, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.sampled_from([1.0, 0.8, 0.5, 0.0]))
+def test_where_flight_is_a_parabola_it_is_the_one_by_roots(name: str, seed: int, e: float) -> None:
+    start, times, controls = draw_task(name, seed)
+    direct = roll_out(name, e, start, times, controls)
+    assume(not follows_chatter(direct))
+    world = world_of(name)
+    restitutions, held = np.full(world.num_contacts, e), HeldControl(times, controls)
+    found = simulate_mechanism(world, restitutions, start, held)
+    assert [i.contact for i in direct.impacts] == [i.contact for i in found.impacts]
+    np.testing.assert_allclose(direct.times, found.times, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(direct.positions, found.positions, rtol=0, atol=1e-9)
+    np.testing.assert_allclose(direct.velocities[-1], found.velocities[-1], rtol=0, atol=1e-8)
+
+
+def test_many_controls_cost_what_each_does() -> None:
+    scenario = Scenario(initial_position=-1.0, initial_velocity=2.0, goal_position=0.3)
+    controls = np.array([[[0.0], [1.0]], [[2.0], [-3.0]]])
+    costs = replay_costs(read("pendulum"), scenario, [0, 0.5, 1.0], controls)
+    for cost, control in zip(costs, controls, strict=True):
+        assert cost == replay_event_driven(read("pendulum"), scenario, [0, 0.5, 1], control).cost
+
+
+def test_a_motion_that_runs_away_is_refused() -> None:
+    with pytest.raises(TrajectoryError, match="runs away"):
+        swing((0.0, 0.0), 1.0, torque=1e300)
+
+
+@pytest.mark.parametrize(
+    "name", ["pendulum", "cart-pole", "double pendulum", "paddle", "two discs"]
+)
+def test_contacts_accelerate_by_j_and_its_change(name: str) -> None:
+    world, rng = read(name), np.random.default_rng(5)
+    for _ in range(3):
+        q, v, u = (rng.uniform(-1, 1, n) for n in (*2 * [world.num_positions], world.num_actuators))
+        step = 1e-6
+        ahead, behind = (world.calc_contact_jacobian(q + s * step * v) @ v for s in (1, -1))
+        bias = world.calc_contact_bias(q, v)
+        np.testing.assert_allclose(bias, (ahead - behind) / (2 * step), atol=1e-7)
+        a, forces = world.calc_supported_acceleration(q, v, u, np.array([0]))
+        J = world.calc_contact_jacobian(q)
+        assert J[0] @ a + bias[0] == pytest.approx(0.0, abs=1e-9)
+        pushed = world.calc_acceleration(q, v, u) + np.linalg.solve(
+            world.calc_mass_matrix(q), J[0] * forces[0]
+        )
+        np.testing.assert_allclose(a, pushed, atol=1e-9)
