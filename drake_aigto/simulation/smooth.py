@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
+import scipy  # Not scipy.integrate, which takes a tenth of a second and few need.
 from numpy.polynomial import chebyshev, legendre
-from scipy.integrate import DOP853
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import TrajectoryError
@@ -98,7 +98,9 @@ def _integrate(
 ) -> Iterator[tuple[_Piece, Floats]]:
     """Yields the pieces of each step, and the state at the step's end."""
     with np.errstate(over="ignore", invalid="ignore"):
-        solver = DOP853(lambda _, x: rates(x), start, state, end, rtol=_TOLERANCE, atol=_TOLERANCE)
+        solver = scipy.integrate.DOP853(
+            lambda _, x: rates(x), start, state, end, rtol=_TOLERANCE, atol=_TOLERANCE
+        )
         while solver.status == "running":
             solver.step()
             if solver.status == "failed" or not np.isfinite(solver.y).all():
@@ -112,7 +114,7 @@ def _integrate(
                 yield piece, solver.y
 
 
-def _divide(solver: DOP853) -> Iterator[_Piece]:
+def _divide(solver: Any) -> Iterator[_Piece]:
     """Yields the last step in pieces in which no coordinate moves far."""
     dense = solver.dense_output()
 
