@@ -1,0 +1,1 @@
+"""How good are plans for robots? Peers on the same questions, and judges apart from the planner."""

@@ -1,0 +1,120 @@
+"""How good are plans for robots, against peers on the same questions with the same seconds?
+
+    python -m benchmarks.robots compare --json robots.json          # hours; --resume goes on
+    python -m benchmarks.robots compare cart_pole/soft_06 --count 5 --methods IPOPT --seconds 2
+    python -m benchmarks.robots search shooting --tries 300         # for the best known
+    python -m benchmarks.robots show robots.json
+
+The questions are SPOT's ten starts of the cart-pole between soft walls and 50 of their distribution
+(`cart_pole`). What a method finds is replayed by a judge with equations of its own; J is the
+judge's. The best known costs are in `known.json`; `search` and `compare --refresh` put better ones
+there.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Sequence
+from functools import partial
+
+from benchmarks.robots.cart_pole import WALLS
+from benchmarks.robots.compare import run_comparison
+from benchmarks.robots.methods import METHODS
+from benchmarks.robots.results import Comparison, Results
+from benchmarks.robots.search import search
+from benchmarks.robots.table import format_results
+from drake_aigto.cli.command_line import run
+from drake_aigto.cli.flags import add_command, add_common, positive
+from drake_aigto.cli.parser import Parser
+from drake_aigto.cli.status import FINE, INTERRUPTED
+from drake_aigto.cli.studies import add_running, run_study
+
+_COMPARE = """\
+python -m benchmarks.robots compare --json robots.json --workers 2
+python -m benchmarks.robots compare cart_pole/soft_06 --count 5 --methods IPOPT CMA-ES --seconds 1
+"""
+_SEARCH = "python -m benchmarks.robots search IPOPT --tries 20 --minutes 20\n"
+_SHOW = "python -m benchmarks.robots show robots.json\n"
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs a command and returns its exit status."""
+    try:
+        return run(arguments, make_parser)
+    except KeyboardInterrupt:
+        print("benchmarks.robots: interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+def make_parser(_: Sequence[str] = ()) -> Parser:
+    """Returns the parser of all commands."""
+    parser = Parser(prog="python -m benchmarks.robots", description="Plans for robots, and peers.")
+    add_common(parser)
+    commands = parser.add_commands("COMMAND")
+    _add_compare(commands)
+    _add_search(commands)
+    text = "the table of results that are there"
+    show = add_command(commands, "show", _show, text, _SHOW)
+    show.add_argument("results", metavar="FILE", help="of `compare --json`")
+    return parser
+
+
+def _add_scenarios(command: argparse.ArgumentParser) -> None:
+    text = "whose questions (default: all)"
+    command.add_argument("scenarios", nargs="*", metavar="SCENARIO", default=[], help=text)
+    text = "of each scenario's questions, SPOT's ten first (default: %(default)s)"
+    command.add_argument("--count", type=positive, default=60, metavar="N", help=text)
+
+
+def _add_compare(commands: argparse._SubParsersAction[Parser]) -> None:
+    text = "run methods on the same questions and print the table"
+    command = add_command(commands, "compare", _compare, text, _COMPARE)
+    _add_scenarios(command)
+    text = f"some of {', '.join(METHODS)} (default: all)"
+    command.add_argument("--methods", nargs="+", metavar="M", default=list(METHODS), help=text)
+    text = "of CPU time that a peer has for a question (default: the first plan's)"
+    command.add_argument("--seconds", type=float, metavar="S", help=text)
+    text = "let what is better take the place of the best known"
+    command.add_argument("--refresh", action="store_true", help=text)
+    add_running(command)
+
+
+def _add_search(commands: argparse._SubParsersAction[Parser]) -> None:
+    text = "search for better than the best known"
+    command = add_command(commands, "search", _search, text, _SEARCH)
+    command.add_argument("method", choices=METHODS)
+    _add_scenarios(command)
+    text = "of each question, those of earlier searches included (default: %(default)s)"
+    command.add_argument("--tries", type=positive, default=300, metavar="N", help=text)
+    text = "after which it ends (default: when all tries are made)"
+    command.add_argument("--minutes", type=float, default=math.inf, metavar="M", help=text)
+
+
+def _compare(options: argparse.Namespace) -> int:
+    comparison = Comparison(
+        scenarios=tuple(options.scenarios or WALLS),
+        count=options.count,
+        methods=tuple(options.methods),
+        seconds=options.seconds,
+    )
+    results = run_study(options, partial(run_comparison, refresh=options.refresh), comparison)
+    print(format_results(results))
+    return FINE
+
+
+def _search(options: argparse.Namespace) -> int:
+    names = Comparison(tuple(options.scenarios or WALLS), options.count, (options.method,), 1.0)
+    questions = names.questions()
+    search(questions, options.method, options.tries, 60.0 * options.minutes, print)
+    return FINE
+
+
+def _show(options: argparse.Namespace) -> int:
+    print(format_results(Results.load(options.results)))
+    return FINE
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,165 @@
+"""Methods on the same questions with the same seconds, all judged by the same judge."""
+
+from __future__ import annotations
+
+import math
+import os
+import time
+from collections.abc import Callable
+from concurrent.futures import Executor
+from contextlib import AbstractContextManager
+from functools import cache
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.robots.cart_pole import Question, judge, make_questions
+from benchmarks.robots.known import find_known, keep, load_known
+from benchmarks.robots.methods import METHODS, PLANS, Attempt
+from benchmarks.robots.results import Comparison, Outcome, Results, Row, Step
+from drake_aigto.count import Count
+from drake_aigto.jobs import open_jobs
+from drake_aigto.plain import to_plain
+from drake_aigto.study.results_file import check_results_file, check_same_question, round_to
+
+_DIGITS = 6
+_WARM_UP = 0.5  # seconds of a method that count for nothing: libraries load, kernels compile
+
+
+class Found(NamedTuple):
+    """What a method found, and its best control."""
+
+    outcome: Outcome
+    controls: np.ndarray | None
+
+
+def run_comparison(
+    comparison: Comparison,
+    path: str | os.PathLike[str] | None = None,
+    *,
+    resume: bool = False,
+    executor: AbstractContextManager[Executor] | None = None,
+    progress: Callable[[str], None] | None = None,
+    refresh: bool = False,
+) -> Results:
+    """Runs all methods on all questions; what is done is written after each question.
+
+    Args:
+        comparison: what to run.
+        path: of the results; None keeps them in memory only.
+        resume: go on from the results that are there.
+        executor: where questions are answered, each in a process of one thread.
+        progress: called with a line of text after each question.
+        refresh: whether what is better than the best known takes its place.
+
+    Raises:
+        OutputFileError: the results can't be written.
+        ResultsFileError: there are results and they are not to be gone on from; or they are damaged
+            or another comparison's.
+    """
+    results = Results(comparison)
+    if path and check_results_file(path, resume):
+        results = Results.load(path)
+        check_same_question(path, to_plain(results.question), to_plain(comparison))
+    questions = {(each.scenario, each.number): each for each in comparison.questions()}
+    done = {(row.scenario, row.number) for row in results.rows}
+    known = load_known()
+    with open_jobs(executor) as jobs:
+        for key, question in questions.items():
+            if key not in done:
+                jobs.start(key, answer, question, comparison, find_known(known, question).cost)
+        for key, future in jobs.ended():
+            row, controls = future.result()
+            results = results.with_row(row)
+            if refresh:
+                _refresh(questions[key], controls)
+            if path:
+                results.save(path)
+            if progress:
+                progress(Count(len(results.rows), len(questions), "questions answered"))
+    return results
+
+
+def _refresh(question: Question, controls: dict[str, np.ndarray]) -> None:
+    """Keeps what is better than the best known."""
+    before = known = find_known(load_known(), question)
+    for name, each in controls.items():
+        known = known.offered(question, name, each)
+    if known is not before:
+        keep(question, known)
+
+
+def answer(
+    question: Question, comparison: Comparison, known: float
+) -> tuple[Row, dict[str, np.ndarray]]:
+    """Returns what all methods make of a question, and the best control of each."""
+    outcomes: list[Outcome] = []
+    controls: dict[str, np.ndarray] = {}
+    for name in comparison.methods:
+        _warm_up(name, question.scenario)
+        seconds = comparison.seconds if outcomes or name not in PLANS else None
+        if seconds is None:
+            seconds = outcomes[0].cpu if outcomes else math.inf
+        found = run_method(name, question, math.inf if name in PLANS else seconds)
+        outcomes.append(found.outcome)
+        if found.controls is not None:
+            controls[name] = found.controls
+    return Row(
+        question.scenario, question.number, question.is_deep, known, tuple(outcomes)
+    ), controls
+
+
+@cache
+def _warm_up(name: str, scenario: str) -> None:
+    """Has a method load and compile what it needs, once in a process."""
+    (question,) = make_questions(scenario, 1)
+    _run(name, question, _WARM_UP)
+
+
+class _Timed(NamedTuple):
+    """Attempts that are each better than those before, with the CPU seconds until then."""
+
+    better: list[tuple[float, Attempt]]
+    cpu: float
+    wall: float
+    attempts: int
+
+
+def _run(name: str, question: Question, seconds: float) -> _Timed:
+    """Runs a method until no attempt may start any more; the last one may end later."""
+    better: list[tuple[float, Attempt]] = []
+    best, count = math.inf, 0
+    cpu, wall = time.process_time(), time.perf_counter()
+    for attempt in METHODS[name](question, 0):
+        spent = time.process_time() - cpu
+        count += 1
+        if attempt.promised < best:
+            best = attempt.promised
+            better.append((spent, attempt))
+        if spent > seconds:
+            break
+    return _Timed(better, time.process_time() - cpu, time.perf_counter() - wall, count)
+
+
+def run_method(name: str, question: Question, seconds: float) -> Found:
+    """Returns what a method finds in these CPU seconds, judged."""
+    timed = _run(name, question, seconds)
+    scores = [judge(question, attempt.controls).score for _, attempt in timed.better]
+    best = int(np.argmin(scores)) if scores else None
+    controls = None if best is None or math.isinf(scores[best]) else timed.better[best][1].controls
+    outcome = Outcome(
+        method=name,
+        steps=tuple(
+            Step(round(spent, 4), _rounded(score))
+            for (spent, _), score in zip(timed.better, scores, strict=True)
+        ),
+        cpu=round(timed.cpu, 4),
+        wall=round(timed.wall, 4),
+        attempts=timed.attempts,
+        promised=_rounded(timed.better[-1][1].promised) if timed.better else math.inf,
+    )
+    return Found(outcome, controls)
+
+
+def _rounded(cost: float) -> float:
+    return round_to(cost, _DIGITS) if math.isfinite(cost) else math.inf

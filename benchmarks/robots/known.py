@@ -1,0 +1,93 @@
+"""The best costs that are known of the cart-pole's questions, and the controls that have them.
+
+They are in `known.json`, beside this file: our own, whatever found them, and no optima that anybody
+has proved. What finds a lower one may offer it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.robots.cart_pole import Question, judge
+from drake_aigto.plain import from_plain, to_plain
+from drake_aigto.study.results_file import read_results, refuse_damaged
+from drake_aigto.world.files import write_text
+
+PATH = Path(__file__).with_name("known.json")
+_KIND = "best known"
+_DECIMALS = 5  # of controls in the file [N]
+
+
+@dataclass(frozen=True)
+class Known:
+    """The best that is known of a question.
+
+    Attributes:
+        cost: the judge's, of the controls.
+        found_by: the method.
+        controls: held for equal times [N].
+        tries: method → how many of its tries were made in search of it.
+    """
+
+    cost: float = np.inf
+    found_by: str = ""
+    controls: tuple[float, ...] = ()
+    tries: Mapping[str, int] = field(default_factory=dict)
+
+    def offered(self, question: Question, found_by: str, controls: np.ndarray) -> Known:
+        """Returns what is known once a control is, too."""
+        rounded = np.round(controls, _DECIMALS)
+        score = judge(question, rounded).score
+        if not score < self.cost:
+            return self
+        return replace(self, cost=score, found_by=found_by, controls=tuple(rounded.tolist()))
+
+    def tried(self, method: str, count: int) -> Known:
+        """Returns the same, with so many tries of a method made."""
+        return replace(self, tries={**self.tries, method: max(count, self.tries.get(method, 0))})
+
+
+Table = dict[str, dict[int, Known]]  # Scenario → number of the question → best known.
+
+
+def load_known() -> Table:
+    """Returns all that is known.
+
+    Raises:
+        ResultsFileError: the file is damaged.
+    """
+    if not PATH.exists():
+        return {}
+    data = read_results(PATH, _KIND)
+    with refuse_damaged(PATH):
+        return {
+            scenario: {
+                int(number): from_plain(Known, each, f"{scenario} {number}")
+                for number, each in rows.items()
+            }
+            for scenario, rows in data["questions"].items()
+        }
+
+
+def find_known(table: Table, question: Question) -> Known:
+    """Returns what is known of a question; an infinite cost if nothing is."""
+    return table.get(question.scenario, {}).get(question.number, Known())
+
+
+def keep(question: Question, known: Known) -> None:
+    """Writes what is known of one question beside the others."""
+    table = load_known()
+    table.setdefault(question.scenario, {})[question.number] = known
+    rows = [
+        f"{json.dumps(scenario)}: {{\n"
+        + ",\n".join(f'"{number}": {json.dumps(to_plain(row[number]))}' for number in sorted(row))
+        + "\n}"
+        for scenario, row in sorted(table.items())
+    ]
+    text = ",\n".join(rows)
+    write_text(PATH, f'{{"kind": "{_KIND}", "questions": {{\n{text}\n}}}}\n')

@@ -1,0 +1,163 @@
+"""Which methods are compared on which questions, and what came of it, as numbers and as a file."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+from benchmarks.robots.cart_pole import WALLS, Question, make_questions
+from benchmarks.robots.methods import METHODS, PLANS, is_installed
+from drake_aigto.errors import OptionsError
+from drake_aigto.plain import from_plain, to_plain
+from drake_aigto.study.results_file import read_results, refuse_damaged
+from drake_aigto.world.files import write_text
+
+KIND = "robots"
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """What is compared.
+
+    Attributes:
+        scenarios: of `WALLS`.
+        count: how many starts of each; the first ten are SPOT's.
+        methods: of `METHODS`.
+        seconds: of CPU time that a method has for a start, but for plans, which end by themselves;
+            None: as long as the first plan took.
+
+    Raises:
+        OptionsError: an unknown scenario or method, one that is not installed, or no seconds.
+    """
+
+    scenarios: tuple[str, ...] = tuple(WALLS)
+    count: int = 60
+    methods: tuple[str, ...] = tuple(METHODS)
+    seconds: float | None = None
+
+    def __post_init__(self) -> None:
+        """Checks names and numbers."""
+        for name, got, known in (
+            ("scenarios", self.scenarios, WALLS),
+            ("methods", self.methods, METHODS),
+        ):
+            for each in got:
+                if each not in known:
+                    raise OptionsError(name, got=each, expected=f"some of {', '.join(known)}")
+        missing = [each for each in self.methods if not is_installed(each)]
+        if missing:
+            remedy = "Install the extra `bench`, or leave them out."
+            raise OptionsError("methods", ", ".join(missing), "installed ones", remedy)
+        if self.count < 1:
+            raise OptionsError("count", got=self.count, expected="at least 1")
+        if self.seconds is None and self.methods[:1] and self.methods[0] not in PLANS:
+            expected = f"a number, or one of {', '.join(PLANS)} as the first method"
+            raise OptionsError("seconds", got="none", expected=expected)
+
+    def questions(self) -> list[Question]:
+        """Returns all questions, scenario by scenario."""
+        return [each for name in self.scenarios for each in make_questions(name, self.count)]
+
+
+class Step(NamedTuple):
+    """A control that a method had found by then."""
+
+    seconds: float  # CPU
+    cost: float  # J by the judge; infinite if the cart leaves its range
+
+    @classmethod
+    def from_plain(cls, data: object) -> Step:
+        """Returns the step that files have as a list."""
+        return cls(*from_plain(tuple[float, float], data))
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a method made of a question.
+
+    Attributes:
+        method: its name.
+        steps: each control that it took for better than those before.
+        cpu: seconds of all its attempts.
+        wall: the same by the clock.
+        attempts: how many.
+        promised: J of the last step, as the method has it.
+        drake: J of a plan in Drake; None: not replayed there.
+    """
+
+    method: str
+    steps: tuple[Step, ...]
+    cpu: float
+    wall: float
+    attempts: int
+    promised: float
+    drake: float | None = None
+
+    @property
+    def cost(self) -> float:
+        """The least cost of its steps; infinite if it found none."""
+        return min((step.cost for step in self.steps), default=math.inf)
+
+
+@dataclass(frozen=True)
+class Row:
+    """All methods on one question.
+
+    Attributes:
+        scenario: whose question it is.
+        number: of the question.
+        is_deep: whether the tip starts deep in a wall.
+        known: the best cost that was known before.
+        outcomes: of each method.
+    """
+
+    scenario: str
+    number: int
+    is_deep: bool
+    known: float
+    outcomes: tuple[Outcome, ...]
+
+    @property
+    def best(self) -> float:
+        """The best cost that is known now."""
+        return min([self.known, *(outcome.cost for outcome in self.outcomes)])
+
+
+@dataclass(frozen=True)
+class Results:
+    """A comparison, as far as it was run.
+
+    Attributes:
+        question: what is compared.
+        rows: those that are done, in the order of the questions.
+    """
+
+    question: Comparison
+    rows: tuple[Row, ...] = ()
+
+    def with_row(self, row: Row) -> Results:
+        """Returns the results with one more row."""
+        done = {(each.scenario, each.number): each for each in (*self.rows, row)}
+        order = [(each.scenario, each.number) for each in self.question.questions()]
+        return replace(self, rows=tuple(done[key] for key in order if key in done))
+
+    def save(self, path: str | os.PathLike[str]) -> None:
+        """Writes a JSON file, whole or not at all."""
+        write_text(path, json.dumps({"kind": KIND, **to_plain(self)}) + "\n")
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str]) -> Results:
+        """Reads a file of results.
+
+        Raises:
+            ResultsFileError: no such file, damaged, or of another kind.
+        """
+        data = read_results(path, KIND)
+        with refuse_damaged(path):
+            return cls(
+                from_plain(Comparison, data["question"]),
+                from_plain(tuple[Row, ...], data["rows"], "rows"),
+            )

@@ -1,0 +1,85 @@
+"""The comparison as a table, at most 100 columns wide."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from benchmarks.robots.results import Outcome, Results, Row
+
+NEAR, WIDE = 0.01, 0.05
+_LESS = 1e-3  # what counts as less than what was known
+
+_LEGEND = """\
+1 %, 5 %    share of questions within so much of the best known by anything, by the judge's cost
+below       share where it is lower than what was known before, by more than 0.1 %
+CPU, wall   seconds of all attempts: median, and what nine in ten stay under
+hit         CPU seconds until within 1 % of the best known, median of those that come there
+off         of its promise from the judge's cost, median and nine in ten; Drake: the same replayed
+            there, from the judge's"""
+_COLUMNS = {"1 %": 7, "5 %": 7, "below": 7, "CPU": 13, "wall": 13, "hit": 7, "off": 14, "Drake": 14}
+_HEAD = " " * 18 + "".join(f"{name:>{width}}" for name, width in _COLUMNS.items())
+
+
+def format_results(results: Results) -> str:
+    """Returns the table of each scenario: all questions, and those that start deep apart."""
+    lines = [_LEGEND]
+    for scenario in results.question.scenarios:
+        rows = [row for row in results.rows if row.scenario == scenario]
+        deep = [row for row in rows if row.is_deep]
+        shallow = [row for row in rows if not row.is_deep]
+        lines += _section(f"{scenario}", shallow, results.question.methods)
+        lines += _section(f"{scenario}, deep in a wall", deep, results.question.methods)
+    return "\n".join(lines)
+
+
+def _section(title: str, rows: Sequence[Row], methods: Sequence[str]) -> Iterator[str]:
+    """Yields a table."""
+    if not rows:
+        return
+    yield f"\n{title}: {len(rows)} questions"
+    yield _HEAD
+    for number, name in enumerate(methods):
+        yield f"{name:18}" + _figures(rows, [row.outcomes[number] for row in rows])
+
+
+def _figures(rows: Sequence[Row], outcomes: Sequence[Outcome]) -> str:
+    """Returns the figures of one method."""
+    pairs = list(zip(rows, outcomes, strict=True))
+    shares = [
+        np.mean([outcome.cost <= (1 + near) * row.best for row, outcome in pairs])
+        for near in (NEAR, WIDE)
+    ]
+    shares.append(np.mean([outcome.cost < (1 - _LESS) * row.known for row, outcome in pairs]))
+    hits = [first for row, outcome in pairs if (first := _first_hit(row, outcome)) is not None]
+    off = [_part(outcome.promised, outcome.cost) for outcome in outcomes if outcome.steps]
+    drake = [_part(each.drake, each.cost) for each in outcomes if each.drake is not None]
+    return "".join(
+        [
+            *(f"{100 * share:5.0f} %" for share in shares),
+            *(_pair([getattr(each, kind) for each in outcomes], 2) for kind in ("cpu", "wall")),
+            f"{np.median(hits):7.2f}" if hits else f"{'-':>7}",
+            *(_pair([100 * part for part in parts], 2, " %") for parts in (off, drake)),
+        ]
+    )
+
+
+def _first_hit(row: Row, outcome: Outcome) -> float | None:
+    """Returns when a method first came within 1 % of the best known."""
+    bound = (1 + NEAR) * row.best
+    return next((step.seconds for step in outcome.steps if step.cost <= bound), None)
+
+
+def _part(value: float, cost: float) -> float:
+    return abs(value / cost - 1.0) if math.isfinite(cost) else math.inf
+
+
+def _pair(values: Sequence[float], digits: int, unit: str = "") -> str:
+    """Returns the median and what nine in ten stay under."""
+    width = 14 if unit else 13
+    if not values:
+        return f"{'-':>{width}}"
+    middle, most = np.quantile(values, [0.5, 0.9], method="inverted_cdf")
+    return f"{f'{middle:.{digits}f} {most:.{digits}f}{unit}':>{width}}"
