@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from mechanisms import build
 from world_models import VARIANTS, ModelWriter, make_world
 
 from drake_aigto import ModelError, Scenario, World
@@ -52,6 +53,23 @@ def test_mass_walls_and_restitutions_count() -> None:
     softer = dataclasses.replace(world.fingerprint, restitutions=(None, None, None, 0.5))
     with pytest.raises(ModelError, match="got restitutions"):
         softer.check(world.fingerprint, "")
+
+
+def test_stiffness_dissipation_and_limits_count_unless_a_file_tells_none() -> None:
+    soft, other, free = (
+        build(f"cart_pole{kind}").fingerprint for kind in ("_soft_06", "_rigid_06", "")
+    )
+    rigid = dataclasses.replace(other, coordinates=soft.coordinates, actuators=soft.actuators)
+    with pytest.raises(
+        ModelError, match=r"got materials \(\(2000000000\.0, 2000000000\.0, 0\.0, 0\.0"
+    ):
+        soft.check(rigid, "")
+    unlimited = dataclasses.replace(free, limits=((-np.inf,) * 5, (np.inf,) * 5))
+    with pytest.raises(ModelError, match="got limits"):
+        free.check(unlimited, "")
+    plain = to_plain(soft)
+    del plain["materials"], plain["limits"]
+    from_plain(Fingerprint, plain).check(rigid, "")
 
 
 def test_a_world_knows_the_model_that_it_was_built_from(write_model: ModelWriter) -> None:

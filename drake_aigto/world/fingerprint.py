@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 
 from drake_aigto.errors import ModelError
 from drake_aigto.world.equations import EquationsOfMotion
+from drake_aigto.world.limits import Limits
 
 _Rows = tuple[tuple[float, ...], ...]
 
@@ -36,6 +37,9 @@ class Fingerprint:
         distances: φ, m [m].
         jacobian: J = ∂φ/∂q, (m, nv).
         kicks: M⁻¹ J_iᵀ, what 1 N s of each contact changes, (m, nv) [m/s].
+        materials: stiffness [N/m] and dissipation [s/m] of both shapes of each contact, (m, 4),
+            None where the model gives none; None: a file that does not tell.
+        limits: lower and upper ones of q, v and u; None: a file that does not tell.
     """
 
     model: str | None
@@ -47,6 +51,8 @@ class Fingerprint:
     distances: tuple[float, ...]
     jacobian: _Rows
     kicks: _Rows
+    materials: tuple[tuple[float | None, ...], ...] | None = None
+    limits: _Rows | None = None
 
     @classmethod
     def of(
@@ -55,8 +61,10 @@ class Fingerprint:
         model: str | None,
         coordinates: Sequence[str],
         actuators: Sequence[str],
+        materials: tuple[tuple[float | None, ...], ...],
+        limits: Limits,
     ) -> Fingerprint:
-        """Returns that of a world: of its equations, its model, and the names that these lack."""
+        """Returns that of a world: of its equations, its model, and what these lack."""
         numbers = np.arange(1.0, 1.0 + motion.num_positions)
         q, v = np.sin(numbers), np.cos(numbers)
         controls = np.vstack([np.zeros(motion.num_actuators), np.eye(motion.num_actuators)])
@@ -70,6 +78,8 @@ class Fingerprint:
             distances=tuple(motion.calc_signed_distance(q).tolist()),
             jacobian=_rows(motion.calc_contact_jacobian(q)),
             kicks=_rows(motion.calc_velocity_change(q, np.eye(motion.num_contacts))),
+            materials=materials,
+            limits=_rows(np.hstack([limits.position, limits.velocity, limits.control])),
         )
 
     def check(self, other: Fingerprint, remedy: str) -> None:
@@ -87,7 +97,8 @@ class Fingerprint:
         """Yields what differs: its name, its value here, and its value there."""
         for field in dataclasses.fields(self):
             mine, yours = getattr(self, field.name), getattr(other, field.name)
-            if field.name != "model" and not _is_same(mine, yours):
+            is_told = field.default is dataclasses.MISSING or None not in (mine, yours)
+            if field.name != "model" and is_told and not _is_same(mine, yours):
                 yield field.name, mine, yours
 
 
@@ -105,4 +116,5 @@ def _is_same(mine: Any, yours: Any) -> bool:
         return False
     if one.shape != other.shape:
         return False
-    return bool(np.all(np.abs(one - other) <= _ROUNDING * np.abs(one).max(initial=0.0)))
+    largest = np.abs(one[np.isfinite(one)]).max(initial=0.0)
+    return bool(np.isclose(other, one, rtol=0.0, atol=_ROUNDING * largest, equal_nan=True).all())

@@ -79,6 +79,19 @@ def read_dissipation(scene_graph: SceneGraph, shape: GeometryId) -> float:
     return _read_given(scene_graph, shape, DISSIPATION, "so Drake's default, 50 s/m", remedy)
 
 
+def read_materials(
+    scene_graph: SceneGraph, shapes: tuple[GeometryId, GeometryId]
+) -> tuple[float | None, ...]:
+    """Returns stiffness and dissipation that a model gives two shapes; None where it gives none."""
+    inspector: Any = scene_graph.model_inspector()
+    materials = [inspector.GetProximityProperties(shape) for shape in shapes]
+    return tuple(
+        float(each.GetProperty(*name)) if each.HasProperty(*name) else None
+        for name in (STIFFNESS, DISSIPATION)
+        for each in materials
+    )
+
+
 def _read_given(
     scene_graph: SceneGraph, shape: GeometryId, name: tuple[str, str], default: str, remedy: str
 ) -> float:

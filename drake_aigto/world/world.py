@@ -30,7 +30,7 @@ from drake_aigto.world.fields import as_number
 from drake_aigto.world.fingerprint import Fingerprint
 from drake_aigto.world.law import CompliantLaw, ContactLaw, RigidLaw, calc_stiffness
 from drake_aigto.world.limits import Limits
-from drake_aigto.world.material import FRICTION, read_friction, set_material
+from drake_aigto.world.material import FRICTION, read_friction, read_materials, set_material
 from drake_aigto.world.plant_reader import PlantReader
 from drake_aigto.world.reach import (
     ReachableFace,
@@ -149,7 +149,8 @@ class World(EquationsOfMotion):
     def fingerprint(self) -> Fingerprint:
         """What tells it from other worlds."""
         names = self.plant.GetPositionNames(), self.plant.GetActuatorNames()
-        return Fingerprint.of(self, self.model, *names)
+        materials = tuple(read_materials(self.scene_graph, pair) for pair in self.shapes)
+        return Fingerprint.of(self, self.model, *names, materials, self.limits)
 
     def is_on_face(self, q: Floats) -> Bools:
         """Returns whether the sphere's center projects onto each face, shape (m,)."""
