@@ -123,6 +123,7 @@ def test_every_field_of_a_scenario_has_a_flag_that_changes_it() -> None:
         "restitution": 1.0,
         "mass": 3.0,
         "friction": 0.0,
+        "ignored_shapes": ["foot", "3"],
     }
     scenario = Scenario(**given)
     assert list(given) == [field.name for field in dataclasses.fields(Scenario)]

@@ -12,6 +12,7 @@ from mechanisms import (
     DOUBLE_PENDULUM,
     MATERIAL,
     MECHANISMS,
+    ask_robot,
     build,
     build_world,
     joint,
@@ -19,7 +20,7 @@ from mechanisms import (
 )
 from world_models import make_scenario
 
-from drake_aigto import ModelError, World
+from drake_aigto import ModelError, ScenarioError, World
 from drake_aigto.world import CompliantLaw, RigidLaw
 
 COMPLIANT = make_scenario(contact="compliant")
@@ -119,6 +120,24 @@ def test_a_spring_that_drake_would_not_have_is_refused_by_name(name: str) -> Non
     with pytest.raises(ModelError, match=message):
         world.contact_law(COMPLIANT)
     world.contact_law(make_scenario())
+
+
+def test_a_soft_half_space_may_be_entered_at_the_start_and_no_other_wall() -> None:
+    inside = dataclasses.replace(
+        ask_robot("cart_pole_soft_06"), initial_position=[0.8, 0.3], contact="compliant"
+    )
+    world = World.from_scenario(inside)
+    assert world.calc_signed_distance(inside.initial_position)[1] < -0.4
+    with pytest.raises(
+        ScenarioError, match=r"initial_position is inside, .*pole against right_wall"
+    ):
+        world.check(dataclasses.replace(inside, contact="rigid"))
+    carts = dataclasses.replace(ask_robot("three_carts"), contact="compliant")
+    overlapping = dataclasses.replace(carts, initial_position=[-1.5, 0.0, 3.0])
+    with pytest.raises(
+        ScenarioError, match=r"initial_position is inside, .*left_cart against midd"
+    ):
+        World.from_scenario(carts).check(overlapping)
 
 
 def test_a_world_without_contact_has_shapes_of_none() -> None:

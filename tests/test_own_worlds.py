@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +24,7 @@ from world_models import (
     make_scenario,
 )
 
-from drake_aigto import ModelError, ScenarioError, World
+from drake_aigto import ModelError, Scenario, ScenarioError, World
 from drake_aigto.world.diagram import build_diagram
 
 
@@ -170,6 +171,20 @@ def test_a_mesh_is_left_out_by_name_here_and_in_drake_and_drawn_all_the_same(
     inspector = world.scene_graph.model_inspector()
     drawn = inspector.GetAllGeometryIds(Role.kIllustration)
     assert any("mesh_visual" in inspector.GetName(shape) for shape in drawn)
+
+
+def test_a_scenario_names_the_shapes_that_its_world_leaves_out(write_model: ModelWriter) -> None:
+    (write_model.path.parent / "tetrahedron.obj").write_text(TETRAHEDRON, encoding="utf-8")
+    scenario = make_scenario(write_model({BALL_COLLISION: MESHED}), ignored_shapes=["mesh"])
+    scenario.save(write_model.path.with_suffix(".yaml"))
+    assert Scenario.load(write_model.path.with_suffix(".yaml")) == scenario
+    world = World.from_scenario(scenario)
+    assert world.num_contacts == 1
+    other = dataclasses.replace(scenario, ignored_shapes=["ball_collision"])
+    with pytest.raises(
+        ScenarioError, match=r"ignored_shapes: got ball_collision, expected mesh. The"
+    ):
+        world.check(other)
 
 
 def test_a_shape_that_is_not_there_cannot_be_left_out() -> None:

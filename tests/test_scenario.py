@@ -74,6 +74,7 @@ def test_scenarios_that_differ_in_one_field_are_not_equal(field: str) -> None:
         "initial_velocity": [1.0, 2.0],
         "duration": 2.0,
         "friction": 0.0,
+        "ignored_shapes": ["foot"],
         "hard_goal": True,
         "angles": "modulo",
         "contact": "compliant",
@@ -113,6 +114,7 @@ def test_the_defaults_are_those_of_the_architecture() -> None:
         "restitution": 1.0,
         "mass": None,
         "friction": None,
+        "ignored_shapes": [],
     }
 
 
@@ -171,7 +173,7 @@ def test_an_unknown_name_lists_the_known_ones() -> None:
     [
         field.name
         for field in dataclasses.fields(Scenario)
-        if field.name not in ("model", "hard_goal", "angles", "contact")
+        if field.name not in ("model", "hard_goal", "angles", "contact", "ignored_shapes")
         and not field.name.endswith(("_lower", "_upper"))
     ],
 )
@@ -194,6 +196,8 @@ def test_a_number_that_is_not_finite_is_refused(field: str, bad: float) -> None:
         ("restitution", -0.1, "restitution: got -0.1, expected at least 0 and at most 1"),
         ("mass", 0.0, "mass: got 0 kg, expected more than 0 kg"),
         ("friction", 0.3, "friction: got 0.3, expected 0, which leaves it out, or None"),
+        ("ignored_shapes", "foot", "ignored_shapes: got 'foot', expected a list of names"),
+        ("ignored_shapes", ["foot", 3], "ignored_shapes: got ['foot', 3], expected a list of"),
         ("friction", -1.0, "friction: got -1, expected at least 0"),
         ("duration", "1", "duration: got '1' (str), expected a number"),
         ("duration", None, "duration: got None (NoneType), expected a number"),
@@ -260,10 +264,10 @@ GOOD = "initial_position: 1.0\ninitial_velocity: [-2.0]\ngoal_position: 0.73\n"
     [
         (
             GOOD + "goal_wieght: 1\n",
-            "unknown key 'goal_wieght': expected one of model, initial_position, .*, friction. "
-            "Did you mean 'goal_weight'?",
+            "unknown key 'goal_wieght': expected one of model, initial_position, .*, ignored_"
+            "shapes. Did you mean 'goal_weight'?",
         ),
-        (GOOD + "zzz: 1\n", r"unknown key 'zzz': expected one of .*, friction\.$"),
+        (GOOD + "zzz: 1\n", r"unknown key 'zzz': expected one of .*, ignored_shapes\.$"),
         (
             "goal_position: 1\n",
             r"missing initial_position, initial_velocity\. These have no default",

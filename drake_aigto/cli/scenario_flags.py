@@ -43,6 +43,7 @@ _FIELDS = {
     "restitution": "speed after / before an impact, 0 to 1, where the model has none",
     "mass": "of the body that touches, in place of the model's [kg]",
     "friction": "0 leaves out that of the model, which plans know nothing of",
+    "ignored_shapes": "collision shapes that touch nothing, by name",
 }
 _CHOICES = {"angles": get_args(Angles), "contact": get_args(ContactKind)}
 _SWITCHES = ("hard_goal",)
@@ -72,6 +73,8 @@ def _look(name: str) -> dict[str, Any]:
     """Returns how argparse reads a field."""
     if name == "model":
         return {"metavar": "URI"}
+    if name == "ignored_shapes":
+        return {"metavar": "NAME", "nargs": "+"}
     if name in _CHOICES:
         return {"choices": _CHOICES[name]}
     if name in _SWITCHES:

@@ -191,6 +191,17 @@ def as_choice(name: str, value: object, choices: tuple[str, ...]) -> str:
     raise ScenarioError(name, got=repr(value), expected=f"one of {', '.join(map(repr, choices))}")
 
 
+def as_names(name: str, value: object) -> tuple[str, ...]:
+    """Returns texts as a tuple, from a sequence of them.
+
+    Raises:
+        ScenarioError: something else, a single text or an empty one among them.
+    """
+    if isinstance(value, list | tuple) and all(isinstance(each, str) and each for each in value):
+        return tuple(value)
+    raise ScenarioError(name, got=repr(value), expected="a list of names")
+
+
 class ArrayField(Generic[_Held]):
     """A dataclass field that is checked, and holds what its check makes of a value.
 

@@ -20,6 +20,7 @@ from drake_aigto.world.fields import (
     as_bound,
     as_choice,
     as_flag,
+    as_names,
     as_number,
     as_range,
     as_table,
@@ -146,6 +147,8 @@ class Scenario(ArrayRecord):
             model's.
         friction: 0 leaves out the friction of every pair that can slide; None keeps the model's,
             which has to be 0 there (`World.check`), for plans know of none.
+        ignored_shapes: collision shapes that touch nothing, neither in plans nor in simulations,
+            such as meshes, which can't be planned for: "shape" or "model::shape".
 
     Raises:
         ScenarioError: a value that is no number, not finite, or out of range, or one that
@@ -185,6 +188,7 @@ class Scenario(ArrayRecord):
     restitution: float = 1.0
     mass: float | None = None  # [kg]
     friction: float | None = None
+    ignored_shapes: ArrayField[tuple[str, ...]] = ArrayField(as_names, ())
 
     def __post_init__(self) -> None:
         """Checks everything that can be checked without the model."""

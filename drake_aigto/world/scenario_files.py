@@ -13,7 +13,7 @@ from drake_aigto.errors import ScenarioError
 from drake_aigto.world.files import models_directory
 
 # Everything else in a file is made of numbers.
-_TEXTS = ("model", "angles", "contact")
+_TEXTS = ("model", "angles", "contact", "ignored_shapes")
 
 
 def scenario_names() -> list[str]:

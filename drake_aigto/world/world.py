@@ -14,7 +14,7 @@ from pydrake.symbolic import MakeVectorVariable
 from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Bools, Floats, read_only
-from drake_aigto.errors import ModelError, ScenarioError
+from drake_aigto.errors import ModelError
 from drake_aigto.world.contact import SphereAndFace, find_shapes
 from drake_aigto.world.diagram import (
     build_diagram,
@@ -28,6 +28,13 @@ from drake_aigto.world.diagram import (
 from drake_aigto.world.equations import EquationsOfMotion
 from drake_aigto.world.fields import as_number
 from drake_aigto.world.fingerprint import Fingerprint
+from drake_aigto.world.fit import (
+    check_made_for,
+    check_sizes,
+    refuse_beside,
+    refuse_friction,
+    refuse_inside,
+)
 from drake_aigto.world.law import CompliantLaw, ContactLaw, RigidLaw, calc_stiffness
 from drake_aigto.world.limits import Limits
 from drake_aigto.world.material import FRICTION, read_friction, read_materials, set_material
@@ -38,7 +45,7 @@ from drake_aigto.world.reach import (
     find_sphere_body,
     refuse_no_contact,
 )
-from drake_aigto.world.scenario import Scenario
+from drake_aigto.world.scenario import ContactKind, Scenario
 from drake_aigto.world.sums import SumMap
 from drake_aigto.world.task_cost import TaskCost
 
@@ -85,9 +92,10 @@ class World(EquationsOfMotion):
         diagram = build_diagram(scenario.model)
         plant, _ = find_plant(diagram)
         check_plant(plant)
-        _check_sizes(plant, scenario)
+        check_sizes(plant, scenario)
         plant.SetDefaultPositions(scenario.initial_position)
-        world = dataclasses.replace(cls.from_diagram(diagram, scenario.mass), model=scenario.model)
+        world = cls.from_diagram(diagram, scenario.mass, scenario.ignored_shapes)
+        world = dataclasses.replace(world, model=scenario.model)
         world.check(scenario)
         return world
 
@@ -286,43 +294,27 @@ class World(EquationsOfMotion):
                 it, or beside its face, or is beyond joint limits.
             ModelError: a sphere can slide with friction, and the scenario does not leave it out.
         """
-        _check_sizes(self.plant, scenario)
+        check_sizes(self.plant, scenario)
         TaskCost.of(self, scenario)
         self.bounds(scenario)
-        if scenario.mass is not None and scenario.mass != self.mass:
-            raise ScenarioError(
-                "mass",
-                got=f"{scenario.mass:g} kg",
-                expected="None, the model's" if self.mass is None else f"{self.mass:g} kg",
-                remedy="The world was made with that; make it of this scenario.",
-            )
+        check_made_for(scenario, self.mass, self.ignored_shapes)
         for name in ("initial_position", "goal_position"):
-            self._check_place(name, getattr(scenario, name))
+            self._check_place(name, getattr(scenario, name), scenario.contact)
         if scenario.friction is None and self.frictions:
-            raise self._refuse_friction()
+            raise refuse_friction(self.frictions)
 
-    def _refuse_friction(self) -> ModelError:
-        """Returns the error of friction that would act in Drake, and in no plan."""
-        pair, friction = max(self.frictions.items(), key=lambda item: item[1])
-        return ModelError(
-            f"friction of {pair}",
-            got=f"μ = {friction:g} where the sphere can slide (Drake's default, if the "
-            "shapes give none)",
-            expected="0, for plans know of no friction",
-            remedy="Give one of both shapes <drake:mu_static>0</drake:mu_static> and "
-            "<drake:mu_dynamic>0</drake:mu_dynamic>; or leave friction out of simulations by the "
-            "scenario's friction: 0 (--friction 0).",
-        )
+    def _check_place(self, name: str, q: Floats, contact: ContactKind) -> None:
+        """Refuses a position inside or against a solid, or beside the one face that it has.
 
-    def _check_place(self, name: str, q: Floats) -> None:
-        """Refuses a position inside or against a solid, or beside the one face that it has."""
+        Compliant half spaces may be entered: they have no far side to be pushed out of.
+        """
         for faces, distance in zip(self.solids, self.calc_clearance(q), strict=True):
             face = self._reachable[faces[0]].face
-            if distance <= 0:
-                raise _refuse_inside(name, face, distance, len(faces), self.plant)
+            if distance <= 0 and not (contact == "compliant" and face.is_unbounded):
+                raise refuse_inside(name, face, distance, len(faces), self.plant)
             if len(faces) == 1 and not self.is_on_face(q)[faces[0]]:
                 off = self._lateral_map(q).reshape(-1, 2)[faces[0]]
-                raise _refuse_beside(name, face, off)
+                raise refuse_beside(name, face, off)
 
     @cached_property
     def _lateral_map(self) -> SumMap:
@@ -332,46 +324,3 @@ class World(EquationsOfMotion):
     @cached_property
     def _half_extents(self) -> Floats:
         return np.array([each.face.half_extents for each in self._reachable]).reshape(-1, 2)
-
-
-def _refuse_inside(
-    name: str, face: SphereAndFace, distance: float, num_faces: int, plant: MultibodyPlant
-) -> ScenarioError:
-    """Returns the error of a position inside or against a solid."""
-    faced = np.round(plant.GetDefaultPositions(), 6).tolist()
-    remedy = (
-        f"The wall is the face that the sphere faces at q = {faced}; start and goal must both be "
-        "in front of it."
-    )
-    return ScenarioError(
-        f"{name} is inside, behind or against the wall ({face.pair})",
-        got=f"a signed distance of {distance:g} m",
-        expected="more than 0 m",
-        remedy=remedy if num_faces == 1 else "Start and goal must both be outside.",
-    )
-
-
-def _refuse_beside(name: str, face: SphereAndFace, off: Floats) -> ScenarioError:
-    """Returns the error of a position off the edges of the only face of a wall."""
-    return ScenarioError(
-        f"{name} is beside the face of the wall ({face.pair})",
-        got=f"the sphere's center {np.round(off, 6).tolist()} m off the face's middle",
-        expected=f"within {face.half_extents.tolist()} m",
-        remedy="Widen the wall, or use a half space.",
-    )
-
-
-def _check_sizes(plant: MultibodyPlant, scenario: Scenario) -> None:
-    """Refuses vectors whose length is not the plant's."""
-    for name, size in (
-        ("initial_position", plant.num_positions()),
-        ("initial_velocity", plant.num_velocities()),
-        ("goal_position", plant.num_positions()),
-    ):
-        got = len(getattr(scenario, name))
-        if got != size:
-            raise ScenarioError(
-                name,
-                got=f"{got} value{'s' if got > 1 else ''}",
-                expected=f"{size}, one for each coordinate of the model",
-            )

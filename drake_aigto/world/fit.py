@@ -1,0 +1,93 @@
+"""Why a scenario does not fit a world, each with one clear error."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+from pydrake.multibody.plant import MultibodyPlant
+
+from drake_aigto.arrays import Floats
+from drake_aigto.errors import ModelError, ScenarioError
+from drake_aigto.world.contact import SphereAndFace
+from drake_aigto.world.scenario import Scenario
+
+
+def check_made_for(scenario: Scenario, mass: float | None, ignored_shapes: tuple[str, ...]) -> None:
+    """Refuses a scenario with another mass, or that ignores other shapes, than a world was made of.
+
+    Raises:
+        ScenarioError: it is another one.
+    """
+    remedy = "The world was made with that; make it of this scenario."
+    if scenario.mass is not None and scenario.mass != mass:
+        raise ScenarioError(
+            "mass",
+            got=f"{scenario.mass:g} kg",
+            expected="None, the model's" if mass is None else f"{mass:g} kg",
+            remedy=remedy,
+        )
+    if scenario.ignored_shapes and set(scenario.ignored_shapes) != set(ignored_shapes):
+        raise ScenarioError(
+            "ignored_shapes",
+            got=", ".join(scenario.ignored_shapes),
+            expected=", ".join(ignored_shapes) or "none",
+            remedy=remedy,
+        )
+
+
+def refuse_friction(frictions: Mapping[str, float]) -> ModelError:
+    """Returns the error of friction that would act in Drake, and in no plan."""
+    pair, friction = max(frictions.items(), key=lambda item: item[1])
+    return ModelError(
+        f"friction of {pair}",
+        got=f"μ = {friction:g} where the sphere can slide (Drake's default, if the "
+        "shapes give none)",
+        expected="0, for plans know of no friction",
+        remedy="Give one of both shapes <drake:mu_static>0</drake:mu_static> and "
+        "<drake:mu_dynamic>0</drake:mu_dynamic>; or leave friction out of simulations by the "
+        "scenario's friction: 0 (--friction 0).",
+    )
+
+
+def refuse_inside(
+    name: str, face: SphereAndFace, distance: float, num_faces: int, plant: MultibodyPlant
+) -> ScenarioError:
+    """Returns the error of a position inside or against a solid."""
+    faced = np.round(plant.GetDefaultPositions(), 6).tolist()
+    remedy = (
+        f"The wall is the face that the sphere faces at q = {faced}; start and goal must both be "
+        "in front of it."
+    )
+    return ScenarioError(
+        f"{name} is inside, behind or against the wall ({face.pair})",
+        got=f"a signed distance of {distance:g} m",
+        expected="more than 0 m",
+        remedy=remedy if num_faces == 1 else "Start and goal must both be outside.",
+    )
+
+
+def refuse_beside(name: str, face: SphereAndFace, off: Floats) -> ScenarioError:
+    """Returns the error of a position off the edges of the only face of a wall."""
+    return ScenarioError(
+        f"{name} is beside the face of the wall ({face.pair})",
+        got=f"the sphere's center {np.round(off, 6).tolist()} m off the face's middle",
+        expected=f"within {face.half_extents.tolist()} m",
+        remedy="Widen the wall, or use a half space.",
+    )
+
+
+def check_sizes(plant: MultibodyPlant, scenario: Scenario) -> None:
+    """Refuses vectors whose length is not the plant's."""
+    for name, size in (
+        ("initial_position", plant.num_positions()),
+        ("initial_velocity", plant.num_velocities()),
+        ("goal_position", plant.num_positions()),
+    ):
+        got = len(getattr(scenario, name))
+        if got != size:
+            raise ScenarioError(
+                name,
+                got=f"{got} value{'s' if got > 1 else ''}",
+                expected=f"{size}, one for each coordinate of the model",
+            )
