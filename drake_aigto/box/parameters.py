@@ -36,6 +36,7 @@ class ParametricPolynomial:
         blocks: Terms over x, the variables 0 … n − 1, and over p, n … n + P − 1. Of parameters they
             read powers only, and all copies of a sum read the same ones.
         order: Elimination order of x, see `BoxPolynomial`.
+        derivatives: What is made now, for all values; the rest for each when first asked for.
 
     Raises:
         UnsupportedTermError: A function of a parameter that is no power.
@@ -47,6 +48,7 @@ class ParametricPolynomial:
         num_parameters: int,
         blocks: Iterable[TermBlock],
         order: ArrayLike | None = None,
+        derivatives: Iterable[Order] = (Order.MEAN, Order.BOXES),
     ) -> None:
         """Takes coefficients apart."""
         summands: list[_Summand] = []
@@ -61,8 +63,8 @@ class ParametricPolynomial:
             variables = block.variables[:, ~is_parameter]
             structure.append(TermBlock(block.name, known[key], variables, block.weight))
         self._structure = BoxPolynomial(num_variables, tuple(structure), order)
-        for derivatives in (Order.MEAN, Order.BOXES):
-            self._structure.lanes(derivatives)  # Made now, for all values.
+        for each in derivatives:
+            self._structure.lanes(each)
         self._targets = np.array([each.coefficient for each in summands], dtype=np.int64)
         self._factors = np.array([each.factor for each in summands])
         powers = [each.powers for each in summands]

@@ -1,6 +1,13 @@
 """From a scenario to a plan: search, polish, and replay on rigid walls."""
 
 from drake_aigto.planning.candidate import Candidate, Replays, Veto
+from drake_aigto.planning.mechanism_boxes import (
+    Center,
+    MechanismBoxes,
+    MechanismRung,
+    Renewal,
+    StartedBoxes,
+)
 from drake_aigto.planning.options import LadderOptions, PlanOptions, Rung, SearchOptions
 from drake_aigto.planning.origin import Origin
 from drake_aigto.planning.plan import Plan, PlanningError, PlanStats
@@ -13,7 +20,10 @@ from drake_aigto.planning.search import Search
 
 __all__ = [
     "Candidate",
+    "Center",
     "LadderOptions",
+    "MechanismBoxes",
+    "MechanismRung",
     "Origin",
     "Plan",
     "PlanOptions",
@@ -21,12 +31,14 @@ __all__ = [
     "Planner",
     "PlanningError",
     "PlanningProblem",
+    "Renewal",
     "Replays",
     "RigidProblem",
     "RigidSearch",
     "Rung",
     "Search",
     "SearchOptions",
+    "StartedBoxes",
     "Stopwatch",
     "Veto",
     "coarsen",

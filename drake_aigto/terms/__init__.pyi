@@ -9,8 +9,16 @@ from .costs import term_blocks as term_blocks
 from .expressions import expression_terms as expression_terms
 from .products import MAX_TERMS as MAX_TERMS
 from .products import NoClosedFormError as NoClosedFormError
+from .products import Part as Part
+from .products import Sum as Sum
 from .products import TooManyTermsError as TooManyTermsError
+from .products import add as add
+from .products import compose as compose
+from .products import constant as constant
+from .products import evaluate as evaluate
 from .products import from_terms as from_terms
+from .products import function as function
+from .products import multiply as multiply
 from .products import power as power
 from .products import to_terms as to_terms
 from .sums import WAVES as WAVES

@@ -17,6 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.terms.sums import Factor, FunctionKind, Term
 
@@ -140,6 +141,50 @@ def power(base: Sum, exponent: int) -> Sum:
             raise TooManyTermsError(steps)
         result = multiply(result, base)
     return result
+
+
+def compose(total: Sum, values: Sequence[Sum]) -> Sum:
+    """Returns a sum whose variables i are replaced by sums values[i], multiplied out.
+
+    Raises:
+        NoClosedFormError: A sum replaces the variable of a function that is no power.
+    """
+    return add(*(_compose_term(parts, a, values) for parts, a in total.items()))
+
+
+def _compose_term(parts: tuple[Part, ...], coefficient: float, values: Sequence[Sum]) -> Sum:
+    product = constant(coefficient)
+    for part in parts:
+        value = values[part.variable]
+        if part.kind == _POWER:
+            product = multiply(product, power(value, part.exponent))
+        else:
+            renamed = part._replace(variable=_find_variable(value))
+            product = multiply(product, {(renamed,): 1.0})
+    return product
+
+
+def _find_variable(total: Sum) -> int:
+    """Returns the variable that a sum is."""
+    for parts, coefficient in total.items():
+        is_one = len(total) == len(parts) == 1 and parts[0] == Part(parts[0].variable, _POWER)
+        if is_one and coefficient == 1.0:
+            return parts[0].variable
+    raise NoClosedFormError("a sum stands in a function that is no power")
+
+
+def evaluate(total: Sum, x: Floats) -> Floats:
+    """Returns a sum of powers, sines and cosines at points (…, n), shape (…)."""
+    values = np.zeros(x.shape[:-1])
+    for parts, a in total.items():
+        product = np.full(x.shape[:-1], a)
+        for part in parts:
+            of = x[..., part.variable]
+            product *= of**part.exponent
+            if part.kind != _POWER:
+                product *= _WAVES[part.kind](float(part.scale) * of + float(part.offset))
+        values += product
+    return values
 
 
 def to_terms(sums: Sum) -> tuple[Term, ...]:

@@ -2,6 +2,14 @@
 
 from drake_aigto.transcription.additions import Additions, Samples
 from drake_aigto.transcription.facings import Facing, find_facings
+from drake_aigto.transcription.mechanism_program import (
+    COST,
+    DISTANCES,
+    ROWS,
+    Ends,
+    MechanismProgram,
+    soften,
+)
 from drake_aigto.transcription.penalties import cut_to_bounds, penalize
 from drake_aigto.transcription.phases import PhaseTranscription
 from drake_aigto.transcription.rigid import RigidTranscription
@@ -10,9 +18,14 @@ from drake_aigto.transcription.touch import Touch, TouchSequence, joint_times, t
 from drake_aigto.transcription.transcription import Transcription
 
 __all__ = [
+    "COST",
+    "DISTANCES",
     "NONPENETRATION",
+    "ROWS",
     "Additions",
+    "Ends",
     "Facing",
+    "MechanismProgram",
     "PhaseTranscription",
     "RigidTranscription",
     "Samples",
@@ -23,5 +36,6 @@ __all__ = [
     "find_facings",
     "joint_times",
     "penalize",
+    "soften",
     "touches_at_once",
 ]

@@ -1,0 +1,284 @@
+"""AIGO for any mechanism: boxes of its positions shrink, and show motions that others close."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Literal
+
+import numpy as np
+from scipy.interpolate import CubicHermiteSpline
+
+from drake_aigto.aigo import Annealing, Box, minimize
+from drake_aigto.aigo.newton import newton, point_objective
+from drake_aigto.arrays import Bools, Floats
+from drake_aigto.box import Order, ParametricPolynomial
+from drake_aigto.transcription import (
+    COST,
+    Ends,
+    MechanismProgram,
+)
+from drake_aigto.world import CompliantLaw, TaskCost, World
+
+MechanismStart = Literal["rest", "coast", "line"]
+
+_COOLING = 0.2
+_TOLERANCE = 0.05  # Of boxes: what they show is closed by another method, however near it is.
+_POINT_STEPS, _POINT_TOLERANCE = 30, 1e-3
+_SAMPLES = 16  # of a motion, to see what is typical of it
+
+
+@dataclass(frozen=True, kw_only=True)
+class Shrinking:
+    """How boxes shrink.
+
+    Attributes:
+        weight: W of what no control can meet, in `StartedBoxes.weight_unit`.
+        temperature: first μ, in `StartedBoxes.temperature_unit`.
+        half_width: of the first box, in `StartedBoxes.widths`; 0: points, that have no temperature.
+        temperatures: how many there are, each a fifth of the one before.
+        newton_steps: the most at each.
+    """
+
+    weight: float = 0.1
+    temperature: float = 0.1
+    half_width: float = 0.5
+    temperatures: int = 3
+    newton_steps: int = 10
+
+    def annealing(self, unit: float) -> Annealing:
+        """Returns the algorithm, given what temperatures are in units of."""
+        first = unit * self.temperature
+        # Between the last one and the next, whatever rounding does.
+        last = first * _COOLING ** (self.temperatures - 0.5)
+        return Annealing(
+            initial_temperature=first,
+            final_temperature=last,
+            cooling=_COOLING,
+            tolerance=_TOLERANCE,
+            max_newton_steps=self.newton_steps,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class MechanismRung(Shrinking):
+    """One start of AIGO.
+
+    Attributes:
+        start: which path the first box is around: "rest", standing still; "coast", the motion
+            without control; "line", the straight line to the goal.
+        num_steps: N of its program.
+    """
+
+    start: MechanismStart = "rest"
+    num_steps: int = 30
+
+
+@dataclass(frozen=True, kw_only=True)
+class Renewal(Shrinking):
+    """A stretch of a motion that is moved and opened again, all else held.
+
+    Attributes:
+        first: its first knot, 1 or more.
+        count: how many knots it has; those beyond the last one do not count.
+        shift: how far its middle is moved, in `StartedBoxes.widths`, shape (n,).
+    """
+
+    first: int
+    count: int
+    shift: Floats
+    temperatures: int = 2
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, num_steps: int, num_positions: int) -> Renewal:
+        """Returns one by chance: of a quarter, half, three quarters or all of the steps."""
+        count = max(1, num_steps * int(rng.integers(1, 5)) // 4)
+        half_width = 10 ** rng.uniform(-1.0, 0.3)
+        return cls(
+            first=int(rng.integers(1, max(2, num_steps - count + 2))),
+            count=count,
+            shift=half_width * rng.uniform(-1.0, 1.0, num_positions),
+            weight=10 ** rng.uniform(-2.5, 0.5),
+            temperature=10 ** rng.uniform(-1.0, 1.0),
+            half_width=half_width,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class Center:
+    """What a box shows once it has shrunk: a motion that need not be one.
+
+    Attributes:
+        times: t_0 … t_N, shape (N + 1,) [s].
+        positions: q_0 … q_{N+1}, shape (N + 2, n).
+        velocities: v_0 … v_N, shape (N + 1, n).
+        controls: what the positions ask of the actuators, within bounds, shape (N + 1, nu).
+        boxes: of z, as they shrank; the first is the start.
+        iterations: Newton steps.
+    """
+
+    times: Floats
+    positions: Floats
+    velocities: Floats
+    controls: Floats
+    boxes: tuple[Box, ...]
+    iterations: int
+
+    def sample(self, times: Floats) -> tuple[Floats, Floats]:
+        """Returns states (K + 1, 2n) at times, and controls to hold from each to the next, (K, nu).
+
+        Positions are cubic between knots, and controls linear, of which the mean is held.
+        """
+        motion = CubicHermiteSpline(self.times, self.positions[:-1], self.velocities)
+        states = np.hstack([motion(times), motion(times, 1)])
+        middles = (times[1:] + times[:-1]) / 2
+        controls = [np.interp(middles, self.times, u) for u in self.controls.T]
+        return states, np.array(controls).T.reshape(len(middles), -1)
+
+
+class MechanismBoxes:
+    """The program of a mechanism, compiled once for all of its starts and goals.
+
+    Args:
+        world: the mechanism.
+        cost: the weights.
+        law: forces of walls; of rigid ones, springs that stand in for them (`stand_in`).
+        duration: T [s].
+        num_steps: N, of the program.
+        control_bounds: of u, shape (2, nu) [N, N m]; only `Center.controls` knows of them.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        cost: TaskCost,
+        law: CompliantLaw,
+        duration: float,
+        num_steps: int,
+        control_bounds: Floats,
+    ) -> None:
+        """Multiplies out and compiles."""
+        self.program = MechanismProgram(world, cost, law, duration, num_steps)
+        self.control_bounds = control_bounds
+        n, order = self.program.num_variables, (Order.MEAN, Order.CENTERS, Order.BOXES)
+        self.polynomial = ParametricPolynomial(
+            n, self.program.num_parameters, self.program.blocks, np.arange(n), order
+        )
+        self.is_free = self.program.is_free
+
+    def start(self, ends: Ends) -> StartedBoxes:
+        """Returns the boxes from a start to a goal."""
+        return StartedBoxes(self, ends)
+
+
+class StartedBoxes:
+    """Boxes from one start to one goal.
+
+    Args:
+        boxes: the program.
+        ends: start and goal.
+    """
+
+    def __init__(self, boxes: MechanismBoxes, ends: Ends) -> None:
+        """Sets the program's parameters."""
+        self.program, self.ends = boxes.program, ends
+        self._bounds, self._is_free = boxes.control_bounds, boxes.is_free
+        self.polynomial = boxes.polynomial.at(boxes.program.parameters(ends))
+
+    def rest(self) -> Floats:
+        """Returns the path of standing still, shape (2, n)."""
+        return np.tile(self.ends.position, (2, 1))
+
+    def line(self) -> Floats:
+        """Returns the straight line to the goal, shape (2, n)."""
+        return np.vstack([self.ends.position, self.ends.cost.goal])
+
+    @cached_property
+    def temperature_unit(self) -> float:
+        """What standing still costs, and holding it there, of one free variable."""
+        world, (q, _, cost), T = self.program.world, self.ends, self.program.duration
+        rest = np.zeros_like(q)
+        hold = world.inverse_actuation @ world.calc_bias(q, rest)
+        times = np.linspace(0.0, T, _SAMPLES)
+        waiting = np.mean(cost.running(times, q, rest, hold)) * T + cost.final(q, rest)
+        return float(waiting or 1.0) / np.count_nonzero(self._is_free)
+
+    @cached_property
+    def weight_unit(self) -> float:
+        """W under which typical accelerations cost as much as standing still does."""
+        world, (q, v, cost), T = self.program.world, self.ends, self.program.duration
+        path = np.linspace(q, cost.goal, _SAMPLES)
+        falls = np.linalg.solve(
+            world.calc_mass_matrix(path), world.calc_bias(path, 0 * path)[..., np.newaxis]
+        )
+        square = np.mean(np.sum(falls**2, axis=(1, 2)))
+        square += np.sum((cost.goal - q) ** 2) / T**4 + np.sum(v**2) / T**2
+        return self.temperature_unit * np.count_nonzero(self._is_free) / (T * square)
+
+    @cached_property
+    def widths(self) -> Floats:
+        """Units of half widths of z at a knot, shape (n + S,): 1 rad, and a length of the task.
+
+        That is the longest way of a slider to its goal or of a contact at the start, or 1 m.
+        """
+        world, (q, _, cost) = self.program.world, self.ends
+        coordinates = self.program.coordinates
+        ways = np.abs(cost.goal - q)[~world.is_hinge]
+        if coordinates.contacts:
+            distances = world.calc_signed_distance(q)[list(coordinates.contacts)]
+            ways = np.concatenate([ways, np.abs(distances)])
+        found = np.full(coordinates.num_variables, float(np.max(ways, initial=0.0)) or 1.0)
+        found[: len(q)][world.is_hinge] = 1.0
+        return found
+
+    def run(self, rung: MechanismRung, path: Floats) -> Center:
+        """Returns what the rung's boxes show.
+
+        Args:
+            rung: how they shrink.
+            path: positions at even times from 0 to T, shape (K, n), K ≥ 2.
+        """
+        program = self.program
+        times = program.time_step * np.arange(program.num_steps + 2)
+        given = np.linspace(0.0, program.duration, len(path))
+        q = np.column_stack([np.interp(times, given, each) for each in path.T])
+        q[-1] = 2 * q[-2] - q[-3]
+        return self._shrink(rung, program.calc_variables(q, self.ends), self._is_free)
+
+    def renew(self, positions: Floats, renewal: Renewal) -> Center:
+        """Returns what becomes of a motion whose stretch is moved and opened.
+
+        Args:
+            positions: at the knots, shape (N + 2, n).
+            renewal: which stretch, and how.
+        """
+        knots = np.arange(renewal.first, min(renewal.first + renewal.count, len(positions)))
+        bump = np.sin(np.pi * np.arange(1, len(knots) + 1) / (len(knots) + 1))
+        q = positions.copy()
+        shift = renewal.shift * self.widths[: q.shape[1]]
+        q[knots] += bump[:, np.newaxis] * shift
+        is_open = np.zeros((len(positions), len(self.widths)), dtype=bool)
+        is_open[knots] = True
+        z = self.program.calc_variables(q, self.ends)
+        return self._shrink(renewal, z, self._is_free & is_open.ravel())
+
+    def _shrink(self, how: Shrinking, z: Floats, is_open: Bools) -> Center:
+        names = set(self.polynomial.weights) - {COST}
+        f = self.polynomial.with_weights(dict.fromkeys(names, how.weight * self.weight_unit))
+        if how.half_width == 0:
+            found = newton(
+                point_objective(f, is_open, _POINT_TOLERANCE), z[f.order], _POINT_STEPS, 0.0
+            )
+            (z,) = f.to_variables(found.y)
+            return self._center((Box(z, np.zeros_like(z)),), found.steps)
+        widths = how.half_width * np.tile(self.widths, self.program.num_steps + 2)
+        first = Box(z, np.where(is_open, widths, 0.0))
+        result = minimize(f, first, how.annealing(self.temperature_unit))
+        return self._center(tuple(each.box for each in result.history), result.num_inner_steps)
+
+    def _center(self, boxes: tuple[Box, ...], iterations: int) -> Center:
+        q = self.program.calc_positions(boxes[-1].center)
+        _, v, _ = self.program.calc_motion(q, self.ends)
+        u = np.clip(self.program.calc_controls(q, self.ends), *self._bounds)
+        times = np.linspace(0.0, self.program.duration, len(u))
+        return Center(times, q, v, u, boxes, iterations)

@@ -1,0 +1,369 @@
+"""Boxes of a mechanism's motion: their program, and what is made of them."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from mechanisms import LEFT, PASSIVE, build, build_world, joint, link, plane, sphere, wall
+
+from drake_aigto.box import BoxPolynomial
+from drake_aigto.errors import UnsupportedTermError
+from drake_aigto.planning import MechanismBoxes, MechanismRung, Renewal, StartedBoxes
+from drake_aigto.terms import MAX_TERMS
+from drake_aigto.transcription import COST, DISTANCES, ROWS, Ends, MechanismProgram, soften
+from drake_aigto.world import CompliantLaw, RigidLaw, TaskCost, World
+
+N, DURATION = 6, 1.2
+DT = DURATION / N
+WORLDS = ("pendulum", "cart-pole", "double pendulum", "springs and dampers", "paddle", "two discs")
+
+read = cache(build)
+
+
+def make_cost(world: World, goal: Any, **changes: Any) -> TaskCost:
+    """Returns weights by chance, with chords for angles."""
+    n, rng = world.num_positions, np.random.default_rng(3)
+    final = rng.uniform(0, 1, (n, n)) * (~world.is_hinge & ~world.is_hinge[:, np.newaxis])
+    fields = {
+        "R": rng.uniform(0.1, 1, world.num_actuators),
+        "Q": rng.uniform(0, 1, n),
+        "Qv": rng.uniform(0, 1, n),
+        "QT": final @ final.T + np.diag(rng.uniform(0, 1, n)),
+        "QTv": np.eye(n) + 0.1,
+        "goal": goal,
+        "goal_velocity": np.full(n, 0.3),
+        "is_modulo": np.zeros(n, dtype=bool),
+        "is_chordal": world.is_hinge,
+        "times": np.zeros(1),
+        "positions": np.array([goal]),
+        "velocities": np.full((1, n), 0.3),
+    }
+    return TaskCost(**{**fields, **changes})
+
+
+def make_law(world: World, dissipation: float = 0.0) -> CompliantLaw:
+    ones = np.ones(world.num_contacts)
+    return CompliantLaw(50.0 * ones, dissipation * ones)
+
+
+def make_ends(world: World, rng: np.random.Generator, **changes: Any) -> Ends:
+    q, v, goal = rng.normal(size=(3, world.num_positions))
+    return Ends(q, v, make_cost(world, goal, **changes))
+
+
+def make_boxes(
+    world: World, ends: Ends, law: CompliantLaw, num_steps: int = N, most: float = 3.0
+) -> MechanismBoxes:
+    bounds = np.array([np.full(world.num_actuators, side) for side in (-most, most)])
+    return MechanismBoxes(world, ends.cost, law, DURATION, num_steps, bounds)
+
+
+def draw_motion(world: World, ends: Ends, rng: np.random.Generator) -> Any:
+    """Returns positions at the knots, far from each other, so that walls push at some."""
+    q = rng.normal(size=(N + 2, world.num_positions))
+    q[0] = ends.position
+    return q
+
+
+def transcribe(
+    world: World, contacts: Any, law: CompliantLaw, ends: Ends, q: Any
+) -> tuple[float, Any]:
+    """Returns J and p_k by the textbook: numbers of the world, differences, and loops."""
+    cost, forces = ends.cost, []
+    total: Any = 0.0
+    before = np.vstack([q[1] - 2 * DT * ends.velocity, q[:-2]])
+    for k in range(N + 1):
+        v, a = (q[k + 1] - before[k]) / (2 * DT), (q[k + 1] - 2 * q[k] + before[k]) / DT**2
+        p = world.calc_mass_matrix(q[k]) @ a + world.calc_bias(q[k], v)
+        J, phi = world.calc_contact_jacobian(q[k]), world.calc_signed_distance(q[k])
+        sides = world.calc_signed_distance(np.array([before[k], q[k + 1]]))
+        for i in contacts:
+            rate = (sides[1, i] - sides[0, i]) / (2 * DT) if k else J[i] @ v
+            push = law.stiffness[i] * max(0.0, -phi[i]) * (1 - law.dissipation[i] * rate)
+            p = p - J[i] * push
+        u = np.linalg.pinv(world.actuation) @ p
+        total += DT * (1.0 if 0 < k < N else 0.5) * cost.running(k * DT, q[k], v, u)
+        forces.append(p)
+    return float(total + cost.final(q[N], v)), np.array(forces)
+
+
+# The program.
+
+
+@pytest.mark.parametrize("dissipation", [0.0, 0.2])
+@pytest.mark.parametrize("name", WORLDS)
+def test_points_cost_what_the_worlds_numbers_say(name: str, dissipation: float) -> None:
+    world, rng, law = read(name), np.random.default_rng(0), make_law(read(name), dissipation)
+    ends = make_ends(world, rng)
+    boxes = make_boxes(world, ends, law)
+    program = boxes.program
+    q = draw_motion(world, ends, rng)
+    means = boxes.start(ends).polynomial.mean_by_block(program.calc_variables(q, ends), 0.0)
+    J, forces = transcribe(world, program.coordinates.contacts, law, ends, q)
+    assert means[COST] == pytest.approx(J, rel=1e-9)
+    assert means.get(DISTANCES, 0.0) == pytest.approx(0.0, abs=1e-6)
+    weights = np.full(N + 1, DT) * ([0.5] + N * [1.0])
+    is_unmoved = ~np.any(world.actuation, axis=1)  # By any actuator, each of which moves one joint.
+    inertia = np.diag(world.calc_mass_matrix(world.plant.GetDefaultPositions()))[is_unmoved]
+    residuals = forces[:, is_unmoved] / inertia
+    assert means.get(ROWS, 0.0) == pytest.approx(weights @ np.sum(residuals**2, axis=1), rel=1e-9)
+
+
+def test_a_reference_is_followed_at_every_knot() -> None:
+    world, rng = read("cart-pole"), np.random.default_rng(1)
+    path = {"times": np.array([0.0, 0.5, 1.0]), "velocities": rng.normal(size=(3, 2))}
+    ends = make_ends(world, rng, positions=rng.normal(size=(3, 2)), **path)
+    law = make_law(world)
+    boxes = make_boxes(world, ends, law)
+    q = draw_motion(world, ends, rng)
+    z = boxes.program.calc_variables(q, ends)
+    got = boxes.start(ends).polynomial.mean_by_block(z, 0.0)[COST]
+    J, _ = transcribe(world, boxes.program.coordinates.contacts, law, ends, q)
+    assert got == pytest.approx(J, rel=1e-9)
+
+
+def test_ends_are_parameters_of_one_program() -> None:
+    world, rng, law = read("cart-pole"), np.random.default_rng(2), make_law(read("cart-pole"))
+    boxes = make_boxes(world, make_ends(world, rng), law)
+    for _ in range(2):
+        ends = make_ends(world, rng)
+        q = draw_motion(world, ends, rng)
+        z = boxes.program.calc_variables(q, ends)
+        got = boxes.start(ends).polynomial.mean_by_block(z, 0.0)[COST]
+        assert got == pytest.approx(transcribe(world, (0, 1), law, ends, q)[0], rel=1e-9)
+
+
+def test_turns_that_do_not_count_cost_nothing() -> None:
+    world = read("pendulum")
+    modulo = {"is_modulo": np.array([True]), "is_chordal": np.array([False])}
+    found = []
+    for turns in (0, 1, -3):
+        start = np.array([0.2 + 2 * np.pi * turns])
+        ends = Ends(start, np.zeros(1), make_cost(world, np.array([2.0]), **modulo))
+        boxes = make_boxes(world, ends, make_law(world))
+        q = start + np.linspace(0, 4.0, N + 2)[:, np.newaxis]
+        z = boxes.program.calc_variables(q, ends)
+        found.append(boxes.start(ends).polynomial.mean_by_block(z, 0.0)[COST])
+    np.testing.assert_allclose(found, found[0], rtol=1e-9)
+
+
+def differentiate(f: BoxPolynomial, center: Any, half_width: Any, e: Any) -> tuple[float, float]:
+    """Returns central differences of the mean along e, in c and in z = log w."""
+    h = 1e-5
+    moved = [f.mean(center + s * h * e, half_width) for s in (1, -1)]
+    wider = [f.mean(center, half_width * np.exp(s * h * e)) for s in (1, -1)]
+    return (moved[0] - moved[1]) / (2 * h), (wider[0] - wider[1]) / (2 * h)
+
+
+@pytest.mark.parametrize("name", ["pendulum", "cart-pole", "double pendulum"])
+def test_gradient_and_curvature_of_the_mean_are_those_of_differences(name: str) -> None:
+    world, rng = read(name), np.random.default_rng(4)
+    ends = make_ends(world, rng)
+    f = make_boxes(world, ends, make_law(world, 0.1)).start(ends).polynomial
+    center = 0.5 * rng.normal(size=f.num_variables)
+    half_width = rng.uniform(0.2, 0.5, f.num_variables)
+    e = rng.normal(size=f.num_variables)
+    _, by_center, by_width = f.gradient(center, half_width)
+    found = differentiate(f, center, half_width, e)
+    np.testing.assert_allclose([by_center @ e, by_width @ e], found, rtol=1e-5)
+    h, system = 1e-5, f.newton_system(center, half_width, centers_only=True)
+    slopes = [f.gradient(center + s * h * e, half_width)[1] for s in (1, -1)]
+    hessian = unband(system.band)
+    np.testing.assert_allclose(
+        hessian @ e[f.order],
+        ((slopes[0] - slopes[1]) / (2 * h))[f.order],
+        rtol=1e-4,
+        atol=1e-6 * np.abs(hessian).max(),
+    )
+
+
+def unband(band: Any) -> Any:
+    """Returns the matrix of a lower band."""
+    lower = sum(np.diag(row[: band.shape[1] - d], -d) for d, row in enumerate(band))
+    return lower + np.tril(lower, -1).T
+
+
+def test_walls_that_face_each_other_are_read_off_one_variable() -> None:
+    coordinates = make_program("cart-pole").coordinates
+    assert [each.variable for each in coordinates.readings] == [0, 0]
+    assert not coordinates.distances
+
+
+def test_a_distance_that_no_slider_moves_alone_has_a_variable_of_its_own() -> None:
+    for name in ("pendulum", "double pendulum", "two discs"):
+        coordinates = make_program(name).coordinates
+        (reading,) = coordinates.readings
+        assert reading.variable == coordinates.num_positions
+
+
+def test_positions_are_found_again_from_the_variables_of_boxes() -> None:
+    for name in WORLDS:
+        world, program = read(name), make_program(name)
+        q = np.random.default_rng(5).normal(size=(4, world.num_positions))
+        z = program.coordinates.calc_variables(world, q)
+        np.testing.assert_allclose(program.coordinates.calc_positions(z), q, atol=1e-14)
+
+
+def make_program(name: str) -> MechanismProgram:
+    world = read(name)
+    ends = make_ends(world, np.random.default_rng(0))
+    return MechanismProgram(world, ends.cost, make_law(world), DURATION, N)
+
+
+def test_the_control_moves_the_mechanism_as_its_positions_say() -> None:
+    world, rng, law = read("pendulum"), np.random.default_rng(6), make_law(read("pendulum"), 0.1)
+    ends = make_ends(world, rng)
+    program = MechanismProgram(world, ends.cost, law, DURATION, N)
+    q, v, a = program.calc_motion(draw_motion(world, ends, rng), ends)
+    u = program.calc_controls(np.vstack([q, q[-1:]]), ends)[:-1]
+    q, v, a = q[:-1], v[:-1], a[:-1]
+    J, phi = world.calc_contact_jacobian(q), world.calc_signed_distance(q)
+    rate = np.einsum("kij,kj->ki", J, v)
+    push = law.stiffness * np.maximum(0.0, -phi) * (1 - law.dissipation * rate)
+    pushed = world.calc_velocity_change(q, push)
+    assert np.any(push > 0)
+    np.testing.assert_allclose(world.calc_acceleration(q, v, u) + pushed, a, atol=1e-9)
+
+
+def test_the_order_of_coordinates_does_not_matter() -> None:
+    rods = [
+        link(name, mass, ">0 0 0 0 0 0", "0 0 -0.7", shape)
+        + joint("revolute", "world", name, "0 1 0", limit=limit)
+        for name, mass, shape, limit in (
+            ("one", 1.3, sphere("tip", "0 0 -0.8"), ""),
+            ("two", 0.7, "", PASSIVE),
+        )
+    ]
+    walls = wall(plane("left", LEFT))
+    worlds = [build_world("".join(rods[::side]) + walls) for side in (1, -1)]
+    names = [list(world.plant.GetPositionNames()) for world in worlds]
+    assert names[0] == names[1][::-1]
+    rng = np.random.default_rng(7)
+    (q0, v0, goal), q = rng.normal(size=(3, 2)), rng.normal(size=(N + 2, 2))
+    means = []
+    for world, side in zip(worlds, (1, -1), strict=True):
+        weights = {"Q": np.ones(2), "Qv": np.ones(2), "QT": np.eye(2)}
+        ends = Ends(q0[::side], v0[::side], make_cost(world, goal[::side], **weights))
+        boxes = make_boxes(world, ends, make_law(world))
+        z = boxes.program.calc_variables(q[:, ::side], ends)
+        wide = np.where(boxes.is_free, 0.3, 0.0)
+        means.append(boxes.start(ends).polynomial.mean_by_block(z, wide))
+    assert means[0] == pytest.approx(means[1], rel=1e-9)
+
+
+def test_mechanisms_of_too_many_terms_are_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert MAX_TERMS == 1_000_000
+    monkeypatch.setattr("drake_aigto.terms.products.MAX_TERMS", 1000)
+    with pytest.raises(UnsupportedTermError, match=r"motion has too many terms: got .* when multi"):
+        make_program("arm with a slider")
+
+
+def test_springs_in_place_of_rigid_walls_return_what_these_do_at_one_speed() -> None:
+    world = build_world(
+        link("ball", 2.0, ">0 0 1 0 0 0", shape=sphere("ball", "0 0 0"))
+        + joint("prismatic", "world", "ball", "0 0 1")
+        + wall(plane("floor", "0 0 0 0 0 0"))
+    )
+    law = soften(world, RigidLaw(np.array([0.6])), 0.02, 1.5)
+    assert law.stiffness[0] == pytest.approx(2.0 / 0.02**2)
+    depth, speed, h = 0.0, 1.5, 1e-5  # Of its motion into the spring, without gravity.
+    while depth >= 0.0:
+        depth += h * speed
+        push = law.stiffness[0] * depth * (1 + law.dissipation[0] * speed)
+        speed -= h * push / 2.0
+    assert speed == pytest.approx(-0.6 * 1.5, rel=1e-3)
+
+
+# Boxes.
+
+
+@cache
+def start_cart_pole(num_steps: int = 20) -> StartedBoxes:
+    world = read("cart-pole")
+    start, goal = np.array([0.2, 0.3]), np.array([0.0, np.pi])
+    ends = Ends(start, np.array([0.5, -1.0]), make_cost(world, goal))
+    return make_boxes(world, ends, make_law(world), num_steps).start(ends)
+
+
+def test_boxes_shrink_from_the_width_that_is_asked_for_and_the_start_is_held() -> None:
+    started = start_cart_pole()
+    center = started.run(MechanismRung(half_width=0.7), started.rest())
+    first, last = (each.half_width.reshape(22, 2) for each in (center.boxes[0], center.boxes[-1]))
+    np.testing.assert_allclose(first[1:], np.tile(0.7 * started.widths, (21, 1)))
+    assert np.all(first[0] == 0) and np.all(last[0] == 0)
+    assert len(center.boxes) == 4 and center.iterations > 4
+    assert np.all(np.diff([box.mean_half_width for box in center.boxes[1:]]) < 0)
+    np.testing.assert_allclose(center.positions[0], started.ends.position)
+    np.testing.assert_allclose(center.velocities[0], started.ends.velocity)
+
+
+def test_the_same_rung_gives_the_same_bits() -> None:
+    started = start_cart_pole()
+    one, other = (started.run(MechanismRung(), started.line()) for _ in range(2))
+    np.testing.assert_array_equal(one.positions, other.positions)
+    np.testing.assert_array_equal(one.controls, other.controls)
+
+
+def test_a_box_without_width_is_a_descent_of_points() -> None:
+    started = start_cart_pole()
+    rung = MechanismRung(half_width=0.0)
+    center = started.run(rung, started.rest())
+    assert np.all(center.boxes[-1].half_width == 0)
+    f = started.polynomial.with_weights({ROWS: rung.weight * started.weight_unit})
+    first = started.program.calc_variables(np.tile(started.ends.position, (22, 1)), started.ends)
+    assert f(center.boxes[-1].center) < 0.8 * f(first)
+
+
+def test_controls_keep_their_bounds() -> None:
+    started = start_cart_pole()
+    center = started.run(MechanismRung(), started.line())
+    free = started.program.calc_controls(center.positions, started.ends)
+    assert np.max(np.abs(free)) > 3.0
+    np.testing.assert_array_equal(center.controls, np.clip(free, -3.0, 3.0))
+
+
+def test_a_renewal_moves_its_stretch_alone() -> None:
+    started = start_cart_pole()
+    center = started.run(MechanismRung(), started.rest())
+    renewal = Renewal(first=5, count=8, shift=np.array([0.3, -0.5]))
+    renewed = started.renew(center.positions, renewal)
+    changes = np.any(np.abs(renewed.positions - center.positions) > 1e-12, axis=1)
+    np.testing.assert_array_equal(np.flatnonzero(changes), np.arange(5, 13))
+
+
+def test_renewals_are_drawn_with_a_seed_and_end_within_the_motion() -> None:
+    draws = [Renewal.draw(np.random.default_rng(s), 20, 2) for s in (*range(30), 0)]
+    assert repr(draws[0]) == repr(draws[-1]) != repr(draws[1])
+    assert all(each.first >= 1 and each.first + each.count <= 22 for each in draws)
+    assert {each.count for each in draws} == {5, 10, 15, 20}
+
+
+def test_what_a_box_shows_is_a_motion_where_every_joint_is_driven() -> None:
+    world = read("pendulum")
+    n = 60
+    cost = make_cost(world, np.array([0.6]), Q=np.zeros(1), QT=100 * np.eye(1))
+    ends = Ends(np.array([0.0]), np.array([0.5]), cost)
+    started = make_boxes(world, ends, make_law(world), n, np.inf).start(ends)
+    center = started.run(MechanismRung(temperature=1e-3, temperatures=6), started.rest())
+    times = np.linspace(0.0, DURATION, n + 1)
+    states, controls = center.sample(times)
+    np.testing.assert_allclose(states[:, :1], center.positions[:-1], atol=1e-12)
+    x = np.concatenate([ends.position, ends.velocity])
+    h = DURATION / n / 10
+    for u in np.repeat(controls, 10, axis=0):
+        x = advance(world, x, u, h)
+    assert np.max(world.calc_signed_distance(states[:, :1])) > 0
+    np.testing.assert_allclose(x, states[-1], atol=2e-2)
+
+
+def advance(world: World, x: Any, u: Any, h: float) -> Any:
+    """Returns the state after a step of the midpoint rule, without contact."""
+
+    def slope(x: Any) -> Any:
+        q, v = np.split(x, 2)
+        return np.concatenate([v, world.calc_acceleration(q, v, u)])
+
+    return x + h * slope(x + h / 2 * slope(x))
