@@ -63,7 +63,7 @@ def make_boxes(
 
 def draw_motion(world: World, ends: Ends, rng: np.random.Generator) -> Any:
     """Returns positions at the knots, far from each other, so that walls push at some."""
-    q = rng.normal(size=(N + 2, world.num_positions))
+    q = 1.5 * rng.normal(size=(N + 2, world.num_positions))
     q[0] = ends.position
     return q
 
@@ -214,8 +214,8 @@ def make_program(name: str) -> MechanismProgram:
 
 
 def test_the_control_moves_the_mechanism_as_its_positions_say() -> None:
-    world, rng, law = read("pendulum"), np.random.default_rng(6), make_law(read("pendulum"), 0.1)
-    ends = make_ends(world, rng)
+    world, rng = read("springs and dampers"), np.random.default_rng(6)
+    ends, law = make_ends(world, rng), make_law(world, 0.1)
     program = MechanismProgram(world, ends.cost, law, DURATION, N)
     q, v, a = program.calc_motion(draw_motion(world, ends, rng), ends)
     u = program.calc_controls(np.vstack([q, q[-1:]]), ends)[:-1]
