@@ -7,7 +7,7 @@ from functools import cached_property
 from typing import Literal
 
 import numpy as np
-from scipy.interpolate import CubicHermiteSpline
+from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.aigo import Annealing, Box, minimize
 from drake_aigto.aigo.newton import newton, point_objective
@@ -129,8 +129,10 @@ class Center:
 
         Positions are cubic between knots, and controls linear, of which the mean is held.
         """
-        motion = CubicHermiteSpline(self.times, self.positions[:-1], self.velocities)
-        states = np.hstack([motion(times), motion(times, 1)])
+        knots = self.times, self.positions[:-1].T, self.velocities.T
+        motion = PiecewisePolynomial.CubicHermite(*knots)
+        each = motion.vector_values(times), motion.MakeDerivative().vector_values(times)
+        states = np.vstack(each).T
         middles = (times[1:] + times[:-1]) / 2
         controls = [np.interp(middles, self.times, u) for u in self.controls.T]
         return states, np.array(controls).T.reshape(len(middles), -1)
