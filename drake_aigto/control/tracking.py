@@ -31,6 +31,8 @@ _ACCURACY = 1e-7
 _LEAST = 1e-13
 # Samples that come sooner than this part of the duration after one are left out.
 _SHORTEST_HOLD = 1e-6
+# Who refuses tasks of other costs, as errors name it.
+_READER = "Feedback"
 
 
 class TrackingController(Controller):
@@ -64,9 +66,11 @@ class TrackingController(Controller):
         """Solves the Riccati equations.
 
         Raises:
+            ScenarioError: the task asks for more than AIGTO's (`Scenario.is_plain`).
             TrajectoryError: it does not fit the world; or it has contacts that last, several at
                 once, at the start, or that only graze the wall: no feedback is known there.
         """
+        scenario.check_plain(_READER)
         self.flights, self.bounces = split_flights(world, scenario, trajectory)
         self.start, self.end = float(trajectory.times[0]), float(trajectory.times[-1])
         self.longest_hold = float(np.max(np.diff(trajectory.times)))
@@ -167,7 +171,11 @@ def track_event_driven(world: World, scenario: Scenario, controller: Controller)
     """Runs a controller on exactly rigid walls (`RigidWall` has their equations).
 
     World, start, goal, weights and restitution may be others than those of the plan.
+
+    Raises:
+        ScenarioError: the task asks for more than AIGTO's (`Scenario.is_plain`).
     """
+    scenario.check_plain(_READER)
     start = scenario.initial_position, scenario.initial_velocity
     recording = simulate_rigid_wall(world, world.restitutions(scenario), start, controller)
     return _summarize("event-driven", scenario, controller, recording)
@@ -179,8 +187,10 @@ def track_drake(world: World, scenario: Scenario, controller: Controller) -> Tra
     World, start, goal, weights and restitution may be others than those of the plan.
 
     Raises:
+        ScenarioError: the task asks for more than AIGTO's (`Scenario.is_plain`).
         ModelError: a shape of the contact has no stiffness.
     """
+    scenario.check_plain(_READER)
     start = scenario.initial_position, scenario.initial_velocity
     restitutions = world.restitutions(scenario)
     without_friction = scenario.friction == 0

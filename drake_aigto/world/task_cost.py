@@ -31,7 +31,7 @@ class TaskCost(ArrayRecord):
         R: weight of the control, the diagonal, (nu,).
         Q: running weight of the position, the diagonal, (n,).
         Qv: running weight of the velocity, the diagonal, (n,).
-        QT: weight of the final position, (n, n).
+        QT: weight of the final position, (n, n); zero where the goal is hard.
         QTv: weight of the final velocity, (n, n).
         goal: where q(T) should be, (n,).
         goal_velocity: what v(T) should be, (n,).
@@ -66,7 +66,9 @@ class TaskCost(ArrayRecord):
         n, is_hinge = world.num_positions, world.is_hinge
         is_turning = np.any(world.actuation[is_hinge] != 0, axis=0)  # Of u: a torque, no force.
         times, positions, velocities = _find_reference(scenario, n)
-        final = _weigh(scenario, "goal_weight", is_hinge)
+        final = (
+            np.zeros((n, n)) if scenario.hard_goal else _weigh(scenario, "goal_weight", is_hinge)
+        )
         if scenario.angles != "exact":
             _check_angles(scenario.angles, final, is_hinge)
         return cls(
@@ -144,8 +146,7 @@ def _weigh(scenario: Scenario, name: str, is_angle: Bools) -> Floats:
     """Returns a weight as a matrix, of coordinates of which some are angles."""
     weight, n = getattr(scenario, name), len(is_angle)
     if isinstance(weight, float):
-        is_inert = weight == 0 or (name == "goal_weight" and scenario.hard_goal)
-        if len(set(is_angle.tolist())) > 1 and not is_inert:
+        if weight > 0 and len(set(is_angle.tolist())) > 1:
             raise ScenarioError(
                 name,
                 got=f"one number, {weight:g}, for sliders and hinges alike",

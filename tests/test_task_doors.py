@@ -1,0 +1,99 @@
+"""Whoever plans, judges or tracks plain tasks alone refuses others before any work."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+from refusals import check_refused
+from replay_worlds import hold, make_scenario, shipped_world
+from several_walls import make_task, shipped
+
+from drake_aigto import Planner, PlanOptions, Scenario, ScenarioError, World
+from drake_aigto.baselines import BASELINES, run_baseline
+from drake_aigto.control import TrackingController, track_drake, track_event_driven
+from drake_aigto.optima import block_optimum, masses_optimum, rigid_optimum, walls_optimum
+from drake_aigto.optima.rigid_optimum import bounce_costs
+from drake_aigto.paper import SingleShooting, make_literal_problem, plan_literal
+from drake_aigto.paper.with_forces import LiteralWithForces, RigidWithForces
+from drake_aigto.planning import make_problem
+from drake_aigto.simulation.controller import HeldControl
+from drake_aigto.transcription import PhaseTranscription, RigidTranscription
+from drake_aigto.world import Scales
+
+
+def _run_baseline(name: str, world: World, task: Scenario) -> None:
+    run_baseline(name, world, task, seconds=1.0)
+
+
+# One field of each kind: costs, ends, bounds, contact, and time.
+EXTRAS: dict[str, Any] = {
+    "velocity_weight": 1.0,
+    "hard_goal": True,
+    "control_upper": 1.0,
+    "contact": "compliant",
+    "duration_range": (0.5, 2.0),
+}
+CONTROLLER = HeldControl(*hold(0.0))
+NO_PLAN: Any = None
+DOORS: dict[str, Callable[[World, Scenario], Any]] = {
+    "Planner": lambda world, task: Planner(task, world=world),
+    "plan_literal": lambda world, task: plan_literal(task, world=world),
+    "make_literal_problem": make_literal_problem,
+    "make_problem": make_problem,
+    "SingleShooting": SingleShooting,
+    "LiteralWithForces": LiteralWithForces,
+    "RigidWithForces": RigidWithForces,
+    "RigidTranscription": RigidTranscription,
+    "PhaseTranscription": PhaseTranscription,
+    "rigid_optimum": rigid_optimum,
+    "bounce_costs": lambda world, task: bounce_costs(world, task, [0.5], [1.0]),
+    "walls_optimum": walls_optimum,
+    "masses_optimum": masses_optimum,
+    "block_optimum": block_optimum,
+    "track_event_driven": lambda world, task: track_event_driven(world, task, CONTROLLER),
+    "track_drake": lambda world, task: track_drake(world, task, CONTROLLER),
+    "TrackingController": lambda world, task: TrackingController(world, task, NO_PLAN),
+    **{name: partial(_run_baseline, name) for name in BASELINES},
+}
+
+
+@pytest.mark.parametrize("field", EXTRAS)
+@pytest.mark.parametrize("door", DOORS)
+def test_a_task_that_would_lose_something_is_refused(door: str, field: str) -> None:
+    task = make_scenario(**{field: EXTRAS[field]})
+    with pytest.raises(ScenarioError, match=rf"^{field}: got .* would ignore it"):
+        DOORS[door](shipped_world(), task)
+
+
+def test_a_planner_refuses_such_weights_for_its_next_plan_too() -> None:
+    task = make_task("room", [0.3, 0.7], [0.0, 0.0], time_step=0.1)
+    planner = Planner(task, PlanOptions(confirm=False), shipped("room"))
+    for name in ("goal_weight", "control_weight"):
+        changed: dict[str, Any] = {name: [1.0, 2.0]}
+        with pytest.raises(ScenarioError, match=rf"^{name}: got \[1.0, 2.0\], expected one number"):
+            planner.plan(**changed)
+
+
+def test_the_command_line_refuses_what_its_planner_would_ignore(capsys: Any) -> None:
+    for words in (["--control-norm", "9"], ["--transcription", "literal", "--control-norm", "9"]):
+        message = "control_norm: got 9.0, expected its default, None. What plans for balls"
+        check_refused(["plan", "table1/1", *words], message, capsys)
+
+
+def test_the_unit_of_costs_of_such_a_task_is_what_it_costs_to_stay() -> None:
+    world, task = shipped_world(), make_scenario(2.0, 0.0, goal_weight=3.0, duration=2.0)
+    miss = 2.0 - 0.73
+    assert (
+        Scales.of(world, task).cost
+        == 3.0 * max(miss, world.calc_signed_distance(np.array([2.0]))[0]) ** 2
+    )
+    weighed = dataclasses.replace(task, position_weight=5.0)
+    np.testing.assert_allclose(Scales.of(world, weighed).cost, (3.0 + 2.0 * 5.0) * miss**2)
+    hard = dataclasses.replace(task, hard_goal=True)
+    alone = dataclasses.replace(task, goal_weight=0.0)
+    assert Scales.of(world, hard).cost == Scales.of(world, alone).cost > 0
