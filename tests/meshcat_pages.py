@@ -12,7 +12,7 @@ import numpy as np
 from pydrake.geometry import Meshcat
 
 from drake_aigto.show.motion import Motion
-from drake_aigto.show.playback import ROOT
+from drake_aigto.show.scene import ROOT
 
 BALL = "point_mass_and_wall/ball/ball_visual"
 

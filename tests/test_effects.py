@@ -13,7 +13,8 @@ from pydrake.math import RotationMatrix
 
 from drake_aigto import Scenario, World
 from drake_aigto.show.motion import Motion
-from drake_aigto.show.playback import ROOT, publish
+from drake_aigto.show.playback import publish
+from drake_aigto.show.scene import ROOT
 from drake_aigto.show.stage import Stage
 from drake_aigto.transcription import Touch
 

@@ -17,7 +17,8 @@ from pydrake.geometry import Meshcat
 from drake_aigto import OptionsError, OutputFileError, Scenario, World
 from drake_aigto.show.motion import Motion
 from drake_aigto.show.page import pack
-from drake_aigto.show.playback import ROOT, open_meshcat, play, publish, save_html
+from drake_aigto.show.playback import open_meshcat, play, publish, save_html
+from drake_aigto.show.scene import ROOT
 from drake_aigto.show.track import Track
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch

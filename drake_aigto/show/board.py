@@ -52,12 +52,13 @@ class Board:
         depth: how far shapes reach towards who looks on [m].
         radius: of what moves [m].
         starts: where bodies start, shape (k, 2) [m].
-        goals: where they should end [m].
+        goals: where they should end [m]; NaN where no place is asked for.
         ways: of each panel, the ways of its bodies, each of shape (K, 2) [m].
         dots: of each panel, where its bodies are every few moments, shape (d, 2) [m].
         touches: of each panel, where they plan to touch something, shape (t, 2) [m].
         touch_names: of each of these, what and when.
         notes: that explain what is to be seen.
+        columns: how many panels are side by side; None: all of them.
     """
 
     labels: Sequence[str]
@@ -72,6 +73,7 @@ class Board:
     touches: Sequence[Floats]
     touch_names: Sequence[Sequence[str]]
     notes: Sequence[str] = ()
+    columns: int | None = None
 
     @property
     def size(self) -> float:
@@ -94,16 +96,27 @@ class Board:
     def corners(self) -> tuple[Floats, Floats]:
         """Corners of all panels with their labels and scales, shape (2,) each [m]."""
         low, high = self.panel
-        first, last = self.offset(0)[:2], self.offset(len(self.labels) - 1)[:2]
+        (left, top), (right, bottom) = self._ends
         around = _GAP * self.size
-        top = _TOP * self.size + _LINE * self.letter * len(self._note_lines) + self.space
-        return (low + first - (around, _BOTTOM * self.size), high + last + (around, top))
+        above = _TOP * self.size + _LINE * self.letter * len(self._note_lines) + self.space
+        lower = np.array([left - around, bottom - _BOTTOM * self.size])
+        return low + lower, high + np.array([right + around, top + above])
 
     def offset(self, index: int) -> Floats:
         """Returns where a panel's motion is moved to, x, y and z, shape (3,) [m]."""
-        low, high = self.panel
-        pitch = (high - low)[0] + _GAP * self.size
-        return np.array([(index - (len(self.labels) - 1) / 2) * pitch, 0.0, 0.0])
+        size = self.panel[1] - self.panel[0]
+        pitch = size + self.size * np.array([_GAP, _TOP + _BOTTOM])
+        columns = self.columns or len(self.labels)
+        row, column = divmod(index, columns)
+        middle = (columns - 1) / 2, (len(self.labels) - 1) // columns / 2
+        aside = np.array([column - middle[0], middle[1] - row]) * pitch
+        return np.append(aside, 0.0)
+
+    @property
+    def _ends(self) -> tuple[Floats, Floats]:
+        """Offsets of the first panel and of the place in the last row and column, (2,) each [m]."""
+        first = self.offset(0)[:2]
+        return first, -first
 
     def mesh(self) -> Mesh:
         """Returns a flat shape with `paint` on it, in the board's frame."""
@@ -129,7 +142,8 @@ class Board:
     def _note_lines(self) -> list[str]:
         """The notes, broken so that they fit above all panels, where nothing hides them."""
         (left, _), (right, _) = self.panel
-        width = right - left + self.offset(len(self.labels) - 1)[0] - self.offset(0)[0]
+        first, last = self._ends
+        width = right - left + last[0] - first[0]
         return wrap_notes(self.notes, int(width / (_BOLD_WIDTH * self.letter)))
 
     def _paint_panel(self, axes: Axes, index: int) -> None:
@@ -163,9 +177,11 @@ class Board:
         for start, goal in zip(self.starts + aside, self.goals + aside, strict=True):
             axes.plot(*start, "s", color=_INK, markersize=10, zorder=3)
             axes.plot(*goal, "*", color=_INK, markersize=22, zorder=3)
+            names = {"start": start, "goal": goal} if np.isfinite(goal[0]) else {"start": start}
             # The upper one's name is above, so that names do not overlap where places are near.
             up = 1 if start[1] >= goal[1] else -1
-            for name, (x, y), above in (("start", start, up), ("goal", goal, -up)):
+            for name, (x, y) in names.items():
+                above = up if name == "start" else -up
                 side, ha = (-1, "right") if x > middle + self.space else (1, "left")
                 beside = x + side * (self.radius + self.space)
                 va, y = "bottom" if above > 0 else "top", y + above * self.space / 4

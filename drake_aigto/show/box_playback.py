@@ -21,7 +21,7 @@ from drake_aigto.show.coordinates import coordinate_names, wall_places
 from drake_aigto.show.effects import Film
 from drake_aigto.show.motion import PALETTE, PLAN_LABEL
 from drake_aigto.show.picture import make_mesh
-from drake_aigto.show.playback import ROOT, clear
+from drake_aigto.show.scene import ROOT, clear
 from drake_aigto.transcription import Transcription
 from drake_aigto.world import World
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 import numpy as np
 from pydrake.geometry import Cylinder, Meshcat, MeshcatAnimation, MeshcatCone, Rgba, Sphere
@@ -14,16 +14,16 @@ from drake_aigto.show.stage import Actor, Stage
 from drake_aigto.transcription import Touch
 from drake_aigto.world import World
 
-_INK, _YELLOW = Rgba(0.13, 0.13, 0.13), Rgba(1.0, 0.78, 0.0)
+INK, YELLOW = Rgba(0.13, 0.13, 0.13), Rgba(1.0, 0.78, 0.0)
 
 # In radii of the body: the longest arrow, its head, its shaft; the largest flash.
-_ARROW, _HEAD, _HEAD_RADIUS, _SHAFT_RADIUS = 5.0, 1.6, 0.5, 0.2
+ARROW, _HEAD, _HEAD_RADIUS, _SHAFT_RADIUS = 5.0, 1.6, 0.5, 0.2
 _FLASH_RADIUS = 1.1
 # Of the largest flash's radius: that of an impact without speed.
 _LEAST_FLASH = 0.4
 _FLASH_TIME = 0.15  # from an impact until its flash is gone [s]
 # Scale of what is not to be seen: at 0 a transform has no inverse, of which browsers complain.
-_GONE = 1e-3
+GONE = 1e-3
 _REPETITIONS = 10_000
 
 
@@ -116,9 +116,9 @@ class Effects:
         """Adds a mover's arrow along its forces, shape (N, 3) in the world [N]."""
         assert motion.control_times is not None
         film = self._film
-        _shape_arrow(path, mover.radius, film.meshcat)
+        shape_arrow(path, mover.radius, film.meshcat)
         sizes = np.linalg.norm(forces, axis=1)
-        scales = np.maximum(sizes / self.largest_force, _GONE)
+        scales = np.maximum(sizes / self.largest_force, GONE)
         rotation = self._stage.rotation(mover).inverse()
         direction = np.array([1.0, 0.0, 0.0])
         for k, frame in enumerate(map(film.frame, motion.control_times[:-1])):
@@ -128,19 +128,20 @@ class Effects:
             film.move(frame, path, RigidTransform(turned, mover.radius * direction))
             film.change(frame, path, "scale", [scales[k]] * 3)
         for frame in (film.frame(motion.control_times[-1]), film.last_frame):
-            film.change(frame, path, "scale", [_GONE] * 3)
+            film.change(frame, path, "scale", [GONE] * 3)
 
     def _add_flashes(self, motion: Motion, contact: int, aside: RigidTransform, path: str) -> None:
         """Adds what flashes where one contact is touched."""
         mover, toward = self._struck(contact)
         film = self._film
-        film.meshcat.SetObject(path, Sphere(_FLASH_RADIUS * mover.radius), _YELLOW)
+        film.meshcat.SetObject(path, Sphere(_FLASH_RADIUS * mover.radius), YELLOW)
         touches = [touch for touch in motion.impacts if touch.contact == contact]
         for touch in touches:
             place = self._stage.pose(mover, motion.positions[find_row(motion, touch.start)])
             pose = aside.multiply(place.multiply(RigidTransform(mover.radius * toward)))
             film.move(max(film.frame(touch.start) - 1, 0), path, pose)
-        for frame, scale in self._flash_keys(motion, touches).items():
+        shares = ((t.start, self._speed(motion, t) / self._largest_speed) for t in touches)
+        for frame, scale in flash_keys(film, shares).items():
             film.change(frame, path, "scale", [scale] * 3)
 
     def _speed(self, motion: Motion, touch: Touch) -> float:
@@ -156,27 +157,30 @@ class Effects:
                 return mover, -inward / np.linalg.norm(inward)
         raise AssertionError("a contact pushes what moves")
 
-    def _flash_keys(self, motion: Motion, touches: Sequence[Touch]) -> dict[int, float]:
-        """Returns frame → scale: nothing, an impact's size at once, and nothing a moment later."""
-        keys: dict[int, float] = {0: _GONE}
-        for touch in touches:
-            frame = self._film.frame(touch.start)
-            # What is left of an earlier flash ends here.
-            keys = {f: scale for f, scale in keys.items() if f < frame - 1}
-            keys[max(frame - 1, 0)] = _GONE
-            share = self._speed(motion, touch) / self._largest_speed
-            keys[frame] = _LEAST_FLASH + (1 - _LEAST_FLASH) * share
-            keys[frame + round(_FLASH_TIME * self._film.rate)] = _GONE
-        keys = {f: scale for f, scale in keys.items() if f < self._film.last_frame}
-        return {**keys, self._film.last_frame: _GONE}
+
+def flash_keys(film: Film, impacts: Iterable[tuple[float, float]]) -> dict[int, float]:
+    """Returns frame → scale: nothing, an impact's size at once, and nothing a moment later.
+
+    Impacts are times [s], in order, and their speeds as parts of the largest one.
+    """
+    keys: dict[int, float] = {0: GONE}
+    for time, share in impacts:
+        frame = film.frame(time)
+        # What is left of an earlier flash ends here.
+        keys = {f: scale for f, scale in keys.items() if f < frame - 1}
+        keys[max(frame - 1, 0)] = GONE
+        keys[frame] = _LEAST_FLASH + (1 - _LEAST_FLASH) * share
+        keys[frame + round(_FLASH_TIME * film.rate)] = GONE
+    keys = {f: scale for f, scale in keys.items() if f < film.last_frame}
+    return {**keys, film.last_frame: GONE}
 
 
-def _shape_arrow(path: str, r: float, meshcat: Meshcat) -> None:
+def shape_arrow(path: str, r: float, meshcat: Meshcat, color: Rgba = INK) -> None:
     """Puts an arrow of full size along z, for a body of radius r [m]."""
-    shaft = (_ARROW - _HEAD) * r
-    meshcat.SetObject(f"{path}/shaft", Cylinder(_SHAFT_RADIUS * r, shaft), _INK)
+    shaft = (ARROW - _HEAD) * r
+    meshcat.SetObject(f"{path}/shaft", Cylinder(_SHAFT_RADIUS * r, shaft), color)
     meshcat.SetTransform(f"{path}/shaft", RigidTransform([0, 0, shaft / 2]))
     # Meshcat's cones stand on their tips.
-    meshcat.SetObject(f"{path}/head", MeshcatCone(_HEAD * r, *[_HEAD_RADIUS * r] * 2), _INK)
-    tip = RigidTransform(RotationMatrix.MakeXRotation(np.pi), [0, 0, _ARROW * r])
+    meshcat.SetObject(f"{path}/head", MeshcatCone(_HEAD * r, *[_HEAD_RADIUS * r] * 2), color)
+    tip = RigidTransform(RotationMatrix.MakeXRotation(np.pi), [0, 0, ARROW * r])
     meshcat.SetTransform(f"{path}/head", tip)

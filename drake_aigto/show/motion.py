@@ -8,13 +8,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drake_aigto.arrays import Floats, read_only
+from drake_aigto.arrays import Floats, Ints, read_only
 from drake_aigto.planning import Plan
 from drake_aigto.simulation import Replay
 from drake_aigto.simulation.contacts import find_contacts
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch
-from drake_aigto.world import World
+from drake_aigto.world import CompliantLaw, Scenario, World
 
 # Okabe and Ito's colors, which the color-blind can tell apart; the darkest first.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -151,6 +151,30 @@ def calc_approach_speed(
     row = find_row(path, time)
     slope = world.calc_contact_jacobian(path.positions[row])[contact]
     return max(0.0, -float(slope @ path.velocities[row]))
+
+
+def find_held(motion: Motion) -> Ints:
+    """Returns which interval of the control each row of a motion is in, shape (K,)."""
+    assert motion.control_times is not None
+    rows = np.searchsorted(motion.control_times, motion.times, side="right") - 1
+    return np.clip(rows, 0, len(motion.control_times) - 2)
+
+
+def calc_contact_forces(motion: Motion, world: World, scenario: Scenario) -> Floats:
+    """Returns what contacts push with at each row of a motion, shape (K, m) [N].
+
+    Soft ones by their law, wherever the motion comes from; rigid ones as a plan has them, and not
+    at all in simulations, which know their impulses alone.
+    """
+    law = world.contact_law(scenario)
+    if isinstance(law, CompliantLaw):
+        depths = np.maximum(0.0, -world.calc_signed_distance(motion.positions))
+        J = world.calc_contact_jacobian(motion.positions)
+        rates = -(J @ motion.velocities[..., np.newaxis])[..., 0]
+        return law.stiffness * depths * np.maximum(0.0, 1 + law.dissipation * rates)
+    if motion.forces is None:
+        return np.zeros((len(motion.times), world.num_contacts))
+    return motion.forces[find_held(motion)]
 
 
 def find_dots(motion: Motion) -> Floats:

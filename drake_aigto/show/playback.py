@@ -16,6 +16,8 @@ from drake_aigto.errors import OptionsError
 from drake_aigto.planning import Plan
 from drake_aigto.show.board import Board
 from drake_aigto.show.effects import Effects, Film
+from drake_aigto.show.linkage import moves_straight
+from drake_aigto.show.linkage_playback import publish_linkage
 from drake_aigto.show.motion import (
     DOT_SECONDS,
     Motion,
@@ -26,19 +28,20 @@ from drake_aigto.show.motion import (
     time_span,
 )
 from drake_aigto.show.page import Page
-from drake_aigto.show.stage import Stage
+from drake_aigto.show.scene import (
+    FRAMES_PER_SECOND,
+    HOLD,
+    ROOT,
+    clear,
+    face_board,
+    folder_of,
+    look,
+)
+from drake_aigto.show.stage import GRAY, Stage
 from drake_aigto.show.text import wall_names
 from drake_aigto.show.track import Track
 from drake_aigto.world import Scenario, World
 from drake_aigto.world.files import write_text
-
-# All that is drawn lies below this path.
-ROOT = "/drake_aigto"
-
-# Frames are keyed where a motion has rows; between two of them the browser moves straight on.
-FRAMES_PER_SECOND = 1000
-# The end is held for a moment [s], then all motions start again, together: one length for all.
-_HOLD = 0.5
 
 _LANE_WIDTH = 4.0  # in radii of what moves
 _LEAST_LENGTH = 5.5  # of the track, in widths of a lane, so that labels fit
@@ -46,12 +49,6 @@ _LEAST_LENGTH = 5.5  # of the track, in widths of a lane, so that labels fit
 _FIELD_OF_VIEW = 30.0  # vertical [deg]
 _CAMERA_TILT = np.deg2rad(48.0)  # above the track
 _CAMERA_DISTANCE = 1.9  # as a part of the track's length
-# Of boards: from afar, as walls hide less then; from aside by this; for a window of this width to
-# height; and so much farther back.
-_BOARD_FIELD_OF_VIEW = 12.0  # vertical [deg]
-_BOARD_TILT = np.deg2rad(12.0)
-_ASPECT_RATIO = 1.4
-_BOARD_SLACK = 1.08
 _LIFT = 0.1  # of a board from the ground, in radii of what moves
 _CAMERA_SLACK = 1.05  # How much farther back than all lanes need.
 
@@ -116,10 +113,12 @@ def publish(motions: Sequence[Motion], meshcat: Meshcat, world: World, scenario:
     are where bodies were every so often, an arrow is the control, a flash an impact. Start and goal
     are marked, and the camera sees all of it. What was shown below `ROOT` before is gone.
     """
+    if not moves_straight(world):
+        return publish_linkage(motions, meshcat, world, scenario)
     ends = np.array([scenario.initial_position, scenario.goal_position])
     stage = Stage(world, np.vstack([ends, *(motion.positions for motion in motions)]))
     begin, end = time_span(motions)
-    film = Film(meshcat, begin, end + _HOLD, FRAMES_PER_SECOND)
+    film = Film(meshcat, begin, end + HOLD, FRAMES_PER_SECOND)
     effects = Effects(stage, world, motions, film)
     ground: Track | Board
     if stage.is_line:
@@ -136,7 +135,7 @@ def publish(motions: Sequence[Motion], meshcat: Meshcat, world: World, scenario:
         for actor in stage.actors:
             if not actor.moves:
                 path = f"{ROOT}/{name}/{actor.name}"
-                meshcat.SetObject(path, actor.shape, actor.color)
+                meshcat.SetObject(path, actor.shape, actor.color or GRAY)
                 meshcat.SetTransform(path, aside.multiply(stage.pose(actor, ends[0])))
     meshcat.SetObject(f"{ROOT}/track", ground.mesh())
     # Above ground that the model may have where the balls roll.
@@ -144,19 +143,12 @@ def publish(motions: Sequence[Motion], meshcat: Meshcat, world: World, scenario:
     meshcat.SetTransform(f"{ROOT}/track", stage.X_WT.multiply(RigidTransform([0.0, 0.0, lift])))
     for index, (motion, aside) in enumerate(zip(motions, places, strict=True)):
         _animate(stage, motion, index, aside, film)
-        effects.add(motion, aside, _folder(index))
+        effects.add(motion, aside, folder_of(index))
     film.play()
     if isinstance(ground, Track):
         _aim_camera(stage, ground, meshcat)
     else:
-        _face_board(stage, ground, meshcat)
-
-
-def clear(meshcat: Meshcat) -> None:
-    """Removes what was shown below `ROOT`, and hides Meshcat's own grid, axes and background."""
-    meshcat.Delete(ROOT)
-    for path in ("/Background", "/Grid", "/Axes"):
-        meshcat.SetProperty(path, "visible", False)
+        face_board(stage, ground, meshcat)
 
 
 def save_html(meshcat: Meshcat, path: str | os.PathLike[str]) -> None:
@@ -227,7 +219,8 @@ def _lay_board(
     ends = np.array([scenario.initial_position, scenario.goal_position])
     bodies = len(stage.movers)
     marks = np.array([stage.places(mover, ends)[:, :2] for mover in stage.movers])
-    low, high = stage.extent(np.vstack([ends, *(motion.positions for motion in motions)]))
+    seen = np.vstack([ends, *(motion.positions for motion in motions)])
+    low, high = stage.extent(stage.actors, seen)
     ways = [
         [stage.places(mover, motion.positions)[:, :2] for mover in stage.movers]
         for motion in motions
@@ -266,14 +259,10 @@ def _animate(stage: Stage, motion: Motion, index: int, aside: RigidTransform, fi
     rows = dict(zip(map(film.frame, motion.times), motion.positions, strict=True))
     rows[film.last_frame] = motion.positions[-1]
     for actor in filter(lambda actor: actor.moves, stage.actors):
-        path = f"{_folder(index)}/{actor.name}"
+        path = f"{folder_of(index)}/{actor.name}"
         film.meshcat.SetObject(path, actor.shape, Rgba(*to_rgb(color_of(index))))
         for frame, q in rows.items():
             film.move(frame, path, aside.multiply(stage.pose(actor, q)))
-
-
-def _folder(index: int) -> str:
-    return f"{ROOT}/motions/{index + 1}"
 
 
 def _aim_camera(stage: Stage, track: Track, meshcat: Meshcat) -> None:
@@ -285,22 +274,4 @@ def _aim_camera(stage: Stage, track: Track, meshcat: Meshcat) -> None:
     clear = np.sin(_CAMERA_TILT) / np.tan(np.deg2rad(_FIELD_OF_VIEW) / 2) + np.cos(_CAMERA_TILT)
     distance = max(_CAMERA_DISTANCE * track.length, _CAMERA_SLACK * clear * side)
     back = distance * np.array([0.0, -np.cos(_CAMERA_TILT), np.sin(_CAMERA_TILT)])
-    _look(stage, meshcat, middle, back, _FIELD_OF_VIEW)
-
-
-def _face_board(stage: Stage, board: Board, meshcat: Meshcat) -> None:
-    """Looks at the middle of the board, from a little below a level one or above an upright one."""
-    low, high = board.corners
-    half_width, half_height = (high - low) / 2
-    distance = _BOARD_SLACK * max(half_height, half_width / _ASPECT_RATIO)
-    distance /= np.tan(np.deg2rad(_BOARD_FIELD_OF_VIEW) / 2)
-    is_level = abs(stage.X_WT.rotation().matrix()[2, 2]) > 0.5
-    tilt = -_BOARD_TILT if is_level else _BOARD_TILT
-    back = distance * np.array([0.0, np.sin(tilt), np.cos(tilt)])
-    _look(stage, meshcat, np.append((low + high) / 2, 0.0), back, _BOARD_FIELD_OF_VIEW)
-
-
-def _look(stage: Stage, meshcat: Meshcat, middle: Floats, back: Floats, angle: float) -> None:
-    """Looks at a place in T from so far back, over an angle [deg]."""
-    meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=angle))
-    meshcat.SetCameraPose(stage.X_WT.multiply(middle + back), stage.X_WT.multiply(middle))
+    look(stage, meshcat, middle, back, _FIELD_OF_VIEW)
