@@ -18,7 +18,7 @@ from drake_aigto.planning.rigid_search import RigidSearch
 from drake_aigto.transcription import PhaseTranscription, Touch
 
 QUICK = PlanOptions(confirm=False)
-NEW = [name for name in scenario_names() if not name.startswith("table1")]
+NEW = [name for name in scenario_names() if name.partition("/")[0] in WORLDS]
 
 
 @cache

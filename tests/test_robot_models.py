@@ -13,8 +13,8 @@ from numpy import cos, sin
 from pydrake.geometry import Role
 from pydrake.multibody.tree import BodyIndex
 
-from drake_aigto import World
-from drake_aigto.world import CompliantLaw
+from drake_aigto import Scenario, World, scenario_names
+from drake_aigto.world import CompliantLaw, TaskCost
 
 read = cache(build)
 
@@ -127,3 +127,34 @@ def test_every_link_of_a_robot_that_weighs_something_is_drawn_and_nothing_rubs(n
     for link in heavy:
         frame = plant.GetBodyFrameIdOrThrow(link.index())
         assert inspector.NumGeometriesForFrameWithRole(frame, Role.kIllustration)
+
+
+@pytest.mark.parametrize("name", CART_POLES)
+def test_the_task_of_a_cart_pole_is_spots_sum_as_an_integral(name: str) -> None:
+    scenario = Scenario.named(name.replace("cart_pole_", "cart_pole/"))
+    assert scenario.model.endswith(f"/{name}.sdf")
+    task = TaskCost.of(read(name), scenario)
+    dt = 0.05
+    for a, theta, rate, u in np.random.default_rng(4).uniform(-3.0, 3.0, (5, 4)):
+        # f, the increment of the angle, is (1, θ̇ dt) to first order.
+        spot = a**2 + (cos(theta) + 1) ** 2 + sin(theta) ** 2 + (rate * dt) ** 2
+        state = [a, theta], [7.0, rate]
+        running = task.running(0.3, *state, [u]) * dt
+        assert running == pytest.approx(spot + (u / 20) ** 2, rel=1e-12)
+        assert task.final(*state) == pytest.approx(10 * spot, rel=1e-12)
+
+
+ROBOT_SCENARIOS = [
+    name for name in scenario_names() if name.partition("/")[0] in {*ROBOTS, "cart_pole"}
+]
+
+
+@pytest.mark.parametrize("name", ROBOT_SCENARIOS)
+def test_the_scenario_of_a_robot_is_one_that_its_law_and_bounds_allow(name: str) -> None:
+    scenario = Scenario.named(name)
+    world = World.from_scenario(scenario)
+    law = world.contact_law(scenario)
+    assert isinstance(law, CompliantLaw) == ("soft" in name)
+    assert {len(each) for each in vars(law).values()} == {world.num_contacts}
+    bounds = world.bounds(scenario)
+    assert (bounds.velocity[1] == (5.0 if name == "three_carts/apart" else np.inf)).all()
