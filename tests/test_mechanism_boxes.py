@@ -300,6 +300,13 @@ def test_boxes_shrink_from_the_width_that_is_asked_for_and_the_start_is_held() -
     np.testing.assert_allclose(center.velocities[0], started.ends.velocity)
 
 
+def test_a_rung_says_what_it_is() -> None:
+    text = MechanismRung(start="coast", temperature=0.5, weight=2.0).describe("annealing")
+    expected = "annealing from temperature 0.5; around the coast; weight 2; 30 time steps"
+    assert text == expected
+    assert "annealing of points" in MechanismRung(half_width=0.0).describe("annealing")
+
+
 def test_the_same_rung_gives_the_same_bits() -> None:
     started = start_cart_pole()
     one, other = (started.run(MechanismRung(), started.line()) for _ in range(2))

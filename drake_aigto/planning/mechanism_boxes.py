@@ -73,6 +73,12 @@ class MechanismRung(Shrinking):
     start: MechanismStart = "rest"
     num_steps: int = 30
 
+    def describe(self, algorithm: str) -> str:
+        """Returns an algorithm's start here, in words."""
+        how = f"from temperature {self.temperature:g}" if self.half_width else "of points"
+        steps = f"{self.num_steps} time steps"
+        return f"{algorithm} {how}; around the {self.start}; weight {self.weight:g}; {steps}"
+
 
 @dataclass(frozen=True, kw_only=True)
 class Renewal(Shrinking):
