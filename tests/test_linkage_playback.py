@@ -13,7 +13,8 @@ from pydrake.geometry import Meshcat
 from pydrake.math import RotationMatrix
 
 from drake_aigto import Scenario, World
-from drake_aigto.show.linkage import Linkage, moves_straight
+from drake_aigto.show.coordinates import moves_straight
+from drake_aigto.show.linkage import Linkage
 from drake_aigto.show.motion import Motion
 from drake_aigto.show.playback import publish
 from drake_aigto.show.scene import ROOT

@@ -12,6 +12,8 @@ from .figures import plot_velocities as plot_velocities
 from .landscapes import plot_cost_history as plot_cost_history
 from .landscapes import plot_cost_landscape as plot_cost_landscape
 from .landscapes import plot_integrated_product as plot_integrated_product
+from .linkage_figures import plot_contact_forces as plot_contact_forces
+from .linkage_figures import plot_strobe as plot_strobe
 from .methods import gradient_motions as gradient_motions
 from .methods import paper_methods as paper_methods
 from .methods import plot_methods as plot_methods

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from pydrake.multibody.tree import PrismaticJoint
 
-from drake_aigto.arrays import Floats
-from drake_aigto.world import World
+from drake_aigto.arrays import Bools, Floats
+from drake_aigto.world import Scenario, TaskCost, World
 
 
 def coordinate_names(world: World) -> list[str]:
@@ -25,19 +25,42 @@ def coordinate_names(world: World) -> list[str]:
     letters = ["xyz"[int(np.argmax(axis))] for axis in axes if np.max(axis) > 1 - 1e-9]
     if len(set(letters)) == len(moving):
         return letters
-    return [joint.name().replace("_", " ") for joint in moving]
+    names = plant.GetPositionNames(add_model_instance_prefix=False, always_add_suffix=False)
+    return [name.replace("_", " ") for name in names]
+
+
+def coordinate_unit(world: World, coordinate: int) -> str:
+    """Returns the unit of a coordinate."""
+    return "rad" if world.is_hinge[coordinate] else "m"
+
+
+def moves_straight(world: World) -> bool:
+    """Returns whether all that moves keeps to straight lines, as balls on sliders do."""
+    return world.has_constant_inertia and not np.any(world.is_hinge)
+
+
+def has_goal(world: World, scenario: Scenario) -> Bools:
+    """Returns which coordinates a scenario wants at their goal, at the end or always, (nq,)."""
+    cost = TaskCost.of(world, scenario)
+    is_weighted = np.diag(cost.QT) > 0
+    if scenario.reference_positions is None:
+        is_weighted = is_weighted | (cost.Q > 0)
+    return is_weighted | scenario.hard_goal
 
 
 def solid_regions(world: World, coordinates: tuple[int, int], window: Floats) -> list[Floats]:
     """Returns where solids are in the plane of two coordinates, as polygons.
 
     There the sphere would be inside: φ(q) < 0 for all faces of the solid, φ being affine. Solids
-    that other coordinates matter to have no place in this plane, and are left out. What is looked
-    at is a window, opposite corners of shape (2, 2) [m].
+    that other coordinates matter to have no place in this plane, and are left out, as are all of a
+    mechanism, whose φ is not affine. What is looked at is a window, opposite corners of shape
+    (2, 2) [m].
 
     Returns:
         for each solid that is there, its corners in order, shape (k, 2) [m].
     """
+    if not world.has_constant_inertia:
+        return []
     distances, slopes = world.constant_inertia.offset, world.constant_inertia.jacobian
     others = np.setdiff1d(np.arange(world.num_positions), coordinates)
     regions = []
@@ -56,8 +79,11 @@ def solid_regions(world: World, coordinates: tuple[int, int], window: Floats) ->
 def wall_places(world: World, coordinate: int) -> list[tuple[int, float, float]]:
     """Returns the walls across one coordinate: contact, place [m], and the side it faces, ±1.
 
-    Of solids with one face only: those with several end somewhere along other coordinates.
+    Of solids with one face only: those with several end somewhere along other coordinates. Links
+    that turn meet walls at no one place of a coordinate.
     """
+    if not world.has_constant_inertia:
+        return []
     distances, slopes = world.constant_inertia.offset, world.constant_inertia.jacobian
     alone = [faces[0] for faces in world.solids if len(faces) == 1]
     return [

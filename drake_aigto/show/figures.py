@@ -14,8 +14,20 @@ from matplotlib.patches import Polygon, Rectangle
 from drake_aigto.aigo import Iterate
 from drake_aigto.errors import ModelError
 from drake_aigto.planning import Plan
-from drake_aigto.show.coordinates import coordinate_names, solid_regions, wall_places
-from drake_aigto.show.motion import Motion, color_of, motions_of_plan
+from drake_aigto.show.coordinates import (
+    coordinate_names,
+    coordinate_unit,
+    has_goal,
+    moves_straight,
+    solid_regions,
+    wall_places,
+)
+from drake_aigto.show.motion import (
+    Motion,
+    color_of,
+    find_row,
+    motions_of_plan,
+)
 from drake_aigto.show.text import touch_names, wall_names
 from drake_aigto.transcription import Transcription
 from drake_aigto.world import Scenario, World
@@ -36,7 +48,7 @@ _BOUNCE: dict[str, Any] = {"linestyle": (0, (1, 2)), "linewidth": 1.4, "zorder":
 _CONTACT: dict[str, Any] = {"alpha": 0.15, "linewidth": 0, "zorder": 0.5}
 _NAME: dict[str, Any] = {"rotation": 90, "fontsize": "x-small", "ha": "right"}
 _NAME |= {"textcoords": "offset points", "xytext": (-2, 0)}
-_HOLLOW: dict[str, Any] = {"markerfacecolor": "white", "markersize": 7, "zorder": 4}
+HOLLOW: dict[str, Any] = {"markerfacecolor": "white", "markersize": 7, "zorder": 4}
 _FORCE: dict[str, Any] = {"facecolor": "none", "hatch": "///", "linewidth": 0}
 _WALL_COLOR = "#8a8f98"
 # In ranges of what is drawn: how much of the wall is seen at least, and how far it reaches.
@@ -45,13 +57,14 @@ SOLID_LOOK: dict[str, Any] = {"facecolor": _WALL_COLOR, "hatch": "//", "edgecolo
 SOLID_LOOK |= {"alpha": 0.5, "zorder": 0}
 _GOAL: dict[str, Any] = {"color": "black", "markersize": 11, "clip_on": False, "zorder": 5}
 # Legends are above the axes, where they hide nothing.
-_ABOVE: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "fontsize": "small"}
+ABOVE: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "fontsize": "small"}
 
 Quantity = Literal["position", "velocity", "control"]
 
 # In the order of `Transcription.split`.
 _SYMBOLS: dict[Quantity, str] = {"position": "q", "velocity": "v", "control": "u"}
-_UNITS: dict[Quantity, str] = {"position": "m", "velocity": "m/s", "control": "N"}
+# What follows a coordinate's own unit.
+_UNITS: dict[Quantity, str] = {"position": "", "velocity": "/s"}
 _ROOM = 0.08  # around what is drawn, as a part of its range
 _ARROWS = (0.2, 0.8)  # parts of the duration at which the way of time is shown
 
@@ -109,11 +122,12 @@ def plot_positions(
     """Draws one coordinate of q(t), the goal as a star at T, and the walls across it."""
     _plot_rows(axes, motions, "positions", coordinate)
     _mark_touches(axes, motions, world, coordinate, named=True)
-    axes.plot(scenario.duration, scenario.goal_position[coordinate], "*", **_GOAL)
-    axes.plot([], [], "*", color="black", markersize=9, label="goal")
+    if has_goal(world, scenario)[coordinate]:
+        axes.plot(scenario.duration, scenario.goal_position[coordinate], "*", **_GOAL)
+        axes.plot([], [], "*", color="black", markersize=9, label="goal")
     _shade_walls(axes, world, coordinate)
     axes.set_ylabel(_label("position", world, coordinate))
-    axes.legend(ncols=3, **_ABOVE)
+    axes.legend(ncols=3, **ABOVE)
 
 
 def plot_velocities(
@@ -129,9 +143,12 @@ def plot_velocities(
 def plot_controls(axes: Axes, motions: Sequence[Motion], world: World, coordinate: int = 0) -> None:
     """Draws the controls u(t) of one coordinate's actuators, of the motions that have them.
 
-    They are held between knots. Where a planned contact lasts, the wall's force λ(t) is shaded, in
-    the same unit.
+    They are held between knots. Where nothing turns and a planned contact lasts, the wall's force
+    λ(t) is shaded, in the same unit.
     """
+    if not _actuators(world, coordinate):
+        axes.text(0.5, 0.6, "no actuator", transform=axes.transAxes, ha="center")
+        axes.set_yticks([])
     for index, motion in enumerate(motions):
         if motion.controls is None or motion.control_times is None:
             continue
@@ -141,7 +158,7 @@ def plot_controls(axes: Axes, motions: Sequence[Motion], world: World, coordinat
         look = {**line_of(index), **_SHARP}
         look["linewidth"] *= _THINNER
         axes.step(motion.control_times, held, where="post", **look)
-        if motion.forces is not None:
+        if motion.forces is not None and moves_straight(world):
             _shade_forces(axes, motion, world, coordinate, color_of(index))
     _mark_touches(axes, motions, world, coordinate)
     axes.axhline(0, color="black", linewidth=0.5)
@@ -174,7 +191,7 @@ def plot_path(
         at = motion.positions[np.searchsorted(motion.times, starts)][:, pair]
         label = "" if any(earlier.touches for earlier in motions[:index]) else "planned contact"
         label = label if motion.touches else ""
-        axes.plot(*at.T, "o", label=label, markeredgecolor=color_of(index), **_HOLLOW)
+        axes.plot(*at.T, "o", label=label, markeredgecolor=color_of(index), **HOLLOW)
     start, goal = (q[pair] for q in (scenario.initial_position, scenario.goal_position))
     axes.plot(*start, "s", color="black", markersize=6, zorder=5, label="start")
     axes.plot(*goal, "*", **_GOAL)
@@ -182,7 +199,7 @@ def plot_path(
     _shade_solids(axes, world, coordinates)
     xlabel, ylabel = (_label("position", world, i) for i in pair)
     axes.set(xlabel=xlabel, ylabel=ylabel, aspect="equal")
-    axes.legend(ncols=2, **_ABOVE)
+    axes.legend(ncols=2, **ABOVE)
 
 
 def plot_boxes(
@@ -198,7 +215,7 @@ def plot_boxes(
     first iterate that is given is at the back; of controls, those that act on the coordinate.
     """
     times, world = transcription.GetSampleTimes(), transcription.world
-    part = list(_UNITS).index(quantity)
+    part = list(_SYMBOLS).index(quantity)
     columns = _actuators(world, coordinate) if quantity == "control" else [coordinate]
     colors = colormaps["viridis"](np.linspace(0.85, 0.0, len(iterates)))
     for iterate, color in zip(iterates, colors, strict=True):
@@ -208,7 +225,7 @@ def plot_boxes(
         )
         hot = 0 < iterate.temperature < np.inf
         label = f"temperature {iterate.temperature:.1e}: " if hot else ""
-        label += f"within ±{np.max(half_widths):.2g} {_UNITS[quantity]}"
+        label += f"within ±{np.max(half_widths):.2g} {_unit(quantity, world, coordinate)}"
         for c, w in zip(centers.T, half_widths.T, strict=True):
             t = times[: len(c)]  # A control has no value at the last knot.
             axes.fill_between(t, c - w, c + w, color=color, alpha=0.3, linewidth=0)
@@ -217,7 +234,7 @@ def plot_boxes(
     if quantity == "position":
         _shade_walls(axes, world, coordinate)
     axes.set(xlabel="time t [s]", ylabel=_label(quantity, world, coordinate))
-    axes.legend(**_ABOVE)
+    axes.legend(**ABOVE)
 
 
 def _plot_rows(axes: Axes, motions: Sequence[Motion], name: str, coordinate: int) -> None:
@@ -233,18 +250,18 @@ def _mark_touches(
 ) -> None:
     """Marks when the motions plan to touch what pushes a coordinate; the first is labeled."""
     label, names = "planned contact", touch_names(world)
-    slopes = world.constant_inertia.jacobian[:, coordinate]
     for index, motion in enumerate(motions):
         color = color_of(index)
         for touch in motion.touches:
-            if not slopes[touch.contact]:
+            q = motion.positions[find_row(motion, touch.start)]
+            if not (slope := world.calc_contact_jacobian(q)[touch.contact, coordinate]):
                 continue
             if touch.lasts:
                 axes.axvspan(touch.start, touch.end, color=color, label=label, **_CONTACT)
             else:
                 axes.axvline(touch.start, color=color, label=label, **_BOUNCE)
             if named and len(names) > 1:
-                _write_name(axes, touch.start, names[touch.contact], color, slopes[touch.contact])
+                _write_name(axes, touch.start, names[touch.contact], color, slope)
             label = ""
 
 
@@ -279,10 +296,17 @@ def line_of(motion: int) -> dict[str, Any]:
 
 def _label(quantity: Quantity, world: World, coordinate: int) -> str:
     """Returns a name for an axis, with the coordinate where there are several."""
-    unit = _UNITS[quantity]
+    unit = _unit(quantity, world, coordinate)
     if world.num_positions == 1:
         return f"{quantity} {_SYMBOLS[quantity]} [{unit}]"
     return f"{coordinate_names(world)[coordinate]} {quantity} [{unit}]"
+
+
+def _unit(quantity: Quantity, world: World, coordinate: int) -> str:
+    """Returns the unit of a quantity of one coordinate."""
+    if quantity == "control":
+        return "N m" if world.is_hinge[coordinate] else "N"
+    return f"{coordinate_unit(world, coordinate)}{_UNITS[quantity]}"
 
 
 def _shade_walls(axes: Axes, world: World, coordinate: int) -> None:
@@ -335,20 +359,23 @@ def plot_phase_portrait(
     _show_way(axes, motions[0], coordinate)
     start = scenario.initial_position[coordinate], scenario.initial_velocity[coordinate]
     axes.plot(*start, "s", color="black", markersize=7, zorder=5, label="start")
-    goal = scenario.goal_position[coordinate]
-    axes.axvline(goal, color="black", linestyle=(0, (4, 3)), linewidth=1.2, label="goal")
+    goal = [scenario.goal_position[coordinate]] if has_goal(world, scenario)[coordinate] else []
+    for place in goal:
+        axes.axvline(place, color="black", linestyle=(0, (4, 3)), linewidth=1.2, label="goal")
     axes.axhline(0, color="black", linewidth=0.5)
     walls = wall_places(world, coordinate)
     seen = [motion.positions[:, coordinate] for motion in motions]
-    places = np.concatenate([*seen, [goal], [place for _, place, _ in walls]])
+    places = np.concatenate([*seen, goal, [place for _, place, _ in walls]])
     size = np.ptp(places)
     for i, (_, place, side) in enumerate(walls):
         edges = sorted((place, place - side * 2 * size))
         axes.axvspan(*edges, **SOLID_LOOK, label="" if i else "wall")
     axes.set_xlim(np.min(places) - _ROOM * size, np.max(places) + _ROOM * size)
     name = "" if world.num_positions == 1 else f"{coordinate_names(world)[coordinate]} "
-    axes.set(xlabel=f"{name}position [m]", ylabel=f"{name}velocity [m/s]")
-    axes.legend(ncols=2, **_ABOVE)
+    units = (_unit(quantity, world, coordinate) for quantity in _UNITS)
+    xlabel, ylabel = (f"{name}{q} [{unit}]" for q, unit in zip(_UNITS, units, strict=True))
+    axes.set(xlabel=xlabel, ylabel=ylabel)
+    axes.legend(ncols=2, **ABOVE)
 
 
 def _show_way(axes: Axes, motion: Motion, coordinate: int) -> None:

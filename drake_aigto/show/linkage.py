@@ -25,11 +25,6 @@ _FROM_FRONT = RotationMatrix.MakeXRotation(np.pi / 2)  # x to the right, z up
 _MOST_ROWS = 40  # of a motion, at which its directions are looked at
 
 
-def moves_straight(world: World) -> bool:
-    """Returns whether all that moves keeps to straight lines, as balls on sliders do."""
-    return world.has_constant_inertia and not np.any(world.is_hinge)
-
-
 class Linkage(Scenery):
     """The shapes of a mechanism, and a frame T to watch their motion in.
 
@@ -63,6 +58,11 @@ class Linkage(Scenery):
         self.X_WT = RigidTransform(R_WT, np.zeros(3))
         self._set_window(positions)
         self.tracers = list(self._find_tracers())
+
+    @property
+    def num_positions(self) -> int:
+        """The number of coordinates, nq."""
+        return self._world.num_positions
 
     @property
     def size(self) -> float:
@@ -160,6 +160,11 @@ class Linkage(Scenery):
         X_WB = plant.EvalBodyPoseInWorld(self._set(q), plant.get_body(body))
         located: Floats = self.X_WT.inverse().multiply(X_WB.multiply(place))
         return located
+
+    def is_in_the_way(self, actor: Actor) -> bool:
+        """Returns whether a shape that stands still is in the plane of motion, not behind it."""
+        _, high = self.extent([actor], np.zeros((1, self.num_positions)))
+        return bool(high[2] > _FLAT * self.size)
 
     def movers_of(self, body: BodyIndex) -> Bools:
         """Returns which coordinates move a body, shape (nq,)."""

@@ -12,6 +12,7 @@ from pydrake.math import RigidTransform
 
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.show.board import Board
+from drake_aigto.show.coordinates import has_goal
 from drake_aigto.show.effects import Film
 from drake_aigto.show.linkage import Linkage
 from drake_aigto.show.linkage_effects import LinkageEffects
@@ -27,7 +28,7 @@ from drake_aigto.show.scene import (
 )
 from drake_aigto.show.stage import GRAY, Actor
 from drake_aigto.show.text import wall_names
-from drake_aigto.world import Scenario, TaskCost, World
+from drake_aigto.world import Scenario, World
 
 # Ghosts of the links where they start, and where they should end.
 _GHOSTS = {"start": Rgba(0.3, 0.3, 0.3, 0.25), "goal": Rgba(0.0, 0.62, 0.35, 0.3)}
@@ -63,15 +64,6 @@ def publish_linkage(
         effects.add(index, aside, folder_of(index))
     film.play()
     face_board(linkage, board, meshcat)
-
-
-def has_goal(world: World, scenario: Scenario) -> Bools:
-    """Returns which coordinates a scenario wants at their goal, at the end or always, (nq,)."""
-    cost = TaskCost.of(world, scenario)
-    is_weighted = np.diag(cost.QT) > 0
-    if scenario.reference_positions is None:
-        is_weighted = is_weighted | (cost.Q > 0)
-    return is_weighted | scenario.hard_goal
 
 
 def _lay_board(
@@ -146,14 +138,14 @@ def _show_still(
 def _show_ghosts(
     linkage: Linkage,
     ends: tuple[Floats, Floats],
-    has_goal: Bools,
+    asked_for: Bools,
     folder: str,
     aside: RigidTransform,
     meshcat: Meshcat,
 ) -> None:
     """Shows the links where they start and should end."""
     bodies = {actor.body: actor.index for actor in linkage.actors if actor.moves}
-    asked = {name for name, each in bodies.items() if np.any(linkage.movers_of(each) & has_goal)}
+    asked = {name for name, each in bodies.items() if np.any(linkage.movers_of(each) & asked_for)}
     for name, q in zip(_GHOSTS, ends, strict=True):
         for actor in linkage.actors:
             if actor.moves and (name == "start" or actor.body in asked):

@@ -180,7 +180,7 @@ def calc_contact_forces(motion: Motion, world: World, scenario: Scenario) -> Flo
 def find_dots(motion: Motion) -> Floats:
     """Returns q every so many seconds and at the end, shape (d, nq) [m]."""
     begin, end = motion.times[0], motion.times[-1]
-    return _positions_at(motion, np.append(np.arange(begin, end, DOT_SECONDS), end))
+    return positions_at(motion, np.append(np.arange(begin, end, DOT_SECONDS), end))
 
 
 def find_legs(motion: Motion) -> list[Floats]:
@@ -192,10 +192,11 @@ def find_legs(motion: Motion) -> list[Floats]:
             breaks.append(touch.start)
     dots = np.arange(begin, end, DOT_SECONDS)
     return [
-        _positions_at(motion, np.array([a, *dots[(dots > a) & (dots < b)], b]))
+        positions_at(motion, np.array([a, *dots[(dots > a) & (dots < b)], b]))
         for a, b in zip(breaks, [*breaks[1:], end], strict=True)
     ]
 
 
-def _positions_at(motion: Motion, times: Floats) -> Floats:
+def positions_at(motion: Motion, times: Floats) -> Floats:
+    """Returns q at times (d,) [s], shape (d, nq)."""
     return np.column_stack([np.interp(times, motion.times, q) for q in motion.positions.T])

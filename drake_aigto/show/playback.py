@@ -15,8 +15,8 @@ from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError
 from drake_aigto.planning import Plan
 from drake_aigto.show.board import Board
+from drake_aigto.show.coordinates import moves_straight
 from drake_aigto.show.effects import Effects, Film
-from drake_aigto.show.linkage import moves_straight
 from drake_aigto.show.linkage_playback import publish_linkage
 from drake_aigto.show.motion import (
     DOT_SECONDS,
