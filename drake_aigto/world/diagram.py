@@ -90,8 +90,8 @@ def check_plant(plant: MultibodyPlant) -> None:
     """Refuses a plant that can't be planned for, whatever its equations are.
 
     Raises:
-        ModelError: discrete, no moving joint, q̇ ≠ v, no actuator, a joint of another kind, or links
-            that are constrained otherwise than by joints.
+        ModelError: discrete, no moving joint, q̇ ≠ v, a joint of another kind, links that are
+            constrained otherwise than by joints, no actuator, or one with a controller.
     """
     if plant.time_step() > 0:
         raise ModelError(
@@ -110,12 +110,7 @@ def check_plant(plant: MultibodyPlant) -> None:
     find_hinges(plant)
     if count := plant.num_constraints():
         raise _refuse_loop(f"{count} constraint{'s' if count > 1 else ''} beside joints")
-    if plant.num_actuators() == 0:
-        raise ModelError(
-            "the model lacks an actuator",
-            remedy="In SDF drop <effort>0</effort> from the joint's <limit>; in URDF add a "
-            "<transmission>.",
-        )
+    _check_actuators(plant)
 
 
 def find_hinges(plant: MultibodyPlant) -> list[bool]:
@@ -209,6 +204,24 @@ def _walk(system: Any) -> Iterator[Any]:
     if isinstance(system, Diagram):
         for subsystem in system.GetSystems():
             yield from _walk(subsystem)
+
+
+def _check_actuators(plant: MultibodyPlant) -> None:
+    """Refuses a plant that nothing drives, or that something else drives than the control."""
+    if plant.num_actuators() == 0:
+        raise ModelError(
+            "the model lacks an actuator",
+            remedy="In SDF drop <effort>0</effort> from the joint's <limit>; in URDF add a "
+            "<transmission>.",
+        )
+    for actuator in map(plant.get_joint_actuator, plant.GetJointActuatorIndices()):
+        if actuator.has_controller():
+            raise ModelError(
+                f"actuator {actuator.name()!r}",
+                got="a PD controller, which a continuous plant leaves out",
+                expected="a motor that does what the control says",
+                remedy="Leave out <drake:controller_gains>.",
+            )
 
 
 def _check_velocities(plant: MultibodyPlant) -> None:
