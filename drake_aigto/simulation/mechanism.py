@@ -8,9 +8,9 @@ from drake_aigto.arrays import Floats, Ints
 from drake_aigto.simulation import impacts
 from drake_aigto.simulation.contact_motion import ContactMotion
 from drake_aigto.simulation.controller import Controller
+from drake_aigto.simulation.hybrid import HybridMotion
 from drake_aigto.simulation.impacts import STATE, HybridState, Rules
 from drake_aigto.simulation.recording import Recording
-from drake_aigto.simulation.smooth import follow
 from drake_aigto.world import World
 
 # This near to a wall is at it, relative to the largest position or 1 m, and this much air is left
@@ -20,7 +20,7 @@ _AIR = 1e-13
 _PULL = 1e-11
 
 
-class RigidMechanism:
+class RigidMechanism(HybridMotion):
     """A world whose walls are exactly rigid and frictionless, wherever M and J depend on q.
 
         flight    M(q) v̇ + h(q, v) = B u                             while φ(q) > 0
@@ -39,7 +39,6 @@ class RigidMechanism:
         restitutions: Floats,
         state: tuple[Floats, Floats],
         span: tuple[float, float],
-        recording: Recording,
     ) -> None:
         """Starts at rest on nothing.
 
@@ -48,30 +47,25 @@ class RigidMechanism:
             restitutions: e of each contact, in [0, 1], shape (m,).
             state: the start, (q, v).
             span: from when to when will be simulated [s].
-            recording: where impacts and samples of the motion are noted.
         """
-        self._world = world
+        super().__init__(world, state, span[0])
         self._rules = Rules(restitutions, span[1] - span[0])
-        self._recording = recording
         m = world.num_contacts
         self._held, self._counts = np.zeros(m, dtype=bool), np.zeros(m)
         self._log = impacts.make_log(impacts.MOST_IMPACTS, world.num_positions + 1)
-        self.time = span[0]
-        self.x = np.concatenate(state)
 
-    def advance(self, control: Floats, until: float, stops_after_impact: bool) -> None:
-        """Moves on under a control, shape (nu,) [N], until a time [s], or just after an impact."""
-        known = len(self._recording.impacts)
+    def _advance(self, control: Floats, until: float, feels_contact: bool) -> None:
+        known = len(self.recording.impacts)
         self._resolve(control)
         while self.time < until:
-            if stops_after_impact and len(self._recording.impacts) > known:
+            if feels_contact and len(self.recording.impacts) > known:
                 return
-            self._follow(control, until)
+            self._move(control, until)
             self._resolve(control)
 
-    def _follow(self, control: Floats, until: float) -> None:
+    def _move(self, control: Floats, until: float) -> None:
         """Moves on smoothly until something may happen."""
-        n, resting = self._world.num_positions, np.flatnonzero(self._held)
+        n, resting = self.world.num_positions, np.flatnonzero(self._held)
         ahead, beside = self._find_faces()
         pressing, pull = self._find_pressing(control, resting)
 
@@ -79,7 +73,7 @@ class RigidMechanism:
             return np.concatenate([x[..., n:], self._support(x, control, resting)[0]], axis=-1)
 
         def watched(x: Floats) -> Floats:
-            distances = self._world.calc_signed_distance(x[..., :n])
+            distances = self.world.calc_signed_distance(x[..., :n])
             forces = self._support(x, control, resting)[1]
             values = (
                 distances[..., ahead],
@@ -88,21 +82,19 @@ class RigidMechanism:
             )
             return np.concatenate(values, axis=-1)
 
-        stretch = follow(rates, watched, self.time, until, self.x)
-        self.time, self.x = stretch.end, stretch.state
-        self._recording.samples += [(samples, control) for samples in stretch.samples]
-        if len(ahead) <= stretch.fallen < len(ahead) + len(beside):
-            solid = self._world.contacts[beside[stretch.fallen - len(ahead)]].solid
-            self._held &= [contact.solid != solid for contact in self._world.contacts]
+        slid = self._follow(rates, watched, control, until) - len(ahead)
+        if 0 <= slid < len(beside):
+            solid = self.world.contacts[beside[slid]].solid
+            self._held &= [contact.solid != solid for contact in self.world.contacts]
 
     def _find_faces(self) -> tuple[Ints, Ints]:
         """Returns the faces that may be touched, and those behind of solids that are rested on.
 
         A solid is entered only when the last of the faces falls that the sphere is in front of.
         """
-        q, _ = np.split(self.x, 2)
-        distances, clear = self._world.calc_signed_distance(q), _calc_air(q) / 2
-        is_held = self._world.are_of_one_solid @ self._held
+        q, _ = self._split()
+        distances, clear = self.world.calc_signed_distance(q), _calc_air(q) / 2
+        is_held = self.world.are_of_one_solid @ self._held
         ahead = ~is_held & (distances > clear)
         beside = is_held & ~self._held & (distances < -clear)
         return np.flatnonzero(ahead), np.flatnonzero(beside)
@@ -113,23 +105,23 @@ class RigidMechanism:
         Of contacts that hold each other up without need, some may pull all the while.
         """
         acceleration, forces = self._support(self.x, control, resting)
-        masses = self._world.inertia_at(self.x[: self._world.num_positions]).masses[resting]
+        masses = self.world.inertia_at(self.x[: self.world.num_positions]).masses[resting]
         pull = _PULL * max(1.0, float(np.max(np.abs(acceleration)))) * masses
         pressing = np.flatnonzero(forces > -pull)
         return pressing, pull[pressing]
 
     def _support(self, x: Floats, control: Floats, resting: Ints) -> tuple[Floats, Floats]:
         """Returns v̇ [m/s²] and the forces of contacts at rest [N]."""
-        n = self._world.num_positions
+        n = self.world.num_positions
         q, v = x[..., :n], x[..., n:]  # A tenth of the time of `np.split`.
         if len(resting):
-            return self._world.calc_supported_acceleration(q, v, control, resting)
-        return self._world.calc_acceleration(q, v, control), np.empty((*x.shape[:-1], 0))
+            return self.world.calc_supported_acceleration(q, v, control, resting)
+        return self.world.calc_acceleration(q, v, control), np.empty((*x.shape[:-1], 0))
 
     def _resolve(self, control: Floats) -> None:
         """Lets go of walls, or bounces off them, at this instant."""
-        q, v = np.split(self.x, 2)
-        world, air = self._world, _calc_air(q)
+        q, v = self._split()
+        world, air = self.world, _calc_air(q)
         if not self._held.any() and np.all(world.calc_clearance(q) > air):
             return
         motion, n = ContactMotion.at(world, self.x), len(q)
@@ -140,8 +132,13 @@ class RigidMechanism:
         count = impacts.run_again(walls, rules, phase, free, free, self.time, 0.0, -1, log)
         states = log[:count, STATE:].reshape(-1, 3, n + 1)[..., :n].reshape(-1, 3 * n)
         rows = np.hstack([log[:count, :STATE], states])
-        self._recording.add_impacts(rows, world.calc_mass_matrix(q))
+        self.recording.add_impacts(rows, world.calc_mass_matrix(q))
         self.x = np.concatenate([phase.q[:n], phase.v[:n]])
+
+    def _find_depth(self) -> float:
+        states = np.concatenate([samples.states for samples, _ in self.recording.samples])
+        clearances = self.world.calc_clearance(states[:, : self.world.num_positions])
+        return max(0.0, -float(np.min(clearances, initial=0.0)))
 
 
 def simulate_mechanism(
@@ -151,26 +148,11 @@ def simulate_mechanism(
 
     Letters as in `RigidMechanism`; the start is (q, v).
 
-    Returns:
-        The states whenever the controller is asked, at the end, and before and after each impact;
-        and samples of all motion between.
-
     Raises:
         TrajectoryError: the motion runs away to infinity.
     """
-    recording = Recording()
     span = controller.start, controller.end
-    mechanism = RigidMechanism(world, restitutions, state, span, recording)
-    recording.add(controller.start, *state)
-    while mechanism.time < controller.end:
-        held = controller.sample(mechanism.time, mechanism.x, recording.bounces)
-        recording.hold(mechanism.time, held.control)
-        mechanism.advance(held.control, held.until, controller.feels_contact)
-        recording.add(mechanism.time, *np.split(mechanism.x, 2))
-    states = np.array([samples.states for samples, _ in recording.samples])
-    clearances = world.calc_clearance(states[..., : world.num_positions])
-    recording.max_penetration = max(0.0, -float(np.min(clearances)))
-    return recording
+    return RigidMechanism(world, restitutions, state, span).run(controller)
 
 
 def _calc_air(q: Floats) -> float:
