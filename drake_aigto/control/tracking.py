@@ -178,7 +178,7 @@ def track_event_driven(world: World, scenario: Scenario, controller: Controller)
     scenario.check_plain(_READER)
     start = scenario.initial_position, scenario.initial_velocity
     recording = simulate_rigid_wall(world, world.restitutions(scenario), start, controller)
-    return _summarize("event-driven", scenario, controller, recording)
+    return _summarize("event-driven", world, scenario, controller, recording)
 
 
 def track_drake(world: World, scenario: Scenario, controller: Controller) -> Tracked:
@@ -196,11 +196,12 @@ def track_drake(world: World, scenario: Scenario, controller: Controller) -> Tra
     without_friction = scenario.friction == 0
     recording = simulate_compliant_wall(world, start, controller, restitutions, without_friction)
     error = calc_compliance_error(world, restitutions, recording)
-    return _summarize("drake", scenario, controller, recording, error)
+    return _summarize("drake", world, scenario, controller, recording, error)
 
 
 def _summarize(
     simulator: str,
+    world: World,
     scenario: Scenario,
     controller: Controller,
     recording: Recording,
@@ -208,5 +209,5 @@ def _summarize(
 ) -> Tracked:
     times = np.append(recording.control_times, controller.end)
     controls = np.array(recording.controls)
-    replay = summarize(simulator, scenario, times, controls, recording, compliance_error)
+    replay = summarize(simulator, world, scenario, times, controls, recording, compliance_error)
     return Tracked(replay, times, controls)

@@ -22,6 +22,7 @@ PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
 PLAN_LABEL = "plan (not a simulation)"
 SIMULATION_LABELS = {
     "event-driven": "simulation: exactly rigid",
+    "integrated": "simulation: walls as springs",
     "drake": "simulation: compliant (Drake)",
 }
 

@@ -13,12 +13,15 @@ from drake_aigto.errors import TrajectoryError
 from drake_aigto.simulation.compliance import calc_compliance_error
 from drake_aigto.simulation.compliant_wall import simulate_compliant_wall
 from drake_aigto.simulation.controller import HeldControl
+from drake_aigto.simulation.costs import calc_cost, calc_plain_cost, explain_cost
+from drake_aigto.simulation.drake_springs import simulate_plant
 from drake_aigto.simulation.mechanism import simulate_mechanism
 from drake_aigto.simulation.recording import Recording
 from drake_aigto.simulation.rigid_wall import simulate_rigid_wall
 from drake_aigto.simulation.rollout import Parabolas
+from drake_aigto.simulation.springs import Springs
 from drake_aigto.trajectory import check_control
-from drake_aigto.world import Scales, Scenario, World
+from drake_aigto.world import CompliantLaw, Scales, Scenario, World
 
 # What counts as nothing in a simulation, as a part of the task's scales: 2 mm in a task of a meter.
 _NOTHING = 2e-3
@@ -135,9 +138,15 @@ def replay_event_driven(
     Raises:
         TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
     """
-    times, controls = _check_control(world, times, controls)
+    times, controls = _refine(scenario, *_check_control(world, times, controls))
+    law = world.contact_law(scenario)
+    if isinstance(law, CompliantLaw):
+        start = scenario.initial_position, scenario.initial_velocity
+        springs = Springs(world, law, start, float(times[0]))
+        recording = springs.run(HeldControl(times, controls))
+        return summarize("integrated", world, scenario, times, controls, recording)
     recording = _simulate_rigidly(world, scenario, times, controls)
-    return summarize("event-driven", scenario, times, controls, recording)
+    return summarize("event-driven", world, scenario, times, controls, recording)
 
 
 def replay_costs(world: World, scenario: Scenario, times: ArrayLike, controls: ArrayLike) -> Floats:
@@ -159,13 +168,11 @@ def replay_costs(world: World, scenario: Scenario, times: ArrayLike, controls: A
     columns = u.transpose(1, 0, 2).reshape(u.shape[1], -1)
     t, _ = check_control(times, columns)
     _check_columns(world, u)
-    if world.has_constant_dynamics:
-        ends = _roll_out(world, scenario, t).find_ends(u)
-    else:
-        runs = (_simulate_rigidly(world, scenario, t, control) for control in u)
-        ends = np.array([run.positions[-1] for run in runs])
+    if not (world.has_constant_dynamics and scenario.is_plain):
+        return np.array([replay_event_driven(world, scenario, t, control).cost for control in u])
+    ends = _roll_out(world, scenario, t).find_ends(u)
     pairs = zip(u, ends, strict=True)
-    return np.array([_calc_cost(scenario, t, control, end)[0] for control, end in pairs])
+    return np.array([calc_plain_cost(scenario, t, control, end)[0] for control, end in pairs])
 
 
 def replay_drake(world: World, scenario: Scenario, times: ArrayLike, controls: ArrayLike) -> Replay:
@@ -183,13 +190,16 @@ def replay_drake(world: World, scenario: Scenario, times: ArrayLike, controls: A
         ModelError: a shape of the contact has no stiffness.
         TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
     """
-    times, controls = _check_control(world, times, controls)
+    times, controls = _refine(scenario, *_check_control(world, times, controls))
     start = scenario.initial_position, scenario.initial_velocity
     restitutions = world.restitutions(scenario)
     held, without_friction = HeldControl(times, controls), scenario.friction == 0
+    if scenario.contact == "compliant":
+        recording = simulate_plant(world, start, held, without_friction)
+        return summarize("drake", world, scenario, times, controls, recording)
     recording = simulate_compliant_wall(world, start, held, restitutions, without_friction)
     error = calc_compliance_error(world, restitutions, recording)
-    return summarize("drake", scenario, times, controls, recording, error)
+    return summarize("drake", world, scenario, times, controls, recording, error)
 
 
 def confirms(
@@ -253,8 +263,18 @@ def _simulate_rigidly(
     if world.has_constant_dynamics:
         return _roll_out(world, scenario, times).record(controls)
     start = scenario.initial_position, scenario.initial_velocity
-    simulate = simulate_rigid_wall if world.has_constant_inertia else simulate_mechanism
+    is_wall = world.has_constant_inertia and scenario.is_plain
+    simulate = simulate_rigid_wall if is_wall else simulate_mechanism
     return simulate(world, world.restitutions(scenario), start, HeldControl(times, controls))
+
+
+def _refine(scenario: Scenario, times: Floats, controls: Floats) -> tuple[Floats, Floats]:
+    """Returns the same control with more knots where a reference has its own: costs have kinks."""
+    if scenario.reference_times is None:
+        return times, controls
+    inside = (scenario.reference_times > times[0]) & (scenario.reference_times < times[-1])
+    knots = np.union1d(times, scenario.reference_times[inside])
+    return knots, controls[np.searchsorted(times, knots[:-1], side="right") - 1]
 
 
 def _roll_out(world: World, scenario: Scenario, times: Floats) -> Parabolas:
@@ -262,17 +282,9 @@ def _roll_out(world: World, scenario: Scenario, times: Floats) -> Parabolas:
     return Parabolas(world.constant_dynamics, world.restitutions(scenario), start, times)
 
 
-def _calc_cost(
-    scenario: Scenario, times: Floats, control: Floats, end: Floats
-) -> tuple[float, float]:
-    """Returns the cost of a control that ends there, and how far from the goal that is [m]."""
-    effort = float(np.diff(times) @ np.sum(control**2, axis=1))
-    goal_error = float(np.linalg.norm(end - scenario.goal_position))
-    return scenario.control_weight * effort + scenario.goal_weight * goal_error**2, goal_error
-
-
 def summarize(
     simulator: str,
+    world: World,
     scenario: Scenario,
     times: Floats,
     controls: Floats,
@@ -283,8 +295,7 @@ def summarize(
 
     Its end is off by the compliance error [m] at most, as walls are compliant.
     """
-    cost, goal_error = _calc_cost(scenario, times, controls, recording.positions[-1])
-    unexplained = max(0.0, goal_error - compliance_error)
+    cost, goal_error = calc_cost(world, scenario, times, controls, recording)
     return Replay(
         simulator=simulator,
         cost=cost,
@@ -295,7 +306,7 @@ def summarize(
         energies_before=tuple(impact.energy_before for impact in recording.impacts),
         energies_after=tuple(impact.energy_after for impact in recording.impacts),
         compliance_error=compliance_error,
-        compliance_cost=scenario.goal_weight * (goal_error**2 - unexplained**2),
+        compliance_cost=explain_cost(world, scenario, recording.positions[-1], compliance_error),
         matched_speeds=tuple(recording.matched_speeds),
         times=recording.times,
         positions=recording.positions,

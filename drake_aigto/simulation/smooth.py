@@ -99,7 +99,13 @@ def _integrate(
     """Yields the pieces of each step, and the state at the step's end."""
     with np.errstate(over="ignore", invalid="ignore"):
         solver = scipy.integrate.DOP853(
-            lambda _, x: rates(x), start, state, end, rtol=_TOLERANCE, atol=_TOLERANCE
+            lambda _, x: rates(x),
+            start,
+            state,
+            end,
+            rtol=_TOLERANCE,
+            atol=_TOLERANCE,
+            first_step=end - start,  # Knots are close: mostly one step, which a guess would halve.
         )
         while solver.status == "running":
             solver.step()

@@ -123,20 +123,14 @@ class Springs(HybridMotion):
 
     def _measure(self, x: Floats) -> tuple[Floats, Floats]:
         """Returns φ [m] and φ̇ [m/s] of states (…, 2 nv), shape (…, m) each."""
-        q, v = np.split(x, 2, axis=-1)
-        J = self.world.calc_contact_jacobian(q)
-        return self.world.calc_signed_distance(q), (J @ v[..., np.newaxis])[..., 0]
+        n = self.world.num_positions
+        q, v = x[..., :n], x[..., n:]
+        return self.world.calc_signed_distance(q), self.world.calc_contact_rate(q, v)
 
     def _touch(self, contact: int, control: Floats) -> None:
         """Notes that a contact begins."""
-        q, v = self._split()
-        self.recording.add(self.time, q, v)
-        turning = self.world.calc_contact_bias(q, v)[contact]
-        acceleration = self.world.calc_acceleration(q, v, control)
-        J = self.world.calc_contact_jacobian(q)[contact]
-        energy = float(self.world.calc_kinetic_energy(q, v))
-        speed, push = -float(J @ v), float(J @ acceleration + turning)
-        self._touched[contact] = Impact(self.time, contact, speed, push, energy, energy)
+        self.recording.add(self.time, *self._split())
+        self._touched[contact] = read_touch(self.world, self.time, self.x, contact, control)
 
     def _leave(self, contact: int) -> None:
         """Notes that a contact ends, unless it began inside the wall."""
@@ -150,9 +144,25 @@ class Springs(HybridMotion):
         states = np.concatenate([samples.states for samples, _ in self.recording.samples])
         times = np.concatenate([samples.times for samples, _ in self.recording.samples])
         distances, rates = self._measure(states)
-        deepest = np.min(distances, initial=0.0)
-        # Between samples φ is a parabola where φ̇ turns positive.
-        turns = (rates[:-1] < 0) & (rates[1:] > 0)
-        steps = np.where(turns, rates[:-1] / np.where(turns, rates[:-1] - rates[1:], 1.0), 0.0)
-        lowest = distances[:-1] + rates[:-1] * steps * np.diff(times)[:, np.newaxis] / 2
-        return max(0.0, -float(deepest), -float(np.min(lowest, initial=0.0)))
+        rows = self.world.calc_signed_distance(np.array(self.recording.positions))
+        return max(find_depth(times, distances, rates), -float(np.min(rows, initial=0.0)))
+
+
+def read_touch(world: World, time: float, x: Floats, contact: int, control: Floats) -> Impact:
+    """Returns how a contact begins, in a state x = (q, v); its energy after is the one before."""
+    q, v = np.split(x, 2)
+    J, bias = world.calc_contact_jacobian(q)[contact], world.calc_contact_bias(q, v)[contact]
+    push = float(J @ world.calc_acceleration(q, v, control) + bias)
+    energy = float(world.calc_kinetic_energy(q, v))
+    return Impact(time, contact, -float(J @ v), push, energy, energy)
+
+
+def find_depth(times: Floats, distances: Floats, rates: Floats) -> float:
+    """Returns the deepest −φ, at least 0 [m], of rows φ and φ̇ at times (K,), shape (K, m) each.
+
+    Between rows where φ̇ turns positive φ is taken for a parabola.
+    """
+    turns = (rates[:-1] < 0) & (rates[1:] > 0)
+    parts = np.where(turns, rates[:-1] / np.where(turns, rates[:-1] - rates[1:], 1.0), 0.0)
+    lowest = distances[:-1] + rates[:-1] * parts * np.diff(times)[:, np.newaxis] / 2
+    return max(0.0, -float(np.min(distances, initial=0.0)), -float(np.min(lowest, initial=0.0)))

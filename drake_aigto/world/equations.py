@@ -181,6 +181,11 @@ class EquationsOfMotion:
         shape = self.num_contacts, self.num_velocities
         return self._jacobian_map(q).reshape(*q.shape[:-1], *shape)
 
+    def calc_contact_rate(self, q: Floats, v: Floats) -> Floats:
+        """Returns φ̇ = J v, shape (…, m) [m/s], at q of shape (…, nq) [m], v of (…, nv) [m/s]."""
+        rates = self.calc_contact_jacobian(q) @ v[..., np.newaxis]
+        return np.asarray(rates[..., 0], dtype=np.float64)
+
     def calc_contact_bias(self, q: Floats, v: Floats) -> Floats:
         """Returns J̇ v, which makes φ̈ = J v̇ + J̇ v, (…, m) [m/s²], at q (…, nq), v (…, nv)."""
         return self._contact_bias_map(np.concatenate([q, v], axis=-1))

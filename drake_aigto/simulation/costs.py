@@ -1,0 +1,85 @@
+"""What a recorded motion costs."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.polynomial import legendre
+
+from drake_aigto.arrays import Floats
+from drake_aigto.simulation.recording import Recording
+from drake_aigto.simulation.smooth import Samples
+from drake_aigto.world import Scenario, TaskCost, World
+
+# Of a quadrature between rows: the square of a cubic has degree 6, so that it is exact.
+_NODES, _WEIGHTS = legendre.leggauss(4)
+
+
+def calc_cost(
+    world: World, scenario: Scenario, times: Floats, controls: Floats, recording: Recording
+) -> tuple[float, float]:
+    """Returns what a recorded motion costs, and how far its end is from the goal [m, rad].
+
+    Args:
+        world: that it was recorded in.
+        scenario: the task.
+        times: of the control's knots, shape (N+1,) [s].
+        controls: held between them, shape (N, nu) [N, N m].
+        recording: its last row is the end. The integral of what runs is a quadrature over its
+            samples; if it has none, along the cubic between rows, exact where flight is a parabola.
+    """
+    end = recording.positions[-1]
+    if scenario.is_plain:
+        return calc_plain_cost(scenario, times, controls, end)
+    task = TaskCost.of(world, scenario)
+    cost = float(task.final(end, recording.velocities[-1]))
+    for samples, control in recording.samples or [_sample_rows(recording, times, controls)]:
+        q, v = np.split(samples.states, 2, axis=-1)
+        u = np.broadcast_to(control, (len(q), controls.shape[1]))
+        cost += float(samples.weights @ task.running(samples.times, q, v, u))
+    return cost, float(task.goal_error(end))
+
+
+def calc_plain_cost(
+    scenario: Scenario, times: Floats, controls: Floats, end: Floats
+) -> tuple[float, float]:
+    """Returns AIGTO's cost of a control that ends there, and how far from the goal that is [m]."""
+    effort = float(np.diff(times) @ np.sum(controls**2, axis=1))
+    goal_error = float(np.linalg.norm(end - scenario.goal_position))
+    return scenario.control_weight * effort + scenario.goal_weight * goal_error**2, goal_error
+
+
+def explain_cost(world: World, scenario: Scenario, end: Floats, error: float) -> float:
+    """Returns what of the cost of an end q(T) is explained if it is off by an error [m] at most."""
+    if scenario.is_plain:
+        goal_error = float(np.linalg.norm(end - scenario.goal_position))
+        unexplained = max(0.0, goal_error - error)
+        return scenario.goal_weight * (goal_error**2 - unexplained**2)
+    task = TaskCost.of(world, scenario)
+    missed = task.position_error(end, task.goal)
+    size = float(np.sqrt(missed @ task.QT @ missed))
+    explained = error * float(np.sqrt(np.linalg.eigvalsh(task.QT).max()))
+    return size**2 - max(0.0, size - explained) ** 2
+
+
+def _sample_rows(recording: Recording, times: Floats, controls: Floats) -> tuple[Samples, Floats]:
+    """Returns samples between a recording's rows, and the control at each."""
+    states = np.hstack([recording.positions, recording.velocities])
+    samples = sample_cubics(np.array(recording.times), states)
+    held = np.searchsorted(times, samples.times, side="right") - 1
+    return samples, controls[held]
+
+
+def sample_cubics(times: Floats, states: Floats) -> Samples:
+    """Returns samples along the cubics between rows of states (q, v), shape (K, 2 nv)."""
+    lasts = np.flatnonzero(np.diff(times) > 0)
+    steps = np.diff(times)[lasts, np.newaxis]
+    s = ((_NODES + 1) / 2)[:, np.newaxis, np.newaxis]
+    (q0, v0), (q1, v1) = (np.split(states[rows], 2, axis=1) for rows in (lasts, lasts + 1))
+    chord = (q1 - q0) / steps
+    bend, twist = 3 * chord - 2 * v0 - v1, v0 + v1 - 2 * chord
+    q = q0 + s * steps * (v0 + s * (bend + s * twist))
+    v = v0 + s * (2 * bend + 3 * s * twist)
+    at = times[lasts, np.newaxis] + s[..., 0].T * steps
+    weights = steps / 2 * _WEIGHTS
+    rows = np.concatenate([q, v], axis=-1).transpose(1, 0, 2)
+    return Samples(at.ravel(), weights.ravel(), rows.reshape(-1, states.shape[1]))
