@@ -30,7 +30,7 @@ TIMES = np.linspace(0.0, 1.5, 61)
 
 def ask(q: Any, v: Any, **fields: Any) -> Scenario:
     """Returns SPOT's task: swing up between soft walls."""
-    given = {
+    given: dict[str, Any] = {
         "goal_position": [0.0, math.pi],
         "duration": 1.5,
         "time_step": 0.025,
@@ -41,7 +41,7 @@ def ask(q: Any, v: Any, **fields: Any) -> Scenario:
         "control_weight": 0.05,
         "angles": "chordal",
     }
-    task = {"initial_position": q, "initial_velocity": v, "contact": "compliant"}
+    task: dict[str, Any] = {"initial_position": q, "initial_velocity": v, "contact": "compliant"}
     return Scenario(**(given | task | fields))
 
 
@@ -150,11 +150,11 @@ def test_without_dissipation_and_control_mechanism_and_springs_keep_their_energy
 def test_running_costs_are_those_of_the_integral() -> None:
     scenario, controls = draw(3)
     world = read(MODEL)
-    law, task = world.contact_law(scenario), TaskCost.of(world, scenario)
+    stiffness, task = world.stiffness, TaskCost.of(world, scenario)
 
     def rates(t: float, y: Any, u: Any) -> Any:
         q, v = y[:2], y[2:4]
-        forces = law.stiffness * np.maximum(0.0, -world.calc_signed_distance(q))
+        forces = stiffness * np.maximum(0.0, -world.calc_signed_distance(q))
         a = world.calc_acceleration(q, v, u) + world.calc_velocity_change(q, forces)
         return [*v, *a, float(task.running(t, q, v, u))]
 
@@ -170,7 +170,7 @@ def test_running_costs_are_those_of_the_integral() -> None:
 
 
 @pytest.mark.parametrize("contact", ["rigid", "compliant"])
-def test_a_reference_between_knots_is_followed_exactly(contact: str) -> None:
+def test_a_reference_between_knots_is_followed_exactly(contact: Any) -> None:
     # A ball flies freely, away from the wall: q = 1 + 2t; the reference has a kink at 0.37 s.
     world = World.from_diagram(make_diagram())
     scenario = Scenario(
