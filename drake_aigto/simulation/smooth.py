@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import math
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, TypeAlias
 
@@ -19,6 +20,8 @@ _TOLERANCE = 1e-13
 # are polynomials of the degree below but for rounding.
 _LONGEST = 0.5
 _DEGREE = 16
+# More pieces of one step are no motion any more, but numbers that run away.
+_MOST_PIECES = 1e5
 # Nodes of a piece: of the polynomial, and of a quadrature that is exact up to the degree 19.
 _NODES = chebyshev.chebpts1(_DEGREE + 1)
 _FIT = np.linalg.inv(chebyshev.chebvander(_NODES, _DEGREE))
@@ -110,12 +113,7 @@ def _integrate(
         while solver.status == "running":
             solver.step()
             if solver.status == "failed" or not np.isfinite(solver.y).all():
-                raise TrajectoryError(
-                    "the motion under this control",
-                    got=f"one that runs away at {solver.t:g} s",
-                    expected="one that can be integrated until the end",
-                    remedy="Check the control's size.",
-                )
+                raise _refuse(solver.t)
             for piece in _divide(solver):
                 yield piece, solver.y
 
@@ -129,7 +127,10 @@ def _divide(solver: Any) -> Iterator[_Piece]:
 
     step = _Piece(solver.t_old, solver.t, states)
     speed = np.max(np.abs(states(step.at(_NODES))[:, len(solver.y) // 2 :]))
-    count = max(1, int(np.ceil(speed * (solver.t - solver.t_old) / _LONGEST)))
+    length = speed * (solver.t - solver.t_old) / _LONGEST
+    if not length <= _MOST_PIECES:
+        raise _refuse(solver.t_old)
+    count = max(1, math.ceil(length))
     edges = np.linspace(solver.t_old, solver.t, count + 1).tolist()
     for first, last in itertools.pairwise(edges):
         yield _Piece(first, last, states)
@@ -154,3 +155,13 @@ def _find_first_fall(coefficients: Floats) -> float:
     edges = np.concatenate([[-1.0], np.sort(real[np.abs(real) < 1]), [1.0]])
     values = chebyshev.chebval((edges[:-1] + edges[1:]) / 2, coefficients)
     return float(edges[np.argmax(values < 0)]) if np.any(values < 0) else np.inf
+
+
+def _refuse(time: float) -> TrajectoryError:
+    """Returns the error of a motion that can't be integrated beyond a time [s]."""
+    return TrajectoryError(
+        "the motion under this control",
+        got=f"one that runs away at {time:g} s",
+        expected="one that can be integrated until the end",
+        remedy="Check the control's size.",
+    )
