@@ -14,6 +14,8 @@ from drake_aigto.show.text import (
     energy_text,
     friction_items,
     length_text,
+    miss_text,
+    miss_texts,
     run_texts,
     task_items,
     time_text,
@@ -22,7 +24,7 @@ from drake_aigto.show.text import (
 from drake_aigto.simulation import Replay
 from drake_aigto.simulation.contacts import PlannedContact
 from drake_aigto.transcription.rows import UNITS
-from drake_aigto.world import World
+from drake_aigto.world import Scenario, World
 
 _LABEL = 12  # Columns of the labels at the left.
 _COLUMNS = (9, 8, 9, 8, 10, 10)  # Of the table of candidates, before their contacts.
@@ -45,7 +47,7 @@ def format_plan(plan: Plan, world: World | None = None, contact_delay: float | N
         ModelError: the world has to be given (`Plan.find_world`).
     """
     world = plan.find_world(world)
-    return "\n".join([*_answer(plan, world, contact_delay), *_search(plan, contact_names(world))])
+    return "\n".join([*_answer(plan, world, contact_delay), *_search(plan, world)])
 
 
 def format_replays(
@@ -67,11 +69,12 @@ def _answer(plan: Plan, world: World, contact_delay: float | None) -> Iterator[s
         yield from _text("interrupted", INTERRUPTED)
     for veto in describe_vetoes(plan, world):
         yield from _text("vetoed", veto)
-    yield from _text("no control", describe_idle(plan))
+    yield from _text("no control", describe_idle(plan, world))
     mass = [] if scenario.mass is None else [f"mass {scenario.mass:g} kg"]
     span = f"T = {scenario.duration:g} s in {scenario.num_steps} steps"
-    restitution = f"restitution {scenario.restitution:g}"
-    yield from _row("scenario", [*task_items(scenario), *mass, restitution, span])
+    is_rigid = scenario.contact == "rigid"
+    restitution = [f"restitution {scenario.restitution:g}"] if is_rigid else []
+    yield from _row("scenario", [*task_items(scenario, world), *mass, *restitution, span])
     yield from _row("pairs", _pairs(world, names))
     yield from _row("friction", friction_items(scenario, world))
     literal = [f"ε = {scenario.epsilon:g} J", f"δ = {scenario.delta:g} m"]
@@ -81,7 +84,7 @@ def _answer(plan: Plan, world: World, contact_delay: float | None) -> Iterator[s
             f"{plan.transcription} transcription",
             *(literal if plan.transcription == "literal" else []),
             f"cost {cost_text(plan.cost, 3, scale)}",
-            f"ends {length_text(best.goal_error)} off the goal",
+            f"ends {miss_text(best, scenario, world)} off the goal",
             f"deepest penetration {length_text(best.max_penetration)}",
         ],
     )
@@ -91,7 +94,8 @@ def _answer(plan: Plan, world: World, contact_delay: float | None) -> Iterator[s
     yield from _row("contacts", _contacts(best, names))
     yield from _text("unplanned", describe_unplanned(plan, world))
     for replay in plan.replay:
-        yield from _row("simulated", _simulation(replay, scale, contact_delay, names))
+        miss = miss_text(replay, scenario, world)
+        yield from _row("simulated", _simulation(replay, scale, contact_delay, names, miss))
 
 
 def describe_verdict(plan: Plan, world: World) -> str:
@@ -122,12 +126,12 @@ def _pairs(world: World, names: Sequence[str]) -> Iterator[str]:
 
 
 def _simulation(
-    replay: Replay, scale: float, contact_delay: float | None, names: Sequence[str]
+    replay: Replay, scale: float, contact_delay: float | None, names: Sequence[str], miss: str
 ) -> Iterator[str]:
     yield f"{_simulator(replay, names)}: cost {cost_text(replay.cost, 3, scale)}"
     explained = f" (its compliance explains {length_text(replay.compliance_error)})"
     known = explained if replay.compliance_error else ""
-    yield f"ends {length_text(replay.goal_error)} off the goal{known}"
+    yield f"ends {miss} off the goal{known}"
     yield f"deepest penetration {length_text(replay.max_penetration)}"
     if not replay.bounce_times:
         yield "no bounce"
@@ -152,7 +156,7 @@ def _bounces(replay: Replay, names: Sequence[str]) -> str:
     return f"bounces at {times} s" + (f" and {more} times more" if more > 0 else "")
 
 
-def _search(plan: Plan, names: Sequence[str]) -> Iterator[str]:
+def _search(plan: Plan, world: World) -> Iterator[str]:
     options = plan.options
     boxes = [f"boxes of {plan.scenario.num_steps} steps"] if options else []
     if isinstance(options, PlanOptions):
@@ -170,9 +174,11 @@ def _search(plan: Plan, names: Sequence[str]) -> Iterator[str]:
             f"{iterations}; the first is the plan",
         ],
     )
-    yield _line("cost", "defect", "in wall", "energy", "replayed", "off goal", "contacts")
-    for candidate in plan.candidates[:_MOST_CANDIDATES]:
-        yield _line(*candidate_texts(candidate, names))
+    shown = plan.candidates[:_MOST_CANDIDATES]
+    yield from _table(
+        ("cost", "defect", "in wall", "energy", "replayed", "off goal", "contacts"),
+        *(candidate_texts(candidate, plan.scenario, world) for candidate in shown),
+    )
     more = len(plan.candidates) - _MOST_CANDIDATES
     if more > 0:
         yield from _row("", [f"and {more} more"])
@@ -182,8 +188,9 @@ def _search(plan: Plan, names: Sequence[str]) -> Iterator[str]:
     yield from _row("seconds", [f"{part} {s:.2f}" for part, s in plan.stats.seconds.items()])
 
 
-def candidate_texts(candidate: Candidate, names: Sequence[str]) -> tuple[str, ...]:
+def candidate_texts(candidate: Candidate, scenario: Scenario, world: World) -> tuple[str, ...]:
     """Returns a candidate's numbers, those of its rigid simulation, and its contacts."""
+    names = contact_names(world)
     times = ", ".join(map(_when, candidate.contacts))
     if len(names) > 1:
         times = " at ".join(["".join(_letter(c.index) for c in candidate.contacts), times])
@@ -193,18 +200,20 @@ def candidate_texts(candidate: Candidate, names: Sequence[str]) -> tuple[str, ..
         f"{defect}{'' if candidate.is_feasible else '*'}",
         *others,
         cost_text(candidate.replay.cost, scale=candidate.scales.cost),
-        length_text(candidate.replay.goal_error),
+        " ".join(miss_texts(candidate.replay, scenario, world)),
         ("no control: " if candidate.is_idle else "")
         + (f"{times} s" if candidate.contacts else "none"),
     )
 
 
-def _line(*texts: str) -> str:
-    """Returns a line of the table of candidates; the last text is cut off at the width."""
-    *cells, last = texts
-    columns = [text.rjust(size) for text, size in zip(cells, _COLUMNS, strict=True)]
-    line = " " * _LABEL + "".join(columns) + "  "
-    return line + textwrap.shorten(last, WIDTH - len(line), placeholder=" …")
+def _table(*rows: tuple[str, ...]) -> Iterator[str]:
+    """Yields lines, in columns as wide as they need; the last text is cut off at the width."""
+    needed = (2 + max(map(len, column)) for column in list(zip(*rows, strict=True))[:-1])
+    sizes = list(map(max, _COLUMNS, needed))
+    for *cells, last in rows:
+        columns = [text.rjust(size) for text, size in zip(cells, sizes, strict=True)]
+        line = " " * _LABEL + "".join(columns) + "  "
+        yield line + textwrap.shorten(last, WIDTH - len(line), placeholder=" …")
 
 
 def _row(label: str, items: Iterable[str], between: str = ", ") -> list[str]:
@@ -280,7 +289,7 @@ def _when(contact: PlannedContact) -> str:
     return "–".join(dict.fromkeys(times))
 
 
-def describe_idle(plan: Plan) -> str | None:
+def describe_idle(plan: Plan, world: World) -> str | None:
     """Returns what doing nothing costs; None where the search did not look at it."""
     if plan.idle is None:
         return None
@@ -288,9 +297,8 @@ def describe_idle(plan: Plan) -> str | None:
         return "this is the plan: nothing that was found and holds costs less"
     replay = plan.idle.replay
     less = "doing nothing is better: " if plan.is_beaten else ""
-    return (
-        f"{less}it costs {replay.cost:.3e} and ends {length_text(replay.goal_error)} off the goal"
-    )
+    miss = miss_text(replay, plan.scenario, world)
+    return f"{less}it costs {replay.cost:.3e} and ends {miss} off the goal"
 
 
 def describe_unplanned(plan: Plan, world: World) -> str | None:
@@ -314,23 +322,22 @@ def describe_steps(plan: Plan) -> str | None:
 
 def describe_vetoes(plan: Plan, world: World) -> Iterator[str]:
     """Yields which candidates promise less than the plan costs, and what is wrong with them."""
-    names = touch_names(world)
     vetoes = sorted(plan.vetoes, key=lambda veto: veto.candidate.cost)
     for veto in vetoes[:_MOST_VETOES]:
-        yield _describe_veto(veto, names)
+        yield _describe_veto(veto, plan.scenario, world)
     if len(vetoes) > _MOST_VETOES:
         yield f"{len(vetoes) - _MOST_VETOES} more candidates that promise less"
 
 
-def _describe_veto(veto: Veto, names: Sequence[str]) -> str:
-    candidate, replay = veto.candidate, veto.replay
+def _describe_veto(veto: Veto, scenario: Scenario, world: World) -> str:
+    candidate, replay, names = veto.candidate, veto.replay, touch_names(world)
     where = "Drake's plant" if replay.simulator == "drake" else "rigid walls"
     times = [f"{contact.time:.3f}" for contact in candidate.contacts[:_MOST_TOUCHES]]
     more = ", …" if len(candidate.contacts) > _MOST_TOUCHES else ""
     contacts = f"contacts at {', '.join(times)}{more} s" if times else "no contact"
     text = (
         f"a candidate with {contacts} promises {candidate.cost:.2e}, but on {where} costs "
-        f"{replay.cost:.2e} and ends {length_text(replay.goal_error)} off the goal"
+        f"{replay.cost:.2e} and ends {miss_text(replay, scenario, world)} off the goal"
     )
     if replay.broken:
         return f"{text}, and breaks {', '.join(map(repr, replay.broken))}"

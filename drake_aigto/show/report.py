@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator, Sequence
 from dataclasses import fields
 from importlib import metadata
 
+import numpy as np
 import yaml
 from matplotlib.figure import Figure
 
@@ -37,7 +38,9 @@ from drake_aigto.show.text import (
     energy_text,
     friction_items,
     length_text,
+    miss_text,
     task_items,
+    weight_text,
 )
 from drake_aigto.simulation import Replay
 from drake_aigto.simulation.material import contact_delay
@@ -53,6 +56,22 @@ PROBLEM = """\
 minimize over u   ∫₀ᵀ w_u ‖u(t)‖² dt + w_f ‖q(T) − q_goal‖²
 subject to        M v̇ + h(q, v) = B u + J(q)ᵀ λ,    0 ≤ φ(q) ⊥ λ ≥ 0,    q(0), v(0) given
                   J v⁺ = −e J v⁻  where a wall is hit"""
+
+
+# Of tasks that ask for more than that, with e_q and e_v the errors of q and v.
+_COST = """\
+minimize over u   ∫₀ᵀ uᵀ R u + e_qᵀ Q e_q + e_vᵀ Q_v e_v dt
+                  + e_q(T)ᵀ Q_T e_q(T) + e_v(T)ᵀ Q_vT e_v(T)"""
+_SOFT = """\
+subject to        M v̇ + h(q, v) = B u + J(q)ᵀ λ,    λ = k x max(0, 1 + d ẋ),    x = max(0, −φ(q)),
+                  q(0), v(0) given"""
+_WEIGHTS = {
+    "R": "control_weight",
+    "Q": "position_weight",
+    "Q_v": "velocity_weight",
+    "Q_T": "goal_weight",
+    "Q_vT": "goal_velocity_weight",
+}
 
 
 def report_plan(
@@ -75,7 +94,7 @@ def report_plan(
         run = run_boxes(plan, world)
     except OptionsError as error:
         no_boxes = str(error)
-    start, _, goal = task_items(plan.scenario)
+    start, _, goal, *_ = task_items(plan.scenario, world)
     page = Page(f"Plan: {start}, {goal}")
     add_verdict(page, plan, world)
     add_question(page, plan.scenario, world, plan.additions)
@@ -107,8 +126,8 @@ def add_verdict(page: Page, plan: Plan, world: World) -> None:
         page.paragraph(
             f"{label[0].upper()}{label[1:]}: {'confirms' if confirmed else 'contradicts'} the "
             f"plan. {describe_difference(plan.cost, replay)}; it ends "
-            f"{length_text(replay.goal_error)} off the goal, the plan "
-            f"{length_text(plan.best.goal_error)}."
+            f"{miss_text(replay, plan.scenario, world)} off the goal, the plan "
+            f"{miss_text(plan.best, plan.scenario, world)}."
         )
     if plan.is_interrupted:
         page.paragraph(f"Interrupted: {INTERRUPTED}.")
@@ -118,7 +137,7 @@ def add_verdict(page: Page, plan: Plan, world: World) -> None:
         page.paragraph(f"Unplanned: {unplanned}.")
     if steps := describe_steps(plan):
         page.paragraph(f"Time steps: {steps}.")
-    if idle := describe_idle(plan):
+    if idle := describe_idle(plan, world):
         page.paragraph(f"Without control: {idle}.")
 
 
@@ -143,12 +162,12 @@ def add_question(
 ) -> None:
     """Adds what was asked, with the names of costs and constraints besides the scenario's."""
     page.heading("The question")
-    page.code(PROBLEM)
+    page.code(_describe_problem(scenario))
     rows = [
-        ("task", ", ".join(task_items(scenario))),
+        ("task", ", ".join(task_items(scenario, world))),
         ("duration", f"{scenario.duration:g} s in {scenario.num_steps} steps"),
-        ("restitution e", f"{scenario.restitution:g}"),
-        ("weights", f"w_u = {scenario.control_weight:g}, w_f = {scenario.goal_weight:g}"),
+        *([("restitution e", f"{scenario.restitution:g}")] if scenario.contact == "rigid" else []),
+        ("weights", _describe_weights(scenario)),
         ("contacts", ", ".join(contact_names(world))),
         ("model", world.model or "a diagram of one's own"),
     ]
@@ -161,10 +180,26 @@ def add_question(
     page.table(("", ""), rows)
 
 
+def _describe_problem(scenario: Scenario) -> str:
+    """Returns the cost and the equations of a task."""
+    if scenario.is_plain:
+        return PROBLEM
+    rigid = PROBLEM[PROBLEM.index("subject to") :]
+    return "\n".join([_COST, rigid if scenario.contact == "rigid" else _SOFT])
+
+
+def _describe_weights(scenario: Scenario) -> str:
+    """Returns the weights of the cost that are not zero."""
+    if scenario.is_plain:
+        return f"w_u = {scenario.control_weight:g}, w_f = {scenario.goal_weight:g}"
+    found = ((symbol, getattr(scenario, name)) for symbol, name in _WEIGHTS.items())
+    return "; ".join(f"{symbol} = {weight_text(w)}" for symbol, w in found if np.any(w))
+
+
 def _add_answer(page: Page, plan: Plan, world: World) -> None:
     page.heading("The answer")
     page.paragraph(describe_contacts(plan.best, world))
-    page.table(("", *NUMBERS, "touches"), _number_rows(plan))
+    page.table(("", *NUMBERS, "touches"), _number_rows(plan, world))
     page.paragraph(
         "The plan is what the optimizer promises. The simulations run its control alone, from the "
         "start: they know nothing else of it."
@@ -181,26 +216,25 @@ def describe_contacts(best: Candidate, world: World) -> str:
     return f"The plan touches {count}: {'; '.join(touches)}."
 
 
-def _number_rows(plan: Plan) -> Iterator[tuple[str, ...]]:
+def _number_rows(plan: Plan, world: World) -> Iterator[tuple[str, ...]]:
     """Yields a plan's numbers and those of its simulations, as rows below `NUMBERS`."""
     best = plan.best
     times = [contact.time for contact in best.contacts]
-    scale = best.scales.cost
-    yield _number_row("plan (no simulation)", best, scale, f"{best.max_defect:.0e}", times)
+    numbers = _numbers(plan, best, world, f"{best.max_defect:.0e}", times)
+    yield "plan (no simulation)", *numbers
     for replay in plan.replay:
-        label = SIMULATION_LABELS[replay.simulator]
-        yield _number_row(label, replay, scale, "obeys them", replay.bounce_times)
+        numbers = _numbers(plan, replay, world, "obeys them", replay.bounce_times)
+        yield SIMULATION_LABELS[replay.simulator], *numbers
 
 
-def _number_row(
-    name: str, run: Candidate | Replay, scale: float, defect: str, times: Sequence[float]
+def _numbers(
+    plan: Plan, run: Candidate | Replay, world: World, defect: str, times: Sequence[float]
 ) -> tuple[str, ...]:
     touches = ", ".join(f"{time:.3f} s" for time in times[:_MOST_TOUCHES]) or "none"
     return (
-        name,
-        cost_text(run.cost, 3, scale),
+        cost_text(run.cost, 3, plan.best.scales.cost),
         defect,
-        length_text(run.goal_error),
+        miss_text(run, plan.scenario, world),
         length_text(run.max_penetration),
         energy_text(run.energy_ratio),
         f"{touches}, {len(times) - _MOST_TOUCHES} more" if len(times) > _MOST_TOUCHES else touches,
@@ -293,9 +327,10 @@ def _add_candidates(page: Page, plan: Plan, world: World) -> None:
     if plan.stats.flight_left_out is not None:
         least = plan.stats.flight_left_out
         page.paragraph(f"A free flight was left out, as it costs {least:.2e} at least.")
-    names = contact_names(world)
-    shown = enumerate(plan.candidates[:_MOST_CANDIDATES], 1)
-    rows = [(str(number), *candidate_texts(each, names)) for number, each in shown]
+    rows = [
+        (str(number), *candidate_texts(each, plan.scenario, world))
+        for number, each in enumerate(plan.candidates[:_MOST_CANDIDATES], 1)
+    ]
     page.table(_CANDIDATE_HEADER, rows)
 
 

@@ -3,23 +3,87 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from typing import Any
 
+import numpy as np
+
+from drake_aigto.arrays import Bools, Floats
 from drake_aigto.planning import Candidate
-from drake_aigto.world import Scenario, World
+from drake_aigto.simulation import Replay
+from drake_aigto.world import Scenario, TaskCost, World
 
 WIDTH = 100
 # Below it, in the task's scale, a cost is 0 but for rounding; nothing is so many percent of it.
 NO_COST = 1e-9
 _AGAINST = " against "
+_AS_SHORT: Any = {"float_kind": lambda value: f"{value:g}"}
+# What a task asks for besides that is told where it starts and ends; weights are told elsewhere.
+_SHOWN = (
+    *("hard_goal", "angles", "duration_range", "reference_times", "contact"),
+    *("position_lower", "position_upper", "velocity_lower", "velocity_upper"),
+    *("control_lower", "control_upper", "control_norm"),
+)
 
 
-def task_items(scenario: Scenario) -> list[str]:
-    """Returns where a scenario starts and ends."""
-    return [
-        f"q(0) = {_numbers(scenario.initial_position)} m",
-        f"v(0) = {_numbers(scenario.initial_velocity)} m/s",
-        f"goal {_numbers(scenario.goal_position)} m",
+def task_items(scenario: Scenario, world: World | None = None) -> list[str]:
+    """Returns where a scenario starts and ends, and what its task asks for besides.
+
+    Without a world, all coordinates are lengths.
+    """
+    is_hinge = np.zeros(scenario.initial_position.shape, bool) if world is None else world.is_hinge
+    items = [
+        f"q(0) = {_numbers(scenario.initial_position, is_hinge)}",
+        f"v(0) = {_numbers(scenario.initial_velocity, is_hinge, '/s')}",
+        f"goal {_numbers(scenario.goal_position, is_hinge)}",
     ]
+    if scenario.goal_velocity is not None:
+        items.append(f"goal velocity {_numbers(scenario.goal_velocity, is_hinge, '/s')}")
+    return items + [_extra_text(scenario, name) for name in scenario.extras if name in _SHOWN]
+
+
+def _extra_text(scenario: Scenario, name: str) -> str:
+    """Returns what a task asks for besides, in words."""
+    value, words = getattr(scenario, name), name.replace("_", " ")
+    if value is True:
+        return words
+    if name == "reference_times":
+        return f"a reference at {len(value)} times"
+    if isinstance(value, str):
+        return f"{value} {words}"
+    return f"{words} {np.array2string(np.array(value), separator=', ', formatter=_AS_SHORT)}"
+
+
+def weight_text(weight: float | Floats) -> str:
+    """Returns one weight, or those of a diagonal or a matrix."""
+    return np.array2string(np.array(weight), separator=", ", formatter=_AS_SHORT)
+
+
+def miss_texts(run: Candidate | Replay, scenario: Scenario, world: World) -> list[str]:
+    """Returns how far a run ends off the goal: lengths, angles, and speeds if these are weighed."""
+    if not world.is_hinge.any() and scenario.is_plain:
+        return [length_text(run.goal_error)]
+    cost = TaskCost.of(world, scenario)
+    motion = run.trajectory if isinstance(run, Candidate) else run
+    speeds = motion.velocities[-1] - cost.goal_velocity
+    kinds = [(~world.is_hinge, length_text), (world.is_hinge, angle_text)]
+    texts = [
+        as_text(float(np.linalg.norm(cost.goal_errors(motion.positions[-1])[which])))
+        for which, as_text in kinds
+        if which.any()
+    ]
+    if np.any(cost.QTv) or (scenario.hard_goal and scenario.goal_velocity is not None):
+        texts += [
+            f"{as_text(float(np.linalg.norm(speeds[which])))}/s"
+            for which, as_text in kinds
+            if which.any()
+        ]
+    return texts
+
+
+def miss_text(run: Candidate | Replay, scenario: Scenario, world: World) -> str:
+    """Returns the same as words."""
+    *texts, last = miss_texts(run, scenario, world)
+    return f"{', '.join(texts)} and {last}" if texts else last
 
 
 def contact_names(world: World) -> list[str]:
@@ -60,6 +124,11 @@ def length_text(meters: float) -> str:
     return f"{1e6 * meters:.1f} µm" if meters >= 1e-8 else "0 m"
 
 
+def angle_text(radians: float) -> str:
+    """Returns an angle in the unit that it is best read in."""
+    return f"{length_text(radians)[:-1]}rad"
+
+
 def time_text(seconds: float) -> str:
     """Returns a short time."""
     return f"{1e3 * seconds:.2f} ms"
@@ -78,6 +147,13 @@ def run_texts(run: Candidate, digits: int = 2) -> tuple[str, str, str, str]:
     return cost, defect, length_text(run.max_penetration), energy_text(run.energy_ratio)
 
 
-def _numbers(values: Iterable[float]) -> str:
+def _numbers(values: Iterable[float], is_hinge: Bools, per: str = "") -> str:
+    """Returns numbers with their unit: one for all, or of each where they differ."""
+    units = [f"rad{per}" if hinge else f"m{per}" for hinge in is_hinge]
     texts = [f"{value:g}" for value in values]
-    return texts[0] if len(texts) == 1 else f"({', '.join(texts)})"
+    if len(texts) == 1:
+        return f"{texts[0]} {units[0]}"
+    if len(set(units)) == 1:
+        return f"({', '.join(texts)}) {units[0]}"
+    pairs = zip(texts, units, strict=True)
+    return f"({', '.join(f'{text} {unit}' for text, unit in pairs)})"

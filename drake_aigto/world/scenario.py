@@ -5,7 +5,6 @@ from __future__ import annotations
 import dataclasses
 import math
 import os
-from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, Literal, get_args
@@ -276,7 +275,14 @@ class Scenario(ArrayRecord):
     @property
     def is_plain(self) -> bool:
         """Whether the task is AIGTO's: weights on ‖u‖² and on ‖q(T) − goal_position‖² alone."""
-        return next(self._find_extras(), None) is None
+        return not self.extras
+
+    @property
+    def extras(self) -> tuple[str, ...]:
+        """The fields that ask for more than a plain task does."""
+        values = self.__dict__
+        weights = (name for name in _WEIGHTS if isinstance(values[name], np.ndarray))
+        return (*weights, *(name for name in _EXTRAS if _is_given(name, values[name])))
 
     def check_plain(self, reader: str = "What plans for balls") -> None:
         """Refuses a task that is not plain, for a reader who would not see what it asks for more.
@@ -287,7 +293,7 @@ class Scenario(ArrayRecord):
         Raises:
             ScenarioError: the task is not plain; names the first field that asks for more.
         """
-        for name in self._find_extras():
+        for name in self.extras:
             default = _DEFAULTS[name]
             raise ScenarioError(
                 name,
@@ -295,15 +301,6 @@ class Scenario(ArrayRecord):
                 expected="one number" if name in _WEIGHTS else f"its default, {default}",
                 remedy=f"{reader} would ignore it.",
             )
-
-    def _find_extras(self) -> Iterator[str]:
-        """Yields the fields that ask for more than a plain task does."""
-        values = self.__dict__
-        yield from (name for name in _WEIGHTS if isinstance(values[name], np.ndarray))
-        for name in _EXTRAS:
-            value = values[name]
-            if isinstance(value, np.ndarray) or value != _DEFAULTS[name]:
-                yield name
 
     def in_steps(self, num_steps: int) -> Scenario:
         """Returns the same, its duration cut into so many time steps."""
@@ -316,7 +313,7 @@ class Scenario(ArrayRecord):
 
         Those that ask for more than a plain task does are left out where they do not.
         """
-        left_out = set(_EXTRAS) - set(self._find_extras())
+        left_out = set(_EXTRAS) - set(self.extras)
         names = [field.name for field in dataclasses.fields(self) if field.name not in left_out]
         return {name: _as_plain(getattr(self, name)) for name in names}
 
@@ -379,6 +376,10 @@ class Scenario(ArrayRecord):
 
 
 _DEFAULTS = {field.name: field.default for field in dataclasses.fields(Scenario)}
+
+
+def _is_given(name: str, value: Any) -> bool:
+    return isinstance(value, np.ndarray) or value != _DEFAULTS[name]
 
 
 def _as_plain(value: Any) -> Any:

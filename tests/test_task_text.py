@@ -1,0 +1,144 @@
+"""What plans and reports say of tasks whose coordinates are lengths and angles."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from mechanisms import build
+
+from drake_aigto import Plan, Scenario, World
+from drake_aigto.planning import Candidate, Origin, PlanStats, Replays
+from drake_aigto.show.page import Page
+from drake_aigto.show.plans import format_plan
+from drake_aigto.show.report import add_question
+from drake_aigto.show.text import angle_text, miss_text, task_items
+from drake_aigto.simulation import Replay
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.world import Scales, TaskCost
+
+ENDS: dict[str, Any] = {
+    "initial_position": [0.1, 0.2],
+    "initial_velocity": [0.0, 0.5],
+    "goal_position": [0.0, 3.0],
+    "goal_weight": [1.0, 2.0],
+}
+TURNED = 3.002 + 2 * np.pi  # A turn and 2 mrad beyond the goal.
+
+
+@cache
+def cart_pole() -> World:
+    return build("cart-pole")
+
+
+def end_at(q: Any, v: Any, scenario: Scenario) -> Replay:
+    """Returns a replay that ends there."""
+    q, v = np.array(q), np.array(v)
+    ends = np.stack([scenario.initial_position, q]), np.stack([scenario.initial_velocity, v])
+    return Replay(
+        simulator="event-driven",
+        cost=1.0,
+        goal_error=float(TaskCost.of(cart_pole(), scenario).goal_error(q)),
+        max_penetration=0.0,
+        bounce_times=(),
+        bounce_contacts=(),
+        energies_before=(),
+        energies_after=(),
+        compliance_error=0.0,
+        compliance_cost=0.0,
+        matched_speeds=(),
+        times=np.array([0.0, scenario.duration]),
+        positions=ends[0],
+        velocities=ends[1],
+    )
+
+
+@pytest.mark.parametrize(
+    ("more", "expected"),
+    [
+        ({}, "1.0 mm and 6.29 rad"),
+        ({"angles": "modulo"}, "1.0 mm and 2.0 mrad"),
+        ({"angles": "chordal"}, "1.0 mm and 2.0 mrad"),
+        (
+            {"angles": "modulo", "goal_velocity_weight": [0.0, 1.0]},
+            "1.0 mm, 2.0 mrad, 0.25 m/s and 0.50 rad/s",
+        ),
+        (
+            {"hard_goal": True, "goal_velocity": [0.25, -0.5]},
+            "1.0 mm, 6.29 rad, 0 m/s and 0 rad/s",
+        ),
+    ],
+)
+def test_a_miss_is_told_in_the_units_of_what_misses(more: dict[str, Any], expected: str) -> None:
+    scenario = Scenario(**{**ENDS, **more})
+    run = end_at([1e-3, TURNED], [0.25, -0.5], scenario)
+    assert miss_text(run, scenario, cart_pole()) == expected
+
+
+@pytest.mark.parametrize(
+    ("radians", "text"),
+    [(1.234, "1.23 rad"), (0.05, "50.0 mrad"), (3e-6, "3.0 µrad"), (0.0, "0 rad")],
+)
+def test_an_angle_is_told_in_the_unit_it_is_best_read_in(radians: float, text: str) -> None:
+    assert angle_text(radians) == text
+
+
+def test_a_task_says_all_that_it_asks_for() -> None:
+    scenario = Scenario(
+        **ENDS,
+        goal_velocity=[0.0, 1.0],
+        hard_goal=True,
+        angles="modulo",
+        duration_range=(0.5, 2.0),
+        control_lower=-20.0,
+        position_upper=[1.0, np.inf],
+        contact="compliant",
+    )
+    assert task_items(scenario, cart_pole()) == [
+        "q(0) = (0.1 m, 0.2 rad)",
+        "v(0) = (0 m/s, 0.5 rad/s)",
+        "goal (0 m, 3 rad)",
+        "goal velocity (0 m/s, 1 rad/s)",
+        "hard goal",
+        "modulo angles",
+        "duration range [0.5, 2]",
+        "position upper [1, inf]",
+        "control lower -20",
+        "compliant contact",
+    ]
+
+
+def test_a_plan_and_a_report_of_a_mechanism_are_written() -> None:
+    scenario = Scenario(**ENDS, velocity_weight=[0.0, 1.0], angles="modulo", contact="compliant")
+    run = end_at([1e-3, TURNED], [0.0, 0.0], scenario)
+    still = np.zeros((2, 2))
+    trajectory = Trajectory(run.times, run.positions, still, still[:1, :1], still, still[:1])
+    candidate = Candidate(
+        origin=Origin("boxes"),
+        start_cost=2.0,
+        start_defects={"dynamics": 0.0},
+        trajectory=trajectory,
+        cost=1.0,
+        goal_error=run.goal_error,
+        defects={"dynamics": 0.0},
+        max_penetration=0.0,
+        contacts=(),
+        replay=run,
+        scales=Scales.of(cart_pole(), scenario),
+    )
+    plan = Plan(scenario, "mechanism", (candidate,), Replays(run, None), PlanStats(1, 1, {}), None)
+    text = format_plan(plan, cart_pole())
+    assert text.count("ends 1.0 mm and 2.0 mrad off the goal") == 2
+    assert "1.0 mm 2.0 mrad  none" in text  # In the table of candidates.
+    assert "restitution" not in text
+    assert max(map(len, text.splitlines())) <= 100
+    again = dataclasses.replace(plan, scenario=dataclasses.replace(scenario, contact="rigid"))
+    assert "restitution 1" in format_plan(again, cart_pole())
+    page = Page("A plan")
+    add_question(page, scenario, cart_pole())
+    written = page.to_html()
+    for part in ("R = 0.001; Q_v = [0, 1]; Q_T = [1, 2]", "λ = k x max(0, 1 + d ẋ)", "3 rad)"):
+        assert part in written
