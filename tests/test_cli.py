@@ -206,7 +206,7 @@ def test_table1_prints_every_method_with_its_replays(
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["plan", "table1/9"], "unknown scenario 'table1/9': expected one of corridor/lossy, "),
+        (["plan", "table1/9"], "unknown scenario 'table1/9': expected one of acrobot/"),
         (["plan", "nowhere.yaml"], "scenario file nowhere.yaml can't be read"),
         (["plan", "table1/1", "--initial-position", "-1"], "initial_position is inside, behind"),
         (
