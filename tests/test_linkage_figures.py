@@ -14,6 +14,7 @@ from mechanisms import build
 from drake_aigto import ModelError, Scenario, World
 from drake_aigto.show import plot_contact_forces, plot_motions, plot_phase_portrait, plot_strobe
 from drake_aigto.show.coordinates import coordinate_names
+from drake_aigto.show.linkage_figures import draw_mechanism
 from drake_aigto.show.motion import Motion
 from drake_aigto.transcription import Touch
 
@@ -104,6 +105,22 @@ def test_links_are_drawn_where_they_are_at_evenly_spaced_times(
     # The left wall's face, less the tip's radius, is 0.6 m from the middle.
     assert np.asarray(contacts.get_xdata())[0] == pytest.approx(-0.64, abs=0.05)
     assert axes.get_aspect() == 1 and (axes.get_xlabel(), axes.get_ylabel()) == ("x [m]", "z [m]")
+
+
+def test_turns_of_the_goal_that_do_not_count_bring_it_near(world: World, soft: Scenario) -> None:
+    task = Scenario.from_plain({**soft.to_plain(), "angles": "chordal"})
+    grid = Figure().subplots(3, 2)
+    plot_motions(grid, [move([0.0, -3.0])], world, task)
+    stars = [line for line in grid[0, 1].lines if line.get_marker() == "*"]
+    assert np.asarray(stars[0].get_ydata())[0] == pytest.approx(-np.pi)
+
+
+def test_a_report_has_a_mechanism_in_pictures(world: World, soft: Scenario) -> None:
+    motions = [move([1.0, 0.5]), move([1.0, 0.6])]
+    captions = [caption for _, caption in draw_mechanism(motions, world, soft)]
+    assert [caption.split()[0] for caption in captions] == ["Links", "Velocity", "What"]
+    away = [move([-0.2, 0.1])]
+    assert len(list(draw_mechanism(away, world, soft))) == 2
 
 
 def test_what_keeps_to_no_plane_has_no_still_picture(axes: Axes) -> None:

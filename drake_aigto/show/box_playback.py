@@ -269,6 +269,8 @@ def run_boxes(plan: Plan, world: World | None = None) -> BoxRun:
     world, rung = plan.find_world(world), plan.best.origin.rung
     if plan.options is None:
         raise _refuse("no options")
+    if not isinstance(plan.options, LiteralOptions | PlanOptions):
+        raise _refuse("the options of another search, of many boxes for short stretches")
     if rung is None:
         raise _refuse("no rung of AIGO's ladder")
     if plan.additions:

@@ -48,6 +48,16 @@ def has_goal(world: World, scenario: Scenario) -> Bools:
     return is_weighted | scenario.hard_goal
 
 
+def find_goal(world: World, scenario: Scenario, end: Floats) -> Floats:
+    """Returns the goal of a motion that ends at q, shape (nq,).
+
+    Of an angle whose turns do not count, it is the one nearest to q; without a weight, q itself.
+    """
+    nearest = end - TaskCost.of(world, scenario).goal_errors(end)
+    goal = scenario.goal_position if scenario.angles == "exact" else nearest
+    return np.where(has_goal(world, scenario), goal, end)
+
+
 def solid_regions(world: World, coordinates: tuple[int, int], window: Floats) -> list[Floats]:
     """Returns where solids are in the plane of two coordinates, as polygons.
 

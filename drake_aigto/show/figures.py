@@ -17,6 +17,7 @@ from drake_aigto.planning import Plan
 from drake_aigto.show.coordinates import (
     coordinate_names,
     coordinate_unit,
+    find_goal,
     has_goal,
     moves_straight,
     solid_regions,
@@ -123,7 +124,8 @@ def plot_positions(
     _plot_rows(axes, motions, "positions", coordinate)
     _mark_touches(axes, motions, world, coordinate, named=True)
     if has_goal(world, scenario)[coordinate]:
-        axes.plot(scenario.duration, scenario.goal_position[coordinate], "*", **_GOAL)
+        goal = find_goal(world, scenario, motions[0].positions[-1])
+        axes.plot(scenario.duration, goal[coordinate], "*", **_GOAL)
         axes.plot([], [], "*", color="black", markersize=9, label="goal")
     _shade_walls(axes, world, coordinate)
     axes.set_ylabel(_label("position", world, coordinate))
@@ -350,8 +352,7 @@ def plot_phase_portrait(
 ) -> None:
     """Draws a coordinate's velocity against its position, and the walls across it.
 
-    A bounce is a vertical line at a wall's edge. Start and the goal's position are marked; no
-    velocity is asked for at the goal.
+    A bounce is a vertical line at a wall's edge. Start and the goal's position are marked.
     """
     for index, motion in enumerate(motions):
         q, v = motion.positions[:, coordinate], motion.velocities[:, coordinate]
@@ -359,7 +360,8 @@ def plot_phase_portrait(
     _show_way(axes, motions[0], coordinate)
     start = scenario.initial_position[coordinate], scenario.initial_velocity[coordinate]
     axes.plot(*start, "s", color="black", markersize=7, zorder=5, label="start")
-    goal = [scenario.goal_position[coordinate]] if has_goal(world, scenario)[coordinate] else []
+    goal = [find_goal(world, scenario, motions[0].positions[-1])[coordinate]]
+    goal = goal if has_goal(world, scenario)[coordinate] else []
     for place in goal:
         axes.axvline(place, color="black", linestyle=(0, (4, 3)), linewidth=1.2, label="goal")
     axes.axhline(0, color="black", linewidth=0.5)

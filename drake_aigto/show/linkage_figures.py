@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
 from matplotlib.patches import Polygon
 from pydrake.geometry import Capsule, Cylinder, Sphere
 from pydrake.math import RigidTransform
@@ -15,8 +16,8 @@ from scipy.spatial import ConvexHull
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
-from drake_aigto.show.coordinates import has_goal
-from drake_aigto.show.figures import ABOVE, HOLLOW, SOLID_LOOK, line_of
+from drake_aigto.show.coordinates import find_goal, has_goal
+from drake_aigto.show.figures import ABOVE, HOLLOW, SOLID_LOOK, line_of, plot_phase_portrait
 from drake_aigto.show.linkage import Linkage
 from drake_aigto.show.motion import (
     Motion,
@@ -40,6 +41,34 @@ _NAME: dict[str, Any] = {"ha": "center", "va": "bottom", "fontsize": "small"}
 _NAME |= {"textcoords": "offset points", "xytext": (0, 4)}
 
 
+def draw_mechanism(
+    motions: Sequence[Motion], world: World, scenario: Scenario
+) -> Iterator[tuple[Figure, str]]:
+    """Yields the figures of a mechanism's motions for a report, each with its caption.
+
+    A still picture of the first two if they keep to a plane, velocities against positions, and what
+    contacts push with if anything is known of it.
+    """
+    figure = Figure(figsize=(9, 5), layout="constrained")
+    try:
+        shown = motions[:2]
+        panels = figure.subplots(1, len(shown), squeeze=False)[0]
+        for axes, motion in zip(panels, shown, strict=True):
+            plot_strobe(axes, motion, world, scenario)
+        yield figure, "Links at evenly spaced times, the early ones pale; the goal is dashed."
+    except ModelError:  # They keep to no plane.
+        pass
+    n = world.num_positions
+    figure = Figure(figsize=(4.5 * max(n, 2), 4.6), layout="constrained")
+    for coordinate, axes in enumerate(figure.subplots(1, n, squeeze=False)[0]):
+        plot_phase_portrait(axes, motions, world, scenario, coordinate)
+    yield figure, "Velocity against position, of each coordinate."
+    if any(np.any(calc_contact_forces(motion, world, scenario) > 0) for motion in motions):
+        figure = Figure(figsize=(9, 3.6), layout="constrained")
+        plot_contact_forces(figure.subplots(), motions, world, scenario)
+        yield figure, "What contacts push with over time."
+
+
 def plot_strobe(
     axes: Axes, motion: Motion, world: World, scenario: Scenario, count: int = _COUNT
 ) -> None:
@@ -60,7 +89,7 @@ def plot_strobe(
         ModelError: the motion keeps to no plane.
     """
     is_asked = has_goal(world, scenario)
-    goal = np.where(is_asked, scenario.goal_position, motion.positions[-1])
+    goal = find_goal(world, scenario, motion.positions[-1])
     linkage = Linkage(world, np.vstack([motion.positions, goal]))
     if not linkage.is_flat:
         raise ModelError(

@@ -12,7 +12,7 @@ from pydrake.math import RigidTransform
 
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.show.board import Board
-from drake_aigto.show.coordinates import has_goal
+from drake_aigto.show.coordinates import find_goal, has_goal
 from drake_aigto.show.effects import Film
 from drake_aigto.show.linkage import Linkage
 from drake_aigto.show.linkage_effects import LinkageEffects
@@ -45,7 +45,7 @@ def publish_linkage(
     as it ends, and links that no weighted one moves have no ghost.
     """
     has = has_goal(world, scenario)
-    goals = [np.where(has, scenario.goal_position, motion.positions[-1]) for motion in motions]
+    goals = [find_goal(world, scenario, motion.positions[-1]) for motion in motions]
     ends = np.vstack([scenario.initial_position, *goals])
     linkage = Linkage(world, np.vstack([ends, *(motion.positions for motion in motions)]))
     begin, end = time_span(motions)
@@ -76,7 +76,8 @@ def _lay_board(
     """Returns the board that the motions need, with as many panels in a row as are seen best."""
     walls = wall_names(world)
     has = has_goal(world, scenario)
-    start, goal = linkage.trace(np.array([scenario.initial_position, scenario.goal_position]))
+    end = find_goal(world, scenario, motions[0].positions[-1])
+    start, goal = linkage.trace(np.array([scenario.initial_position, end]))
     # A place that a coordinate without weight moves is not asked for.
     is_free = [np.any(linkage.movers_of(body) & ~has) for body, _ in linkage.tracers]
     goal[is_free] = np.nan

@@ -16,8 +16,10 @@ from drake_aigto.errors import ModelError, OptionsError
 from drake_aigto.optima import rigid_optimum
 from drake_aigto.planning import Candidate, Plan, SearchOptions
 from drake_aigto.show.box_playback import BoxRun, play_boxes, run_boxes
+from drake_aigto.show.coordinates import moves_straight
 from drake_aigto.show.figures import plot_boxes, plot_path, plot_phase_portrait, plot_plan
 from drake_aigto.show.landscapes import plot_cost_history, plot_cost_landscape
+from drake_aigto.show.linkage_figures import draw_mechanism
 from drake_aigto.show.motion import SIMULATION_LABELS, motions_of_plan
 from drake_aigto.show.page import Page
 from drake_aigto.show.plans import (
@@ -258,7 +260,10 @@ def figures_of_plan(plan: Plan, world: World, run: BoxRun | None) -> Iterator[tu
     figure = Figure(figsize=(4.5 * max(n, 2), 7), layout="constrained")
     plot_plan(figure.subplots(3, n, sharex=True), plan, world)
     yield figure, "Positions, velocities and controls: the plan, and simulations of its control."
-    yield _draw_states(plan, world)
+    if moves_straight(world):
+        yield _draw_states(plan, world)
+    else:
+        yield from draw_mechanism(motions_of_plan(plan, world), world, plan.scenario)
     if run is not None:
         yield _draw_boxes(run, n)
 
