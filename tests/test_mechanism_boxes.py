@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from mechanisms import LEFT, PASSIVE, build, build_world, joint, link, plane, sphere, wall
 
-from drake_aigto.box import BoxPolynomial
+from drake_aigto.box import BoxPolynomial, ParametricPolynomial
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.planning import MechanismBoxes, MechanismRung, Renewal, StartedBoxes
 from drake_aigto.terms import MAX_TERMS
-from drake_aigto.transcription import COST, DISTANCES, ROWS, Ends, MechanismProgram, soften
+from drake_aigto.transcription import COST, DISTANCES, GOAL, ROWS, Ends, MechanismProgram, soften
 from drake_aigto.world import CompliantLaw, RigidLaw, TaskCost, World
 
 N, DURATION = 6, 1.2
@@ -134,6 +134,33 @@ def test_ends_are_parameters_of_one_program() -> None:
         z = boxes.program.calc_variables(q, ends)
         got = boxes.start(ends).polynomial.mean_by_block(z, 0.0)[COST]
         assert got == pytest.approx(transcribe(world, (0, 1), law, ends, q)[0], rel=1e-9)
+
+
+def test_a_hard_goal_is_a_penalty_of_what_has_to_reach_it() -> None:
+    world, rng = read("cart-pole"), np.random.default_rng(8)
+    ends = make_ends(world, rng)
+    is_hard = np.array([True, False, False, True])
+    program = MechanismProgram(world, ends.cost, make_law(world), DURATION, N, is_hard)
+    polynomial = ParametricPolynomial(program.num_variables, program.num_parameters, program.blocks)
+    q = draw_motion(world, ends, rng)
+    f = polynomial.at(program.parameters(ends))
+    got = f.mean_by_block(program.calc_variables(q, ends), 0.0)[GOAL]
+    way, turning = q[N, 0] - ends.cost.goal[0], (q[N + 1, 1] - q[N - 1, 1]) / (2 * DT) - 0.3
+    expected = (way / ends.cost.goal[0]) ** 2 + (turning * DURATION) ** 2
+    assert got == pytest.approx(expected, rel=1e-9)
+
+
+def test_boxes_come_nearer_to_a_hard_goal_than_to_one_without_weight() -> None:
+    world, goal, none = read("pendulum"), np.array([0.5]), np.zeros((1, 1))
+    cost = make_cost(world, goal, QT=none, QTv=none, Q=np.zeros(1), Qv=np.zeros(1))
+    ends, bounds = Ends(np.zeros(1), np.zeros(1), cost), np.array([[-np.inf], [np.inf]])
+    errors = []
+    for is_hard in (None, np.array([True, True])):
+        boxes = MechanismBoxes(world, cost, make_law(world), DURATION, 20, bounds, is_hard)
+        started = boxes.start(ends)
+        center = started.run(MechanismRung(temperature=0.01), started.rest())
+        errors.append(abs(center.positions[-2, 0] - 0.5))
+    assert errors[1] < 0.5 * errors[0]
 
 
 def test_turns_that_do_not_count_cost_nothing() -> None:

@@ -15,6 +15,9 @@ from drake_aigto.arrays import Bools, Floats
 from drake_aigto.box import Order, ParametricPolynomial
 from drake_aigto.transcription import (
     COST,
+    DISTANCES,
+    GOAL,
+    ROWS,
     Ends,
     MechanismProgram,
 )
@@ -25,6 +28,7 @@ MechanismStart = Literal["rest", "coast", "line"]
 _COOLING = 0.2
 _TOLERANCE = 0.05  # Of boxes: what they show is closed by another method, however near it is.
 _POINT_STEPS, _POINT_TOLERANCE = 30, 1e-3
+_GOAL_WEIGHT = 10.0  # of a hard goal, in what standing still costs: 10 at a distance of L
 _SAMPLES = 16  # of a motion, to see what is typical of it
 
 
@@ -93,7 +97,7 @@ class Renewal(Shrinking):
     first: int
     count: int
     shift: Floats
-    temperatures: int = 2
+    temperatures: int = 1
 
     @classmethod
     def draw(cls, rng: np.random.Generator, num_steps: int, num_positions: int) -> Renewal:
@@ -154,6 +158,7 @@ class MechanismBoxes:
         duration: T [s].
         num_steps: N, of the program.
         control_bounds: of u, shape (2, nu) [N, N m]; only `Center.controls` knows of them.
+        is_hard: which of q and v have to be at the goal in the end, shape (2n,); None: neither.
     """
 
     def __init__(
@@ -164,9 +169,10 @@ class MechanismBoxes:
         duration: float,
         num_steps: int,
         control_bounds: Floats,
+        is_hard: Bools | None = None,
     ) -> None:
         """Multiplies out and compiles."""
-        self.program = MechanismProgram(world, cost, law, duration, num_steps)
+        self.program = MechanismProgram(world, cost, law, duration, num_steps, is_hard)
         self.control_bounds = control_bounds
         n, order = self.program.num_variables, (Order.MEAN, Order.CENTERS, Order.BOXES)
         self.polynomial = ParametricPolynomial(
@@ -191,6 +197,7 @@ class StartedBoxes:
         """Sets the program's parameters."""
         self.program, self.ends = boxes.program, ends
         self._bounds, self._is_free = boxes.control_bounds, boxes.is_free
+        self._num_free = np.count_nonzero(self._is_free)
         self.polynomial = boxes.polynomial.at(boxes.program.parameters(ends))
 
     def rest(self) -> Floats:
@@ -209,7 +216,7 @@ class StartedBoxes:
         hold = world.inverse_actuation @ world.calc_bias(q, rest)
         times = np.linspace(0.0, T, _SAMPLES)
         waiting = np.mean(cost.running(times, q, rest, hold)) * T + cost.final(q, rest)
-        return float(waiting or 1.0) / np.count_nonzero(self._is_free)
+        return float(waiting or 1.0) / self._num_free
 
     @cached_property
     def weight_unit(self) -> float:
@@ -221,7 +228,7 @@ class StartedBoxes:
         )
         square = np.mean(np.sum(falls**2, axis=(1, 2)))
         square += np.sum((cost.goal - q) ** 2) / T**4 + np.sum(v**2) / T**2
-        return self.temperature_unit * np.count_nonzero(self._is_free) / (T * square)
+        return self.temperature_unit * self._num_free / (T * square)
 
     @cached_property
     def widths(self) -> Floats:
@@ -271,8 +278,10 @@ class StartedBoxes:
         return self._shrink(renewal, z, self._is_free & is_open.ravel())
 
     def _shrink(self, how: Shrinking, z: Floats, is_open: Bools) -> Center:
-        names = set(self.polynomial.weights) - {COST}
-        f = self.polynomial.with_weights(dict.fromkeys(names, how.weight * self.weight_unit))
+        W, waiting = how.weight * self.weight_unit, self.temperature_unit * self._num_free
+        weights = {COST: 1.0, ROWS: W, DISTANCES: W, GOAL: _GOAL_WEIGHT * waiting}
+        known = self.polynomial.weights
+        f = self.polynomial.with_weights({name: weights[name] for name in known})
         if how.half_width == 0:
             found = newton(
                 point_objective(f, is_open, _POINT_TOLERANCE), z[f.order], _POINT_STEPS, 0.0

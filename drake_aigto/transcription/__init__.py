@@ -5,6 +5,7 @@ from drake_aigto.transcription.facings import Facing, find_facings
 from drake_aigto.transcription.mechanism_program import (
     COST,
     DISTANCES,
+    GOAL,
     ROWS,
     Ends,
     MechanismProgram,
@@ -20,6 +21,7 @@ from drake_aigto.transcription.transcription import Transcription
 __all__ = [
     "COST",
     "DISTANCES",
+    "GOAL",
     "NONPENETRATION",
     "ROWS",
     "Additions",

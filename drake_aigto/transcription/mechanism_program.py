@@ -16,8 +16,8 @@ from drake_aigto.transcription.stage_sums import StageSums, combine, scaled
 from drake_aigto.transcription.tracking_sums import TrackingSums
 from drake_aigto.world import CompliantLaw, RigidLaw, TaskCost, World
 
-# What blocks are called: J, what no control can meet, and distances that are variables.
-COST, ROWS, DISTANCES = "cost", "rows", "distances"
+# What blocks are called: J, what no control can meet, distances that are variables, hard goals.
+COST, ROWS, DISTANCES, GOAL = "cost", "rows", "distances", "goal"
 
 _LEAST_RESTITUTION = 0.2  # of springs that stand in for rigid walls
 
@@ -79,6 +79,7 @@ class MechanismProgram:
                        + e_NᵀQT e_N + ė_NᵀQTv ė_N                                  "cost"
                  + W Σ_k dt |r_k|²                                                 "rows"
                  + W Σ_k dt |κ (s_k − φ(q_k) + b)|²                                "distances"
+                 + W_g |e_N/L|²,   |ė_N T/L|²    where the goal is hard            "goal"
 
     Boxes are of variables z_k = (y_k, s_k), see `BoxCoordinates`; κ = k J M⁻¹ Jᵀ makes an
     acceleration of what a distance is off.
@@ -94,6 +95,7 @@ class MechanismProgram:
         law: forces of walls; a stiffness of 0 pushes nothing.
         duration: T [s].
         num_steps: N ≥ 2.
+        is_hard: which of q and v have to be at the goal in the end, shape (2n,); None: neither.
 
     Raises:
         UnsupportedTermError: a knot has too many terms.
@@ -106,9 +108,18 @@ class MechanismProgram:
     """
 
     def __init__(
-        self, world: World, cost: TaskCost, law: CompliantLaw, duration: float, num_steps: int
+        self,
+        world: World,
+        cost: TaskCost,
+        law: CompliantLaw,
+        duration: float,
+        num_steps: int,
+        is_hard: Bools | None = None,
     ) -> None:
         """Multiplies out."""
+        self._is_hard = (
+            np.zeros(2 * world.num_positions, dtype=bool) if is_hard is None else is_hard
+        )
         self.world, self.cost, self.law, self.num_steps = world, cost, law, num_steps
         self.duration, self.time_step = duration, duration / num_steps
         self._efforts = np.sqrt(cost.R)[:, np.newaxis] * world.inverse_actuation
@@ -140,22 +151,31 @@ class MechanismProgram:
         """Yields what depends on no end."""
         N, dt, motion = self.num_steps, self.time_step, (stage.positions, stage.velocities)
         effort = _sum_of_squares(self._efforts, stage.forces)
-        running, half, final = (tracking.fixed(*motion) for tracking in self._tracking())
+        running, half, final, goal = (each.fixed(*motion) for each in self._tracking())
         rows = scaled(dt, _sum_of_squares(self._residuals, stage.forces))
         rates = np.diag(np.sqrt(dt) * self._calc_rates())
         distances = _sum_of_squares(rates, stage.distances)
         yield from self._block(COST, add(scaled(dt, effort), running), range(1, N))
         yield from self._block(COST, add(scaled(dt / 2, effort), half, final), [N])
+        yield from self._block(GOAL, goal, [N])
         yield from self._block(ROWS, rows, range(1, N + 1))
         yield from self._block(DISTANCES, distances, range(1, N + 1 + is_damped))
 
-    def _tracking(self) -> tuple[TrackingSums, TrackingSums, TrackingSums]:
-        """Returns what a knot on the way adds, the last one as one of these, and the end."""
+    def _tracking(self) -> Iterator[TrackingSums]:
+        """Yields what a knot on the way adds, the last one as one of these, the end, its goal."""
         cost, dt = self.cost, self.time_step
         Q, Qv = np.diag(dt * cost.Q), np.diag(dt * cost.Qv)
-        weights = (Q, Qv), (Q / 2, Qv / 2), (cost.QT, cost.QTv)
-        running, half, final = (TrackingSums(*each, self._is_chordal) for each in weights)
-        return running, half, final
+        hard = np.diag(self._is_hard / self._calc_units() ** 2)
+        n = len(Q)
+        weights = (Q, Qv), (Q / 2, Qv / 2), (cost.QT, cost.QTv), (hard[:n, :n], hard[n:, n:])
+        return (TrackingSums(*each, self._is_chordal) for each in weights)
+
+    def _calc_units(self) -> Floats:
+        """Returns L of each position, and L/T of each velocity, shape (2n,)."""
+        is_hinge = self.world.is_hinge
+        ways = np.abs(self.cost.goal - self.world.plant.GetDefaultPositions())[~is_hinge]
+        units = np.where(is_hinge, 1.0, np.max(ways, initial=0.0) or 1.0)
+        return np.concatenate([units, units / self.duration])
 
     def _calc_rates(self) -> Floats:
         """Returns κ of each s [1/s²]."""
@@ -197,15 +217,16 @@ class MechanismProgram:
         N, times = self.num_steps, self.time_step * np.arange(self.num_steps + 1)
         is_constant = len(self.cost.times) == 1
         groups = [range(1, N)] if is_constant else [range(k, k + 1) for k in range(1, N)]
-        running, half, final = self._tracking()
+        running, half, final, goal = self._tracking()
 
         def about(tracking: TrackingSums, time: float | None) -> Callable[[Ends], Floats]:
             return lambda ends: tracking.calc_parameters(*self._find_target(ends, time))
 
-        parts = [(running, knots, times[knots[0]]) for knots in groups if knots]
-        for tracking, knots, time in (*parts, (half, [N], times[N]), (final, [N], None)):
+        way = ((COST, running, knots, times[knots[0]]) for knots in groups if knots)
+        end = [(COST, half, [N], times[N]), (COST, final, [N], None), (GOAL, goal, [N], None)]
+        for name, tracking, knots, time in (*way, *(end if np.any(self._is_hard) else end[:2])):
             basis = tracking.basis(stage.positions, stage.velocities)
-            yield _Parametric(COST, basis, knots, about(tracking, time))
+            yield _Parametric(name, basis, knots, about(tracking, time))
 
     def _find_target(self, ends: Ends, time: float | None) -> tuple[Floats, Floats]:
         """Returns where q and v should be at a time, or at the end (None).
