@@ -117,8 +117,16 @@ REFUSED: dict[str, tuple[str, str]] = {
 def test_a_spring_that_drake_would_not_have_is_refused_by_name(name: str) -> None:
     parts, message = REFUSED[name]
     world = build_world(parts)
-    with pytest.raises(ModelError, match=message):
-        world.contact_law(COMPLIANT)
+    task: dict[str, Any] = {
+        "initial_position": np.zeros(world.num_positions),
+        "initial_velocity": np.zeros(world.num_positions),
+        "goal_position": np.zeros(world.num_positions),
+        "goal_weight": np.ones(world.num_positions),
+        "control_weight": np.ones(world.num_actuators),
+    }
+    for refuse in (world.contact_law, world.check):
+        with pytest.raises(ModelError, match=message):
+            refuse(make_scenario(contact="compliant", **task))
     world.contact_law(make_scenario())
 
 

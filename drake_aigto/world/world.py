@@ -292,12 +292,14 @@ class World(EquationsOfMotion):
             ScenarioError: sizes differ from the plant's, its mass is another, the cost makes no
                 sense here (`TaskCost.of`), or start or goal touches the wall, is inside or behind
                 it, or beside its face, or is beyond joint limits.
-            ModelError: a sphere can slide with friction, and the scenario does not leave it out.
+            ModelError: a sphere can slide with friction, and the scenario does not leave it out; or
+                the model lacks what the scenario's law of contact takes (`contact_law`).
         """
         check_sizes(self.plant, scenario)
         TaskCost.of(self, scenario)
         self.bounds(scenario)
         check_made_for(scenario, self.mass, self.ignored_shapes)
+        self.contact_law(scenario)
         for name in ("initial_position", "goal_position"):
             self._check_place(name, getattr(scenario, name), scenario.contact)
         if scenario.friction is None and self.frictions:
