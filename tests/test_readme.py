@@ -3,20 +3,31 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import io
 import re
+import shlex
 import subprocess
 from pathlib import Path
 from typing import Any
 
 import pytest
+import yaml
 
-from drake_aigto import ModelError, Planner, Scenario
+from drake_aigto import ModelError, Planner, Scenario, World
+from drake_aigto.cli.command_line import make_parser
+from drake_aigto.cli.scenario_flags import load_scenario
 
 CHECKOUT = Path(__file__).parents[1]
 README = (CHECKOUT / "README.md").read_text(encoding="utf-8")
 MODELS_PAGE = (CHECKOUT / "docs" / "your_own_model.md").read_text(encoding="utf-8")
+TASKS_PAGE = (CHECKOUT / "docs" / "tasks.md").read_text(encoding="utf-8")
 
+# Fields that are told where models and transcriptions are.
+_PHYSICS = (
+    *("model", "initial_position", "initial_velocity", "ignored_shapes"),
+    *("epsilon", "delta", "restitution", "mass", "friction"),
+)
 FENCED = re.compile(r"^```(\w+)\n(.*?)^```$", re.DOTALL | re.MULTILINE)
 NUMBER = re.compile(r"(?<![\w.])[-+−]?\d+(?:\.\d*)?(?:e[-+]?\d+)?(?![\w.]*\w)")
 
@@ -44,7 +55,9 @@ def assert_same_output(printed: str, promised: str) -> None:
     assert got == pytest.approx(expected, rel=RELATIVE_TOLERANCE)
 
 
-@pytest.mark.parametrize(("code", "promised"), [*examples(README), *examples(MODELS_PAGE)])
+@pytest.mark.parametrize(
+    ("code", "promised"), [*examples(README), *examples(MODELS_PAGE), *examples(TASKS_PAGE)]
+)
 def test_an_example_prints_what_is_promised(
     code: str, promised: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -108,6 +121,19 @@ def test_the_properties_that_are_shown_in_sdf_are_read(tmp_path: Path) -> None:
         Planner(Scenario(model=str(model), friction=0, **start))
     model.write_text(element.sub(properties, shipped), encoding="utf-8")
     Planner(Scenario(model=str(model), **start))
+
+
+def test_the_page_of_tasks_has_every_field_and_what_it_shows_is_understood() -> None:
+    blocks = {match[1]: match[2] for match in FENCED.finditer(TASKS_PAGE)}
+    shipped = Scenario.named("cart_pole/soft_06")
+    assert Scenario.from_plain(yaml.safe_load(blocks["yaml"])) == shipped
+    for line in blocks["sh"].splitlines():
+        words = shlex.split(line)[1:]
+        asked = load_scenario(make_parser(words).parse_args(words))
+        assert asked != shipped
+        World.from_scenario(asked)
+    task = [field.name for field in dataclasses.fields(Scenario) if field.name not in _PHYSICS]
+    assert [name for name in task if f"`{name}`" not in TASKS_PAGE] == []
 
 
 def commands() -> dict[str, str]:

@@ -62,7 +62,7 @@ class Candidate:
         start_defects: its largest violation of each kind of row, in that row's unit.
         trajectory: after the polish.
         cost: J of it, with what users added (`Planner.transcription`).
-        goal_error: ‖q_N − goal‖ that it promises [m].
+        goal_error: ‖q_N − goal‖ that it promises (`TaskCost.goal_error`) [m, rad].
         defects: its largest violation of each kind of row (m, m/s), and of each constraint that
             users added, in parts of the task's scales.
         max_penetration: the deepest −φ ≥ 0 at its knots [m].

@@ -101,7 +101,7 @@ class Plan:
 
     @property
     def cost(self) -> float:
-        """J = w_u Σ dt ‖u_k‖² + w_f ‖q_N − goal‖², and costs of users, of the chosen trajectory."""
+        """J of the scenario's task (`TaskCost`), and costs of users, of the chosen trajectory."""
         return self.best.cost
 
     @property
