@@ -191,3 +191,19 @@ def test_a_shape_that_is_not_there_cannot_be_left_out() -> None:
     message = r"ignored_shapes: got 'gound', expected of the collision shapes .*ground"
     with pytest.raises(ModelError, match=message):
         World.from_diagram(build_half_space_diagram(), ignored_shapes=["gound"])
+
+
+@pytest.mark.parametrize(
+    ("model", "ignored", "coordinates"),
+    [
+        ("pendulum/Pendulum.urdf", [], 1),
+        ("multibody/cart_pole/cart_pole.sdf", [], 2),
+        ("acrobot/Acrobot.urdf", ["base_link_collision"], 2),
+    ],
+)
+def test_robots_among_drakes_examples_are_read(
+    model: str, ignored: list[str], coordinates: int
+) -> None:
+    diagram = build_diagram(f"package://drake/examples/{model}")
+    world = World.from_diagram(diagram, ignored_shapes=ignored)
+    assert (world.num_positions, world.num_actuators, world.num_contacts) == (coordinates, 1, 0)
