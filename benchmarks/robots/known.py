@@ -49,7 +49,14 @@ class Known:
 
     def tried(self, method: str, count: int) -> Known:
         """Returns the same, with so many tries of a method made."""
-        return replace(self, tries={**self.tries, method: max(count, self.tries.get(method, 0))})
+        return self.merged(Known(tries={method: count}))
+
+    def merged(self, other: Known) -> Known:
+        """Returns the better one, with the tries of both."""
+        better = self if self.cost <= other.cost else other
+        names = sorted({*self.tries, *other.tries})
+        tries = {name: max(self.tries.get(name, 0), other.tries.get(name, 0)) for name in names}
+        return replace(better, tries=tries)
 
 
 Table = dict[str, dict[int, Known]]  # Scenario → number of the question → best known.
@@ -80,8 +87,9 @@ def find_known(table: Table, question: Question) -> Known:
 
 
 def keep(question: Question, known: Known) -> None:
-    """Writes what is known of one question beside the others."""
+    """Writes what is known of one question; what others wrote of it meanwhile counts, too."""
     table = load_known()
+    known = find_known(table, question).merged(known)
     table.setdefault(question.scenario, {})[question.number] = known
     rows = [
         f"{json.dumps(scenario)}: {{\n"

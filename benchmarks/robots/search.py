@@ -10,7 +10,7 @@ from benchmarks.robots.cart_pole import Question
 from benchmarks.robots.known import Known, find_known, keep, load_known
 from benchmarks.robots.methods import METHODS
 
-_BATCH = 20  # tries between two writings of the file
+_BATCH = 50  # tries between two writings of the file
 
 
 def search(
