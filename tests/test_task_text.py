@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mechanisms import build
 
 from drake_aigto import Plan, Scenario, World
 from drake_aigto.planning import Candidate, Origin, PlanStats, Replays
@@ -31,7 +30,7 @@ TURNED = 3.002 + 2 * np.pi  # A turn and 2 mrad beyond the goal.
 
 @cache
 def cart_pole() -> World:
-    return build("cart-pole")
+    return World.from_scenario(Scenario.named("cart_pole/soft_06"))
 
 
 def end_at(q: Any, v: Any, scenario: Scenario) -> Replay:
@@ -133,7 +132,7 @@ def test_a_plan_and_a_report_of_a_mechanism_are_written() -> None:
     text = format_plan(plan, cart_pole())
     assert text.count("ends 1.0 mm and 2.0 mrad off the goal") == 2
     assert "1.0 mm 2.0 mrad  none" in text  # In the table of candidates.
-    assert "restitution" not in text
+    assert "restitution" not in text and "stiffness 200 N/m, dissipation 0 s/m" in text
     assert max(map(len, text.splitlines())) <= 100
     again = dataclasses.replace(plan, scenario=dataclasses.replace(scenario, contact="rigid"))
     assert "restitution 1" in format_plan(again, cart_pole())

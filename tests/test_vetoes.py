@@ -40,7 +40,7 @@ def test_a_contact_that_only_the_simulation_has_is_told() -> None:
     hidden = dataclasses.replace(found, candidates=(silent, *found.candidates[1:]))
     (time,) = found.replay.event_driven.bounce_times
     assert silent.unplanned == ((time, 0),)
-    assert f"on rigid walls it also touches wall at {time:.3f} s" in format_plan(hidden)
+    assert f"on a rigid wall it also touches wall at {time:.3f} s" in format_plan(hidden)
 
 
 # What is worth less than nothing.
@@ -57,7 +57,7 @@ def test_a_literal_plan_that_keeps_its_promise_is_no_success_where_doing_nothing
     assert not found.holds
     assert found.idle is not None
     assert found.idle.cost == 0.0
-    assert "fails: on rigid walls doing nothing costs less" in format_plan(found)
+    assert "fails: on a rigid wall doing nothing costs less" in format_plan(found)
     assert "doing nothing is better: it costs 0" in format_plan(found)
 
 

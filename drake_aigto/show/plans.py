@@ -13,6 +13,7 @@ from drake_aigto.show.text import (
     cost_text,
     energy_text,
     friction_items,
+    law_items,
     length_text,
     miss_text,
     miss_texts,
@@ -72,9 +73,8 @@ def _answer(plan: Plan, world: World, contact_delay: float | None) -> Iterator[s
     yield from _text("no control", describe_idle(plan, world))
     mass = [] if scenario.mass is None else [f"mass {scenario.mass:g} kg"]
     span = f"T = {scenario.duration:g} s in {scenario.num_steps} steps"
-    is_rigid = scenario.contact == "rigid"
-    restitution = [f"restitution {scenario.restitution:g}"] if is_rigid else []
-    yield from _row("scenario", [*task_items(scenario, world), *mass, *restitution, span])
+    items = [*task_items(scenario, world), *mass, *law_items(scenario, world), span]
+    yield from _row("scenario", items)
     yield from _row("pairs", _pairs(world, names))
     yield from _row("friction", friction_items(scenario, world))
     literal = [f"ε = {scenario.epsilon:g} J", f"δ = {scenario.delta:g} m"]
@@ -91,8 +91,9 @@ def _answer(plan: Plan, world: World, contact_delay: float | None) -> Iterator[s
     yield from _text("steps", describe_steps(plan))
     yield from _row("added", _additions(plan))
     yield from _row("defects", _defects(best))
-    yield from _row("contacts", _contacts(best, names))
+    yield from _row("contacts", _contacts(best, names, world))
     yield from _text("unplanned", describe_unplanned(plan, world))
+    contact_delay = contact_delay if scenario.contact == "rigid" else None
     for replay in plan.replay:
         miss = miss_text(replay, scenario, world)
         yield from _row("simulated", _simulation(replay, scale, contact_delay, names, miss))
@@ -111,7 +112,7 @@ def _verdict(plan: Plan, names: Sequence[str]) -> Iterator[str]:
         broken = dict.fromkeys(name for replay in against for name in replay.broken)
         yield from (f"breaks '{name}'" for name in broken)
     elif plan.is_beaten:
-        yield "fails: on rigid walls doing nothing costs less"
+        yield f"fails: {_simulator(plan.replay.event_driven, names)} doing nothing costs less"
     else:
         yield f"holds: the control alone keeps the plan's promise {where}"
 
@@ -240,6 +241,8 @@ def _text(label: str, text: str | None) -> list[str]:
 def _simulator(replay: Replay, names: Sequence[str]) -> str:
     if replay.simulator == "drake":
         return "on Drake's plant"
+    if replay.simulator == "integrated" or not names:
+        return "by integration"
     return "on a rigid wall" if len(names) == 1 else "on rigid walls"
 
 
@@ -264,13 +267,14 @@ def _additions(plan: Plan) -> Iterator[str]:
         yield f"{name} missed by {missed:.0e} of the task's scales" if missed else f"{name} met"
 
 
-def _contacts(candidate: Candidate, names: Sequence[str]) -> Iterator[str]:
+def _contacts(candidate: Candidate, names: Sequence[str], world: World) -> Iterator[str]:
     if not candidate.contacts:
         yield "none"
         return
     for contact in candidate.contacts[:_MOST_CONTACTS]:
         where = f"{names[contact.index]} at " if len(names) > 1 else ""
-        yield f"{where}{_when(contact)} s (Δv {contact.velocity_change:.2f} m/s)"
+        change = f" (Δv {contact.velocity_change:.2f} m/s)"
+        yield f"{where}{_when(contact)} s{'' if world.is_hinge.any() else change}"
     if (more := len(candidate.contacts) - _MOST_CONTACTS) > 0:
         yield f"{more} more"
     all_of_them = " in all" if len(candidate.contacts) > 1 else ""
@@ -308,7 +312,8 @@ def describe_unplanned(plan: Plan, world: World) -> str | None:
         return None
     touches = ", ".join(_touch(each, names) for each in found[:_MOST_TOUCHES])
     more = f", and {len(found) - _MOST_TOUCHES} more" if len(found) > _MOST_TOUCHES else ""
-    return f"on rigid walls it also touches {touches}{more}"
+    where = _simulator(plan.best.replay, names)
+    return f"{where} it also touches {touches}{more}"
 
 
 def describe_steps(plan: Plan) -> str | None:
@@ -331,12 +336,12 @@ def describe_vetoes(plan: Plan, world: World) -> Iterator[str]:
 
 def _describe_veto(veto: Veto, scenario: Scenario, world: World) -> str:
     candidate, replay, names = veto.candidate, veto.replay, touch_names(world)
-    where = "Drake's plant" if replay.simulator == "drake" else "rigid walls"
+    where = _simulator(replay, names)
     times = [f"{contact.time:.3f}" for contact in candidate.contacts[:_MOST_TOUCHES]]
     more = ", …" if len(candidate.contacts) > _MOST_TOUCHES else ""
     contacts = f"contacts at {', '.join(times)}{more} s" if times else "no contact"
     text = (
-        f"a candidate with {contacts} promises {candidate.cost:.2e}, but on {where} costs "
+        f"a candidate with {contacts} promises {candidate.cost:.2e}, but {where} costs "
         f"{replay.cost:.2e} and ends {miss_text(replay, scenario, world)} off the goal"
     )
     if replay.broken:

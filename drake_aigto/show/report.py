@@ -39,6 +39,7 @@ from drake_aigto.show.text import (
     cost_text,
     energy_text,
     friction_items,
+    law_items,
     length_text,
     miss_text,
     task_items,
@@ -168,7 +169,7 @@ def add_question(
     rows = [
         ("task", ", ".join(task_items(scenario, world))),
         ("duration", f"{scenario.duration:g} s in {scenario.num_steps} steps"),
-        *([("restitution e", f"{scenario.restitution:g}")] if scenario.contact == "rigid" else []),
+        *(tuple(item.split(" ", 1)) for item in law_items(scenario, world)),
         ("weights", _describe_weights(scenario)),
         ("contacts", ", ".join(contact_names(world))),
         ("model", world.model or "a diagram of one's own"),

@@ -10,7 +10,7 @@ import numpy as np
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.planning import Candidate
 from drake_aigto.simulation import Replay
-from drake_aigto.world import Scenario, TaskCost, World
+from drake_aigto.world import RigidLaw, Scenario, TaskCost, World
 
 WIDTH = 100
 # Below it, in the task's scale, a cost is 0 but for rounding; nothing is so many percent of it.
@@ -100,6 +100,21 @@ def touch_names(world: World) -> list[str]:
     """Returns what is touched; and what by, if that is not always the same."""
     names = contact_names(world)
     return wall_names(world) if len({name.split(_AGAINST)[0] for name in names}) == 1 else names
+
+
+def law_items(scenario: Scenario, world: World) -> list[str]:
+    """Returns what contacts push with: their restitution, or their stiffness and dissipation."""
+    law = world.contact_law(scenario)
+    if isinstance(law, RigidLaw):
+        return [f"restitution {scenario.restitution:g}"]
+    values = {"stiffness": (law.stiffness, "N/m"), "dissipation": (law.dissipation, "s/m")}
+    return [f"{name} {_range_text(*value)}" for name, value in values.items()]
+
+
+def _range_text(values: Floats, unit: str) -> str:
+    """Returns what values are, or from what to what they go."""
+    ends = dict.fromkeys(f"{value:.4g}" for value in (np.min(values), np.max(values)))
+    return f"{' to '.join(ends)} {unit}"
 
 
 def friction_items(scenario: Scenario, world: World) -> list[str]:
