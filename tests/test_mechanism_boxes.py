@@ -288,12 +288,16 @@ def test_mechanisms_of_too_many_terms_are_refused(monkeypatch: pytest.MonkeyPatc
         make_program("arm with a slider")
 
 
-def test_springs_in_place_of_rigid_walls_return_what_these_do_at_one_speed() -> None:
-    world = build_world(
-        link("ball", 2.0, ">0 0 1 0 0 0", shape=sphere("ball", "0 0 0"))
+def drop_ball() -> World:
+    return build_world(
+        link("ball", 2.0, ">0 0 0.5 0 0 0", shape=sphere("ball", "0 0 0"))
         + joint("prismatic", "world", "ball", "0 0 1")
         + wall(plane("floor", "0 0 0 0 0 0"))
     )
+
+
+def test_springs_in_place_of_rigid_walls_return_what_these_do_at_one_speed() -> None:
+    world = drop_ball()
     law = soften(world, RigidLaw(np.array([0.6])), 0.02, 1.5)
     assert law.stiffness[0] == pytest.approx(2.0 / 0.02**2)
     depth, speed, h = 0.0, 1.5, 1e-5  # Of its motion into the spring, without gravity.
@@ -401,3 +405,18 @@ def advance(world: World, x: Any, u: Any, h: float) -> Any:
         return np.concatenate([v, world.calc_acceleration(q, v, u)])
 
     return x + h * slope(x + h / 2 * slope(x))
+
+
+def test_the_bounce_that_carries_a_ball_back_for_nothing_is_seen_from_standing_still() -> None:
+    world, none, n = drop_ball(), np.zeros(1), 20
+    falling = np.sqrt(2 * 0.45 / 9.81)
+    law = soften(world, RigidLaw(np.ones(1)), 2 * falling / n, 2.0)
+    weights = {"R": np.ones(1), "Q": none, "Qv": none, "QT": np.eye(1), "QTv": np.zeros((1, 1))}
+    cost, bounds = make_cost(world, none, **weights), np.array([[-np.inf], [np.inf]])
+    started = MechanismBoxes(world, cost, law, 2 * falling, n, bounds).start(Ends(none, none, cost))
+    center = started.run(MechanismRung(temperatures=5), started.rest())
+    ((time, contact),) = started.find_touches(center)
+    assert contact == 0
+    assert time == pytest.approx(falling, abs=0.15)
+    phi = world.calc_signed_distance(center.positions[1:-1])
+    assert center.times[1 + np.argmin(phi)] == time

@@ -277,6 +277,21 @@ class StartedBoxes:
         z = self.program.calc_variables(q, self.ends)
         return self._shrink(renewal, z, self._is_free & is_open.ravel())
 
+    def find_touches(self, center: Center) -> tuple[tuple[float, int], ...]:
+        """Returns when [s] and which contacts touch in a center, by time.
+
+        A contact touches once for each stretch of knots at which its spring pushes, where it is
+        pushed in most.
+        """
+        found = []
+        for i in self.program.coordinates.contacts:
+            phi = self.program.world.calc_signed_distance(center.positions[1:-1])[:, i]
+            inside = np.flatnonzero(phi < 0)
+            for knots in np.split(inside, 1 + np.flatnonzero(np.diff(inside) > 1)):
+                if len(knots):
+                    found.append((float(center.times[1 + knots[np.argmin(phi[knots])]]), i))
+        return tuple(sorted(found))
+
     def _shrink(self, how: Shrinking, z: Floats, is_open: Bools) -> Center:
         W, waiting = how.weight * self.weight_unit, self.temperature_unit * self._num_free
         weights = {COST: 1.0, ROWS: W, DISTANCES: W, GOAL: _GOAL_WEIGHT * waiting}
