@@ -30,6 +30,7 @@ ROAD = (
     "box",
     "aigo",
     "local",
+    "shooting",
     "solver",
     "planning",
     "paper",

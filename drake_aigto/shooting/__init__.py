@@ -1,0 +1,19 @@
+"""Optimal control of any mechanism by multiple shooting, between walls that yield.
+
+Differential dynamic programming (Mayne 1966) in the Gauss-Newton form, on motions that need not
+be roll-outs, with bounded controls (Tassa, Mansard & Todorov 2014) and an augmented Lagrangian for
+all other bounds. NumPy and Numba only.
+"""
+
+from drake_aigto.shooting.mechanism import Mechanism
+from drake_aigto.shooting.options import Rung, ShootingOptions
+from drake_aigto.shooting.problem import ShootingProblem
+from drake_aigto.shooting.result import ShootingResult
+
+__all__ = [
+    "Mechanism",
+    "Rung",
+    "ShootingOptions",
+    "ShootingProblem",
+    "ShootingResult",
+]

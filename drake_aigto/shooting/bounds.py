@@ -1,0 +1,117 @@
+"""Bounds at knots as an augmented Lagrangian, and how far they are off."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drake_aigto.arrays import Floats
+from drake_aigto.jit import inner, kernel
+from drake_aigto.shooting.mechanism import find_foremost
+from drake_aigto.shooting.tables import Memory, Program
+from drake_aigto.shooting.tape import run_tape
+
+
+@inner
+def _excess(value: float, lower: float, upper: float) -> float:
+    """Returns how far a value is above its upper bound, negative below the lower one."""
+    return max(value - upper, 0.0) + min(value - lower, 0.0)
+
+
+@inner
+def add_bounds(
+    program: Program, states: Floats, penalty: float, has_slopes: bool, memory: Memory
+) -> float:
+    """Returns what all bounds at knots add to the cost; adds to its derivatives if asked."""
+    bounds, l1, l2 = program.bounds, memory.expansion.l1, memory.expansion.l2
+    lower, upper, is_bounded = bounds.lower, bounds.upper, bounds.is_bounded
+    weights, multipliers, cost = bounds.weights, bounds.multipliers, 0.0
+    for k in range(states.shape[0]):
+        if is_bounded[k]:
+            for i in range(states.shape[1]):
+                weight = penalty * weights[i]
+                shifted = states[k, i] + multipliers[k, i] / weight
+                off = _excess(shifted, lower[k, i], upper[k, i])
+                cost += weight * off * off / 2
+                if has_slopes and off != 0.0:
+                    l1[k, i] += weight * off
+                    l2[k, i, i] += weight
+        if bounds.is_distance_bounded[k]:
+            cost += _add_distances(program, k, states[k], penalty, has_slopes, memory)
+    return cost
+
+
+@inner
+def _add_distances(
+    program: Program, k: int, z: Floats, penalty: float, has_slopes: bool, memory: Memory
+) -> float:
+    """Returns what the bounds of φ at knot k add; adds to derivatives if asked."""
+    bounds, cost, n = program.bounds, 0.0, program.mechanics.actuation.shape[0]
+    l1, l2, sums = memory.expansion.l1, memory.expansion.l2, memory.flow.mechanics.sums
+    weight = penalty * bounds.distance_weight
+    phi, m = measure_distances(program, z, memory), bounds.lower_distance.shape[1]
+    for i in range(m):
+        if not _counts(program, k, i, phi, sums):
+            continue
+        shifted = sums[phi + i] + bounds.distance_multipliers[k, i] / weight
+        off = _excess(shifted, bounds.lower_distance[k, i], bounds.upper_distance[k, i])
+        cost += weight * off * off / 2
+        if has_slopes and off != 0.0:
+            row = phi + m + i * n
+            for j in range(n):
+                l1[k, j] += weight * off * sums[row + j]
+                for c in range(n):
+                    l2[k, j, c] += weight * sums[row + j] * sums[row + c]
+    return cost
+
+
+@inner
+def measure_distances(program: Program, z: Floats, memory: Memory) -> int:
+    """Computes φ and J, and returns where φ starts among the sums."""
+    n, room = program.mechanics.actuation.shape[0], memory.flow.mechanics
+    mechanics = program.mechanics
+    run_tape(mechanics.code, mechanics.numbers, z[: 2 * n], False, room.values, room.sums)
+    return n * (n + 1) // 2 + n
+
+
+@inner
+def _counts(program: Program, k: int, i: int, phi: int, sums: Floats) -> bool:
+    """Tells whether the bound of φ_i counts: a solid is left by one of its faces."""
+    if program.bounds.upper_distance[k, i] < np.inf:
+        return True
+    solids = program.mechanics.solids
+    s = np.searchsorted(solids, i, side="right") - 1
+    return find_foremost(solids[s], solids[s + 1], phi, sums) == i
+
+
+@kernel
+def measure_bounds(
+    program: Program, states: Floats, penalty: float, updates: bool, memory: Memory
+) -> float:
+    """Returns the largest violation √w dist(s, [a, b]), and updates the multipliers if asked.
+
+    They become ρw (s + y/ρw − its projection on [a, b]), Hestenes' and Powell's rule.
+    """
+    bounds, worst, sums = program.bounds, 0.0, memory.flow.mechanics.sums
+    for k in range(states.shape[0]):
+        if bounds.is_bounded[k]:
+            for i in range(states.shape[1]):
+                weight = penalty * bounds.weights[i]
+                low, high, value = bounds.lower[k, i], bounds.upper[k, i], states[k, i]
+                worst = max(worst, np.sqrt(bounds.weights[i]) * abs(_excess(value, low, high)))
+                if updates:
+                    value += bounds.multipliers[k, i] / weight
+                    bounds.multipliers[k, i] = weight * _excess(value, low, high)
+        if bounds.is_distance_bounded[k]:
+            phi = measure_distances(program, states[k], memory)
+            weight = penalty * bounds.distance_weight
+            for i in range(bounds.lower_distance.shape[1]):
+                if not _counts(program, k, i, phi, sums):
+                    continue
+                low, high = bounds.lower_distance[k, i], bounds.upper_distance[k, i]
+                value = sums[phi + i]
+                off = abs(_excess(value, low, high))
+                worst = max(worst, np.sqrt(bounds.distance_weight) * off)
+                if updates:
+                    value += bounds.distance_multipliers[k, i] / weight
+                    bounds.distance_multipliers[k, i] = weight * _excess(value, low, high)
+    return worst

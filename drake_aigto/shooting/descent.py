@@ -1,0 +1,261 @@
+"""Differential dynamic programming on a motion that need not be a roll-out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drake_aigto.arrays import Floats
+from drake_aigto.jit import inner, kernel
+from drake_aigto.shooting.bounds import add_bounds
+from drake_aigto.shooting.controls import clip_control
+from drake_aigto.shooting.flow import flow, measure_end
+from drake_aigto.shooting.sweep import sweep_back
+from drake_aigto.shooting.tables import FLOW, Memory, Program
+
+# A step must keep this share of the fall that the expansion promises (Armijo).
+_SHARE = 1e-4
+# A step that closes gaps may raise the cost this much: times its size, gain included.
+_RISE = 3.0
+# Below this step length closing a gap is worth any cost.
+_SHORT = 0.2
+# Damping: where it starts, grows to at least, and gives up.
+_DAMPING, _LEAST, _MOST = 1e-6, 1e-4, 1e8
+
+
+# What `_travel` does besides going through the stages.
+_FOLLOW, _EXPAND, _ROLL = 0, 1, 2
+
+
+@inner
+def _travel(
+    program: Program,
+    states: Floats,
+    controls: Floats,
+    mode: int,
+    length: float,
+    eps: float,
+    most: float,
+    memory: Memory,
+) -> float:
+    """Goes through all stages, and returns what they cost with the end; infinite above `most`.
+
+    _ROLL computes the states after the first one, _EXPAND the problem to second order about a
+    motion, and _FOLLOW a trial that obeys the control law with a step length α, of which gaps
+    shrink likewise: z_{k+1} = f(z_k, u_k) − (1 − α) gap_k.
+    """
+    code, numbers, actuation, contacts, solids = program.mechanics
+    effort, running, final, errors_of, goal, times, reference = program.task
+    values, sums, factor, force, acceleration, slopes = memory.flow.mechanics
+    points, errors, by_column, by_start = (
+        memory.flow.points,
+        memory.flow.errors,
+        memory.flow.by_column,
+        memory.flow.slopes,
+    )
+    F, l1, l2, gaps = memory.expansion
+    feedforward, gains = memory.sweep.feedforward, memory.sweep.gains
+    lower, upper = program.bounds.lower_control, program.bounds.upper_control
+    kinds, shares, starts, norm = program.kinds, program.steps, program.times, program.bounds.norm
+    trial_states, trial_controls, nz = memory.states, memory.controls, states.shape[1]
+    K, nu, cost = controls.shape[0], effort.size, 0.0
+    trial_states[0, :] = states[0]
+    for k in range(K):
+        z, u, after = states[k], controls[k], states[k + 1]
+        size = nu if kinds[k] == FLOW else 1
+        if mode == _FOLLOW:
+            z, u, after = trial_states[k], trial_controls[k], trial_states[k + 1]
+            for i in range(size):
+                u[i] = controls[k, i] + length * feedforward[k, i]
+                for j in range(nz):
+                    u[i] += gains[k, i, j] * (z[j] - states[k, j])
+            clip_control(size, u, lower[k], upper[k], norm if kinds[k] == FLOW else np.inf)
+        elif mode == _EXPAND:
+            after = trial_states[k + 1]
+        cost += flow(
+            code,
+            numbers,
+            actuation,
+            contacts,
+            solids,
+            effort,
+            running,
+            errors_of,
+            times,
+            reference,
+            starts[k],
+            shares[k],
+            program.substeps,
+            z,
+            u,
+            eps,
+            mode == _EXPAND,
+            values,
+            sums,
+            factor,
+            force,
+            acceleration,
+            slopes,
+            points,
+            errors,
+            by_column,
+            by_start,
+            after,
+            F[k],
+            l1[k],
+            l2[k],
+        )
+        if mode == _FOLLOW:
+            for i in range(nz):
+                after[i] -= (1 - length) * gaps[k, i]
+        elif mode == _EXPAND:
+            for i in range(nz):
+                gaps[k, i] = after[i] - states[k + 1, i]
+        if not cost <= most:
+            return np.inf
+    z = trial_states[K] if mode == _FOLLOW else states[K]
+    return cost + measure_end(errors_of, final, goal, z, mode == _EXPAND, errors, l1[K], l2[K])
+
+
+@kernel
+def clip_controls(program: Program, controls: Floats) -> None:
+    """Moves controls into their bounds."""
+    for k in range(controls.shape[0]):
+        is_flow = program.kinds[k] == FLOW
+        size = program.task.control.size if is_flow else 1
+        norm = program.bounds.norm if is_flow else np.inf
+        low, high = program.bounds.lower_control[k], program.bounds.upper_control[k]
+        clip_control(size, controls[k], low, high, norm)
+
+
+@inner
+def _expand(
+    program: Program, states: Floats, controls: Floats, eps: float, penalty: float, memory: Memory
+) -> float:
+    """Computes the problem to second order about a motion, and returns its cost."""
+    cost = _travel(program, states, controls, _EXPAND, 0.0, eps, np.inf, memory)
+    return cost + add_bounds(program, states, penalty, True, memory)
+
+
+@inner
+def _march(
+    program: Program,
+    states: Floats,
+    controls: Floats,
+    length: float,
+    eps: float,
+    penalty: float,
+    most: float,
+    memory: Memory,
+) -> float:
+    """Follows the control law with a step length; returns the cost, infinite above `most`."""
+    cost = _travel(program, states, controls, _FOLLOW, length, eps, most, memory)
+    if cost < np.inf:
+        cost += add_bounds(program, memory.states, penalty, False, memory)
+    return cost if cost <= most else np.inf
+
+
+@inner
+def _search(
+    program: Program,
+    states: Floats,
+    controls: Floats,
+    eps: float,
+    penalty: float,
+    cost: float,
+    drop: float,
+    has_gaps: bool,
+    memory: Memory,
+) -> float:
+    """Returns the first step length that is good enough, 0 if none is."""
+    length = 1.0
+    for _ in range(8):
+        most = cost - _SHARE * length * drop
+        if has_gaps:
+            most = np.inf if length < _SHORT else _RISE * (abs(cost) + drop)
+        found = _march(program, states, controls, length, eps, penalty, most, memory)
+        if found < np.inf:
+            return length
+        length /= 2
+    return 0.0
+
+
+@inner
+def _improve(
+    program: Program,
+    states: Floats,
+    controls: Floats,
+    eps: float,
+    penalty: float,
+    cost: float,
+    tolerance: float,
+    has_gaps: bool,
+    damping: float,
+    memory: Memory,
+) -> tuple[float, float]:
+    """Returns the step length, 0 if there is none, −1 if none is needed; and the damping."""
+    while damping <= _MOST:
+        drop = sweep_back(program, controls, has_gaps, damping, memory.expansion, memory.sweep)
+        if drop >= 0.0:
+            if not has_gaps and drop <= tolerance:
+                return -1.0, damping
+            length = _search(program, states, controls, eps, penalty, cost, drop, has_gaps, memory)
+            if length > 0.0:
+                return length, damping
+        damping = max(8 * damping, _LEAST)
+    return 0.0, damping
+
+
+@kernel
+def descend(
+    program: Program,
+    states: Floats,
+    controls: Floats,
+    eps: float,
+    penalty: float,
+    iterations: int,
+    tolerance: float,
+    scale: float,
+    has_gaps: bool,
+    memory: Memory,
+) -> tuple[float, int, bool]:
+    """Improves a motion in place until the expansion promises nearly nothing.
+
+    Args:
+        program: the problem.
+        states: shape (K + 1, nz); computed first unless they have gaps.
+        controls: shape (K, nu), within bounds.
+        eps: the smoothing of contact [m].
+        penalty: ρ.
+        iterations: at most so many.
+        tolerance: of what is promised, as a share of the cost.
+        scale: a cost below which costs are small.
+        has_gaps: whether the states are no roll-out.
+        memory: room.
+
+    Returns:
+        The cost of the roll-out that it ends with, without penalties; how many iterations it took,
+        and whether it ended in that tolerance.
+    """
+    damping, is_converged, count = _DAMPING, False, 0
+    if not has_gaps:
+        cost = _travel(program, states, controls, _ROLL, 0.0, eps, np.inf, memory)
+        if iterations == 0 or not np.isfinite(cost):
+            return cost, 0, False
+    while count < iterations:
+        count += 1
+        cost = _expand(program, states, controls, eps, penalty, memory)
+        if not np.isfinite(cost):
+            break
+        small = tolerance * max(abs(cost), scale)
+        length, damping = _improve(
+            program, states, controls, eps, penalty, cost, small, has_gaps, damping, memory
+        )
+        is_converged = length < 0.0
+        if length <= 0.0:
+            break
+        states[:, :] = memory.states
+        controls[:, :] = memory.controls
+        has_gaps = has_gaps and length < 1.0
+        damping = max(damping / 4, 1e-9)
+    cost = _travel(program, states, controls, _ROLL, 0.0, eps, np.inf, memory)
+    return cost, count, is_converged

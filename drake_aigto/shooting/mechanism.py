@@ -1,0 +1,358 @@
+"""A mechanism as tables of numbers, and its acceleration with all derivatives."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from drake_aigto.arrays import Floats, Ints, read_only
+from drake_aigto.jit import inner, kernel
+from drake_aigto.shooting.tape import Tape, TapeBuilder, run_tape
+from drake_aigto.world import ContactLaw, EquationsOfMotion, RigidLaw
+
+
+class Mechanics(NamedTuple):
+    """What compiled code knows of a mechanism.
+
+    Attributes:
+        code: of a `Tape` of M (upper triangle, by rows), h, φ, J; then of ∂M/∂q, ∂h/∂(q, v), ∂J/∂q
+            (upper triangle).
+        numbers: of the same.
+        actuation: B, shape (n, nu).
+        contacts: stiffness k [N/m], dissipation d [s/m] and restitution e of each, shape (m, 3).
+        solids: where the contacts of each solid start, shape (S + 1,).
+    """
+
+    code: Ints
+    numbers: Floats
+    actuation: Floats
+    contacts: Floats
+    solids: Ints
+
+
+class MechanicsMemory(NamedTuple):
+    """Room for one evaluation; the last two are its results.
+
+    Attributes:
+        values: of the tape.
+        sums: of the tape.
+        factor: Cholesky's L of M, shape (n, n).
+        force: of each contact, and its derivatives by φ and φ̇, shape (m, 3).
+        acceleration: v̇, shape (1, n).
+        slopes: ∂v̇/∂(q, v, u), transposed, shape (2n + nu, n).
+    """
+
+    values: Floats
+    sums: Floats
+    factor: Floats
+    force: Floats
+    acceleration: Floats
+    slopes: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class Mechanism:
+    """How a mechanism moves between walls that yield, as arrays that can be pickled.
+
+        M(q) v̇ + h(q, v) = B u + Σ_i J_i(q)ᵀ f_i
+        f = k p(−φ) max(0, 1 − d φ̇),    p(y) = (y + √(y² + ε²)) / 2
+
+    That is Hunt and Crossley's force as Drake's point contact has it, with max(0, −φ) smoothed over
+    a length ε [m]; at ε = 0 it is the law itself. Of the faces of one solid only that one pushes
+    which the sphere is farthest in front of. Letters as in `EquationsOfMotion`, n = nq = nv.
+
+    Attributes:
+        mechanics: the tables.
+    """
+
+    mechanics: Mechanics
+
+    @classmethod
+    def of(
+        cls,
+        world: EquationsOfMotion,
+        law: ContactLaw,
+    ) -> Mechanism:
+        """Returns the tables of a world with a contact law. Rigid contacts do not push in flight.
+
+        Raises:
+            UnsupportedTermError: an equation is no sum of products of powers, sin and cos.
+        """
+        contacts = np.zeros((world.num_contacts, 3))
+        if isinstance(law, RigidLaw):
+            contacts[:, 2] = law.restitution
+        else:
+            contacts[:, 0], contacts[:, 1] = law.stiffness, law.dissipation
+        tables = Mechanics(
+            *_compile(world),
+            actuation=read_only(world.actuation),
+            contacts=read_only(contacts),
+            solids=read_only(np.cumsum([0, *map(len, world.solids)]), np.int64),
+        )
+        return cls(tables)
+
+    @property
+    def num_positions(self) -> int:
+        """The number of coordinates, n."""
+        return self.mechanics.actuation.shape[0]
+
+    @property
+    def num_controls(self) -> int:
+        """The number of controls, nu."""
+        return self.mechanics.actuation.shape[1]
+
+    @property
+    def num_contacts(self) -> int:
+        """The number of contacts, m."""
+        return len(self.mechanics.contacts)
+
+    def calc_acceleration(
+        self, state: Floats, control: Floats, smoothing: float = 0.0
+    ) -> tuple[Floats, Floats]:
+        """Returns v̇, shape (n,), and ∂v̇/∂(q, v, u), shape (n, 2n + nu).
+
+        Args:
+            state: q and v, shape (2n,).
+            control: u, shape (nu,).
+            smoothing: ε [m].
+        """
+        memory = make_mechanics_memory(self.mechanics)
+        x, u = np.array(state, dtype=float), np.array(control, dtype=float)
+        _accelerate(self.mechanics, x, u, smoothing, memory)
+        return memory.acceleration[0], memory.slopes.T
+
+    def calc_inertia(self, q: Floats) -> tuple[Floats, Floats]:
+        """Returns M(q), shape (n, n), and h(q, 0), shape (n,)."""
+        n, memory = len(q), make_mechanics_memory(self.mechanics)
+        rest, no_control = np.concatenate([q, np.zeros(n)]), np.zeros(self.num_controls)
+        _accelerate(self.mechanics, rest, no_control, 0.0, memory)
+        half = n * (n + 1) // 2
+        mass = np.zeros((n, n))
+        mass[np.triu_indices(n)] = memory.sums[:half]
+        return mass + np.triu(mass, 1).T, memory.sums[half : half + n]
+
+
+def make_mechanics_memory(mechanics: Mechanics) -> MechanicsMemory:
+    """Returns room for evaluations."""
+    (n, nu), code = mechanics.actuation.shape, mechanics.code
+    return MechanicsMemory(
+        values=np.zeros(1 + 2 * n + 2 * code[0] + code[1]),
+        sums=np.zeros(code[3]),
+        factor=np.zeros((n, n)),
+        force=np.zeros((len(mechanics.contacts), 3)),
+        acceleration=np.zeros((1, n)),
+        slopes=np.zeros((2 * n + nu, n)),
+    )
+
+
+def _compile(world: EquationsOfMotion) -> Tape:
+    """Returns the tape of M, h, φ and J and of their derivatives."""
+    n = world.num_positions
+    builder = TapeBuilder([*world.positions, *world.velocities])
+    upper = np.triu_indices(n)
+    mass = [builder.read(entry) for entry in world.mass_matrix[upper]]
+    bias = [builder.read(entry) for entry in world.bias]
+    distance = [builder.read(contact.signed_distance) for contact in world.contacts]
+    differentiate: Any = builder.differentiate
+    jacobian = [[differentiate(phi, j) for j in range(n)] for phi in distance]
+    slopes = [differentiate(entry, j) for entry in mass for j in range(n)]
+    slopes += [differentiate(entry, j) for entry in bias for j in range(2 * n)]
+    slopes += [differentiate(row[i], j) for row in jacobian for i, j in zip(*upper, strict=True)]
+    rows = [entry for row in jacobian for entry in row]
+    return builder.build([*mass, *bias, *distance, *rows], slopes)
+
+
+@inner
+def factor_mass(n: int, sums: Floats, L: Floats) -> None:
+    """Factors M = L Lᵀ, which the tape has computed; 1 / L_ii takes the place of L_ii."""
+    at = 0
+    for i in range(n):
+        for j in range(i, n):
+            total = sums[at]
+            at += 1
+            for k in range(i):
+                total -= L[i, k] * L[j, k]
+            L[j, i] = 1.0 / np.sqrt(total) if j == i else total * L[i, i]
+
+
+@inner
+def divide_by_mass(n: int, L: Floats, y: Floats) -> None:
+    """Replaces each row of y by M⁻¹ times it."""
+    for c in range(y.shape[0]):
+        for i in range(n):
+            for k in range(i):
+                y[c, i] -= L[i, k] * y[c, k]
+            y[c, i] *= L[i, i]
+        for i in range(n - 1, -1, -1):
+            for k in range(i + 1, n):
+                y[c, i] -= L[k, i] * y[c, k]
+            y[c, i] *= L[i, i]
+
+
+@inner
+def find_foremost(first: int, last: int, phi: int, sums: Floats) -> int:
+    """Returns the contact of a solid whose face the sphere is farthest in front of."""
+    foremost = first
+    for i in range(first + 1, last):
+        if sums[phi + i] > sums[phi + foremost]:
+            foremost = i
+    return foremost
+
+
+@inner
+def accelerate(
+    code: Ints,
+    numbers: Floats,
+    actuation: Floats,
+    contacts: Floats,
+    solids: Ints,
+    x: Floats,
+    u: Floats,
+    eps: float,
+    has_slopes: bool,
+    values: Floats,
+    sums: Floats,
+    factor: Floats,
+    force: Floats,
+    acceleration: Floats,
+    slopes: Floats,
+) -> None:
+    """Computes v̇ at a state x = (q, v), and ∂v̇/∂(q, v, u) if asked; see `Mechanics` for names."""
+    n, nu = actuation.shape
+    run_tape(code, numbers, x, has_slopes, values, sums)
+    factor_mass(n, sums, factor)
+    bias = n * (n + 1) // 2
+    for i in range(n):
+        total = -sums[bias + i]
+        for j in range(nu):
+            total += actuation[i, j] * u[j]
+        acceleration[0, i] = total
+    _push(contacts, solids, x, eps, sums, force, acceleration)
+    divide_by_mass(n, factor, acceleration)
+    if has_slopes:
+        _differentiate(actuation, x, sums, factor, force, acceleration, slopes)
+
+
+@inner
+def _push(
+    contacts: Floats,
+    solids: Ints,
+    x: Floats,
+    eps: float,
+    sums: Floats,
+    force: Floats,
+    total: Floats,
+) -> None:
+    """Computes contact forces and their derivatives by φ and φ̇, and adds Jᵀ f to the total."""
+    n, m = total.shape[1], contacts.shape[0]
+    phi = n * (n + 1) // 2 + n
+    for s in range(solids.size - 1):
+        for i in range(solids[s], solids[s + 1]):
+            force[i, 0] = force[i, 1] = force[i, 2] = 0.0
+        i = find_foremost(solids[s], solids[s + 1], phi, sums)
+        row, rate, distance = phi + m + i * n, 0.0, sums[phi + i]
+        root = np.sqrt(distance * distance + eps * eps)
+        for j in range(n):
+            rate += sums[row + j] * x[n + j]
+        stiffness, brake = contacts[i, 0], 1.0 - contacts[i, 1] * rate
+        if stiffness == 0.0 or brake <= 0.0 or root == 0.0:
+            continue
+        # Without cancellation where nothing touches.
+        is_in = distance <= 0.0
+        depth = (root - distance) / 2 if is_in else eps * eps / (2 * (root + distance))
+        force[i, 0] = stiffness * depth * brake
+        force[i, 1] = -stiffness * depth / root * brake
+        force[i, 2] = -stiffness * depth * contacts[i, 1]
+        for j in range(n):
+            total[0, j] += force[i, 0] * sums[row + j]
+
+
+@inner
+def _differentiate(
+    actuation: Floats,
+    x: Floats,
+    sums: Floats,
+    factor: Floats,
+    force: Floats,
+    acceleration: Floats,
+    slopes: Floats,
+) -> None:
+    """Computes ∂v̇/∂(q, v, u) = M⁻¹ (∂r − ∂M v̇), with M v̇ = r."""
+    n, nu = actuation.shape
+    m, half = force.shape[0], n * (n + 1) // 2
+    slope_of_mass = half + n + m + m * n
+    slope_of_bias = slope_of_mass + half * n
+    for c in range(2 * n):
+        for i in range(n):
+            slopes[c, i] = -sums[slope_of_bias + 2 * n * i + c]
+    for j in range(nu):
+        for i in range(n):
+            slopes[2 * n + j, i] = actuation[i, j]
+    at = slope_of_mass
+    for i in range(n):
+        for j in range(i, n):
+            for c in range(n):
+                slope = sums[at]
+                at += 1
+                slopes[c, i] -= slope * acceleration[0, j]
+                if j != i:
+                    slopes[c, j] -= slope * acceleration[0, i]
+    for i in range(m):
+        if force[i, 0] != 0.0:
+            _differentiate_force(n, m, i, x, sums, force, slopes)
+    divide_by_mass(n, factor, slopes)
+
+
+@inner
+def triangle(n: int, i: int, j: int) -> int:
+    """Returns where entry (i, j) of a symmetric matrix stands in its upper triangle, by rows."""
+    low, high = min(i, j), max(i, j)
+    return low * n - low * (low - 1) // 2 + high - low
+
+
+@inner
+def _differentiate_force(
+    n: int, m: int, i: int, x: Floats, sums: Floats, force: Floats, slopes: Floats
+) -> None:
+    """Adds ∂(J_iᵀ f_i)/∂(q, v), transposed."""
+    half = n * (n + 1) // 2
+    row = half + n + m + i * n
+    bends = half + n + m + m * n + half * n + 2 * n * n + i * half
+    for c in range(n):
+        rate = 0.0
+        for j in range(n):
+            bend = sums[bends + triangle(n, j, c)]
+            rate += bend * x[n + j]
+            slopes[c, j] += force[i, 0] * bend
+        by_position = force[i, 1] * sums[row + c] + force[i, 2] * rate
+        by_velocity = force[i, 2] * sums[row + c]
+        for j in range(n):
+            slopes[c, j] += by_position * sums[row + j]
+            slopes[n + c, j] += by_velocity * sums[row + j]
+
+
+@kernel
+def _accelerate(
+    mechanics: Mechanics, x: Floats, u: Floats, eps: float, memory: MechanicsMemory
+) -> None:
+    code, numbers, actuation, contacts, solids = mechanics
+    values, sums, factor, force, acceleration, slopes = memory
+    accelerate(
+        code,
+        numbers,
+        actuation,
+        contacts,
+        solids,
+        x,
+        u,
+        eps,
+        True,
+        values,
+        sums,
+        factor,
+        force,
+        acceleration,
+        slopes,
+    )

@@ -1,0 +1,69 @@
+"""How a shooting problem is solved: numerics only."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from drake_aigto.errors import OptionsError
+
+
+class Rung(NamedTuple):
+    """A pass at one smoothing.
+
+    Attributes:
+        smoothing: ε in units of the problem's length.
+        iterations: at most so many.
+        tolerance: of what the next step promises, as a share of the cost.
+    """
+
+    smoothing: float
+    iterations: int
+    tolerance: float
+
+
+@dataclass(frozen=True)
+class ShootingOptions:
+    """Options of `ShootingProblem.solve`.
+
+    Attributes:
+        rungs: passes at falling smoothing. Where nothing yields, the last one with all iterations
+            takes the place of all.
+        substeps: Runge-Kutta steps of a stage.
+        penalty: ρ at first, in units of cost per squared scale.
+        multiplier_updates: further passes of the last rung, until bounds at knots hold.
+        feasibility: how far they may be off, in units of the state's scales.
+
+    Raises:
+        OptionsError: an option is out of its range.
+    """
+
+    rungs: tuple[Rung, ...] = (Rung(0.1, 40, 1e-3), Rung(0.01, 40, 1e-3), Rung(0.001, 60, 1e-5))
+    substeps: int = 1
+    penalty: float = 10.0
+    multiplier_updates: int = 12
+    feasibility: float = 1e-4
+
+    def __post_init__(self) -> None:
+        """Checks the ranges."""
+        rungs = tuple(Rung(*rung) for rung in self.rungs)
+        object.__setattr__(self, "rungs", rungs)
+        checks = (
+            ("rungs", rungs, "at least one", len(rungs) > 0),
+            ("smoothing", rungs, "numbers of at least 0", all(r.smoothing >= 0 for r in rungs)),
+            ("iterations", rungs, "at least 1", all(r.iterations >= 1 for r in rungs)),
+            ("tolerance", rungs, "numbers above 0", all(r.tolerance > 0 for r in rungs)),
+            ("substeps", self.substeps, "at least 1", self.substeps >= 1),
+            ("penalty", self.penalty, "a number above 0", self.penalty > 0),
+            ("multiplier_updates", self.multiplier_updates, ">= 0", self.multiplier_updates >= 0),
+            ("feasibility", self.feasibility, "a number above 0", self.feasibility > 0),
+        )
+        for name, got, expected, holds in checks:
+            if not holds:
+                raise OptionsError(name, got, expected)
+
+    @classmethod
+    def coarse(cls, substeps: int = 1) -> ShootingOptions:
+        """Returns those that soon tell whether a start is any good."""
+        rungs = tuple(Rung(smoothing, 15, 1e-2) for smoothing in (0.1, 0.01, 0.001))
+        return cls(rungs, substeps, multiplier_updates=0)

@@ -1,0 +1,205 @@
+"""Optimal control by shooting."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from drake_aigto.arrays import Floats
+from drake_aigto.errors import ProgramError
+from drake_aigto.shooting.bounds import measure_bounds
+from drake_aigto.shooting.descent import clip_controls, descend
+from drake_aigto.shooting.memory import make_memory
+from drake_aigto.shooting.options import Rung, ShootingOptions
+from drake_aigto.shooting.program import make_program
+from drake_aigto.shooting.question import ShootingQuestion
+from drake_aigto.shooting.result import ShootingResult
+
+# Where the penalty has grown by this, bounds can't be kept near this motion.
+_MOST = 1e6
+
+
+@dataclass(frozen=True, eq=False)
+class ShootingProblem(ShootingQuestion):
+    """The best held controls u_k for a task from one start.
+
+        minimize J   subject to   v̇ = M⁻¹ (B u − h + Jᵀ f),   bounds on u_k, and on q, v at knots
+
+    Motion is integrated by Runge and Kutta's method of order 4, the cost with it, and the
+    derivatives of both are exact.
+    """
+
+    def solve(
+        self,
+        controls: Floats,
+        states: Floats | None = None,
+        options: ShootingOptions | None = None,
+    ) -> ShootingResult:
+        """Returns a local optimum near a motion.
+
+        Args:
+            controls: u_k, shape (N, nu); those out of bounds are moved into them.
+            states: q and v at knots, shape (N + 1, 2n), which need not follow from the controls
+                and are taken there; None: those that do.
+            options: numerics.
+
+        Raises:
+            ProgramError: a shape does not fit.
+        """
+        options = options or ShootingOptions()
+        return _Descent(self, controls, states, options).run()
+
+    def simulate(self, controls: Floats, substeps: int, smoothing: float = 0.0) -> ShootingResult:
+        """Returns the motion of given controls.
+
+        Args:
+            controls: u_k, shape (N, nu); those out of bounds are moved into them.
+            substeps: Runge-Kutta steps between knots.
+            smoothing: ε in units of the problem's length.
+
+        Raises:
+            ProgramError: a shape does not fit.
+        """
+        options = ShootingOptions(rungs=(Rung(smoothing, 1, 1.0),), substeps=substeps)
+        return _Descent(self, controls, None, options).finish(is_converged=False)
+
+    def estimate_error(self, result: ShootingResult) -> float:
+        """Returns how far off the steps of a result are: against twice as many.
+
+        It is the larger one of the cost's change, in units of the cost or of `cost_scale` if that
+        is larger, and the final state's, in units of its scales.
+        """
+        finer = self.simulate(result.controls, 2 * result.substeps)
+        same = self.simulate(result.controls, result.substeps)
+        unit = max(abs(finer.exact_cost), self.cost_scale)
+        off = np.abs(finer.states[-1] - same.states[-1]) / self.scales
+        error = max(abs(finer.exact_cost - same.exact_cost) / unit, float(off.max()))
+        return error if np.isfinite(error) else np.inf
+
+    def refine(
+        self,
+        result: ShootingResult,
+        options: ShootingOptions | None = None,
+        tolerance: float = 1e-3,
+        most_substeps: int = 64,
+    ) -> ShootingResult:
+        """Returns the optimum near a result with as many substeps as its accuracy takes.
+
+        Args:
+            result: of this problem.
+            options: numerics; the last rung alone is run, with twice the substeps each time.
+            tolerance: of `estimate_error`.
+            most_substeps: where it ends anyway.
+        """
+        options = options or ShootingOptions()
+        while result.substeps < most_substeps and self.estimate_error(result) > tolerance:
+            finer = replace(options, rungs=options.rungs[-1:], substeps=2 * result.substeps)
+            result = self.solve(result.controls, None, finer)
+        return result
+
+
+class _Descent:
+    """One solve: the motion, the multipliers and the memory."""
+
+    def __init__(
+        self,
+        problem: ShootingProblem,
+        controls: Floats,
+        states: Floats | None,
+        options: ShootingOptions,
+    ) -> None:
+        """Takes the motion's shape from the problem."""
+        self._problem, self._options, self._has_gaps = problem, options, states is not None
+        self._program = make_program(problem, options.substeps)
+        N, nu = len(problem.times) - 1, problem.mechanism.num_controls
+        self._controls = _take("controls", controls, (N, nu))
+        guess = np.zeros((N + 1, len(problem.start))) if states is None else states
+        self._states = _take("states", guess, (N + 1, len(problem.start)))
+        self._states[0] = problem.start
+        clip_controls(self._program, self._controls)
+        self._memory = make_memory(self._program, N, len(problem.start))
+        self._penalty, self._violation = options.penalty * problem.cost_scale, np.inf
+        self._iterations = 0
+
+    def run(self) -> ShootingResult:
+        """Runs all rungs, then the last one until bounds hold."""
+        rungs = self._choose_rungs()
+        is_converged = False
+        for rung in rungs:
+            is_converged = self._run_rung(rung)
+        for _ in range(self._options.multiplier_updates if self._program.bounds.is_any else 0):
+            is_hopeless = self._penalty > _MOST * self._options.penalty * self._problem.cost_scale
+            if self._violation <= self._options.feasibility or is_hopeless:
+                break
+            is_converged = self._run_rung(rungs[-1])
+        return self.finish(is_converged)
+
+    def _choose_rungs(self) -> tuple[Rung, ...]:
+        """Returns the rungs; without springs, one."""
+        rungs = self._options.rungs
+        if np.any(self._program.mechanics.contacts[:, 0] > 0):
+            return rungs
+        return (rungs[-1]._replace(iterations=sum(rung.iterations for rung in rungs)),)
+
+    def _run_rung(self, rung: Rung) -> bool:
+        """Returns whether a rung ended in its tolerance; updates multipliers."""
+        _, count, is_converged = self._descend(rung)
+        self._iterations, self._has_gaps = self._iterations + count, False
+        if self._program.bounds.is_any:
+            self._update_multipliers()
+        return is_converged
+
+    def _descend(self, rung: Rung) -> tuple[float, int, bool]:
+        """Returns the cost without penalties, how many iterations it took, and how they ended."""
+        return descend(
+            self._program,
+            self._states,
+            self._controls,
+            rung.smoothing * self._problem.length,
+            self._penalty,
+            rung.iterations,
+            rung.tolerance,
+            1e-3 * self._problem.cost_scale,
+            self._has_gaps,
+            self._memory,
+        )
+
+    def _update_multipliers(self) -> None:
+        before = self._violation
+        self._violation = measure_bounds(
+            self._program, self._states, self._penalty, True, self._memory
+        )
+        if self._violation > before / 4:
+            self._penalty *= 10
+
+    def finish(self, is_converged: bool) -> ShootingResult:
+        """Returns the motion of the controls, and what it costs."""
+        last = self._options.rungs[-1]._replace(iterations=0)
+        exact, _, _ = self._descend(last._replace(smoothing=0.0))
+        cost, _, _ = self._descend(last)
+        violation = measure_bounds(self._program, self._states, 1.0, False, self._memory)
+        return ShootingResult(
+            times=self._problem.times,
+            states=self._states,
+            controls=self._controls,
+            cost=cost if np.isfinite(cost) else np.inf,
+            exact_cost=exact if np.isfinite(exact) else np.inf,
+            violation=violation,
+            iterations=self._iterations,
+            is_converged=is_converged,
+            smoothing=last.smoothing * self._problem.length,
+            substeps=self._options.substeps,
+        )
+
+
+def _take(name: str, values: Floats, shape: tuple[int, ...]) -> Floats:
+    """Returns a copy to work on.
+
+    Raises:
+        ProgramError: its shape is another.
+    """
+    array = np.array(values, dtype=float)
+    if array.shape != shape:
+        raise ProgramError(name, got=f"shape {array.shape}", expected=f"{shape}")
+    return array

@@ -1,0 +1,106 @@
+"""What a shooting problem asks for."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from drake_aigto.arrays import Floats, read_only
+from drake_aigto.errors import ProgramError
+from drake_aigto.shooting.mechanism import Mechanism
+from drake_aigto.world import TaskCost
+
+
+@dataclass(frozen=True, eq=False)
+class ShootingQuestion:
+    """What is asked of held controls.
+
+    Knots t_0 … t_N; n coordinates, nu controls.
+
+    Attributes:
+        mechanism: what moves.
+        cost: the task's weights.
+        times: of the knots, shape (N + 1,) [s].
+        start: q and v at the first knot, shape (2n,).
+        scales: how much of q and v is much, shape (2n,): units of bounds and violations.
+        state_bounds: lower and upper ones of q and v after the first knot, shape (2, 2n).
+        control_bounds: the same of u, shape (2, nu).
+        hard_goal: what q and v have to be at the end, shape (2n,); NaN: anything.
+        control_norm: ‖u‖ at most.
+        length: what smoothing is measured in [m].
+
+    Raises:
+        ProgramError: a shape or a number does not fit; says which.
+    """
+
+    mechanism: Mechanism
+    cost: TaskCost
+    times: Floats
+    start: Floats
+    scales: Floats
+    state_bounds: Floats
+    control_bounds: Floats
+    hard_goal: Floats
+    control_norm: float = np.inf
+    length: float = 1.0
+
+    def __post_init__(self) -> None:
+        """Checks shapes and numbers, and makes arrays read-only."""
+        n, nu = self.mechanism.num_positions, self.mechanism.num_controls
+        shapes: dict[str, tuple[int, ...]] = {
+            "times": (len(self.times),),
+            "start": (2 * n,),
+            "scales": (2 * n,),
+            "state_bounds": (2, 2 * n),
+            "control_bounds": (2, nu),
+            "hard_goal": (2 * n,),
+        }
+        for name, shape in shapes.items():
+            array = read_only(getattr(self, name))
+            object.__setattr__(self, name, array)
+            if array.shape != shape:
+                raise ProgramError(name, got=f"shape {array.shape}", expected=f"{shape}")
+        self._check_numbers()
+
+    def _check_numbers(self) -> None:
+        """Refuses numbers that mean nothing."""
+        checks = (
+            (
+                "times",
+                "at least two, rising",
+                len(self.times) > 1 and np.all(np.diff(self.times) > 0),
+            ),
+            ("start", "finite numbers", np.all(np.isfinite(self.start))),
+            ("scales", "numbers above 0", np.all(self.scales > 0)),
+            ("state_bounds", "lower ≤ upper", np.all(self.state_bounds[0] <= self.state_bounds[1])),
+            (
+                "control_bounds",
+                "lower ≤ upper",
+                np.all(self.control_bounds[0] <= self.control_bounds[1]),
+            ),
+            ("control_norm", "a number above 0", self.control_norm > 0),
+            ("length", "a number above 0", self.length > 0),
+        )
+        for name, expected, holds in checks:
+            if not holds:
+                got = np.asarray(getattr(self, name)).tolist()
+                raise ProgramError(name, got=got, expected=expected)
+
+    @cached_property
+    def cost_scale(self) -> float:
+        """What the task costs where all is off by its scale, controls too; 1 if that is nothing."""
+        n, cost, T = self.mechanism.num_positions, self.cost, np.ptp(self.times)
+        q, v = self.scales[:n], self.scales[n:]
+        running = T * (cost.Q @ q**2 + cost.Qv @ v**2 + cost.R @ self.control_scales**2)
+        return float(running + cost.QT.diagonal() @ q**2 + cost.QTv.diagonal() @ v**2) or 1.0
+
+    @cached_property
+    def control_scales(self) -> Floats:
+        """The control that moves by the scales in time, and holds the start, shape (nu,)."""
+        n, T = self.mechanism.num_positions, np.ptp(self.times)
+        mass, bias = self.mechanism.calc_inertia(self.start[:n])
+        inverse = np.abs(np.linalg.pinv(self.mechanism.mechanics.actuation))
+        force = np.abs(mass) @ self.scales[:n] / T**2 + np.abs(bias)
+        return inverse @ force + np.finfo(float).tiny

@@ -1,0 +1,42 @@
+"""The answer to a shooting problem."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from drake_aigto.arrays import ArrayRecord, Floats, read_only
+
+
+@dataclass(frozen=True, eq=False)
+class ShootingResult(ArrayRecord):
+    """A motion, exactly that of its controls, as far as its steps are.
+
+    Attributes:
+        times: of the knots, shape (N + 1,) [s].
+        states: q and v at the knots, shape (N + 1, 2n).
+        controls: u between them, shape (N, nu).
+        cost: with the contact law smoothed as it was at the end; infinite if the start's controls
+            lead nowhere.
+        exact_cost: of the same controls, contact as it is.
+        violation: of bounds at knots, in units of the state's scales, at most.
+        iterations: how many it took.
+        is_converged: whether nothing was left to gain at the end.
+        smoothing: ε at the end [m].
+        substeps: Runge-Kutta steps between knots.
+    """
+
+    times: Floats
+    states: Floats
+    controls: Floats
+    cost: float
+    exact_cost: float
+    violation: float
+    iterations: int
+    is_converged: bool
+    smoothing: float
+    substeps: int
+
+    def __post_init__(self) -> None:
+        """Makes the arrays read-only."""
+        for name in ("times", "states", "controls"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))

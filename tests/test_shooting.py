@@ -1,0 +1,266 @@
+"""Shooting: derivatives, the integrator's order, and optima that others agree with."""
+
+from __future__ import annotations
+
+import pickle
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from mechanisms import MECHANISMS, build
+from scipy.optimize import minimize
+
+from drake_aigto.shooting import (
+    Mechanism,
+    Rung,
+    ShootingOptions,
+    ShootingProblem,
+)
+from drake_aigto.world import CompliantLaw, RigidLaw, TaskCost, World
+
+STIFFNESS, DISSIPATION, SMOOTHING = 200.0, 0.3, 0.1
+read = cache(build)
+
+
+@cache
+def soft(name: str, dissipation: float = DISSIPATION) -> Mechanism:
+    m = read(name).num_contacts
+    return Mechanism.of(read(name), CompliantLaw(np.full(m, STIFFNESS), np.full(m, dissipation)))
+
+
+def weigh(goal: Any, effort: float = 0.05, **weights: Any) -> TaskCost:
+    n = len(goal)
+    values: dict[str, Any] = {
+        "R": np.full(1, effort),
+        "Q": np.full(n, 2.0),
+        "Qv": np.full(n, 0.1),
+        "QT": 20 * np.eye(n),
+        "QTv": np.eye(n),
+        "goal": np.array(goal, dtype=float),
+        "goal_velocity": np.zeros(n),
+        "is_modulo": np.zeros(n, dtype=bool),
+        "is_chordal": np.zeros(n, dtype=bool),
+        "times": np.zeros(1),
+        "positions": np.array([goal], dtype=float),
+        "velocities": np.zeros((1, n)),
+    }
+    return TaskCost(**(values | weights))
+
+
+def pose(
+    mechanism: Mechanism, cost: TaskCost, start: Any, N: int = 30, T: float = 1.5, **more: Any
+) -> ShootingProblem:
+    n, nu = mechanism.num_positions, mechanism.num_controls
+    free = np.array([[-np.inf], [np.inf]])
+    values: dict[str, Any] = {
+        "times": np.linspace(0, T, N + 1),
+        "start": np.array(start, dtype=float),
+        "scales": np.ones(2 * n),
+        "state_bounds": np.tile(free, 2 * n),
+        "control_bounds": np.tile(free, nu),
+        "hard_goal": np.full(2 * n, np.nan),
+    }
+    return ShootingProblem(mechanism, cost, **(values | more))
+
+
+def push(world: World, q: Any, v: Any) -> Any:
+    """Returns what soft walls push with, the foremost face of each solid alone."""
+    phi, rate = world.calc_signed_distance(q), world.calc_contact_jacobian(q) @ v
+    force = np.zeros(world.num_contacts)
+    for faces in world.solids:
+        i = max(faces, key=lambda i: phi[i])
+        depth = (np.hypot(phi[i], SMOOTHING) - phi[i]) / 2
+        force[i] = STIFFNESS * depth * max(0.0, 1 - DISSIPATION * rate[i])
+    return force
+
+
+@pytest.mark.parametrize("name", MECHANISMS)
+def test_the_acceleration_is_the_worlds_and_its_derivatives_are_those_of_differences(
+    name: str,
+) -> None:
+    world, mechanism, rng = read(name), soft(name), np.random.default_rng(3)
+    n, nu, step = world.num_positions, world.num_actuators, 1e-6
+    for _ in range(5):
+        x = rng.normal(size=2 * n + nu)
+        got, slopes = mechanism.calc_acceleration(x[: 2 * n], x[2 * n :], SMOOTHING)
+        q, v, u = np.split(x, [n, 2 * n])
+        pushed = world.calc_contact_jacobian(q).T @ push(world, q, v)
+        force = world.actuation @ u - world.calc_bias(q, v) + pushed
+        expected = np.linalg.solve(world.calc_mass_matrix(q), force)
+        np.testing.assert_allclose(got, expected, rtol=1e-10, atol=1e-10)
+        ends = [
+            mechanism.calc_acceleration(y[: 2 * n], y[2 * n :], SMOOTHING)[0]
+            for y in np.concatenate([x + step * np.eye(len(x)), x - step * np.eye(len(x))])
+        ]
+        differences = np.subtract(ends[: len(x)], ends[len(x) :]).T / (2 * step)
+        # Rounding of 1e-16 times the values by the step, and the step squared times their bends.
+        np.testing.assert_allclose(slopes, differences, rtol=1e-6, atol=1e-6 * np.abs(got).max())
+
+
+def test_rigid_contacts_do_not_push() -> None:
+    mechanism = Mechanism.of(read("pendulum"), RigidLaw(np.ones(1)))
+    inside = np.array([-1.5, 0.0])
+    assert read("pendulum").calc_signed_distance(inside[:1]) < -0.1
+    rest, _ = mechanism.calc_acceleration(inside, np.zeros(1))
+    pushed, _ = soft("pendulum").calc_acceleration(inside, np.zeros(1))
+    alone = read("pendulum").calc_acceleration(inside[:1], inside[1:], np.zeros(1))
+    np.testing.assert_allclose(rest, alone, rtol=1e-12)
+    assert abs(pushed[0] - rest[0]) > 1
+
+
+def test_twice_the_substeps_leave_a_sixteenth_of_the_error() -> None:
+    problem = pose(soft("cart-pole"), weigh([0, np.pi]), [0, 0.5, 1, -1], N=60)
+    controls = np.random.default_rng(1).normal(size=(60, 1))
+    ends = [problem.simulate(controls, s, smoothing=0.3) for s in (2, 4, 8)]
+    measures: tuple[Any, ...] = (lambda r: r.states, lambda r: np.array([r.cost]))
+    for measure in measures:
+        coarse, fine, finest = map(measure, ends)
+        order = np.log2(np.linalg.norm(coarse - fine) / np.linalg.norm(fine - finest))
+        assert 3.7 < order < 4.3
+
+
+def check_stationary(problem: ShootingProblem, controls: Any, smoothing: float) -> None:
+    """Checks that no control within its bounds lowers the cost, by differences."""
+    step, low, high = 1e-5, *problem.control_bounds
+    cost = problem.simulate(controls, 1, smoothing).cost
+    for k, j in np.ndindex(*controls.shape):
+        change = np.zeros_like(controls)
+        change[k, j] = step
+        ahead, behind = (
+            problem.simulate(controls + s * change, 1, smoothing).cost for s in (1, -1)
+        )
+        slope = (ahead - behind) / (2 * step)
+        if controls[k, j] <= low[j] + step:
+            slope = min((ahead - cost) / step, 0.0)
+        elif controls[k, j] >= high[j] - step:
+            slope = max((cost - behind) / step, 0.0)
+        assert abs(slope) < 1e-3 * abs(cost), (k, j)
+
+
+FINE = ShootingOptions(rungs=(Rung(0.1, 100, 1e-3), Rung(0.01, 200, 1e-12)))
+
+
+@pytest.mark.parametrize("name", ["pendulum", "cart-pole", "arm with a slider"])
+@pytest.mark.parametrize("bound", [3.0, np.inf])
+def test_no_control_can_lower_the_cost_of_an_optimum(name: str, bound: float) -> None:
+    mechanism = soft(name)
+    n, nu = mechanism.num_positions, mechanism.num_controls
+    cost = weigh(np.linspace(1.0, 2.0, n), R=np.full(nu, 0.05))
+    bounds = np.outer([-bound, bound], np.ones(nu))
+    problem = pose(mechanism, cost, np.full(2 * n, 0.1), control_bounds=bounds)
+    result = problem.solve(np.zeros((30, nu)), options=FINE)
+    assert result.is_converged
+    assert np.all(np.abs(result.controls) <= bound)
+    check_stationary(problem, result.controls, 0.01)
+
+
+def test_a_quadratic_problem_has_the_optimum_of_its_normal_equations() -> None:
+    name, N = "two discs", 6
+    mechanism = Mechanism.of(read(name), RigidLaw(np.ones(1)))
+    n, nu = mechanism.num_positions, mechanism.num_controls
+    cost = weigh(np.arange(n) / n, R=np.full(nu, 0.1))
+    problem = pose(mechanism, cost, np.linspace(-1, 1, 2 * n), N=N)
+
+    def calc(u: Any) -> float:
+        return problem.simulate(u.reshape(N, nu), 1).cost
+
+    size, zero = N * nu, calc(np.zeros(N * nu))
+    unit = np.eye(size)
+    ahead, behind = (np.array([calc(s * e) for e in unit]) for s in (1, -1))
+    both = np.array([[calc(e + f) for f in unit] for e in unit])
+    hessian = both - ahead[:, None] - ahead + zero
+    optimum = np.linalg.solve(hessian, -(ahead - behind) / 2)
+    result = problem.solve(np.zeros((N, nu)), options=FINE)
+    assert result.cost == pytest.approx(calc(optimum), rel=1e-9)
+    np.testing.assert_allclose(result.controls.ravel(), optimum, atol=1e-5)
+
+
+def test_a_gradient_solver_finds_nothing_better_near_a_swing_up() -> None:
+    cost = weigh([np.pi], is_chordal=np.array([True]))
+    bounds = np.array([[-4.0], [4.0]])
+    problem = pose(soft("pendulum"), cost, [0.0, 0.0], control_bounds=bounds)
+    result = problem.solve(np.full((30, 1), 0.1), options=FINE)
+
+    def calc(u: Any) -> float:
+        return problem.simulate(u[:, None], 1, 0.01).cost
+
+    rival = minimize(calc, result.controls[:, 0], method="L-BFGS-B", bounds=[(-4, 4)] * 30)
+    assert rival.fun > result.cost * (1 - 1e-6)
+
+
+def test_a_guess_of_states_is_followed_and_its_gaps_are_closed() -> None:
+    problem = pose(soft("cart-pole"), weigh([0.3, np.pi]), np.zeros(4))
+    share = np.linspace(0, 1, 31)[:, None]
+    guess = share * np.array([0.3, np.pi, 0, 0])
+    result = problem.solve(np.zeros((30, 1)), guess, FINE)
+    again = problem.simulate(result.controls, 1, FINE.rungs[-1].smoothing)
+    np.testing.assert_array_equal(again.states, result.states)
+    assert again.cost == result.cost < problem.simulate(np.zeros((30, 1)), 1).cost
+
+
+def test_bounds_at_knots_and_a_hard_goal_hold() -> None:
+    bounds = np.array([[-0.2, -np.inf, -np.inf, -3.0], [0.2, np.inf, np.inf, 3.0]])
+    goal = np.array([0.1, 0.2, 0.0, np.nan])
+    free = pose(soft("cart-pole"), weigh([0, np.pi]), np.zeros(4))
+    loose = free.solve(np.ones((30, 1)))
+    assert np.any(np.abs(loose.states[:, 0]) > 0.25)
+    problem = pose(
+        soft("cart-pole"), weigh([0, np.pi]), np.zeros(4), state_bounds=bounds, hard_goal=goal
+    )
+    result = problem.solve(np.ones((30, 1)))
+    assert result.violation <= ShootingOptions().feasibility
+    assert np.all(np.abs(result.states[1:, 0]) <= 0.2 + 1e-4)
+    np.testing.assert_allclose(result.states[-1, :3], goal[:3], atol=1e-4)
+
+
+def test_the_norm_of_a_control_is_bounded_and_the_bound_is_used_well() -> None:
+    mechanism, norm = soft("two discs"), 2.0
+    nu = mechanism.num_controls
+    cost = weigh([1, 1, 0, 1, 0], R=np.full(nu, 0.01))
+    problem = pose(mechanism, cost, np.zeros(10), control_norm=norm)
+    result = problem.solve(np.zeros((30, nu)), options=FINE)
+    lengths = np.linalg.norm(result.controls, axis=1)
+    assert np.all(lengths <= norm * (1 + 1e-9))
+    assert np.sum(lengths > norm * (1 - 1e-6)) >= 3
+    assert result.is_converged
+    rng = np.random.default_rng(0)
+    for _ in range(50):
+        trial = result.controls + 1e-3 * rng.normal(size=result.controls.shape)
+        lengths = np.linalg.norm(trial, axis=1, keepdims=True)
+        trial *= np.minimum(1, norm / lengths)
+        assert problem.simulate(trial, 1, 0.01).cost >= result.cost * (1 - 1e-9)
+
+
+def test_a_moving_reference_is_followed() -> None:
+    times = np.linspace(0, 1.5, 7)
+    positions = 0.3 * np.sin(2 * times)[:, None]
+    velocities = 0.6 * np.cos(2 * times)[:, None]
+    cost = weigh(
+        [0.0],
+        1e-6,
+        times=times,
+        positions=positions,
+        velocities=velocities,
+        QT=np.zeros((1, 1)),
+        QTv=np.zeros((1, 1)),
+    )
+    result = pose(soft("pendulum"), cost, [0.0, 0.6]).solve(np.zeros((30, 1)), options=FINE)
+    expected = np.interp(result.times, times, positions[:, 0])
+    np.testing.assert_allclose(result.states[:, 0], expected, atol=0.02)
+
+
+def test_the_same_question_has_the_same_answer_also_of_a_pickled_mechanism() -> None:
+    guess = np.random.default_rng(0).normal(size=(30, 1))
+    first = pose(soft("cart-pole"), weigh([0, np.pi]), np.zeros(4)).solve(guess)
+    copy = pickle.loads(pickle.dumps(soft("cart-pole")))
+    assert pose(copy, weigh([0, np.pi]), np.zeros(4)).solve(guess) == first
+
+
+def test_a_result_is_refined_until_its_steps_are_small_enough() -> None:
+    problem = pose(soft("cart-pole"), weigh([0.8, 0.0]), np.zeros(4), N=10)
+    coarse = problem.solve(np.ones((10, 1)))
+    tolerance = problem.estimate_error(coarse) / 100
+    fine = problem.refine(coarse, tolerance=tolerance)
+    assert fine.substeps > coarse.substeps
+    assert problem.estimate_error(fine) <= tolerance
