@@ -132,7 +132,7 @@ class _Trace:
         for solid, near in enumerate(clearances):
             if near.distance <= 0:
                 if solid not in self._touched:
-                    delay = calc_delays(self._world, self._motion_at(x))[near.contact]
+                    delay = calc_delays(self._motion_at(x), self._world.stiffness)[near.contact]
                     self._touched[solid] = time + SETTLED * delay, near.contact
             elif solid in self._touched:
                 self.bounces.append(self._touched.pop(solid)[1])
@@ -237,7 +237,7 @@ class _Trace:
         """Returns the impact, or None if the control alone could stop so slow a ball in contact."""
         motion = self._motion_at(touch.x)
         speed = -motion.calc_distances(touch.x)[1][contact]
-        if speed <= abs(touch.push) * calc_delays(self._world, motion)[contact]:
+        if speed <= abs(touch.push) * calc_delays(motion, self._world.stiffness)[contact]:
             return None
         energies = (
             float(self._world.calc_kinetic_energy(*np.split(row.x, 2))) for row in (touch, release)

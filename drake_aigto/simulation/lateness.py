@@ -81,7 +81,7 @@ def _displace(world: World, scenario: Scenario, impact: Impact, state: Floats) -
     """Returns states after an impact, each off by what a compliant wall may do, shape (2, nv)."""
     i, e = impact.contact, float(world.restitutions(scenario)[impact.contact])
     motion = ContactMotion.at(world, state.ravel())
-    delay, lift = calc_delays(world, motion)[i], motion.walls.lifts[i, :-1]
+    delay, lift = calc_delays(motion, world.stiffness)[i], motion.walls.lifts[i, :-1]
     missed = (max(0.0, LEAST_RESTITUTION - e) + INTEGRATION) * impact.speed
     known = e * impact.speed * delay, impact.push * delay
     unknown = (

@@ -9,6 +9,7 @@ import scipy  # Not scipy.optimize, which takes a tenth of a second and few need
 from pydrake.geometry import GeometryId
 from pydrake.systems.framework import Context
 
+from drake_aigto.arrays import Floats
 from drake_aigto.simulation.contact_motion import ContactMotion
 from drake_aigto.world import World
 from drake_aigto.world.material import DISSIPATION, read_stiffness, set_material
@@ -36,12 +37,12 @@ def contact_delays(world: World) -> list[float]:
     """Returns `contact_delay` of each contact [s]."""
     start = world.plant.GetDefaultPositions()
     motion = ContactMotion.reader(world)(np.concatenate([start, np.zeros(len(start))]))
-    return calc_delays(world, motion)
+    return calc_delays(motion, world.stiffness)
 
 
-def calc_delays(world: World, motion: ContactMotion, longest: float = math.inf) -> list[float]:
-    """Returns how long each contact lasts at an instant, but no more than the longest [s]."""
-    pairs = zip(motion.masses, world.stiffness, strict=True)
+def calc_delays(motion: ContactMotion, stiffness: Floats, longest: float = math.inf) -> list[float]:
+    """Returns how long contacts of this stiffness last, (m,) [N/m], but no more than so long [s]."""
+    pairs = zip(motion.masses, stiffness, strict=True)
     return [min(math.pi * math.sqrt(m / k), longest) for m, k in pairs]
 
 

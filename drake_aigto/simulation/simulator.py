@@ -159,6 +159,7 @@ class ContactMonitor:
         self._world = world
         self._simulator = weakref.ref(simulator)  # It holds this: neither would ever be freed.
         self._motion_at = ContactMotion.reader(world)
+        self._stiffness = world.stiffness
         self._matching = _Matching(world, restitutions)
         start, flight = simulator.get_context().get_time(), _FLIGHT * duration
         self._longest_delay = math.inf if world.has_constant_inertia else flight
@@ -194,7 +195,7 @@ class ContactMonitor:
         control = plant.get_net_actuation_output_port().Eval(context)
         motion = self._motion_at(x)
         clearances = motion.calc_clearances(x)
-        delays = calc_delays(self._world, motion, self._longest_delay)
+        delays = calc_delays(motion, self._stiffness, self._longest_delay)
         acceleration = calc_acceleration(self._world, motion, x, control, clearances)
         pushes = motion.calc_pushes(acceleration)
         blurred = _BLURRED * max(1.0, float(np.max(np.abs(x[: x.size // 2]))))
