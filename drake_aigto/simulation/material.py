@@ -41,7 +41,7 @@ def contact_delays(world: World) -> list[float]:
 
 
 def calc_delays(motion: ContactMotion, stiffness: Floats, longest: float = math.inf) -> list[float]:
-    """Returns how long contacts of this stiffness last, (m,) [N/m], but no more than so long [s]."""
+    """Returns how long contacts of stiffness (m,) [N/m] last here, at most the longest [s]."""
     pairs = zip(motion.masses, stiffness, strict=True)
     return [min(math.pi * math.sqrt(m / k), longest) for m, k in pairs]
 
