@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from pathlib import Path
 
@@ -23,10 +24,12 @@ from benchmarks.robots.cart_pole import (
 )
 from benchmarks.robots.compare import run_comparison
 from benchmarks.robots.known import Known, load_known
-from benchmarks.robots.methods import IPOPT_STEPS, ipopt_multistart
+from benchmarks.robots.methods import IPOPT_STEPS, NUM_STEPS, ipopt_multistart, shooting_multistart
 from benchmarks.robots.results import Comparison, Outcome, Results, Row, Step
 from benchmarks.robots.table import format_results
 from drake_aigto.errors import OptionsError
+from drake_aigto.simulation import replay_drake, replay_event_driven
+from drake_aigto.world import Scenario, World
 
 NEAR = "cart_pole/soft_06"
 
@@ -63,6 +66,19 @@ def test_the_judge_agrees_with_another_integration_of_the_mass_matrix(scenario: 
     assert judge(question, controls).cost == pytest.approx(integrate(question, controls), rel=1e-6)
 
 
+def test_the_judge_agrees_with_replays_and_with_drake() -> None:
+    question = make_questions(NEAR)[12]  # Three touches: unstable.
+    controls = np.array(load_known()[NEAR][12].controls)
+    cost = judge(question, controls).cost
+    start = np.array(question.start)
+    scenario = dataclasses.replace(
+        Scenario.named(NEAR), initial_position=start[[0, 2]], initial_velocity=start[[1, 3]]
+    )
+    given = World.from_scenario(scenario), scenario, np.linspace(0.0, DURATION, controls.size + 1)
+    for replay in (replay_event_driven, replay_drake):
+        assert replay(*given, controls[:, None]).cost == pytest.approx(cost, rel=1e-5)
+
+
 def test_the_judge_clips_forces_and_refuses_a_cart_that_leaves_its_range() -> None:
     question = make_questions(NEAR)[6]
     most = judge(question, np.full(10, 20.0))
@@ -95,6 +111,13 @@ def test_what_is_known_is_replaced_by_what_is_better_alone() -> None:
     worse = known.offered(question, "too far", np.full(4, 20.0))
     better = Known(cost=1e9, found_by="a guess").offered(question, "nothing", np.zeros(4))
     assert (worse, better) == (known, known)
+
+
+def test_what_random_shooting_promises_is_what_the_judge_finds() -> None:
+    question = make_questions(NEAR)[20]
+    attempt = next(shooting_multistart(question))
+    assert attempt.controls.shape == (NUM_STEPS,)
+    assert judge(question, attempt.controls).score == pytest.approx(attempt.promised, rel=1e-4)
 
 
 @pytest.mark.skipif(casadi is None, reason="CasADi is not installed")

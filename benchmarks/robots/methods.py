@@ -16,13 +16,14 @@ import numpy as np
 from benchmarks.local_peers import casadi
 from benchmarks.robots.cart_pole import DURATION, LARGEST_POSITION, Question, roll_out
 from benchmarks.robots.ipopt import Program
+from benchmarks.robots.shooting import shoot
 
 try:
     import cma
 except ModuleNotFoundError:
     cma = None
 
-NUM_STEPS = 60  # of shooting, and of the scenario
+NUM_STEPS = 60  # of the scenario
 IPOPT_STEPS = 120  # with 60, costs of replays are off by more than 1 % in every third optimum
 _GUESS_STEP = 1e-3  # of roll-outs [s]
 # CMA-ES: nodes of the piecewise linear control, steps of 5 ms, and the price of leaving the range.
@@ -98,8 +99,19 @@ def _penalized(question: Question, controls: np.ndarray) -> float:
     return total if np.isfinite(total) else 1e9
 
 
-METHODS: Mapping[str, Method] = {"IPOPT": ipopt_multistart, "CMA-ES": evolution}
-PLANS: tuple[str, ...] = ()  # Those that end by themselves.
+def shooting_multistart(question: Question, first: int = 0) -> Iterator[Attempt]:
+    """Yields what our shooting makes of random controls."""
+    middles = np.linspace(0.0, 1.0, 2 * NUM_STEPS + 1)[1::2]
+    guesses = (random_control(rng, middles) for rng in _generators(question, first))
+    yield from itertools.starmap(Attempt, shoot(question, guesses))
+
+
+METHODS: Mapping[str, Method] = {
+    "shooting": shooting_multistart,
+    "IPOPT": ipopt_multistart,
+    "CMA-ES": evolution,
+}
+PLANS: tuple[str, ...] = ()  # They end by themselves.
 _EXTRAS = {"IPOPT": casadi, "CMA-ES": cma}
 
 

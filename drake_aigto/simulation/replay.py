@@ -15,7 +15,6 @@ from drake_aigto.simulation.compliant_wall import simulate_compliant_wall
 from drake_aigto.simulation.controller import HeldControl
 from drake_aigto.simulation.costs import calc_cost, calc_plain_cost, explain_cost
 from drake_aigto.simulation.drake_springs import simulate_plant
-from drake_aigto.simulation.lateness import calc_lateness
 from drake_aigto.simulation.mechanism import simulate_mechanism
 from drake_aigto.simulation.recording import Recording
 from drake_aigto.simulation.rigid_wall import simulate_rigid_wall
@@ -47,7 +46,7 @@ class Replay(ArrayRecord):
         compliance_error: "drake" only: how far the end should be, at most, from where rigid walls
             lead [m]. A contact lasts τ = π √(m/k), which delays what follows and loses what the
             control adds meanwhile: of one elastic impact, τ times the last speed. All of it is in
-            `calc_compliance_error`, or, where M or J depends on q, in `calc_lateness`.
+            `calc_compliance_error`.
         compliance_cost: what of the cost this explains at most.
         matched_speeds: "drake" only, restitution < 1 only: the speeds, in the order of time, for
             which the dissipation was set to give each impact its restitution [m/s]. Impacts below a
@@ -199,11 +198,8 @@ def replay_drake(world: World, scenario: Scenario, times: ArrayLike, controls: A
         recording = simulate_plant(world, start, held, without_friction)
         return summarize("drake", world, scenario, times, controls, recording)
     recording = simulate_compliant_wall(world, start, held, restitutions, without_friction)
-    if world.has_constant_inertia:
-        error = calc_compliance_error(world, restitutions, recording)
-        return summarize("drake", world, scenario, times, controls, recording, error)
-    lateness = calc_lateness(world, scenario, times, controls)
-    return summarize("drake", world, scenario, times, controls, recording, *lateness)
+    error = calc_compliance_error(world, restitutions, recording)
+    return summarize("drake", world, scenario, times, controls, recording, error)
 
 
 def confirms(
@@ -294,17 +290,12 @@ def summarize(
     controls: Floats,
     recording: Recording,
     compliance_error: float = 0.0,
-    compliance_cost: float | None = None,
 ) -> Replay:
     """Returns the replay that a simulator's recording of a held control shows.
 
-    Its end is off by the compliance error [m] at most, as walls are compliant, and its cost by the
-    compliance cost; None: by what such an end may cost.
+    Its end is off by the compliance error [m] at most, as walls are compliant.
     """
     cost, goal_error = calc_cost(world, scenario, times, controls, recording)
-    if compliance_cost is None:
-        end = recording.positions[-1]
-        compliance_cost = explain_cost(world, scenario, end, compliance_error)
     return Replay(
         simulator=simulator,
         cost=cost,
@@ -315,7 +306,7 @@ def summarize(
         energies_before=tuple(impact.energy_before for impact in recording.impacts),
         energies_after=tuple(impact.energy_after for impact in recording.impacts),
         compliance_error=compliance_error,
-        compliance_cost=compliance_cost,
+        compliance_cost=explain_cost(world, scenario, recording.positions[-1], compliance_error),
         matched_speeds=tuple(recording.matched_speeds),
         times=recording.times,
         positions=recording.positions,
