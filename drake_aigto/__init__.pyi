@@ -10,6 +10,7 @@ from .errors import StudyError as StudyError
 from .errors import TrajectoryError as TrajectoryError
 from .errors import UnsupportedTermError as UnsupportedTermError
 from .planning import Candidate as Candidate
+from .planning import MechanismOptions as MechanismOptions
 from .planning import Plan as Plan
 from .planning import Planner as Planner
 from .planning import PlanningError as PlanningError

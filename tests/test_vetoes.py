@@ -18,7 +18,7 @@ from drake_aigto import Scenario, World, plan
 from drake_aigto.cli import INTERRUPTED, main
 from drake_aigto.optima import rigid_optimum
 from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal
-from drake_aigto.planning import Plan, Planner, PlanningError, RigidProblem
+from drake_aigto.planning import Plan, Planner, PlanningError, PlanningProblem, RigidProblem
 from drake_aigto.planning import problem as planning_problem
 from drake_aigto.planning.idle import idle_candidate
 from drake_aigto.show.page import Page
@@ -197,6 +197,7 @@ def test_doing_nothing_obeys_the_rows_of_a_plan(world: World | None, fields: Any
     goal = np.full(np.size(ends["initial_position"]), 0.7)
     scenario = Scenario(**ends, goal_position=goal)
     problem = Planner(scenario, UNCONFIRMED, world)._problem
+    assert isinstance(problem, PlanningProblem)
     idle = idle_candidate(problem)
     assert idle.is_feasible and idle.is_confirmed and idle.is_idle
     assert not np.any(idle.trajectory.controls)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import dataclasses
+from dataclasses import fields
 from typing import Any, get_args
 
 from drake_aigto.cli.flags import add_command, add_confirm, add_json
@@ -13,25 +13,36 @@ from drake_aigto.cli.status import FINE, INTERRUPTED, NOTHING_HOLDS
 from drake_aigto.errors import OptionsError
 from drake_aigto.paper import LiteralOptions, plan_literal
 from drake_aigto.paper.options import AlgorithmName
-from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions
+from drake_aigto.planning import (
+    MechanismOptions,
+    Plan,
+    Planner,
+    PlanningError,
+    PlanOptions,
+    needs_shooting,
+)
 from drake_aigto.planning.options import LocalSolverName
 from drake_aigto.show.plans import format_plan, format_replays
 from drake_aigto.simulation.material import contact_delay
+from drake_aigto.world import World
 from drake_aigto.world.files import check_writable
 
 # Option → what it is, of rigid plans, of literal ones, or of both.
 _NUMERICS = {
     "local_solver": "what polishes AIGO's results",
     "finalists": "how many of the best candidates are improved",
-    "threads": "how many starts of AIGO run at once (default: more than one for large boxes)",
+    "threads": "how many starts of AIGO run at once (default: more than one where it pays)",
     "relaxation": "rigid: how much walls push from afar while boxes shrink",
     "aigo_steps": "rigid: the most time steps that boxes have",
     "exhaustive": "rigid: also run starts, and polish flights, that can hardly win",
+    "renewals": "shooting: how many times stretches of motions are opened to boxes again",
+    "search_steps": "shooting: the most time steps that motions are searched with",
+    "seed": "shooting: of the stretches that are opened",
     "nonpenetration": "literal: ask for φ(q) ≥ 0 at the knots",
     "algorithm": "literal: how boxes shrink",
 }
 _CHOICES = {"local_solver": get_args(LocalSolverName), "algorithm": get_args(AlgorithmName)}
-_OPTIONS = {"rigid": PlanOptions, "literal": LiteralOptions}
+_OPTIONS = {"rigid": PlanOptions, "shooting": MechanismOptions, "literal": LiteralOptions}
 
 _PLAN_EXAMPLES = """\
 drake-aigto plan table1/1 --json plan.json
@@ -65,9 +76,13 @@ def add_replay(commands: Any) -> None:
 
 
 def _add_numerics(group: Any) -> None:
-    text = "rigid: plans that hold on rigid walls; literal: the paper's (default: %(default)s)"
-    group.add_argument("--transcription", choices=_OPTIONS, default="rigid", help=text)
-    defaults = {**vars(LiteralOptions()), **vars(PlanOptions())}
+    text = (
+        "rigid: for balls between rigid walls, and their default; shooting: for any other task, "
+        "and its default; literal: the paper's"
+    )
+    group.add_argument("--transcription", choices=_OPTIONS, help=text)
+    kinds = LiteralOptions(), MechanismOptions(), PlanOptions()
+    defaults = {name: value for each in kinds for name, value in vars(each).items()}
     for name, text in _NUMERICS.items():
         flag, default = f"--{name.replace('_', '-')}", defaults[name]
         known = "" if default is None else f" (default: {default})"
@@ -83,36 +98,39 @@ def _add_numerics(group: Any) -> None:
         group.add_argument(flag, **more)
 
 
-def _read_options(options: argparse.Namespace) -> PlanOptions | LiteralOptions:
-    """Returns the numerics that were given.
+def _read_options(
+    options: argparse.Namespace, name: str
+) -> PlanOptions | MechanismOptions | LiteralOptions:
+    """Returns the numerics that were given, for a transcription.
 
     Raises:
-        OptionsError: some are of the other transcription.
+        OptionsError: some are of another transcription.
     """
-    kind = _OPTIONS[options.transcription]
+    known = {each: {field.name for field in fields(kind)} for each, kind in _OPTIONS.items()}
     given = {name: value for name, value in vars(options).items() if name in _NUMERICS}
-    known = [field.name for field in dataclasses.fields(kind)]
-    for name in given:
-        if name not in known:
-            flag = f"--{name.replace('_', '-')}"
-            (other,) = _OPTIONS.keys() - {options.transcription}
+    for option in given:
+        if option not in known[name]:
+            takers = (other for other, names in known.items() if option in names)
             raise OptionsError(
-                flag,
-                got=f"--transcription {options.transcription}",
-                expected=f"--transcription {other}, whose option it is",
+                f"--{option.replace('_', '-')}",
+                got=f"--transcription {name}",
+                expected=f"--transcription {' or '.join(takers)}, whose option it is",
             )
-    return kind(confirm=options.confirm, **given)
+    return _OPTIONS[name](confirm=options.confirm, **given)
 
 
 def _plan(options: argparse.Namespace) -> int:
     check_writable(options.json)
-    scenario, chosen = load_scenario(options), _read_options(options)
+    scenario = load_scenario(options)
+    world = World.from_scenario(scenario)
+    default = "shooting" if needs_shooting(world, scenario) else "rigid"
+    chosen = _read_options(options, options.transcription or default)
     try:
         with show_progress(options, "transcribing") as progress:
             if isinstance(chosen, LiteralOptions):
-                plan = plan_literal(scenario, chosen, progress=progress)
+                plan = plan_literal(scenario, chosen, world=world, progress=progress)
             else:
-                plan = Planner(scenario, chosen).plan(progress=progress)
+                plan = Planner(scenario, chosen, world).plan(progress=progress)
     except PlanningError as error:
         if error.plan is not None:
             _answer_plan(options, error.plan)

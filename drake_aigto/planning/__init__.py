@@ -8,6 +8,9 @@ from drake_aigto.planning.mechanism_boxes import (
     Renewal,
     StartedBoxes,
 )
+from drake_aigto.planning.mechanism_options import MechanismOptions
+from drake_aigto.planning.mechanism_problem import MechanismProblem, needs_shooting
+from drake_aigto.planning.mechanism_search import MechanismSearch
 from drake_aigto.planning.options import LadderOptions, PlanOptions, Rung, SearchOptions
 from drake_aigto.planning.origin import Origin
 from drake_aigto.planning.plan import Plan, PlanningError, PlanStats
@@ -23,7 +26,10 @@ __all__ = [
     "Center",
     "LadderOptions",
     "MechanismBoxes",
+    "MechanismOptions",
+    "MechanismProblem",
     "MechanismRung",
+    "MechanismSearch",
     "Origin",
     "Plan",
     "PlanOptions",
@@ -43,6 +49,7 @@ __all__ = [
     "Veto",
     "coarsen",
     "make_problem",
+    "needs_shooting",
     "plan",
     "run_search",
 ]

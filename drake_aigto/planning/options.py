@@ -18,6 +18,7 @@ StartName = Literal["line", "coast"]
 _KINDS = {
     "rigid": "drake_aigto.planning.options:PlanOptions",
     "literal": "drake_aigto.paper.options:LiteralOptions",
+    "shooting": "drake_aigto.planning.mechanism_options:MechanismOptions",
 }
 
 

@@ -6,6 +6,7 @@ import dataclasses
 from dataclasses import dataclass
 from typing import Literal
 
+from drake_aigto.planning.mechanism_boxes import MechanismRung
 from drake_aigto.planning.options import Rung
 from drake_aigto.transcription import TouchSequence
 
@@ -50,17 +51,25 @@ class Origin:
         rung: where AIGO started; None for another's guess, and in plan files of version 3, whose
             whole sentence is the proposer.
         changes: of the contact sequence that was proposed, in order.
+        renewals: how many times a stretch of the motion was opened to boxes again.
     """
 
     proposer: str
-    rung: Rung | None = None
+    rung: Rung | MechanismRung | None = None
     changes: tuple[Change, ...] = ()
+    renewals: int = 0
 
     def changed(self, kind: ChangeName, of: TouchSequence) -> Origin:
         """Returns the origin of a candidate whose sequence was made by changing this one's."""
         return dataclasses.replace(self, changes=(*self.changes, Change(kind, of)))
 
+    def renewed(self) -> Origin:
+        """Returns the origin of a motion of which a stretch of this one's was opened again."""
+        return dataclasses.replace(self, renewals=self.renewals + 1)
+
     def __str__(self) -> str:
         """Returns it in words; a change that was made several times is told once."""
         first = self.rung.describe(self.proposer) if self.rung else self.proposer
-        return "; ".join([first, *dict.fromkeys(_WORDS[each.kind] for each in self.changes)])
+        changes = dict.fromkeys(_WORDS[each.kind] for each in self.changes)
+        renewed = [f"renewed {self.renewals} times"] if self.renewals else []
+        return "; ".join([first, *changes, *renewed])

@@ -8,8 +8,15 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from drake_aigto.errors import OptionsError
+from drake_aigto.errors import OptionsError, ProgramError
 from drake_aigto.planning.candidate import Candidate
+from drake_aigto.planning.mechanism_options import MechanismOptions
+from drake_aigto.planning.mechanism_problem import (
+    MechanismProblem,
+    check_shooting,
+    needs_shooting,
+)
+from drake_aigto.planning.mechanism_search import MechanismSearch
 from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.plan import Plan, PlanningError
 from drake_aigto.planning.pool import Progress, Stopwatch
@@ -21,7 +28,9 @@ from drake_aigto.world import Scenario, World
 
 
 def plan(
-    scenario: Scenario, options: PlanOptions | None = None, world: World | None = None
+    scenario: Scenario,
+    options: PlanOptions | MechanismOptions | None = None,
+    world: World | None = None,
 ) -> Plan:
     """Plans for a scenario: `Planner(scenario, options, world).plan()`."""
     return Planner(scenario, options, world).plan()
@@ -32,7 +41,8 @@ class Planner:
 
     Args:
         scenario: the question.
-        options: numerics; the defaults if None.
+        options: numerics, `PlanOptions` for balls between rigid walls and `MechanismOptions` for
+            any other task (`needs_shooting`); the defaults if None.
         world: a plant of your own (`World.from_diagram`); built from the scenario's model if None.
 
     Raises:
@@ -41,25 +51,32 @@ class Planner:
     """
 
     def __init__(
-        self, scenario: Scenario, options: PlanOptions | None = None, world: World | None = None
+        self,
+        scenario: Scenario,
+        options: PlanOptions | MechanismOptions | None = None,
+        world: World | None = None,
     ) -> None:
         """Builds the world, and checks the scenario against it; programs are compiled later."""
         self.scenario = scenario
-        self.options = options or PlanOptions()
-        if not isinstance(self.options, PlanOptions):
+        if not isinstance(options, PlanOptions | MechanismOptions | None):
             raise OptionsError(
                 "options",
-                got=type(self.options).__name__,
+                got=type(options).__name__,
                 expected="PlanOptions",
                 remedy="Literal plans are made by drake_aigto.paper.plan_literal.",
             )
         self.world = world or World.from_scenario(scenario)
         self.world.check(scenario)
-        if self.options.confirm:
+        self.options = _choose_options(self.world, scenario, options)
+        if isinstance(self.options, MechanismOptions):
+            check_shooting(self.world, scenario)
+        if self.options.confirm and scenario.contact == "rigid" and self.world.contacts:
             contact_delay(self.world)  # A wall without stiffness is refused before long work.
         self._build_clock = Stopwatch()
+        self._transcription: RigidTranscription | None = None
         with self._build_clock("build"):
-            self._transcription = transcribe(self.world, scenario, self.options)
+            if isinstance(self.options, PlanOptions):
+                self._transcription = transcribe(self.world, scenario, self.options)
 
     @property
     def transcription(self) -> RigidTranscription:
@@ -72,16 +89,28 @@ class Planner:
         program: the state at its time (`GetSampleTimes`, `knot_at`), and the control that is held
         from it to the next, in plans as here. The knots are those of AIGO's boxes
         (`PlanOptions.aigo_steps`); where `plan` is given another duration, k/N of it.
+
+        Raises:
+            ProgramError: the plan is made by shooting, which has no program.
         """
+        if self._transcription is None:
+            raise ProgramError(
+                "the planner's transcription",
+                got=f"a task for shooting ({type(self.options).__name__})",
+                expected="balls between rigid walls",
+                remedy="Say what counts by the scenario's weights and bounds.",
+            )
         return self._transcription
 
     @cached_property
-    def _problem(self) -> RigidProblem:
+    def _problem(self) -> RigidProblem | MechanismProblem:
         """The program, compiled; nothing can be added from now on."""
         with self._build_clock("build"):
+            if isinstance(self.options, MechanismOptions):
+                return MechanismProblem(self.world, self.scenario, self.options)
             num_steps = self.scenario.num_steps
-            problem = RigidProblem(self._transcription, self.options, num_steps)
-        self._transcription.freeze()
+            problem = RigidProblem(self.transcription, self.options, num_steps)
+        self.transcription.freeze()
         return problem
 
     def plan(
@@ -130,21 +159,48 @@ class Planner:
         changed: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
         scenario = dataclasses.replace(self.scenario, **changed) if changed else self.scenario
         self.world.check(scenario)
-        self._transcription.check_frozen()
+        if self._transcription is not None:
+            self._transcription.check_frozen()
         return run_search(self._start_search(scenario), scenario, progress)
 
-    def _start_search(self, scenario: Scenario) -> RigidSearch:
+    def _start_search(self, scenario: Scenario) -> RigidSearch | MechanismSearch:
         clock = Stopwatch()
         problem = self._problem
         if scenario is self.scenario:
             clock.seconds.update(self._build_clock.seconds)
-            return RigidSearch(problem, clock)
-        with clock("build"):
-            problem = problem.again(scenario)
+        else:
+            with clock("build"):
+                problem = problem.again(scenario)
+        if isinstance(problem, MechanismProblem):
+            return MechanismSearch(problem, clock)
         return RigidSearch(problem, clock)
 
 
-def run_search(search: RigidSearch, scenario: Scenario, progress: Progress | None = None) -> Plan:
+def _choose_options(
+    world: World, scenario: Scenario, options: PlanOptions | MechanismOptions | None
+) -> PlanOptions | MechanismOptions:
+    """Returns the options, or the defaults, of what plans for this.
+
+    Raises:
+        OptionsError: they are of the other.
+    """
+    kind = MechanismOptions if needs_shooting(world, scenario) else PlanOptions
+    if options is None:
+        return kind()
+    if not isinstance(options, kind):
+        balls = "balls between rigid walls"
+        raise OptionsError(
+            "options",
+            got=type(options).__name__,
+            expected=f"{kind.__name__}, for this is "
+            + (balls if kind is PlanOptions else f"not a task of {balls} alone"),
+        )
+    return options
+
+
+def run_search(
+    search: RigidSearch | MechanismSearch, scenario: Scenario, progress: Progress | None = None
+) -> Plan:
     """Returns the plan that a search ends with: the first candidate that all replays confirm.
 
     Args:
@@ -164,7 +220,7 @@ def run_search(search: RigidSearch, scenario: Scenario, progress: Progress | Non
     return found
 
 
-def _choose(search: RigidSearch) -> Candidate:
+def _choose(search: RigidSearch | MechanismSearch) -> Candidate:
     """Returns the best candidate that holds; if none does, the best."""
     best = search.find_best()
     if search.confirm(best):
@@ -184,8 +240,7 @@ def _nothing_holds(found: Plan, sources: str) -> PlanningError:
     ]
     drake = found.replay.drake
     if drake is not None and found.best.is_confirmed:
-        miss = f"{drake.goal_error:.1e} {found.find_world().position_unit}"
-        tried[0] += f", in Drake {drake.cost:.2e} and {miss} off the goal"
+        tried[0] += f", in Drake {drake.cost:.2e} and {drake.goal_error:.1e} m off the goal"
     broken = dict.fromkeys(name for replay in found.replay for name in replay.broken)
     if broken:
         tried[0] += f"; there it breaks {', '.join(map(repr, broken))}"

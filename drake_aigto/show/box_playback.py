@@ -271,7 +271,7 @@ def run_boxes(plan: Plan, world: World | None = None) -> BoxRun:
         raise _refuse("no options")
     if not isinstance(plan.options, LiteralOptions | PlanOptions):
         raise _refuse("the options of another search, of many boxes for short stretches")
-    if rung is None:
+    if not isinstance(rung, Rung):
         raise _refuse("no rung of AIGO's ladder")
     if plan.additions:
         names = ", ".join(plan.additions)

@@ -89,7 +89,7 @@ def _find_runs(trajectory: Trajectory, impulses: Floats, held: Floats, sizes: Fl
 
 def max_penetration(world: World, trajectory: Trajectory) -> float:
     """Returns how deep the ball is inside a wall at most, over the knots, at least 0 [m]."""
-    return max(0.0, -float(np.min(world.calc_clearance(trajectory.positions))))
+    return -float(np.min(world.calc_clearance(trajectory.positions), initial=0.0))
 
 
 def _contact(

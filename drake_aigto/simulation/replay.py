@@ -194,7 +194,7 @@ def replay_drake(world: World, scenario: Scenario, times: ArrayLike, controls: A
     start = scenario.initial_position, scenario.initial_velocity
     restitutions = world.restitutions(scenario)
     held, without_friction = HeldControl(times, controls), scenario.friction == 0
-    if scenario.contact == "compliant":
+    if scenario.contact == "compliant" or not world.contacts:
         recording = simulate_plant(world, start, held, without_friction)
         return summarize("drake", world, scenario, times, controls, recording)
     recording = simulate_compliant_wall(world, start, held, restitutions, without_friction)

@@ -9,8 +9,9 @@ from drake_aigto.world import Scales
 NONPENETRATION, CLEARANCE = "nonpenetration", "clearance"
 FLIGHT, DYNAMICS, CONTACT, RESTITUTION = "flight", "dynamics", "contact", "restitution"
 KINEMATICS = "kinematics"
+INTEGRATION, BOUNDS = "integration", "bounds"
 
-# Row → the unit of its defect. Those of rows that users added are parts of the task's scales.
+# Row → the unit of its defect. Those of others are parts of the task's scales.
 UNITS: Mapping[str, str] = {
     **dict.fromkeys((FLIGHT, KINEMATICS, CONTACT, NONPENETRATION, CLEARANCE), "m"),
     **dict.fromkeys((DYNAMICS, RESTITUTION), "m/s"),

@@ -67,6 +67,11 @@ class CompliantLaw(ArrayRecord):
         dissipation = [_combine_dissipation(scene_graph, pair) for pair in shapes]
         return cls(calc_stiffness(scene_graph, shapes), np.array(dissipation))
 
+    def calc_forces(self, distances: Floats, rates: Floats) -> Floats:
+        """Returns f, shape (…, m) [N], given φ (…, m) [m] and φ̇ (…, m) [m/s]."""
+        depths = np.maximum(0.0, -distances)
+        return self.stiffness * depths * np.maximum(0.0, 1.0 - self.dissipation * rates)
+
 
 ContactLaw: TypeAlias = RigidLaw | CompliantLaw
 

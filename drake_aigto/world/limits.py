@@ -86,6 +86,11 @@ class Limits:
                     "scenario's bounds",
                 )
 
+    @property
+    def are_any(self) -> bool:
+        """Whether anything is bounded."""
+        return any(np.isfinite(each).any() for each in (self.position, self.velocity, self.control))
+
     def check_none(self, plant: MultibodyPlant) -> None:
         """Refuses a model with limits, for whoever plans without them.
 

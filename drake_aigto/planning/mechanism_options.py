@@ -1,0 +1,63 @@
+"""How to plan for mechanisms: numerics only. Physics and task are the Scenario's."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import ClassVar
+
+from drake_aigto.errors import OptionsError
+from drake_aigto.planning.mechanism_boxes import MechanismRung, MechanismStart
+from drake_aigto.planning.options import SearchOptions
+
+
+def _rung(
+    start: MechanismStart, weight: float, temperature: float, num_steps: int
+) -> MechanismRung:
+    return MechanismRung(start=start, weight=weight, temperature=temperature, num_steps=num_steps)
+
+
+# No rung is right everywhere: boxes that hold the dynamics tightly keep to passive motions, loose
+# ones jump to the goal. Both starts, decades of weights and of temperatures, fine and coarse.
+MECHANISM_LADDER = (
+    _rung("rest", 0.1, 0.1, 60),
+    _rung("coast", 0.1, 1.0, 30),
+    _rung("rest", 1.0, 0.1, 30),
+    _rung("coast", 1.0, 10.0, 60),
+    _rung("rest", 0.01, 10.0, 60),
+    _rung("coast", 0.001, 10.0, 30),
+    _rung("coast", 0.01, 10.0, 30),
+    _rung("coast", 1.0, 1.0, 30),
+    _rung("rest", 0.001, 10.0, 30),
+    _rung("rest", 0.01, 1.0, 30),
+    _rung("rest", 0.01, 0.1, 30),
+)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MechanismOptions(SearchOptions):
+    """Numerics of a plan for a mechanism, or for soft walls.
+
+    Attributes:
+        finalists: see `SearchOptions`, as threads and confirm.
+        ladder: the starts of AIGO; the center of each last box is closed by shooting.
+        renewals: how many times a stretch of a candidate is opened to boxes again.
+        search_steps: how many time steps candidates have at most; finalists have the scenario's.
+        seed: of the stretches that are opened.
+    """
+
+    finalists: int = 3
+    ladder: tuple[MechanismRung, ...] = field(default=MECHANISM_LADDER, repr=False)
+    renewals: int = 240
+    search_steps: int = 60
+    seed: int = 0
+
+    transcription: ClassVar[str] = "shooting"
+
+    def __post_init__(self) -> None:
+        """Checks the numbers."""
+        super().__post_init__()
+        self._check_count("renewals", 0)
+        self._check_count("search_steps", 2)
+        self._check_count("seed", 0)
+        if not self.ladder:
+            raise OptionsError("ladder", got="no rung", expected="at least one")

@@ -1,0 +1,311 @@
+"""A mechanism's task, compiled for boxes and for shooting: the road's steps one by one."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import Any
+
+import numpy as np
+from pydrake.trajectories import PiecewisePolynomial
+
+from drake_aigto.arrays import Floats
+from drake_aigto.errors import ModelError, ScenarioError
+from drake_aigto.planning.candidate import Candidate, Replays
+from drake_aigto.planning.flow import trace
+from drake_aigto.planning.mechanism_boxes import (
+    Center,
+    MechanismBoxes,
+    MechanismRung,
+    Renewal,
+    StartedBoxes,
+)
+from drake_aigto.planning.mechanism_options import MechanismOptions
+from drake_aigto.planning.origin import NO_CONTROL, Origin
+from drake_aigto.shooting import Mechanism, Rung, ShootingOptions, ShootingProblem, ShootingResult
+from drake_aigto.simulation.contacts import find_contacts, max_penetration
+from drake_aigto.simulation.replay import Replay, replay_drake, replay_event_driven
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription import Ends, soften
+from drake_aigto.transcription.rows import BOUNDS, INTEGRATION
+from drake_aigto.world import CompliantLaw, Scales, Scenario, TaskCost, World
+
+# Runge-Kutta steps of a finalist are halved until cost and end change by this part of their scales.
+_EXACT, _MOST_SUBSTEPS = 1e-3, 64
+# Motions whose positions are nowhere farther apart than this part of their scales have one optimum.
+_NEAR = 0.05
+_POLISH = ShootingOptions(rungs=(Rung(1e-3, 60, 1e-5), Rung(1e-4, 40, 1e-6)), substeps=4)
+
+
+@dataclass(frozen=True, eq=False)
+class Compiled:
+    """What all tasks with one law of contact share.
+
+    Attributes:
+        mechanism: the world as shooting has it.
+        boxes: programs of boxes, by the weights, duration and steps that they were made for.
+    """
+
+    mechanism: Mechanism
+    boxes: dict[tuple[Any, ...], MechanismBoxes]
+
+
+class MechanismProblem:
+    """A task of a mechanism between walls that yield, or of one that touches nothing.
+
+    Boxes of its positions shrink (`MechanismBoxes`), and the motion that they show is closed by
+    shooting (`ShootingProblem`). Both are compiled for the world and the task's weights, once.
+
+    Attributes:
+        world: the mechanism.
+        scenario: the task.
+        options: numerics.
+        task: the scenario's cost.
+        bounds: of positions, velocities and controls.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        scenario: Scenario,
+        options: MechanismOptions,
+        compiled: Compiled | None = None,
+    ) -> None:
+        """Reads the task; programs are compiled as they are needed.
+
+        Args:
+            world: the mechanism.
+            scenario: the task.
+            options: numerics.
+            compiled: of the same world and law.
+        """
+        self.world, self.scenario, self.options = world, scenario, options
+        self.task, self.bounds = TaskCost.of(world, scenario), world.bounds(scenario)
+        self.law = world.contact_law(scenario)
+        self.scales = Scales.of(world, scenario)
+        self._compiled = compiled or Compiled(Mechanism.of(world, self.law), {})
+        self._boxes = cache(self._start_boxes)
+        self.shooting = cache(self._pose)
+
+    @property
+    def sources(self) -> str:
+        """What candidates come from, in words."""
+        return f"{len(self.options.ladder)} rungs and {self.options.renewals} renewals"
+
+    @property
+    def remedy(self) -> str:
+        """What a user may try where no candidate meets the rows."""
+        return "Allow more time or control, or try more renewals."
+
+    @property
+    def search_steps(self) -> int:
+        """How many time steps motions have while they are searched for."""
+        return min(self.scenario.num_steps, self.options.search_steps)
+
+    @property
+    def renewal_steps(self) -> int:
+        """How many time steps boxes have that open a motion again: half as many."""
+        return max(2, self.search_steps // 2)
+
+    @cached_property
+    def _ends(self) -> Ends:
+        scenario = self.scenario
+        return Ends(scenario.initial_position, scenario.initial_velocity, self.task)
+
+    @cached_property
+    def _springs(self) -> CompliantLaw:
+        """What walls push with in boxes."""
+        if isinstance(self.law, CompliantLaw):
+            return self.law
+        time_step = self.scenario.duration / self.search_steps
+        return soften(self.world, self.law, time_step, self.scales.velocity)
+
+    def _start_boxes(self, num_steps: int) -> StartedBoxes:
+        """Returns boxes of so many time steps from this start; programs are of any."""
+        scenario, task = self.scenario, self.task
+        weights = task.R, task.Q, task.Qv, task.QT, task.QTv, task.is_chordal, task.is_modulo
+        key = num_steps, scenario.duration, *(each.tobytes() for each in weights)
+        programs = self._compiled.boxes
+        if key not in programs:
+            programs[key] = MechanismBoxes(
+                *(self.world, task, self._springs, scenario.duration, num_steps),
+                self.bounds.control,
+            )
+        return programs[key].start(self._ends)
+
+    def run_aigo(self, rung: MechanismRung) -> Center:
+        """Returns what the boxes of a rung show."""
+        boxes = self._boxes(rung.num_steps)
+        return boxes.run(rung, self._start_path(rung, boxes))
+
+    def renew(self, motion: ShootingResult, renewal: Renewal) -> Center:
+        """Returns what becomes of a motion whose stretch is moved and opened to boxes."""
+        n, boxes = self.world.num_positions, self._boxes(self.renewal_steps)
+        times = np.linspace(0.0, self.scenario.duration, self.renewal_steps + 1)
+        q = np.column_stack([np.interp(times, motion.times, each) for each in motion.states.T[:n]])
+        beyond = 2 * q[-1] - q[-2]
+        return boxes.renew(np.vstack([q, beyond]), renewal)
+
+    def _start_path(self, rung: MechanismRung, boxes: StartedBoxes) -> Floats:
+        if rung.start == "coast":
+            return self.coast.states[:, : self.world.num_positions]
+        return boxes.rest() if rung.start == "rest" else boxes.line()
+
+    @cached_property
+    def coast(self) -> ShootingResult:
+        """The motion without control."""
+        problem = self.shooting(self.search_steps)
+        controls = np.zeros((self.search_steps, self.world.num_actuators))
+        return problem.simulate(controls, substeps=4)
+
+    def _pose(self, num_steps: int) -> ShootingProblem:
+        """Returns the task in so many time steps."""
+        scenario, bounds = self.scenario, self.bounds
+        n = self.world.num_positions
+        hard = np.full(2 * n, np.nan)
+        if scenario.hard_goal:
+            hard[:n] = self.task.goal
+            if scenario.goal_velocity is not None:
+                hard[n:] = self.task.goal_velocity
+        return ShootingProblem(
+            mechanism=self._compiled.mechanism,
+            cost=self.task,
+            times=np.linspace(0.0, scenario.duration, num_steps + 1),
+            start=np.concatenate([scenario.initial_position, scenario.initial_velocity]),
+            scales=self.state_scales,
+            state_bounds=np.hstack([bounds.position, bounds.velocity]),
+            control_bounds=bounds.control,
+            hard_goal=hard,
+            control_norm=scenario.control_norm or np.inf,
+            length=self.scales.length,
+        )
+
+    @cached_property
+    def state_scales(self) -> Floats:
+        """How much of q and v is much: a radian or the task's length, and that by its time."""
+        q = np.where(self.world.is_hinge, 1.0, self.scales.length)
+        return np.concatenate([q, q / self.scales.time])
+
+    def close(self, center: Center) -> ShootingResult:
+        """Returns the motion near a box center, as far as a few steps lead."""
+        problem = self.shooting(self.search_steps)
+        states, controls = center.sample(problem.times)
+        return problem.solve(controls, states, ShootingOptions.coarse())
+
+    def polish(self, motion: ShootingResult) -> ShootingResult:
+        """Returns the local optimum near a motion, in the scenario's time steps.
+
+        Runge-Kutta steps are halved until they agree. As a motion that is unstable goes elsewhere
+        under other steps, its states are kept where they are, and gaps are closed.
+        """
+        problem, n = self.shooting(self.scenario.num_steps), self.world.num_positions
+        middles = (problem.times[1:] + problem.times[:-1]) / 2
+        controls = motion.controls[np.searchsorted(motion.times, middles) - 1]
+        q, v = motion.states[:, :n], motion.states[:, n:]
+        path = PiecewisePolynomial.CubicHermite(motion.times, q.T, v.T)
+        rate = path.MakeDerivative()
+        states = np.vstack([each.vector_values(problem.times) for each in (path, rate)]).T
+        result = problem.solve(controls, states, _POLISH)
+        while result.substeps < _MOST_SUBSTEPS and problem.estimate_error(result) > _EXACT:
+            finer = dataclasses.replace(_POLISH, substeps=2 * result.substeps)
+            result = problem.solve(result.controls, result.states, finer)
+        return result
+
+    def are_near(self, one: ShootingResult, other: ShootingResult) -> bool:
+        """Returns whether two motions are so near each other that one polish does for both."""
+        n = self.world.num_positions
+        path = np.column_stack(
+            [np.interp(one.times, other.times, each) for each in other.states.T[:n]]
+        )
+        apart = np.abs(one.states[:, :n] - path) / self.state_scales[:n]
+        return bool(np.max(apart) < _NEAR)
+
+    def judge(self, origin: Origin, start: ShootingResult, found: ShootingResult) -> Candidate:
+        """Returns the candidate that shooting made of a start: what its controls do, integrated.
+
+        Args:
+            origin: where it came from.
+            start: the first motion.
+            found: what shooting made of it, in the scenario's time steps.
+        """
+        replay = replay_event_driven(self.world, self.scenario, found.times, found.controls)
+        trajectory, gap = trace(self.world, self.law, replay, found.times, found.controls)
+        return Candidate(
+            origin=origin,
+            start_cost=start.exact_cost,
+            start_defects={BOUNDS: start.violation},
+            trajectory=trajectory,
+            cost=found.exact_cost,
+            goal_error=float(self.task.goal_error(found.states[-1, : self.world.num_positions])),
+            defects={
+                INTEGRATION: float(np.max(gap / self.state_scales)),
+                BOUNDS: self._calc_excess(trajectory),
+            },
+            max_penetration=max_penetration(self.world, trajectory),
+            contacts=find_contacts(self.world, trajectory),
+            replay=replay,
+            scales=self.scales,
+        )
+
+    def _calc_excess(self, trajectory: Trajectory) -> float:
+        """Returns how far knots are out of bounds, and the end off a hard goal, in scales."""
+        problem = self.shooting(self.search_steps)
+        x = np.hstack([trajectory.positions, trajectory.velocities])[1:]
+        lower, upper = problem.state_bounds
+        off = np.maximum(np.maximum(lower - x, x - upper), 0.0)
+        hard = np.abs(x[-1] - np.where(np.isnan(problem.hard_goal), x[-1], problem.hard_goal))
+        return float(np.max(np.vstack([off, hard]) / self.state_scales))
+
+    def idle_candidate(self) -> Candidate:
+        """Returns what the world does without any control."""
+        problem = self.shooting(self.scenario.num_steps)
+        none = np.zeros((self.scenario.num_steps, self.world.num_actuators))
+        idle = problem.simulate(none, _POLISH.substeps)
+        return self.judge(Origin(NO_CONTROL), idle, idle)
+
+    def confirm(self, candidate: Candidate) -> Replays:
+        """Returns the candidate's replays: its own, and Drake's if the options confirm."""
+        drake: Replay | None = None
+        if self.options.confirm:
+            control = candidate.trajectory.times, candidate.trajectory.controls
+            drake = replay_drake(self.world, self.scenario, *control)
+        return Replays(candidate.replay, drake)
+
+    def again(self, scenario: Scenario) -> MechanismProblem:
+        """Returns the same for a changed scenario; boxes are compiled anew for other weights."""
+        return MechanismProblem(self.world, scenario, self.options, self._compiled)
+
+
+def needs_shooting(world: World, scenario: Scenario) -> bool:
+    """Returns whether a task is more than one of balls between rigid walls.
+
+    Where M or J depends on q, something has limits, nothing touches, contact is compliant, or the
+    task is not AIGTO's (`Scenario.is_plain`).
+    """
+    is_of_balls = world.has_constant_inertia and world.contacts and not world.limits.are_any
+    return not (is_of_balls and scenario.is_plain)
+
+
+def check_shooting(world: World, scenario: Scenario) -> None:
+    """Refuses what shooting can't plan for.
+
+    Raises:
+        ScenarioError: the duration is free, or walls are rigid and the task is not AIGTO's.
+        ModelError: walls are rigid, and anything has limits, or M or J depends on q.
+    """
+    if scenario.contact == "rigid" and world.contacts:
+        world.check_plain(scenario)
+        raise ModelError(
+            "rigid walls around a mechanism",
+            got="a mass matrix or a contact Jacobian that depends on q",
+            expected="balls between rigid walls",
+            remedy="Let walls push as stiffly as the model says (--contact compliant).",
+        )
+    if scenario.duration_range is not None:
+        raise ScenarioError(
+            "duration_range",
+            got=list(scenario.duration_range),
+            expected="None: plans have a given duration",
+            remedy="Plan for several durations, and compare what they cost.",
+        )

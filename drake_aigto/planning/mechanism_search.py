@@ -1,0 +1,190 @@
+"""The search for a mechanism's plan: boxes propose motions, and shooting closes them."""
+
+from __future__ import annotations
+
+import logging
+import os
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from drake_aigto.jit import tell_compilation
+from drake_aigto.planning.candidate import Candidate
+from drake_aigto.planning.mechanism_boxes import Center, Renewal
+from drake_aigto.planning.mechanism_problem import MechanismProblem
+from drake_aigto.planning.origin import Origin
+from drake_aigto.planning.pool import CandidatePool, Progress, Stopwatch
+from drake_aigto.shooting import ShootingResult
+
+_LOG = logging.getLogger(__name__)
+
+_ANNEALING = "annealing"
+# So many motions are kept, whose costs differ by more than this part of them.
+_MOST_KEPT, _SAME = 8, 1e-3
+# Renewals are drawn from what is kept, and closed, so many at a time.
+_WAVE = 8
+# Every second renewal is of the best motion, the others of one of so many.
+_MOST_RENEWED = 4
+# A bound may be missed by this part of the state's scales where boxes propose a motion.
+_NEARLY = 1e-2
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """A motion that the search keeps.
+
+    Attributes:
+        origin: where it came from.
+        result: of shooting.
+    """
+
+    origin: Origin
+    result: ShootingResult
+
+    @property
+    def cost(self) -> float:
+        """J of it; infinite if it misses its bounds by much."""
+        return self.result.cost if self.result.violation <= _NEARLY else np.inf
+
+
+class MechanismSearch(CandidatePool):
+    """Rungs of boxes, each closed by shooting; then renewals of stretches of the best motions.
+
+    Work is cut off by counts, and what is drawn depends on the seed alone, not on threads.
+
+    Attributes:
+        motions: the best so far.
+    """
+
+    problem: MechanismProblem
+
+    def __init__(self, problem: MechanismProblem, clock: Stopwatch | None = None) -> None:
+        """Starts with no motion."""
+        super().__init__(problem, clock)
+        self.motions: list[Motion] = []
+        self._candidates: list[Candidate] = []
+
+    @property
+    def candidates(self) -> Sequence[Candidate]:
+        """The finalists, as they were judged."""
+        return self._candidates
+
+    def run(self, progress: Progress | None = None) -> None:
+        """Runs the ladder and the renewals, and judges the finalists.
+
+        Args:
+            progress: called with a line of text before each part, and once, with a `Notice`, if
+                machine code has to be compiled.
+
+        Raises:
+            KeyboardInterrupt: before there was any motion; after that, it ends the search.
+        """
+        self._progress = progress
+        try:
+            with tell_compilation(self.tell):
+                self._climb()
+                self._renew()
+        except KeyboardInterrupt:
+            if not self.motions:
+                raise
+            self.is_interrupted = True
+            _LOG.info("interrupted: going on with what was found")
+        self._finish()
+
+    def _climb(self) -> None:
+        """Closes the centers of all rungs."""
+        rungs = self.problem.options.ladder
+        self.tell(f"AIGO from {len(rungs)} starts")
+        origins = [Origin(_ANNEALING, rung) for rung in rungs]
+        self._offer_all(origins, [partial(self.problem.run_aigo, rung) for rung in rungs])
+
+    def _renew(self) -> None:
+        """Opens stretches of the best motions to boxes again."""
+        options, n = self.problem.options, self.problem.world.num_positions
+        rng = np.random.default_rng(options.seed)
+        for first in range(0, options.renewals, _WAVE):
+            best = self.motions[0].cost
+            self.tell(f"renewal {first} of {options.renewals}; the best costs {best:.6g}")
+            origins, proposals = [], []
+            for number in range(first, min(first + _WAVE, options.renewals)):
+                most = min(_MOST_RENEWED, len(self.motions))
+                motion = self.motions[int(rng.integers(most)) if number % 2 else 0]
+                renewal = Renewal.draw(rng, self.problem.renewal_steps, n)
+                origins.append(motion.origin.renewed())
+                proposals.append(partial(self.problem.renew, motion.result, renewal))
+            self._offer_all(origins, proposals)
+
+    def _offer_all(
+        self, origins: Iterable[Origin], proposals: Sequence[Callable[[], Center]]
+    ) -> None:
+        """Closes what boxes propose, in threads, and keeps the best in the order of proposals."""
+
+        def close(propose: Callable[[], Center]) -> tuple[int, ShootingResult]:
+            center = propose()
+            return center.iterations, self.problem.close(center)
+
+        with self.clock("search"), ThreadPoolExecutor(self._num_threads) as pool:
+            for origin, (steps, result) in zip(origins, pool.map(close, proposals), strict=True):
+                self.aigo_steps += steps
+                self._keep(Motion(origin, result))
+
+    @property
+    def _num_threads(self) -> int:
+        if self.problem.options.threads is not None:
+            return self.problem.options.threads
+        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
+
+    def _keep(self, motion: Motion) -> None:
+        """Keeps a motion if it is among the best, and not one that is known."""
+        if not np.isfinite(motion.cost):
+            return
+        for at, known in enumerate(self.motions):
+            if abs(known.cost - motion.cost) <= _SAME * abs(known.cost):
+                if motion.cost < known.cost:
+                    self.motions[at] = motion
+                break
+        else:
+            self.motions.append(motion)
+        self.motions.sort(key=lambda each: each.cost)
+        del self.motions[_MOST_KEPT:]
+
+    def _finish(self) -> None:
+        """Polishes and judges the best motions, one of those that are near each other."""
+        known: list[ShootingResult] = []
+        for motion in self.motions:
+            if len(self._candidates) == self.problem.options.finalists:
+                return
+            if any(self.problem.are_near(motion.result, other) for other in known):
+                continue
+            self.tell(f"polishing a motion that costs {motion.cost:.6g}")
+            with self.clock("polish"):
+                polished = self.problem.polish(motion.result)
+            known += [motion.result, polished]
+            with self.clock("replay"):
+                candidate = self.problem.judge(motion.origin, motion.result, polished)
+            self._candidates.append(candidate)
+            _LOG.info(
+                "  %s: cost %.6g, replayed %.6g",
+                candidate.describe_contacts(),
+                candidate.cost,
+                candidate.replay.cost,
+            )
+
+    def add_idle(self) -> None:
+        """Adds doing nothing, which a plan has to beat."""
+        with self.clock("replay"):
+            self.others.append(self.problem.idle_candidate())
+
+    def find_best(self) -> Candidate:
+        """Returns the best candidate that meets the rows."""
+        return self.find_feasible()[0]
+
+    def add_left_out(self) -> None:
+        """Adds nothing, as nothing was left out."""
+
+    def rank(self, candidate: Candidate) -> tuple[float, ...]:
+        """Orders by feasibility, what the independent replay confirms, and its cost."""
+        return not candidate.is_feasible, not candidate.is_confirmed, candidate.replay.cost

@@ -1,0 +1,103 @@
+"""Plans for mechanisms: what shooting makes of boxes, against simulations and other methods."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drake_aigto import Plan, Planner, PlanOptions, Scenario
+from drake_aigto.errors import ModelError, OptionsError, ProgramError, ScenarioError
+from drake_aigto.planning import MechanismOptions
+
+QUICK = MechanismOptions(renewals=8, finalists=1)
+
+
+@pytest.fixture(scope="module")
+def cart_pole() -> Planner:
+    return Planner(Scenario.named("cart_pole/soft_06"), QUICK)
+
+
+@pytest.fixture(scope="module")
+def plan(cart_pole: Planner) -> Plan:
+    return cart_pole.plan()
+
+
+def test_the_pole_pushes_off_a_wall_to_stand_up(plan: Plan) -> None:
+    assert plan.holds
+    assert plan.best.contacts
+    # No motion that 300 starts of shooting, or 60 of IPOPT, lead to costs less than 80.0.
+    assert plan.cost < 80.1
+
+
+def test_both_simulations_agree_to_a_millionth(plan: Plan) -> None:
+    assert plan.replay.drake is not None
+    assert plan.replay.drake.cost == pytest.approx(plan.replay.event_driven.cost, rel=1e-6)
+    assert plan.cost == pytest.approx(plan.replay.event_driven.cost, rel=1e-3)
+
+
+def test_a_trajectory_obeys_the_equations_of_motion(plan: Plan) -> None:
+    assert plan.defects["integration"] < 1e-6
+    assert plan.defects["bounds"] < 1e-6
+    assert np.all(np.abs(plan.trajectory.positions[:, 0]) <= 1.0 + 1e-6)
+    assert np.all(np.abs(plan.trajectory.controls) <= 20.0)
+
+
+def test_forces_give_what_the_momentum_lacks(plan: Plan) -> None:
+    """The wall's impulse is the momentum along the cart that the control does not explain."""
+    t, world = plan.trajectory, plan.find_world()
+    momenta = np.einsum("kij,kj->ki", world.calc_mass_matrix(t.positions), t.velocities)[:, 0]
+    h = np.diff(t.times)
+    J = world.calc_contact_jacobian(t.positions)[0, :, 0]
+    pushed = h @ t.controls[:, 0] + h @ t.forces @ J
+    assert momenta[-1] - momenta[0] == pytest.approx(pushed, abs=1e-4)
+
+
+def test_a_plan_is_that_of_any_number_of_threads(cart_pole: Planner, plan: Plan) -> None:
+    options = dataclasses.replace(QUICK, threads=1)
+    other = Planner(cart_pole.scenario, options, cart_pole.world).plan()
+    np.testing.assert_array_equal(other.trajectory.controls, plan.trajectory.controls)
+
+
+def test_planning_again_is_planning_anew(cart_pole: Planner) -> None:
+    again = cart_pole.plan(initial_position=[0.2, 0.1])
+    scenario = dataclasses.replace(cart_pole.scenario, initial_position=[0.2, 0.1])
+    anew = Planner(scenario, QUICK).plan()
+    np.testing.assert_array_equal(again.trajectory.controls, anew.trajectory.controls)
+    assert again.cost == anew.cost
+
+
+def test_a_file_keeps_the_plan(plan: Plan, tmp_path: Path) -> None:
+    plan.save(tmp_path / "plan.json")
+    loaded = Plan.load(tmp_path / "plan.json")
+    assert loaded == plan
+    assert loaded.options == plan.options
+    assert loaded.best.origin == plan.best.origin
+    assert loaded.replayed().holds
+
+
+def test_what_touches_nothing_swings_up() -> None:
+    scenario = Scenario.named("acrobot/swing_up")
+    plan = Planner(scenario, QUICK).plan()
+    assert plan.holds
+    assert not plan.best.contacts
+    assert plan.best.goal_error < 0.1
+
+
+def test_options_of_another_road_are_refused() -> None:
+    with pytest.raises(OptionsError, match="got PlanOptions, expected MechanismOptions"):
+        Planner(Scenario.named("cart_pole/soft_06"), PlanOptions())
+    with pytest.raises(OptionsError, match="got MechanismOptions, expected PlanOptions"):
+        Planner(Scenario.named("table1/1"), MechanismOptions())
+
+
+def test_what_shooting_has_no_room_for_is_refused_by_name(cart_pole: Planner) -> None:
+    with pytest.raises(ProgramError, match="the planner's transcription: got a task for shooting"):
+        _ = cart_pole.transcription
+    with pytest.raises(ModelError, match="rigid walls around a mechanism"):
+        Planner(Scenario.named("pendulum/off_the_wall"))
+    free = dataclasses.replace(cart_pole.scenario, duration_range=[1.0, 2.0])
+    with pytest.raises(ScenarioError, match=r"duration_range: got \[1"):
+        Planner(free)
