@@ -338,6 +338,26 @@ def test_a_rung_says_what_it_is() -> None:
     assert "annealing of points" in MechanismRung(half_width=0.0).describe("annealing")
 
 
+def test_where_nothing_has_to_move_units_are_numbers() -> None:
+    world, none = read("two discs"), np.zeros(5)
+    cost = make_cost(world, none, goal_velocity=none, velocities=np.zeros((1, 5)))
+    ends = Ends(none, none, cost)
+    started = make_boxes(world, ends, make_law(world)).start(ends)
+    for unit in (started.weight_unit, started.temperature_unit, *started.widths):
+        assert 0 < unit < np.inf
+    center = started.run(MechanismRung(), started.rest())
+    assert np.all(np.isfinite(center.positions))
+
+
+def test_a_line_leads_to_the_nearest_turn_where_turns_do_not_count() -> None:
+    world = read("pendulum")
+    for is_modulo, end in ((True, 2 * np.pi + 1.0), (False, 1.0)):
+        flags = {"is_modulo": np.array([is_modulo]), "is_chordal": np.array([False])}
+        ends = Ends(np.array([6.0]), np.zeros(1), make_cost(world, np.array([1.0]), **flags))
+        started = make_boxes(world, ends, make_law(world)).start(ends)
+        np.testing.assert_allclose(started.line(), [[6.0], [end]])
+
+
 def test_the_same_rung_gives_the_same_bits() -> None:
     started = start_cart_pole()
     one, other = (started.run(MechanismRung(), started.line()) for _ in range(2))

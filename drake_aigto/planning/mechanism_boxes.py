@@ -154,7 +154,7 @@ class MechanismBoxes:
     Args:
         world: the mechanism.
         cost: the weights.
-        law: forces of walls; of rigid ones, springs that stand in for them (`stand_in`).
+        law: forces of walls; of rigid ones, springs in their place (`transcription.soften`).
         duration: T [s].
         num_steps: N, of the program.
         control_bounds: of u, shape (2, nu) [N, N m]; only `Center.controls` knows of them.
@@ -205,8 +205,12 @@ class StartedBoxes:
         return np.tile(self.ends.position, (2, 1))
 
     def line(self) -> Floats:
-        """Returns the straight line to the goal, shape (2, n)."""
-        return np.vstack([self.ends.position, self.ends.cost.goal])
+        """Returns the straight line to the goal, shape (2, n).
+
+        Of a hinge whose turns do not count, that is to the nearest one.
+        """
+        q, _, cost = self.ends
+        return np.vstack([q, np.where(cost.is_modulo, q - cost.goal_errors(q), cost.goal)])
 
     @cached_property
     def temperature_unit(self) -> float:
@@ -221,14 +225,15 @@ class StartedBoxes:
     @cached_property
     def weight_unit(self) -> float:
         """W under which typical accelerations cost as much as standing still does."""
-        world, (q, v, cost), T = self.program.world, self.ends, self.program.duration
-        path = np.linspace(q, cost.goal, _SAMPLES)
+        world, v, T = self.program.world, self.ends.velocity, self.program.duration
+        start, goal = self.line()
+        path = np.linspace(start, goal, _SAMPLES)
         falls = np.linalg.solve(
             world.calc_mass_matrix(path), world.calc_bias(path, 0 * path)[..., np.newaxis]
         )
         square = np.mean(np.sum(falls**2, axis=(1, 2)))
-        square += np.sum((cost.goal - q) ** 2) / T**4 + np.sum(v**2) / T**2
-        return self.temperature_unit * self._num_free / (T * square)
+        square += np.sum((goal - start) ** 2) / T**4 + np.sum(v**2) / T**2
+        return self.temperature_unit * self._num_free / (T * (square or 1.0))
 
     @cached_property
     def widths(self) -> Floats:
