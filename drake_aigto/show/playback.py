@@ -112,6 +112,10 @@ def publish(motions: Sequence[Motion], meshcat: Meshcat, world: World, scenario:
     copy of the world, the first at the left, with the motion's planned contacts on a board. Dots
     are where bodies were every so often, an arrow is the control, a flash an impact. Start and goal
     are marked, and the camera sees all of it. What was shown below `ROOT` before is gone.
+
+    A mechanism has its own links and walls in each copy, transparent ghosts of its start (gray) and
+    goal (green), an arrow or an arc at each joint that is driven, and an arrow for the force of a
+    contact while it lasts. What no weight asks for has no goal.
     """
     if not moves_straight(world):
         return publish_linkage(motions, meshcat, world, scenario)
