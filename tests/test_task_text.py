@@ -11,9 +11,8 @@ import pytest
 
 from drake_aigto import Plan, Scenario, World
 from drake_aigto.planning import Candidate, Origin, PlanStats, Replays
-from drake_aigto.show.page import Page
 from drake_aigto.show.plans import format_plan
-from drake_aigto.show.report import add_question
+from drake_aigto.show.report import report_plan
 from drake_aigto.show.text import angle_text, miss_text, task_items
 from drake_aigto.simulation import Replay
 from drake_aigto.trajectory import Trajectory
@@ -110,8 +109,8 @@ def test_a_task_says_all_that_it_asks_for() -> None:
     ]
 
 
-def test_a_plan_and_a_report_of_a_mechanism_are_written() -> None:
-    scenario = Scenario(**ENDS, velocity_weight=[0.0, 1.0], angles="modulo", contact="compliant")
+def make_plan(scenario: Scenario) -> Plan:
+    """Returns a plan that ends a millimeter, a turn and two milliradians off the goal."""
     run = end_at([1e-3, TURNED], [0.0, 0.0], scenario)
     still = np.zeros((2, 2))
     trajectory = Trajectory(run.times, run.positions, still, still[:1, :1], still, still[:1])
@@ -128,7 +127,12 @@ def test_a_plan_and_a_report_of_a_mechanism_are_written() -> None:
         replay=run,
         scales=Scales.of(cart_pole(), scenario),
     )
-    plan = Plan(scenario, "mechanism", (candidate,), Replays(run, None), PlanStats(1, 1, {}), None)
+    return Plan(scenario, "mechanism", (candidate,), Replays(run, None), PlanStats(1, 1, {}), None)
+
+
+def test_a_plan_of_a_mechanism_is_written() -> None:
+    scenario = Scenario(**ENDS, velocity_weight=[0.0, 1.0], angles="modulo", contact="compliant")
+    plan = make_plan(scenario)
     text = format_plan(plan, cart_pole())
     assert text.count("ends 1.0 mm and 2.0 mrad off the goal") == 2
     assert "1.0 mm 2.0 mrad  none" in text  # In the table of candidates.
@@ -136,8 +140,11 @@ def test_a_plan_and_a_report_of_a_mechanism_are_written() -> None:
     assert max(map(len, text.splitlines())) <= 100
     again = dataclasses.replace(plan, scenario=dataclasses.replace(scenario, contact="rigid"))
     assert "restitution 1" in format_plan(again, cart_pole())
-    page = Page("A plan")
-    add_question(page, scenario, cart_pole())
-    written = page.to_html()
+
+
+def test_a_report_of_a_mechanism_is_written() -> None:
+    scenario = Scenario(**ENDS, velocity_weight=[0.0, 1.0], angles="modulo", contact="compliant")
+    written = report_plan(make_plan(scenario), cart_pole())
+    assert "Links at evenly spaced times" in written and "boxes can&#x27;t be had" in written
     for part in ("R = 0.001; Q_v = [0, 1]; Q_T = [1, 2]", "λ = k x max(0, 1 + d ẋ)", "3 rad)"):
         assert part in written
