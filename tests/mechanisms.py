@@ -149,3 +149,10 @@ def build_world(parts: str) -> World:
     Parser(plant).AddModelsFromString(model, "sdf")
     plant.Finalize()
     return World.from_diagram(builder.Build())
+
+
+def build_stiff(name: str, stiffness: float) -> World:
+    """Returns a mechanism of `MECHANISMS` whose contacts have this stiffness [N/m]."""
+    given = f"""<drake:point_contact_stiffness>{2 * stiffness}</drake:point_contact_stiffness>
+      <drake:hunt_crossley_dissipation>0</drake:hunt_crossley_dissipation>"""
+    return build_world(MECHANISMS[name].replace(MATERIAL, MATERIAL.replace("\n", given, 1)))

@@ -11,11 +11,11 @@ from drake_aigto.world import World
 
 # Of a contact's duration, integrated for 1e-3 ≤ e ≤ 1: e τ(e) / τ(1) exceeds e by no more than this
 # times 1 − e. At e = 0.5 it lasts 5 % longer, at 0.2 27 %.
-_LINGERING = 0.07
+LINGERING = 0.07
 # As a part of the path.
-_MOST = 0.03
+MOST = 0.03
 # Of restitution, by Radau's rule as `simulate_compliant_wall` runs it.
-_INTEGRATION = 4e-5
+INTEGRATION = 4e-5
 
 
 def calc_compliance_error(world: World, restitutions: Floats, recording: Recording) -> float:
@@ -74,7 +74,7 @@ def calc_compliance_error(world: World, restitutions: Floats, recording: Recordi
             before = to_position - to_position @ stop, to_velocity - to_velocity @ stop
         sensitivity = np.hstack(before)
     path = np.sum(np.linalg.norm(np.diff(recording.positions, axis=0), axis=1))
-    return min(total, _MOST * float(path) + kept)
+    return min(total, MOST * float(path) + kept)
 
 
 def _calc_displacement(
@@ -86,8 +86,8 @@ def _calc_displacement(
     [s], shape (nv,) both.
     """
     late = delay * (e * impact.speed * by_position + impact.push * by_velocity)
-    lingering = _LINGERING * (1 - e) * impact.speed * delay
-    missed = (max(0.0, LEAST_RESTITUTION - e) + _INTEGRATION) * impact.speed
+    lingering = LINGERING * (1 - e) * impact.speed * delay
+    missed = (max(0.0, LEAST_RESTITUTION - e) + INTEGRATION) * impact.speed
     missed += (1 - e) * abs(impact.push) * delay
     return (
         float(np.linalg.norm(late))

@@ -10,9 +10,15 @@ import numpy as np
 from pydrake.systems.framework import EventStatus
 
 from drake_aigto.arrays import Floats
-from drake_aigto.simulation.contact_motion import Clearance, ContactMotion, calc_time_to_wall
+from drake_aigto.simulation.contact_motion import (
+    Clearance,
+    ContactMotion,
+    calc_time_to_wall,
+    read_clearances,
+)
 from drake_aigto.simulation.controller import Controller, Held
-from drake_aigto.simulation.material import contact_delays
+from drake_aigto.simulation.costs import sample_steps
+from drake_aigto.simulation.material import calc_delays
 from drake_aigto.simulation.recording import Impact, Recording, Rest
 from drake_aigto.simulation.simulator import (
     SETTLED,
@@ -109,26 +115,33 @@ class _Trace:
     def __init__(self, world: World, controller: Controller) -> None:
         self._world = world
         self._controller = controller
-        self._motion = ContactMotion(world.constant_inertia)
-        self._delays = contact_delays(world)
+        self._motion_at = ContactMotion.reader(world)
         self._samples: list[_Sample] = []
         self._held: Held | None = None
         self._recording = Recording()
-        # Of each solid that is touched: since when [s], and which face.
+        # Of each solid that is touched: when it is rest [s], and which face.
         self._touched: dict[int, tuple[float, int]] = {}
         self.bounces: list[int] = []  # the contact of each touch that has ended
         self._known = 0  # of them when the controller was asked
 
     def add(self, time: float, x: Floats) -> None:
         """Appends a step's end."""
-        clearances = self._motion.calc_clearances(x)
+        clearances = self._find_clearances(x)
         assert self._held is not None, "a control is held from the start"
         self._samples.append(_Sample(time, x, self._held.control, clearances))
         for solid, near in enumerate(clearances):
             if near.distance <= 0:
-                self._touched.setdefault(solid, (time, near.contact))
+                if solid not in self._touched:
+                    delay = calc_delays(self._motion_at(x), self._world.stiffness)[near.contact]
+                    self._touched[solid] = time + SETTLED * delay, near.contact
             elif solid in self._touched:
                 self.bounces.append(self._touched.pop(solid)[1])
+
+    def _find_clearances(self, x: Floats) -> list[Clearance]:
+        """Returns that of each solid, without a mass matrix that only contacts need."""
+        if self._world.has_constant_inertia:
+            return self._motion_at(x).calc_clearances(x)
+        return read_clearances(self._world, x)
 
     def hold(self, time: float, held: Held) -> None:
         """Appends a control, held from now on."""
@@ -142,17 +155,18 @@ class _Trace:
         if self._controller.feels_contact:
             if len(self.bounces) > self._known:
                 return True
-            touches = self._touched.values()
-            if any(time - since < SETTLED * self._delays[contact] for since, contact in touches):
+            if any(time < settled for settled, _ in self._touched.values()):
                 return False
         return time >= self._held.until
 
     def read(self, end: float) -> Recording:
         """Returns the states at samples and about contacts, and the impacts."""
         recording = self._recording
+        columns = (np.array([sample[k] for sample in self._samples]) for k in range(3))
+        recording.samples.append(sample_steps(*columns))
         at_samples = {*recording.control_times, end}
         rows = [(sample.time, sample.x) for sample in self._samples if sample.time in at_samples]
-        for solid in range(len(self._motion.solids)):
+        for solid in range(self._world.num_solids):
             depth = self._calc_depth(solid)
             recording.max_penetration = max(recording.max_penetration, depth)
             for first, last in self._find_contacts(solid):
@@ -209,11 +223,10 @@ class _Trace:
         """Returns when and how flight is at the wall, forward (+1) or backward (−1); 0: as is."""
         x = sample.x
         clearances = sample.clearances
-        acceleration = calc_acceleration(
-            self._world, self._motion, x, control, clearances, but=face
-        )
-        push = self._motion.calc_pushes(acceleration)[face]
-        distances, rates = self._motion.calc_distances(x)
+        motion = self._motion_at(x)
+        acceleration = calc_acceleration(self._world, motion, x, control, clearances, but=face)
+        push = motion.calc_pushes(acceleration)[face]
+        distances, rates = motion.calc_distances(x)
         t = calc_time_to_wall(max(distances[face], 0.0), direction * rates[face], push)
         t = direction * t if direction and math.isfinite(t) else 0.0
         q, v = np.split(x, 2)
@@ -222,8 +235,9 @@ class _Trace:
 
     def _calc_impact(self, contact: int, touch: _Row, release: _Row) -> Impact | None:
         """Returns the impact, or None if the control alone could stop so slow a ball in contact."""
-        speed = -self._motion.calc_distances(touch.x)[1][contact]
-        if speed <= abs(touch.push) * self._delays[contact]:
+        motion = self._motion_at(touch.x)
+        speed = -motion.calc_distances(touch.x)[1][contact]
+        if speed <= abs(touch.push) * calc_delays(motion, self._world.stiffness)[contact]:
             return None
         energies = (
             float(self._world.calc_kinetic_energy(*np.split(row.x, 2))) for row in (touch, release)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -69,6 +70,7 @@ class ContactMotion:
         solids: the contacts of each solid.
         solid_of: the solid of each contact.
         walls: the contacts, for compiled code.
+        masses: what each contact feels, shape (m,) [kg].
     """
 
     def __init__(self, inertia: ConstantInertia, turning: Floats | None = None) -> None:
@@ -82,12 +84,21 @@ class ContactMotion:
         self.solids = inertia.solids
         self.solid_of = [solid for solid, faces in enumerate(self.solids) for _ in faces]
         self.walls = Walls.of(inertia, turning)
+        self.masses = inertia.masses
 
     @classmethod
     def at(cls, world: World, x: Floats) -> ContactMotion:
         """Returns how contacts of any world move at an instant, in the state x = (q, v)."""
         q, v = np.split(x, 2)
         return cls(world.inertia_at(q), world.calc_contact_bias(q, v))
+
+    @classmethod
+    def reader(cls, world: World) -> Callable[[Floats], ContactMotion]:
+        """Returns what gives the motion at a state (`at`): always the same one if J is constant."""
+        if not world.has_constant_inertia:
+            return partial(cls.at, world)
+        motion = cls(world.constant_inertia)
+        return lambda x: motion
 
     def faces_beside(self, contact: int) -> tuple[int, ...]:
         """Returns all contacts of that one's solid, itself among them."""
@@ -100,12 +111,7 @@ class ContactMotion:
 
     def calc_clearances(self, x: Floats) -> list[Clearance]:
         """Returns the clearance of each solid."""
-        distances, rates = self.calc_distances(x)
-        faces = [
-            solid[0] if len(solid) == 1 else max(solid, key=distances.__getitem__)
-            for solid in self.solids
-        ]
-        return [Clearance(i, distances[i], rates[i]) for i in faces]
+        return find_clearances(self.solids, *self.calc_distances(x))
 
     def calc_pushes(self, acceleration: Floats) -> list[float]:
         """Returns φ̈ of each contact [m/s²]; negative is into the wall."""
@@ -133,6 +139,23 @@ class ContactMotion:
     def extend(self, row: Floats, value: float) -> Floats:
         """Returns a row of nv values as `Walls` have it: with a value for J̇ v where J turns."""
         return row if self._turning is None else np.append(row, value)
+
+
+def read_clearances(world: World, x: Floats) -> list[Clearance]:
+    """Returns the clearance of each solid in any world, in the state x = (q, v)."""
+    q, v = np.split(x, 2)
+    distances, rates = world.calc_signed_distance(q), world.calc_contact_rate(q, v)
+    return find_clearances(world.solids, distances.tolist(), rates.tolist())
+
+
+def find_clearances(
+    solids: tuple[tuple[int, ...], ...], distances: list[float], rates: list[float]
+) -> list[Clearance]:
+    """Returns the clearance of each solid, given φ [m] and φ̇ [m/s] of each contact."""
+    faces = [
+        solid[0] if len(solid) == 1 else max(solid, key=distances.__getitem__) for solid in solids
+    ]
+    return [Clearance(i, distances[i], rates[i]) for i in faces]
 
 
 def calc_depth(walls: Walls, positions: ArrayLike) -> float:

@@ -69,6 +69,18 @@ def _sample_rows(recording: Recording, times: Floats, controls: Floats) -> tuple
     return samples, controls[held]
 
 
+def sample_steps(times: Floats, states: Floats, controls: Floats) -> tuple[Samples, Floats]:
+    """Returns samples between the ends of steps, and the control at each.
+
+    Args:
+        times: of the ends, shape (K,) [s].
+        states: (q, v) there, shape (K, 2 nv).
+        controls: that led there, shape (K, nu) [N, N m].
+    """
+    held = controls[1:][np.diff(times) > 0]
+    return sample_cubics(times, states), np.repeat(held, len(_NODES), axis=0)
+
+
 def sample_cubics(times: Floats, states: Floats) -> Samples:
     """Returns samples along the cubics between rows of states (q, v), shape (K, 2 nv)."""
     lasts = np.flatnonzero(np.diff(times) > 0)

@@ -11,7 +11,7 @@ from pydrake.systems.framework import Context, EventStatus
 from drake_aigto.arrays import Floats
 from drake_aigto.simulation.contact_motion import calc_time_to_wall
 from drake_aigto.simulation.controller import Controller
-from drake_aigto.simulation.costs import sample_cubics
+from drake_aigto.simulation.costs import sample_steps
 from drake_aigto.simulation.recording import Recording
 from drake_aigto.simulation.simulator import start_soft_simulator
 from drake_aigto.simulation.springs import find_depth, read_touch
@@ -74,10 +74,8 @@ def simulate_plant(
 def _read(world: World, rows: list[_Row], recording: Recording) -> None:
     """Adds samples, contacts and depth to a recording, read off the ends of steps."""
     times, states = np.array([row.time for row in rows]), np.array([row.x for row in rows])
-    samples = sample_cubics(times, states)
-    controls = np.array([row.control for row in rows[1:]])
-    held = np.repeat(controls, len(samples.times) // len(controls), axis=0)
-    recording.samples.append((samples, held))
+    controls = np.array([row.control for row in rows])
+    recording.samples.append(sample_steps(times, states, controls))
     q, v = np.split(states, 2, axis=1)
     distances, rates = world.calc_signed_distance(q), world.calc_contact_rate(q, v)
     recording.max_penetration = find_depth(times, distances, rates)

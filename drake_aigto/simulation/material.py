@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 from pydrake.geometry import GeometryId
 from pydrake.systems.framework import Context
 
+from drake_aigto.arrays import Floats
+from drake_aigto.simulation.contact_motion import ContactMotion
 from drake_aigto.world import World
 from drake_aigto.world.material import DISSIPATION, read_stiffness, set_material
 
@@ -22,7 +25,7 @@ def contact_delay(world: World) -> float:
 
     A rigid wall turns the ball round at once. Drake's compliant one, of stiffness k = k₁ k₂ /
     (k₁ + k₂), keeps it for half a period of m = (J_i M⁻¹ J_iᵀ)⁻¹ on a spring, which delays all
-    that follows.
+    that follows. Where m depends on q, it is the one at the plant's default positions.
 
     Raises:
         ModelError: a shape has no stiffness.
@@ -32,8 +35,15 @@ def contact_delay(world: World) -> float:
 
 def contact_delays(world: World) -> list[float]:
     """Returns `contact_delay` of each contact [s]."""
-    masses = world.constant_inertia.masses
-    return [math.pi * math.sqrt(m / k) for m, k in zip(masses, world.stiffness, strict=True)]
+    start = world.plant.GetDefaultPositions()
+    motion = ContactMotion.reader(world)(np.concatenate([start, np.zeros(len(start))]))
+    return calc_delays(motion, world.stiffness)
+
+
+def calc_delays(motion: ContactMotion, stiffness: Floats, longest: float = math.inf) -> list[float]:
+    """Returns how long contacts of stiffness (m,) [N/m] last here, at most the longest [s]."""
+    pairs = zip(motion.masses, stiffness, strict=True)
+    return [min(math.pi * math.sqrt(m / k), longest) for m, k in pairs]
 
 
 def calc_dissipation(restitution: float, speed: float) -> float:

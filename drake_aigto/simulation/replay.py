@@ -15,6 +15,7 @@ from drake_aigto.simulation.compliant_wall import simulate_compliant_wall
 from drake_aigto.simulation.controller import HeldControl
 from drake_aigto.simulation.costs import calc_cost, calc_plain_cost, explain_cost
 from drake_aigto.simulation.drake_springs import simulate_plant
+from drake_aigto.simulation.lateness import calc_lateness
 from drake_aigto.simulation.mechanism import simulate_mechanism
 from drake_aigto.simulation.recording import Recording
 from drake_aigto.simulation.rigid_wall import simulate_rigid_wall
@@ -34,19 +35,22 @@ class Replay(ArrayRecord):
     """What a control does to the world, whatever its plan promised.
 
     Attributes:
-        simulator: "event-driven" (exactly rigid walls) or "drake" (the continuous plant).
-        cost: control_weight Σ dt_k ‖u_k‖² + goal_weight ‖q(T) − goal‖².
-        goal_error: ‖q(T) − goal‖ [m].
+        simulator: "event-driven" (exactly rigid walls), "integrated" (the world's equations with
+            the springs of compliant contact), or "drake" (the continuous plant).
+        cost: the task's (`TaskCost`): control_weight Σ dt_k ‖u_k‖² + goal_weight ‖q(T) − goal‖² if
+            it is plain. What runs is integrated by quadrature, with a relative error of 1e-8 on
+            walls of our own, along cubics between the ends of steps in Drake.
+        goal_error: ‖q(T) − goal‖, of angles as the task compares them [m, rad].
         max_penetration: the deepest −φ, at least 0 [m].
         bounce_times: when walls were touched, B of them [s].
         bounce_contacts: which of the world's contacts each touch was at.
         energies_before: kinetic energy ½ vᵀ M v at each touch, B [J].
         energies_after: kinetic energy as each contact ends, B [J]. A contact that lasts to T is
             compared with T.
-        compliance_error: "drake" only: how far the end should be, at most, from where rigid walls
-            lead [m]. A contact lasts τ = π √(m/k), which delays what follows and loses what the
-            control adds meanwhile: of one elastic impact, τ times the last speed. All of it is in
-            `calc_compliance_error`.
+        compliance_error: "drake" and rigid contact only: how far the end should be, at most, from
+            where rigid walls lead [m]. A contact lasts τ = π √(m/k), which delays what follows and
+            loses what the control adds meanwhile: of one elastic impact, τ times the last speed.
+            All of it is in `calc_compliance_error`; where M or J depends on q, in `calc_lateness`.
         compliance_cost: what of the cost this explains at most.
         matched_speeds: "drake" only, restitution < 1 only: the speeds, in the order of time, for
             which the dissipation was set to give each impact its restitution [m/s]. Impacts below a
@@ -57,8 +61,8 @@ class Replay(ArrayRecord):
             explains.
         times: shape (K,): the knots, and where contacts begin and end [s]. Never decreasing; a
             rigid impact has two rows of equal time.
-        positions: shape (K, nq) [m].
-        velocities: shape (K, nv) [m/s].
+        positions: shape (K, nq) [m, rad].
+        velocities: shape (K, nv) [m/s, rad/s].
     """
 
     simulator: str
@@ -121,13 +125,14 @@ class Replay(ArrayRecord):
 def replay_event_driven(
     world: World, scenario: Scenario, times: ArrayLike, controls: ArrayLike
 ) -> Replay:
-    """Replays a held control on exactly rigid walls (`RigidMechanism` has their equations).
+    """Replays a held control on walls of our own, rigid or compliant as the scenario says.
 
     The judge of plans, for any restitution in [0, 1]. Where flight under a held control is a
     parabola (`World.constant_dynamics`) it is exact but for rounding, by roots alone (`Parabolas`);
     only hops too short to follow become rest. Where M or J depends on q it is integrated nearly to
-    rounding (`RigidMechanism`). Elsewhere Drake's Simulator integrates, and touches shorter than a
-    millionth of the duration may not be noticed.
+    rounding (`RigidMechanism` has the equations). Elsewhere Drake's Simulator integrates, and
+    touches shorter than a millionth of the duration may not be noticed. Compliant walls are springs
+    that may be entered (`Springs`), and the replay's simulator is "integrated".
 
     Args:
         world: its dynamics and its contacts.
@@ -183,7 +188,8 @@ def replay_drake(world: World, scenario: Scenario, times: ArrayLike, controls: A
     each impact for the speed that is coming (`Replay.matched_speeds`), or to zero for restitution
     1, in the simulation's context alone, and so is friction if the scenario leaves that out:
     `make_simulator` has the same plant for diagrams of your own. A ball rolls round the corners of
-    a box, which the event-driven replay takes for sharp. Arguments are those of
+    a box, which the event-driven replay takes for sharp. If the scenario's contact is compliant,
+    walls are as the model has them, and nothing is late. Arguments are those of
     `replay_event_driven`.
 
     Raises:
@@ -194,12 +200,15 @@ def replay_drake(world: World, scenario: Scenario, times: ArrayLike, controls: A
     start = scenario.initial_position, scenario.initial_velocity
     restitutions = world.restitutions(scenario)
     held, without_friction = HeldControl(times, controls), scenario.friction == 0
-    if scenario.contact == "compliant" or not world.contacts:
+    if scenario.contact == "compliant" or not world.num_contacts:
         recording = simulate_plant(world, start, held, without_friction)
         return summarize("drake", world, scenario, times, controls, recording)
     recording = simulate_compliant_wall(world, start, held, restitutions, without_friction)
-    error = calc_compliance_error(world, restitutions, recording)
-    return summarize("drake", world, scenario, times, controls, recording, error)
+    if world.has_constant_inertia:
+        error = calc_compliance_error(world, restitutions, recording)
+        return summarize("drake", world, scenario, times, controls, recording, error)
+    lateness = calc_lateness(world, scenario, times, controls)
+    return summarize("drake", world, scenario, times, controls, recording, *lateness)
 
 
 def confirms(
@@ -217,18 +226,20 @@ def confirms(
         replay.goal_error − compliance_error ≤ goal_error + nothing · L
         each of replay.violations            ≤ nothing
 
-    with the task's scales L and J₀. A replay that does better than its plan confirms it. The parts
-    that do not grow with the cost are for plans that promise next to nothing: who ends 2 mm off the
-    goal in a task of a meter, where the plan claims 0, is still there, and J₀ is what missing the
-    goal by L costs. The defaults let pass what the compliant wall of the shipped models
-    takes from the optimal plans of Table I's problems (0.1 ms late, so 0.2 mm off and 0.5 % dearer
-    at most), and stop a plan whose bounce no rigid wall returns. NaN never holds.
+    with the task's scales L and J₀, in which 1 rad counts as 1 m. A replay that does better than
+    its plan confirms it. The parts that do not grow with the cost are for plans that promise next
+    to nothing: who ends 2 mm off the goal in a task of a meter, where the plan claims 0, is still
+    there, and J₀ is what missing the goal by L costs. The defaults let pass what the compliant wall
+    of the shipped models takes from the optimal plans of Table I's problems (0.1 ms late, so 0.2 mm
+    off and 0.5 % dearer at most), and stop a plan whose bounce no rigid wall returns. NaN never
+    holds.
 
     Args:
         cost: that the plan promises.
         replay: of the plan's control.
         scales: of the task (`Scales.of`).
-        goal_error: that the plan promises, ‖q_N − goal‖ [m]; None leaves out the second rule.
+        goal_error: that the plan promises, as `Replay.goal_error` [m, rad]; None leaves out the
+            second rule.
         relative_cost: how much more the replay may cost, as a part of the plan's cost.
         nothing: what counts as nothing, as a part of the scales.
     """
@@ -290,12 +301,17 @@ def summarize(
     controls: Floats,
     recording: Recording,
     compliance_error: float = 0.0,
+    compliance_cost: float | None = None,
 ) -> Replay:
     """Returns the replay that a simulator's recording of a held control shows.
 
-    Its end is off by the compliance error [m] at most, as walls are compliant.
+    Its end is off by the compliance error [m] at most, as walls are compliant, and its cost by the
+    compliance cost; None: by what such an end may cost.
     """
     cost, goal_error = calc_cost(world, scenario, times, controls, recording)
+    if compliance_cost is None:
+        end = recording.positions[-1]
+        compliance_cost = explain_cost(world, scenario, end, compliance_error)
     return Replay(
         simulator=simulator,
         cost=cost,
@@ -306,7 +322,7 @@ def summarize(
         energies_before=tuple(impact.energy_before for impact in recording.impacts),
         energies_after=tuple(impact.energy_after for impact in recording.impacts),
         compliance_error=compliance_error,
-        compliance_cost=explain_cost(world, scenario, recording.positions[-1], compliance_error),
+        compliance_cost=compliance_cost,
         matched_speeds=tuple(recording.matched_speeds),
         times=recording.times,
         positions=recording.positions,

@@ -11,7 +11,12 @@ from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorC
 
 from drake_aigto.arrays import Floats
 from drake_aigto.simulation.contact_motion import Clearance, ContactMotion, calc_time_to_wall
-from drake_aigto.simulation.material import calc_dissipation, contact_delays, set_dissipation
+from drake_aigto.simulation.material import (
+    calc_delays,
+    calc_dissipation,
+    contact_delays,
+    set_dissipation,
+)
 
 if TYPE_CHECKING:
     from pydrake.systems.framework import Context
@@ -21,9 +26,13 @@ if TYPE_CHECKING:
 # Radau's rule at this accuracy returns the energy of an elastic bounce to 1e-5. At such stiffness
 # explicit rules make energy from nothing (2.9 times the speed), and so does implicit Euler.
 _ACCURACY = 1e-5
-_STIFF = SimulatorConfig(integration_scheme="radau3", accuracy=_ACCURACY, use_error_control=True)
+# Where flight is no parabola it takes this, to be off by less than stiff walls are late.
+_FINE_ACCURACY = 1e-6
 # Soft walls need no implicit rule, and none is as exact as this. It does not mind the kinks.
 _SOFT = SimulatorConfig(integration_scheme="runge_kutta5", accuracy=1e-10, use_error_control=True)
+# With a contact that lasts for fewer of the longest steps than this its trials leave all bounds.
+_RESOLVED = 10.0
+_STIFF = SimulatorConfig(integration_scheme="radau3", accuracy=1e-7, use_error_control=True)
 # There no step is longer than this part of the simulated time, so that none passes over a touch.
 _LONGEST = 1 / 300
 # Flight advances by this part of the predicted time to the wall, then predicts again, …
@@ -78,7 +87,7 @@ def make_simulator(world: World, scenario: Scenario) -> Simulator:
     world.check(scenario)
     start = scenario.initial_position, scenario.initial_velocity
     without_friction = scenario.friction == 0
-    if scenario.contact == "compliant":
+    if scenario.contact == "compliant" or not world.num_contacts:
         return start_soft_simulator(world, start, (0.0, scenario.duration), without_friction)
     simulator = start_simulator(world, start, without_friction=without_friction)
     restitutions = world.restitutions(scenario)
@@ -91,7 +100,7 @@ def start_simulator(
     state: tuple[Floats, Floats],
     time: float = 0.0,
     without_friction: bool = False,
-    config: SimulatorConfig = _STIFF,
+    config: SimulatorConfig | None = None,
 ) -> Simulator:
     """Returns a Simulator, by Radau's rule if not told otherwise, which knows nothing of contacts.
 
@@ -100,7 +109,7 @@ def start_simulator(
         state: the start, (q, v).
         time: of the start [s].
         without_friction: whether to leave the model's friction out, in its context.
-        config: of the integrator.
+        config: of another integrator.
     """
     root = world.create_context()
     if without_friction:
@@ -109,7 +118,9 @@ def start_simulator(
     world.plant.SetPositionsAndVelocities(context, np.concatenate(state))
     root.SetTime(time)
     simulator = Simulator(world.diagram, root)
-    ApplySimulatorConfig(config, simulator)
+    accuracy = _ACCURACY if world.has_constant_inertia else _FINE_ACCURACY
+    stiff = SimulatorConfig(integration_scheme="radau3", accuracy=accuracy, use_error_control=True)
+    ApplySimulatorConfig(config or stiff, simulator)
     return simulator
 
 
@@ -123,8 +134,11 @@ def start_soft_simulator(
 
     Arguments are those of `start_simulator`, with from when to when it will simulate [s].
     """
-    simulator = start_simulator(world, state, span[0], without_friction, _SOFT)
-    simulator.get_mutable_integrator().set_maximum_step_size(_LONGEST * (span[1] - span[0]))
+    longest = _LONGEST * (span[1] - span[0])
+    is_stiff = min(contact_delays(world), default=math.inf) < _RESOLVED * longest
+    config = _STIFF if is_stiff else _SOFT
+    simulator = start_simulator(world, state, span[0], without_friction, config)
+    simulator.get_mutable_integrator().set_maximum_step_size(longest)
     return simulator
 
 
@@ -155,12 +169,12 @@ class ContactMonitor:
         """
         self._world = world
         self._simulator = weakref.ref(simulator)  # It holds this: neither would ever be freed.
-        self._motion = ContactMotion(world.constant_inertia)
-        delays = contact_delays(world)
-        self._matching = _Matching(world, restitutions, delays)
+        self._motion_at = ContactMotion.reader(world)
+        self._stiffness = world.stiffness
+        self._matching = _Matching(world, restitutions)
         start, flight = simulator.get_context().get_time(), _FLIGHT * duration
-        shortest = [min(delays[i] for i in faces) for faces in self._motion.solids]
-        self._solids = [_SolidPace(delay, flight, start, self._matching) for delay in shortest]
+        self._longest_delay = math.inf if world.has_constant_inertia else flight
+        self._solids = [_SolidPace(faces, flight, start, self._matching) for faces in world.solids]
         self._planned, self._due = -math.inf, -math.inf  # [s]
         self._longest_step = math.inf
         self.speeds = self._matching.speeds
@@ -190,12 +204,14 @@ class ContactMonitor:
         context = plant.GetMyContextFromRoot(root)
         x = plant.GetPositionsAndVelocities(context)
         control = plant.get_net_actuation_output_port().Eval(context)
-        clearances = self._motion.calc_clearances(x)
-        acceleration = calc_acceleration(self._world, self._motion, x, control, clearances)
-        pushes = self._motion.calc_pushes(acceleration)
+        motion = self._motion_at(x)
+        clearances = motion.calc_clearances(x)
+        delays = calc_delays(motion, self._stiffness, self._longest_delay)
+        acceleration = calc_acceleration(self._world, motion, x, control, clearances)
+        pushes = motion.calc_pushes(acceleration)
         blurred = _BLURRED * max(1.0, float(np.max(np.abs(x[: x.size // 2]))))
         plans = [
-            pace.plan(root, near, pushes[near.contact], blurred)
+            pace.plan(root, near, pushes[near.contact], blurred, delays)
             for pace, near in zip(self._solids, clearances, strict=True)
         ]
         return min(stretch for stretch, _ in plans), min(step for _, step in plans)
@@ -208,25 +224,27 @@ def _forget(simulator: Simulator) -> None:
     is a million times too stiff for flight, and may converge to a wrong velocity, in tiny steps.
     """
     integrator = simulator.get_mutable_integrator()
+    accuracy = integrator.get_target_accuracy()
     integrator.Reset()
-    integrator.set_target_accuracy(_ACCURACY)
+    integrator.set_target_accuracy(accuracy)
     integrator.Initialize()
 
 
 class _Matching:
     """Gives contacts the dissipation for the impact that is coming."""
 
-    def __init__(self, world: World, restitutions: Floats, delays: list[float]) -> None:
+    def __init__(self, world: World, restitutions: Floats) -> None:
         self._world = world
         self._restitutions = restitutions.tolist()
-        self._delays = delays
         self.speeds: list[float] = []
 
-    def match(self, root: Context, near: Clearance, push: float, slowest: float) -> None:
+    def match(
+        self, root: Context, near: Clearance, push: float, slowest: float, delay: float
+    ) -> None:
         """Sets the dissipation for the speed of an approach, or of rest, or the slowest."""
         e, dissipation = self._restitutions[near.contact], 0.0
         speed = math.sqrt(max(near.rate**2 - 2 * push * near.distance, 0.0))
-        speed = max(speed, slowest, abs(push) * self._delays[near.contact])
+        speed = max(speed, slowest, abs(push) * delay)
         if e < 1 and speed > 0:
             dissipation = calc_dissipation(e, speed)
             self.speeds.append(speed)
@@ -236,8 +254,10 @@ class _Matching:
 class _SolidPace:
     """What one solid asks for."""
 
-    def __init__(self, delay: float, flight: float, start: float, matching: _Matching) -> None:
-        self._delay = delay
+    def __init__(
+        self, faces: tuple[int, ...], flight: float, start: float, matching: _Matching
+    ) -> None:
+        self._faces = faces
         self._flight = flight
         self._matching = matching
         self._touched = start  # no contact that is still going on began before this [s]
@@ -246,7 +266,7 @@ class _SolidPace:
         self._fastest = 0.0  # approach so far [m/s]
 
     def plan(
-        self, root: Context, near: Clearance, push: float, blurred: float
+        self, root: Context, near: Clearance, push: float, blurred: float, delays: list[float]
     ) -> tuple[float, float]:
         """Returns how long to go on before planning again, and the longest step [s].
 
@@ -255,27 +275,29 @@ class _SolidPace:
             near: where the ball is.
             push: φ̈ without this contact [m/s²].
             blurred: how near an integrator takes a wall for touched [m].
+            delays: how long each contact of the world would last here [s].
         """
-        time = root.get_time()
+        time, delay = root.get_time(), min(delays[i] for i in self._faces)
         self._fastest = max(self._fastest, -near.rate)
         if 0 < near.distance < blurred:
             leaving = calc_time_to_wall(blurred - near.distance, -near.rate, -push)
-            if leaving < _LINGERS * self._delay:
-                step = _FINE_STEP * self._delay
+            if leaving < _LINGERS * delay:
+                step = _FINE_STEP * delay
                 return max(leaving, step), step
         if near.distance > 0:
             fall = calc_time_to_wall(near.distance, near.rate, push)
-            if fall > _NEAR * self._delay:
+            if fall > _NEAR * delay:
                 stretch = min(_APPROACH * fall, self._flight)
                 self._touched, self._is_slow, self._is_matched = time + stretch, False, False
                 return stretch, stretch
             self._touched, self._is_slow = time, -near.rate <= _SLOW * self._fastest
         if near.rate < 0 and not self._is_matched:
-            self._matching.match(root, near, push, _SLOWEST_MATCH * self._fastest)
+            slowest = _SLOWEST_MATCH * self._fastest
+            self._matching.match(root, near, push, slowest, delays[near.contact])
             self._is_matched = True
-        if self._is_slow or time - self._touched > SETTLED * self._delay:
-            return 2 * _COARSE_STEP * self._delay, _COARSE_STEP * self._delay
-        return self._delay, _FINE_STEP * self._delay
+        if self._is_slow or time - self._touched > SETTLED * delay:
+            return 2 * _COARSE_STEP * delay, _COARSE_STEP * delay
+        return delay, _FINE_STEP * delay
 
 
 def calc_acceleration(
