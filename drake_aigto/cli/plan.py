@@ -22,8 +22,7 @@ from drake_aigto.planning import (
     needs_shooting,
 )
 from drake_aigto.planning.options import LocalSolverName
-from drake_aigto.show.plans import format_plan, format_replays
-from drake_aigto.simulation.material import contact_delay
+from drake_aigto.show.plans import format_plan, format_replays, told_delay
 from drake_aigto.world import World
 from drake_aigto.world.files import check_writable
 
@@ -139,7 +138,9 @@ def _plan(options: argparse.Namespace) -> int:
 
 
 def _answer_plan(options: argparse.Namespace, plan: Plan) -> int:
-    status = _answer(options, plan, format_plan(plan, contact_delay=_delay(plan)))
+    status = _answer(
+        options, plan, format_plan(plan, contact_delay=told_delay(plan, plan.find_world()))
+    )
     return INTERRUPTED if plan.is_interrupted else status
 
 
@@ -148,7 +149,8 @@ def _replay(options: argparse.Namespace) -> int:
     plan = Plan.load(options.plan)
     with show_progress(options, "simulating"):
         replayed = plan.replayed(confirm=options.confirm)
-    return _answer(options, replayed, format_replays(replayed, contact_delay=_delay(replayed)))
+    delay = told_delay(replayed, replayed.find_world())
+    return _answer(options, replayed, format_replays(replayed, contact_delay=delay))
 
 
 def _answer(options: argparse.Namespace, plan: Plan, text: str) -> int:
@@ -157,8 +159,3 @@ def _answer(options: argparse.Namespace, plan: Plan, text: str) -> int:
         plan.save(options.json)
     print(text, flush=True)
     return FINE if plan.holds else NOTHING_HOLDS
-
-
-def _delay(plan: Plan) -> float | None:
-    """Returns by how much walls in Drake are late at most [s], if the plan was replayed there."""
-    return None if plan.replay.drake is None else contact_delay(plan.find_world())

@@ -24,11 +24,11 @@ from drake_aigto.planning.mechanism_boxes import (
 from drake_aigto.planning.mechanism_options import MechanismOptions
 from drake_aigto.planning.origin import NO_CONTROL, Origin
 from drake_aigto.shooting import Mechanism, Rung, ShootingOptions, ShootingProblem, ShootingResult
+from drake_aigto.simulation.bounds import BOUNDS, state_scales
 from drake_aigto.simulation.contacts import find_contacts, max_penetration
 from drake_aigto.simulation.replay import Replay, replay_drake, replay_event_driven
-from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Ends, soften
-from drake_aigto.transcription.rows import BOUNDS, INTEGRATION
+from drake_aigto.transcription.rows import INTEGRATION
 from drake_aigto.world import CompliantLaw, Scales, Scenario, TaskCost, World
 
 # Runge-Kutta steps of a finalist are halved until cost and end change by this part of their scales.
@@ -183,9 +183,8 @@ class MechanismProblem:
 
     @cached_property
     def state_scales(self) -> Floats:
-        """How much of q and v is much: a radian or the task's length, and that by its time."""
-        q = np.where(self.world.is_hinge, 1.0, self.scales.length)
-        return np.concatenate([q, q / self.scales.time])
+        """How much of q and v is much, shape (2n,)."""
+        return state_scales(self.world, self.scenario)
 
     def close(self, center: Center) -> ShootingResult:
         """Returns the motion near a box center, as far as a few steps lead."""
@@ -238,24 +237,12 @@ class MechanismProblem:
             trajectory=trajectory,
             cost=found.exact_cost,
             goal_error=float(self.task.goal_error(found.states[-1, : self.world.num_positions])),
-            defects={
-                INTEGRATION: float(np.max(gap / self.state_scales)),
-                BOUNDS: self._calc_excess(trajectory),
-            },
+            defects={INTEGRATION: float(np.max(gap / self.state_scales))},
             max_penetration=max_penetration(self.world, trajectory),
             contacts=find_contacts(self.world, trajectory),
             replay=replay,
             scales=self.scales,
         )
-
-    def _calc_excess(self, trajectory: Trajectory) -> float:
-        """Returns how far knots are out of bounds, and the end off a hard goal, in scales."""
-        problem = self.shooting(self.search_steps)
-        x = np.hstack([trajectory.positions, trajectory.velocities])[1:]
-        lower, upper = problem.state_bounds
-        off = np.maximum(np.maximum(lower - x, x - upper), 0.0)
-        hard = np.abs(x[-1] - np.where(np.isnan(problem.hard_goal), x[-1], problem.hard_goal))
-        return float(np.max(np.vstack([off, hard]) / self.state_scales))
 
     def idle_candidate(self) -> Candidate:
         """Returns what the world does without any control."""

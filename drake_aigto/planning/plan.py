@@ -13,6 +13,7 @@ from drake_aigto.errors import AigtoError, DamagedDataError, ModelError, PlanFil
 from drake_aigto.plain import LEFT_OUT, from_plain, read_json, to_plain
 from drake_aigto.planning.candidate import Candidate, Replays, Veto
 from drake_aigto.planning.options import SearchOptions
+from drake_aigto.simulation.bounds import BOUNDS, HARD_GOAL
 from drake_aigto.simulation.replay import confirms
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Fingerprint, Scenario, World
@@ -97,7 +98,8 @@ class Plan:
     @property
     def additions(self) -> tuple[str, ...]:
         """The costs and constraints that users added (`Planner.transcription`), by name."""
-        return tuple({**self.best.added_costs, **self.best.replay.violations})
+        named = {**self.best.added_costs, **self.best.replay.violations}
+        return tuple(name for name in named if name not in (BOUNDS, HARD_GOAL))
 
     @property
     def cost(self) -> float:

@@ -24,6 +24,7 @@ from drake_aigto.show.text import (
 )
 from drake_aigto.simulation import Replay
 from drake_aigto.simulation.contacts import PlannedContact
+from drake_aigto.simulation.material import contact_delay
 from drake_aigto.transcription.rows import UNITS
 from drake_aigto.world import Scenario, World
 
@@ -89,6 +90,7 @@ def _answer(plan: Plan, world: World, contact_delay: float | None) -> Iterator[s
         ],
     )
     yield from _text("steps", describe_steps(plan))
+    yield from _row("limits", _bounds(plan))
     yield from _row("added", _additions(plan))
     yield from _row("defects", _defects(best))
     yield from _row("contacts", _contacts(best, names, world))
@@ -254,17 +256,35 @@ def _defects(candidate: Candidate) -> Iterator[str]:
 
 def _additions(plan: Plan) -> Iterator[str]:
     """Yields costs and constraints that users added, and what simulations make of them."""
-    costs, constraints = plan.best.added_costs, plan.best.replay.violations
-    for name, cost in costs.items():
+    best = plan.best
+    for name, cost in best.added_costs.items():
         yield f"{name} {cost:.3e}"
-    known = costs.keys(), constraints.keys()
+    constraints = [name for name in plan.additions if name not in best.added_costs]
+    known = best.added_costs.keys(), best.replay.violations.keys()
     if any((each.added_costs.keys(), each.violations.keys()) != known for each in plan.replay):
         yield from constraints
         yield "of which a plan file has the names alone: simulated and compared without"
         return
-    for name in constraints:
+    yield from _misses(plan, constraints)
+
+
+def _bounds(plan: Plan) -> Iterator[str]:
+    """Yields what simulations make of bounds and a hard goal."""
+    names = [name for name in plan.best.replay.violations if name not in plan.additions]
+    yield from _misses(plan, names)
+
+
+def _misses(plan: Plan, names: Iterable[str]) -> Iterator[str]:
+    """Yields by how much simulations miss what has these names."""
+    for name in names:
         missed = max(replay.violations[name] for replay in plan.replay)
         yield f"{name} missed by {missed:.0e} of the task's scales" if missed else f"{name} met"
+
+
+def told_delay(plan: Plan, world: World) -> float | None:
+    """Returns by how much rigid walls are late in Drake [s], if the plan was replayed there."""
+    is_rigid = plan.scenario.contact == "rigid" and world.contacts
+    return contact_delay(world) if is_rigid and plan.replay.drake is not None else None
 
 
 def _contacts(candidate: Candidate, names: Sequence[str], world: World) -> Iterator[str]:

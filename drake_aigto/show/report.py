@@ -31,6 +31,7 @@ from drake_aigto.show.plans import (
     describe_verdict,
     describe_vetoes,
     format_replays,
+    told_delay,
 )
 from drake_aigto.show.playback import open_meshcat, play
 from drake_aigto.show.text import (
@@ -46,7 +47,6 @@ from drake_aigto.show.text import (
     weight_text,
 )
 from drake_aigto.simulation import Replay
-from drake_aigto.simulation.material import contact_delay
 from drake_aigto.world import Scenario, World
 
 _ANY_PORT = 0
@@ -113,8 +113,7 @@ def report_plan(
         page.paragraph(f"{no_boxes[0].upper()}{no_boxes[1:]}")
     _add_candidates(page, plan, world)
     page.heading("All numbers")
-    drake = plan.replay.drake
-    page.code(format_replays(plan, world, None if drake is None else contact_delay(world)))
+    page.code(format_replays(plan, world, told_delay(plan, world)))
     _add_reproduction(page, plan)
     return page.to_html()
 

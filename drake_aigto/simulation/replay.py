@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from drake_aigto.arrays import ArrayRecord, Floats, read_only
 from drake_aigto.errors import TrajectoryError
+from drake_aigto.simulation.bounds import calc_violations
 from drake_aigto.simulation.compliance import calc_compliance_error
 from drake_aigto.simulation.compliant_wall import simulate_compliant_wall
 from drake_aigto.simulation.controller import HeldControl
@@ -56,9 +57,9 @@ class Replay(ArrayRecord):
             which the dissipation was set to give each impact its restitution [m/s]. Impacts below a
             twentieth of the fastest count as that, and return more.
         added_costs: what of the cost users added, by name (`Planner.transcription`).
-        violations: by how much the motion misses each constraint that users added, by name, in
-            parts of the task's scales (`Additions.violations`) and apart from what compliance
-            explains.
+        violations: by how much the motion misses bounds and a hard goal (`calc_violations`), and
+            each constraint that users added (`Additions.violations`), by name, in parts of the
+            task's scales and apart from what compliance explains.
         times: shape (K,): the knots, and where contacts begin and end [s]. Never decreasing; a
             rigid impact has two rows of equal time.
         positions: shape (K, nq) [m, rad].
@@ -327,4 +328,5 @@ def summarize(
         times=recording.times,
         positions=recording.positions,
         velocities=recording.velocities,
+        violations=calc_violations(world, scenario, recording.positions, recording.velocities),
     )

@@ -9,7 +9,7 @@ from drake_aigto.world import Scales
 NONPENETRATION, CLEARANCE = "nonpenetration", "clearance"
 FLIGHT, DYNAMICS, CONTACT, RESTITUTION = "flight", "dynamics", "contact", "restitution"
 KINEMATICS = "kinematics"
-INTEGRATION, BOUNDS = "integration", "bounds"
+INTEGRATION = "integration"
 
 # Row → the unit of its defect. Those of others are parts of the task's scales.
 UNITS: Mapping[str, str] = {

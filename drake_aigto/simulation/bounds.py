@@ -1,0 +1,43 @@
+"""What a scenario and its model bound, and by how much a motion misses that."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from drake_aigto.arrays import Floats
+from drake_aigto.world import Scales, Scenario, TaskCost, World
+
+BOUNDS, HARD_GOAL = "bounds", "hard goal"
+
+
+def state_scales(world: World, scenario: Scenario) -> Floats:
+    """Returns how much of q and v is much: 1 rad or a length, and that in T, shape (2n,)."""
+    scales = Scales.of(world, scenario)
+    q = np.where(world.is_hinge, 1.0, scales.length)
+    return np.concatenate([q, q / scales.time])
+
+
+def calc_violations(
+    world: World, scenario: Scenario, positions: Floats, velocities: Floats
+) -> dict[str, float]:
+    """Returns by how much a motion misses its bounds, and its end a hard goal, by name.
+
+    Each is the largest of all coordinates, in parts of `state_scales`; nothing of a plain task in a
+    model without limits. Positions and velocities are shape (K, n), the start the first.
+    """
+    if scenario.is_plain and not world.limits.are_any:
+        return {}
+    bounds, units = world.bounds(scenario), state_scales(world, scenario)
+    missed: dict[str, float] = {}
+    lower, upper = np.hstack([bounds.position, bounds.velocity])
+    if np.any(np.isfinite([lower, upper])):
+        x = np.hstack([positions, velocities])
+        missed[BOUNDS] = float(np.max(np.maximum(lower - x, x - upper) / units, initial=0.0))
+    if scenario.hard_goal:
+        task = TaskCost.of(world, scenario)
+        off = [task.goal_errors(positions[-1])]
+        if scenario.goal_velocity is not None:
+            off.append(velocities[-1] - task.goal_velocity)
+        ends = np.concatenate(off)
+        missed[HARD_GOAL] = float(np.max(np.abs(ends) / units[: len(ends)]))
+    return missed
