@@ -84,6 +84,8 @@ def as_weight(
     Raises:
         ScenarioError: not numbers, NaN or infinity among them, or one out of bounds.
     """
+    if isinstance(value, Real):
+        return as_number(name, value, above=above, at_least=at_least)
     weights = as_vector(name, value)
     for weight in weights:
         as_number(name, weight, above=above, at_least=at_least)
@@ -233,5 +235,5 @@ class ArrayField(Generic[_Held]):
 
     def __set__(self, instance: object, value: ArrayLike | None) -> None:
         """Checks and stores; a frozen dataclass calls this once, from ``__init__``."""
-        is_none = value is None and self._default is None
-        instance.__dict__[self._name] = None if is_none else self._check(self._name, value)
+        is_default = value is self._default
+        instance.__dict__[self._name] = value if is_default else self._check(self._name, value)
