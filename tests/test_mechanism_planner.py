@@ -10,7 +10,9 @@ import pytest
 
 from drake_aigto import Plan, Planner, PlanOptions, Scenario
 from drake_aigto.errors import ModelError, OptionsError, ProgramError, ScenarioError
-from drake_aigto.planning import MechanismOptions
+from drake_aigto.planning import Center, MechanismOptions, MechanismRung, Renewal
+from drake_aigto.planning.mechanism_problem import MechanismProblem
+from drake_aigto.shooting import ShootingResult
 
 QUICK = MechanismOptions(renewals=8, finalists=1)
 
@@ -91,6 +93,24 @@ def test_what_touches_nothing_swings_up() -> None:
     assert plan.holds
     assert not plan.best.contacts
     assert plan.best.goal_error < 0.1
+
+
+def test_a_search_without_boxes_has_none_in_renewals_either(
+    cart_pole: Planner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    widths, draw = [], MechanismProblem.renew
+
+    def renew(self: MechanismProblem, motion: ShootingResult, renewal: Renewal) -> Center:
+        widths.append(renewal.half_width)
+        return draw(self, motion, renewal)
+
+    monkeypatch.setattr(MechanismProblem, "renew", renew)
+    for half_width in (0.0, 0.5):
+        rung = MechanismRung(half_width=half_width, num_steps=15)
+        options = MechanismOptions(ladder=(rung,), renewals=2, finalists=1, confirm=False)
+        Planner(cart_pole.scenario, options, cart_pole.world).plan()
+    assert widths[:2] == [0.0, 0.0]
+    assert min(widths[2:]) > 0
 
 
 def test_options_of_another_road_are_refused() -> None:

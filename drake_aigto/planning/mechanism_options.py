@@ -39,7 +39,8 @@ class MechanismOptions(SearchOptions):
 
     Attributes:
         finalists: see `SearchOptions`, as threads and confirm.
-        ladder: the starts of AIGO; the center of each last box is closed by shooting.
+        ladder: the starts of AIGO; the center of each last box is closed by shooting. If no rung
+            has a half width, renewals have none either: a search without boxes.
         renewals: how many times a stretch of a candidate is opened to boxes again.
         search_steps: how many time steps candidates have at most; finalists have the scenario's.
         seed: of the stretches that are opened.

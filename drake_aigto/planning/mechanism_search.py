@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import logging
 import os
 from collections.abc import Callable, Iterable, Sequence
@@ -105,6 +106,7 @@ class MechanismSearch(CandidatePool):
         """Opens stretches of the best motions to boxes again."""
         options, n = self.problem.options, self.problem.world.num_positions
         rng = np.random.default_rng(options.seed)
+        has_boxes = any(rung.half_width for rung in options.ladder)
         for first in range(0, options.renewals, _WAVE):
             best = self.motions[0].cost
             self.tell(f"renewal {first} of {options.renewals}; the best costs {best:.6g}")
@@ -113,6 +115,8 @@ class MechanismSearch(CandidatePool):
                 most = min(_MOST_RENEWED, len(self.motions))
                 motion = self.motions[int(rng.integers(most)) if number % 2 else 0]
                 renewal = Renewal.draw(rng, self.problem.renewal_steps, n)
+                if not has_boxes:
+                    renewal = dataclasses.replace(renewal, half_width=0.0)
                 origins.append(motion.origin.renewed())
                 proposals.append(partial(self.problem.renew, motion.result, renewal))
             self._offer_all(origins, proposals)
