@@ -99,6 +99,8 @@ def test_a_plain_task_is_written_as_ever_and_one_that_asks_for_more_says_only_th
     assert plain.is_plain
     assert not more.is_plain
     assert Scenario.from_plain(plain.to_plain()) == plain
+    assert eval(repr(more)) == more
+    assert "angles" not in repr(more)
 
 
 @pytest.mark.parametrize("value", [2.0, [2.0], [[2.0]], np.full((1, 1), 2.0)])
@@ -149,6 +151,7 @@ def test_who_plans_plain_tasks_refuses_what_it_would_ignore(
             "expected a number, one for each coordinate, or a symmetric matrix. Of any other",
         ),
         ({"goal_weight": [[1.0, 0.0]]}, "goal_weight: got a matrix [[1.0, 0.0]], expected"),
+        ({"goal_weight": [[1.0, [0.0]]]}, "goal_weight: got [0.0] (list), expected a number"),
         ({"goal_weight": [[1.0, 0.0], [0.0]]}, "goal_weight: got [[1.0, 0.0], [0.0]], expected"),
         (
             {"goal_velocity_weight": [[0.0, 1.0], [1.0, 0.0]]},

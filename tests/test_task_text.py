@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from mechanisms import build
 
 from drake_aigto import Plan, Scenario, World
 from drake_aigto.planning import Candidate, Origin, PlanStats, Replays
@@ -82,6 +83,11 @@ def test_a_miss_is_told_in_the_units_of_what_misses(more: dict[str, Any], expect
 )
 def test_an_angle_is_told_in_the_unit_it_is_best_read_in(radians: float, text: str) -> None:
     assert angle_text(radians) == text
+
+
+def test_a_world_knows_the_unit_of_its_coordinates() -> None:
+    names = ("throwing_ball", "pendulum", "cart-pole")
+    assert [build(name).position_unit for name in names] == ["m", "rad", "m, rad"]
 
 
 def test_a_task_says_all_that_it_asks_for() -> None:

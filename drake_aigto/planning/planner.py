@@ -240,7 +240,8 @@ def _nothing_holds(found: Plan, sources: str) -> PlanningError:
     ]
     drake = found.replay.drake
     if drake is not None and found.best.is_confirmed:
-        tried[0] += f", in Drake {drake.cost:.2e} and {drake.goal_error:.1e} m off the goal"
+        miss = f"{drake.goal_error:.1e} {found.find_world().position_unit}"
+        tried[0] += f", in Drake {drake.cost:.2e} and {miss} off the goal"
     broken = dict.fromkeys(name for replay in found.replay for name in replay.broken)
     if broken:
         tried[0] += f"; there it breaks {', '.join(map(repr, broken))}"

@@ -142,18 +142,20 @@ class CandidatePool(ABC):
                 self._replays[id(candidate)] = self.problem.confirm(candidate)
         except KeyboardInterrupt:
             self.is_interrupted = True
-        replays = self._replays[id(candidate)]
+        replays, unit = self._replays[id(candidate)], self.problem.world.position_unit
         for replay in replays:
             if not candidate.is_confirmed_by(replay):
                 _LOG.info(
-                    "  vetoed by the %s replay: %s promises cost %.3e and %.1e m off the goal; "
-                    "simulated %.3e and %.1e m",
+                    "  vetoed by the %s replay: %s promises cost %.3e and %.1e %s off the goal; "
+                    "simulated %.3e and %.1e %s",
                     replay.simulator,
                     candidate.describe_contacts(),
                     candidate.cost,
                     candidate.goal_error,
+                    unit,
                     replay.cost,
                     replay.goal_error,
+                    unit,
                 )
         return candidate.holds(replays)
 

@@ -66,6 +66,13 @@ class EquationsOfMotion:
         return len(self.positions)
 
     @property
+    def position_unit(self) -> str:
+        """The unit of positions, "m" or "rad", or both as "m, rad"."""
+        return ", ".join(
+            unit for unit, found in (("m", ~self.is_hinge), ("rad", self.is_hinge)) if found.any()
+        )
+
+    @property
     def num_velocities(self) -> int:
         """The number of generalized velocities, nv = nq."""
         return len(self.velocities)

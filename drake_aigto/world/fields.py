@@ -98,7 +98,7 @@ def as_weight_matrix(name: str, value: object) -> float | Floats:
     Raises:
         ScenarioError: neither of these.
     """
-    if not (_is_sequence(value) and any(map(np.ndim, value))):
+    if not (_is_sequence(value) and any(map(_is_sequence, value))):
         return as_weight(name, value, at_least=0.0)
     matrix = as_table(name, value)
     if matrix.shape[0] != matrix.shape[1] or np.any(matrix != matrix.T):
@@ -150,8 +150,10 @@ def as_table(name: str, value: object) -> Floats:
 
 
 def _is_sequence(value: object) -> TypeGuard[Sequence[Any]]:
-    """Returns whether a value has items."""
-    return isinstance(value, Sequence) or (isinstance(value, np.ndarray) and value.ndim > 0)
+    """Returns whether a value has items, which a text is not taken for."""
+    if isinstance(value, np.ndarray):
+        return value.ndim > 0
+    return isinstance(value, Sequence) and not isinstance(value, str)
 
 
 def as_range(name: str, value: object, unit: str) -> tuple[float, float]:

@@ -308,6 +308,10 @@ class Scenario(ArrayRecord):
         other.__dict__.update(self.__dict__, time_step=self.duration / num_steps)
         return other
 
+    def __repr__(self) -> str:
+        """Returns the fields that `to_plain` has."""
+        return f"Scenario({', '.join(f'{k}={v!r}' for k, v in self.to_plain().items())})"
+
     def to_plain(self) -> dict[str, Any]:
         """Returns the fields as plain numbers, strings and lists, in order.
 
