@@ -1,4 +1,4 @@
-"""Optimal control of any mechanism by multiple shooting, between walls that yield.
+"""Optimal control of any mechanism by multiple shooting, between walls that yield or are rigid.
 
 Differential dynamic programming (Mayne 1966) in the Gauss-Newton form, on motions that need not
 be roll-outs, with bounded controls (Tassa, Mansard & Todorov 2014) and an augmented Lagrangian for
@@ -7,11 +7,13 @@ all other bounds. NumPy and Numba only.
 
 from drake_aigto.shooting.mechanism import Mechanism
 from drake_aigto.shooting.options import Rung, ShootingOptions
+from drake_aigto.shooting.phases import Phases
 from drake_aigto.shooting.problem import ShootingProblem
 from drake_aigto.shooting.result import ShootingResult
 
 __all__ = [
     "Mechanism",
+    "Phases",
     "Rung",
     "ShootingOptions",
     "ShootingProblem",

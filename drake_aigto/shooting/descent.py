@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.jit import inner, kernel
+from drake_aigto.jit import inner, kernel, pasted
 from drake_aigto.shooting.bounds import add_bounds
 from drake_aigto.shooting.controls import clip_control
 from drake_aigto.shooting.flow import flow, measure_end
+from drake_aigto.shooting.jump import jump
 from drake_aigto.shooting.sweep import sweep_back
 from drake_aigto.shooting.tables import FLOW, Memory, Program
 
@@ -18,8 +19,12 @@ _SHARE = 1e-4
 _RISE = 3.0
 # Below this step length closing a gap is worth any cost.
 _SHORT = 0.2
-# Damping: where it starts, grows to at least, and gives up.
-_DAMPING, _LEAST, _MOST = 1e-6, 1e-4, 1e8
+# Damping, a share of curvature: where it starts, grows to at least and by, and gives up.
+_DAMPING, _LEAST, _GROWTH, _MOST = 1e-6, 1e-2, 10.0, 1e3
+# Step lengths that are tried: 1, 1/2, ….
+_LENGTHS = 5
+# Iterations in a row that gain less than the tolerance and end it.
+_PATIENCE = 3
 
 
 # What `_travel` does besides going through the stages.
@@ -45,20 +50,16 @@ def _travel(
     """
     code, numbers, actuation, contacts, solids = program.mechanics
     effort, running, final, errors_of, goal, times, reference = program.task
-    values, sums, factor, force, acceleration, slopes = memory.flow.mechanics
-    points, errors, by_column, by_start = (
-        memory.flow.points,
-        memory.flow.errors,
-        memory.flow.by_column,
-        memory.flow.slopes,
-    )
+    room, points, by_column, by_start = memory.flow
+    values, sums, factor, force, acceleration, slopes = room
     F, l1, l2, gaps = memory.expansion
     feedforward, gains = memory.sweep.feedforward, memory.sweep.gains
     lower, upper = program.bounds.lower_control, program.bounds.upper_control
     kinds, shares, starts, norm = program.kinds, program.steps, program.times, program.bounds.norm
     trial_states, trial_controls, nz = memory.states, memory.controls, states.shape[1]
     K, nu, cost = controls.shape[0], effort.size, 0.0
-    trial_states[0, :] = states[0]
+    for i in range(nz):
+        trial_states[0, i] = states[0, i]
     for k in range(K):
         z, u, after = states[k], controls[k], states[k + 1]
         size = nu if kinds[k] == FLOW else 1
@@ -71,39 +72,59 @@ def _travel(
             clip_control(size, u, lower[k], upper[k], norm if kinds[k] == FLOW else np.inf)
         elif mode == _EXPAND:
             after = trial_states[k + 1]
-        cost += flow(
-            code,
-            numbers,
-            actuation,
-            contacts,
-            solids,
-            effort,
-            running,
-            errors_of,
-            times,
-            reference,
-            starts[k],
-            shares[k],
-            program.substeps,
-            z,
-            u,
-            eps,
-            mode == _EXPAND,
-            values,
-            sums,
-            factor,
-            force,
-            acceleration,
-            slopes,
-            points,
-            errors,
-            by_column,
-            by_start,
-            after,
-            F[k],
-            l1[k],
-            l2[k],
-        )
+        if kinds[k] != FLOW:
+            jump(
+                code,
+                numbers,
+                contacts,
+                kinds[k],
+                points.shape[1],
+                z,
+                u[0],
+                mode == _EXPAND,
+                values,
+                sums,
+                factor,
+                acceleration,
+                slopes,
+                after,
+                F[k],
+                l1[k],
+                l2[k],
+            )
+        else:
+            cost += flow(
+                code,
+                numbers,
+                actuation,
+                contacts,
+                solids,
+                effort,
+                running,
+                errors_of,
+                times,
+                reference,
+                starts[k],
+                shares[k],
+                program.substeps,
+                z,
+                u,
+                eps,
+                mode == _EXPAND,
+                values,
+                sums,
+                factor,
+                force,
+                acceleration,
+                slopes,
+                points,
+                by_column,
+                by_start,
+                after,
+                F[k],
+                l1[k],
+                l2[k],
+            )
         if mode == _FOLLOW:
             for i in range(nz):
                 after[i] -= (1 - length) * gaps[k, i]
@@ -113,7 +134,14 @@ def _travel(
         if not cost <= most:
             return np.inf
     z = trial_states[K] if mode == _FOLLOW else states[K]
-    return cost + measure_end(errors_of, final, goal, z, mode == _EXPAND, errors, l1[K], l2[K])
+    return cost + measure_end(errors_of, final, goal, z, mode == _EXPAND, points[4:], l1[K], l2[K])
+
+
+@inner
+def _copy(source: Floats, target: Floats) -> None:
+    for i in range(source.shape[0]):
+        for j in range(source.shape[1]):
+            target[i, j] = source[i, j]
 
 
 @kernel
@@ -127,7 +155,7 @@ def clip_controls(program: Program, controls: Floats) -> None:
         clip_control(size, controls[k], low, high, norm)
 
 
-@inner
+@pasted
 def _expand(
     program: Program, states: Floats, controls: Floats, eps: float, penalty: float, memory: Memory
 ) -> float:
@@ -136,7 +164,7 @@ def _expand(
     return cost + add_bounds(program, states, penalty, True, memory)
 
 
-@inner
+@pasted
 def _march(
     program: Program,
     states: Floats,
@@ -154,7 +182,7 @@ def _march(
     return cost if cost <= most else np.inf
 
 
-@inner
+@pasted
 def _search(
     program: Program,
     states: Floats,
@@ -168,7 +196,7 @@ def _search(
 ) -> float:
     """Returns the first step length that is good enough, 0 if none is."""
     length = 1.0
-    for _ in range(8):
+    for _ in range(_LENGTHS):
         most = cost - _SHARE * length * drop
         if has_gaps:
             most = np.inf if length < _SHORT else _RISE * (abs(cost) + drop)
@@ -179,7 +207,7 @@ def _search(
     return 0.0
 
 
-@inner
+@pasted
 def _improve(
     program: Program,
     states: Floats,
@@ -201,7 +229,7 @@ def _improve(
             length = _search(program, states, controls, eps, penalty, cost, drop, has_gaps, memory)
             if length > 0.0:
                 return length, damping
-        damping = max(8 * damping, _LEAST)
+        damping = max(_GROWTH * damping, _LEAST)
     return 0.0, damping
 
 
@@ -236,7 +264,7 @@ def descend(
         The cost of the roll-out that it ends with, without penalties; how many iterations it took,
         and whether it ended in that tolerance.
     """
-    damping, is_converged, count = _DAMPING, False, 0
+    damping, is_converged, count, slow, before = _DAMPING, False, 0, 0, np.inf
     if not has_gaps:
         cost = _travel(program, states, controls, _ROLL, 0.0, eps, np.inf, memory)
         if iterations == 0 or not np.isfinite(cost):
@@ -247,14 +275,19 @@ def descend(
         if not np.isfinite(cost):
             break
         small = tolerance * max(abs(cost), scale)
+        slow = slow + 1 if before - cost < small and not has_gaps else 0
+        if slow == _PATIENCE:
+            is_converged = True
+            break
+        before = cost
         length, damping = _improve(
             program, states, controls, eps, penalty, cost, small, has_gaps, damping, memory
         )
         is_converged = length < 0.0
         if length <= 0.0:
             break
-        states[:, :] = memory.states
-        controls[:, :] = memory.controls
+        _copy(memory.states, states)
+        _copy(memory.controls, controls)
         has_gaps = has_gaps and length < 1.0
         damping = max(damping / 4, 1e-9)
     cost = _travel(program, states, controls, _ROLL, 0.0, eps, np.inf, memory)

@@ -15,6 +15,16 @@ from drake_aigto.shooting.tables import CHORDAL, MODULO
 
 
 @inner
+def clear(vector: Floats, matrix: Floats) -> None:
+    """Makes both zero, in loops: slices take seconds to compile."""
+    for i in range(vector.size):
+        vector[i] = 0.0
+    for i in range(matrix.shape[0]):
+        for j in range(matrix.shape[1]):
+            matrix[i, j] = 0.0
+
+
+@inner
 def find_errors(kinds: Ints, x: Floats, place: Floats, errors: Floats) -> None:
     """Computes the errors of a state about a place, a chord's as sin e: half its square's slope."""
     for i in range(place.size):
@@ -98,7 +108,6 @@ def flow(
     acceleration: Floats,
     slopes: Floats,
     points: Floats,
-    errors: Floats,
     by_column: Floats,
     by_start: Floats,
     after: Floats,
@@ -115,7 +124,7 @@ def flow(
     the gradient of the cost, shape (nc,); and l2, the upper triangle of its Gauss-Newton Hessian.
     """
     nx, nz, n, columns = points.shape[1], z.size, actuation.shape[0], by_column.size
-    x, y, slope, total = points[0], points[1], points[2], points[3]
+    x, y, slope, total, errors = points[0], points[1], points[2], points[3], points[4:]
     X, Y, K, sum_K = by_start[0], by_start[1], by_start[2], by_start[3]
     duration, has_phases = share, nz > nx
     if has_phases:
@@ -124,9 +133,8 @@ def flow(
     for i in range(nx):
         x[i] = z[i]
     if has_slopes:
-        l1[:] = 0.0
-        l2[:, :] = 0.0
-        X[:, :] = 0.0
+        clear(l1, l2)
+        clear(by_column, X)
         for i in range(nx):
             X[i, i] = 1.0
     for s in range(substeps):
@@ -299,7 +307,8 @@ def _finish(
         l1[nz + j] += duration * by_column[nz + j]
         l2[nz + j, nz + j] += 2 * duration * effort[j]
     if nz > nx:
-        F[nx:, :] = 0.0
+        for c in range(by_column.size):
+            F[nx, c] = F[nx + 1, c] = 0.0
         F[nx, nx] = F[nx + 1, nx + 1] = 1.0
         F[nx + 1, nx] = share
         _add_duration(nx, duration, share, squares, by_column, l1, l2)
@@ -320,8 +329,7 @@ def measure_end(
     nx, cost = goal.size, 0.0
     find_errors(kinds, z, goal, errors)
     if has_slopes:
-        l1[:] = 0.0
-        l2[:, :] = 0.0
+        clear(l1, l2)
     for i in range(nx):
         total = 0.0
         for j in range(nx):

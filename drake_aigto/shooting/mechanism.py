@@ -8,7 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints, read_only
-from drake_aigto.jit import inner, kernel
+from drake_aigto.jit import inner, kernel, pasted
 from drake_aigto.shooting.tape import Tape, TapeBuilder, run_tape
 from drake_aigto.world import ContactLaw, EquationsOfMotion, RigidLaw
 
@@ -235,7 +235,7 @@ def accelerate(
         _differentiate(actuation, x, sums, factor, force, acceleration, slopes)
 
 
-@inner
+@pasted
 def _push(
     contacts: Floats,
     solids: Ints,
@@ -269,7 +269,7 @@ def _push(
             total[0, j] += force[i, 0] * sums[row + j]
 
 
-@inner
+@pasted
 def _differentiate(
     actuation: Floats,
     x: Floats,

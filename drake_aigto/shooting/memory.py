@@ -29,8 +29,7 @@ def _make_flow_memory(program: Program, columns: int) -> FlowMemory:
     nx = 2 * program.mechanics.actuation.shape[0]
     return FlowMemory(
         mechanics=make_mechanics_memory(program.mechanics),
-        points=np.zeros((4, nx)),
-        errors=np.zeros((3, nx)),
+        points=np.zeros((7, nx)),
         by_column=np.zeros(columns),
         slopes=np.zeros((4, nx, columns)),
     )

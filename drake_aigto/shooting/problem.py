@@ -12,9 +12,11 @@ from drake_aigto.shooting.bounds import measure_bounds
 from drake_aigto.shooting.descent import clip_controls, descend
 from drake_aigto.shooting.memory import make_memory
 from drake_aigto.shooting.options import Rung, ShootingOptions
+from drake_aigto.shooting.phases import Layout
 from drake_aigto.shooting.program import make_program
 from drake_aigto.shooting.question import ShootingQuestion
 from drake_aigto.shooting.result import ShootingResult
+from drake_aigto.shooting.tables import FLOW
 
 # Where the penalty has grown by this, bounds can't be kept near this motion.
 _MOST = 1e6
@@ -70,8 +72,9 @@ class ShootingProblem(ShootingQuestion):
         It is the larger one of the cost's change, in units of the cost or of `cost_scale` if that
         is larger, and the final state's, in units of its scales.
         """
-        finer = self.simulate(result.controls, 2 * result.substeps)
-        same = self.simulate(result.controls, result.substeps)
+        question = self.starting_from(result)
+        finer = question.simulate(result.controls, 2 * result.substeps)
+        same = question.simulate(result.controls, result.substeps)
         unit = max(abs(finer.exact_cost), self.cost_scale)
         off = np.abs(finer.states[-1] - same.states[-1]) / self.scales
         error = max(abs(finer.exact_cost - same.exact_cost) / unit, float(off.max()))
@@ -95,8 +98,14 @@ class ShootingProblem(ShootingQuestion):
         options = options or ShootingOptions()
         while result.substeps < most_substeps and self.estimate_error(result) > tolerance:
             finer = replace(options, rungs=options.rungs[-1:], substeps=2 * result.substeps)
-            result = self.solve(result.controls, None, finer)
+            result = self.starting_from(result).solve(result.controls, None, finer)
         return result
+
+    def starting_from(self, result: ShootingResult) -> ShootingProblem:
+        """Returns the same problem, whose phases last as long at first as those of a result."""
+        if self.phases is None:
+            return self
+        return replace(self, phases=replace(self.phases, durations=result.durations))
 
 
 class _Descent:
@@ -111,16 +120,40 @@ class _Descent:
     ) -> None:
         """Takes the motion's shape from the problem."""
         self._problem, self._options, self._has_gaps = problem, options, states is not None
-        self._program = make_program(problem, options.substeps)
-        N, nu = len(problem.times) - 1, problem.mechanism.num_controls
-        self._controls = _take("controls", controls, (N, nu))
-        guess = np.zeros((N + 1, len(problem.start))) if states is None else states
-        self._states = _take("states", guess, (N + 1, len(problem.start)))
-        self._states[0] = problem.start
+        self._layout = Layout.of(problem.times, problem.phases)
+        self._program = make_program(problem, self._layout, options.substeps)
+        self._controls = self._lay_out_controls(controls)
+        self._states = self._lay_out_states(states)
         clip_controls(self._program, self._controls)
-        self._memory = make_memory(self._program, N, len(problem.start))
+        self._memory = make_memory(self._program, len(self._controls), self._states.shape[1])
         self._penalty, self._violation = options.penalty * problem.cost_scale, np.inf
         self._iterations = 0
+
+    def _lay_out_controls(self, controls: Floats) -> Floats:
+        """Returns what each stage chooses, shape (K, nu): durations where phases start."""
+        problem, layout = self._problem, self._layout
+        nu = problem.mechanism.num_controls
+        chosen = np.zeros((len(layout.kinds), nu))
+        chosen[layout.flights] = _take("controls", controls, (len(layout.flights), nu))
+        if problem.phases is not None:
+            chosen[layout.starts, 0] = problem.phases.durations
+        return chosen
+
+    def _lay_out_states(self, states: Floats | None) -> Floats:
+        """Returns z at each stage, shape (K + 1, nz), and at the end."""
+        problem, layout = self._problem, self._layout
+        K, N, nx = len(layout.kinds), len(problem.times) - 1, len(problem.start)
+        laid = np.zeros((K + 1, nx + (0 if problem.phases is None else 2)))
+        if states is not None:
+            knots = np.cumsum(layout.kinds == FLOW)
+            laid[:, :nx] = _take("states", states, (N + 1, nx))[np.concatenate([[0], knots])]
+        laid[0, :nx] = problem.start
+        if problem.phases is not None:
+            laid[0, nx:] = problem.phases.durations[0], 0.0
+            phase = np.cumsum(layout.kinds != FLOW) - 1
+            laid[1:, nx] = problem.phases.durations[phase]
+            laid[1:, nx + 1] = np.cumsum(layout.shares * laid[1:, nx])
+        return laid
 
     def run(self) -> ShootingResult:
         """Runs all rungs, then the last one until bounds hold."""
@@ -179,10 +212,12 @@ class _Descent:
         exact, _, _ = self._descend(last._replace(smoothing=0.0))
         cost, _, _ = self._descend(last)
         violation = measure_bounds(self._program, self._states, 1.0, False, self._memory)
+        problem, layout, nx = self._problem, self._layout, len(self._problem.start)
+        at_knots = self._states[[*layout.flights, -1]]
         return ShootingResult(
-            times=self._problem.times,
-            states=self._states,
-            controls=self._controls,
+            times=problem.times if problem.phases is None else at_knots[:, nx + 1],
+            states=at_knots[:, :nx],
+            controls=self._controls[layout.flights],
             cost=cost if np.isfinite(cost) else np.inf,
             exact_cost=exact if np.isfinite(exact) else np.inf,
             violation=violation,
@@ -190,6 +225,7 @@ class _Descent:
             is_converged=is_converged,
             smoothing=last.smoothing * self._problem.length,
             substeps=self._options.substeps,
+            durations=self._controls[layout.starts, 0],
         )
 
 

@@ -6,24 +6,27 @@ from typing import Any
 
 import numpy as np
 
+from drake_aigto.arrays import Floats
+from drake_aigto.shooting.phases import Layout
 from drake_aigto.shooting.question import ShootingQuestion
-from drake_aigto.shooting.tables import CHORDAL, EXACT, FLOW, MODULO, Bounds, Program, Task
+from drake_aigto.shooting.tables import CHORDAL, EXACT, MODULO, Bounds, Program, Task
 from drake_aigto.world import TaskCost
 
 # A control's curvature counts as small below this share of the cost's scale per its own squared.
 _FLOOR = 1e-6
+# No phase is shorter than this share of the longest total.
+_SHORTEST = 1e-3
 
 
-def make_program(problem: ShootingQuestion, substeps: int) -> Program:
-    """Returns the tables of a problem, its multipliers zero."""
-    N = len(problem.times) - 1
+def make_program(problem: ShootingQuestion, layout: Layout, substeps: int) -> Program:
+    """Returns the tables of a problem of these stages, its multipliers zero."""
     program = Program(
         mechanics=problem.mechanism.mechanics,
         task=_make_task(problem.cost),
-        bounds=_make_bounds(problem),
-        kinds=np.full(N, FLOW),
-        steps=np.diff(problem.times),
-        times=problem.times,
+        bounds=_make_bounds(problem, layout),
+        kinds=layout.kinds,
+        steps=layout.shares,
+        times=problem.times if problem.phases is None else np.zeros(len(layout.kinds) + 1),
         substeps=substeps,
     )
     return _copy(program)
@@ -56,33 +59,71 @@ def _make_task(cost: TaskCost) -> Task:
     )
 
 
-def _make_bounds(problem: ShootingQuestion) -> Bounds:
+def _make_bounds(problem: ShootingQuestion, layout: Layout) -> Bounds:
     """Returns bounds at knots after the first, the hard goal among them."""
-    N, nx = len(problem.times) - 1, len(problem.start)
-    m, nu = problem.mechanism.num_contacts, problem.mechanism.num_controls
-    lower, upper = np.repeat(problem.state_bounds[:, np.newaxis], N + 1, axis=1)
-    is_hard = np.isfinite(problem.hard_goal)
-    lower[-1, is_hard] = upper[-1, is_hard] = problem.hard_goal[is_hard]
-    is_bounded = np.any(np.isfinite(lower) | np.isfinite(upper), axis=1)
-    is_bounded[0] = False
-    norm, (low, high) = problem.control_norm, problem.control_bounds
-    if nu == 1:
-        low, high = np.maximum(low, -norm), np.minimum(high, norm)
-    floor = _FLOOR * problem.cost_scale / problem.control_scales**2
+    lower, upper = _bound_states(problem, len(layout.kinds))
+    low, high = _bound_distances(problem, layout)
+    low_control, high_control = _bound_controls(problem, layout)
+    T, nx = np.ptp(problem.times), len(problem.start)
+    scales = np.concatenate([problem.scales, np.full(lower.shape[1] - nx, T)])
+    floors = np.tile(problem.control_scales**-2.0, (len(layout.kinds), 1))
+    floors[layout.starts] = T**-2.0
+    is_bounded, is_distance_bounded = (
+        np.any(np.isfinite(a) | np.isfinite(b), axis=1) for a, b in ((lower, upper), (low, high))
+    )
+    is_bounded[0] = is_distance_bounded[0] = False
     return Bounds(
         lower=lower,
         upper=upper,
-        weights=problem.scales**-2,
-        multipliers=np.zeros((N + 1, nx)),
-        is_any=bool(np.any(is_bounded)),
+        weights=scales**-2,
+        multipliers=np.zeros_like(lower),
+        is_any=bool(np.any(is_bounded | is_distance_bounded)),
         is_bounded=is_bounded,
-        lower_distance=np.full((N + 1, m), -np.inf),
-        upper_distance=np.full((N + 1, m), np.inf),
-        distance_weight=problem.length**-2,
-        distance_multipliers=np.zeros((N + 1, m)),
-        is_distance_bounded=np.zeros(N + 1, dtype=bool),
-        lower_control=np.tile(low, (N, 1)),
-        upper_control=np.tile(high, (N, 1)),
-        norm=norm,
-        floors=np.tile(floor, (N, 1)),
+        lower_distance=low,
+        upper_distance=high,
+        distance_weight=float(problem.length) ** -2,
+        distance_multipliers=np.zeros_like(low),
+        is_distance_bounded=is_distance_bounded,
+        lower_control=low_control,
+        upper_control=high_control,
+        norm=float(problem.control_norm),
+        floors=_FLOOR * problem.cost_scale * floors,
     )
+
+
+def _bound_states(problem: ShootingQuestion, num_stages: int) -> Floats:
+    """Returns lower and upper bounds of z at knots, shape (2, K + 1, nz); of phases the end's."""
+    bounds = np.repeat(problem.state_bounds[:, np.newaxis], num_stages + 1, axis=1)
+    is_hard = np.isfinite(problem.hard_goal)
+    bounds[:, -1, is_hard] = problem.hard_goal[is_hard]
+    if problem.phases is None:
+        return bounds
+    free = np.full((num_stages + 1, 2), np.inf)
+    times = np.stack([-free, free])
+    times[:, -1, 1] = problem.phases.total
+    return np.concatenate([bounds, times], axis=2)
+
+
+def _bound_distances(problem: ShootingQuestion, layout: Layout) -> Floats:
+    """Returns lower and upper bounds of φ at knots, shape (2, K + 1, m)."""
+    m, num_stages = problem.mechanism.num_contacts, len(layout.kinds)
+    free = np.full((num_stages + 1, m), np.inf)
+    bounds = np.stack([-free, free])
+    if problem.phases is not None:
+        bounds[0][:, problem.mechanism.mechanics.contacts[:, 0] == 0] = 0.0
+        bounds[1, layout.starts[1:], problem.phases.contacts] = 0.0
+        bounds[0, layout.starts[1:], problem.phases.contacts] = 0.0
+    return bounds
+
+
+def _bound_controls(problem: ShootingQuestion, layout: Layout) -> Floats:
+    """Returns lower and upper bounds of what stages choose, shape (2, K, nu)."""
+    bounds = np.array(problem.control_bounds)
+    if bounds.shape[1] == 1:
+        norm = problem.control_norm
+        bounds = np.clip(bounds, -norm, norm)
+    tiled = np.repeat(bounds[:, np.newaxis], len(layout.kinds), axis=1)
+    if problem.phases is not None:
+        most = problem.phases.total[1]
+        tiled[:, layout.starts] = np.array([_SHORTEST * most, most])[:, np.newaxis, np.newaxis]
+    return tiled

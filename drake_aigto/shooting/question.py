@@ -10,6 +10,7 @@ import numpy as np
 from drake_aigto.arrays import Floats, read_only
 from drake_aigto.errors import ProgramError
 from drake_aigto.shooting.mechanism import Mechanism
+from drake_aigto.shooting.phases import Phases
 from drake_aigto.world import TaskCost
 
 
@@ -29,7 +30,9 @@ class ShootingQuestion:
         control_bounds: the same of u, shape (2, nu).
         hard_goal: what q and v have to be at the end, shape (2n,); NaN: anything.
         control_norm: ‖u‖ at most.
-        length: what smoothing is measured in [m].
+        length: what smoothing and φ are measured in [m].
+        phases: what rigid walls are hit at which knots; None: nothing is hit. Then `times` says how
+            knots divide each phase, and where contacts do not yield φ ≥ 0 at all knots.
 
     Raises:
         ProgramError: a shape or a number does not fit; says which.
@@ -45,6 +48,7 @@ class ShootingQuestion:
     hard_goal: Floats
     control_norm: float = np.inf
     length: float = 1.0
+    phases: Phases | None = None
 
     def __post_init__(self) -> None:
         """Checks shapes and numbers, and makes arrays read-only."""
@@ -66,6 +70,11 @@ class ShootingQuestion:
 
     def _check_numbers(self) -> None:
         """Refuses numbers that mean nothing."""
+        m, N, phases = self.mechanism.num_contacts, len(self.times) - 1, self.phases
+        is_possible = phases is None or (
+            np.all((phases.knots > 0) & (phases.knots < N))
+            and np.all((phases.contacts >= 0) & (phases.contacts < m))
+        )
         checks = (
             (
                 "times",
@@ -80,12 +89,13 @@ class ShootingQuestion:
                 "lower ≤ upper",
                 np.all(self.control_bounds[0] <= self.control_bounds[1]),
             ),
+            ("phases", f"contacts below {m}, knots inside of 0 … {N}", is_possible),
             ("control_norm", "a number above 0", self.control_norm > 0),
             ("length", "a number above 0", self.length > 0),
         )
         for name, expected, holds in checks:
             if not holds:
-                got = np.asarray(getattr(self, name)).tolist()
+                got = np.asarray(getattr(self, name)).tolist() if name != "phases" else phases
                 raise ProgramError(name, got=got, expected=expected)
 
     @cached_property

@@ -13,7 +13,7 @@ class ShootingResult(ArrayRecord):
 
     Attributes:
         times: of the knots, shape (N + 1,) [s].
-        states: q and v at the knots, shape (N + 1, 2n).
+        states: q and v at the knots, shape (N + 1, 2n); after impacts.
         controls: u between them, shape (N, nu).
         cost: with the contact law smoothed as it was at the end; infinite if the start's controls
             lead nowhere.
@@ -23,6 +23,7 @@ class ShootingResult(ArrayRecord):
         is_converged: whether nothing was left to gain at the end.
         smoothing: ε at the end [m].
         substeps: Runge-Kutta steps between knots.
+        durations: of phases, shape (P,) [s]; none without phases.
     """
 
     times: Floats
@@ -35,8 +36,9 @@ class ShootingResult(ArrayRecord):
     is_converged: bool
     smoothing: float
     substeps: int
+    durations: Floats
 
     def __post_init__(self) -> None:
         """Makes the arrays read-only."""
-        for name in ("times", "states", "controls"):
+        for name in ("times", "states", "controls", "durations"):
             object.__setattr__(self, name, read_only(getattr(self, name)))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.jit import inner
+from drake_aigto.jit import inner, pasted
 from drake_aigto.shooting.controls import clip_control, solve_ball, solve_box, solve_free
 from drake_aigto.shooting.tables import FLOW, Expansion, Program, SweepMemory
 
@@ -64,7 +64,7 @@ def sweep_back(
     return drop
 
 
-@inner
+@pasted
 def _expand_value(
     k: int,
     nz: int,
@@ -108,7 +108,7 @@ def _expand_value(
             Q2[c, d] = Q2[d, c]
 
 
-@inner
+@pasted
 def _stay_within(
     size: int, u: Floats, lower: Floats, upper: Floats, norm: float, du: Floats, room: Floats
 ) -> None:
@@ -121,7 +121,7 @@ def _stay_within(
         du[i] = target[i] - u[i]
 
 
-@inner
+@pasted
 def _find_gains(
     nz: int,
     size: int,
@@ -155,7 +155,7 @@ def _find_gains(
             gains[i, c] = y[i] - (off * normal[i] if along > 0.0 else 0.0)
 
 
-@inner
+@pasted
 def _step_back(
     nz: int,
     size: int,

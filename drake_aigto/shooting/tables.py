@@ -103,15 +103,14 @@ class FlowMemory(NamedTuple):
 
     Attributes:
         mechanics: room for accelerations.
-        points: x at the start of a Runge-Kutta step, y within it, ẏ, their weighted sum; (4, nx).
-        errors: e, the gradient of the cost's rate by it, how fast the reference moves; (3, nx).
+        points: x at the start of a Runge-Kutta step, y within it, ẏ, their weighted sum; e, the
+            gradient of the cost's rate by it, and how fast the reference moves; shape (7, nx).
         by_column: the derivative of the cost's rate by (z, u), shape (nc,).
-        slopes: of the points by (z, u), shape (4, nx, nc).
+        slopes: of the first four by (z, u), shape (4, nx, nc).
     """
 
     mechanics: MechanicsMemory
     points: Floats
-    errors: Floats
     by_column: Floats
     slopes: Floats
 

@@ -1,0 +1,87 @@
+"""Motions in phases that meet where something hits a rigid wall."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from drake_aigto.arrays import ArrayRecord, Floats, Ints, read_only
+from drake_aigto.errors import ProgramError
+from drake_aigto.shooting.tables import FLOW, START
+
+
+@dataclass(frozen=True, eq=False)
+class Phases(ArrayRecord):
+    """Which contact is hit at which knot, with free durations between; P phases.
+
+        φ_i(q) = 0,   v⁺ = v⁻ − M⁻¹ Jᵀ (J M⁻¹ Jᵀ)⁻¹ (1 + e) J v⁻     where contact i is hit
+
+    Attributes:
+        contacts: what ends each phase but the last, shape (P − 1,).
+        knots: where it does, rising, inside of 0 … N, shape (P − 1,).
+        durations: of the phases, to start from, shape (P,) [s].
+        total: the least and the most of their sum [s].
+    """
+
+    contacts: Ints
+    knots: Ints
+    durations: Floats
+    total: tuple[float, float]
+
+    def __post_init__(self) -> None:
+        """Makes arrays read-only.
+
+        Raises:
+            ProgramError: numbers do not fit together.
+        """
+        for name, dtype in (("contacts", np.int64), ("knots", np.int64), ("durations", float)):
+            object.__setattr__(self, name, read_only(getattr(self, name), dtype))
+        touches = len(self.contacts)
+        checks = (
+            ("knots", f"{touches}, rising", len(self.knots) == touches),
+            ("knots", "rising numbers", bool(np.all(np.diff(self.knots) > 0))),
+            ("durations", f"{touches + 1} numbers", len(self.durations) == touches + 1),
+            ("durations", "numbers above 0", bool(np.all(self.durations > 0))),
+            ("total", "0 < least ≤ most", 0 < self.total[0] <= self.total[1] < np.inf),
+        )
+        for name, expected, holds in checks:
+            if not holds:
+                raise ProgramError(f"phases: {name}", got=getattr(self, name), expected=expected)
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """The stages of a problem: flights between knots and, of phases, what starts each.
+
+    Attributes:
+        kinds: FLOW, START or a contact, of each of K stages, shape (K,).
+        flights: which stages are flights, shape (N,).
+        shares: how long each lasts [s]; of phases, as a share of its phase; shape (K,).
+    """
+
+    kinds: Ints
+    flights: Ints
+    shares: Floats
+
+    @classmethod
+    def of(cls, times: Floats, phases: Phases | None) -> Layout:
+        """Returns the stages of knots at these times, shape (N + 1,)."""
+        steps = np.diff(times)
+        if phases is None:
+            return cls(np.full(len(steps), FLOW), np.arange(len(steps)), steps)
+        kinds: list[int] = []
+        shares: list[float] = []
+        ends = [*phases.knots.tolist(), len(steps)]
+        for kind, first, last in zip(
+            [START, *phases.contacts.tolist()], [0, *ends[:-1]], ends, strict=True
+        ):
+            of_phase = steps[first:last]
+            kinds += [kind, *[FLOW] * len(of_phase)]
+            shares += [0.0, *(of_phase / of_phase.sum())]
+        return cls(np.array(kinds), np.flatnonzero(np.equal(kinds, FLOW)), np.array(shares))
+
+    @property
+    def starts(self) -> Ints:
+        """Which stages start a phase, shape (P,); none without phases."""
+        return np.flatnonzero(self.kinds != FLOW)

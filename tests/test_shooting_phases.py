@@ -1,0 +1,122 @@
+"""Shooting in phases: impacts, free durations, and what calculus says of a ball."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from mechanisms import build, build_world, joint, link, plane, sphere, wall
+from scipy.optimize import minimize
+
+from drake_aigto.errors import ProgramError
+from drake_aigto.shooting import Mechanism, Phases, ShootingOptions, ShootingProblem, ShootingResult
+from drake_aigto.world import RigidLaw, TaskCost, World
+
+RESTITUTION, TOTAL = 0.6, 2.0
+
+BALL = (
+    link("ball", 1.0, ">0 0 0 0 0 0", "0 0 0", sphere("ball", "0 0 0", 0.1))
+    + joint("prismatic", "world", "ball", "1 0 0")
+    + wall(plane("left", "-0.1 0 0 0 1.5707963267948966 0"))
+)
+
+
+@cache
+def ball() -> World:
+    return build_world(BALL)
+
+
+def weigh(n: int, nu: int, goal: Any, final: float = 0.0) -> TaskCost:
+    return TaskCost(
+        R=np.ones(nu),
+        Q=np.zeros(n),
+        Qv=np.zeros(n),
+        QT=final * np.eye(n),
+        QTv=np.zeros((n, n)),
+        goal=np.array(goal),
+        goal_velocity=np.zeros(n),
+        is_modulo=np.zeros(n, dtype=bool),
+        is_chordal=np.zeros(n, dtype=bool),
+        times=np.zeros(1),
+        positions=np.array([goal]),
+        velocities=np.zeros((1, n)),
+    )
+
+
+def pose(world: World, start: Any, goal: Any, phases: Phases, N: int) -> ShootingProblem:
+    """Returns the problem of least effort from a place at rest to another, by way of a wall."""
+    n, nu = world.num_positions, world.num_actuators
+    free = np.array([[-np.inf], [np.inf]])
+    return ShootingProblem(
+        Mechanism.of(world, RigidLaw(np.full(world.num_contacts, RESTITUTION))),
+        weigh(n, nu, goal),
+        times=np.linspace(0, TOTAL, N + 1),
+        start=np.concatenate([start, np.zeros(n)]),
+        scales=np.ones(2 * n),
+        state_bounds=np.tile(free, 2 * n),
+        control_bounds=np.tile(free, nu),
+        hard_goal=np.concatenate([goal, np.full(n, np.nan)]),
+        phases=phases,
+    )
+
+
+def bounce(N: int, total: tuple[float, float] = (TOTAL, TOTAL)) -> ShootingResult:
+    phases = Phases(np.zeros(1, dtype=np.int64), np.array([N // 2]), np.array([0.7, 1.3]), total)
+    return pose(ball(), [1.0], [2.0], phases, N).solve(np.full((N, 1), -1.0))
+
+
+def calc_effort(distance: float, before: float, after: float, time: float) -> float:
+    """Returns the least ∫ u² of a unit mass from one speed to another over a distance."""
+    speeds = before**2 + before * after + after**2
+    return (4 * speeds - 12 * distance * (before + after) / time) / time + (
+        12 * distance**2 / time**3
+    )
+
+
+def test_a_ball_hits_the_wall_when_and_as_calculus_says() -> None:
+    def calc(x: Any) -> float:
+        time, speed, end = x
+        first = calc_effort(-1.0, 0.0, -speed, time)
+        return first + calc_effort(2.0, RESTITUTION * speed, end, TOTAL - time)
+
+    expected = minimize(calc, [0.7, 1.0, 1.0], method="Nelder-Mead", options={"xatol": 1e-9})
+    result = bounce(40)
+    assert result.violation < 1e-4
+    # Held controls cost more, by the square of their steps: 1/20 of a phase.
+    assert expected.fun * (1 - 1e-4) < result.cost < expected.fun * 1.005
+    np.testing.assert_allclose(result.durations[0], expected.x[0], atol=0.01)
+    assert result.states[20, 1] == pytest.approx(RESTITUTION * expected.x[1], abs=0.02)
+    assert result.times[-1] == pytest.approx(TOTAL, abs=1e-3)
+
+
+def test_more_time_is_taken_where_it_may_be() -> None:
+    fixed, longer = bounce(10), bounce(10, (1.0, 3.0))
+    assert longer.violation < 1e-4
+    assert longer.times[-1] == pytest.approx(3.0, abs=1e-3)
+    assert longer.cost < 0.5 * fixed.cost
+
+
+def test_a_pendulum_meets_its_wall_at_a_knot_and_stays_in_front_of_it() -> None:
+    world = build("cart-pole")
+    phases = Phases(
+        np.zeros(1, dtype=np.int64), np.array([8]), np.array([1.0, 1.0]), (TOTAL, TOTAL)
+    )
+    problem = pose(world, [0.0, 0.0], [0.2, 0.0], phases, 16)
+    result = problem.solve(np.zeros((16, 1)), options=ShootingOptions(multiplier_updates=20))
+    phi = world.calc_signed_distance(result.states[:, :2])
+    assert result.violation < 1e-4
+    assert phi[8, 0] == pytest.approx(0, abs=1e-4)
+    assert np.all(phi > -1e-4)
+    assert result.durations.sum() == pytest.approx(TOTAL, abs=1e-3)
+    again = problem.starting_from(result).simulate(result.controls, 1)
+    np.testing.assert_array_equal(again.states, result.states)
+
+
+def test_phases_that_fit_no_knots_are_refused() -> None:
+    with pytest.raises(ProgramError, match=r"phases: durations: got .* expected 2 numbers"):
+        Phases(np.zeros(1, dtype=np.int64), np.array([3]), np.ones(3), (1.0, 1.0))
+    far = Phases(np.zeros(1, dtype=np.int64), np.array([10]), np.ones(2), (1.0, 1.0))
+    with pytest.raises(ProgramError, match=r"phases: .*knots inside of 0 … 10"):
+        pose(ball(), [1.0], [2.0], far, 10)
