@@ -210,7 +210,7 @@ class Board:
         """Draws ticks in meters below a panel; numbers are whole, or not there."""
         ends = low[0] - aside[0], high[0] - aside[0]
         look = {"color": _INK, "ha": "center", "va": "top"}
-        for x in MaxNLocator(nbins=4, steps=[1, 2, 5, 10]).tick_values(*ends):
+        for x in _find_ticks(*ends):
             at, text = x + aside[0], f"{x:.12g} m"
             half = len(text) * self.letter * _BOLD_WIDTH / 2
             room = min(at - low[0], high[0] - at)  # Half of the gap to the next panel is its own.
@@ -231,3 +231,14 @@ class Board:
     def _font_size(self, height: float) -> float:
         """Returns the size in points of letters of a height [m]."""
         return 72 * _INCHES * height / self.size
+
+
+def _find_ticks(low: float, high: float) -> list[float]:
+    """Returns round numbers, some four, and more if fewer than two were between the ends."""
+    found: list[float] = []
+    for count in (4, 6, 8):
+        ticks = MaxNLocator(nbins=count, steps=[1, 2, 5, 10]).tick_values(low, high)
+        found = [float(x) for x in ticks]
+        if sum(low <= x <= high for x in found) > 1:
+            break
+    return found

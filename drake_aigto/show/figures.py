@@ -87,6 +87,7 @@ def plot_motions(
     motions: Sequence[Motion],
     world: World,
     scenario: Scenario,
+    coordinates: Sequence[int] | None = None,
 ) -> None:
     """Draws positions, velocities and controls over time, as AIGTO Fig. 2 has them.
 
@@ -94,26 +95,28 @@ def plot_motions(
     last; between several walls, each has its name.
 
     Args:
-        axes: for positions [m], velocities [m/s], and controls [N], shape (3,), or (3, nq): a
-            column for each coordinate, the legend over the first.
+        axes: for positions, velocities, and controls, shape (3,), or (3, n): a column for each
+            coordinate that is drawn, the legend over the first.
         motions: those without a control are left out of the third.
         world: of the motions; has the walls.
         scenario: has the goal.
+        coordinates: which are drawn; all if None.
 
     Raises:
         ModelError: the axes are of another shape.
     """
+    columns = list(range(world.num_positions) if coordinates is None else coordinates)
     grid = np.array(axes, dtype=object)
     grid = grid[:, np.newaxis] if grid.ndim == 1 else grid
-    if grid.shape != (3, world.num_positions):
-        raise ModelError("axes", got=grid.shape, expected=f"(3, {world.num_positions})")
-    for i, (top, middle, bottom) in enumerate(grid.T):
+    if grid.shape != (3, len(columns)):
+        raise ModelError("axes", got=grid.shape, expected=f"(3, {len(columns)})")
+    for i, (top, middle, bottom) in zip(columns, grid.T, strict=True):
         plot_positions(top, motions, world, scenario, i)
         plot_velocities(middle, motions, world, i)
         plot_controls(bottom, motions, world, i)
         for upper in (top, middle):
             upper.set_xlabel("")
-        if i > 0:
+        if i != columns[0]:
             top.get_legend().remove()
 
 

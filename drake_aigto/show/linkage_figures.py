@@ -53,14 +53,16 @@ def draw_mechanism(
     try:
         shown = motions[:2]
         panels = figure.subplots(1, len(shown), squeeze=False)[0]
-        for axes, motion in zip(panels, shown, strict=True):
-            plot_strobe(axes, motion, world, scenario)
+        for index, motion in enumerate(shown):
+            plot_strobe(panels[index], motion, world, scenario, index=index)
+        figure.set_size_inches(9, _find_height(panels[0]))
         yield figure, "Links at evenly spaced times, the early ones pale; the goal is dashed."
     except ModelError:  # They keep to no plane.
         pass
-    n = world.num_positions
-    figure = Figure(figsize=(4.5 * max(n, 2), 4.6), layout="constrained")
-    for coordinate, axes in enumerate(figure.subplots(1, n, squeeze=False)[0]):
+    rows = -(-world.num_positions // 2)
+    figure = Figure(figsize=(9, 4.2 * rows), layout="constrained")
+    for coordinate in range(world.num_positions):
+        axes = figure.add_subplot(rows, 2, coordinate + 1)
         plot_phase_portrait(axes, motions, world, scenario, coordinate)
     yield figure, "Velocity against position, of each coordinate."
     if any(np.any(calc_contact_forces(motion, world, scenario) > 0) for motion in motions):
@@ -70,7 +72,12 @@ def draw_mechanism(
 
 
 def plot_strobe(
-    axes: Axes, motion: Motion, world: World, scenario: Scenario, count: int = _COUNT
+    axes: Axes,
+    motion: Motion,
+    world: World,
+    scenario: Scenario,
+    count: int = _COUNT,
+    index: int = 0,
 ) -> None:
     """Draws links and walls as they are seen in the plane of motion, the links at several times.
 
@@ -84,6 +91,7 @@ def plot_strobe(
         world: of the motion.
         scenario: has the goal.
         count: of the times.
+        index: of the motion, in pictures of several: it has the same color in all.
 
     Raises:
         ModelError: the motion keeps to no plane.
@@ -106,11 +114,11 @@ def plot_strobe(
     moments = positions_at(motion, np.linspace(*time_span([motion]), count))
     for alpha, q in zip(np.linspace(_PALEST, 1, count), moments, strict=True):
         for actor in moving:
-            look = {"facecolor": _color(actor), "edgecolor": "#222222", "linewidth": 0.4}
+            look = {"facecolor": _color(actor, index), "edgecolor": "#222222", "linewidth": 0.4}
             _draw(axes, linkage, [actor], q, {**look, "alpha": alpha, "zorder": 2 + alpha})
     asked = [actor for actor in moving if np.any(linkage.movers_of(actor.index) & is_asked)]
     _draw(axes, linkage, asked, goal, _GOAL)
-    _draw_ways(axes, linkage, motion)
+    _draw_ways(axes, linkage, motion, color_of(index))
     letters = [_name_axis(axis) for axis in linkage.X_WT.rotation().matrix().T[:2]]
     (left, bottom), (right, top) = linkage.low, linkage.high
     axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
@@ -118,9 +126,14 @@ def plot_strobe(
     axes.legend(ncols=3, **ABOVE)
 
 
-def _draw_ways(axes: Axes, linkage: Linkage, motion: Motion) -> None:
+def _find_height(axes: Axes) -> float:
+    """Returns how high a figure of two panels side by side has to be for their one scale [in]."""
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    return float(np.clip(1.0 + 4.0 * (top - bottom) / (right - left), 2.5, 7.0))
+
+
+def _draw_ways(axes: Axes, linkage: Linkage, motion: Motion, color: str) -> None:
     """Draws the way of what tells the motion, and where contacts are."""
-    color = color_of(0)
     for way in linkage.trace(motion.positions)[..., :2].transpose(1, 0, 2):
         axes.plot(*way.T, color=color, linewidth=1.2, alpha=0.8, zorder=3.5)
     axes.plot([], [], color=color, linewidth=1.2, label=motion.label)
@@ -144,10 +157,10 @@ def _depth(linkage: Linkage, actor: Actor) -> float:
     return float(linkage.places(actor, q[np.newaxis])[0, 2])
 
 
-def _color(actor: Actor) -> tuple[float, float, float]:
-    """Returns a link's own color, or the first motion's."""
+def _color(actor: Actor, index: int) -> tuple[float, float, float]:
+    """Returns a link's own color, or its motion's."""
     if actor.color is None:
-        return to_rgb(color_of(0))
+        return to_rgb(color_of(index))
     return actor.color.r(), actor.color.g(), actor.color.b()
 
 

@@ -27,7 +27,6 @@ from drake_aigto.show.scene import (
     folder_of,
 )
 from drake_aigto.show.stage import GRAY, Actor
-from drake_aigto.show.text import wall_names
 from drake_aigto.world import Scenario, World
 
 # Ghosts of the links where they start, and where they should end.
@@ -74,7 +73,6 @@ def _lay_board(
     notes: Sequence[str],
 ) -> Board:
     """Returns the board that the motions need, with as many panels in a row as are seen best."""
-    walls = wall_names(world)
     has = has_goal(world, scenario)
     end = find_goal(world, scenario, motions[0].positions[-1])
     start, goal = linkage.trace(np.array([scenario.initial_position, end]))
@@ -100,7 +98,7 @@ def _lay_board(
             _place_touches(linkage, motion.positions[each], [touch.contact for touch in named])
             for motion, each, named in zip(motions, rows, touches, strict=True)
         ],
-        touch_names=[[f"{walls[t.contact]}, {t.start:.2f} s" for t in each] for each in touches],
+        touch_names=[[f"{touch.start:.2f} s" for touch in each] for each in touches],
         notes=[f"dots: every {DOT_SECONDS:g} s", *notes],
     )
     columns = range(1, len(motions) + 1)

@@ -17,7 +17,7 @@ from drake_aigto.optima import rigid_optimum
 from drake_aigto.planning import Candidate, Plan, SearchOptions
 from drake_aigto.show.box_playback import BoxRun, play_boxes, run_boxes
 from drake_aigto.show.coordinates import moves_straight
-from drake_aigto.show.figures import plot_boxes, plot_path, plot_phase_portrait, plot_plan
+from drake_aigto.show.figures import plot_boxes, plot_motions, plot_path, plot_phase_portrait
 from drake_aigto.show.landscapes import plot_cost_history, plot_cost_landscape
 from drake_aigto.show.linkage_figures import draw_mechanism
 from drake_aigto.show.motion import SIMULATION_LABELS, motions_of_plan
@@ -52,6 +52,7 @@ from drake_aigto.world import Scenario, World
 _ANY_PORT = 0
 _MOST_CANDIDATES = 10
 _MOST_TOUCHES = 6
+_COLUMNS = 2  # of a figure that has one for each coordinate: more could not be read
 _SAME_COST = 1e-4  # Costs that differ by this part or less are called the same.
 
 NUMBERS = ("cost J", "dynamics defect", "off the goal", "deepest penetration", "energy ratio")
@@ -256,14 +257,17 @@ def _record(plan: Plan, world: World, run: BoxRun | None) -> dict[str, str]:
 
 def figures_of_plan(plan: Plan, world: World, run: BoxRun | None) -> Iterator[tuple[Figure, str]]:
     """Yields the figures of a report, each with its caption; of boxes, if there are any."""
-    n = world.num_positions
-    figure = Figure(figsize=(4.5 * max(n, 2), 7), layout="constrained")
-    plot_plan(figure.subplots(3, n, sharex=True), plan, world)
-    yield figure, "Positions, velocities and controls: the plan, and simulations of its control."
+    n, motions = world.num_positions, motions_of_plan(plan, world)
+    for first in range(0, n, _COLUMNS):
+        columns = range(first, min(first + _COLUMNS, n))
+        figure = Figure(figsize=(4.5 * max(len(columns), 2), 7), layout="constrained")
+        grid = figure.subplots(3, len(columns), sharex=True)
+        plot_motions(grid, motions, world, plan.scenario, columns)
+        yield figure, "Positions, velocities, controls: the plan, and simulations of its control."
     if moves_straight(world):
         yield _draw_states(plan, world)
     else:
-        yield from draw_mechanism(motions_of_plan(plan, world), world, plan.scenario)
+        yield from draw_mechanism(motions, world, plan.scenario)
     if run is not None:
         yield _draw_boxes(run, n)
 
