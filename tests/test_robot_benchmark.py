@@ -22,7 +22,7 @@ from benchmarks.robots.cart_pole import (
     make_questions,
     tip_of,
 )
-from benchmarks.robots.compare import run_comparison
+from benchmarks.robots.compare import run_comparison, run_method
 from benchmarks.robots.known import Known, load_known
 from benchmarks.robots.methods import IPOPT_STEPS, NUM_STEPS, ipopt_multistart, shooting_multistart
 from benchmarks.robots.results import Comparison, Outcome, Results, Row, Step
@@ -138,6 +138,13 @@ def test_the_table_counts_what_is_near_the_best_known_and_below_it() -> None:
     comparison = Comparison((NEAR,), 4, ("IPOPT",), 1.0)
     line = format_results(Results(comparison, rows)).splitlines()[-1]
     assert " ".join(line.split()).startswith("IPOPT 50 % 75 % 25 % 1.00 1.00 2.00 2.00 0.50 ")
+
+
+def test_a_plan_is_judged_to_cost_what_it_promises_and_drake_agrees() -> None:
+    outcome = run_method("plan", make_questions(NEAR)[20], math.inf).outcome
+    assert outcome.attempts == 1
+    assert outcome.cost == pytest.approx(outcome.promised, rel=1e-4)
+    assert outcome.drake == pytest.approx(outcome.cost, rel=1e-4)
 
 
 def test_bad_comparisons_are_refused_by_name() -> None:

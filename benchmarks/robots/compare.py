@@ -16,6 +16,7 @@ import numpy as np
 from benchmarks.robots.cart_pole import Question, judge, make_questions
 from benchmarks.robots.known import find_known, keep, load_known
 from benchmarks.robots.methods import METHODS, PLANS, Attempt
+from benchmarks.robots.plans import replay_in_drake
 from benchmarks.robots.results import Comparison, Outcome, Results, Row, Step
 from drake_aigto.count import Count
 from drake_aigto.jobs import open_jobs
@@ -157,6 +158,9 @@ def run_method(name: str, question: Question, seconds: float) -> Found:
         wall=round(timed.wall, 4),
         attempts=timed.attempts,
         promised=_rounded(timed.better[-1][1].promised) if timed.better else math.inf,
+        drake=None
+        if name not in PLANS or controls is None
+        else _rounded(replay_in_drake(question, controls)),
     )
     return Found(outcome, controls)
 

@@ -16,6 +16,7 @@ import numpy as np
 from benchmarks.local_peers import casadi
 from benchmarks.robots.cart_pole import DURATION, LARGEST_POSITION, Question, roll_out
 from benchmarks.robots.ipopt import Program
+from benchmarks.robots.plans import find_plan
 from benchmarks.robots.shooting import shoot
 
 try:
@@ -106,12 +107,24 @@ def shooting_multistart(question: Question, first: int = 0) -> Iterator[Attempt]
     yield from itertools.starmap(Attempt, shoot(question, guesses))
 
 
+def plan(question: Question, first: int = 0) -> Iterator[Attempt]:
+    """Yields the plan, of which there is one."""
+    yield Attempt(*find_plan(question, has_boxes=True))
+
+
+def plan_of_points(question: Question, first: int = 0) -> Iterator[Attempt]:
+    """Yields the plan without boxes."""
+    yield Attempt(*find_plan(question, has_boxes=False))
+
+
 METHODS: Mapping[str, Method] = {
+    "plan": plan,
+    "plan, points": plan_of_points,
     "shooting": shooting_multistart,
     "IPOPT": ipopt_multistart,
     "CMA-ES": evolution,
 }
-PLANS: tuple[str, ...] = ()  # They end by themselves.
+PLANS = ("plan", "plan, points")  # They end by themselves.
 _EXTRAS = {"IPOPT": casadi, "CMA-ES": cma}
 
 
