@@ -27,8 +27,10 @@ _LENGTHS = 5
 _PATIENCE = 3
 
 
-# What `_travel` does besides going through the stages.
-_FOLLOW, _EXPAND, _ROLL = 0, 1, 2
+# What `_travel` does besides going through the stages, and whether derivatives are asked for.
+# They are NumPy's, as Numba compiles a function anew for each of Python's own constants.
+_FOLLOW, _EXPAND, _ROLL = np.array([0, 1, 2])
+_YES, _NO = np.array([True, False])
 
 
 @inner
@@ -161,7 +163,7 @@ def _expand(
 ) -> float:
     """Computes the problem to second order about a motion, and returns its cost."""
     cost = _travel(program, states, controls, _EXPAND, 0.0, eps, np.inf, memory)
-    return cost + add_bounds(program, states, penalty, True, memory)
+    return cost + add_bounds(program, states, penalty, _YES, memory)
 
 
 @pasted
@@ -178,7 +180,7 @@ def _march(
     """Follows the control law with a step length; returns the cost, infinite above `most`."""
     cost = _travel(program, states, controls, _FOLLOW, length, eps, most, memory)
     if cost < np.inf:
-        cost += add_bounds(program, memory.states, penalty, False, memory)
+        cost += add_bounds(program, memory.states, penalty, _NO, memory)
     return cost if cost <= most else np.inf
 
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drake_aigto.arrays import Floats, Ints, read_only
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.jit import inner, kernel, pasted
 from drake_aigto.shooting.tape import Tape, TapeBuilder, run_tape
 from drake_aigto.world import ContactLaw, EquationsOfMotion, RigidLaw
@@ -87,11 +87,11 @@ class Mechanism:
             contacts[:, 0], contacts[:, 1] = law.stiffness, law.dissipation
         tables = Mechanics(
             *_compile(world),
-            actuation=read_only(world.actuation),
-            contacts=read_only(contacts),
-            solids=read_only(np.cumsum([0, *map(len, world.solids)]), np.int64),
+            actuation=world.actuation,
+            contacts=contacts,
+            solids=np.cumsum([0, *map(len, world.solids)], dtype=np.int64),
         )
-        return cls(tables)
+        return cls(copy_writable(tables))
 
     @property
     def num_positions(self) -> int:
@@ -120,18 +120,28 @@ class Mechanism:
         """
         memory = make_mechanics_memory(self.mechanics)
         x, u = np.array(state, dtype=float), np.array(control, dtype=float)
-        _accelerate(self.mechanics, x, u, smoothing, memory)
+        _accelerate(self.mechanics, x, u, smoothing, True, memory)
         return memory.acceleration[0], memory.slopes.T
 
     def calc_inertia(self, q: Floats) -> tuple[Floats, Floats]:
         """Returns M(q), shape (n, n), and h(q, 0), shape (n,)."""
         n, memory = len(q), make_mechanics_memory(self.mechanics)
         rest, no_control = np.concatenate([q, np.zeros(n)]), np.zeros(self.num_controls)
-        _accelerate(self.mechanics, rest, no_control, 0.0, memory)
+        _accelerate(self.mechanics, rest, no_control, 0.0, False, memory)
         half = n * (n + 1) // 2
         mass = np.zeros((n, n))
         mass[np.triu_indices(n)] = memory.sums[:half]
         return mass + np.triu(mass, 1).T, memory.sums[half : half + n]
+
+
+def copy_writable(table: Any) -> Any:
+    """Returns a copy whose arrays are all writable: what cannot be written is of another type.
+
+    Code would be compiled once more for it.
+    """
+    if isinstance(table, tuple):
+        return type(table)(*map(copy_writable, table))
+    return np.array(table, order="C") if isinstance(table, np.ndarray) else table
 
 
 def make_mechanics_memory(mechanics: Mechanics) -> MechanicsMemory:
@@ -335,7 +345,12 @@ def _differentiate_force(
 
 @kernel
 def _accelerate(
-    mechanics: Mechanics, x: Floats, u: Floats, eps: float, memory: MechanicsMemory
+    mechanics: Mechanics,
+    x: Floats,
+    u: Floats,
+    eps: float,
+    has_slopes: bool,
+    memory: MechanicsMemory,
 ) -> None:
     code, numbers, actuation, contacts, solids = mechanics
     values, sums, factor, force, acceleration, slopes = memory
@@ -348,7 +363,7 @@ def _accelerate(
         x,
         u,
         eps,
-        True,
+        has_slopes,
         values,
         sums,
         factor,

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from drake_aigto.arrays import Floats
+from drake_aigto.shooting.mechanism import copy_writable
 from drake_aigto.shooting.phases import Layout
 from drake_aigto.shooting.question import ShootingQuestion
 from drake_aigto.shooting.tables import CHORDAL, EXACT, MODULO, Bounds, Program, Task
@@ -29,17 +28,7 @@ def make_program(problem: ShootingQuestion, layout: Layout, substeps: int) -> Pr
         times=problem.times if problem.phases is None else np.zeros(len(layout.kinds) + 1),
         substeps=substeps,
     )
-    return _copy(program)
-
-
-def _copy(table: Any) -> Any:
-    """Returns a copy whose arrays are all writable: what cannot be written is of another type.
-
-    Code would be compiled once more for it.
-    """
-    if isinstance(table, tuple):
-        return type(table)(*map(_copy, table))
-    return np.array(table, order="C") if isinstance(table, np.ndarray) else table
+    return copy_writable(program)
 
 
 def _make_task(cost: TaskCost) -> Task:
