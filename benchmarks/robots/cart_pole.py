@@ -157,8 +157,9 @@ def roll_out(
     """
     states = np.empty((controls.size * steps + 1, 4))
     x, slopes = np.zeros(5), np.empty((4, 5))
-    x[:4] = start
-    states[0] = start
+    # Entry by entry: Numba takes seconds to compile the error of slices that do not fit.
+    for i in range(4):
+        x[i] = states[0, i] = start[i]
     for k in range(controls.size * steps):
         u = controls[k // steps]
         _slope(x, u, wall, slopes[0])
@@ -166,6 +167,7 @@ def roll_out(
         _slope(x + step / 2 * slopes[1], u, wall, slopes[2])
         _slope(x + step * slopes[2], u, wall, slopes[3])
         x += step / 6 * (slopes[0] + 2 * slopes[1] + 2 * slopes[2] + slopes[3])
-        states[k + 1] = x[:4]
+        for i in range(4):
+            states[k + 1, i] = x[i]
     final = FINAL[0] * x[0] ** 2 + FINAL[1] * (2 + 2 * np.cos(x[2])) + FINAL[2] * x[3] ** 2
     return states, x[4] + final
