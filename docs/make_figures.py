@@ -1,4 +1,4 @@
-"""Draws figures of what AIGO does, into a folder: AIGTO Fig. 1 to 3, boxes, and landscapes.
+"""Draws figures of what AIGO does, into a folder: AIGTO Fig. 1 to 3, boxes, landscapes, a robot.
 
 python docs/make_figures.py [docs/images]
 """
@@ -21,6 +21,7 @@ from drake_aigto.show import (
     plot_integrated_product,
     plot_methods,
     plot_phase_portrait,
+    plot_strobe,
     run_boxes,
     write_numbers,
 )
@@ -86,6 +87,15 @@ def draw_landscape(found: Plan, world: World, path: Path) -> None:
     figure.savefig(path, dpi=100)
 
 
+def draw_cart_pole(path: Path) -> None:
+    """Writes the plan for a cart-pole between soft walls, in one still picture."""
+    found = plan(Scenario.named("cart_pole/soft_06"))
+    world = found.find_world()
+    figure, axes = plt.subplots(figsize=(6.5, 4.8), layout="constrained")
+    plot_strobe(axes, motions_of_plan(found, world)[0], world, found.scenario)
+    figure.savefig(path, dpi=100)
+
+
 def main(folder: Path) -> None:
     """Writes all of them."""
     draw_product(folder / "integrated_product.png")
@@ -95,6 +105,7 @@ def main(folder: Path) -> None:
     found = plan(scenario, world=world)
     draw_boxes(found, world, folder / "boxes.png")
     draw_landscape(found, world, folder / "landscape.png")
+    draw_cart_pole(folder / "cart_pole.png")
 
 
 if __name__ == "__main__":
