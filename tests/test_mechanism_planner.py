@@ -54,6 +54,14 @@ def test_bounds_hold_in_both_simulations(cart_pole: Planner) -> None:
     assert bounded.additions == ()
 
 
+def test_a_hard_goal_is_met_in_both_simulations(cart_pole: Planner) -> None:
+    scenario = dataclasses.replace(cart_pole.scenario, hard_goal=True, goal_velocity=[0.0, 0.0])
+    there = Planner(scenario, QUICK, cart_pole.world).plan()
+    for replay in there.replay:
+        assert replay.violations["hard goal"] < 2e-3
+        np.testing.assert_allclose(replay.positions[-1], [0.0, np.pi], atol=5e-3)
+
+
 def test_forces_give_what_the_momentum_lacks(plan: Plan) -> None:
     """The wall's impulse is the momentum along the cart that the control does not explain."""
     t, world = plan.trajectory, plan.find_world()

@@ -29,8 +29,9 @@ _MOST_KEPT, _SAME = 8, 1e-3
 _WAVE = 8
 # Every second renewal is of the best motion, the others of one of so many.
 _MOST_RENEWED = 4
-# A bound may be missed by this part of the state's scales where boxes propose a motion.
-_NEARLY = 1e-2
+# What a motion misses of its bounds, in the state's scales, costs this in the task's scale: more
+# than is won by it, and little enough for motions that come near to be kept until they are polished.
+_PRICE = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,15 +41,12 @@ class Motion:
     Attributes:
         origin: where it came from.
         result: of shooting.
+        cost: J of it, and a price for what it misses of bounds and a hard goal.
     """
 
     origin: Origin
     result: ShootingResult
-
-    @property
-    def cost(self) -> float:
-        """J of it; infinite if it misses its bounds by much."""
-        return self.result.cost if self.result.violation <= _NEARLY else np.inf
+    cost: float
 
 
 class MechanismSearch(CandidatePool):
@@ -107,7 +105,7 @@ class MechanismSearch(CandidatePool):
         options, n = self.problem.options, self.problem.world.num_positions
         rng = np.random.default_rng(options.seed)
         has_boxes = any(rung.half_width for rung in options.ladder)
-        for first in range(0, options.renewals, _WAVE):
+        for first in range(0, options.renewals if self.motions else 0, _WAVE):
             best = self.motions[0].cost
             self.tell(f"renewal {first} of {options.renewals}; the best costs {best:.6g}")
             origins, proposals = [], []
@@ -133,7 +131,8 @@ class MechanismSearch(CandidatePool):
         with self.clock("search"), ThreadPoolExecutor(self._num_threads) as pool:
             for origin, (steps, result) in zip(origins, pool.map(close, proposals), strict=True):
                 self.aigo_steps += steps
-                self._keep(Motion(origin, result))
+                price = _PRICE * self.problem.scales.cost * result.violation
+                self._keep(Motion(origin, result, result.cost + price))
 
     @property
     def _num_threads(self) -> int:
