@@ -30,7 +30,7 @@ _WAVE = 8
 # Every second renewal is of the best motion, the others of one of so many.
 _MOST_RENEWED = 4
 # What a motion misses of its bounds, in the state's scales, costs this in the task's scale: more
-# than is won by it, and little enough for motions that come near to be kept until they are polished.
+# than is won by it, and little enough that motions which come near are kept for the polish.
 _PRICE = 10.0
 
 
