@@ -129,15 +129,15 @@ def test_what_the_gradient_peer_promises_is_nearly_what_the_judge_finds() -> Non
 
 
 def row(cost: float, known: float) -> Row:
-    outcome = Outcome("IPOPT", (Step(0.1, math.inf), Step(0.5, cost)), 1.0, 2.0, 7, cost)
+    outcome = Outcome("shooting", (Step(0.1, math.inf), Step(0.5, cost)), 1.0, 2.0, 7, cost)
     return Row(NEAR, round(10 * cost), False, known, (outcome,))
 
 
 def test_the_table_counts_what_is_near_the_best_known_and_below_it() -> None:
     rows = (row(10.0, 10.0), row(10.3, 10.0), row(9.0, 10.0), row(20.0, 10.0))
-    comparison = Comparison((NEAR,), 4, ("IPOPT",), 1.0)
+    comparison = Comparison((NEAR,), 4, ("shooting",), 1.0)
     line = format_results(Results(comparison, rows)).splitlines()[-1]
-    assert " ".join(line.split()).startswith("IPOPT 50 % 75 % 25 % 1.00 1.00 2.00 2.00 0.50 ")
+    assert " ".join(line.split()).startswith("shooting 50 % 75 % 25 % 1.00 1.00 2.00 2.00 0.50 ")
 
 
 def test_a_plan_is_judged_to_cost_what_it_promises_and_drake_agrees() -> None:
@@ -151,7 +151,7 @@ def test_bad_comparisons_are_refused_by_name() -> None:
     with pytest.raises(OptionsError, match="methods: got guessing"):
         Comparison(methods=("guessing",))
     with pytest.raises(OptionsError, match="seconds: got none"):
-        Comparison(methods=("IPOPT",))
+        Comparison(methods=("shooting",))
 
 
 @pytest.mark.skipif(casadi is None, reason="CasADi is not installed")

@@ -267,10 +267,11 @@ class MechanismProblem:
 def needs_shooting(world: World, scenario: Scenario) -> bool:
     """Returns whether a task is more than one of balls between rigid walls.
 
-    Where M or J depends on q, something has limits, nothing touches, contact is compliant, or the
-    task is not AIGTO's (`Scenario.is_plain`).
+    Where something turns, M or J depends on q, something has limits, contact is compliant, or the
+    task is not AIGTO's (`Scenario.is_plain`). Balls that nothing can touch stay theirs, for whoever
+    asks for AIGTO's task has forgotten a wall.
     """
-    is_of_balls = world.has_constant_inertia and world.contacts and not world.limits.are_any
+    is_of_balls = world.has_constant_inertia and not (world.limits.are_any or world.is_hinge.any())
     return not (is_of_balls and scenario.is_plain)
 
 
