@@ -13,9 +13,9 @@ from scipy.optimize import minimize
 
 from drake_aigto.shooting import (
     Mechanism,
-    Rung,
     ShootingOptions,
     ShootingProblem,
+    Smoothing,
 )
 from drake_aigto.world import CompliantLaw, RigidLaw, TaskCost, World
 
@@ -138,7 +138,7 @@ def check_stationary(problem: ShootingProblem, controls: Any, smoothing: float) 
         assert abs(slope) < 1e-3 * abs(cost), (k, j)
 
 
-FINE = ShootingOptions(rungs=(Rung(0.1, 100, 1e-3), Rung(0.01, 200, 1e-12)))
+FINE = ShootingOptions(rungs=(Smoothing(0.1, 100, 1e-3), Smoothing(0.01, 200, 1e-12)))
 
 
 @pytest.mark.parametrize("name", ["pendulum", "cart-pole", "arm with a slider"])

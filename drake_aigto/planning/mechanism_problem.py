@@ -23,7 +23,13 @@ from drake_aigto.planning.mechanism_boxes import (
 )
 from drake_aigto.planning.mechanism_options import MechanismOptions
 from drake_aigto.planning.origin import NO_CONTROL, Origin
-from drake_aigto.shooting import Mechanism, Rung, ShootingOptions, ShootingProblem, ShootingResult
+from drake_aigto.shooting import (
+    Mechanism,
+    ShootingOptions,
+    ShootingProblem,
+    ShootingResult,
+    Smoothing,
+)
 from drake_aigto.simulation.bounds import BOUNDS, state_scales
 from drake_aigto.simulation.contacts import find_contacts, max_penetration
 from drake_aigto.simulation.replay import Replay, replay_drake, replay_event_driven
@@ -35,7 +41,7 @@ from drake_aigto.world import CompliantLaw, Scales, Scenario, TaskCost, World
 _EXACT, _MOST_SUBSTEPS = 1e-3, 64
 # Motions whose positions are nowhere farther apart than this part of their scales have one optimum.
 _NEAR = 0.05
-_POLISH = ShootingOptions(rungs=(Rung(1e-3, 60, 1e-5), Rung(1e-4, 40, 1e-6)), substeps=4)
+_POLISH = ShootingOptions(rungs=(Smoothing(1e-3, 60, 1e-5), Smoothing(1e-4, 40, 1e-6)), substeps=4)
 
 
 @dataclass(frozen=True, eq=False)

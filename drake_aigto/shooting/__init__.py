@@ -6,7 +6,7 @@ all other bounds. NumPy and Numba only.
 """
 
 from drake_aigto.shooting.mechanism import Mechanism
-from drake_aigto.shooting.options import Rung, ShootingOptions
+from drake_aigto.shooting.options import ShootingOptions, Smoothing
 from drake_aigto.shooting.phases import Phases
 from drake_aigto.shooting.problem import ShootingProblem
 from drake_aigto.shooting.result import ShootingResult
@@ -14,8 +14,8 @@ from drake_aigto.shooting.result import ShootingResult
 __all__ = [
     "Mechanism",
     "Phases",
-    "Rung",
     "ShootingOptions",
     "ShootingProblem",
     "ShootingResult",
+    "Smoothing",
 ]

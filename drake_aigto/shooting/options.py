@@ -8,7 +8,7 @@ from typing import NamedTuple
 from drake_aigto.errors import OptionsError
 
 
-class Rung(NamedTuple):
+class Smoothing(NamedTuple):
     """A pass at one smoothing.
 
     Attributes:
@@ -38,7 +38,11 @@ class ShootingOptions:
         OptionsError: an option is out of its range.
     """
 
-    rungs: tuple[Rung, ...] = (Rung(0.1, 40, 1e-3), Rung(0.01, 40, 1e-3), Rung(0.001, 60, 1e-5))
+    rungs: tuple[Smoothing, ...] = (
+        Smoothing(0.1, 40, 1e-3),
+        Smoothing(0.01, 40, 1e-3),
+        Smoothing(0.001, 60, 1e-5),
+    )
     substeps: int = 1
     penalty: float = 10.0
     multiplier_updates: int = 12
@@ -46,7 +50,7 @@ class ShootingOptions:
 
     def __post_init__(self) -> None:
         """Checks the ranges."""
-        rungs = tuple(Rung(*rung) for rung in self.rungs)
+        rungs = tuple(Smoothing(*rung) for rung in self.rungs)
         object.__setattr__(self, "rungs", rungs)
         checks = (
             ("rungs", rungs, "at least one", len(rungs) > 0),
@@ -65,5 +69,5 @@ class ShootingOptions:
     @classmethod
     def coarse(cls, substeps: int = 1) -> ShootingOptions:
         """Returns those that soon tell whether a start is any good."""
-        rungs = tuple(Rung(smoothing, 15, 1e-2) for smoothing in (0.1, 0.01, 0.001))
+        rungs = tuple(Smoothing(smoothing, 15, 1e-2) for smoothing in (0.1, 0.01, 0.001))
         return cls(rungs, substeps, multiplier_updates=0)

@@ -11,7 +11,7 @@ from drake_aigto.errors import ProgramError
 from drake_aigto.shooting.bounds import measure_bounds
 from drake_aigto.shooting.descent import clip_controls, descend
 from drake_aigto.shooting.memory import make_memory
-from drake_aigto.shooting.options import Rung, ShootingOptions
+from drake_aigto.shooting.options import ShootingOptions, Smoothing
 from drake_aigto.shooting.phases import Layout
 from drake_aigto.shooting.program import make_program
 from drake_aigto.shooting.question import ShootingQuestion
@@ -63,7 +63,7 @@ class ShootingProblem(ShootingQuestion):
         Raises:
             ProgramError: a shape does not fit.
         """
-        options = ShootingOptions(rungs=(Rung(smoothing, 1, 1.0),), substeps=substeps)
+        options = ShootingOptions(rungs=(Smoothing(smoothing, 1, 1.0),), substeps=substeps)
         return _Descent(self, controls, None, options).finish(is_converged=False)
 
     def estimate_error(self, result: ShootingResult) -> float:
@@ -168,14 +168,14 @@ class _Descent:
             is_converged = self._run_rung(rungs[-1])
         return self.finish(is_converged)
 
-    def _choose_rungs(self) -> tuple[Rung, ...]:
+    def _choose_rungs(self) -> tuple[Smoothing, ...]:
         """Returns the rungs; without springs, one."""
         rungs = self._options.rungs
         if np.any(self._program.mechanics.contacts[:, 0] > 0):
             return rungs
         return (rungs[-1]._replace(iterations=sum(rung.iterations for rung in rungs)),)
 
-    def _run_rung(self, rung: Rung) -> bool:
+    def _run_rung(self, rung: Smoothing) -> bool:
         """Returns whether a rung ended in its tolerance; updates multipliers."""
         _, count, is_converged = self._descend(rung)
         self._iterations, self._has_gaps = self._iterations + count, False
@@ -183,7 +183,7 @@ class _Descent:
             self._update_multipliers()
         return is_converged
 
-    def _descend(self, rung: Rung) -> tuple[float, int, bool]:
+    def _descend(self, rung: Smoothing) -> tuple[float, int, bool]:
         """Returns the cost without penalties, how many iterations it took, and how they ended."""
         return descend(
             self._program,
