@@ -28,6 +28,15 @@ def read_only(values: ArrayLike, dtype: Any = float) -> NDArray[Any]:
     return locked(np.array(values, dtype=dtype))
 
 
+def interpolate(at: ArrayLike, times: ArrayLike, rows: Floats) -> Floats:
+    """Returns rows (K, n) at rising times (K,), linear between, at others (…), shape (…, n)."""
+    at, times = np.asarray(at, dtype=float), np.asarray(times, dtype=float)
+    values = np.empty((*at.shape, rows.shape[1]))
+    for i, column in enumerate(rows.T):
+        values[..., i] = np.interp(at, times, column)
+    return values
+
+
 class ArrayRecord:
     """Base of frozen dataclasses whose fields are arrays, tuples, dicts, numbers or text.
 

@@ -58,7 +58,7 @@ def make_boxes(
     world: World, ends: Ends, law: CompliantLaw, num_steps: int = N, most: float = 3.0
 ) -> MechanismBoxes:
     bounds = np.array([np.full(world.num_actuators, side) for side in (-most, most)])
-    return MechanismBoxes(world, ends.cost, law, DURATION, num_steps, bounds)
+    return MechanismBoxes(MechanismProgram(world, ends.cost, law, DURATION, num_steps), bounds)
 
 
 def draw_motion(world: World, ends: Ends, rng: np.random.Generator) -> Any:
@@ -156,8 +156,8 @@ def test_boxes_come_nearer_to_a_hard_goal_than_to_one_without_weight() -> None:
     ends, bounds = Ends(np.zeros(1), np.zeros(1), cost), np.array([[-np.inf], [np.inf]])
     errors = []
     for is_hard in (None, np.array([True, True])):
-        boxes = MechanismBoxes(world, cost, make_law(world), DURATION, 20, bounds, is_hard)
-        started = boxes.start(ends)
+        program = MechanismProgram(world, cost, make_law(world), DURATION, 20, is_hard)
+        started = MechanismBoxes(program, bounds).start(ends)
         center = started.run(MechanismRung(temperature=0.01), started.rest())
         errors.append(abs(center.positions[-2, 0] - 0.5))
     assert errors[1] < 0.5 * errors[0]
@@ -433,7 +433,8 @@ def test_the_bounce_that_carries_a_ball_back_for_nothing_is_seen_from_standing_s
     law = soften(world, RigidLaw(np.ones(1)), 2 * falling / n, 2.0)
     weights = {"R": np.ones(1), "Q": none, "Qv": none, "QT": np.eye(1), "QTv": np.zeros((1, 1))}
     cost, bounds = make_cost(world, none, **weights), np.array([[-np.inf], [np.inf]])
-    started = MechanismBoxes(world, cost, law, 2 * falling, n, bounds).start(Ends(none, none, cost))
+    program = MechanismProgram(world, cost, law, 2 * falling, n)
+    started = MechanismBoxes(program, bounds).start(Ends(none, none, cost))
     center = started.run(MechanismRung(temperatures=5), started.rest())
     ((time, contact),) = started.find_touches(center)
     assert contact == 0

@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from drake_aigto.aigo import AigoResult, Algorithm, Alternating, Annealing, FullGradient
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Floats, interpolate
 from drake_aigto.paper.literal import LiteralTranscription
 from drake_aigto.paper.options import LiteralOptions
 from drake_aigto.planning import Candidate, Origin, PlanningProblem, Rung
@@ -100,8 +100,7 @@ def ballistic_guess(transcription: Transcription, x: Floats, knots: Knots) -> Fl
     stops = {0: scenario.initial_position, last: scenario.goal_position}
     every = range(transcription.world.num_contacts)
     stops |= {k: transcription.world.move_onto(positions[k], every) for k in knots}
-    ways = zip(*(stops[k] for k in sorted(stops)), strict=True)
-    path = np.column_stack([np.interp(range(last + 1), sorted(stops), way) for way in ways])
+    path = interpolate(range(last + 1), sorted(stops), np.array([stops[k] for k in sorted(stops)]))
     steps = np.diff(path, axis=0) / transcription.time_step()
     velocities = np.vstack([steps, steps[-1:]])
     return transcription.vector_of(path, velocities, np.zeros(controls.shape))

@@ -7,7 +7,7 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.simulation.replay import Replay
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.world import CompliantLaw, ContactLaw, World
+from drake_aigto.world import ContactLaw, World
 
 # Runge-Kutta steps between two rows of a replay, where contacts neither begin nor end.
 _STEPS = 32
@@ -54,7 +54,7 @@ def _integrate(
 
     def rate(x: Floats) -> tuple[Floats, Floats]:
         q, v = x[:, :n], x[:, n:]
-        forces = _calc_forces(world, law, q, v)
+        forces = world.calc_pushes(law, q, v)
         pushed = world.calc_velocity_change(q, forces)
         return np.hstack([v, world.calc_acceleration(q, v, controls) + pushed]), forces
 
@@ -66,11 +66,3 @@ def _integrate(
         x = x + h / 6 * (first + 2 * second + 2 * third + fourth)
         total += h / 6 * (a + 2 * b + 2 * c + d)
     return x, total
-
-
-def _calc_forces(world: World, law: ContactLaw, q: Floats, v: Floats) -> Floats:
-    """Returns the forces of contacts in states (K, n) each, shape (K, m) [N]."""
-    if not isinstance(law, CompliantLaw):
-        return np.zeros((len(q), world.num_contacts))
-    rates = np.einsum("kij,kj->ki", world.calc_contact_jacobian(q), v)
-    return law.calc_forces(world.calc_signed_distance(q), rates)

@@ -11,7 +11,7 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.aigo import Annealing, Box, minimize
 from drake_aigto.aigo.newton import newton, point_objective
-from drake_aigto.arrays import Bools, Floats
+from drake_aigto.arrays import Bools, Floats, interpolate
 from drake_aigto.box import Order, ParametricPolynomial
 from drake_aigto.transcription import (
     COST,
@@ -21,7 +21,6 @@ from drake_aigto.transcription import (
     Ends,
     MechanismProgram,
 )
-from drake_aigto.world import CompliantLaw, TaskCost, World
 
 MechanismStart = Literal["rest", "coast", "line"]
 
@@ -139,41 +138,28 @@ class Center:
 
         Positions are cubic between knots, and controls linear, of which the mean is held.
         """
-        knots = self.times, self.positions[:-1].T, self.velocities.T
-        motion = PiecewisePolynomial.CubicHermite(*knots)
-        each = motion.vector_values(times), motion.MakeDerivative().vector_values(times)
-        states = np.vstack(each).T
-        middles = (times[1:] + times[:-1]) / 2
-        controls = [np.interp(middles, self.times, u) for u in self.controls.T]
-        return states, np.array(controls).T.reshape(len(middles), -1)
+        states = sample_cubic(self.times, self.positions[:-1], self.velocities, times)
+        return states, interpolate((times[1:] + times[:-1]) / 2, self.times, self.controls)
+
+
+def sample_cubic(knots: Floats, positions: Floats, velocities: Floats, times: Floats) -> Floats:
+    """Returns states at times, cubic between knots that have these q and v, shape (K, 2n)."""
+    motion = PiecewisePolynomial.CubicHermite(knots, positions.T, velocities.T)
+    each = motion.vector_values(times), motion.MakeDerivative().vector_values(times)
+    return np.vstack(each).T
 
 
 class MechanismBoxes:
     """The program of a mechanism, compiled once for all of its starts and goals.
 
     Args:
-        world: the mechanism.
-        cost: the weights.
-        law: forces of walls; of rigid ones, springs in their place (`transcription.soften`).
-        duration: T [s].
-        num_steps: N, of the program.
+        program: of positions.
         control_bounds: of u, shape (2, nu) [N, N m]; only `Center.controls` knows of them.
-        is_hard: which of q and v have to be at the goal in the end, shape (2n,); None: neither.
     """
 
-    def __init__(
-        self,
-        world: World,
-        cost: TaskCost,
-        law: CompliantLaw,
-        duration: float,
-        num_steps: int,
-        control_bounds: Floats,
-        is_hard: Bools | None = None,
-    ) -> None:
-        """Multiplies out and compiles."""
-        self.program = MechanismProgram(world, cost, law, duration, num_steps, is_hard)
-        self.control_bounds = control_bounds
+    def __init__(self, program: MechanismProgram, control_bounds: Floats) -> None:
+        """Compiles the program."""
+        self.program, self.control_bounds = program, control_bounds
         n, order = self.program.num_variables, (Order.MEAN, Order.CENTERS, Order.BOXES)
         self.polynomial = ParametricPolynomial(
             n, self.program.num_parameters, self.program.blocks, np.arange(n), order
@@ -261,7 +247,7 @@ class StartedBoxes:
         program = self.program
         times = program.time_step * np.arange(program.num_steps + 2)
         given = np.linspace(0.0, program.duration, len(path))
-        q = np.column_stack([np.interp(times, given, each) for each in path.T])
+        q = interpolate(times, given, path)
         q[-1] = 2 * q[-2] - q[-3]
         return self._shrink(rung, program.calc_variables(q, self.ends), self._is_free)
 

@@ -8,9 +8,8 @@ from functools import cache, cached_property
 from typing import Any
 
 import numpy as np
-from pydrake.trajectories import PiecewisePolynomial
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Floats, interpolate
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.planning.candidate import Candidate, Replays
 from drake_aigto.planning.flow import trace
@@ -20,6 +19,7 @@ from drake_aigto.planning.mechanism_boxes import (
     MechanismRung,
     Renewal,
     StartedBoxes,
+    sample_cubic,
 )
 from drake_aigto.planning.mechanism_options import MechanismOptions
 from drake_aigto.planning.origin import NO_CONTROL, Origin
@@ -33,7 +33,7 @@ from drake_aigto.shooting import (
 from drake_aigto.simulation.bounds import BOUNDS, state_scales
 from drake_aigto.simulation.contacts import find_contacts, max_penetration
 from drake_aigto.simulation.replay import Replay, replay_drake, replay_event_driven
-from drake_aigto.transcription import Ends, soften
+from drake_aigto.transcription import Ends, MechanismProgram, soften
 from drake_aigto.transcription.rows import INTEGRATION
 from drake_aigto.world import CompliantLaw, Scales, Scenario, TaskCost, World
 
@@ -50,7 +50,7 @@ class Compiled:
 
     Attributes:
         mechanism: the world as shooting has it.
-        boxes: programs of boxes, by the weights, duration and steps that they were made for.
+        boxes: programs of boxes, by the weights, bounds, duration and steps they were made for.
     """
 
     mechanism: Mechanism
@@ -130,15 +130,28 @@ class MechanismProblem:
     def _start_boxes(self, num_steps: int) -> StartedBoxes:
         """Returns boxes of so many time steps from this start; programs are of any."""
         scenario, task = self.scenario, self.task
+        is_hard = np.isfinite(self._hard_goal)
         weights = task.R, task.Q, task.Qv, task.QT, task.QTv, task.is_chordal, task.is_modulo
-        key = num_steps, scenario.duration, *(each.tobytes() for each in weights)
+        arrays = *weights, is_hard, self.bounds.control
+        key = num_steps, scenario.duration, *(each.tobytes() for each in arrays)
         programs = self._compiled.boxes
         if key not in programs:
-            programs[key] = MechanismBoxes(
-                *(self.world, task, self._springs, scenario.duration, num_steps),
-                self.bounds.control,
+            program = MechanismProgram(
+                self.world, task, self._springs, scenario.duration, num_steps, is_hard
             )
+            programs[key] = MechanismBoxes(program, self.bounds.control)
         return programs[key].start(self._ends)
+
+    @cached_property
+    def _hard_goal(self) -> Floats:
+        """What of q and v is given at the end, shape (2n,); NaN where nothing is."""
+        scenario, n = self.scenario, self.world.num_positions
+        hard = np.full(2 * n, np.nan)
+        if scenario.hard_goal:
+            hard[:n] = self.task.goal
+            if scenario.goal_velocity is not None:
+                hard[n:] = self.task.goal_velocity
+        return hard
 
     def run_aigo(self, rung: MechanismRung) -> Center:
         """Returns what the boxes of a rung show."""
@@ -149,7 +162,7 @@ class MechanismProblem:
         """Returns what becomes of a motion whose stretch is moved and opened to boxes."""
         n, boxes = self.world.num_positions, self._boxes(self.renewal_steps)
         times = np.linspace(0.0, self.scenario.duration, self.renewal_steps + 1)
-        q = np.column_stack([np.interp(times, motion.times, each) for each in motion.states.T[:n]])
+        q = interpolate(times, motion.times, motion.states[:, :n])
         beyond = 2 * q[-1] - q[-2]
         return boxes.renew(np.vstack([q, beyond]), renewal)
 
@@ -168,12 +181,6 @@ class MechanismProblem:
     def _pose(self, num_steps: int) -> ShootingProblem:
         """Returns the task in so many time steps."""
         scenario, bounds = self.scenario, self.bounds
-        n = self.world.num_positions
-        hard = np.full(2 * n, np.nan)
-        if scenario.hard_goal:
-            hard[:n] = self.task.goal
-            if scenario.goal_velocity is not None:
-                hard[n:] = self.task.goal_velocity
         return ShootingProblem(
             mechanism=self._compiled.mechanism,
             cost=self.task,
@@ -182,7 +189,7 @@ class MechanismProblem:
             scales=self.state_scales,
             state_bounds=np.hstack([bounds.position, bounds.velocity]),
             control_bounds=bounds.control,
-            hard_goal=hard,
+            hard_goal=self._hard_goal,
             control_norm=scenario.control_norm or np.inf,
             length=self.scales.length,
         )
@@ -208,9 +215,7 @@ class MechanismProblem:
         middles = (problem.times[1:] + problem.times[:-1]) / 2
         controls = motion.controls[np.searchsorted(motion.times, middles) - 1]
         q, v = motion.states[:, :n], motion.states[:, n:]
-        path = PiecewisePolynomial.CubicHermite(motion.times, q.T, v.T)
-        rate = path.MakeDerivative()
-        states = np.vstack([each.vector_values(problem.times) for each in (path, rate)]).T
+        states = sample_cubic(motion.times, q, v, problem.times)
         result = problem.solve(controls, states, _POLISH)
         while result.substeps < _MOST_SUBSTEPS and problem.estimate_error(result) > _EXACT:
             finer = dataclasses.replace(_POLISH, substeps=2 * result.substeps)
@@ -220,9 +225,7 @@ class MechanismProblem:
     def are_near(self, one: ShootingResult, other: ShootingResult) -> bool:
         """Returns whether two motions are so near each other that one polish does for both."""
         n = self.world.num_positions
-        path = np.column_stack(
-            [np.interp(one.times, other.times, each) for each in other.states.T[:n]]
-        )
+        path = interpolate(one.times, other.times, other.states[:, :n])
         apart = np.abs(one.states[:, :n] - path) / self.state_scales[:n]
         return bool(np.max(apart) < _NEAR)
 

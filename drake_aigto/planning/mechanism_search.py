@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-import os
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -79,19 +78,15 @@ class MechanismSearch(CandidatePool):
                 machine code has to be compiled.
 
         Raises:
-            KeyboardInterrupt: before there was any motion; after that, it ends the search.
+            KeyboardInterrupt: before there was any motion, or while the first is polished; else it
+                ends what it meets, the search or the polishing of others.
         """
         self._progress = progress
-        try:
-            with tell_compilation(self.tell):
-                self._climb()
-                self._renew()
-        except KeyboardInterrupt:
-            if not self.motions:
-                raise
-            self.is_interrupted = True
-            _LOG.info("interrupted: going on with what was found")
-        self._finish()
+        with self.ended_by_ctrl_c(lambda: self.motions), tell_compilation(self.tell):
+            self._climb()
+            self._renew()
+        with self.ended_by_ctrl_c(lambda: self._candidates):
+            self._finish()
 
     def _climb(self) -> None:
         """Closes the centers of all rungs."""
@@ -128,17 +123,12 @@ class MechanismSearch(CandidatePool):
             center = propose()
             return center.iterations, self.problem.close(center)
 
-        with self.clock("search"), ThreadPoolExecutor(self._num_threads) as pool:
+        threads = self.problem.options.num_threads
+        with self.clock("search"), ThreadPoolExecutor(threads) as pool:
             for origin, (steps, result) in zip(origins, pool.map(close, proposals), strict=True):
                 self.aigo_steps += steps
                 price = _PRICE * self.problem.scales.cost * result.violation
                 self._keep(Motion(origin, result, result.cost + price))
-
-    @property
-    def _num_threads(self) -> int:
-        if self.problem.options.threads is not None:
-            return self.problem.options.threads
-        return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else 1
 
     def _keep(self, motion: Motion) -> None:
         """Keeps a motion if it is among the best, and not one that is known."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pkgutil import resolve_name
@@ -96,6 +97,15 @@ class SearchOptions:
         self._check_count("finalists", 1)
         if self.threads is not None and self.threads < 1:
             raise OptionsError("threads", got=self.threads, expected="1 or more, or None")
+
+    @property
+    def num_threads(self) -> int:
+        """The threads that were asked for, or one a core."""
+        if self.threads is not None:
+            return self.threads
+        if hasattr(os, "sched_getaffinity"):  # Not on macOS.
+            return len(os.sched_getaffinity(0))
+        return os.cpu_count() or 1
 
     @staticmethod
     def kind_of(transcription: str) -> type[SearchOptions]:

@@ -8,7 +8,7 @@ import math
 import time
 from abc import ABC, abstractmethod
 from collections import defaultdict
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Collection, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Protocol
 
@@ -104,6 +104,17 @@ class CandidatePool(ABC):
         _LOG.info("%s", line)
         if self._progress:
             self._progress(line)
+
+    @contextmanager
+    def ended_by_ctrl_c(self, find: Callable[[], Collection[object]]) -> Iterator[None]:
+        """Has Ctrl-C end no more than a `with` block if something was found by then."""
+        try:
+            yield
+        except KeyboardInterrupt:
+            if not find():
+                raise
+            self.is_interrupted = True
+            _LOG.info("interrupted: going on with what was found")
 
     def ranked(self) -> list[Candidate]:
         """Returns all candidates, the best first."""

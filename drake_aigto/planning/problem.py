@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-import os
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
@@ -177,13 +176,8 @@ class PlanningProblem(ABC):
     @property
     def num_threads(self) -> int:
         """How many rungs are run at once, see `LadderOptions.threads`."""
-        if self.options.threads is not None:
-            return self.options.threads
-        if self.polynomial.num_variables < _MANY:
-            return 1
-        if hasattr(os, "sched_getaffinity"):  # Not on macOS.
-            return len(os.sched_getaffinity(0))
-        return os.cpu_count() or 1
+        is_small = self.polynomial.num_variables < _MANY
+        return 1 if self.options.threads is None and is_small else self.options.num_threads
 
     def prepare(self, rungs: Iterable[Rung]) -> None:
         """Makes what these rungs share, so that they may run at once."""

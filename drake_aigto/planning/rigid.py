@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from drake_aigto.aigo import AigoResult, Algorithm, Annealing
+from drake_aigto.arrays import interpolate
 from drake_aigto.local import LocalResult, NewtonLagrange, PolynomialNlp, compile_nlp
 from drake_aigto.planning.arc_program import ArcPrograms
 from drake_aigto.planning.arcs import solve_in_arcs
@@ -306,7 +307,7 @@ class RigidProblem(PlanningProblem):
         """
         world, (times, positions) = self.transcription.world, path
         joints = joint_times(sequence)
-        through = np.column_stack([np.interp(joints, times, q) for q in positions.T])
+        through = interpolate(joints, times, positions)
         # Box centers miss the goal, and neighbors the walls: on which side of it a block is passed
         # is to be seen on a path that does not.
         stops = straight_path(world, self.transcription.scenario, sequence, through)
@@ -393,9 +394,5 @@ def _bend(path: Path, times: npt.NDArray[np.float64], stops: npt.NDArray[np.floa
         stops: shape (K, nq) [m].
     """
     grid = np.unique([*path[0], *times])
-    columns = [
-        (at := np.interp(grid, path[0], q))
-        + np.interp(grid, times, stop - np.interp(times, grid, at))
-        for q, stop in zip(path[1].T, stops.T, strict=True)
-    ]
-    return grid, np.column_stack(columns)
+    at = interpolate(grid, *path)
+    return grid, at + interpolate(grid, times, stops - interpolate(times, grid, at))

@@ -73,16 +73,10 @@ class Search(CandidatePool):
             start = rung.describe(self.problem.algorithm_name)
             self.tell(f"AIGO {len(begun)} of {len(options.ladder)}: {start}")
 
-        try:
-            with tell_compilation(self.tell):
-                for rungs in self.rungs():
-                    self.add_rungs(rungs, tell_rung)
-                self.refine()
-        except KeyboardInterrupt:
-            if not self.by_sequence:
-                raise
-            self.is_interrupted = True
-            _LOG.info("interrupted: going on with what was found")
+        with self.ended_by_ctrl_c(lambda: self.by_sequence), tell_compilation(self.tell):
+            for rungs in self.rungs():
+                self.add_rungs(rungs, tell_rung)
+            self.refine()
 
     def rungs(self) -> Iterator[tuple[Rung, ...]]:
         """Yields the ladder's rungs in the order to run them, those that may run at once together.

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drake_aigto.arrays import Floats, Ints, read_only
+from drake_aigto.arrays import Floats, Ints, interpolate, read_only
 from drake_aigto.planning import Plan
 from drake_aigto.simulation import Replay
 from drake_aigto.simulation.contacts import find_contacts
@@ -169,10 +169,7 @@ def calc_contact_forces(motion: Motion, world: World, scenario: Scenario) -> Flo
     """
     law = world.contact_law(scenario)
     if isinstance(law, CompliantLaw):
-        depths = np.maximum(0.0, -world.calc_signed_distance(motion.positions))
-        J = world.calc_contact_jacobian(motion.positions)
-        rates = -(J @ motion.velocities[..., np.newaxis])[..., 0]
-        return law.stiffness * depths * np.maximum(0.0, 1 + law.dissipation * rates)
+        return world.calc_pushes(law, motion.positions, motion.velocities)
     if motion.forces is None:
         return np.zeros((len(motion.times), world.num_contacts))
     return motion.forces[find_held(motion)]
@@ -200,4 +197,4 @@ def find_legs(motion: Motion) -> list[Floats]:
 
 def positions_at(motion: Motion, times: Floats) -> Floats:
     """Returns q at times (d,) [s], shape (d, nq)."""
-    return np.column_stack([np.interp(times, motion.times, q) for q in motion.positions.T])
+    return interpolate(times, motion.times, motion.positions)

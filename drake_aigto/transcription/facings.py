@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drake_aigto.arrays import Bools, Floats
+from drake_aigto.arrays import Bools, Floats, interpolate
 from drake_aigto.errors import OptionsError
 from drake_aigto.transcription.touch import Touch
 from drake_aigto.world import World
@@ -106,7 +106,7 @@ def find_facings(
     gaps = np.abs(others[:, np.newaxis] - joints)
     is_apart = np.all(gaps > _ROUNDING * (times[-1] - times[0]), axis=1)
     grid = np.union1d(others[is_apart], joints)
-    points = np.column_stack([np.interp(grid, times, column) for column in path.T])
+    points = interpolate(grid, times, path)
     distances = world.calc_signed_distance(points)
     found: list[Facing] = []
     for faces in boxes:

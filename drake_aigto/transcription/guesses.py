@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Floats, interpolate
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription.timeline import Phase, Timeline
 from drake_aigto.transcription.touch import Touch, joint_times
@@ -56,7 +56,7 @@ def make_guess(
     N, line, inertia = scenario.num_steps, timeline, world.constant_inertia
     knots = [0, *(phase.last for phase in line.phases)]
     t = np.interp(range(N + 1), knots, line.times)
-    q = np.column_stack([np.interp(t, times, column) for column in stops.T])
+    q = interpolate(t, times, stops)
     v = np.vstack([scenario.initial_velocity, np.diff(q, axis=0) / np.diff(t)[:, np.newaxis]])
     u, forces = np.zeros((N, world.num_actuators)), np.zeros((N, world.num_contacts))
     still, idle = np.zeros(world.num_velocities), np.zeros(world.num_actuators)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_aigto.arrays import ArrayRecord, Bools, Floats, read_only
+from drake_aigto.arrays import ArrayRecord, Bools, Floats, interpolate, read_only
 from drake_aigto.errors import ScenarioError
 from drake_aigto.world.equations import EquationsOfMotion
 from drake_aigto.world.scenario import Scenario
@@ -106,7 +106,7 @@ class TaskCost(ArrayRecord):
     def reference(self, t: ArrayLike) -> tuple[Floats, Floats]:
         """Returns q_ref and v_ref at times (…), (…, n) each."""
         tables = self.positions, self.velocities
-        positions, velocities = (_interpolate(t, self.times, table) for table in tables)
+        positions, velocities = (interpolate(t, self.times, table) for table in tables)
         return positions, velocities
 
     def position_error(self, q: ArrayLike, about: ArrayLike) -> Floats:
@@ -134,12 +134,6 @@ def _turn(error: Floats, does_turn: Bools) -> Floats:
 def _square(error: Floats, weights: Floats) -> Floats:
     """Returns eᵀ W e, (…)."""
     return np.einsum("...i,ij,...j", error, weights, error)
-
-
-def _interpolate(t: ArrayLike, times: Floats, table: Floats) -> Floats:
-    """Returns a table's rows at times (…), piecewise linear between its own, (…, n)."""
-    at = np.asarray(t, dtype=float)
-    return np.stack([np.interp(at, times, column) for column in table.T], axis=-1)
 
 
 def _weigh(scenario: Scenario, name: str, is_angle: Bools) -> Floats:

@@ -198,6 +198,12 @@ class World(EquationsOfMotion):
             return RigidLaw(self.restitutions(scenario))
         return CompliantLaw.of(self.scene_graph, self._reachable)
 
+    def calc_pushes(self, law: ContactLaw, q: Floats, v: Floats) -> Floats:
+        """Returns what contacts push with in states (…, n) each, shape (…, m) [N]: rigid ones 0."""
+        if isinstance(law, RigidLaw):
+            return np.zeros((*q.shape[:-1], self.num_contacts))
+        return law.calc_forces(self.calc_signed_distance(q), self.calc_contact_rate(q, v))
+
     def bounds(self, scenario: Scenario) -> Limits:
         """Returns within which bounds a motion has to stay: the model's and the scenario's.
 
