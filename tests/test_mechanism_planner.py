@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drake_aigto import Plan, Planner, PlanningError, PlanOptions, Scenario
-from drake_aigto.errors import ModelError, OptionsError, ProgramError, ScenarioError
+from drake_aigto.errors import ModelError, OptionsError, ProgramError
 from drake_aigto.planning import Center, MechanismOptions, MechanismRung, Renewal
 from drake_aigto.planning.mechanism_problem import MechanismProblem
 from drake_aigto.shooting import ShootingResult
@@ -141,6 +141,3 @@ def test_what_shooting_has_no_room_for_is_refused_by_name(cart_pole: Planner) ->
         Planner(Scenario.named("pendulum/off_the_wall"))
     with pytest.raises(ModelError, match="rigid walls around a mechanism"):
         Planner(Scenario.named("cart_pole/rigid_06"))
-    free = dataclasses.replace(cart_pole.scenario, duration_range=[1.0, 2.0])
-    with pytest.raises(ScenarioError, match=r"duration_range: got \[1"):
-        Planner(free)

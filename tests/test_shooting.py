@@ -214,6 +214,17 @@ def test_bounds_at_knots_and_a_hard_goal_hold() -> None:
     np.testing.assert_allclose(result.states[-1, :3], goal[:3], atol=1e-4)
 
 
+@pytest.mark.parametrize("how", ["is_modulo", "is_chordal"])
+def test_a_hard_goal_is_met_at_the_nearest_turn_where_turns_do_not_count(how: str) -> None:
+    goal = np.array([np.nan, 0.5, 0.0, 0.0])
+    start = np.array([0.0, 4 * np.pi + 0.2, 0.0, 0.0])
+    turns: dict[str, Any] = {how: np.array([False, True])}
+    turning = weigh([0, 0.5], **turns)
+    result = pose(soft("cart-pole"), turning, start, hard_goal=goal).solve(np.zeros((30, 1)))
+    assert result.violation <= ShootingOptions().feasibility
+    np.testing.assert_allclose(result.states[-1, 1:], [4 * np.pi + 0.5, 0, 0], atol=1e-4)
+
+
 def test_the_norm_of_a_control_is_bounded_and_the_bound_is_used_well() -> None:
     mechanism, norm = soft("two discs"), 2.0
     nu = mechanism.num_controls

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Literal
 
@@ -132,6 +132,11 @@ class Center:
     controls: Floats
     boxes: tuple[Box, ...]
     iterations: int
+
+    def lasting(self, duration: float) -> Center:
+        """Returns the same path in another time [s]."""
+        pace = duration / self.times[-1]
+        return replace(self, times=pace * self.times, velocities=self.velocities / pace)
 
     def sample(self, times: Floats) -> tuple[Floats, Floats]:
         """Returns states (K + 1, 2n) at times, and controls to hold from each to the next, (K, nu).

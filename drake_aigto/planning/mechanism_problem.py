@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from drake_aigto.arrays import Floats, interpolate
-from drake_aigto.errors import ModelError, ScenarioError
+from drake_aigto.errors import ModelError
 from drake_aigto.planning.candidate import Candidate, Replays
 from drake_aigto.planning.flow import trace
 from drake_aigto.planning.mechanism_boxes import (
@@ -25,6 +25,7 @@ from drake_aigto.planning.mechanism_options import MechanismOptions
 from drake_aigto.planning.origin import NO_CONTROL, Origin
 from drake_aigto.shooting import (
     Mechanism,
+    Phases,
     ShootingOptions,
     ShootingProblem,
     ShootingResult,
@@ -39,6 +40,8 @@ from drake_aigto.world import CompliantLaw, Scales, Scenario, TaskCost, World
 
 # Runge-Kutta steps of a finalist are halved until cost and end change by this part of their scales.
 _EXACT, _MOST_SUBSTEPS = 1e-3, 64
+# Boxes have a duration of which this is the next one, where it is free.
+_NEXT_DURATION = 1.1
 # Motions whose positions are nowhere farther apart than this part of their scales have one optimum.
 _NEAR = 0.05
 _POLISH = ShootingOptions(rungs=(Smoothing(1e-3, 60, 1e-5), Smoothing(1e-4, 40, 1e-6)), substeps=4)
@@ -127,17 +130,17 @@ class MechanismProblem:
         time_step = self.scenario.duration / self.search_steps
         return soften(self.world, self.law, time_step, self.scales.velocity)
 
-    def _start_boxes(self, num_steps: int) -> StartedBoxes:
+    def _start_boxes(self, num_steps: int, duration: float) -> StartedBoxes:
         """Returns boxes of so many time steps from this start; programs are of any."""
-        scenario, task = self.scenario, self.task
+        task = self.task
         is_hard = np.isfinite(self._hard_goal)
         weights = task.R, task.Q, task.Qv, task.QT, task.QTv, task.is_chordal, task.is_modulo
         arrays = *weights, is_hard, self.bounds.control
-        key = num_steps, scenario.duration, *(each.tobytes() for each in arrays)
+        key = num_steps, duration, *(each.tobytes() for each in arrays)
         programs = self._compiled.boxes
         if key not in programs:
             program = MechanismProgram(
-                self.world, task, self._springs, scenario.duration, num_steps, is_hard
+                self.world, task, self._springs, duration, num_steps, is_hard
             )
             programs[key] = MechanismBoxes(program, self.bounds.control)
         return programs[key].start(self._ends)
@@ -155,16 +158,23 @@ class MechanismProblem:
 
     def run_aigo(self, rung: MechanismRung) -> Center:
         """Returns what the boxes of a rung show."""
-        boxes = self._boxes(rung.num_steps)
+        boxes = self._boxes(rung.num_steps, self.scenario.duration)
         return boxes.run(rung, self._start_path(rung, boxes))
 
     def renew(self, motion: ShootingResult, renewal: Renewal) -> Center:
         """Returns what becomes of a motion whose stretch is moved and opened to boxes."""
-        n, boxes = self.world.num_positions, self._boxes(self.renewal_steps)
-        times = np.linspace(0.0, self.scenario.duration, self.renewal_steps + 1)
+        n, duration = self.world.num_positions, float(motion.times[-1])
+        times = np.linspace(0.0, duration, self.renewal_steps + 1)
         q = interpolate(times, motion.times, motion.states[:, :n])
         beyond = 2 * q[-1] - q[-2]
-        return boxes.renew(np.vstack([q, beyond]), renewal)
+        boxes = self._boxes(self.renewal_steps, self._round_duration(duration))
+        return boxes.renew(np.vstack([q, beyond]), renewal).lasting(duration)
+
+    def _round_duration(self, duration: float) -> float:
+        """Returns one of the few durations that boxes are compiled for."""
+        usual = self.scenario.duration
+        number = np.round(np.log(duration / usual) / np.log(_NEXT_DURATION))
+        return float(usual * _NEXT_DURATION**number)
 
     def _start_path(self, rung: MechanismRung, boxes: StartedBoxes) -> Floats:
         if rung.start == "coast":
@@ -181,10 +191,11 @@ class MechanismProblem:
     def _pose(self, num_steps: int) -> ShootingProblem:
         """Returns the task in so many time steps."""
         scenario, bounds = self.scenario, self.bounds
+        T, free = scenario.duration, scenario.duration_range
         return ShootingProblem(
             mechanism=self._compiled.mechanism,
             cost=self.task,
-            times=np.linspace(0.0, scenario.duration, num_steps + 1),
+            times=np.linspace(0.0, T, num_steps + 1),
             start=np.concatenate([scenario.initial_position, scenario.initial_velocity]),
             scales=self.state_scales,
             state_bounds=np.hstack([bounds.position, bounds.velocity]),
@@ -192,6 +203,7 @@ class MechanismProblem:
             hard_goal=self._hard_goal,
             control_norm=scenario.control_norm or np.inf,
             length=self.scales.length,
+            phases=None if free is None else Phases.free(T, free),
         )
 
     @cached_property
@@ -201,8 +213,8 @@ class MechanismProblem:
 
     def close(self, center: Center) -> ShootingResult:
         """Returns the motion near a box center, as far as a few steps lead."""
-        problem = self.shooting(self.search_steps)
-        states, controls = center.sample(problem.times)
+        problem = self.shooting(self.search_steps).lasting(float(center.times[-1]))
+        states, controls = center.sample(problem.knot_times)
         return problem.solve(controls, states, ShootingOptions.coarse())
 
     def polish(self, motion: ShootingResult) -> ShootingResult:
@@ -211,14 +223,16 @@ class MechanismProblem:
         Runge-Kutta steps are halved until they agree. As a motion that is unstable goes elsewhere
         under other steps, its states are kept where they are, and gaps are closed.
         """
-        problem, n = self.shooting(self.scenario.num_steps), self.world.num_positions
-        middles = (problem.times[1:] + problem.times[:-1]) / 2
-        controls = motion.controls[np.searchsorted(motion.times, middles) - 1]
+        n, problem = self.world.num_positions, self.shooting(self.scenario.num_steps)
+        problem = problem.starting_from(motion)
+        times = problem.knot_times
+        controls = motion.controls[np.searchsorted(motion.times, (times[1:] + times[:-1]) / 2) - 1]
         q, v = motion.states[:, :n], motion.states[:, n:]
-        states = sample_cubic(motion.times, q, v, problem.times)
+        states = sample_cubic(motion.times, q, v, times)
         result = problem.solve(controls, states, _POLISH)
         while result.substeps < _MOST_SUBSTEPS and problem.estimate_error(result) > _EXACT:
             finer = dataclasses.replace(_POLISH, substeps=2 * result.substeps)
+            problem = problem.starting_from(result)
             result = problem.solve(result.controls, result.states, finer)
         return result
 
@@ -254,10 +268,14 @@ class MechanismProblem:
         )
 
     def idle_candidate(self) -> Candidate:
-        """Returns what the world does without any control."""
+        """Returns what the world does without any control, for as long as is best."""
         problem = self.shooting(self.scenario.num_steps)
         none = np.zeros((self.scenario.num_steps, self.world.num_actuators))
-        idle = problem.simulate(none, _POLISH.substeps)
+        if problem.phases is None:
+            idle = problem.simulate(none, _POLISH.substeps)
+        else:
+            nothing = np.tile(np.clip(0.0, *problem.control_bounds), (2, 1))
+            idle = dataclasses.replace(problem, control_bounds=nothing).solve(none, None, _POLISH)
         return self.judge(Origin(NO_CONTROL), idle, idle)
 
     def confirm(self, candidate: Candidate) -> Replays:
@@ -288,7 +306,7 @@ def check_shooting(world: World, scenario: Scenario) -> None:
     """Refuses what shooting can't plan for.
 
     Raises:
-        ScenarioError: the duration is free, or walls are rigid and the task is not AIGTO's.
+        ScenarioError: walls are rigid and the task is not AIGTO's.
         ModelError: walls are rigid, and anything has limits, or M or J depends on q.
     """
     if scenario.contact == "rigid" and world.contacts:
@@ -299,11 +317,4 @@ def check_shooting(world: World, scenario: Scenario) -> None:
             got="a mass matrix or a contact Jacobian that depends on q",
             expected="balls between rigid walls",
             remedy="If the model's walls are soft, let them push as it says (--contact compliant).",
-        )
-    if scenario.duration_range is not None:
-        raise ScenarioError(
-            "duration_range",
-            got=list(scenario.duration_range),
-            expected="None: plans have a given duration",
-            remedy="Plan for several durations, and compare what they cost.",
         )

@@ -7,7 +7,7 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.jit import inner, kernel
 from drake_aigto.shooting.mechanism import find_foremost
-from drake_aigto.shooting.tables import Memory, Program
+from drake_aigto.shooting.tables import Bounds, Memory, Program
 from drake_aigto.shooting.tape import run_tape
 
 
@@ -15,6 +15,14 @@ from drake_aigto.shooting.tape import run_tape
 def _excess(value: float, lower: float, upper: float) -> float:
     """Returns how far a value is above its upper bound, negative below the lower one."""
     return max(value - upper, 0.0) + min(value - lower, 0.0)
+
+
+@inner
+def _unwind(bounds: Bounds, k: int, i: int, value: float) -> float:
+    """Returns a state without the turns that are between it and where it has to end."""
+    if bounds.does_turn[i] and k == bounds.lower.shape[0] - 1:
+        return value - 2 * np.pi * np.round((value - bounds.lower[k, i]) / (2 * np.pi))
+    return value
 
 
 @inner
@@ -29,7 +37,7 @@ def add_bounds(
         if is_bounded[k]:
             for i in range(states.shape[1]):
                 weight = penalty * weights[i]
-                shifted = states[k, i] + multipliers[k, i] / weight
+                shifted = _unwind(bounds, k, i, states[k, i]) + multipliers[k, i] / weight
                 off = _excess(shifted, lower[k, i], upper[k, i])
                 cost += weight * off * off / 2
                 if has_slopes and off != 0.0:
@@ -96,7 +104,8 @@ def measure_bounds(
         if bounds.is_bounded[k]:
             for i in range(states.shape[1]):
                 weight = penalty * bounds.weights[i]
-                low, high, value = bounds.lower[k, i], bounds.upper[k, i], states[k, i]
+                low, high = bounds.lower[k, i], bounds.upper[k, i]
+                value = _unwind(bounds, k, i, states[k, i])
                 worst = max(worst, np.sqrt(bounds.weights[i]) * abs(_excess(value, low, high)))
                 if updates:
                     value += bounds.multipliers[k, i] / weight

@@ -49,6 +49,17 @@ class Phases(ArrayRecord):
             if not holds:
                 raise ProgramError(f"phases: {name}", got=getattr(self, name), expected=expected)
 
+    @classmethod
+    def free(cls, duration: float, total: tuple[float, float]) -> Phases:
+        """Returns one phase, which ends where nothing is hit, of free duration [s]."""
+        none = np.zeros(0, dtype=np.int64)
+        return cls(contacts=none, knots=none, durations=np.array([duration]), total=total)
+
+    @property
+    def is_many(self) -> bool:
+        """Whether there are several, whose durations are bounded in sum."""
+        return len(self.durations) > 1
+
 
 @dataclass(frozen=True, eq=False)
 class Layout:
@@ -80,6 +91,12 @@ class Layout:
             kinds += [kind, *[FLOW] * len(of_phase)]
             shares += [0.0, *(of_phase / of_phase.sum())]
         return cls(np.array(kinds), np.flatnonzero(np.equal(kinds, FLOW)), np.array(shares))
+
+    def calc_times(self, durations: Floats) -> Floats:
+        """Returns when knots are [s], shape (N + 1,), where phases last so long, shape (P,)."""
+        of_phase = np.cumsum(self.kinds != FLOW) - 1
+        steps = (self.shares * durations[of_phase])[self.flights]
+        return np.concatenate([[0.0], np.cumsum(steps)])
 
     @property
     def starts(self) -> Ints:

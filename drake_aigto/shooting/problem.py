@@ -101,6 +101,20 @@ class ShootingProblem(ShootingQuestion):
             result = self.starting_from(result).solve(result.controls, None, finer)
         return result
 
+    @property
+    def knot_times(self) -> Floats:
+        """When knots are [s], shape (N + 1,), where phases last as long as at first."""
+        if self.phases is None:
+            return self.times
+        return Layout.of(self.times, self.phases).calc_times(self.phases.durations)
+
+    def lasting(self, duration: float) -> ShootingProblem:
+        """Returns the same problem, whose phases, if any, last so long in sum at first [s]."""
+        if self.phases is None:
+            return self
+        durations = self.phases.durations * (duration / self.phases.durations.sum())
+        return replace(self, phases=replace(self.phases, durations=durations))
+
     def starting_from(self, result: ShootingResult) -> ShootingProblem:
         """Returns the same problem, whose phases last as long at first as those of a result."""
         if self.phases is None:

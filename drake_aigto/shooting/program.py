@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Bools, Floats
 from drake_aigto.shooting.mechanism import copy_writable
 from drake_aigto.shooting.phases import Layout
 from drake_aigto.shooting.question import ShootingQuestion
@@ -65,6 +65,7 @@ def _make_bounds(problem: ShootingQuestion, layout: Layout) -> Bounds:
         lower=lower,
         upper=upper,
         weights=scales**-2,
+        does_turn=_find_turns(problem, lower.shape[1]),
         multipliers=np.zeros_like(lower),
         is_any=bool(np.any(is_bounded | is_distance_bounded)),
         is_bounded=is_bounded,
@@ -89,8 +90,17 @@ def _bound_states(problem: ShootingQuestion, num_stages: int) -> Floats:
         return bounds
     free = np.full((num_stages + 1, 2), np.inf)
     times = np.stack([-free, free])
-    times[:, -1, 1] = problem.phases.total
+    if problem.phases.is_many:
+        times[:, -1, 1] = problem.phases.total
     return np.concatenate([bounds, times], axis=2)
+
+
+def _find_turns(problem: ShootingQuestion, nz: int) -> Bools:
+    """Returns for which of z turns do not count, shape (nz,): hinges whose goal is hard."""
+    n, does_turn = len(problem.cost.goal), np.zeros(nz, dtype=bool)
+    turns = problem.cost.is_modulo | problem.cost.is_chordal
+    does_turn[:n] = turns & np.isfinite(problem.hard_goal[:n])
+    return does_turn
 
 
 def _bound_distances(problem: ShootingQuestion, layout: Layout) -> Floats:
@@ -113,6 +123,7 @@ def _bound_controls(problem: ShootingQuestion, layout: Layout) -> Floats:
         bounds = np.clip(bounds, -norm, norm)
     tiled = np.repeat(bounds[:, np.newaxis], len(layout.kinds), axis=1)
     if problem.phases is not None:
-        most = problem.phases.total[1]
-        tiled[:, layout.starts] = np.array([_SHORTEST * most, most])[:, np.newaxis, np.newaxis]
+        least, most = problem.phases.total
+        ends = np.array([_SHORTEST * most if problem.phases.is_many else least, most])
+        tiled[:, layout.starts] = ends[:, np.newaxis, np.newaxis]
     return tiled

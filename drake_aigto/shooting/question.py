@@ -28,7 +28,8 @@ class ShootingQuestion:
         scales: how much of q and v is much, shape (2n,): units of bounds and violations.
         state_bounds: lower and upper ones of q and v after the first knot, shape (2, 2n).
         control_bounds: the same of u, shape (2, nu).
-        hard_goal: what q and v have to be at the end, shape (2n,); NaN: anything.
+        hard_goal: what q and v have to be at the end, shape (2n,); NaN: anything. Whole turns do
+            not count where the cost does not count them.
         control_norm: ‖u‖ at most.
         length: what smoothing and φ are measured in [m].
         phases: what rigid walls are hit at which knots; None: nothing is hit. Then `times` says how

@@ -45,6 +45,7 @@ class Bounds(NamedTuple):
         lower: of the state at each knot, shape (K + 1, nz).
         upper: of the same.
         weights: w, shape (nz,).
+        does_turn: for which the end may be any whole turn off its bounds, shape (nz,).
         multipliers: y, shape (K + 1, nz).
         is_any: whether there are bounds at knots at all.
         is_bounded: whether any of the above is finite, at each knot, shape (K + 1,).
@@ -62,6 +63,7 @@ class Bounds(NamedTuple):
     lower: Floats
     upper: Floats
     weights: Floats
+    does_turn: Bools
     multipliers: Floats
     is_any: bool
     is_bounded: Bools

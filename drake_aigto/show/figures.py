@@ -128,7 +128,9 @@ def plot_positions(
     _mark_touches(axes, motions, world, coordinate, named=True)
     if has_goal(world, scenario)[coordinate]:
         goal = find_goal(world, scenario, motions[0].positions[-1])
-        axes.plot(scenario.duration, goal[coordinate], "*", **_GOAL)
+        is_free = scenario.duration_range is not None
+        T = motions[0].times[-1] if is_free else scenario.duration
+        axes.plot(T, goal[coordinate], "*", **_GOAL)
         axes.plot([], [], "*", color="black", markersize=9, label="goal")
     _shade_walls(axes, world, coordinate)
     axes.set_ylabel(_label("position", world, coordinate))

@@ -35,6 +35,7 @@ _MOST_BOUNCES = 6
 _MOST_CONTACTS = 12
 _MOST_VETOES = 3
 _MOST_TOUCHES = 6
+_AT_END = 1e-6  # of a duration: as near as rounding to an end of its range
 
 INTERRUPTED = "the search was ended by Ctrl-C; this is the best of what it had found by then"
 
@@ -73,7 +74,8 @@ def _answer(plan: Plan, world: World, contact_delay: float | None) -> Iterator[s
         yield from _text("vetoed", veto)
     yield from _text("no control", describe_idle(plan, world))
     mass = [] if scenario.mass is None else [f"mass {scenario.mass:g} kg"]
-    span = f"T = {scenario.duration:g} s in {scenario.num_steps} steps"
+    T = plan.trajectory.times[-1] if scenario.duration_range else scenario.duration
+    span = f"T = {T:.6g} s in {scenario.num_steps} steps"
     items = [*task_items(scenario, world), *mass, *law_items(scenario, world), span]
     yield from _row("scenario", items)
     yield from _row("pairs", _pairs(world, names))
@@ -90,6 +92,7 @@ def _answer(plan: Plan, world: World, contact_delay: float | None) -> Iterator[s
         ],
     )
     yield from _text("steps", describe_steps(plan))
+    yield from _text("duration", describe_duration(plan))
     yield from _row("limits", _bounds(plan))
     yield from _row("added", _additions(plan))
     yield from _row("defects", _defects(best))
@@ -343,6 +346,19 @@ def describe_steps(plan: Plan) -> str | None:
         return None
     why = "which are too few for its phases" if steps > asked else "with which it was not polished"
     return f"{steps} instead of {asked}, {why}"
+
+
+def describe_duration(plan: Plan) -> str | None:
+    """Returns how long a plan lasts, and if no longer or shorter one was allowed; None if given."""
+    if plan.scenario.duration_range is None:
+        return None
+    T = plan.trajectory.times[-1]
+    for end, word, other in zip(
+        plan.scenario.duration_range, ("least", "most"), ("less", "more"), strict=True
+    ):
+        if abs(T - end) <= _AT_END * end:
+            return f"{T:.4g} s, the {word} that it may be: with {other}, a plan may cost less"
+    return f"{T:.4g} s, as it was free"
 
 
 def describe_vetoes(plan: Plan, world: World) -> Iterator[str]:

@@ -25,6 +25,7 @@ from drake_aigto.show.page import Page
 from drake_aigto.show.plans import (
     INTERRUPTED,
     candidate_texts,
+    describe_duration,
     describe_idle,
     describe_steps,
     describe_unplanned,
@@ -138,6 +139,8 @@ def add_verdict(page: Page, plan: Plan, world: World) -> None:
         page.paragraph(f"Vetoed: {veto}.")
     if unplanned := describe_unplanned(plan, world):
         page.paragraph(f"Unplanned: {unplanned}.")
+    if duration := describe_duration(plan):
+        page.paragraph(f"Duration: {duration}.")
     if steps := describe_steps(plan):
         page.paragraph(f"Time steps: {steps}.")
     if idle := describe_idle(plan, world):
@@ -168,7 +171,7 @@ def add_question(
     page.code(_describe_problem(scenario))
     rows = [
         ("task", ", ".join(task_items(scenario, world))),
-        ("duration", f"{scenario.duration:g} s in {scenario.num_steps} steps"),
+        ("duration", _describe_duration(scenario)),
         *(tuple(item.split(" ", 1)) for item in law_items(scenario, world)),
         ("weights", _describe_weights(scenario)),
         ("contacts", ", ".join(contact_names(world))),
@@ -181,6 +184,14 @@ def add_question(
     if additions:
         rows.append(("costs and constraints besides", ", ".join(additions)))
     page.table(("", ""), rows)
+
+
+def _describe_duration(scenario: Scenario) -> str:
+    """Returns how long a motion lasts, or may."""
+    span = f"{scenario.duration:g} s"
+    if scenario.duration_range is not None:
+        span = "from {:g} to {:g} s,".format(*scenario.duration_range)
+    return f"{span} in {scenario.num_steps} steps"
 
 
 def _describe_problem(scenario: Scenario) -> str:

@@ -162,7 +162,7 @@ def calc_depth(walls: Walls, positions: ArrayLike) -> float:
     """Returns how deep inside a solid the ball is at most, at least 0 [m], at q (K, nq) [m]."""
     distances = np.asarray(positions) @ walls.jacobian.T + walls.offset
     outside = np.maximum.reduceat(distances, walls.firsts[:-1], axis=1)
-    return max(0.0, -float(np.min(outside)))
+    return -float(np.min(outside, initial=0.0))
 
 
 @inner

@@ -119,7 +119,8 @@ class Scenario(ArrayRecord):
             square is 2 − 2 cos(q − goal).
         duration: T, or where the search for it starts [s]; a whole number of time steps.
         time_step: dt [s].
-        duration_range: the least and the most that T may be [s]; None: T is the `duration`.
+        duration_range: the least and the most that T may be [s], in as many time steps as
+            `duration` has; None: T is the `duration`.
         control_weight: R > 0, one number or (nu,) [1/(N² s)], [1/((N m)² s)].
         goal_weight: Q_T ≥ 0, one number, (nq,), or a symmetric matrix (nq, nq) [1/m²], [1/rad²].
         goal_velocity_weight: Q_vT ≥ 0, of the same kinds [s²/m²], [s²/rad²].
