@@ -63,7 +63,7 @@ def read_stiffness(scene_graph: SceneGraph, shape: GeometryId) -> float:
     Raises:
         ModelError: it gives none.
     """
-    remedy = "Give both shapes 2e9 N/m, for a nearly rigid wall."
+    remedy = "Give both shapes theirs: 2e9 N/m for a nearly rigid wall, less for a soft one."
     return _read_given(
         scene_graph, shape, STIFFNESS, "so Drake's default, which hardly rebounds", remedy
     )
