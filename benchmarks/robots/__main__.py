@@ -5,10 +5,10 @@
     python -m benchmarks.robots search shooting --tries 300         # for the best known
     python -m benchmarks.robots show robots.json
 
-The questions are SPOT's ten starts of the cart-pole between soft walls and 50 of their distribution
-(`cart_pole`). What a method finds is replayed by a judge with equations of its own; J is the
-judge's. The best known costs are in `known.json`; `search` and `compare --refresh` put better ones
-there.
+The questions are random ones about each robot that is shipped, for the cart-pole after SPOT's ten
+(`worlds`). What a method finds is replayed by a judge with equations of its own (`judge`,
+`mechanics`); J is the judge's. The best known costs are in `known.json`; `search` and `compare
+--refresh` put better ones there.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ import sys
 from collections.abc import Sequence
 from functools import partial
 
-from benchmarks.robots.cart_pole import WALLS
 from benchmarks.robots.compare import run_comparison
 from benchmarks.robots.methods import METHODS
 from benchmarks.robots.results import Comparison, Results
 from benchmarks.robots.search import search
 from benchmarks.robots.table import format_results
+from benchmarks.robots.worlds import WORLDS
 from drake_aigto.cli.command_line import run
 from drake_aigto.cli.flags import add_command, add_common, positive
 from drake_aigto.cli.parser import Parser
@@ -61,18 +61,20 @@ def make_parser(_: Sequence[str] = ()) -> Parser:
     return parser
 
 
-def _add_scenarios(command: argparse.ArgumentParser) -> None:
-    text = "whose questions (default: all)"
-    command.add_argument("scenarios", nargs="*", metavar="SCENARIO", default=[], help=text)
-    text = "of each scenario's questions, SPOT's ten first (default: %(default)s)"
-    command.add_argument("--count", type=positive, default=60, metavar="N", help=text)
+def _add_questions(command: argparse.ArgumentParser) -> None:
+    text = f"some of {', '.join(WORLDS)} (default: all)"
+    command.add_argument("worlds", nargs="*", metavar="WORLD", default=[], help=text)
+    text = "of each world's questions, the first ones (default: all)"
+    command.add_argument("--count", type=positive, metavar="N", help=text)
+    text = "questions to tune on, and not those that are reported"
+    command.add_argument("--tuning", action="store_true", help=text)
 
 
 def _add_compare(commands: argparse._SubParsersAction[Parser]) -> None:
     text = "run methods on the same questions and print the table"
     command = add_command(commands, "compare", _compare, text, _COMPARE)
-    _add_scenarios(command)
-    text = f"some of {', '.join(METHODS)} (default: all)"
+    _add_questions(command)
+    text = f"some of {', '.join(METHODS)} (default: those that apply)"
     command.add_argument("--methods", nargs="+", metavar="M", default=list(METHODS), help=text)
     text = "of CPU time that a peer has for a question (default: the first plan's)"
     command.add_argument("--seconds", type=float, metavar="S", help=text)
@@ -85,7 +87,7 @@ def _add_search(commands: argparse._SubParsersAction[Parser]) -> None:
     text = "search for better than the best known"
     command = add_command(commands, "search", _search, text, _SEARCH)
     command.add_argument("method", choices=METHODS)
-    _add_scenarios(command)
+    _add_questions(command)
     text = "of each question, those of earlier searches included (default: %(default)s)"
     command.add_argument("--tries", type=positive, default=300, metavar="N", help=text)
     text = "after which it ends (default: when all tries are made)"
@@ -94,10 +96,11 @@ def _add_search(commands: argparse._SubParsersAction[Parser]) -> None:
 
 def _compare(options: argparse.Namespace) -> int:
     comparison = Comparison(
-        scenarios=tuple(options.scenarios or WALLS),
+        worlds=tuple(options.worlds or WORLDS),
         count=options.count,
         methods=tuple(options.methods),
         seconds=options.seconds,
+        is_tuning=options.tuning,
     )
     results = run_study(options, partial(run_comparison, refresh=options.refresh), comparison)
     print(format_results(results))
@@ -105,9 +108,9 @@ def _compare(options: argparse.Namespace) -> int:
 
 
 def _search(options: argparse.Namespace) -> int:
-    names = Comparison(tuple(options.scenarios or WALLS), options.count, (options.method,), 1.0)
-    questions = names.questions()
-    search(questions, options.method, options.tries, 60.0 * options.minutes, print)
+    worlds = tuple(options.worlds or filter(METHODS[options.method].applies, WORLDS))
+    asked = Comparison(worlds, options.count, (options.method,), 1.0, options.tuning)
+    search(asked.questions(), options.method, options.tries, 60.0 * options.minutes, print)
     return FINE
 
 

@@ -13,11 +13,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.robots.cart_pole import Question, judge, make_questions
+from benchmarks.robots.judge import Control, judge
 from benchmarks.robots.known import find_known, keep, load_known
 from benchmarks.robots.methods import METHODS, PLANS, Attempt
 from benchmarks.robots.plans import replay_in_drake
 from benchmarks.robots.results import Comparison, Outcome, Results, Row, Step
+from benchmarks.robots.worlds import Question
 from drake_aigto.count import Count
 from drake_aigto.jobs import open_jobs
 from drake_aigto.plain import to_plain
@@ -31,7 +32,7 @@ class Found(NamedTuple):
     """What a method found, and its best control."""
 
     outcome: Outcome
-    controls: np.ndarray | None
+    control: Control | None
 
 
 def run_comparison(
@@ -62,18 +63,18 @@ def run_comparison(
     if path and check_results_file(path, resume):
         results = Results.load(path)
         check_same_question(path, to_plain(results.question), to_plain(comparison))
-    questions = {(each.scenario, each.number): each for each in comparison.questions()}
-    done = {(row.scenario, row.number) for row in results.rows}
+    questions = {(each.world, each.number): each for each in comparison.questions()}
+    done = {(row.world, row.number) for row in results.rows}
     known = load_known()
     with open_jobs(executor) as jobs:
         for key, question in questions.items():
             if key not in done:
                 jobs.start(key, answer, question, comparison, find_known(known, question).cost)
         for key, future in jobs.ended():
-            row, controls = future.result()
+            row, found = future.result()
             results = results.with_row(row)
             if refresh:
-                _refresh(questions[key], controls)
+                _refresh(questions[key], found)
             if path:
                 results.save(path)
             if progress:
@@ -81,7 +82,7 @@ def run_comparison(
     return results
 
 
-def _refresh(question: Question, controls: dict[str, np.ndarray]) -> None:
+def _refresh(question: Question, controls: dict[str, Control]) -> None:
     """Keeps what is better than the best known."""
     before = known = find_known(load_known(), question)
     for name, each in controls.items():
@@ -92,29 +93,26 @@ def _refresh(question: Question, controls: dict[str, np.ndarray]) -> None:
 
 def answer(
     question: Question, comparison: Comparison, known: float
-) -> tuple[Row, dict[str, np.ndarray]]:
+) -> tuple[Row, dict[str, Control]]:
     """Returns what all methods make of a question, and the best control of each."""
     outcomes: list[Outcome] = []
-    controls: dict[str, np.ndarray] = {}
-    for name in comparison.methods:
-        _warm_up(name, question.scenario)
+    controls: dict[str, Control] = {}
+    for name in comparison.methods_for(question.world):
+        _warm_up(name, question.world, question.is_tuning)
         seconds = comparison.seconds if outcomes or name not in PLANS else None
         if seconds is None:
             seconds = outcomes[0].cpu if outcomes else math.inf
         found = run_method(name, question, math.inf if name in PLANS else seconds)
         outcomes.append(found.outcome)
-        if found.controls is not None:
-            controls[name] = found.controls
-    return Row(
-        question.scenario, question.number, question.is_deep, known, tuple(outcomes)
-    ), controls
+        if found.control is not None:
+            controls[name] = found.control
+    return Row(question.world, question.number, question.is_deep, known, tuple(outcomes)), controls
 
 
 @cache
-def _warm_up(name: str, scenario: str) -> None:
+def _warm_up(name: str, world: str, is_tuning: bool) -> None:
     """Has a method load and compile what it needs, once in a process."""
-    (question,) = make_questions(scenario, 1)
-    _run(name, question, _WARM_UP)
+    _run(name, Question(world, 0, is_tuning), _WARM_UP)
 
 
 class _Timed(NamedTuple):
@@ -131,7 +129,7 @@ def _run(name: str, question: Question, seconds: float) -> _Timed:
     better: list[tuple[float, Attempt]] = []
     best, count = math.inf, 0
     cpu, wall = time.process_time(), time.perf_counter()
-    for attempt in METHODS[name](question, 0):
+    for attempt in METHODS[name].run(question, 0):
         spent = time.process_time() - cpu
         count += 1
         if attempt.promised < best:
@@ -145,9 +143,9 @@ def _run(name: str, question: Question, seconds: float) -> _Timed:
 def run_method(name: str, question: Question, seconds: float) -> Found:
     """Returns what a method finds in these CPU seconds, judged."""
     timed = _run(name, question, seconds)
-    scores = [judge(question, attempt.controls).score for _, attempt in timed.better]
+    scores = [judge(question, attempt.control).score for _, attempt in timed.better]
     best = int(np.argmin(scores)) if scores else None
-    controls = None if best is None or math.isinf(scores[best]) else timed.better[best][1].controls
+    control = None if best is None or math.isinf(scores[best]) else timed.better[best][1].control
     outcome = Outcome(
         method=name,
         steps=tuple(
@@ -159,10 +157,10 @@ def run_method(name: str, question: Question, seconds: float) -> Found:
         attempts=timed.attempts,
         promised=_rounded(timed.better[-1][1].promised) if timed.better else math.inf,
         drake=None
-        if name not in PLANS or controls is None
-        else _rounded(replay_in_drake(question, controls)),
+        if name not in PLANS or control is None
+        else _rounded(replay_in_drake(question, control)),
     )
-    return Found(outcome, controls)
+    return Found(outcome, control)
 
 
 def _rounded(cost: float) -> float:

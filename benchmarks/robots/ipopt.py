@@ -1,4 +1,4 @@
-"""The gradient peer: CasADi and IPOPT on a direct transcription of the cart-pole, exact Hessian.
+"""The gradient peer: CasADi and IPOPT on a direct transcription, exact Hessian.
 
 Knots k = 0, …, N at k Δt and one beyond; accelerations (q_{k+1} − 2 q_k + q_{k−1})/Δt², velocities
 (q_{k+1} − q_{k−1})/2Δt and the mechanics at knots, q_{−1} = q_1 − 2 Δt q̇_0, costs by the trapezoid
@@ -7,30 +7,22 @@ rule: second order throughout. u_k acts from half a step before its knot to half
 
 from __future__ import annotations
 
+from functools import cache
 from typing import Any
 
 import numpy as np
 
 from benchmarks.local_peers import casadi
-from benchmarks.robots.cart_pole import (
-    CART,
-    DURATION,
-    FINAL,
-    GRAVITY,
-    LARGEST_FORCE,
-    LARGEST_POSITION,
-    LENGTH,
-    RUNNING,
-    STIFFNESS,
-    TIP,
-    Question,
-)
+from benchmarks.robots.judge import Control
+from benchmarks.robots.mechanics import Tables
+from benchmarks.robots.worlds import Question, Setting, setting_of
 
+IPOPT_STEPS = 120  # with 60, costs of replays are off by more than 1 % in every third optimum
 # max(0, y) as (y + √(y² + ε²))/2, which is complementarity 0 ≤ f ⊥ f/k − y ≥ 0 relaxed to f (f/k −
 # y) = k ε²/4; ε [m] falls, each program from the optimum of the one before.
-LADDER = (1e-1, 1e-2, 1e-3)
+_LADDER = (1e-1, 1e-2, 1e-3)
 MAX_ITERATIONS = 300  # of each
-_FARTHEST_ANGLE = 40.0  # [rad]: a bound that none comes near
+_FARTHEST = 40.0  # [m], [rad]: a bound that none comes near
 _OPTIONS: dict[str, Any] = {
     "print_time": False,
     "ipopt.print_level": 0,
@@ -48,87 +40,111 @@ _WARM = {
 }
 
 
-class Program:
-    """Positions at knots 0, …, N + 1 and forces at 0, …, N, for any start and walls."""
+def find_program(question: Question) -> Program:
+    """Returns the program of a question's world, which one start shares with all others."""
+    return _program(question.world)
 
-    def __init__(self, num_steps: int) -> None:
+
+@cache
+def _program(world: str) -> Program:
+    return Program(setting_of(Question(world, 0)), IPOPT_STEPS)
+
+
+class Program:
+    """Positions at knots 0, …, N + 1 and forces at 0, …, N, for any start, between soft walls."""
+
+    def __init__(self, setting: Setting, num_steps: int) -> None:
         """Makes the program of N steps, and IPOPT for it."""
-        self.num_steps = num_steps
-        cart, angle = (casadi.SX.sym(name, num_steps + 2) for name in ("cart", "angle"))
-        force = casadi.SX.sym("force", num_steps + 1)
-        parameters = casadi.SX.sym("parameters", 4)  # ȧ and θ̇ of the start, d, ε
-        cost, rows = self._write(cart, angle, force, parameters)
-        variables = casadi.veccat(cart, angle, force)
+        if hasattr(casadi.GlobalOptions, "setNumpyMode"):  # Its sin and cos of symbols, as NumPy's.
+            casadi.GlobalOptions.setNumpyMode(1)
+        self.num_steps, self._setting = num_steps, setting
+        n, nu = setting.mechanism.coordinates, setting.mechanism.controls
+        q, u = casadi.SX.sym("q", n, num_steps + 2), casadi.SX.sym("u", nu, num_steps + 1)
+        parameters = casadi.SX.sym("parameters", n + 1)  # the start's velocity, ε
+        cost, rows = self._write(q, u, parameters)
+        variables = casadi.veccat(q, u)
         program = {"x": variables, "p": parameters, "f": cost, "g": rows}
         self._solvers = [
             casadi.nlpsol(name, "ipopt", program, options)
             for name, options in (("cold", _COLD), ("warm", _WARM))
         ]
 
-    def _write(self, cart: Any, angle: Any, u: Any, parameters: Any) -> tuple[Any, Any]:
-        """Returns J and the rows that are zero, the second kind over 5 m."""
-        step = DURATION / self.num_steps
-        a, th = cart[:-1], angle[:-1]
-        c, s = casadi.cos(th), casadi.sin(th)
-        (_, cart_rate), (speed, spin_rate) = (
-            _differences(each, parameters[k], step) for k, each in enumerate((cart, angle))
-        )
-        f = _push(a + LENGTH * s, parameters[2], parameters[3])
-        rows = casadi.veccat(
-            (CART + TIP) * cart_rate + TIP * LENGTH * (c * spin_rate - s * speed**2) - u - f,
-            (LENGTH * spin_rate + c * cart_rate + GRAVITY * s - c * f / TIP) / 5,
-        )
-        running = RUNNING[0] * a**2 + RUNNING[1] * (2 + 2 * c) + RUNNING[2] * speed**2
-        running += RUNNING[3] * u**2
-        final = FINAL[0] * a[-1] ** 2 + FINAL[1] * (2 + 2 * c[-1]) + FINAL[2] * speed[-1] ** 2
-        ends = (running[0] + running[-1]) / 2
-        return step * (casadi.sum1(running) - ends) + final, rows
+    def _write(self, q: Any, u: Any, parameters: Any) -> tuple[Any, Any]:
+        """Returns J and the rows that are zero."""
+        step, w = self._setting.duration / self.num_steps, self._setting.weights
+        velocity, smoothing = parameters[:-1], parameters[-1]
+        before = casadi.horzcat(q[:, 1] - 2 * step * velocity, q[:, :-2])
+        v = (q[:, 1:] - before) / (2 * step)
+        rate = (q[:, 1:] - 2 * q[:, :-1] + before) / step**2
+        rows, running = [], []
+        for k in range(self.num_steps + 1):
+            rows.append(self._balance(q[:, k], v[:, k], u[:, k], rate[:, k], smoothing))
+            running.append(
+                self._weigh(w.position, w.velocity, q[:, k], v[:, k])
+                + casadi.dot(w.control, u[:, k] ** 2)
+            )
+        total = step * (sum(running) - (running[0] + running[-1]) / 2)
+        end = self._weigh(w.final_position, w.final_velocity, q[:, -2], v[:, -1])
+        return total + end, casadi.veccat(*rows)
+
+    def _balance(self, q: Any, v: Any, u: Any, rate: Any, smoothing: Any) -> Any:
+        """Returns M v̇ − f − Jᵀ λ at a knot."""
+        mechanism, stiffness = self._setting.mechanism, self._setting.stiffness
+        n, m = mechanism.coordinates, max(1, mechanism.walls)
+        sizes = (n, n), (n, 1), (m, 1), (m, n), (m, 1)
+        out = Tables(*(casadi.SX(*size) for size in sizes))
+        mechanism.write.py_func(q, v, u, mechanism.wall, out)
+        row = out.mass @ rate - out.force
+        for i in range(m if stiffness else 0):
+            push = stiffness * (casadi.sqrt(out.gap[i] ** 2 + smoothing**2) - out.gap[i]) / 2
+            row -= out.normal[i, :].T * push
+        return row
+
+    def _weigh(self, position: Any, velocity: Any, q: Any, v: Any) -> Any:
+        """Returns what a state costs by these weights."""
+        w = self._setting.weights
+        off = q - w.goal
+        squares = [
+            2 - 2 * casadi.cos(off[i]) if is_chordal else off[i] ** 2
+            for i, is_chordal in enumerate(w.is_chordal)
+        ]
+        speeds = (v - w.goal_velocity) ** 2
+        return casadi.dot(position, casadi.vertcat(*squares)) + casadi.dot(velocity, speeds)
 
     def solve(
         self, question: Question, states: np.ndarray, controls: np.ndarray
-    ) -> tuple[float, np.ndarray]:
-        """Returns J and controls (2 N,), each held for half a step; inf, nan if not solved.
+    ) -> tuple[float, Control]:
+        """Returns J and a control, each value of which is held for half a step; inf if not solved.
 
         Args:
             question: where it starts.
-            states: a, ȧ, θ, θ̇ of the guess, at the knots (N + 1, 4).
-            controls: of the guess, at the knots (N + 1,).
+            states: q and v of the guess, at the knots (N + 1, 2n).
+            controls: of the guess, at the knots (N + 1, nu).
         """
-        n = self.num_steps
-        lower, upper = self._bounds(question)
-        positions = [np.append(q, 2 * q[-1] - q[-2]) for q in (states[:, 0], states[:, 2])]
-        guess = {"x0": np.clip(np.concatenate([*positions, controls]), lower, upper)}
-        rates = (question.start[1], question.start[3])
-        for number, smoothing in enumerate(LADDER):
-            solver = self._solvers[min(number, 1)]
-            parameters = [*rates, question.wall, smoothing]
+        setting = setting_of(question)
+        n, steps = setting.mechanism.coordinates, self.num_steps
+        lower, upper = self._bounds(setting)
+        q = np.vstack([states[:, :n], 2 * states[-1, :n] - states[-2, :n]])
+        guess = {"x0": np.clip(np.concatenate([q.ravel(), controls.ravel()]), lower, upper)}
+        promised, u = np.inf, np.zeros((steps + 1, controls.shape[1]))
+        for number, smoothing in enumerate(_LADDER):
+            solver, parameters = self._solvers[min(number, 1)], [*setting.start[n:], smoothing]
             answer = solver(**guess, p=parameters, lbx=lower, ubx=upper, lbg=0, ubg=0)
             if not solver.stats()["success"]:
-                return np.inf, np.full(2 * n, np.nan)
+                return np.inf, Control.even(u, setting.duration)
             guess = {"x0": answer["x"], "lam_x0": answer["lam_x"], "lam_g0": answer["lam_g"]}
-        forces = np.array(answer["x"]).ravel()[-n - 1 :]
-        return float(answer["f"]), np.repeat(forces, 2)[1:-1]
+            promised = float(answer["f"])
+        u = np.array(answer["x"]).ravel()[-u.size :].reshape(u.shape)
+        return promised, Control.even(np.repeat(u, 2, axis=0)[1:-1], setting.duration)
 
-    def _bounds(self, question: Question) -> tuple[np.ndarray, np.ndarray]:
+    def _bounds(self, setting: Setting) -> tuple[np.ndarray, np.ndarray]:
         """Returns those of all variables; the start's position is held by them."""
-        n = self.num_steps
-        limits = (LARGEST_POSITION, _FARTHEST_ANGLE, LARGEST_FORCE)
-        upper = np.repeat(limits, (n + 2, n + 2, n + 1))
-        lower = -upper
-        for place, value in ((0, question.start[0]), (n + 2, question.start[2])):
-            lower[place] = upper[place] = value
+        n, steps = setting.mechanism.coordinates, self.num_steps
+        nu, force = setting.mechanism.controls, min(setting.mechanism.force, 1e3)
+        ranges = np.clip(setting.ranges[:, :n], -_FARTHEST, _FARTHEST)
+        lower, upper = (
+            np.concatenate([np.tile(each, steps + 2), np.full((steps + 1) * nu, sign * force)])
+            for each, sign in zip(ranges, (-1, 1), strict=True)
+        )
+        lower[:n] = upper[:n] = setting.start[:n]
         return lower, upper
-
-
-def _differences(q: Any, start_rate: Any, step: float) -> tuple[Any, Any]:
-    """Returns velocities and accelerations at knots 0, …, N, of positions at 0, …, N + 1."""
-    before = casadi.vertcat(q[1] - 2 * step * start_rate, q[:-2])
-    return (q[1:] - before) / (2 * step), (q[1:] - 2 * q[:-1] + before) / step**2
-
-
-def _push(p: Any, wall: Any, smoothing: Any) -> Any:
-    """Returns the smoothed f."""
-    left, right = (
-        (beyond + casadi.sqrt(beyond**2 + smoothing**2)) / 2 for beyond in (-wall - p, p - wall)
-    )
-    return STIFFNESS * (left - right)

@@ -1,4 +1,4 @@
-"""The best costs that are known of the cart-pole's questions, and the controls that have them.
+"""The best costs that are known of the questions, and the controls that have them.
 
 They are in `known.json`, beside this file: our own, whatever found them, and no optima that anybody
 has proved. What finds a lower one may offer it.
@@ -13,14 +13,15 @@ from pathlib import Path
 
 import numpy as np
 
-from benchmarks.robots.cart_pole import Question, judge
+from benchmarks.robots.judge import Control, judge
+from benchmarks.robots.worlds import Question, scenario_of
 from drake_aigto.plain import from_plain, to_plain
 from drake_aigto.study.results_file import read_results, refuse_damaged
 from drake_aigto.world.files import write_text
 
 PATH = Path(__file__).with_name("known.json")
 _KIND = "best known"
-_DECIMALS = 5  # of controls in the file [N]
+_DECIMALS = 5  # of controls and times in the file [N], [s]
 
 
 @dataclass(frozen=True)
@@ -30,22 +31,39 @@ class Known:
     Attributes:
         cost: the judge's, of the controls.
         found_by: the method.
-        controls: held for equal times [N].
+        controls: held one after the other, each of nu numbers [N], [N m].
+        times: between which they are held [s]; none: equal ones.
         tries: method → how many of its tries were made in search of it.
     """
 
     cost: float = np.inf
     found_by: str = ""
-    controls: tuple[float, ...] = ()
+    controls: tuple[tuple[float, ...], ...] = ()
+    times: tuple[float, ...] = ()
     tries: Mapping[str, int] = field(default_factory=dict)
 
-    def offered(self, question: Question, found_by: str, controls: np.ndarray) -> Known:
+    def control(self, question: Question) -> Control:
+        """Returns the control that has this cost."""
+        values = np.array(self.controls)
+        even = Control.even(values, scenario_of(question).duration)
+        return even._replace(times=np.array(self.times)) if self.times else even
+
+    def offered(self, question: Question, found_by: str, control: Control) -> Known:
         """Returns what is known once a control is, too."""
-        rounded = np.round(controls, _DECIMALS)
+        values = np.round(control.values, _DECIMALS)
+        even = Control.even(values, scenario_of(question).duration)
+        is_even = np.allclose(control.times, even.times, rtol=0.0, atol=1e-9)
+        rounded = even if is_even else Control(np.round(control.times, _DECIMALS), values)
         score = judge(question, rounded).score
         if not score < self.cost:
             return self
-        return replace(self, cost=score, found_by=found_by, controls=tuple(rounded.tolist()))
+        return replace(
+            self,
+            cost=score,
+            found_by=found_by,
+            controls=tuple(map(tuple, values.tolist())),
+            times=() if is_even else tuple(rounded.times.tolist()),
+        )
 
     def tried(self, method: str, count: int) -> Known:
         """Returns the same, with so many tries of a method made."""
@@ -59,7 +77,7 @@ class Known:
         return replace(better, tries=tries)
 
 
-Table = dict[str, dict[int, Known]]  # Scenario → number of the question → best known.
+Table = dict[str, dict[int, Known]]  # Section → number of the question → best known.
 
 
 def load_known() -> Table:
@@ -73,29 +91,29 @@ def load_known() -> Table:
     data = read_results(PATH, _KIND)
     with refuse_damaged(PATH):
         return {
-            scenario: {
-                int(number): from_plain(Known, each, f"{scenario} {number}")
+            section: {
+                int(number): from_plain(Known, each, f"{section} {number}")
                 for number, each in rows.items()
             }
-            for scenario, rows in data["questions"].items()
+            for section, rows in data["questions"].items()
         }
 
 
 def find_known(table: Table, question: Question) -> Known:
     """Returns what is known of a question; an infinite cost if nothing is."""
-    return table.get(question.scenario, {}).get(question.number, Known())
+    return table.get(question.section, {}).get(question.number, Known())
 
 
 def keep(question: Question, known: Known) -> None:
     """Writes what is known of one question; what others wrote of it meanwhile counts, too."""
     table = load_known()
     known = find_known(table, question).merged(known)
-    table.setdefault(question.scenario, {})[question.number] = known
+    table.setdefault(question.section, {})[question.number] = known
     rows = [
-        f"{json.dumps(scenario)}: {{\n"
+        f"{json.dumps(section)}: {{\n"
         + ",\n".join(f'"{number}": {json.dumps(to_plain(row[number]))}' for number in sorted(row))
         + "\n}"
-        for scenario, row in sorted(table.items())
+        for section, row in sorted(table.items())
     ]
     text = ",\n".join(rows)
     write_text(PATH, f'{{"kind": "{_KIND}", "questions": {{\n{text}\n}}}}\n')

@@ -1,128 +1,154 @@
-"""What answers a question about the cart-pole: ours and its peers, each as a stream of attempts.
+"""What answers a question: ours and its peers, each as a stream of attempts.
 
-Every random attempt starts from a roll-out of a random smooth control, piecewise linear between
-three to eight values. An attempt tells what its own program promises; the judge is not asked.
+Every random attempt starts from a random smooth control, piecewise linear between three to eight
+values. An attempt tells what its own program promises; the judge is not asked.
 """
 
 from __future__ import annotations
 
 import itertools
 from collections.abc import Callable, Iterator, Mapping
-from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 
 from benchmarks.local_peers import casadi
-from benchmarks.robots.cart_pole import DURATION, LARGEST_POSITION, Question, roll_out
-from benchmarks.robots.ipopt import Program
+from benchmarks.robots.ipopt import IPOPT_STEPS, find_program
+from benchmarks.robots.judge import Control, roll_out
 from benchmarks.robots.plans import find_plan
-from benchmarks.robots.shooting import shoot
+from benchmarks.robots.shooting import list_phases, pose, shoot
+from benchmarks.robots.worlds import WORLDS, Question, scenario_of, setting_of
 
 try:
     import cma
 except ModuleNotFoundError:
     cma = None
 
-NUM_STEPS = 60  # of the scenario
-IPOPT_STEPS = 120  # with 60, costs of replays are off by more than 1 % in every third optimum
 _GUESS_STEP = 1e-3  # of roll-outs [s]
-# CMA-ES: nodes of the piecewise linear control, steps of 5 ms, and the price of leaving the range.
-_NODES, _STEPS_PER_HOLD, _FINE = 16, 5, 300.0
+# CMA-ES: nodes of the piecewise linear control, their spread as a part of what random controls
+# push, steps of roll-outs [s], and the price of what excess is, in parts of J.
+_NODES, _SPREAD, _COARSE_STEP, _PRICE = 16, 0.4, 5e-3, 10.0
 
 
 class Attempt(NamedTuple):
     """A control that a method found."""
 
     promised: float  # J as the method has it; infinite if it failed
-    controls: np.ndarray  # held for equal times (L,)
+    control: Control
 
 
-Method = Callable[[Question, int], Iterator[Attempt]]
+Attempts = Iterator[Attempt]
 
 
-def random_control(rng: np.random.Generator, times: np.ndarray) -> np.ndarray:
-    """Returns a smooth control of up to 2 … 10 N, at times in [0, 1]."""
+class Method(NamedTuple):
+    """A method, and where it applies."""
+
+    run: Callable[[Question, int], Attempts]
+    on_rigid_walls: bool = True
+    on_soft_walls: bool = True  # or where nothing touches
+
+    def applies(self, world: str) -> bool:
+        """Returns whether it can answer questions of a world."""
+        return self.on_rigid_walls if WORLDS[world].is_rigid else self.on_soft_walls
+
+
+def random_control(question: Question, rng: np.random.Generator, shares: np.ndarray) -> np.ndarray:
+    """Returns a smooth control (L, nu), at shares of the duration (L,)."""
+    world = WORLDS[question.world]
     count = rng.integers(3, 9)
-    nodes = rng.uniform(-10.0, 10.0, count) * rng.uniform(0.2, 1.0)
-    return np.interp(times, np.linspace(0.0, 1.0, count), nodes)
+    nodes = rng.uniform(-1.0, 1.0, (count, len(world.push))) * rng.uniform(0.2, 1.0)
+    grid = np.linspace(0.0, 1.0, count)
+    columns = [np.interp(shares, grid, column) for column in nodes.T]
+    return np.column_stack(columns) * np.array(world.push) + np.array(world.hold)
 
 
 def _generators(question: Question, first: int) -> Iterator[np.random.Generator]:
     """Yields one for each attempt from the first one on, the same wherever a search goes on."""
-    wall = round(1000 * question.wall)
+    world = list(WORLDS).index(question.world)
     for number in itertools.count(first):
-        yield np.random.default_rng([wall, question.number, number])
+        yield np.random.default_rng([world, question.number, question.is_tuning, number])
 
 
-def ipopt_multistart(question: Question, first: int = 0) -> Iterator[Attempt]:
-    """Yields what IPOPT makes of random roll-outs."""
-    program = _program()
-    steps = int(np.ceil(DURATION / IPOPT_STEPS / _GUESS_STEP))
-    for rng in _generators(question, first):
-        u = random_control(rng, np.linspace(0.0, 1.0, IPOPT_STEPS + 1))
-        held = DURATION / IPOPT_STEPS / steps
-        x, _ = roll_out(np.array(question.start), u[:-1], question.wall, held, steps)
-        yield Attempt(*program.solve(question, x[::steps], u))
+def _middles(count: int) -> np.ndarray:
+    return np.linspace(0.0, 1.0, 2 * count + 1)[1::2]
 
 
-@cache
-def _program() -> Program:
-    return Program(IPOPT_STEPS)
-
-
-def evolution(question: Question, first: int = 0) -> Iterator[Attempt]:
-    """Yields the best of each generation of CMA-ES, begun again where it ends."""
-    grid = np.linspace(0.0, 1.0, 2 * NUM_STEPS + 1)[1::2]
-    spread = np.array(
-        [np.interp(grid, np.linspace(0.0, 1.0, _NODES), row) for row in np.eye(_NODES)]
-    )
-    for number, rng in enumerate(_generators(question, first)):
-        start = random_control(rng, np.linspace(0.0, 1.0, _NODES))
-        seed = int(rng.integers(1, 2**31))
-        options = {"seed": seed, "verbose": -9, "popsize_factor": 2 ** (number % 4)}
-        search = cma.CMAEvolutionStrategy(start, 4.0, options)
-        while not search.stop():
-            nodes = search.ask()
-            costs = [_penalized(question, each @ spread) for each in nodes]
-            search.tell(nodes, costs)
-            best = int(np.argmin(costs))
-            yield Attempt(costs[best], nodes[best] @ spread)
-
-
-def _penalized(question: Question, controls: np.ndarray) -> float:
-    """Returns J by short steps, and the price of leaving the range."""
-    force = np.clip(controls, -20.0, 20.0)
-    step = DURATION / NUM_STEPS / _STEPS_PER_HOLD
-    x, cost = roll_out(np.array(question.start), force, question.wall, step, _STEPS_PER_HOLD)
-    excess = np.maximum(np.abs(x[:, 0]) - LARGEST_POSITION, 0.0)
-    total = cost + _FINE * float(excess.max())
-    return total if np.isfinite(total) else 1e9
-
-
-def shooting_multistart(question: Question, first: int = 0) -> Iterator[Attempt]:
-    """Yields what our shooting makes of random controls."""
-    middles = np.linspace(0.0, 1.0, 2 * NUM_STEPS + 1)[1::2]
-    guesses = (random_control(rng, middles) for rng in _generators(question, first))
-    yield from itertools.starmap(Attempt, shoot(question, guesses))
-
-
-def plan(question: Question, first: int = 0) -> Iterator[Attempt]:
+def plan(question: Question, first: int = 0) -> Attempts:
     """Yields the plan, of which there is one."""
     yield Attempt(*find_plan(question, has_boxes=True))
 
 
-def plan_of_points(question: Question, first: int = 0) -> Iterator[Attempt]:
+def plan_of_points(question: Question, first: int = 0) -> Attempts:
     """Yields the plan without boxes."""
     yield Attempt(*find_plan(question, has_boxes=False))
 
 
+def shooting_multistart(question: Question, first: int = 0) -> Attempts:
+    """Yields what our shooting makes of random controls."""
+    shares = _middles(scenario_of(question).num_steps)
+    guesses = (random_control(question, rng, shares) for rng in _generators(question, first))
+    yield from itertools.starmap(Attempt, shoot(itertools.repeat(pose(question)), guesses))
+
+
+def listed_sequences(question: Question, first: int = 0) -> Attempts:
+    """Yields what our shooting makes of random controls with listed touches at random times."""
+    shares = _middles(scenario_of(question).num_steps)
+    pairs = (
+        (random_control(question, rng, shares), pose(question, list_phases(question, rng)))
+        for rng in _generators(question, first)
+    )
+    guesses, problems = itertools.tee(pairs)
+    found = shoot((problem for _, problem in problems), (guess for guess, _ in guesses))
+    yield from itertools.starmap(Attempt, found)
+
+
+def ipopt_multistart(question: Question, first: int = 0) -> Attempts:
+    """Yields what IPOPT makes of random roll-outs."""
+    program, duration = find_program(question), scenario_of(question).duration
+    for rng in _generators(question, first):
+        u = random_control(question, rng, np.linspace(0.0, 1.0, IPOPT_STEPS + 1))
+        motion = roll_out(question, Control.even(u[:-1], duration), _GUESS_STEP)
+        yield Attempt(*program.solve(question, motion.states, u))
+
+
+def evolution(question: Question, first: int = 0) -> Attempts:
+    """Yields the best of each generation of CMA-ES, begun again where it ends."""
+    setting, world = setting_of(question), WORLDS[question.world]
+    steps, grid = scenario_of(question).num_steps, np.linspace(0.0, 1.0, _NODES)
+    spread = np.array([np.interp(_middles(steps), grid, row) for row in np.eye(_NODES)]).T
+    push, hold = np.array(world.push), np.array(world.hold)
+
+    def read(nodes: np.ndarray) -> Control:
+        values = hold + push * (spread @ nodes.reshape(_NODES, -1))
+        return Control.even(values, setting.duration)
+
+    for number, rng in enumerate(_generators(question, first)):
+        start = (random_control(question, rng, grid) - hold) / push
+        seed = int(rng.integers(1, 2**31))
+        options = {"seed": seed, "verbose": -9, "popsize_factor": 2 ** (number % 4)}
+        search = cma.CMAEvolutionStrategy(start.ravel(), _SPREAD, options)
+        while not search.stop():
+            nodes = search.ask()
+            costs = [_penalized(question, read(each)) for each in nodes]
+            search.tell(nodes, costs)
+            best = int(np.argmin(costs))
+            yield Attempt(costs[best], read(nodes[best]))
+
+
+def _penalized(question: Question, control: Control) -> float:
+    """Returns J by short steps, and the price of leaving the ranges."""
+    motion = roll_out(question, control, _COARSE_STEP)
+    total = motion.cost * (1.0 + _PRICE * motion.find_excess(setting_of(question)))
+    return total if np.isfinite(total) else 1e9
+
+
 METHODS: Mapping[str, Method] = {
-    "plan": plan,
-    "plan, points": plan_of_points,
-    "shooting": shooting_multistart,
-    "IPOPT": ipopt_multistart,
-    "CMA-ES": evolution,
+    "plan": Method(plan),
+    "plan, points": Method(plan_of_points),
+    "shooting": Method(shooting_multistart, on_rigid_walls=False),
+    "listed": Method(listed_sequences, on_soft_walls=False),
+    "IPOPT": Method(ipopt_multistart, on_rigid_walls=False),
+    "CMA-ES": Method(evolution),
 }
 PLANS = ("plan", "plan, points")  # They end by themselves.
 _EXTRAS = {"IPOPT": casadi, "CMA-ES": cma}

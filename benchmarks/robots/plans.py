@@ -1,4 +1,4 @@
-"""The plan, and the plan without boxes. Each process has one planner of each kind a scenario."""
+"""The plan, and the plan without boxes. Each process has one planner of each kind a world."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from functools import cache
 
 import numpy as np
 
-from benchmarks.robots.cart_pole import Question
-from benchmarks.robots.shooting import scenario_of, world_of
+from benchmarks.robots.judge import Control
+from benchmarks.robots.shooting import world_of
+from benchmarks.robots.worlds import Question, scenario_of
 from drake_aigto.errors import AigtoError
 from drake_aigto.planning import MechanismOptions, Planner
 from drake_aigto.simulation import replay_drake
-from drake_aigto.world import Scenario
 
 _OPTIONS = MechanismOptions(confirm=False, threads=1)
 _POINTS = dataclasses.replace(
@@ -21,29 +21,32 @@ _POINTS = dataclasses.replace(
 
 
 @cache
-def _planner(name: str, has_boxes: bool) -> Planner:
-    options = _OPTIONS if has_boxes else _POINTS
-    return Planner(Scenario.named(name), options, world_of(name))
+def _planner(world: str, restitution: float, has_boxes: bool) -> Planner:
+    scenario = dataclasses.replace(scenario_of(Question(world, 0)), restitution=restitution)
+    return Planner(scenario, _OPTIONS if has_boxes else _POINTS, world_of(world))
 
 
-def find_plan(question: Question, has_boxes: bool) -> tuple[float, np.ndarray]:
-    """Returns J that the plan promises, infinite if there is none, and its controls (N,).
+def find_plan(question: Question, has_boxes: bool) -> tuple[float, Control]:
+    """Returns J that the plan promises, infinite if there is none, and its control.
 
     Args:
         question: where it starts.
         has_boxes: or else points in place of boxes.
     """
-    scenario = scenario_of(question)
-    start = scenario.initial_position, scenario.initial_velocity
+    scenario, world = scenario_of(question), world_of(question.world)
     try:
-        plan = _planner(question.scenario, has_boxes).plan(*start)
+        plan = _planner(question.world, scenario.restitution, has_boxes).plan(
+            scenario.initial_position,
+            scenario.initial_velocity,
+            scenario.goal_position,
+            duration=scenario.duration,
+        )
     except AigtoError:
-        return np.inf, np.zeros(scenario.num_steps)
-    return plan.cost, plan.trajectory.controls[:, 0]
+        nothing = np.zeros((1, world.num_actuators))
+        return np.inf, Control.even(nothing, scenario.duration)
+    return plan.cost, Control(plan.trajectory.times, plan.trajectory.controls)
 
 
-def replay_in_drake(question: Question, controls: np.ndarray) -> float:
-    """Returns J of controls (N,), held for equal times, on Drake's plant."""
-    scenario = scenario_of(question)
-    times = np.linspace(0.0, scenario.duration, controls.size + 1)
-    return replay_drake(world_of(question.scenario), scenario, times, controls[:, None]).cost
+def replay_in_drake(question: Question, control: Control) -> float:
+    """Returns J of a control on Drake's plant."""
+    return replay_drake(world_of(question.world), scenario_of(question), *control).cost

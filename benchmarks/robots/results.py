@@ -8,8 +8,8 @@ import os
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
-from benchmarks.robots.cart_pole import WALLS, Question, make_questions
 from benchmarks.robots.methods import METHODS, PLANS, is_installed
+from benchmarks.robots.worlds import WORLDS, Question, make_questions
 from drake_aigto.errors import OptionsError
 from drake_aigto.plain import from_plain, to_plain
 from drake_aigto.study.results_file import read_results, refuse_damaged
@@ -23,25 +23,27 @@ class Comparison:
     """What is compared.
 
     Attributes:
-        scenarios: of `WALLS`.
-        count: how many starts of each; the first ten are SPOT's.
-        methods: of `METHODS`.
+        worlds: of `WORLDS`.
+        count: how many questions of each at most; None: all of them.
+        methods: of `METHODS`; each runs where it applies.
         seconds: of CPU time that a method has for a start, but for plans, which end by themselves;
             None: as long as the first plan took.
+        is_tuning: questions to tune on, and not those that are reported.
 
     Raises:
-        OptionsError: an unknown scenario or method, one that is not installed, or no seconds.
+        OptionsError: an unknown world or method, one that is not installed, or no seconds.
     """
 
-    scenarios: tuple[str, ...] = tuple(WALLS)
-    count: int = 60
+    worlds: tuple[str, ...] = tuple(WORLDS)
+    count: int | None = None
     methods: tuple[str, ...] = tuple(METHODS)
     seconds: float | None = None
+    is_tuning: bool = False
 
     def __post_init__(self) -> None:
         """Checks names and numbers."""
         for name, got, known in (
-            ("scenarios", self.scenarios, WALLS),
+            ("worlds", self.worlds, WORLDS),
             ("methods", self.methods, METHODS),
         ):
             for each in got:
@@ -51,22 +53,33 @@ class Comparison:
         if missing:
             remedy = "Install the extra `bench`, or leave them out."
             raise OptionsError("methods", ", ".join(missing), "installed ones", remedy)
-        if self.count < 1:
+        if self.count is not None and self.count < 1:
             raise OptionsError("count", got=self.count, expected="at least 1")
         if self.seconds is None and self.methods[:1] and self.methods[0] not in PLANS:
             expected = f"a number, or one of {', '.join(PLANS)} as the first method"
             raise OptionsError("seconds", got="none", expected=expected)
 
     def questions(self) -> list[Question]:
-        """Returns all questions, scenario by scenario."""
-        return [each for name in self.scenarios for each in make_questions(name, self.count)]
+        """Returns all questions, world by world."""
+        counts = {name: WORLDS[name].count for name in self.worlds}
+        if self.count is not None:
+            counts = {name: min(self.count, most) for name, most in counts.items()}
+        return [
+            each
+            for name, count in counts.items()
+            for each in make_questions(name, count, self.is_tuning)
+        ]
+
+    def methods_for(self, world: str) -> tuple[str, ...]:
+        """Returns the methods that can answer questions of a world."""
+        return tuple(name for name in self.methods if METHODS[name].applies(world))
 
 
 class Step(NamedTuple):
     """A control that a method had found by then."""
 
     seconds: float  # CPU
-    cost: float  # J by the judge; infinite if the cart leaves its range
+    cost: float  # J by the judge; infinite if it leaves its range
 
     @classmethod
     def from_plain(cls, data: object) -> Step:
@@ -107,14 +120,14 @@ class Row:
     """All methods on one question.
 
     Attributes:
-        scenario: whose question it is.
+        world: whose question it is.
         number: of the question.
-        is_deep: whether the tip starts deep in a wall.
+        is_deep: whether it starts deep in a soft wall.
         known: the best cost that was known before.
         outcomes: of each method.
     """
 
-    scenario: str
+    world: str
     number: int
     is_deep: bool
     known: float
@@ -140,8 +153,8 @@ class Results:
 
     def with_row(self, row: Row) -> Results:
         """Returns the results with one more row."""
-        done = {(each.scenario, each.number): each for each in (*self.rows, row)}
-        order = [(each.scenario, each.number) for each in self.question.questions()]
+        done = {(each.world, each.number): each for each in (*self.rows, row)}
+        order = [(each.world, each.number) for each in self.question.questions()]
         return replace(self, rows=tuple(done[key] for key in order if key in done))
 
     def save(self, path: str | os.PathLike[str]) -> None:

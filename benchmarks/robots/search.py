@@ -6,9 +6,9 @@ import time
 from collections.abc import Callable
 from itertools import islice
 
-from benchmarks.robots.cart_pole import Question
 from benchmarks.robots.known import Known, find_known, keep, load_known
 from benchmarks.robots.methods import METHODS
+from benchmarks.robots.worlds import Question
 
 _BATCH = 50  # tries between two writings of the file
 
@@ -37,15 +37,15 @@ def search(
                 known = _try(question, before, method, min(most, tries))
                 keep(question, known)
                 if known.cost < before.cost:
-                    name = f"{question.scenario} {question.number}"
+                    name = f"{question.section} {question.number}"
                     tell(f"{name}: {before.cost:.4f} → {known.cost:.4f}")
 
 
 def _try(question: Question, known: Known, method: str, most: int) -> Known:
     """Returns what is known after so many tries."""
     done = known.tries.get(method, 0)
-    for attempt in islice(METHODS[method](question, done), most - done):
+    for attempt in islice(METHODS[method].run(question, done), most - done):
         # What is promised is a little off: what would be far worse isn't judged.
         if attempt.promised < 1.05 * known.cost:
-            known = known.offered(question, method, attempt.controls)
+            known = known.offered(question, method, attempt.control)
     return known.tried(method, most)

@@ -1,79 +1,104 @@
-"""Random multistart with the planner's own local method: shooting, without boxes or renewals."""
+"""Local optima by the planner's own shooting, from random controls: what boxes have to beat."""
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 from collections.abc import Iterable, Iterator
 from functools import cache
 
 import numpy as np
 
-from benchmarks.robots.cart_pole import LENGTH, Question
-from drake_aigto.shooting import Mechanism, ShootingOptions, ShootingProblem
-from drake_aigto.world import Scenario, TaskCost, World
+from benchmarks.robots.judge import Control
+from benchmarks.robots.worlds import WORLDS, Question, scenario_of
+from drake_aigto.shooting import Mechanism, Phases, ShootingOptions, ShootingProblem, ShootingResult
+from drake_aigto.simulation.bounds import state_scales
+from drake_aigto.world import Scales, TaskCost, World
 
 # What was closed roughly is made exact where it is so near the best: most isn't.
 _PROMISING = 1.03
 _EXACT = ShootingOptions(rungs=ShootingOptions().rungs[-1:], substeps=2)
-_NEARLY = 1e-2  # how far bounds may be missed before that, in parts of `_SCALES`
-_SCALES = np.array([LENGTH, 1.0, LENGTH, 1.0])  # of q and v
+# How far bounds may be missed, in parts of the scales, and touches that are listed.
+_NEARLY, _HARDLY = 1e-2, 1e-3
 # Of J and of the final state, for the steps of an exact motion; and how many steps at most.
 _TOLERANCE, _MOST_SUBSTEPS = 1e-4, 32
-
-
-def scenario_of(question: Question) -> Scenario:
-    """Returns the shipped scenario from this start."""
-    start = np.array(question.start)
-    return dataclasses.replace(
-        Scenario.named(question.scenario),
-        initial_position=start[[0, 2]],
-        initial_velocity=start[[1, 3]],
-    )
+_MOST_TOUCHES = 3  # in sequences that are listed
 
 
 @cache
 def world_of(name: str) -> World:
-    """Returns a scenario's world, built once a process."""
-    return World.from_scenario(Scenario.named(name))
+    """Returns the plant of a world, built once a process."""
+    return World.from_scenario(scenario_of(Question(name, 0)))
 
 
 @cache
-def _mechanism(name: str) -> Mechanism:
+def _mechanism(name: str, restitution: float) -> Mechanism:
     world = world_of(name)
-    return Mechanism.of(world, world.contact_law(Scenario.named(name)))
+    scenario = dataclasses.replace(scenario_of(Question(name, 0)), restitution=restitution)
+    return Mechanism.of(world, world.contact_law(scenario))
 
 
-def pose(question: Question) -> ShootingProblem:
+def pose(question: Question, phases: Phases | None = None) -> ShootingProblem:
     """Returns the question as shooting takes it."""
-    scenario, world = scenario_of(question), world_of(question.scenario)
-    bounds = world.bounds(scenario)
+    scenario, world = scenario_of(question), world_of(question.world)
+    bounds, n = world.bounds(scenario), world.num_positions
+    hard_goal = np.full(2 * n, np.nan)
+    if scenario.hard_goal:
+        hard_goal[:n] = scenario.goal_position
     return ShootingProblem(
-        mechanism=_mechanism(question.scenario),
+        mechanism=_mechanism(question.world, scenario.restitution),
         cost=TaskCost.of(world, scenario),
         times=np.linspace(0.0, scenario.duration, scenario.num_steps + 1),
         start=np.concatenate([scenario.initial_position, scenario.initial_velocity]),
-        scales=_SCALES,
+        scales=state_scales(world, scenario),
         state_bounds=np.hstack([bounds.position, bounds.velocity]),
         control_bounds=bounds.control,
-        hard_goal=np.full(4, np.nan),
-        length=LENGTH,
+        hard_goal=hard_goal,
+        control_norm=scenario.control_norm or np.inf,
+        length=Scales.of(world, scenario).length,
+        phases=phases,
     )
 
 
-def shoot(question: Question, guesses: Iterable[np.ndarray]) -> Iterator[tuple[float, np.ndarray]]:
-    """Yields J, and the controls (N,), of what shooting makes of others; infinite if not promising.
+def shoot(
+    problems: Iterable[ShootingProblem], guesses: Iterable[np.ndarray]
+) -> Iterator[tuple[float, Control]]:
+    """Yields J and the control that shooting makes of others (N, nu); infinite if not promising.
 
     Closed roughly first, as the planner closes the centers of its boxes.
     """
-    problem = pose(question)
     best = np.inf
-    for guess in guesses:
-        found = problem.solve(guess[:, None], None, ShootingOptions.coarse())
+    for problem, guess in zip(problems, guesses, strict=False):
+        found = problem.solve(guess, None, ShootingOptions.coarse())
         is_rough = found.violation > _NEARLY or found.exact_cost > _PROMISING * best
-        if not is_rough:
-            found = problem.solve(found.controls, found.states, _EXACT)
-            found = problem.refine(found, _EXACT, _TOLERANCE, _MOST_SUBSTEPS)
-            is_rough = found.violation > _NEARLY
+        if problem.phases is not None or not is_rough:
+            found = _finish(problem, found)
+            is_rough = found.violation > (_NEARLY if problem.phases is None else _HARDLY)
         if not is_rough:
             best = min(best, found.exact_cost)
-        yield np.inf if is_rough else found.exact_cost, found.controls[:, 0]
+        yield np.inf if is_rough else found.exact_cost, Control(found.times, found.controls)
+
+
+def _finish(problem: ShootingProblem, found: ShootingResult) -> ShootingResult:
+    """Returns the local optimum near a rough one."""
+    problem = problem.starting_from(found)
+    found = problem.solve(found.controls, found.states, _EXACT)
+    return problem.refine(found, _EXACT, _TOLERANCE, _MOST_SUBSTEPS)
+
+
+def list_phases(question: Question, rng: np.random.Generator) -> Phases | None:
+    """Returns one of all sequences of up to three touches, at random times; None: no touch."""
+    scenario, world = scenario_of(question), WORLDS[question.world]
+    N, T = scenario.num_steps, scenario.duration
+    walls = range(world.mechanism.walls)
+    listed = [
+        sequence
+        for touches in range(_MOST_TOUCHES + 1)
+        for sequence in itertools.product(walls, repeat=touches)
+    ]
+    sequence = listed[rng.integers(len(listed))]
+    if not sequence:
+        return None
+    shares = rng.dirichlet(np.full(len(sequence) + 1, 2.0))
+    knots = np.linspace(0, N, len(sequence) + 2).astype(int)[1:-1]
+    return Phases(np.array(sequence), knots, T * (0.9 * shares + 0.1 / len(shares)), (T, T))

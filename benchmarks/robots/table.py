@@ -24,14 +24,15 @@ _HEAD = " " * 18 + "".join(f"{name:>{width}}" for name, width in _COLUMNS.items(
 
 
 def format_results(results: Results) -> str:
-    """Returns the table of each scenario: all questions, and those that start deep apart."""
+    """Returns the table of each world: all questions, and those that start deep apart."""
     lines = [_LEGEND]
-    for scenario in results.question.scenarios:
-        rows = [row for row in results.rows if row.scenario == scenario]
+    for world in results.question.worlds:
+        rows = [row for row in results.rows if row.world == world]
         deep = [row for row in rows if row.is_deep]
         shallow = [row for row in rows if not row.is_deep]
-        lines += _section(f"{scenario}", shallow, results.question.methods)
-        lines += _section(f"{scenario}, deep in a wall", deep, results.question.methods)
+        methods = results.question.methods_for(world)
+        lines += _section(world, shallow, methods)
+        lines += _section(f"{world}, deep in a wall", deep, methods)
     return "\n".join(lines)
 
 
