@@ -44,6 +44,7 @@ def solve(line: Line) -> LineMotion:
     return line.optimum(most_touches=4)
 
 
+@settings(max_examples=40)
 @given(corridors)
 def test_elastic_walls_are_mirrors_and_coasting_tells_the_touches(line: Line) -> None:
     walls = tuple(wall._replace(restitution=1.0) for wall in line.walls)
@@ -114,7 +115,7 @@ def test_a_mirrored_corridor_costs_the_same(line: Line) -> None:
     assert solve(mirrored).cost == pytest.approx(solve(line).cost, rel=1e-7, abs=1e-12)
 
 
-@settings(max_examples=20)
+@settings(max_examples=10)
 @given(floors)
 def test_a_ceiling_under_gravity_that_pulls_up_is_a_floor(line: Line) -> None:
     (wall,) = line.walls
@@ -198,7 +199,7 @@ def transcribed_cost(line: Line, motion: LineMotion, rng: np.random.Generator) -
 @pytest.mark.parametrize("make", [make_corridor, make_floor])
 def test_snopt_finds_the_optimum_and_nothing_below(make: Callable[..., Line]) -> None:
     rng = np.random.default_rng(1)
-    for number in range(10):
+    for number in range(6):
         p, goal = rng.uniform(0.2, 0.9, 2)
         line = make(p, rng.uniform(-3, 3), goal, e=(1.0, 0.8, 0.5)[number % 3])
         motion = solve(line)
