@@ -2,15 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import TypeAlias
+
 import numpy as np
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Bools, Floats
 from drake_aigto.simulation.replay import Replay
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.world import ContactLaw, World
+from drake_aigto.world import ContactLaw, RigidLaw, World
 
 # Runge-Kutta steps between two rows of a replay, where contacts neither begin nor end.
 _STEPS = 32
+# Distances and speeds below this part of the largest coordinate, or 1, are none.
+_STILL = 1e-10
+
+# States (K, 2n) → their rates of change, and the forces of contacts, shape (K, m) [N].
+Rates: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
 
 
 def trace(
@@ -18,7 +26,9 @@ def trace(
 ) -> tuple[Trajectory, Floats]:
     """Returns the trajectory of a replay, and how far it is off the equations of motion.
 
-    From each row of the replay Runge and Kutta's method of order 4 goes on to the next.
+    From each row of the replay Runge and Kutta's method of order 4 goes on to the next. Between
+    rigid walls, what rests at a row is held there as long as it presses; what impacts do there is
+    left to `bounces.add_impulses`.
 
     Args:
         world: the mechanism.
@@ -35,7 +45,8 @@ def trace(
     starts, h = replay.times[:-1][is_step], np.diff(replay.times)[is_step]
     knots = np.clip(np.searchsorted(times, starts + h / 2) - 1, 0, len(controls) - 1)
     x = np.hstack([replay.positions, replay.velocities])
-    ends, pushes = _integrate(world, law, x[:-1][is_step], controls[knots], h)
+    rates = _find_rates(world, law, x[:-1][is_step], controls[knots])
+    ends, pushes = _integrate(rates, x[:-1][is_step], h)
     gaps = np.max(np.abs(ends - x[1:][is_step]), axis=0)
     impulses = np.zeros((len(controls), world.num_contacts))
     np.add.at(impulses, knots, pushes)
@@ -45,24 +56,57 @@ def trace(
     return Trajectory(times, q, v, controls, none, forces), gaps
 
 
-def _integrate(
-    world: World, law: ContactLaw, x: Floats, controls: Floats, durations: Floats
-) -> tuple[Floats, Floats]:
-    """Returns where states (K, 2n) are after durations (K,) [s], and what contacts gave [N s]."""
-    n, h = world.num_positions, durations[:, np.newaxis] / _STEPS
-    total = np.zeros((len(x), world.num_contacts))
+def _find_rates(world: World, law: ContactLaw, x: Floats, controls: Floats) -> Rates:
+    """Returns the equations of motion of states (K, 2n), each under its control (K, nu)."""
+    n = world.num_positions
 
-    def rate(x: Floats) -> tuple[Floats, Floats]:
+    def yielding(x: Floats) -> tuple[Floats, Floats]:
         q, v = x[:, :n], x[:, n:]
         forces = world.calc_pushes(law, q, v)
         pushed = world.calc_velocity_change(q, forces)
         return np.hstack([v, world.calc_acceleration(q, v, controls) + pushed]), forces
 
+    if not isinstance(law, RigidLaw):
+        return yielding
+    resting = _find_resting(world, x)
+    rows = np.flatnonzero(resting.any(axis=1))
+
+    def rigid(x: Floats) -> tuple[Floats, Floats]:
+        rates, forces = yielding(x)
+        for row in rows:
+            contacts = np.flatnonzero(resting[row])
+            q, v, u = x[row, :n], x[row, n:], controls[row]
+            while len(contacts):
+                rates[row, n:], held = world.calc_supported_acceleration(q, v, u, contacts)
+                if np.all(held >= 0):
+                    forces[row, contacts] = held
+                    break
+                contacts = contacts[held >= 0]
+            else:
+                rates[row, n:] = world.calc_acceleration(q, v, u)
+        return rates, forces
+
+    return rigid
+
+
+def _find_resting(world: World, x: Floats) -> Bools:
+    """Returns which contacts are closed and neither approached nor left, shape (K, m)."""
+    n = world.num_positions
+    q, v = x[:, :n], x[:, n:]
+    distances, speeds = world.calc_signed_distance(q), world.calc_contact_rate(q, v)
+    still = _STILL * (1 + np.abs(x).max(axis=1, keepdims=True))
+    return (np.abs(distances) <= still) & (np.abs(speeds) <= still)
+
+
+def _integrate(rates: Rates, x: Floats, durations: Floats) -> tuple[Floats, Floats]:
+    """Returns where states (K, 2n) are after durations (K,) [s], and what contacts gave [N s]."""
+    h = durations[:, np.newaxis] / _STEPS
+    total: Floats | float = 0.0
     for _ in range(_STEPS):
-        first, a = rate(x)
-        second, b = rate(x + h / 2 * first)
-        third, c = rate(x + h / 2 * second)
-        fourth, d = rate(x + h * third)
+        first, a = rates(x)
+        second, b = rates(x + h / 2 * first)
+        third, c = rates(x + h / 2 * second)
+        fourth, d = rates(x + h * third)
         x = x + h / 6 * (first + 2 * second + 2 * third + fourth)
-        total += h / 6 * (a + 2 * b + 2 * c + d)
-    return x, total
+        total = total + h / 6 * (a + 2 * b + 2 * c + d)
+    return x, np.asarray(total)

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from drake_aigto.arrays import Floats, interpolate
-from drake_aigto.errors import ModelError
 from drake_aigto.planning.candidate import Candidate, Replays
 from drake_aigto.planning.flow import trace
 from drake_aigto.planning.mechanism_boxes import (
@@ -34,6 +33,7 @@ from drake_aigto.shooting import (
 from drake_aigto.simulation.bounds import BOUNDS, state_scales
 from drake_aigto.simulation.contacts import find_contacts, max_penetration
 from drake_aigto.simulation.replay import Replay, replay_drake, replay_event_driven
+from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Ends, MechanismProgram, soften
 from drake_aigto.transcription.rows import INTEGRATION
 from drake_aigto.world import CompliantLaw, Scales, Scenario, TaskCost, World
@@ -44,7 +44,10 @@ _EXACT, _MOST_SUBSTEPS = 1e-3, 64
 _NEXT_DURATION = 1.1
 # Motions whose positions are nowhere farther apart than this part of their scales have one optimum.
 _NEAR = 0.05
-_POLISH = ShootingOptions(rungs=(Smoothing(1e-3, 60, 1e-5), Smoothing(1e-4, 40, 1e-6)), substeps=4)
+# What a motion misses of its bounds, in the state's scales, costs this in the task's scale: more
+# than is won by it, and little enough that motions which come near are kept for the polish.
+_PRICE = 10.0
+POLISH = ShootingOptions(rungs=(Smoothing(1e-3, 60, 1e-5), Smoothing(1e-4, 40, 1e-6)), substeps=4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,6 +120,11 @@ class MechanismProblem:
         """How many time steps boxes have that open a motion again: half as many."""
         return max(2, self.search_steps // 2)
 
+    @property
+    def mechanism(self) -> Mechanism:
+        """What moves while motions are searched for."""
+        return self._compiled.mechanism
+
     @cached_property
     def _ends(self) -> Ends:
         scenario = self.scenario
@@ -135,7 +143,8 @@ class MechanismProblem:
         task = self.task
         is_hard = np.isfinite(self._hard_goal)
         weights = task.R, task.Q, task.Qv, task.QT, task.QTv, task.is_chordal, task.is_modulo
-        arrays = *weights, is_hard, self.bounds.control
+        springs = self._springs.stiffness, self._springs.dissipation
+        arrays = *weights, is_hard, self.bounds.control, *springs
         key = num_steps, duration, *(each.tobytes() for each in arrays)
         programs = self._compiled.boxes
         if key not in programs:
@@ -193,7 +202,7 @@ class MechanismProblem:
         scenario, bounds = self.scenario, self.bounds
         T, free = scenario.duration, scenario.duration_range
         return ShootingProblem(
-            mechanism=self._compiled.mechanism,
+            mechanism=self.mechanism,
             cost=self.task,
             times=np.linspace(0.0, T, num_steps + 1),
             start=np.concatenate([scenario.initial_position, scenario.initial_velocity]),
@@ -229,12 +238,17 @@ class MechanismProblem:
         controls = motion.controls[np.searchsorted(motion.times, (times[1:] + times[:-1]) / 2) - 1]
         q, v = motion.states[:, :n], motion.states[:, n:]
         states = sample_cubic(motion.times, q, v, times)
-        result = problem.solve(controls, states, _POLISH)
+        result = problem.solve(controls, states, POLISH)
         while result.substeps < _MOST_SUBSTEPS and problem.estimate_error(result) > _EXACT:
-            finer = dataclasses.replace(_POLISH, substeps=2 * result.substeps)
+            finer = dataclasses.replace(POLISH, substeps=2 * result.substeps)
             problem = problem.starting_from(result)
             result = problem.solve(result.controls, result.states, finer)
         return result
+
+    def price(self, motion: ShootingResult) -> float:
+        """Returns J of a motion, and a price for what it misses of bounds and a hard goal."""
+        missed = max(0.0, motion.violation - POLISH.feasibility)
+        return motion.cost + _PRICE * self.scales.cost * missed
 
     def are_near(self, one: ShootingResult, other: ShootingResult) -> bool:
         """Returns whether two motions are so near each other that one polish does for both."""
@@ -251,8 +265,7 @@ class MechanismProblem:
             start: the first motion.
             found: what shooting made of it, in the scenario's time steps.
         """
-        replay = replay_event_driven(self.world, self.scenario, found.times, found.controls)
-        trajectory, gap = trace(self.world, self.law, replay, found.times, found.controls)
+        replay, trajectory, defects = self._simulate(found)
         return Candidate(
             origin=origin,
             start_cost=start.exact_cost,
@@ -260,22 +273,28 @@ class MechanismProblem:
             trajectory=trajectory,
             cost=found.exact_cost,
             goal_error=float(self.task.goal_error(found.states[-1, : self.world.num_positions])),
-            defects={INTEGRATION: float(np.max(gap / self.state_scales))},
+            defects=defects,
             max_penetration=max_penetration(self.world, trajectory),
             contacts=find_contacts(self.world, trajectory),
             replay=replay,
             scales=self.scales,
         )
 
+    def _simulate(self, found: ShootingResult) -> tuple[Replay, Trajectory, dict[str, float]]:
+        """Returns what controls do, as a trajectory, and how far that is off the equations."""
+        replay = replay_event_driven(self.world, self.scenario, found.times, found.controls)
+        trajectory, gap = trace(self.world, self.law, replay, found.times, found.controls)
+        return replay, trajectory, {INTEGRATION: float(np.max(gap / self.state_scales))}
+
     def idle_candidate(self) -> Candidate:
         """Returns what the world does without any control, for as long as is best."""
         problem = self.shooting(self.scenario.num_steps)
         none = np.zeros((self.scenario.num_steps, self.world.num_actuators))
         if problem.phases is None:
-            idle = problem.simulate(none, _POLISH.substeps)
+            idle = problem.simulate(none, POLISH.substeps)
         else:
             nothing = np.tile(np.clip(0.0, *problem.control_bounds), (2, 1))
-            idle = dataclasses.replace(problem, control_bounds=nothing).solve(none, None, _POLISH)
+            idle = dataclasses.replace(problem, control_bounds=nothing).solve(none, None, POLISH)
         return self.judge(Origin(NO_CONTROL), idle, idle)
 
     def confirm(self, candidate: Candidate) -> Replays:
@@ -288,7 +307,7 @@ class MechanismProblem:
 
     def again(self, scenario: Scenario) -> MechanismProblem:
         """Returns the same for a changed scenario; boxes are compiled anew for other weights."""
-        return MechanismProblem(self.world, scenario, self.options, self._compiled)
+        return type(self)(self.world, scenario, self.options, self._compiled)
 
 
 def needs_shooting(world: World, scenario: Scenario) -> bool:
@@ -300,21 +319,3 @@ def needs_shooting(world: World, scenario: Scenario) -> bool:
     """
     is_of_balls = world.has_constant_inertia and not (world.limits.are_any or world.is_hinge.any())
     return not (is_of_balls and scenario.is_plain)
-
-
-def check_shooting(world: World, scenario: Scenario) -> None:
-    """Refuses what shooting can't plan for.
-
-    Raises:
-        ScenarioError: walls are rigid and the task is not AIGTO's.
-        ModelError: walls are rigid, and anything has limits, or M or J depends on q.
-    """
-    if scenario.contact == "rigid" and world.contacts:
-        if world.has_constant_inertia:
-            world.check_plain(scenario)
-        raise ModelError(
-            "rigid walls around a mechanism",
-            got="a mass matrix or a contact Jacobian that depends on q",
-            expected="balls between rigid walls",
-            remedy="If the model's walls are soft, let them push as it says (--contact compliant).",
-        )

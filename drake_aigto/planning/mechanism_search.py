@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from typing import TypeAlias
 
 import numpy as np
 
@@ -21,6 +22,9 @@ from drake_aigto.shooting import ShootingResult
 
 _LOG = logging.getLogger(__name__)
 
+# Newton steps of a box, and the motion that it led to.
+Closed: TypeAlias = tuple[int, ShootingResult]
+
 _ANNEALING = "annealing"
 # So many motions are kept, whose costs differ by more than this part of them.
 _MOST_KEPT, _SAME = 8, 1e-3
@@ -28,9 +32,6 @@ _MOST_KEPT, _SAME = 8, 1e-3
 _WAVE = 8
 # Every second renewal is of the best motion, the others of one of so many.
 _MOST_RENEWED = 4
-# What a motion misses of its bounds, in the state's scales, costs this in the task's scale: more
-# than is won by it, and little enough that motions which come near are kept for the polish.
-_PRICE = 10.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,18 +118,24 @@ class MechanismSearch(CandidatePool):
     def _offer_all(
         self, origins: Iterable[Origin], proposals: Sequence[Callable[[], Center]]
     ) -> None:
-        """Closes what boxes propose, in threads, and keeps the best in the order of proposals."""
+        """Closes what boxes propose."""
 
         def close(propose: Callable[[], Center]) -> tuple[int, ShootingResult]:
             center = propose()
             return center.iterations, self.problem.close(center)
 
+        self._close_all(origins, [partial(close, propose) for propose in proposals])
+
+    def _close_all(
+        self, origins: Iterable[Origin], closings: Sequence[Callable[[], Closed]]
+    ) -> None:
+        """Closes motions in threads, and keeps the best in the order of their origins."""
         threads = self.problem.options.num_threads
         with self.clock("search"), ThreadPoolExecutor(threads) as pool:
-            for origin, (steps, result) in zip(origins, pool.map(close, proposals), strict=True):
+            results = pool.map(lambda close: close(), closings)
+            for origin, (steps, result) in zip(origins, results, strict=True):
                 self.aigo_steps += steps
-                price = _PRICE * self.problem.scales.cost * result.violation
-                self._keep(Motion(origin, result, result.cost + price))
+                self._keep(Motion(origin, result, self.problem.price(result)))
 
     def _keep(self, motion: Motion) -> None:
         """Keeps a motion if it is among the best, and not one that is known."""
@@ -148,23 +155,26 @@ class MechanismSearch(CandidatePool):
         """Polishes and judges the best motions, one of those that are near each other."""
         known: list[ShootingResult] = []
         for motion in self.motions:
-            if len(self._candidates) == self.problem.options.finalists:
+            if len(known) >= 2 * self.problem.options.finalists:
                 return
-            if any(self.problem.are_near(motion.result, other) for other in known):
-                continue
-            self.tell(f"polishing a motion that costs {motion.cost:.6g}")
-            with self.clock("polish"):
-                polished = self.problem.polish(motion.result)
-            known += [motion.result, polished]
-            with self.clock("replay"):
-                candidate = self.problem.judge(motion.origin, motion.result, polished)
-            self._candidates.append(candidate)
-            _LOG.info(
-                "  %s: cost %.6g, replayed %.6g",
-                candidate.describe_contacts(),
-                candidate.cost,
-                candidate.replay.cost,
-            )
+            if not any(self.problem.are_near(motion.result, other) for other in known):
+                known += [motion.result, self._polish(motion.origin, motion.result)]
+
+    def _polish(self, origin: Origin, start: ShootingResult) -> ShootingResult:
+        """Adds the candidate that a motion becomes, and returns its motion."""
+        self.tell(f"polishing a motion that costs {start.cost:.6g}")
+        with self.clock("polish"):
+            polished = self.problem.polish(start)
+        with self.clock("replay"):
+            candidate = self.problem.judge(origin, start, polished)
+        self._candidates.append(candidate)
+        _LOG.info(
+            "  %s: cost %.6g, replayed %.6g",
+            candidate.describe_contacts(),
+            candidate.cost,
+            candidate.replay.cost,
+        )
+        return polished
 
     def add_idle(self) -> None:
         """Adds doing nothing, which a plan has to beat."""

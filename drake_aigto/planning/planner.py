@@ -13,7 +13,6 @@ from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.mechanism_options import MechanismOptions
 from drake_aigto.planning.mechanism_problem import (
     MechanismProblem,
-    check_shooting,
     needs_shooting,
 )
 from drake_aigto.planning.mechanism_search import MechanismSearch
@@ -21,6 +20,8 @@ from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.plan import Plan, PlanningError
 from drake_aigto.planning.pool import Progress, Stopwatch
 from drake_aigto.planning.rigid import RigidProblem, transcribe
+from drake_aigto.planning.rigid_mechanism import RigidMechanismProblem, make_mechanism_problem
+from drake_aigto.planning.rigid_mechanism_search import RigidMechanismSearch
 from drake_aigto.planning.rigid_search import RigidSearch
 from drake_aigto.simulation.material import contact_delay
 from drake_aigto.transcription import RigidTranscription
@@ -68,8 +69,6 @@ class Planner:
         self.world = world or World.from_scenario(scenario)
         self.world.check(scenario)
         self.options = _choose_options(self.world, scenario, options)
-        if isinstance(self.options, MechanismOptions):
-            check_shooting(self.world, scenario)
         if self.options.confirm and scenario.contact == "rigid" and self.world.contacts:
             contact_delay(self.world)  # A wall without stiffness is refused before long work.
         self._build_clock = Stopwatch()
@@ -107,7 +106,7 @@ class Planner:
         """The program, compiled; nothing can be added from now on."""
         with self._build_clock("build"):
             if isinstance(self.options, MechanismOptions):
-                return MechanismProblem(self.world, self.scenario, self.options)
+                return make_mechanism_problem(self.world, self.scenario, self.options)
             num_steps = self.scenario.num_steps
             problem = RigidProblem(self.transcription, self.options, num_steps)
         self.transcription.freeze()
@@ -171,6 +170,8 @@ class Planner:
         else:
             with clock("build"):
                 problem = problem.again(scenario)
+        if isinstance(problem, RigidMechanismProblem):
+            return RigidMechanismSearch(problem, clock)
         if isinstance(problem, MechanismProblem):
             return MechanismSearch(problem, clock)
         return RigidSearch(problem, clock)

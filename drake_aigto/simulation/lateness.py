@@ -13,7 +13,7 @@ from drake_aigto.simulation.controller import HeldControl
 from drake_aigto.simulation.costs import calc_cost
 from drake_aigto.simulation.material import LEAST_RESTITUTION, calc_delays
 from drake_aigto.simulation.mechanism import simulate_mechanism
-from drake_aigto.simulation.recording import Impact, Recording
+from drake_aigto.simulation.recording import Impact, Recording, find_impacts
 from drake_aigto.world import Scenario, World
 
 
@@ -60,7 +60,7 @@ def calc_lateness(world: World, scenario: Scenario, times: Floats, controls: Flo
     control = _Control(world, scenario, times, controls)
     start = scenario.initial_position, scenario.initial_velocity
     recording, _ = control.run(start, float(times[0]))
-    after = np.flatnonzero(np.diff(recording.times) == 0) + 1
+    after = 1 + find_impacts(np.array(recording.times), np.array(recording.velocities))
     error = cost = 0.0
     for row, impact in zip(after, recording.impacts, strict=True):
         if impact.time < times[-1]:

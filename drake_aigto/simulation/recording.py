@@ -7,7 +7,7 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.simulation.impacts import CONTACT, PUSH, SPEED, STATE, TIME
 from drake_aigto.simulation.smooth import Samples
 
@@ -95,3 +95,9 @@ def list_impacts(log: Floats, mass_matrix: Floats) -> list[Impact]:
     rows = np.column_stack([log[:, TIME], log[:, SPEED : PUSH + 1], *energies]).tolist()
     contacts = log[:, CONTACT].astype(int).tolist()
     return [Impact(row[0], i, *row[1:]) for i, row in zip(contacts, rows, strict=True)]
+
+
+def find_impacts(times: Floats, velocities: Floats) -> Ints:
+    """Returns the rows just before impacts that take no time, of a motion's rows."""
+    jumps = np.any(np.diff(velocities, axis=0) != 0, axis=1)
+    return np.flatnonzero((np.diff(times) == 0) & jumps)

@@ -1,0 +1,122 @@
+"""Motions that bounce off rigid walls: where they touch, and their knots in phases."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from drake_aigto.arrays import Floats, Ints, read_only
+from drake_aigto.shooting import Phases, ShootingResult
+from drake_aigto.transcription import Touch, TouchSequence
+from drake_aigto.world import World
+
+# No phase starts out shorter than this part of the duration.
+_SHORTEST = 1e-2
+# Where walls are looked at between two knots, as parts of the time between them.
+_LOOKS = np.linspace(0.0, 1.0, 9)[1:-1]
+
+
+@dataclass(frozen=True, eq=False)
+class BouncingResult(ShootingResult):
+    """A motion in phases, and where they meet.
+
+    Attributes:
+        contacts: what is touched at the end of each phase but the last, shape (P − 1,).
+        knots: where that is, shape (P − 1,).
+    """
+
+    contacts: Ints
+    knots: Ints
+
+    def __post_init__(self) -> None:
+        """Makes the arrays read-only."""
+        super().__post_init__()
+        for name in ("contacts", "knots"):
+            object.__setattr__(self, name, read_only(getattr(self, name), np.int64))
+
+    @property
+    def touches(self) -> TouchSequence:
+        """What is touched, and when."""
+        return tuple(map(Touch.bounce, self.times[self.knots].tolist(), self.contacts.tolist()))
+
+
+class Dip(NamedTuple):
+    """Where a motion is inside of a wall."""
+
+    depth: float  # −φ at most [m]
+    touch: Touch  # then, and through that face
+
+
+def lay_out(
+    touches: TouchSequence, num_steps: int, duration: float, total: tuple[float, float]
+) -> tuple[Floats, Phases]:
+    """Returns knots of which one is at each touch, and the phases between.
+
+    Args:
+        touches: bounces by time, fewer than steps.
+        num_steps: N.
+        duration: of the motion [s].
+        total: the least and the most that it may become [s].
+    """
+    ends = np.clip([touch.start for touch in touches], 0.0, duration)
+    durations = np.maximum(np.diff(ends, prepend=0.0, append=duration), _SHORTEST * duration)
+    durations *= duration / durations.sum()
+    knots = np.rint(np.cumsum(durations[:-1]) / duration * num_steps).astype(np.int64)
+    places = np.arange(len(knots))
+    knots = np.maximum.accumulate(np.maximum(knots, places + 1) - places) + places
+    knots = np.minimum(knots, num_steps - len(knots) + places)
+    joints = np.concatenate([[0.0], np.cumsum(durations)])
+    joints[-1] = duration
+    times = np.interp(np.arange(num_steps + 1), [0, *knots, num_steps], joints)
+    contacts = np.array([touch.contact for touch in touches], dtype=np.int64)
+    return times, Phases(contacts, knots, durations, total)
+
+
+def read_touches(world: World, motion: ShootingResult) -> TouchSequence:
+    """Returns where a motion between walls that yield is deepest inside, by time."""
+    q = motion.states[:, : world.num_positions]
+    return tuple(dip.touch for dip in _find_dips(world, motion.times, q))
+
+
+def find_deepest(world: World, motion: BouncingResult) -> Dip | None:
+    """Returns where a motion in phases is deepest inside of a wall between its knots, if at all."""
+    times, positions = _look_between(world, motion)
+    return max(_find_dips(world, times, positions), default=None)
+
+
+def _find_dips(world: World, times: Floats, positions: Floats) -> Iterator[Dip]:
+    """Yields of each stretch inside of a solid where it is deepest; by time."""
+    distances = world.calc_signed_distance(positions)
+    found = []
+    for faces in map(list, world.solids):
+        clearance = distances[:, faces].max(axis=1)
+        inside = np.flatnonzero(clearance < 0)
+        for knots in np.split(inside, 1 + np.flatnonzero(np.diff(inside) > 1)):
+            if len(knots) and knots[-1] > 0:
+                deepest = knots[np.argmin(clearance[knots])]
+                entered = faces[int(np.argmax(distances[knots[0], faces]))]
+                touch = Touch.bounce(times[deepest], entered)
+                found.append(Dip(-float(clearance[deepest]), touch))
+    yield from sorted(found, key=lambda dip: dip.touch.start)
+
+
+def _look_between(world: World, motion: BouncingResult) -> tuple[Floats, Floats]:
+    """Returns times (K,) and positions (K, n) between knots, cubic but before a bounce.
+
+    There, the velocity at the end is not known, and positions are parabolas.
+    """
+    n, h = world.num_positions, np.diff(motion.times)[:, np.newaxis]
+    q, v = motion.states[:, :n], motion.states[:, n:]
+    way, start = np.diff(q, axis=0), h * v[:-1]
+    end = h * v[1:]
+    bounces = motion.knots - 1
+    end[bounces] = 2 * way[bounces] - start[bounces]
+    s = _LOOKS[:, np.newaxis, np.newaxis]
+    bend = 3 * way - 2 * start - end
+    twist = start + end - 2 * way
+    positions = q[:-1] + s * (start + s * (bend + s * twist))
+    times = motion.times[:-1] + _LOOKS[:, np.newaxis] * h[:, 0]
+    return times.T.ravel(), positions.transpose(1, 0, 2).reshape(-1, n)

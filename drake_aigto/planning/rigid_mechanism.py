@@ -1,0 +1,134 @@
+"""A mechanism's task between rigid walls: boxes have springs there, and shooting has phases."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cached_property
+
+import numpy as np
+
+from drake_aigto.arrays import Floats, interpolate
+from drake_aigto.planning.bounces import add_impulses, replay_at_knots
+from drake_aigto.planning.flow import trace
+from drake_aigto.planning.mechanism_boxes import Center
+from drake_aigto.planning.mechanism_options import MechanismOptions
+from drake_aigto.planning.mechanism_phases import (
+    BouncingResult,
+    find_deepest,
+    lay_out,
+    read_touches,
+)
+from drake_aigto.planning.mechanism_problem import POLISH, MechanismProblem
+from drake_aigto.shooting import Mechanism, ShootingOptions, ShootingResult, Smoothing
+from drake_aigto.simulation.replay import Replay
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription import TouchSequence
+from drake_aigto.transcription.rows import INTEGRATION, RESTITUTION
+from drake_aigto.world import Scenario, World
+
+# A motion that is this deep inside of a wall between knots, as a part of the task's length, has a
+# bounce added there, so often at most.
+_DEEP, _MOST_ADDED = 1e-3, 4
+_COARSE = ShootingOptions(rungs=(Smoothing(0.0, 40, 1e-3),), multiplier_updates=4)
+
+
+class RigidMechanismProblem(MechanismProblem):
+    """A task of a mechanism between rigid walls.
+
+    Boxes, and what first closes them, have springs in place of the walls (`soften`). Where the
+    motion touches these is read off, and shooting goes on in phases that meet there (`Phases`): on
+    rigid walls, with impacts at knots whose times are free.
+    """
+
+    @cached_property
+    def mechanism(self) -> Mechanism:
+        """What moves between springs."""
+        return Mechanism.of(self.world, self._springs)
+
+    def close(self, center: Center) -> BouncingResult:
+        """Returns the motion on rigid walls near a box center."""
+        soft = super().close(center)
+        return self.bounce(read_touches(self.world, soft), soft)
+
+    def bounce(self, touches: TouchSequence, guess: ShootingResult) -> BouncingResult:
+        """Returns a motion with these touches near another, as far as a few steps lead.
+
+        If it dips into a wall between knots, with a bounce there as well.
+        """
+        return self._shoot_clear(touches, guess, self.search_steps, _COARSE)
+
+    def polish(self, motion: ShootingResult) -> BouncingResult:
+        """Returns the local optimum near a motion in phases, in the scenario's time steps."""
+        assert isinstance(motion, BouncingResult)
+        return self._shoot_clear(motion.touches, motion, self.scenario.num_steps, POLISH)
+
+    def _shoot_clear(
+        self,
+        touches: TouchSequence,
+        guess: ShootingResult,
+        num_steps: int,
+        options: ShootingOptions,
+    ) -> BouncingResult:
+        """Returns the cheapest motion, bounces being added where one dips into a wall."""
+        tried = []
+        for _ in range(1 + _MOST_ADDED):
+            motion = self._shoot(touches, guess, num_steps, options)
+            dip = find_deepest(self.world, motion) if np.isfinite(motion.cost) else None
+            if dip is not None:
+                depth = dip.depth / self.scales.length
+                motion = dataclasses.replace(motion, violation=max(motion.violation, depth))
+            tried.append(motion)
+            if dip is None or dip.depth < _DEEP * self.scales.length:
+                break
+            if len(motion.knots) + 1 >= num_steps:
+                break
+            guess = motion
+            touches = tuple(sorted((*motion.touches, dip.touch), key=lambda touch: touch.start))
+        return min(tried, key=self.price)
+
+    def _shoot(
+        self,
+        touches: TouchSequence,
+        guess: ShootingResult,
+        num_steps: int,
+        options: ShootingOptions,
+    ) -> BouncingResult:
+        """Returns the motion in phases near another one."""
+        T, free = float(guess.times[-1]), self.scenario.duration_range
+        times, phases = lay_out(touches[: num_steps - 1], num_steps, T, free or (T, T))
+        problem = dataclasses.replace(
+            self.shooting(num_steps), mechanism=self._compiled.mechanism, times=times, phases=phases
+        )
+        middles = (times[1:] + times[:-1]) / 2
+        row = np.searchsorted(guess.times, middles) - 1
+        controls = guess.controls[np.minimum(row, len(guess.controls) - 1)]
+        states = interpolate(times, guess.times, guess.states)
+        found = problem.solve(controls, states, options)
+        if options is POLISH:
+            found = problem.refine(found, options)
+        fields = {field.name: getattr(found, field.name) for field in dataclasses.fields(found)}
+        return BouncingResult(**fields, contacts=phases.contacts, knots=phases.knots)
+
+    def _simulate(self, found: ShootingResult) -> tuple[Replay, Trajectory, dict[str, float]]:
+        """Returns what controls do, as a trajectory whose knots are where it bounces."""
+        world, scenario = self.world, self.scenario
+        times = self._end_exactly(found.times)
+        times, controls, replay = replay_at_knots(world, scenario, times, found.controls)
+        flight, gap = trace(world, self.law, replay, times, controls)
+        trajectory, rebound = add_impulses(world, scenario, replay, flight)
+        integration = float(np.max(gap / self.state_scales))
+        return replay, trajectory, {INTEGRATION: integration, RESTITUTION: rebound}
+
+    def _end_exactly(self, times: Floats) -> Floats:
+        """Returns times that end when the scenario has it, from which phases may be off a little."""
+        duration = self.scenario.duration_range or self.scenario.duration
+        return times * (np.clip(times[-1], np.min(duration), np.max(duration)) / times[-1])
+
+
+def make_mechanism_problem(
+    world: World, scenario: Scenario, options: MechanismOptions
+) -> MechanismProblem:
+    """Returns a mechanism's task, as what may touch there is rigid or not."""
+    is_rigid = scenario.contact == "rigid" and bool(world.contacts)
+    kind = RigidMechanismProblem if is_rigid else MechanismProblem
+    return kind(world, scenario, options)
