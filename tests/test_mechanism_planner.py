@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from drake_aigto import Plan, Planner, PlanningError, PlanOptions, Scenario
-from drake_aigto.errors import ModelError, OptionsError, ProgramError
+from drake_aigto.errors import OptionsError, ProgramError
 from drake_aigto.planning import Center, MechanismOptions, MechanismRung, Renewal
 from drake_aigto.planning.mechanism_problem import MechanismProblem
 from drake_aigto.shooting import ShootingResult
@@ -137,7 +137,3 @@ def test_options_of_another_road_are_refused() -> None:
 def test_what_shooting_has_no_room_for_is_refused_by_name(cart_pole: Planner) -> None:
     with pytest.raises(ProgramError, match="the planner's transcription: got a task for shooting"):
         _ = cart_pole.transcription
-    with pytest.raises(ModelError, match="rigid walls around a mechanism"):
-        Planner(Scenario.named("pendulum/off_the_wall"))
-    with pytest.raises(ModelError, match="rigid walls around a mechanism"):
-        Planner(Scenario.named("cart_pole/rigid_06"))

@@ -17,7 +17,7 @@ _AT_KNOT = 2e-10
 # A knot is moved to a bounce that is off by at most this part of a step; else one is added there.
 _NEAR = 1e-2
 # Moving knots moves bounces, the square of that. So often at most.
-_MOST_MOVES = 5
+_MOST_MOVES = 12
 
 
 def replay_at_knots(
@@ -29,12 +29,13 @@ def replay_at_knots(
     """
     for _ in range(_MOST_MOVES):
         replay = replay_event_driven(world, scenario, times, controls)
-        known = times
+        moved = times, controls
         for bounce in replay.bounce_times:
-            times, controls = _put_knot(times, controls, bounce)
-        if times is known:
+            moved = _put_knot(*moved, bounce)
+        if moved[0] is times:
             break
-    return times, controls, replay
+        times, controls = moved
+    return times, controls, replay_event_driven(world, scenario, times, controls)
 
 
 def _put_knot(times: Floats, controls: Floats, bounce: float) -> tuple[Floats, Floats]:
@@ -61,8 +62,8 @@ def add_impulses(
     impulse along the contact makes of that before, and the contact's speed be returned e times, or
     nothing of it where rest begins.
     """
-    rows = find_impacts(replay.times, replay.velocities)
     contacts = np.array(replay.bounce_contacts, dtype=np.int64)
+    rows = find_impacts(replay.times, replay.velocities, len(contacts))
     impulses = trajectory.impulses.copy()
     if not len(rows):
         return trajectory, 0.0
@@ -78,4 +79,3 @@ def add_impulses(
     knots = np.abs(trajectory.times[:, np.newaxis] - replay.times[rows]).argmin(axis=0)
     np.add.at(impulses, (knots, contacts), pushes)
     return replace(trajectory, impulses=impulses), float(max(misses.max(), rebounds.max()))
-

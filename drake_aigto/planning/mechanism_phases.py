@@ -84,7 +84,44 @@ def read_touches(world: World, motion: ShootingResult) -> TouchSequence:
 def find_deepest(world: World, motion: BouncingResult) -> Dip | None:
     """Returns where a motion in phases is deepest inside of a wall between its knots, if at all."""
     times, positions = _look_between(world, motion)
-    return max(_find_dips(world, times, positions), default=None)
+    flat = positions.reshape(-1, positions.shape[-1])
+    return max(_find_dips(world, times.ravel(), flat), default=None)
+
+
+def find_grazes(world: World, motion: BouncingResult, speed: float) -> list[int]:
+    """Returns which touches of a motion are slower than a speed [m/s]."""
+    n, rows = world.num_positions, np.arange(len(motion.knots))
+    J = world.calc_contact_jacobian(motion.states[motion.knots, :n])[rows, motion.contacts]
+    _, before = _find_slopes(world, motion)
+    return np.flatnonzero(np.einsum("bi,bi->b", J, before[motion.knots - 1]) > -speed).tolist()
+
+
+def find_lacks(world: World, motion: BouncingResult, margin: float) -> Floats:
+    """Returns by how much φ should be larger at knots not to fall below a margin between them.
+
+    Of solids, that is the face which the sphere is in front of. Next to a bounce on it nothing is
+    asked for.
+
+    Returns:
+        At least 0, shape (N + 1, m) [m].
+    """
+    _, positions = _look_between(world, motion)
+    distances = world.calc_signed_distance(positions)
+    N, m = len(positions), distances.shape[-1]
+    lacks, is_touched = np.zeros((N, m)), np.zeros((N + 1, m), dtype=bool)
+    for faces in map(list, world.solids):
+        of_solid = distances[..., faces]
+        lowest = of_solid.max(axis=2).argmin(axis=1)
+        there = of_solid[np.arange(N), lowest]
+        foremost = there.argmax(axis=1)
+        lacks[np.arange(N), np.array(faces)[foremost]] = margin - there.max(axis=1)
+        touched = motion.knots[np.isin(motion.contacts, faces)]
+        is_touched[touched[:, np.newaxis], faces] = True
+    lacks[is_touched[1:] | is_touched[:-1]] = 0.0
+    found = np.zeros((N + 1, m))
+    found[:-1] = lacks
+    found[1:] = np.maximum(found[1:], lacks)
+    return np.where(is_touched, 0.0, np.maximum(found, 0.0))
 
 
 def _find_dips(world: World, times: Floats, positions: Floats) -> Iterator[Dip]:
@@ -103,20 +140,25 @@ def _find_dips(world: World, times: Floats, positions: Floats) -> Iterator[Dip]:
     yield from sorted(found, key=lambda dip: dip.touch.start)
 
 
-def _look_between(world: World, motion: BouncingResult) -> tuple[Floats, Floats]:
-    """Returns times (K,) and positions (K, n) between knots, cubic but before a bounce.
+def _find_slopes(world: World, motion: BouncingResult) -> tuple[Floats, Floats]:
+    """Returns the velocities at the start and the end of each step, shape (N, n) each.
 
-    There, the velocity at the end is not known, and positions are parabolas.
+    Before a bounce, that is the slope of a parabola.
     """
     n, h = world.num_positions, np.diff(motion.times)[:, np.newaxis]
     q, v = motion.states[:, :n], motion.states[:, n:]
-    way, start = np.diff(q, axis=0), h * v[:-1]
-    end = h * v[1:]
-    bounces = motion.knots - 1
-    end[bounces] = 2 * way[bounces] - start[bounces]
+    end, bounces = v[1:].copy(), motion.knots - 1
+    end[bounces] = 2 * (np.diff(q, axis=0) / h)[bounces] - v[:-1][bounces]
+    return v[:-1], end
+
+
+def _look_between(world: World, motion: BouncingResult) -> tuple[Floats, Floats]:
+    """Returns times (N, K) and positions (N, K, n) between knots, on cubics."""
+    n, h = world.num_positions, np.diff(motion.times)[:, np.newaxis]
+    q = motion.states[:, :n]
+    start, end = (h * slopes for slopes in _find_slopes(world, motion))
+    way = np.diff(q, axis=0)
     s = _LOOKS[:, np.newaxis, np.newaxis]
-    bend = 3 * way - 2 * start - end
-    twist = start + end - 2 * way
+    bend, twist = 3 * way - 2 * start - end, start + end - 2 * way
     positions = q[:-1] + s * (start + s * (bend + s * twist))
-    times = motion.times[:-1] + _LOOKS[:, np.newaxis] * h[:, 0]
-    return times.T.ravel(), positions.transpose(1, 0, 2).reshape(-1, n)
+    return motion.times[:-1, np.newaxis] + _LOOKS * h, positions.transpose(1, 0, 2)

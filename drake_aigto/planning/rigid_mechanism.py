@@ -15,10 +15,12 @@ from drake_aigto.planning.mechanism_options import MechanismOptions
 from drake_aigto.planning.mechanism_phases import (
     BouncingResult,
     find_deepest,
+    find_grazes,
+    find_lacks,
     lay_out,
     read_touches,
 )
-from drake_aigto.planning.mechanism_problem import POLISH, MechanismProblem
+from drake_aigto.planning.mechanism_problem import MechanismProblem
 from drake_aigto.shooting import Mechanism, ShootingOptions, ShootingResult, Smoothing
 from drake_aigto.simulation.replay import Replay
 from drake_aigto.trajectory import Trajectory
@@ -28,7 +30,16 @@ from drake_aigto.world import Scenario, World
 
 # A motion that is this deep inside of a wall between knots, as a part of the task's length, has a
 # bounce added there, so often at most.
-_DEEP, _MOST_ADDED = 1e-3, 4
+_DEEP, _MOST_ADDED = 1e-2, 4
+# Walls are passed at this part of the task's length, for which knots are moved so often at most;
+# touches slower than this part of its speed are passed, too.
+_MARGIN, _MOST_LIFTS, _SLOW = 1e-4, 6, 1e-2
+# Near a wall that is grazed, speeds change with the square root of distances: a finalist has to
+# meet its walls closely.
+_FINE = ShootingOptions(
+    rungs=(Smoothing(0.0, 60, 1e-7),), substeps=4, multiplier_updates=20, feasibility=1e-7
+)
+_EXACT = 1e-5
 _COARSE = ShootingOptions(rungs=(Smoothing(0.0, 40, 1e-3),), multiplier_updates=4)
 
 
@@ -53,38 +64,42 @@ class RigidMechanismProblem(MechanismProblem):
     def bounce(self, touches: TouchSequence, guess: ShootingResult) -> BouncingResult:
         """Returns a motion with these touches near another, as far as a few steps lead.
 
-        If it dips into a wall between knots, with a bounce there as well.
+        If it dips deep into a wall between knots, with a bounce there as well.
         """
-        return self._shoot_clear(touches, guess, self.search_steps, _COARSE)
-
-    def polish(self, motion: ShootingResult) -> BouncingResult:
-        """Returns the local optimum near a motion in phases, in the scenario's time steps."""
-        assert isinstance(motion, BouncingResult)
-        return self._shoot_clear(motion.touches, motion, self.scenario.num_steps, POLISH)
-
-    def _shoot_clear(
-        self,
-        touches: TouchSequence,
-        guess: ShootingResult,
-        num_steps: int,
-        options: ShootingOptions,
-    ) -> BouncingResult:
-        """Returns the cheapest motion, bounces being added where one dips into a wall."""
         tried = []
         for _ in range(1 + _MOST_ADDED):
-            motion = self._shoot(touches, guess, num_steps, options)
+            motion = self._shoot(touches, guess, self.search_steps, _COARSE)
             dip = find_deepest(self.world, motion) if np.isfinite(motion.cost) else None
             if dip is not None:
                 depth = dip.depth / self.scales.length
                 motion = dataclasses.replace(motion, violation=max(motion.violation, depth))
             tried.append(motion)
-            if dip is None or dip.depth < _DEEP * self.scales.length:
-                break
-            if len(motion.knots) + 1 >= num_steps:
+            is_full = len(motion.knots) + 1 >= self.search_steps
+            if dip is None or dip.depth < _DEEP * self.scales.length or is_full:
                 break
             guess = motion
             touches = tuple(sorted((*motion.touches, dip.touch), key=lambda touch: touch.start))
         return min(tried, key=self.price)
+
+    def polish(self, motion: ShootingResult) -> BouncingResult:
+        """Returns the local optimum near a motion in phases, in the scenario's time steps.
+
+        Walls that it only grazes are passed at a small distance instead, also between knots: what
+        happens there would change with the square root of any error.
+        """
+        assert isinstance(motion, BouncingResult)
+        num_steps, margin = self.scenario.num_steps, _MARGIN * self.scales.length
+        grazes = find_grazes(self.world, motion, _SLOW * self.scales.velocity)
+        touches = tuple(each for i, each in enumerate(motion.touches) if i not in grazes)
+        clearances = np.zeros((num_steps + 1, self.world.num_contacts))
+        found = self._shoot(touches, motion, num_steps, _FINE, clearances)
+        for _ in range(_MOST_LIFTS):
+            lacks = find_lacks(self.world, found, margin)
+            if not np.isfinite(found.cost) or np.max(lacks) < margin / 2:
+                break
+            clearances = clearances + lacks
+            found = self._shoot(found.touches, found, num_steps, _FINE, clearances)
+        return found
 
     def _shoot(
         self,
@@ -92,20 +107,25 @@ class RigidMechanismProblem(MechanismProblem):
         guess: ShootingResult,
         num_steps: int,
         options: ShootingOptions,
+        clearances: Floats | None = None,
     ) -> BouncingResult:
         """Returns the motion in phases near another one."""
         T, free = float(guess.times[-1]), self.scenario.duration_range
         times, phases = lay_out(touches[: num_steps - 1], num_steps, T, free or (T, T))
         problem = dataclasses.replace(
-            self.shooting(num_steps), mechanism=self._compiled.mechanism, times=times, phases=phases
+            self.shooting(num_steps),
+            mechanism=self._compiled.mechanism,
+            times=times,
+            phases=phases,
+            clearances=clearances,
         )
         middles = (times[1:] + times[:-1]) / 2
         row = np.searchsorted(guess.times, middles) - 1
         controls = guess.controls[np.minimum(row, len(guess.controls) - 1)]
         states = interpolate(times, guess.times, guess.states)
         found = problem.solve(controls, states, options)
-        if options is POLISH:
-            found = problem.refine(found, options)
+        if options is _FINE:
+            found = problem.refine(found, options, _EXACT)
         fields = {field.name: getattr(found, field.name) for field in dataclasses.fields(found)}
         return BouncingResult(**fields, contacts=phases.contacts, knots=phases.knots)
 
@@ -120,7 +140,7 @@ class RigidMechanismProblem(MechanismProblem):
         return replay, trajectory, {INTEGRATION: integration, RESTITUTION: rebound}
 
     def _end_exactly(self, times: Floats) -> Floats:
-        """Returns times that end when the scenario has it, from which phases may be off a little."""
+        """Returns times that end when the scenario says: phases may be off a little."""
         duration = self.scenario.duration_range or self.scenario.duration
         return times * (np.clip(times[-1], np.min(duration), np.max(duration)) / times[-1])
 

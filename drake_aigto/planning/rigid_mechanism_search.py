@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from functools import partial
+from itertools import pairwise
+from typing import TypeAlias
 
 import numpy as np
 
@@ -19,82 +20,86 @@ from drake_aigto.transcription import Touch, TouchSequence
 
 # Neighbors are tried of so many of the best motions.
 _MOST_BRANCHED = 3
-# Sequences whose touches are this near, as a part of the duration, are one.
-_SAME_TIME = 0.05
-_BETWEEN = (0.25, 0.75)
+# Touches that are this near, as a part of the duration, are one and the same, and may be swapped.
+_NEAR = 0.05
+
+# Which contacts are touched, and roughly when.
+_Key: TypeAlias = tuple[tuple[int, int], ...]
 
 
 class RigidMechanismSearch(MechanismSearch):
     """The search on springs and in phases, and neighbors of the best sequences of touches.
 
-    After each wave of proposals, a touch is dropped, added or swapped with the next in the best
+    After each wave of proposals a touch is dropped, added, or swapped with the next in the best
     motions, until none of these leads to a better one.
     """
 
     problem: RigidMechanismProblem
 
-    def __init__(
-        self, problem: RigidMechanismProblem, clock: Stopwatch | None = None
-    ) -> None:
+    def __init__(self, problem: RigidMechanismProblem, clock: Stopwatch | None = None) -> None:
         """Starts with no motion."""
         super().__init__(problem, clock)
-        self._tried: set[tuple[tuple[int, int], ...]] = set()
-        self._branched: set[tuple[tuple[int, int], ...]] = set()
+        self._tried: set[_Key] = set()
+        self._branched: set[_Key] = set()
 
     def _close_all(
         self, origins: Iterable[Origin], closings: Sequence[Callable[[], Closed]]
     ) -> None:
         super()._close_all(origins, closings)
         while (motion := self._find_unbranched()) is not None:
-            self._branched.add(self._key(motion.result.touches))
-            self._branch(motion)
+            self._branched.add(self._find_key(_read(motion).touches))
+            self._branch(motion.origin, _read(motion))
 
     def _find_unbranched(self) -> Motion | None:
-        best = self.motions[:_MOST_BRANCHED]
-        for motion in best:
-            if self._key(motion.result.touches) not in self._branched:
+        """Returns one of the best whose neighbors were not tried yet."""
+        for motion in self.motions[:_MOST_BRANCHED]:
+            if self._find_key(_read(motion).touches) not in self._branched:
                 return motion
         return None
 
-    def _branch(self, motion: Motion) -> None:
-        """Closes the neighbors of a motion's touches."""
-        touches = motion.result.touches
+    def _branch(self, origin: Origin, motion: BouncingResult) -> None:
+        """Closes the neighbors of a motion, those that were not tried yet."""
         origins, closings = [], []
-        for change, other in self._find_neighbors(motion.result):
-            key = self._key(other)
-            if key in self._tried:
-                continue
-            self._tried.add(key)
-            origins.append(motion.origin.changed(change, touches))
-            closings.append(partial(self._bounce, other, motion.result))
+        for change, touches in self._find_neighbors(motion):
+            key = self._find_key(touches)
+            if key not in self._tried:
+                self._tried.add(key)
+                origins.append(origin.changed(change, motion.touches))
+                closings.append(partial(self._bounce, touches, motion))
         if closings:
             super()._close_all(origins, closings)
 
     def _bounce(self, touches: TouchSequence, guess: ShootingResult) -> Closed:
         return 0, self.problem.bounce(touches, guess)
 
-    def _find_neighbors(
-        self, motion: BouncingResult
-    ) -> Iterator[tuple[ChangeName, TouchSequence]]:
+    def _find_neighbors(self, motion: BouncingResult) -> Iterator[tuple[ChangeName, TouchSequence]]:
         """Yields sequences with a touch less, two swapped, and one more."""
-        touches, T = motion.touches, self.problem.scenario.duration
+        touches = motion.touches
         for place in range(len(touches)):
             yield "dropped", (*touches[:place], *touches[place + 1 :])
-        for other in swapped(touches, _SAME_TIME * T):
+        for other in swapped(touches, _NEAR * self.problem.scenario.duration):
             yield "swapped", other
-        q = motion.states[:, : self.problem.world.num_positions]
-        distances = self.problem.world.calc_signed_distance(q)
-        ends = [0, *motion.knots.tolist(), len(motion.times) - 1]
-        for place, (first, last) in enumerate(zip(ends[:-1], ends[1:])):
-            inside = slice(first + 1, last)
-            for contact in range(distances.shape[1]):
-                if last - first < 2:
-                    continue
-                knot = first + 1 + int(np.argmin(distances[inside, contact]))
-                for time in (motion.times[knot], (motion.times[first] + motion.times[last]) / 2):
-                    added = Touch.bounce(time, contact)
-                    yield "added", (*touches[:place], added, *touches[place:])
+        for place, added in self._find_additions(motion):
+            yield "added", (*touches[:place], added, *touches[place:])
 
-    def _key(self, touches: TouchSequence) -> tuple[tuple[int, int], ...]:
-        near = _SAME_TIME * self.problem.scenario.duration
+    def _find_additions(self, motion: BouncingResult) -> Iterator[tuple[int, Touch]]:
+        """Yields a touch of each contact in each phase: where it is nearest, and in the middle."""
+        world, times = self.problem.world, motion.times
+        distances = world.calc_signed_distance(motion.states[:, : world.num_positions])
+        ends = [0, *motion.knots.tolist(), len(times) - 1]
+        for place, (first, last) in enumerate(pairwise(ends)):
+            for contact in range(world.num_contacts if last - first > 1 else 0):
+                inside = distances[first + 1 : last, contact]
+                nearest = times[first + 1 + int(np.argmin(inside))]
+                for time in (nearest, (times[first] + times[last]) / 2):
+                    yield place, Touch.bounce(time, contact)
+
+    def _find_key(self, touches: TouchSequence) -> _Key:
+        near = _NEAR * self.problem.scenario.duration
         return tuple((touch.contact, round(touch.start / near)) for touch in touches)
+
+
+def _read(motion: Motion) -> BouncingResult:
+    """Returns a motion of this search, which is in phases."""
+    assert isinstance(motion.result, BouncingResult)
+    return motion.result

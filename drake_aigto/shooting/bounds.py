@@ -6,7 +6,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.jit import inner, kernel
-from drake_aigto.shooting.mechanism import find_foremost
+from drake_aigto.shooting.mechanism import find_foremost, triangle
 from drake_aigto.shooting.tables import Bounds, Memory, Program
 from drake_aigto.shooting.tape import run_tape
 
@@ -45,6 +45,8 @@ def add_bounds(
                     l2[k, i, i] += weight
         if bounds.is_distance_bounded[k]:
             cost += _add_distances(program, k, states[k], penalty, has_slopes, memory)
+        if k < program.kinds.size and program.kinds[k] >= 0:
+            cost += _add_approach(program, k, states[k], penalty, has_slopes, memory)
     return cost
 
 
@@ -56,7 +58,7 @@ def _add_distances(
     bounds, cost, n = program.bounds, 0.0, program.mechanics.actuation.shape[0]
     l1, l2, sums = memory.expansion.l1, memory.expansion.l2, memory.flow.mechanics.sums
     weight = penalty * bounds.distance_weight
-    phi, m = measure_distances(program, z, memory), bounds.lower_distance.shape[1]
+    phi, m = measure_distances(program, z, False, memory), bounds.lower_distance.shape[1]
     for i in range(m):
         if not _counts(program, k, i, phi, sums):
             continue
@@ -73,11 +75,52 @@ def _add_distances(
 
 
 @inner
-def measure_distances(program: Program, z: Floats, memory: Memory) -> int:
-    """Computes φ and J, and returns where φ starts among the sums."""
+def _add_approach(
+    program: Program, k: int, z: Floats, penalty: float, has_slopes: bool, memory: Memory
+) -> float:
+    """Returns what φ̇ ≤ 0 adds before the impact at knot k; adds to derivatives if asked.
+
+    Without it a motion could come out of a wall, and be pulled back by the impact.
+    """
+    bounds, nx = program.bounds, 2 * program.mechanics.actuation.shape[0]
+    l1, l2, slope = memory.expansion.l1, memory.expansion.l2, memory.flow.points[0]
+    weight = penalty * bounds.approach_weight
+    rate = _measure_approach(program, program.kinds[k], z, has_slopes, memory)
+    off = max(rate + bounds.approach_multipliers[k] / weight, 0.0)
+    if has_slopes and off > 0.0:
+        for j in range(nx):
+            l1[k, j] += weight * off * slope[j]
+            for c in range(nx):
+                l2[k, j, c] += weight * slope[j] * slope[c]
+    return weight * off * off / 2
+
+
+@inner
+def _measure_approach(
+    program: Program, contact: int, z: Floats, has_slopes: bool, memory: Memory
+) -> float:
+    """Returns φ̇ = J v of a contact, and computes its derivative by (q, v) if asked."""
+    n, m = program.mechanics.actuation.shape[0], program.bounds.lower_distance.shape[1]
+    sums, slope, rate = memory.flow.mechanics.sums, memory.flow.points[0], 0.0
+    phi = measure_distances(program, z, has_slopes, memory)
+    row, half = phi + m + contact * n, n * (n + 1) // 2
+    for j in range(n):
+        rate += sums[row + j] * z[n + j]
+    if has_slopes:
+        bends = phi + m + m * n + half * n + 2 * n * n + contact * half
+        for c in range(n):
+            slope[c], slope[n + c] = 0.0, sums[row + c]
+            for j in range(n):
+                slope[c] += sums[bends + triangle(n, j, c)] * z[n + j]
+    return rate
+
+
+@inner
+def measure_distances(program: Program, z: Floats, has_slopes: bool, memory: Memory) -> int:
+    """Computes φ and J, with their derivatives if asked, and returns where φ starts in the sums."""
     n, room = program.mechanics.actuation.shape[0], memory.flow.mechanics
     mechanics = program.mechanics
-    run_tape(mechanics.code, mechanics.numbers, z[: 2 * n], False, room.values, room.sums)
+    run_tape(mechanics.code, mechanics.numbers, z[: 2 * n], has_slopes, room.values, room.sums)
     return n * (n + 1) // 2 + n
 
 
@@ -111,7 +154,7 @@ def measure_bounds(
                     value += bounds.multipliers[k, i] / weight
                     bounds.multipliers[k, i] = weight * _excess(value, low, high)
         if bounds.is_distance_bounded[k]:
-            phi = measure_distances(program, states[k], memory)
+            phi = measure_distances(program, states[k], False, memory)
             weight = penalty * bounds.distance_weight
             for i in range(bounds.lower_distance.shape[1]):
                 if not _counts(program, k, i, phi, sums):
@@ -123,4 +166,11 @@ def measure_bounds(
                 if updates:
                     value += bounds.distance_multipliers[k, i] / weight
                     bounds.distance_multipliers[k, i] = weight * _excess(value, low, high)
+        if k < program.kinds.size and program.kinds[k] >= 0:
+            weight = penalty * bounds.approach_weight
+            rate = _measure_approach(program, program.kinds[k], states[k], False, memory)
+            worst = max(worst, np.sqrt(bounds.approach_weight) * rate)
+            if updates:
+                multiplier = bounds.approach_multipliers[k] + weight * rate
+                bounds.approach_multipliers[k] = max(multiplier, 0.0)
     return worst

@@ -8,7 +8,7 @@ from drake_aigto.arrays import Bools, Floats
 from drake_aigto.shooting.mechanism import copy_writable
 from drake_aigto.shooting.phases import Layout
 from drake_aigto.shooting.question import ShootingQuestion
-from drake_aigto.shooting.tables import CHORDAL, EXACT, MODULO, Bounds, Program, Task
+from drake_aigto.shooting.tables import CHORDAL, EXACT, FLOW, MODULO, Bounds, Program, Task
 from drake_aigto.world import TaskCost
 
 # A control's curvature counts as small below this share of the cost's scale per its own squared.
@@ -74,6 +74,8 @@ def _make_bounds(problem: ShootingQuestion, layout: Layout) -> Bounds:
         distance_weight=float(problem.length) ** -2,
         distance_multipliers=np.zeros_like(low),
         is_distance_bounded=is_distance_bounded,
+        approach_weight=float(T / problem.length) ** 2,
+        approach_multipliers=np.zeros(len(layout.kinds)),
         lower_control=low_control,
         upper_control=high_control,
         norm=float(problem.control_norm),
@@ -109,7 +111,11 @@ def _bound_distances(problem: ShootingQuestion, layout: Layout) -> Floats:
     free = np.full((num_stages + 1, m), np.inf)
     bounds = np.stack([-free, free])
     if problem.phases is not None:
-        bounds[0][:, problem.mechanism.mechanics.contacts[:, 0] == 0] = 0.0
+        is_rigid = problem.mechanism.mechanics.contacts[:, 0] == 0
+        bounds[0][:, is_rigid] = 0.0
+        if problem.clearances is not None:
+            knots = np.concatenate([[0], np.cumsum(layout.kinds == FLOW)])
+            bounds[0][:, is_rigid] = problem.clearances[knots][:, is_rigid]
         bounds[1, layout.starts[1:], problem.phases.contacts] = 0.0
         bounds[0, layout.starts[1:], problem.phases.contacts] = 0.0
     return bounds

@@ -34,6 +34,7 @@ class ShootingQuestion:
         length: what smoothing and φ are measured in [m].
         phases: what rigid walls are hit at which knots; None: nothing is hit. Then `times` says how
             knots divide each phase, and where contacts do not yield φ ≥ 0 at all knots.
+        clearances: of phases, how far φ has to be above 0 at knots, shape (N + 1, m) [m]; None: 0.
 
     Raises:
         ProgramError: a shape or a number does not fit; says which.
@@ -50,6 +51,7 @@ class ShootingQuestion:
     control_norm: float = np.inf
     length: float = 1.0
     phases: Phases | None = None
+    clearances: Floats | None = None
 
     def __post_init__(self) -> None:
         """Checks shapes and numbers, and makes arrays read-only."""

@@ -54,6 +54,8 @@ class Bounds(NamedTuple):
         distance_weight: w of φ.
         distance_multipliers: y of φ, shape (K + 1, m).
         is_distance_bounded: as above.
+        approach_weight: w of φ̇ ≤ 0 before an impact.
+        approach_multipliers: y of that, shape (K,).
         lower_control: shape (K, controls of a stage).
         upper_control: the same.
         norm: of a control, at most.
@@ -72,6 +74,8 @@ class Bounds(NamedTuple):
     distance_weight: float
     distance_multipliers: Floats
     is_distance_bounded: Bools
+    approach_weight: float
+    approach_multipliers: Floats
     lower_control: Floats
     upper_control: Floats
     norm: float

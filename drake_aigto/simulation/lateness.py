@@ -60,7 +60,8 @@ def calc_lateness(world: World, scenario: Scenario, times: Floats, controls: Flo
     control = _Control(world, scenario, times, controls)
     start = scenario.initial_position, scenario.initial_velocity
     recording, _ = control.run(start, float(times[0]))
-    after = 1 + find_impacts(np.array(recording.times), np.array(recording.velocities))
+    rows = np.array(recording.times), np.array(recording.velocities)
+    after = 1 + find_impacts(*rows, len(recording.impacts))
     error = cost = 0.0
     for row, impact in zip(after, recording.impacts, strict=True):
         if impact.time < times[-1]:

@@ -97,7 +97,12 @@ def list_impacts(log: Floats, mass_matrix: Floats) -> list[Impact]:
     return [Impact(row[0], i, *row[1:]) for i, row in zip(contacts, rows, strict=True)]
 
 
-def find_impacts(times: Floats, velocities: Floats) -> Ints:
-    """Returns the rows just before impacts that take no time, of a motion's rows."""
-    jumps = np.any(np.diff(velocities, axis=0) != 0, axis=1)
-    return np.flatnonzero((np.diff(times) == 0) & jumps)
+def find_impacts(times: Floats, velocities: Floats, count: int) -> Ints:
+    """Returns the rows of a motion just before its impacts, shape (count,).
+
+    Rows of equal time are before and after an impact, or at a knot where one was; there, velocities
+    differ by rounding only. Those are taken which differ most.
+    """
+    at_once = np.flatnonzero(np.diff(times) == 0)
+    jumps = np.linalg.norm(np.diff(velocities, axis=0)[at_once], axis=1)
+    return np.sort(at_once[np.argsort(-jumps, kind="stable")[:count]])

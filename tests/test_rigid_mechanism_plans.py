@@ -1,0 +1,113 @@
+"""Plans for mechanisms between rigid walls, against what impacts and simulations say."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from drake_aigto import Plan, Planner, Scenario
+from drake_aigto.planning import MechanismOptions
+from drake_aigto.planning.mechanism_phases import lay_out
+from drake_aigto.transcription import Touch
+
+QUICK = MechanismOptions(renewals=8, finalists=2)
+
+
+@pytest.fixture(scope="module")
+def pendulum() -> Planner:
+    return Planner(Scenario.named("pendulum/off_the_wall"), QUICK)
+
+
+@pytest.fixture(scope="module")
+def plan(pendulum: Planner) -> Plan:
+    return pendulum.plan()
+
+
+@pytest.fixture(scope="module")
+def throw() -> Plan:
+    return Planner(Scenario.named("throwing_ball/bounces"), QUICK).plan()
+
+
+def check_impacts(plan: Plan) -> None:
+    """Asserts that the velocity jumps at knots as Newton's impact law has it."""
+    world, t = plan.find_world(), plan.trajectory
+    e = world.restitutions(plan.scenario)
+    hit = np.flatnonzero(t.impulses.any(axis=1))
+    assert len(hit) == len(plan.best.contacts)
+    for k in hit:
+        i = int(np.argmax(t.impulses[k]))
+        J = world.calc_contact_jacobian(t.positions[k])[i]
+        jump = world.calc_velocity_change(t.positions[k], t.impulses[k])
+        assert world.calc_signed_distance(t.positions[k])[i] == pytest.approx(0, abs=1e-9)
+        assert J @ t.velocities[k] < 0
+        after = J @ (t.velocities[k] + jump)
+        assert after == pytest.approx(-e[i] * (J @ t.velocities[k]), abs=1e-9)
+
+
+def test_the_pendulum_comes_back_off_the_wall(plan: Plan) -> None:
+    assert plan.holds
+    assert [contact.index for contact in plan.best.contacts] == [0]
+    assert plan.best.energy_ratio == pytest.approx(0.8**2, rel=1e-9)
+    assert plan.idle is not None
+    assert plan.cost < plan.idle.cost / 100
+    check_impacts(plan)
+
+
+def test_a_plan_costs_what_it_promises_in_both_simulations(plan: Plan, throw: Plan) -> None:
+    for each in (plan, throw):
+        assert each.replay.event_driven.cost == pytest.approx(each.cost, rel=0.01)
+        assert each.replay.drake is not None
+        assert each.replay.drake.cost == pytest.approx(each.cost, rel=0.02)
+        assert max(each.defects.values()) < 1e-9
+
+
+def test_a_thrown_ball_bounces_six_times(throw: Plan) -> None:
+    """With five bounces the same task costs 11.3, with seven 7.1."""
+    assert throw.holds
+    assert len(throw.best.contacts) == 6
+    assert throw.cost < 6.31
+    assert np.linalg.norm(throw.trajectory.controls, axis=1).max() <= 9 * (1 + 1e-12)
+    check_impacts(throw)
+
+
+def test_who_needs_no_wall_touches_none(pendulum: Planner) -> None:
+    free = pendulum.plan(initial_velocity=[0.0], duration=0.3)
+    assert free.holds
+    assert not free.best.contacts
+    assert free.replay.event_driven.max_penetration == 0
+
+
+def test_a_wall_that_would_be_grazed_is_passed_at_a_distance() -> None:
+    scenario = Scenario.named("cart_pole/rigid_06")
+    plan = Planner(dataclasses.replace(scenario, restitution=0.5), QUICK).plan()
+    assert plan.holds
+    assert plan.replay.event_driven.cost == pytest.approx(plan.cost, rel=1e-4)
+    assert plan.cost < 80.6
+    check_impacts(plan)
+
+
+def test_a_plan_is_that_of_any_number_of_threads(pendulum: Planner, plan: Plan) -> None:
+    one = dataclasses.replace(QUICK, threads=1)
+    other = Planner(pendulum.scenario, one, pendulum.world).plan()
+    np.testing.assert_array_equal(other.trajectory.controls, plan.trajectory.controls)
+
+
+def test_a_file_keeps_the_plan(throw: Plan, tmp_path: Path) -> None:
+    throw.save(tmp_path / "plan.json")
+    loaded = Plan.load(tmp_path / "plan.json")
+    assert loaded == throw
+    assert loaded.replayed().holds
+
+
+@pytest.mark.parametrize("times", [[], [0.0, 0.0, 0.0], [1.0, 1.0], [0.1, 0.5, 0.50001, 0.99]])
+def test_knots_are_at_touches_and_rise_however_crowded_these_are(times: list[float]) -> None:
+    touches = tuple(Touch.bounce(time) for time in times)
+    knots, phases = lay_out(touches, 6, 1.0, (1.0, 1.0))
+    assert knots[0] == 0.0
+    assert knots[-1] == 1.0
+    assert np.all(np.diff(knots) > 0)
+    assert np.all((phases.knots > 0) & (phases.knots < 6))
+    np.testing.assert_allclose(knots[phases.knots], np.cumsum(phases.durations)[:-1])
