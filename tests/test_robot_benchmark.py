@@ -18,6 +18,7 @@ from benchmarks.robots.judge import Control, judge
 from benchmarks.robots.known import Known, load_known
 from benchmarks.robots.mechanics import find_gaps
 from benchmarks.robots.methods import (
+    extremals,
     ipopt_multistart,
     listed_sequences,
     random_control,
@@ -170,6 +171,14 @@ def test_what_listed_touches_promise_is_what_the_judge_finds() -> None:
     question = Question("pendulum/off_the_wall", 1)
     best = min(itertools.islice(listed_sequences(question), 8), key=lambda each: each.promised)
     assert judge(question, best.control).score == pytest.approx(best.promised, rel=1e-3)
+
+
+def test_extremals_cost_what_the_judge_finds_and_no_more_than_listed_touches() -> None:
+    question = Question("pendulum/off_the_wall", 3)
+    *_, found = extremals(question)
+    listed = min(each.promised for each in itertools.islice(listed_sequences(question), 12))
+    assert judge(question, found.control).score == pytest.approx(found.promised, rel=1e-3)
+    assert found.promised <= listed * (1 + 1e-3)
 
 
 @pytest.mark.skipif(casadi is None, reason="CasADi is not installed")

@@ -1,7 +1,7 @@
 """What answers a question: ours and its peers, each as a stream of attempts.
 
 Every random attempt starts from a random smooth control, piecewise linear between three to eight
-values. An attempt tells what its own program promises; the judge is not asked.
+values. An attempt tells what its own program promises.
 """
 
 from __future__ import annotations
@@ -13,8 +13,9 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.local_peers import casadi
+from benchmarks.robots.extremals import find_extremals
 from benchmarks.robots.ipopt import IPOPT_STEPS, find_program
-from benchmarks.robots.judge import Control, roll_out
+from benchmarks.robots.judge import Control, judge, roll_out
 from benchmarks.robots.plans import find_plan
 from benchmarks.robots.shooting import list_phases, pose, shoot
 from benchmarks.robots.worlds import WORLDS, Question, scenario_of, setting_of
@@ -46,9 +47,12 @@ class Method(NamedTuple):
     run: Callable[[Question, int], Attempts]
     on_rigid_walls: bool = True
     on_soft_walls: bool = True  # or where nothing touches
+    only: str = ""  # of all worlds
 
     def applies(self, world: str) -> bool:
         """Returns whether it can answer questions of a world."""
+        if self.only not in ("", world):
+            return False
         return self.on_rigid_walls if WORLDS[world].is_rigid else self.on_soft_walls
 
 
@@ -91,15 +95,22 @@ def shooting_multistart(question: Question, first: int = 0) -> Attempts:
 
 
 def listed_sequences(question: Question, first: int = 0) -> Attempts:
-    """Yields what our shooting makes of random controls with listed touches at random times."""
+    """Yields what our shooting makes of random controls with listed touches at random times.
+
+    Each promises what it costs when it is replayed: between knots it may have passed a wall.
+    """
     shares = _middles(scenario_of(question).num_steps)
-    pairs = (
-        (random_control(question, rng, shares), pose(question, list_phases(question, rng)))
-        for rng in _generators(question, first)
-    )
-    guesses, problems = itertools.tee(pairs)
-    found = shoot((problem for _, problem in problems), (guess for guess, _ in guesses))
-    yield from itertools.starmap(Attempt, found)
+    for rng in _generators(question, first):
+        guess = random_control(question, rng, shares)
+        problem = pose(question, list_phases(question, rng))
+        for promised, control in shoot([problem], [guess]):
+            is_found = np.isfinite(promised)
+            yield Attempt(judge(question, control).score if is_found else np.inf, control)
+
+
+def extremals(question: Question, first: int = 0) -> Attempts:
+    """Yields the extremals of the pendulum, which are searched on a grid."""
+    yield from itertools.starmap(Attempt, find_extremals(question))
 
 
 def ipopt_multistart(question: Question, first: int = 0) -> Attempts:
@@ -147,6 +158,7 @@ METHODS: Mapping[str, Method] = {
     "plan, points": Method(plan_of_points),
     "shooting": Method(shooting_multistart, on_rigid_walls=False),
     "listed": Method(listed_sequences, on_soft_walls=False),
+    "extremals": Method(extremals, only="pendulum/off_the_wall"),
     "IPOPT": Method(ipopt_multistart, on_rigid_walls=False),
     "CMA-ES": Method(evolution),
 }

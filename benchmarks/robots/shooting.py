@@ -22,7 +22,6 @@ _EXACT = ShootingOptions(rungs=ShootingOptions().rungs[-1:], substeps=2)
 _NEARLY, _HARDLY = 1e-2, 1e-3
 # Of J and of the final state, for the steps of an exact motion; and how many steps at most.
 _TOLERANCE, _MOST_SUBSTEPS = 1e-4, 32
-_MOST_TOUCHES = 3  # in sequences that are listed
 
 
 @cache
@@ -86,19 +85,17 @@ def _finish(problem: ShootingProblem, found: ShootingResult) -> ShootingResult:
     return problem.refine(found, _EXACT, _TOLERANCE, _MOST_SUBSTEPS)
 
 
-def list_phases(question: Question, rng: np.random.Generator) -> Phases | None:
-    """Returns one of all sequences of up to three touches, at random times; None: no touch."""
+def list_phases(question: Question, rng: np.random.Generator) -> Phases:
+    """Returns one of all sequences of so many touches, at random times."""
     scenario, world = scenario_of(question), WORLDS[question.world]
     N, T = scenario.num_steps, scenario.duration
     walls = range(world.mechanism.walls)
     listed = [
         sequence
-        for touches in range(_MOST_TOUCHES + 1)
+        for touches in range(world.touches + 1)
         for sequence in itertools.product(walls, repeat=touches)
     ]
     sequence = listed[rng.integers(len(listed))]
-    if not sequence:
-        return None
     shares = rng.dirichlet(np.full(len(sequence) + 1, 2.0))
     knots = np.linspace(0, N, len(sequence) + 2).astype(int)[1:-1]
     return Phases(np.array(sequence), knots, T * (0.9 * shares + 0.1 / len(shares)), (T, T))

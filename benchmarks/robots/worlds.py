@@ -57,6 +57,7 @@ class RobotWorld:
         hold: what holds [N].
         given: the changes of the first questions.
         fixed: those of all.
+        touches: how many are listed at most.
     """
 
     scenario: str
@@ -66,6 +67,7 @@ class RobotWorld:
     hold: tuple[float, ...] = (0.0,)
     given: tuple[Changes, ...] = ()
     fixed: Changes = dataclasses.field(default_factory=dict)
+    touches: int = 3
 
     @property
     def mechanism(self) -> Mechanism:
@@ -280,7 +282,7 @@ WORLDS: Mapping[str, RobotWorld] = {
     },
     "pendulum/off_the_wall": RobotWorld("pendulum/off_the_wall", 200, _draw_pendulum, (8.0,)),
     "throwing_ball/bounces": RobotWorld(
-        "throwing_ball/bounces", 20, _draw_throw, (3.0, 3.0), (0.0, 0.0), given=({},)
+        "throwing_ball/bounces", 20, _draw_throw, (3.0, 3.0), (0.0, 0.0), given=({},), touches=8
     ),
     "paddle/bat": RobotWorld("paddle/bat", 40, _draw_bat, (20.0, 1.0), (9.81, 0.0), given=({},)),
     "two_discs/swap": RobotWorld(
