@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import itertools
 import math
+from concurrent.futures import Future
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -13,6 +15,7 @@ from scipy.integrate import solve_ivp
 
 from benchmarks.local_peers import casadi
 from benchmarks.robots.compare import run_comparison, run_method
+from benchmarks.robots.figures import find_figures
 from benchmarks.robots.ipopt import IPOPT_STEPS
 from benchmarks.robots.judge import Control, judge
 from benchmarks.robots.known import Known, load_known
@@ -190,8 +193,8 @@ def test_what_the_gradient_peer_promises_is_nearly_what_the_judge_finds(world: s
     assert judge(question, attempt.control).score == pytest.approx(attempt.promised, rel=5e-3)
 
 
-def row(cost: float, known: float) -> Row:
-    outcome = Outcome("shooting", (Step(0.1, math.inf), Step(0.5, cost)), 1.0, 2.0, 7, cost)
+def row(cost: float, known: float, method: str = "shooting") -> Row:
+    outcome = Outcome(method, (Step(0.1, math.inf), Step(0.5, cost)), 1.0, 2.0, 7, cost, cost)
     return Row(NEAR, round(10 * cost), False, known, (outcome,))
 
 
@@ -200,6 +203,12 @@ def test_the_table_counts_what_is_near_the_best_known_and_below_it() -> None:
     comparison = Comparison((NEAR,), 4, ("shooting",), 1.0)
     line = format_results(Results(comparison, rows)).splitlines()[-1]
     assert " ".join(line.split()).startswith("shooting 50 % 75 % 25 % 1.00 1.00 2.00 2.00 0.50 ")
+
+
+def test_figures_are_of_plans_that_are_off_the_best_known() -> None:
+    rows = (row(10.0, 10.0, "plan"), row(10.3, 10.0, "plan"))
+    figures = list(find_figures(Results(Comparison((NEAR,), 2, ("plan",)), rows)))
+    assert [(value, most) for _, value, most in figures] == [(0.5, 0.05), (1.0, 1.0), (0.0, 0.01)]
 
 
 def test_a_plan_is_judged_to_cost_what_it_promises_and_drake_agrees() -> None:
@@ -214,6 +223,16 @@ def test_bad_comparisons_are_refused_by_name() -> None:
         Comparison(methods=("guessing",))
     with pytest.raises(OptionsError, match="seconds: got none"):
         Comparison(methods=("shooting",))
+
+
+class Idle(Inline):
+    def submit(self, fn: Any, /, *args: Any, **kwargs: Any) -> Future[Any]:
+        return Future()
+
+
+def test_a_comparison_ends_when_time_is_up() -> None:
+    asked = Comparison((NEAR,), 2, ("plan",))
+    assert run_comparison(asked, executor=Idle(), minutes=1e-3).rows == ()
 
 
 @pytest.mark.skipif(casadi is None, reason="CasADi is not installed")

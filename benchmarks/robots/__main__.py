@@ -1,6 +1,7 @@
 """How good are plans for robots, against peers on the same questions with the same seconds?
 
     python -m benchmarks.robots compare --json robots.json          # hours; --resume goes on
+    python -m benchmarks.robots compare --count 12 --minutes 15 --workers 2
     python -m benchmarks.robots compare cart_pole/soft_06 --count 5 --methods IPOPT --seconds 2
     python -m benchmarks.robots search shooting --tries 300         # for the best known
     python -m benchmarks.robots show robots.json
@@ -19,7 +20,9 @@ import sys
 from collections.abc import Sequence
 from functools import partial
 
+from benchmarks.measure import is_met
 from benchmarks.robots.compare import run_comparison
+from benchmarks.robots.figures import find_figures
 from benchmarks.robots.methods import METHODS
 from benchmarks.robots.results import Comparison, Results
 from benchmarks.robots.search import search
@@ -76,11 +79,16 @@ def _add_compare(commands: argparse._SubParsersAction[Parser]) -> None:
     _add_questions(command)
     text = f"some of {', '.join(METHODS)} (default: those that apply)"
     command.add_argument("--methods", nargs="+", metavar="M", default=list(METHODS), help=text)
-    text = "of CPU time that a peer has for a question (default: the first plan's)"
+    text = "of CPU time that a peer has for a question (default: the first plan's, at least 1)"
     command.add_argument("--seconds", type=float, metavar="S", help=text)
     text = "let what is better take the place of the best known"
     command.add_argument("--refresh", action="store_true", help=text)
+    _add_minutes(command, "after which what is not answered is left out (default: never)")
     add_running(command)
+
+
+def _add_minutes(command: argparse.ArgumentParser, text: str) -> None:
+    command.add_argument("--minutes", type=float, default=math.inf, metavar="M", help=text)
 
 
 def _add_search(commands: argparse._SubParsersAction[Parser]) -> None:
@@ -90,8 +98,7 @@ def _add_search(commands: argparse._SubParsersAction[Parser]) -> None:
     _add_questions(command)
     text = "of each question, those of earlier searches included (default: %(default)s)"
     command.add_argument("--tries", type=positive, default=300, metavar="N", help=text)
-    text = "after which it ends (default: when all tries are made)"
-    command.add_argument("--minutes", type=float, default=math.inf, metavar="M", help=text)
+    _add_minutes(command, "after which it ends (default: when all tries are made)")
 
 
 def _compare(options: argparse.Namespace) -> int:
@@ -102,9 +109,8 @@ def _compare(options: argparse.Namespace) -> int:
         seconds=options.seconds,
         is_tuning=options.tuning,
     )
-    results = run_study(options, partial(run_comparison, refresh=options.refresh), comparison)
-    print(format_results(results))
-    return FINE
+    run = partial(run_comparison, refresh=options.refresh, minutes=options.minutes)
+    return _report(run_study(options, run, comparison))
 
 
 def _search(options: argparse.Namespace) -> int:
@@ -115,8 +121,13 @@ def _search(options: argparse.Namespace) -> int:
 
 
 def _show(options: argparse.Namespace) -> int:
-    print(format_results(Results.load(options.results)))
-    return FINE
+    return _report(Results.load(options.results))
+
+
+def _report(results: Results) -> int:
+    """Prints the tables, and returns whether all figures that are asked for are reached."""
+    print(format_results(results), end="\n\n")
+    return int(not all([is_met(*each) for each in find_figures(results)]))
 
 
 if __name__ == "__main__":

@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 import os
 import time
-from collections.abc import Callable
-from concurrent.futures import Executor
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future
+from contextlib import AbstractContextManager, suppress
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -20,11 +20,12 @@ from benchmarks.robots.plans import replay_in_drake
 from benchmarks.robots.results import Comparison, Outcome, Results, Row, Step
 from benchmarks.robots.worlds import Question
 from drake_aigto.count import Count
-from drake_aigto.jobs import open_jobs
+from drake_aigto.jobs import Jobs, open_jobs
 from drake_aigto.plain import to_plain
 from drake_aigto.study.results_file import check_results_file, check_same_question, round_to
 
 _DIGITS = 6
+_LEAST = 1.0  # CPU seconds of a peer where plans take less
 _WARM_UP = 0.5  # seconds of a method that count for nothing: libraries load, kernels compile
 
 
@@ -43,6 +44,7 @@ def run_comparison(
     executor: AbstractContextManager[Executor] | None = None,
     progress: Callable[[str], None] | None = None,
     refresh: bool = False,
+    minutes: float = math.inf,
 ) -> Results:
     """Runs all methods on all questions; what is done is written after each question.
 
@@ -53,6 +55,7 @@ def run_comparison(
         executor: where questions are answered, each in a process of one thread.
         progress: called with a line of text after each question.
         refresh: whether what is better than the best known takes its place.
+        minutes: after which what is not answered is left out.
 
     Raises:
         OutputFileError: the results can't be written.
@@ -63,14 +66,16 @@ def run_comparison(
     if path and check_results_file(path, resume):
         results = Results.load(path)
         check_same_question(path, to_plain(results.question), to_plain(comparison))
-    questions = {(each.world, each.number): each for each in comparison.questions()}
+    # One of each world at first: time may be up.
+    asked = sorted(comparison.questions(), key=lambda each: each.number)
+    questions = {(each.world, each.number): each for each in asked}
     done = {(row.world, row.number) for row in results.rows}
     known = load_known()
     with open_jobs(executor) as jobs:
         for key, question in questions.items():
             if key not in done:
                 jobs.start(key, answer, question, comparison, find_known(known, question).cost)
-        for key, future in jobs.ended():
+        for key, future in _until(jobs, minutes):
             row, found = future.result()
             results = results.with_row(row)
             if refresh:
@@ -80,6 +85,12 @@ def run_comparison(
             if progress:
                 progress(Count(len(results.rows), len(questions), "questions answered"))
     return results
+
+
+def _until(jobs: Jobs, minutes: float) -> Iterator[tuple[Any, Future[Any]]]:
+    """Yields jobs as they end, until time is up."""
+    with suppress(TimeoutError):
+        yield from jobs.ended(60.0 * minutes)
 
 
 def _refresh(question: Question, controls: dict[str, Control]) -> None:
@@ -99,10 +110,10 @@ def answer(
     controls: dict[str, Control] = {}
     for name in comparison.methods_for(question.world):
         _warm_up(name, question.world, question.is_tuning)
-        seconds = comparison.seconds if outcomes or name not in PLANS else None
-        if seconds is None:
-            seconds = outcomes[0].cpu if outcomes else math.inf
-        found = run_method(name, question, math.inf if name in PLANS else seconds)
+        seconds = math.inf
+        if name not in PLANS:
+            seconds = comparison.seconds or max(_LEAST, outcomes[0].cpu)
+        found = run_method(name, question, seconds)
         outcomes.append(found.outcome)
         if found.control is not None:
             controls[name] = found.control

@@ -27,7 +27,7 @@ class Comparison:
         count: how many questions of each at most; None: all of them.
         methods: of `METHODS`; each runs where it applies.
         seconds: of CPU time that a method has for a start, but for plans, which end by themselves;
-            None: as long as the first plan took.
+            None: as long as the first plan took, and 1 s at least.
         is_tuning: questions to tune on, and not those that are reported.
 
     Raises:

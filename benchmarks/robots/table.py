@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from benchmarks.robots.results import Outcome, Results, Row
+from benchmarks.robots.worlds import WORLDS
 
 NEAR, WIDE = 0.01, 0.05
 _LESS = 1e-3  # what counts as less than what was known
@@ -31,8 +32,10 @@ def format_results(results: Results) -> str:
         deep = [row for row in rows if row.is_deep]
         shallow = [row for row in rows if not row.is_deep]
         methods = results.question.methods_for(world)
-        lines += _section(world, shallow, methods)
-        lines += _section(f"{world}, deep in a wall", deep, methods)
+        lines += _section(
+            f"{world}: {len(rows)} of {WORLDS[world].count} questions", shallow, methods
+        )
+        lines += _section(f"{world}, deep in a wall: {len(deep)} of these", deep, methods)
     return "\n".join(lines)
 
 
@@ -40,7 +43,7 @@ def _section(title: str, rows: Sequence[Row], methods: Sequence[str]) -> Iterato
     """Yields a table."""
     if not rows:
         return
-    yield f"\n{title}: {len(rows)} questions"
+    yield f"\n{title}"
     yield _HEAD
     for number, name in enumerate(methods):
         yield f"{name:18}" + _figures(rows, [row.outcomes[number] for row in rows])
@@ -55,8 +58,8 @@ def _figures(rows: Sequence[Row], outcomes: Sequence[Outcome]) -> str:
     ]
     shares.append(np.mean([outcome.cost < (1 - _LESS) * row.known for row, outcome in pairs]))
     hits = [first for row, outcome in pairs if (first := _first_hit(row, outcome)) is not None]
-    off = [_part(outcome.promised, outcome.cost) for outcome in outcomes if outcome.steps]
-    drake = [_part(each.drake, each.cost) for each in outcomes if each.drake is not None]
+    off = [find_part(outcome.promised, outcome.cost) for outcome in outcomes if outcome.steps]
+    drake = [find_part(each.drake, each.cost) for each in outcomes if each.drake is not None]
     return "".join(
         [
             *(f"{100 * share:5.0f} %" for share in shares),
@@ -73,7 +76,8 @@ def _first_hit(row: Row, outcome: Outcome) -> float | None:
     return next((step.seconds for step in outcome.steps if step.cost <= bound), None)
 
 
-def _part(value: float, cost: float) -> float:
+def find_part(value: float, cost: float) -> float:
+    """Returns how far a value is off a cost, in parts of it."""
     return abs(value / cost - 1.0) if math.isfinite(cost) else math.inf
 
 
