@@ -200,11 +200,15 @@ def test_the_search_says_once_that_it_compiles_if_it_does(
     assert "compiling" not in capsys.readouterr().err
 
 
-def test_verbose_tells_what_the_planner_does(capsys: pytest.CaptureFixture[str]) -> None:
+def test_verbose_tells_what_the_planner_does_and_once(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
     logger = logging.getLogger("drake_aigto")
-    before = logger.level, list(logger.handlers)
+    before = logger.level, list(logger.handlers), logger.propagate
+    shown_again = logging.StreamHandler(sys.stderr)  # As Drake gives the root one when it warns.
+    monkeypatch.setattr(logging.getLogger(), "handlers", [shown_again])
     assert main([*FLIGHT, "-v"]) == FINE
-    assert (logger.level, logger.handlers) == before
+    assert (logger.level, logger.handlers, logger.propagate) == before
     printed = capsys.readouterr()
     log = re.sub(r"^ +\d+\.\d\d s  ", "", printed.err, flags=re.MULTILINE)
     for told in (
@@ -216,6 +220,7 @@ def test_verbose_tells_what_the_planner_does(capsys: pytest.CaptureFixture[str])
         r"\n\d+ inner steps of AIGO; seconds: build .*, aigo .*, polish .*, replay \d+\.\d\d\n$",
     ):
         assert re.search(told, log), f"{told} in\n{log}"
+    assert log.count("inner steps of AIGO; seconds: ") == 1
     assert main(FLIGHT) == FINE
     quiet = capsys.readouterr()
     assert not quiet.err

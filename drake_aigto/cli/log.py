@@ -37,9 +37,11 @@ def show_log(options: argparse.Namespace) -> Iterator[None]:
     handler, level = _ToStandardError(), logger.level
     if options.verbose:
         logger.addHandler(handler)
+        logger.propagate = False  # Drake gives the root a handler of its own when it first warns.
     logger.setLevel(logging.INFO if options.verbose else logging.WARNING)
     try:
         yield
     finally:
         logger.removeHandler(handler)
+        logger.propagate = True
         logger.setLevel(level)
