@@ -12,8 +12,9 @@ from drake_aigto.simulation.replay import Replay
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import ContactLaw, RigidLaw, World
 
-# Runge-Kutta steps between two rows of a replay, where contacts neither begin nor end.
-_STEPS = 32
+# Runge-Kutta steps between two rows of a replay, where contacts neither begin nor end: more where
+# gaps are above this part of the states, until they are none of the steps' own making.
+_STEPS, _MOST_STEPS, _EXACT = 32, 512, 1e-8
 # Distances and speeds below this part of the largest coordinate, or 1, are none.
 _STILL = 1e-10
 
@@ -46,8 +47,13 @@ def trace(
     knots = np.clip(np.searchsorted(times, starts + h / 2) - 1, 0, len(controls) - 1)
     x = np.hstack([replay.positions, replay.velocities])
     rates = _find_rates(world, law, x[:-1][is_step], controls[knots])
-    ends, pushes = _integrate(rates, x[:-1][is_step], h)
-    gaps = np.max(np.abs(ends - x[1:][is_step]), axis=0)
+    sizes, steps = np.max(np.abs(x), axis=0), _STEPS
+    while True:
+        ends, pushes = _integrate(rates, x[:-1][is_step], h, steps)
+        gaps = np.max(np.abs(ends - x[1:][is_step]), axis=0)
+        if steps >= _MOST_STEPS or np.all(gaps <= _EXACT * sizes):
+            break
+        steps *= 4
     impulses = np.zeros((len(controls), world.num_contacts))
     np.add.at(impulses, knots, pushes)
     q, v = replay.states_at(times)
@@ -98,11 +104,11 @@ def _find_resting(world: World, x: Floats) -> Bools:
     return (np.abs(distances) <= still) & (np.abs(speeds) <= still)
 
 
-def _integrate(rates: Rates, x: Floats, durations: Floats) -> tuple[Floats, Floats]:
+def _integrate(rates: Rates, x: Floats, durations: Floats, steps: int) -> tuple[Floats, Floats]:
     """Returns where states (K, 2n) are after durations (K,) [s], and what contacts gave [N s]."""
-    h = durations[:, np.newaxis] / _STEPS
+    h = durations[:, np.newaxis] / steps
     total: Floats | float = 0.0
-    for _ in range(_STEPS):
+    for _ in range(steps):
         first, a = rates(x)
         second, b = rates(x + h / 2 * first)
         third, c = rates(x + h / 2 * second)

@@ -40,6 +40,8 @@ from drake_aigto.world import CompliantLaw, Scales, Scenario, TaskCost, World
 
 # Runge-Kutta steps of a finalist are halved until cost and end change by this part of their scales.
 _EXACT, _MOST_SUBSTEPS = 1e-3, 64
+# What is farther off its bounds than this, in parts of the scales, won't be a plan.
+_HOPELESS = 0.05
 # Boxes have a duration of which this is the next one, where it is free.
 _NEXT_DURATION = 1.1
 # Motions whose positions are nowhere farther apart than this part of their scales have one optimum.
@@ -239,7 +241,11 @@ class MechanismProblem:
         q, v = motion.states[:, :n], motion.states[:, n:]
         states = sample_cubic(motion.times, q, v, times)
         result = problem.solve(controls, states, POLISH)
-        while result.substeps < _MOST_SUBSTEPS and problem.estimate_error(result) > _EXACT:
+        while (
+            result.violation <= _HOPELESS
+            and result.substeps < _MOST_SUBSTEPS
+            and problem.estimate_error(result) > _EXACT
+        ):
             finer = dataclasses.replace(POLISH, substeps=2 * result.substeps)
             problem = problem.starting_from(result)
             result = problem.solve(result.controls, result.states, finer)

@@ -18,8 +18,9 @@ from drake_aigto.shooting.question import ShootingQuestion
 from drake_aigto.shooting.result import ShootingResult
 from drake_aigto.shooting.tables import FLOW
 
-# Where the penalty has grown by this, bounds can't be kept near this motion.
-_MOST = 1e6
+# Bounds can't be kept near a motion where so many updates in a row, each at a penalty that has
+# grown, leave more than this part of what they are off.
+_PATIENCE, _STUCK = 2, 0.9
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,11 +176,13 @@ class _Descent:
         is_converged = False
         for rung in rungs:
             is_converged = self._run_rung(rung)
+        stuck = 0
         for _ in range(self._options.multiplier_updates if self._program.bounds.is_any else 0):
-            is_hopeless = self._penalty > _MOST * self._options.penalty * self._problem.cost_scale
-            if self._violation <= self._options.feasibility or is_hopeless:
+            if self._violation <= self._options.feasibility or stuck == _PATIENCE:
                 break
+            before = self._violation
             is_converged = self._run_rung(rungs[-1])
+            stuck = stuck + 1 if self._violation > _STUCK * before else 0
         return self.finish(is_converged)
 
     def _choose_rungs(self) -> tuple[Smoothing, ...]:
