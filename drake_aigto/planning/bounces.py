@@ -27,15 +27,16 @@ def replay_at_knots(
 
     Knots that are nearly there are moved, and others added; a control changes by next to nothing.
     """
+    replay = replay_event_driven(world, scenario, times, controls)
     for _ in range(_MOST_MOVES):
-        replay = replay_event_driven(world, scenario, times, controls)
         moved = times, controls
         for bounce in replay.bounce_times:
             moved = _put_knot(*moved, bounce)
         if moved[0] is times:
             break
         times, controls = moved
-    return times, controls, replay_event_driven(world, scenario, times, controls)
+        replay = replay_event_driven(world, scenario, times, controls)
+    return times, controls, replay
 
 
 def _put_knot(times: Floats, controls: Floats, bounce: float) -> tuple[Floats, Floats]:

@@ -140,25 +140,42 @@ def _find_dips(world: World, times: Floats, positions: Floats) -> Iterator[Dip]:
     yield from sorted(found, key=lambda dip: dip.touch.start)
 
 
-def _find_slopes(world: World, motion: BouncingResult) -> tuple[Floats, Floats]:
+def sample(world: World, motion: ShootingResult, times: Floats) -> Floats:
+    """Returns states at times (K,), on cubics between knots, at a bounce after it; (K, 2n)."""
+    starts, h = motion.times[:-1], np.diff(motion.times)[:, np.newaxis]
+    rows = np.clip(np.searchsorted(starts, times, side="right") - 1, 0, len(starts) - 1)
+    s = (times - starts[rows])[:, np.newaxis] / h[rows]
+    q, start, bend, twist = (each[rows] for each in _find_cubics(world, motion))
+    slopes = start + s * (2 * bend + 3 * s * twist)
+    return np.hstack([q + s * (start + s * (bend + s * twist)), slopes / h[rows]])
+
+
+def _look_between(world: World, motion: BouncingResult) -> tuple[Floats, Floats]:
+    """Returns times (N, K) and positions (N, K, n) between knots."""
+    q, start, bend, twist = (each[:, np.newaxis] for each in _find_cubics(world, motion))
+    s, h = _LOOKS[:, np.newaxis], np.diff(motion.times)[:, np.newaxis]
+    positions = q + s * (start + s * (bend + s * twist))
+    return motion.times[:-1, np.newaxis] + _LOOKS * h, positions
+
+
+def _find_cubics(world: World, motion: ShootingResult) -> tuple[Floats, Floats, Floats, Floats]:
+    """Returns positions as coefficients of powers of the part of a step, shape (N, n) each."""
+    n, h = world.num_positions, np.diff(motion.times)[:, np.newaxis]
+    q = motion.states[:, :n]
+    start, end = (h * slopes for slopes in _find_slopes(world, motion))
+    way = np.diff(q, axis=0)
+    return q[:-1], start, 3 * way - 2 * start - end, start + end - 2 * way
+
+
+def _find_slopes(world: World, motion: ShootingResult) -> tuple[Floats, Floats]:
     """Returns the velocities at the start and the end of each step, shape (N, n) each.
 
     Before a bounce, that is the slope of a parabola.
     """
     n, h = world.num_positions, np.diff(motion.times)[:, np.newaxis]
     q, v = motion.states[:, :n], motion.states[:, n:]
-    end, bounces = v[1:].copy(), motion.knots - 1
-    end[bounces] = 2 * (np.diff(q, axis=0) / h)[bounces] - v[:-1][bounces]
+    end = v[1:].copy()
+    if isinstance(motion, BouncingResult):
+        bounces = motion.knots - 1
+        end[bounces] = 2 * (np.diff(q, axis=0) / h)[bounces] - v[:-1][bounces]
     return v[:-1], end
-
-
-def _look_between(world: World, motion: BouncingResult) -> tuple[Floats, Floats]:
-    """Returns times (N, K) and positions (N, K, n) between knots, on cubics."""
-    n, h = world.num_positions, np.diff(motion.times)[:, np.newaxis]
-    q = motion.states[:, :n]
-    start, end = (h * slopes for slopes in _find_slopes(world, motion))
-    way = np.diff(q, axis=0)
-    s = _LOOKS[:, np.newaxis, np.newaxis]
-    bend, twist = 3 * way - 2 * start - end, start + end - 2 * way
-    positions = q[:-1] + s * (start + s * (bend + s * twist))
-    return motion.times[:-1, np.newaxis] + _LOOKS * h, positions.transpose(1, 0, 2)

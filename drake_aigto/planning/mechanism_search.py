@@ -8,11 +8,13 @@ from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from itertools import chain
 from typing import TypeAlias
 
 import numpy as np
 
 from drake_aigto.jit import tell_compilation
+from drake_aigto.planning.branching import scaled
 from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.mechanism_boxes import Center, Renewal
 from drake_aigto.planning.mechanism_problem import MechanismProblem
@@ -30,6 +32,8 @@ _ANNEALING = "annealing"
 _MOST_KEPT, _SAME = 8, 1e-3
 # Renewals are drawn from what is kept, and closed, so many at a time.
 _WAVE = 8
+# A motion that costs so many times the best finalist is not polished.
+_DEAR = 1.2
 # Every second renewal is of the best motion, the others of one of so many.
 _MOST_RENEWED = 4
 
@@ -132,7 +136,9 @@ class MechanismSearch(CandidatePool):
         """Closes motions in threads, and keeps the best in the order of their origins."""
         threads = self.problem.options.num_threads
         with self.clock("search"), ThreadPoolExecutor(threads) as pool:
-            results = pool.map(lambda close: close(), closings)
+            # The first one of all compiles; where Ctrl-C is raised, that ends it.
+            first = [] if self.motions else [each() for each in closings[:1]]
+            results = chain(first, pool.map(lambda close: close(), closings[len(first) :]))
             for origin, (steps, result) in zip(origins, results, strict=True):
                 self.aigo_steps += steps
                 self._keep(Motion(origin, result, self.problem.price(result)))
@@ -155,15 +161,25 @@ class MechanismSearch(CandidatePool):
         """Polishes and judges the best motions, one of those that are near each other."""
         known: list[ShootingResult] = []
         for motion in self.motions:
-            if len(known) >= 2 * self.problem.options.finalists:
+            is_full = len(known) >= 2 * self.problem.options.finalists
+            if is_full or self.is_interrupted or self._is_hopeless(motion):
                 return
             if not any(self.problem.are_near(motion.result, other) for other in known):
                 known += [motion.result, self._polish(motion.origin, motion.result)]
 
+    def _is_hopeless(self, motion: Motion) -> bool:
+        """Returns whether a motion costs more than its polish can win back."""
+        costs = (each.replay.cost for each in self._candidates if each.is_confirmed)
+        return motion.cost > scaled(_DEAR, min(costs, default=np.inf))
+
     def _polish(self, origin: Origin, start: ShootingResult) -> ShootingResult:
         """Adds the candidate that a motion becomes, and returns its motion."""
         self.tell(f"polishing a motion that costs {start.cost:.6g}")
-        with self.clock("polish"):
+        polished = start
+        with (
+            self.clock("polish"),
+            self.ended_by_ctrl_c(lambda: [] if self._candidates else [start]),
+        ):
             polished = self.problem.polish(start)
         with self.clock("replay"):
             candidate = self.problem.judge(origin, start, polished)

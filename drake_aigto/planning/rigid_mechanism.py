@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
-from drake_aigto.arrays import Floats, interpolate
+from drake_aigto.arrays import Floats
 from drake_aigto.planning.bounces import add_impulses, replay_at_knots
 from drake_aigto.planning.flow import trace
 from drake_aigto.planning.mechanism_boxes import Center
@@ -19,9 +19,17 @@ from drake_aigto.planning.mechanism_phases import (
     find_lacks,
     lay_out,
     read_touches,
+    sample,
 )
 from drake_aigto.planning.mechanism_problem import MechanismProblem
-from drake_aigto.shooting import Mechanism, ShootingOptions, ShootingResult, Smoothing
+from drake_aigto.shooting import (
+    Mechanism,
+    Phases,
+    ShootingOptions,
+    ShootingProblem,
+    ShootingResult,
+    Smoothing,
+)
 from drake_aigto.simulation.replay import Replay
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import TouchSequence
@@ -39,7 +47,7 @@ _MARGIN, _MOST_LIFTS, _SLOW = 1e-4, 6, 1e-2
 _FINE = ShootingOptions(
     rungs=(Smoothing(0.0, 60, 1e-7),), substeps=4, multiplier_updates=20, feasibility=1e-7
 )
-_EXACT = 1e-5
+_EXACT, _MOST_SUBSTEPS = 1e-5, 64
 _COARSE = ShootingOptions(rungs=(Smoothing(0.0, 40, 1e-3),), multiplier_updates=4)
 
 
@@ -91,14 +99,14 @@ class RigidMechanismProblem(MechanismProblem):
         num_steps, margin = self.scenario.num_steps, _MARGIN * self.scales.length
         grazes = find_grazes(self.world, motion, _SLOW * self.scales.velocity)
         touches = tuple(each for i, each in enumerate(motion.touches) if i not in grazes)
+        found = self._refine(self._shoot(touches, motion, num_steps, _FINE))
         clearances = np.zeros((num_steps + 1, self.world.num_contacts))
-        found = self._shoot(touches, motion, num_steps, _FINE, clearances)
         for _ in range(_MOST_LIFTS):
             lacks = find_lacks(self.world, found, margin)
             if not np.isfinite(found.cost) or np.max(lacks) < margin / 2:
                 break
             clearances = clearances + lacks
-            found = self._shoot(found.touches, found, num_steps, _FINE, clearances)
+            found = self._refine(found, clearances)
         return found
 
     def _shoot(
@@ -107,27 +115,49 @@ class RigidMechanismProblem(MechanismProblem):
         guess: ShootingResult,
         num_steps: int,
         options: ShootingOptions,
-        clearances: Floats | None = None,
     ) -> BouncingResult:
-        """Returns the motion in phases near another one."""
-        T, free = float(guess.times[-1]), self.scenario.duration_range
-        times, phases = lay_out(touches[: num_steps - 1], num_steps, T, free or (T, T))
-        problem = dataclasses.replace(
-            self.shooting(num_steps),
+        """Returns the motion with these touches near another one."""
+        T = float(guess.times[-1])
+        times, phases = lay_out(touches[: num_steps - 1], num_steps, T, self._total(T))
+        middles = (times[1:] + times[:-1]) / 2
+        row = np.clip(np.searchsorted(guess.times, middles) - 1, 0, len(guess.controls) - 1)
+        states = sample(self.world, guess, times)
+        problem = self._pose_phases(times, phases)
+        return _join(problem.solve(guess.controls[row], states, options), phases)
+
+    def _refine(self, motion: BouncingResult, clearances: Floats | None = None) -> BouncingResult:
+        """Returns the optimum near a motion with as many substeps as its accuracy takes.
+
+        As what is unstable goes elsewhere under other steps, states are kept, and gaps closed.
+        """
+        phases = Phases(
+            motion.contacts, motion.knots, motion.durations, self._total(motion.times[-1])
+        )
+        problem = self._pose_phases(motion.times, phases, clearances)
+        found: ShootingResult = motion
+        while True:
+            options = dataclasses.replace(_FINE, substeps=found.substeps)
+            found = problem.starting_from(found).solve(found.controls, found.states, options)
+            is_exact = problem.starting_from(found).estimate_error(found) <= _EXACT
+            if is_exact or found.substeps >= _MOST_SUBSTEPS:
+                return _join(found, phases)
+            found = dataclasses.replace(found, substeps=2 * found.substeps)
+
+    def _pose_phases(
+        self, times: Floats, phases: Phases, clearances: Floats | None = None
+    ) -> ShootingProblem:
+        """Returns the task on rigid walls, in these phases."""
+        return dataclasses.replace(
+            self.shooting(len(times) - 1),
             mechanism=self._compiled.mechanism,
             times=times,
             phases=phases,
             clearances=clearances,
         )
-        middles = (times[1:] + times[:-1]) / 2
-        row = np.searchsorted(guess.times, middles) - 1
-        controls = guess.controls[np.minimum(row, len(guess.controls) - 1)]
-        states = interpolate(times, guess.times, guess.states)
-        found = problem.solve(controls, states, options)
-        if options is _FINE:
-            found = problem.refine(found, options, _EXACT)
-        fields = {field.name: getattr(found, field.name) for field in dataclasses.fields(found)}
-        return BouncingResult(**fields, contacts=phases.contacts, knots=phases.knots)
+
+    def _total(self, duration: float) -> tuple[float, float]:
+        """Returns how long a motion may last, which lasts so long now [s]."""
+        return self.scenario.duration_range or (duration, duration)
 
     def _simulate(self, found: ShootingResult) -> tuple[Replay, Trajectory, dict[str, float]]:
         """Returns what controls do, as a trajectory whose knots are where it bounces."""
@@ -143,6 +173,13 @@ class RigidMechanismProblem(MechanismProblem):
         """Returns times that end when the scenario says: phases may be off a little."""
         duration = self.scenario.duration_range or self.scenario.duration
         return times * (np.clip(times[-1], np.min(duration), np.max(duration)) / times[-1])
+
+
+def _join(found: ShootingResult, phases: Phases) -> BouncingResult:
+    fields = {
+        field.name: getattr(found, field.name) for field in dataclasses.fields(ShootingResult)
+    }
+    return BouncingResult(**fields, contacts=phases.contacts, knots=phases.knots)
 
 
 def make_mechanism_problem(
