@@ -50,7 +50,7 @@ def _travel(
     motion, and _FOLLOW a trial that obeys the control law with a step length α, of which gaps
     shrink likewise: z_{k+1} = f(z_k, u_k) − (1 − α) gap_k.
     """
-    code, numbers, actuation, contacts, solids = program.mechanics
+    code, numbers, _, actuation, contacts, solids = program.mechanics
     effort, running, final, errors_of, goal, times, reference = program.task
     room, points, by_column, by_start = memory.flow
     values, sums, factor, force, acceleration, slopes = room
@@ -109,6 +109,7 @@ def _travel(
                 starts[k],
                 shares[k],
                 program.substeps,
+                program.method,
                 z,
                 u,
                 eps,

@@ -1,4 +1,4 @@
-"""Motion under a held control by Runge and Kutta's method, and its exact derivatives.
+"""Motion under a held control by Runge-Kutta steps, and its exact derivatives.
 
 Arrays are handed on one by one, as compiled code counts references to those in tuples. Names are
 those of `tables` and of `mechanism`.
@@ -97,6 +97,7 @@ def flow(
     start: float,
     share: float,
     substeps: int,
+    method: Floats,
     z: Floats,
     u: Floats,
     eps: float,
@@ -118,10 +119,11 @@ def flow(
     """Computes where a stage ends, and returns its cost; with derivatives if asked.
 
     It takes what `Mechanics` and `Task` hold, when the stage starts [s] (of phases the state says
-    it), how long it lasts [s] (of phases, as a share of τ), its Runge-Kutta steps, its state z and
-    control u, the smoothing ε [m], whether derivatives are asked for, and what the memories hold.
-    Results are the state after it, shape (nz,); F, its derivative by (z, u), shape (nz, nc); l1,
-    the gradient of the cost, shape (nc,); and l2, the upper triangle of its Gauss-Newton Hessian.
+    it), how long it lasts [s] (of phases, as a share of τ), its Runge-Kutta steps and their method,
+    its state z and control u, the smoothing ε [m], whether derivatives are asked for, and what the
+    memories hold. Results are the state after it, shape (nz,); F, its derivative by (z, u), shape
+    (nz, nc); l1, the gradient of the cost, shape (nc,); and l2, the upper triangle of its
+    Gauss-Newton Hessian.
     """
     nx, nz, n, columns = points.shape[1], z.size, actuation.shape[0], by_column.size
     x, y, slope, total, errors = points[0], points[1], points[2], points[3], points[4:]
@@ -138,11 +140,17 @@ def flow(
         for i in range(nx):
             X[i, i] = 1.0
     for s in range(substeps):
-        for r in range(4):
-            ahead = 0.0 if r == 0 else (1.0 if r == 3 else 0.5)
-            part = 1 / 6 if r == 0 or r == 3 else 1 / 3
+        for i in range(n):
+            slope[i], slope[n + i] = x[n + i], 0.0
+        clear(total, sum_K)
+        if has_slopes:
+            for i in range(n):
+                for c in range(columns):
+                    K[i, c], K[n + i, c] = X[n + i, c], 0.0
+        for r in range(method.shape[0]):
+            ahead, part = method[r, 0], method[r, 1]
             for i in range(nx):
-                y[i] = x[i] + ahead * delta * slope[i] if r else x[i]
+                y[i] = x[i] + ahead * delta * slope[i]
             accelerate(
                 code,
                 numbers,
@@ -161,11 +169,13 @@ def flow(
                 slopes,
             )
             if has_slopes:
-                _chain(r, ahead * delta, part, slopes, X, K, Y, sum_K, nz, ahead * unit, slope)
+                _chain(ahead * delta, part, slopes, X, K, Y, sum_K, nz, ahead * unit, slope)
             for i in range(n):
                 slope[i], slope[n + i] = y[n + i], acceleration[0, i]
             for i in range(nx):
-                total[i] = part * slope[i] + (total[i] if r else 0.0)
+                total[i] += part * slope[i]
+            if part == 0.0:
+                continue
             time = start + (s + ahead) * delta
             rate = _measure(kinds, running, times, reference, time, y, errors)
             cost += part * delta * rate
@@ -195,7 +205,6 @@ def flow(
 
 @inner
 def _chain(
-    r: int,
     ahead: float,
     part: float,
     slopes: Floats,
@@ -212,8 +221,8 @@ def _chain(
     n, nu = nx // 2, columns - nz
     for i in range(nx):
         for c in range(columns):
-            Y[i, c] = X[i, c] + ahead * K[i, c] if r else X[i, c]
-        if r and nz > nx:
+            Y[i, c] = X[i, c] + ahead * K[i, c]
+        if nz > nx:
             Y[i, nx] += unit * slope[i]
     for i in range(n):
         for c in range(columns):
@@ -227,7 +236,7 @@ def _chain(
             K[n + i, nz + j] += slopes[nx + j, i]
     for i in range(nx):
         for c in range(columns):
-            sum_K[i, c] = part * K[i, c] + (sum_K[i, c] if r else 0.0)
+            sum_K[i, c] += part * K[i, c]
 
 
 @inner

@@ -20,6 +20,7 @@ class Mechanics(NamedTuple):
         code: of a `Tape` of M (upper triangle, by rows), h, φ, J; then of ∂M/∂q, ∂h/∂(q, v), ∂J/∂q
             (upper triangle).
         numbers: of the same.
+        constants: of the same.
         actuation: B, shape (n, nu).
         contacts: stiffness k [N/m], dissipation d [s/m] and restitution e of each, shape (m, 3).
         solids: where the contacts of each solid start, shape (S + 1,).
@@ -27,6 +28,7 @@ class Mechanics(NamedTuple):
 
     code: Ints
     numbers: Floats
+    constants: Floats
     actuation: Floats
     contacts: Floats
     solids: Ints
@@ -149,7 +151,7 @@ def make_mechanics_memory(mechanics: Mechanics) -> MechanicsMemory:
     (n, nu), code = mechanics.actuation.shape, mechanics.code
     return MechanicsMemory(
         values=np.zeros(1 + 2 * n + 2 * code[0] + code[1]),
-        sums=np.zeros(code[3]),
+        sums=mechanics.constants.copy(),
         factor=np.zeros((n, n)),
         force=np.zeros((len(mechanics.contacts), 3)),
         acceleration=np.zeros((1, n)),
@@ -352,7 +354,7 @@ def _accelerate(
     has_slopes: bool,
     memory: MechanicsMemory,
 ) -> None:
-    code, numbers, actuation, contacts, solids = mechanics
+    code, numbers, _, actuation, contacts, solids = mechanics
     values, sums, factor, force, acceleration, slopes = memory
     accelerate(
         code,

@@ -30,6 +30,7 @@ class ShootingOptions:
         rungs: passes at falling smoothing. Where nothing yields, the last one with all iterations
             takes the place of all.
         substeps: Runge-Kutta steps of a stage.
+        order: of their error: 4, or 2 with half as many evaluations.
         penalty: ρ at first, in units of cost per squared scale.
         multiplier_updates: further passes of the last rung, until bounds at knots hold.
         feasibility: how far they may be off, in units of the state's scales.
@@ -44,6 +45,7 @@ class ShootingOptions:
         Smoothing(0.001, 60, 1e-5),
     )
     substeps: int = 1
+    order: int = 4
     penalty: float = 10.0
     multiplier_updates: int = 12
     feasibility: float = 1e-4
@@ -58,6 +60,7 @@ class ShootingOptions:
             ("iterations", rungs, "at least 1", all(r.iterations >= 1 for r in rungs)),
             ("tolerance", rungs, "numbers above 0", all(r.tolerance > 0 for r in rungs)),
             ("substeps", self.substeps, "at least 1", self.substeps >= 1),
+            ("order", self.order, "2 or 4", self.order in (2, 4)),
             ("penalty", self.penalty, "a number above 0", self.penalty > 0),
             ("multiplier_updates", self.multiplier_updates, ">= 0", self.multiplier_updates >= 0),
             ("feasibility", self.feasibility, "a number above 0", self.feasibility > 0),
@@ -70,4 +73,4 @@ class ShootingOptions:
     def coarse(cls, substeps: int = 1) -> ShootingOptions:
         """Returns those that soon tell whether a start is any good."""
         rungs = tuple(Smoothing(smoothing, 15, 1e-2) for smoothing in (0.1, 0.01, 0.001))
-        return cls(rungs, substeps, multiplier_updates=0)
+        return cls(rungs, substeps, order=2, multiplier_updates=0)

@@ -29,8 +29,8 @@ class ShootingProblem(ShootingQuestion):
 
         minimize J   subject to   v̇ = M⁻¹ (B u − h + Jᵀ f),   bounds on u_k, and on q, v at knots
 
-    Motion is integrated by Runge and Kutta's method of order 4, the cost with it, and the
-    derivatives of both are exact.
+    Motion is integrated by Runge-Kutta steps, the cost with it, and the derivatives of both are
+    exact.
     """
 
     def solve(
@@ -53,29 +53,32 @@ class ShootingProblem(ShootingQuestion):
         options = options or ShootingOptions()
         return _Descent(self, controls, states, options).run()
 
-    def simulate(self, controls: Floats, substeps: int, smoothing: float = 0.0) -> ShootingResult:
+    def simulate(
+        self, controls: Floats, substeps: int, smoothing: float = 0.0, order: int = 4
+    ) -> ShootingResult:
         """Returns the motion of given controls.
 
         Args:
             controls: u_k, shape (N, nu); those out of bounds are moved into them.
             substeps: Runge-Kutta steps between knots.
             smoothing: ε in units of the problem's length.
+            order: see `ShootingOptions`.
 
         Raises:
             ProgramError: a shape does not fit.
         """
-        options = ShootingOptions(rungs=(Smoothing(smoothing, 1, 1.0),), substeps=substeps)
+        options = ShootingOptions((Smoothing(smoothing, 1, 1.0),), substeps, order)
         return _Descent(self, controls, None, options).finish(is_converged=False)
 
     def estimate_error(self, result: ShootingResult) -> float:
-        """Returns how far off the steps of a result are: against twice as many.
+        """Returns how far off the steps of a result are: against twice as many of order 4.
 
         It is the larger one of the cost's change, in units of the cost or of `cost_scale` if that
         is larger, and the final state's, in units of its scales.
         """
         question = self.starting_from(result)
         finer = question.simulate(result.controls, 2 * result.substeps)
-        same = question.simulate(result.controls, result.substeps)
+        same = question.simulate(result.controls, result.substeps, order=result.order)
         unit = max(abs(finer.exact_cost), self.cost_scale)
         off = np.abs(finer.states[-1] - same.states[-1]) / self.scales
         error = max(abs(finer.exact_cost - same.exact_cost) / unit, float(off.max()))
@@ -136,7 +139,7 @@ class _Descent:
         """Takes the motion's shape from the problem."""
         self._problem, self._options, self._has_gaps = problem, options, states is not None
         self._layout = Layout.of(problem.times, problem.phases)
-        self._program = make_program(problem, self._layout, options.substeps)
+        self._program = make_program(problem, self._layout, options)
         self._controls = self._lay_out_controls(controls)
         self._states = self._lay_out_states(states)
         clip_controls(self._program, self._controls)
@@ -242,6 +245,7 @@ class _Descent:
             is_converged=is_converged,
             smoothing=last.smoothing * self._problem.length,
             substeps=self._options.substeps,
+            order=self._options.order,
             durations=self._controls[layout.starts, 0],
         )
 

@@ -6,18 +6,26 @@ import numpy as np
 
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.shooting.mechanism import copy_writable
+from drake_aigto.shooting.options import ShootingOptions
 from drake_aigto.shooting.phases import Layout
 from drake_aigto.shooting.question import ShootingQuestion
 from drake_aigto.shooting.tables import CHORDAL, EXACT, FLOW, MODULO, Bounds, Program, Task
 from drake_aigto.world import TaskCost
 
+# When each evaluation of a Runge-Kutta step is, as a part of the step, and its weight. It is ahead
+# of the start by that part of the slope before it; before the first one only positions move. So
+# order 2 is the leapfrog method where forces know no velocity, which stiff springs ask for.
+_METHODS = {
+    2: np.array([[0.5, 0.0], [0.5, 1.0]]),
+    4: np.array([[0.0, 1 / 6], [0.5, 1 / 3], [0.5, 1 / 3], [1.0, 1 / 6]]),
+}
 # A control's curvature counts as small below this share of the cost's scale per its own squared.
 _FLOOR = 1e-6
 # No phase is shorter than this share of the longest total.
 _SHORTEST = 1e-3
 
 
-def make_program(problem: ShootingQuestion, layout: Layout, substeps: int) -> Program:
+def make_program(problem: ShootingQuestion, layout: Layout, options: ShootingOptions) -> Program:
     """Returns the tables of a problem of these stages, its multipliers zero."""
     program = Program(
         mechanics=problem.mechanism.mechanics,
@@ -26,7 +34,8 @@ def make_program(problem: ShootingQuestion, layout: Layout, substeps: int) -> Pr
         kinds=layout.kinds,
         steps=layout.shares,
         times=problem.times if problem.phases is None else np.zeros(len(layout.kinds) + 1),
-        substeps=substeps,
+        substeps=options.substeps,
+        method=_METHODS[options.order],
     )
     return copy_writable(program)
 

@@ -23,6 +23,7 @@ class ShootingResult(ArrayRecord):
         is_converged: whether nothing was left to gain at the end.
         smoothing: ε at the end [m].
         substeps: Runge-Kutta steps between knots.
+        order: of their error.
         durations: of phases, shape (P,) [s]; none without phases.
     """
 
@@ -36,6 +37,7 @@ class ShootingResult(ArrayRecord):
     is_converged: bool
     smoothing: float
     substeps: int
+    order: int
     durations: Floats
 
     def __post_init__(self) -> None:

@@ -93,6 +93,7 @@ class Program(NamedTuple):
         steps: how long each stage lasts [s]; of phases, as a share of τ; shape (K,).
         times: when each stage starts, without phases, shape (K + 1,) [s].
         substeps: Runge-Kutta steps of a stage.
+        method: when each evaluation of such a step is, a part of it, and its weight, shape (E, 2).
     """
 
     mechanics: Mechanics
@@ -102,6 +103,7 @@ class Program(NamedTuple):
     steps: Floats
     times: Floats
     substeps: int
+    method: Floats
 
 
 class FlowMemory(NamedTuple):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from itertools import accumulate
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,14 +23,17 @@ class Tape(NamedTuple):
     y = scale·x + offset, then P products of two earlier values each.
 
     Attributes:
-        code: W, P, how many products come early, Z, how many sums come early; then x of each wave,
-            two factors of each product, where each sum starts among the summands (Z + 1), and the
-            place of each summand. What is early is all that values without derivatives need.
+        code: W, P, how many products come early, how many sums change, and how many of these come
+            early; then x of each wave, two factors of each product, and of each sum that changes
+            its number, the number of its summands and their places. What is early is all that
+            values without derivatives need.
         numbers: scale and offset of each wave, then the coefficient of each summand.
+        constants: the sums that never change, shape (Z,); others are 0 there.
     """
 
     code: Ints
     numbers: Floats
+    constants: Floats
 
 
 class TapeBuilder:
@@ -85,18 +87,22 @@ class TapeBuilder:
     def build(self, values: list[Sum], slopes: list[Sum]) -> Tape:
         """Returns the tape of sums: values first, which can be had alone."""
         places = _ProductPlaces(1 + len(self._variables) + 2 * len(self._waves))
-        sums = [[(places.find(p), c) for p, c in sum_.items()] for sum_ in values]
-        num_early = len(places.factors), len(values)
-        sums += [[(places.find(p), c) for p, c in sum_.items()] for sum_ in slopes]
-        entries = [entry for sum_ in sums for entry in sum_]
+        changing = [
+            (number, {places.find(product): c for product, c in sum_.items()}, len(places.factors))
+            for number, sum_ in enumerate([*values, *slopes])
+            if any(sum_)
+        ]
+        early = [row for row in changing if row[0] < len(values)]
         waves = list(self._waves)
-        code = [len(waves), len(places.factors), num_early[0], len(sums), num_early[1]]
-        code += [variable for variable, _, _ in waves]
+        code = [len(waves), len(places.factors), early[-1][2] if early else 0]
+        code += [len(changing), len(early), *(variable for variable, _, _ in waves)]
         code += [place for pair in places.factors for place in pair]
-        code += [*accumulate(map(len, sums), initial=0), *(place for place, _ in entries)]
         numbers = [number for _, *wave in waves for number in wave]
-        numbers += [coefficient for _, coefficient in entries]
-        return Tape(read_only(code, np.int64), read_only(numbers))
+        for number, summands, _ in changing:
+            code += [number, len(summands), *summands]
+            numbers += summands.values()
+        constants = [0.0 if any(sum_) else sum_.get((), 0.0) for sum_ in [*values, *slopes]]
+        return Tape(read_only(code, np.int64), read_only(numbers), read_only(constants))
 
 
 class _ProductPlaces:
@@ -124,7 +130,7 @@ def _add(sum_: Sum, product: tuple[int, ...], coefficient: float) -> None:
 def run_tape(
     code: Ints, numbers: Floats, x: Floats, has_slopes: bool, values: Floats, sums: Floats
 ) -> None:
-    """Computes the sums at x, and their derivatives if asked.
+    """Computes the sums at x that change, and their derivatives if asked.
 
     Args:
         code: of the tape.
@@ -132,27 +138,26 @@ def run_tape(
         x: the coordinates, shape (n,).
         has_slopes: whether the derivatives are computed, too.
         values: memory for what has a place.
-        sums: the result, shape (Z,).
+        sums: the result, shape (Z,); those that never change are there already.
     """
-    num_waves, num_products, num_sums = code[0], code[1], code[3]
-    factors = 5 + num_waves
-    starts = factors + 2 * num_products
-    places, coefficients = starts + num_sums + 1, 2 * num_waves
-    if not has_slopes:
-        num_products, num_sums = code[2], code[4]
+    num_products, num_sums = (code[1], code[3]) if has_slopes else (code[2], code[4])
     values[0] = 1.0
     for i in range(x.size):
         values[1 + i] = x[i]
-    at = 1 + x.size
-    for w in range(num_waves):
-        y = numbers[2 * w] * x[code[5 + w]] + numbers[2 * w + 1]
+    at, read, number = 1 + x.size, 5, 0
+    for _ in range(code[0]):
+        y = numbers[number] * x[code[read]] + numbers[number + 1]
         values[at] = np.cos(y)
         values[at + 1] = np.sin(y)
-        at += 2
-    for p in range(num_products):
-        values[at + p] = values[code[factors + 2 * p]] * values[code[factors + 2 * p + 1]]
-    for z in range(num_sums):
-        total = 0.0
-        for e in range(code[starts + z], code[starts + z + 1]):
-            total += numbers[coefficients + e] * values[code[places + e]]
+        at, read, number = at + 2, read + 1, number + 2
+    for _ in range(num_products):
+        values[at] = values[code[read]] * values[code[read + 1]]
+        at, read = at + 1, read + 2
+    read = 5 + code[0] + 2 * code[1]
+    for _ in range(num_sums):
+        total, z, count = 0.0, code[read], code[read + 1]
+        read += 2
+        for _ in range(count):
+            total += numbers[number] * values[code[read]]
+            read, number = read + 1, number + 1
         sums[z] = total
