@@ -13,8 +13,10 @@ from typing import Any, TypeVar
 
 import llvmlite
 import numba
+from numba.core import cgutils, types
 from numba.core.caching import FunctionCache
 from numba.core.event import Event, Listener, install_listener
+from numba.extending import intrinsic
 
 from drake_aigto.count import Notice
 
@@ -66,6 +68,34 @@ inner = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True)
 # LLVM would optimize all of it once more. Short functions gain nothing by it, and many in one lose,
 # as Numba's time grows faster than a function's length.
 pasted = njit(nogil=True, error_model="numpy", inline="always")
+
+
+@intrinsic
+def borrow(_: Any, value: Any) -> Any:
+    """Returns arrays, or tuples of them, whose references nobody counts, for compiled code.
+
+    A kernel calls it first on what Python holds meanwhile, and must not return any of it. Else each
+    view of an array, and each function that takes one, counts up and down, an atomic operation of
+    20 cycles.
+    """
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _forget_owners(context, builder, signature.args[0], arguments[0])
+
+    return value(value), generate
+
+
+def _forget_owners(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+    if isinstance(kind, types.Array):
+        array = context.make_array(kind)(context, builder, value)
+        array.meminfo = cgutils.get_null_value(array.meminfo.type)
+        array.parent = cgutils.get_null_value(array.parent.type)
+        return array._getvalue()
+    if isinstance(kind, types.BaseTuple):
+        for i, each in enumerate(kind):
+            part = _forget_owners(context, builder, each, builder.extract_value(value, i))
+            value = builder.insert_value(value, part, i)
+    return value
 
 
 @contextmanager

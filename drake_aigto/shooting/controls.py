@@ -113,9 +113,13 @@ def solve_box(
             length /= 2
         if not is_better:
             break
-        value = attempt
+        value, is_best = attempt, True
         for i in range(size):
+            # All are free, and nothing is clipped: the least there is.
+            is_best = is_best and is_free[i] and trial[i] == u[i] + du[i] + step[i] - u[i]
             du[i] = trial[i]
+        if is_best:
+            break
     return True
 
 

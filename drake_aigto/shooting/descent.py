@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.jit import inner, kernel, pasted
+from drake_aigto.jit import borrow, inner, kernel, pasted
 from drake_aigto.shooting.bounds import add_bounds
 from drake_aigto.shooting.controls import clip_control
 from drake_aigto.shooting.flow import flow, measure_end
@@ -267,6 +267,8 @@ def descend(
         The cost of the roll-out that it ends with, without penalties; how many iterations it took,
         and whether it ended in that tolerance.
     """
+    program, memory = borrow(program), borrow(memory)
+    states, controls = borrow(states), borrow(controls)
     damping, is_converged, count, slow, before = _DAMPING, False, 0, 0, np.inf
     if not has_gaps:
         cost = _travel(program, states, controls, _ROLL, 0.0, eps, np.inf, memory)
