@@ -9,11 +9,11 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import cache
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 import llvmlite
 import numba
-from numba.core import cgutils, types
+from numba.core import types
 from numba.core.caching import FunctionCache
 from numba.core.event import Event, Listener, install_listener
 from numba.extending import intrinsic
@@ -21,6 +21,7 @@ from numba.extending import intrinsic
 from drake_aigto.count import Notice
 
 _Function = TypeVar("_Function", bound=Callable[..., Any])
+_Borrowed = TypeVar("_Borrowed")
 
 # `python -m benchmarks.start_time` measures 10 to 15 s on idle cores of servers.
 _COMPILES = "compiling machine code, some 10 to 20 s; "
@@ -70,15 +71,7 @@ inner = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True)
 pasted = njit(nogil=True, error_model="numpy", inline="always")
 
 
-@intrinsic
-def borrow(_: Any, value: Any) -> Any:
-    """Returns arrays, or tuples of them, whose references nobody counts, for compiled code.
-
-    A kernel calls it first on what Python holds meanwhile, and must not return any of it. Else each
-    view of an array, and each function that takes one, counts up and down, an atomic operation of
-    20 cycles.
-    """
-
+def _borrow(_: Any, value: Any) -> Any:
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return _forget_owners(context, builder, signature.args[0], arguments[0])
 
@@ -88,14 +81,21 @@ def borrow(_: Any, value: Any) -> Any:
 def _forget_owners(context: Any, builder: Any, kind: Any, value: Any) -> Any:
     if isinstance(kind, types.Array):
         array = context.make_array(kind)(context, builder, value)
-        array.meminfo = cgutils.get_null_value(array.meminfo.type)
-        array.parent = cgutils.get_null_value(array.parent.type)
+        array.meminfo = array.meminfo.type(None)
+        array.parent = array.parent.type(None)
         return array._getvalue()
     if isinstance(kind, types.BaseTuple):
-        for i, each in enumerate(kind):
+        each: Any
+        for i, each in enumerate(kind):  # type: ignore[arg-type]
             part = _forget_owners(context, builder, each, builder.extract_value(value, i))
             value = builder.insert_value(value, part, i)
     return value
+
+
+# Returns arrays, or tuples of them, whose references nobody counts. A kernel may call it first on
+# what Python holds meanwhile, and must return none of it. Else each view of an array, and each
+# function that takes one, counts up and down: atomic operations of some 20 cycles.
+borrow: Callable[[_Borrowed], _Borrowed] = cast(Any, intrinsic(_borrow))
 
 
 @contextmanager

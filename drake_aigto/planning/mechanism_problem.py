@@ -51,6 +51,10 @@ _NEAR = 0.05
 _PRICE = 10.0
 POLISH = ShootingOptions(rungs=(Smoothing(1e-3, 60, 1e-5), Smoothing(1e-4, 40, 1e-6)), substeps=4)
 
+# What boxes show is closed from walls that push from afar. A renewed motion has met them before.
+COARSE = ShootingOptions.coarse()
+NEARER = ShootingOptions.coarse(smoothings=(0.01, 0.001))
+
 
 @dataclass(frozen=True, eq=False)
 class Compiled:
@@ -222,11 +226,11 @@ class MechanismProblem:
         """How much of q and v is much, shape (2n,)."""
         return state_scales(self.world, self.scenario)
 
-    def close(self, center: Center) -> ShootingResult:
+    def close(self, center: Center, options: ShootingOptions = COARSE) -> ShootingResult:
         """Returns the motion near a box center, as far as a few steps lead."""
         problem = self.shooting(self.search_steps).lasting(float(center.times[-1]))
         states, controls = center.sample(problem.knot_times)
-        return problem.solve(controls, states, ShootingOptions.coarse())
+        return problem.solve(controls, states, options)
 
     def polish(self, motion: ShootingResult) -> ShootingResult:
         """Returns the local optimum near a motion, in the scenario's time steps.

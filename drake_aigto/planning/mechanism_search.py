@@ -17,10 +17,10 @@ from drake_aigto.jit import tell_compilation
 from drake_aigto.planning.branching import scaled
 from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.mechanism_boxes import Center, Renewal
-from drake_aigto.planning.mechanism_problem import MechanismProblem
+from drake_aigto.planning.mechanism_problem import COARSE, NEARER, MechanismProblem
 from drake_aigto.planning.origin import Origin
 from drake_aigto.planning.pool import CandidatePool, Progress, Stopwatch
-from drake_aigto.shooting import ShootingResult
+from drake_aigto.shooting import ShootingOptions, ShootingResult
 
 _LOG = logging.getLogger(__name__)
 
@@ -28,7 +28,7 @@ _LOG = logging.getLogger(__name__)
 Closed: TypeAlias = tuple[int, ShootingResult]
 
 _ANNEALING = "annealing"
-# So many motions are kept, whose costs differ by more than this part of them.
+# So many motions are kept, no two of them near each other; nor do costs of two differ by less.
 _MOST_KEPT, _SAME = 8, 1e-3
 # Renewals are drawn from what is kept, and closed, so many at a time.
 _WAVE = 8
@@ -98,7 +98,8 @@ class MechanismSearch(CandidatePool):
         rungs = self.problem.options.ladder
         self.tell(f"AIGO from {len(rungs)} starts")
         origins = [Origin(_ANNEALING, rung) for rung in rungs]
-        self._offer_all(origins, [partial(self.problem.run_aigo, rung) for rung in rungs])
+        proposals = [partial(self.problem.run_aigo, rung) for rung in rungs]
+        self._offer_all(origins, proposals, COARSE)
 
     def _renew(self) -> None:
         """Opens stretches of the best motions to boxes again."""
@@ -117,16 +118,19 @@ class MechanismSearch(CandidatePool):
                     renewal = dataclasses.replace(renewal, half_width=0.0)
                 origins.append(motion.origin.renewed())
                 proposals.append(partial(self.problem.renew, motion.result, renewal))
-            self._offer_all(origins, proposals)
+            self._offer_all(origins, proposals, NEARER)
 
     def _offer_all(
-        self, origins: Iterable[Origin], proposals: Sequence[Callable[[], Center]]
+        self,
+        origins: Iterable[Origin],
+        proposals: Sequence[Callable[[], Center]],
+        options: ShootingOptions,
     ) -> None:
         """Closes what boxes propose."""
 
         def close(propose: Callable[[], Center]) -> tuple[int, ShootingResult]:
             center = propose()
-            return center.iterations, self.problem.close(center)
+            return center.iterations, self.problem.close(center, options)
 
         self._close_all(origins, [partial(close, propose) for propose in proposals])
 
@@ -144,18 +148,16 @@ class MechanismSearch(CandidatePool):
                 self._keep(Motion(origin, result, self.problem.price(result)))
 
     def _keep(self, motion: Motion) -> None:
-        """Keeps a motion if it is among the best, and not one that is known."""
-        if not np.isfinite(motion.cost):
-            return
-        for at, known in enumerate(self.motions):
-            if abs(known.cost - motion.cost) <= _SAME * abs(known.cost):
-                if motion.cost < known.cost:
-                    self.motions[at] = motion
-                break
-        else:
-            self.motions.append(motion)
-        self.motions.sort(key=lambda each: each.cost)
-        del self.motions[_MOST_KEPT:]
+        """Keeps a motion if it is among the best, and no better one is near."""
+        near = [known for known in self.motions if self._are_same(known, motion)]
+        if np.isfinite(motion.cost) and all(motion.cost < known.cost for known in near):
+            others = [known for known in self.motions if known not in near]
+            self.motions = sorted([*others, motion], key=lambda each: each.cost)[:_MOST_KEPT]
+
+    def _are_same(self, one: Motion, other: Motion) -> bool:
+        """Returns whether two motions lead to one optimum, by cost or by path."""
+        is_as_dear = abs(one.cost - other.cost) <= _SAME * abs(one.cost)
+        return is_as_dear or self.problem.are_near(one.result, other.result)
 
     def _finish(self) -> None:
         """Polishes and judges the best motions, one of those that are near each other."""

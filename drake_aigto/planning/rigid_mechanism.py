@@ -21,7 +21,7 @@ from drake_aigto.planning.mechanism_phases import (
     read_touches,
     sample,
 )
-from drake_aigto.planning.mechanism_problem import MechanismProblem
+from drake_aigto.planning.mechanism_problem import COARSE, MechanismProblem
 from drake_aigto.shooting import (
     Mechanism,
     Phases,
@@ -64,9 +64,9 @@ class RigidMechanismProblem(MechanismProblem):
         """What moves between springs."""
         return Mechanism.of(self.world, self._springs)
 
-    def close(self, center: Center) -> BouncingResult:
+    def close(self, center: Center, options: ShootingOptions = COARSE) -> BouncingResult:
         """Returns the motion on rigid walls near a box center."""
-        soft = super().close(center)
+        soft = super().close(center, options)
         return self.bounce(read_touches(self.world, soft), soft)
 
     def bounce(self, touches: TouchSequence, guess: ShootingResult) -> BouncingResult:
