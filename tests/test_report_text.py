@@ -104,7 +104,7 @@ def test_a_report_has_question_answer_verdict_and_how_to_reproduce_it(plan: Plan
     for replay in plan.replay:
         assert f"{replay.cost:.3e}" in text
     # Whatever costs something comes with what it is worth.
-    for told in ("dynamics defect", "deepest penetration", "energy ratio", "J simulated, rigid"):
+    for told in ("dynamics defect", "deepest penetration", "energy ratio", "J simulated"):
         assert told in text
     assert "simulation: exactly rigid" in text and "plan (no simulation)" in text
     for command in (

@@ -12,8 +12,10 @@ from mechanisms import build
 
 from drake_aigto import Plan, Scenario, World
 from drake_aigto.planning import Candidate, Origin, PlanStats, Replays
+from drake_aigto.show.motion import simulation_label
+from drake_aigto.show.page import Page
 from drake_aigto.show.plans import format_plan
-from drake_aigto.show.report import report_plan
+from drake_aigto.show.report import add_question, report_plan
 from drake_aigto.show.text import angle_text, miss_text, task_items
 from drake_aigto.simulation import Replay
 from drake_aigto.trajectory import Trajectory
@@ -154,3 +156,14 @@ def test_a_report_of_a_mechanism_is_written() -> None:
     assert "Links at evenly spaced times" in written and "boxes can&#x27;t be had" in written
     for part in ("R = 0.001; Q_v = [0, 1]; Q_T = [1, 2]", "λ = k x max(0, 1 + d ẋ)", "3 rad)"):
         assert part in written
+
+
+def test_where_nothing_touches_no_wall_is_told_of() -> None:
+    scenario = Scenario.named("acrobot/swing_up")
+    world, page = World.from_scenario(scenario), Page("A question")
+    add_question(page, scenario, world)
+    asked = page.to_html()
+    assert "contacts</th><td>none" in asked and "restitution" not in asked
+    replay = end_at([0.0, 3.0], [0.0, 0.0], Scenario(**ENDS))
+    assert simulation_label(replay, world) == "simulation: integrated"
+    assert simulation_label(replay, cart_pole()) == "simulation: exactly rigid"

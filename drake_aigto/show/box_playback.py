@@ -270,7 +270,7 @@ def run_boxes(plan: Plan, world: World | None = None) -> BoxRun:
     if plan.options is None:
         raise _refuse("no options")
     if not isinstance(plan.options, LiteralOptions | PlanOptions):
-        raise _refuse("the options of another search, of many boxes for short stretches")
+        raise _refuse("the options of a search by many short boxes, none of a whole motion")
     if not isinstance(rung, Rung):
         raise _refuse("no rung of AIGO's ladder")
     if plan.additions:

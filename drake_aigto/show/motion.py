@@ -107,8 +107,17 @@ class Motion:
 
 def motions_of_plan(plan: Plan, world: World | None = None) -> list[Motion]:
     """Returns a plan's trajectory and what simulations made of its control, each labeled."""
-    planned = Motion.from_trajectory(plan.trajectory, plan.find_world(world))
-    return [planned, *(Motion.from_replay(replay) for replay in plan.replay)]
+    world = plan.find_world(world)
+    planned = Motion.from_trajectory(plan.trajectory, world)
+    labels = (simulation_label(replay, world) for replay in plan.replay)
+    return [planned, *map(Motion.from_replay, plan.replay, labels)]
+
+
+def simulation_label(replay: Replay, world: World) -> str:
+    """Returns what a simulation is, its walls named if there are any."""
+    if world.contacts:
+        return SIMULATION_LABELS[replay.simulator]
+    return "simulation: Drake" if replay.simulator == "drake" else "simulation: integrated"
 
 
 def color_of(index: int) -> str:

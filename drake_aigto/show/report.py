@@ -20,7 +20,7 @@ from drake_aigto.show.coordinates import moves_straight
 from drake_aigto.show.figures import plot_boxes, plot_motions, plot_path, plot_phase_portrait
 from drake_aigto.show.landscapes import plot_cost_history, plot_cost_landscape
 from drake_aigto.show.linkage_figures import draw_mechanism
-from drake_aigto.show.motion import SIMULATION_LABELS, motions_of_plan
+from drake_aigto.show.motion import motions_of_plan, simulation_label
 from drake_aigto.show.page import Page
 from drake_aigto.show.plans import (
     INTERRUPTED,
@@ -126,7 +126,7 @@ def add_verdict(page: Page, plan: Plan, world: World) -> None:
     page.verdict(f"{verdict[0].upper()}{verdict[1:]}.", plan.holds)
     for replay in plan.replay:
         confirmed = plan.best.is_confirmed_by(replay)
-        label = SIMULATION_LABELS[replay.simulator]
+        label = simulation_label(replay, world)
         page.paragraph(
             f"{label[0].upper()}{label[1:]}: {'confirms' if confirmed else 'contradicts'} the "
             f"plan. {describe_difference(plan.cost, replay)}; it ends "
@@ -174,7 +174,7 @@ def add_question(
         ("duration", _describe_duration(scenario)),
         *(tuple(item.split(" ", 1)) for item in law_items(scenario, world)),
         ("weights", _describe_weights(scenario)),
-        ("contacts", ", ".join(contact_names(world))),
+        ("contacts", ", ".join(contact_names(world)) or "none"),
         ("model", world.model or "a diagram of one's own"),
     ]
     if scenario.mass is not None:
@@ -238,7 +238,7 @@ def _number_rows(plan: Plan, world: World) -> Iterator[tuple[str, ...]]:
     yield "plan (no simulation)", *numbers
     for replay in plan.replay:
         numbers = _numbers(plan, replay, world, "obeys them", replay.bounce_times)
-        yield SIMULATION_LABELS[replay.simulator], *numbers
+        yield simulation_label(replay, world), *numbers
 
 
 def _numbers(
@@ -331,7 +331,7 @@ def has_landscape(plan: Plan, world: World) -> bool:
 
 _CANDIDATE_HEADER = (
     *("", "cost J", "dynamics defect", "deepest penetration", "energy ratio"),
-    *("J simulated, rigid", "off the goal there", "touches"),
+    *("J simulated", "off the goal there", "touches"),
 )
 
 
@@ -357,8 +357,8 @@ def _add_candidates(page: Page, plan: Plan, world: World) -> None:
 def _add_reproduction(page: Page, plan: Plan) -> None:
     page.heading("How to reproduce it")
     page.paragraph(
-        f"Save these lines as scenario.yaml and plan again with drake_aigto {__version__}. Nothing "
-        f"in a search is random. {describe_options(plan.options)}"
+        f"Save these lines as scenario.yaml and plan again with drake_aigto {__version__}: the "
+        f"same question has the same answer. {describe_options(plan.options)}"
     )
     page.code(yaml.safe_dump(plan.scenario.to_plain(), sort_keys=False, allow_unicode=True))
     page.code(_command(plan))

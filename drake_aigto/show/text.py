@@ -103,7 +103,9 @@ def touch_names(world: World) -> list[str]:
 
 
 def law_items(scenario: Scenario, world: World) -> list[str]:
-    """Returns what contacts push with: their restitution, or their stiffness and dissipation."""
+    """Returns what contacts push with: restitution, or stiffness and dissipation, if any do."""
+    if not world.contacts:
+        return []
     law = world.contact_law(scenario)
     if isinstance(law, RigidLaw):
         return [f"restitution {scenario.restitution:g}"]
