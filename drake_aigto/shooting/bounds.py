@@ -6,8 +6,9 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.jit import inner, kernel
+from drake_aigto.shooting.hold import press
 from drake_aigto.shooting.mechanism import find_foremost, triangle
-from drake_aigto.shooting.tables import Bounds, Memory, Program
+from drake_aigto.shooting.tables import FLOW, Bounds, Memory, Program
 from drake_aigto.shooting.tape import run_tape
 
 
@@ -27,7 +28,12 @@ def _unwind(bounds: Bounds, k: int, i: int, value: float) -> float:
 
 @inner
 def add_bounds(
-    program: Program, states: Floats, penalty: float, has_slopes: bool, memory: Memory
+    program: Program,
+    states: Floats,
+    controls: Floats,
+    penalty: float,
+    has_slopes: bool,
+    memory: Memory,
 ) -> float:
     """Returns what all bounds at knots add to the cost; adds to its derivatives if asked."""
     bounds, l1, l2 = program.bounds, memory.expansion.l1, memory.expansion.l2
@@ -47,6 +53,8 @@ def add_bounds(
             cost += _add_distances(program, k, states[k], penalty, has_slopes, memory)
         if k < program.kinds.size and program.kinds[k] >= 0:
             cost += _add_approach(program, k, states[k], penalty, has_slopes, memory)
+        if k < program.held.size and program.kinds[k] == FLOW and program.held[k] >= 0:
+            cost += _add_force(program, k, states[k], controls[k], penalty, has_slopes, memory)
     return cost
 
 
@@ -96,6 +104,33 @@ def _add_approach(
 
 
 @inner
+def _add_force(
+    program: Program,
+    k: int,
+    z: Floats,
+    u: Floats,
+    penalty: float,
+    has_slopes: bool,
+    memory: Memory,
+) -> float:
+    """Returns what λ ≥ 0 adds where stage k starts; adds to derivatives by (z, u) if asked."""
+    bounds, nz, nx = program.bounds, z.size, memory.flow.points.shape[1]
+    l1, l2, by_force = memory.expansion.l1, memory.expansion.l2, memory.flow.mechanics.by_force
+    weight = penalty * bounds.force_weight
+    mechanics, room = program.mechanics, memory.flow.mechanics
+    force = press(mechanics, program.held[k], z[:nx], u, has_slopes, room)
+    off = min(force + bounds.force_multipliers[k] / weight, 0.0)
+    if has_slopes and off < 0.0:
+        for i in range(by_force.size):
+            row = i if i < nx else nz + i - nx
+            l1[k, row] += weight * off * by_force[i]
+            for j in range(i, by_force.size):
+                column = j if j < nx else nz + j - nx
+                l2[k, row, column] += weight * by_force[i] * by_force[j]
+    return weight * off * off / 2
+
+
+@inner
 def _measure_approach(
     program: Program, contact: int, z: Floats, has_slopes: bool, memory: Memory
 ) -> float:
@@ -136,7 +171,12 @@ def _counts(program: Program, k: int, i: int, phi: int, sums: Floats) -> bool:
 
 @kernel
 def measure_bounds(
-    program: Program, states: Floats, penalty: float, updates: bool, memory: Memory
+    program: Program,
+    states: Floats,
+    controls: Floats,
+    penalty: float,
+    updates: bool,
+    memory: Memory,
 ) -> float:
     """Returns the largest violation √w dist(s, [a, b]), and updates the multipliers if asked.
 
@@ -173,4 +213,12 @@ def measure_bounds(
             if updates:
                 multiplier = bounds.approach_multipliers[k] + weight * rate
                 bounds.approach_multipliers[k] = max(multiplier, 0.0)
+        if k < program.held.size and program.kinds[k] == FLOW and program.held[k] >= 0:
+            weight, nx = penalty * bounds.force_weight, memory.flow.points.shape[1]
+            mechanics, room = program.mechanics, memory.flow.mechanics
+            force = press(mechanics, program.held[k], states[k, :nx], controls[k], False, room)
+            worst = max(worst, -np.sqrt(bounds.force_weight) * force)
+            if updates:
+                multiplier = bounds.force_multipliers[k] + weight * force
+                bounds.force_multipliers[k] = min(multiplier, 0.0)
     return worst

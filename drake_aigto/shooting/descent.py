@@ -53,7 +53,7 @@ def _travel(
     code, numbers, _, actuation, contacts, solids = program.mechanics
     effort, running, final, errors_of, goal, times, reference = program.task
     room, points, by_column, by_start = memory.flow
-    values, sums, factor, force, acceleration, slopes = room
+    values, sums, factor, force, acceleration, slopes, support, by_force = room
     F, l1, l2, gaps = memory.expansion
     feedforward, gains = memory.sweep.feedforward, memory.sweep.gains
     lower, upper = program.bounds.lower_control, program.bounds.upper_control
@@ -80,6 +80,7 @@ def _travel(
                 numbers,
                 contacts,
                 kinds[k],
+                program.held[k] == kinds[k],
                 points.shape[1],
                 z,
                 u[0],
@@ -110,6 +111,7 @@ def _travel(
                 shares[k],
                 program.substeps,
                 program.method,
+                program.held[k],
                 z,
                 u,
                 eps,
@@ -120,6 +122,8 @@ def _travel(
                 force,
                 acceleration,
                 slopes,
+                support,
+                by_force,
                 points,
                 by_column,
                 by_start,
@@ -164,7 +168,7 @@ def _expand(
 ) -> float:
     """Computes the problem to second order about a motion, and returns its cost."""
     cost = _travel(program, states, controls, _EXPAND, 0.0, eps, np.inf, memory)
-    return cost + add_bounds(program, states, penalty, _YES, memory)
+    return cost + add_bounds(program, states, controls, penalty, _YES, memory)
 
 
 @pasted
@@ -181,7 +185,7 @@ def _march(
     """Follows the control law with a step length; returns the cost, infinite above `most`."""
     cost = _travel(program, states, controls, _FOLLOW, length, eps, most, memory)
     if cost < np.inf:
-        cost += add_bounds(program, memory.states, penalty, _NO, memory)
+        cost += add_bounds(program, memory.states, memory.controls, penalty, _NO, memory)
     return cost if cost <= most else np.inf
 
 

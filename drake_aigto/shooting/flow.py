@@ -10,6 +10,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.jit import inner
+from drake_aigto.shooting.hold import hold
 from drake_aigto.shooting.mechanism import accelerate
 from drake_aigto.shooting.tables import CHORDAL, MODULO
 
@@ -98,6 +99,7 @@ def flow(
     share: float,
     substeps: int,
     method: Floats,
+    held: int,
     z: Floats,
     u: Floats,
     eps: float,
@@ -108,6 +110,8 @@ def flow(
     force: Floats,
     acceleration: Floats,
     slopes: Floats,
+    support: Floats,
+    by_force: Floats,
     points: Floats,
     by_column: Floats,
     by_start: Floats,
@@ -120,10 +124,10 @@ def flow(
 
     It takes what `Mechanics` and `Task` hold, when the stage starts [s] (of phases the state says
     it), how long it lasts [s] (of phases, as a share of τ), its Runge-Kutta steps and their method,
-    its state z and control u, the smoothing ε [m], whether derivatives are asked for, and what the
-    memories hold. Results are the state after it, shape (nz,); F, its derivative by (z, u), shape
-    (nz, nc); l1, the gradient of the cost, shape (nc,); and l2, the upper triangle of its
-    Gauss-Newton Hessian.
+    the contact that is held or a negative number, its state z and control u, the smoothing ε [m],
+    whether derivatives are asked for, and what the memories hold. Results are the state after it,
+    shape (nz,); F, its derivative by (z, u), shape (nz, nc); l1, the gradient of the cost, shape
+    (nc,); and l2, the upper triangle of its Gauss-Newton Hessian.
     """
     nx, nz, n, columns = points.shape[1], z.size, actuation.shape[0], by_column.size
     x, y, slope, total, errors = points[0], points[1], points[2], points[3], points[4:]
@@ -160,7 +164,7 @@ def flow(
                 y,
                 u,
                 eps,
-                has_slopes,
+                has_slopes or held >= 0,
                 values,
                 sums,
                 factor,
@@ -168,6 +172,19 @@ def flow(
                 acceleration,
                 slopes,
             )
+            if held >= 0:
+                hold(
+                    held,
+                    contacts.shape[0],
+                    y,
+                    has_slopes,
+                    sums,
+                    factor,
+                    support,
+                    by_force,
+                    acceleration,
+                    slopes,
+                )
             if has_slopes:
                 _chain(ahead * delta, part, slopes, X, K, Y, sum_K, nz, ahead * unit, slope)
             for i in range(n):

@@ -15,6 +15,7 @@ def jump(
     numbers: Floats,
     contacts: Floats,
     contact: int,
+    is_held: bool,
     nx: int,
     z: Floats,
     duration: float,
@@ -31,7 +32,8 @@ def jump(
 ) -> None:
     """Computes the state (q, v⁺, τ, t) after the start of a phase; with derivatives if asked.
 
-    The contact is that which is hit, or negative; the duration, a control, becomes τ.
+    The contact is that which is hit, or negative; what is held from then on loses all of its speed,
+    whatever its restitution; the duration, a control, becomes τ.
     """
     nz = z.size
     for i in range(nz):
@@ -56,7 +58,7 @@ def jump(
     for i in range(n):
         inverse_mass += sums[row + i] * kick[0, i]
         rate += sums[row + i] * z[n + i]
-    gain = -(1 + contacts[contact, 2]) / inverse_mass
+    gain = -(1.0 if is_held else 1 + contacts[contact, 2]) / inverse_mass
     for i in range(n):
         after[n + i] += kick[0, i] * gain * rate
     if has_slopes:

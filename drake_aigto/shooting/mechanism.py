@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.jit import inner, kernel, pasted
-from drake_aigto.shooting.tape import Tape, TapeBuilder, run_tape
+from drake_aigto.shooting.tape import Sum, Tape, TapeBuilder, run_tape
 from drake_aigto.world import ContactLaw, EquationsOfMotion, RigidLaw
 
 
@@ -18,7 +19,7 @@ class Mechanics(NamedTuple):
 
     Attributes:
         code: of a `Tape` of M (upper triangle, by rows), h, φ, J; then of ∂M/∂q, ∂h/∂(q, v), ∂J/∂q
-            (upper triangle).
+            (upper triangle), and where walls are rigid of vᵀ (∂²J/∂q²) v, by contacts.
         numbers: of the same.
         constants: of the same.
         actuation: B, shape (n, nu).
@@ -35,7 +36,7 @@ class Mechanics(NamedTuple):
 
 
 class MechanicsMemory(NamedTuple):
-    """Room for one evaluation; the last two are its results.
+    """Room for one evaluation.
 
     Attributes:
         values: of the tape.
@@ -44,6 +45,8 @@ class MechanicsMemory(NamedTuple):
         force: of each contact, and its derivatives by φ and φ̇, shape (m, 3).
         acceleration: v̇, shape (1, n).
         slopes: ∂v̇/∂(q, v, u), transposed, shape (2n + nu, n).
+        support: M⁻¹ Jᵀ of a contact that is held, and its derivative by q below, shape (1 + n, n).
+        by_force: the derivative of its force by (q, v, u), shape (2n + nu,).
     """
 
     values: Floats
@@ -52,6 +55,8 @@ class MechanicsMemory(NamedTuple):
     force: Floats
     acceleration: Floats
     slopes: Floats
+    support: Floats
+    by_force: Floats
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +93,7 @@ class Mechanism:
         else:
             contacts[:, 0], contacts[:, 1] = law.stiffness, law.dissipation
         tables = Mechanics(
-            *_compile(world),
+            *_compile(world, isinstance(law, RigidLaw)),
             actuation=world.actuation,
             contacts=contacts,
             solids=np.cumsum([0, *map(len, world.solids)], dtype=np.int64),
@@ -156,11 +161,13 @@ def make_mechanics_memory(mechanics: Mechanics) -> MechanicsMemory:
         force=np.zeros((len(mechanics.contacts), 3)),
         acceleration=np.zeros((1, n)),
         slopes=np.zeros((2 * n + nu, n)),
+        support=np.zeros((1 + n, n)),
+        by_force=np.zeros(2 * n + nu),
     )
 
 
-def _compile(world: EquationsOfMotion) -> Tape:
-    """Returns the tape of M, h, φ and J and of their derivatives."""
+def _compile(world: EquationsOfMotion, is_rigid: bool) -> Tape:
+    """Returns the tape of M, h, φ and J and of their derivatives; what holding takes if rigid."""
     n = world.num_positions
     builder = TapeBuilder([*world.positions, *world.velocities])
     upper = np.triu_indices(n)
@@ -171,9 +178,25 @@ def _compile(world: EquationsOfMotion) -> Tape:
     jacobian = [[differentiate(phi, j) for j in range(n)] for phi in distance]
     slopes = [differentiate(entry, j) for entry in mass for j in range(n)]
     slopes += [differentiate(entry, j) for entry in bias for j in range(2 * n)]
-    slopes += [differentiate(row[i], j) for row in jacobian for i, j in zip(*upper, strict=True)]
+    bends = [differentiate(row[i], j) for row in jacobian for i, j in zip(*upper, strict=True)]
+    slopes += bends
+    if is_rigid:
+        half = len(upper[0])
+        for first in range(0, len(bends), half):
+            turns = _contract(bends[first : first + half], n)
+            slopes += [differentiate(turns, c) for c in range(n)]
     rows = [entry for row in jacobian for entry in row]
     return builder.build([*mass, *bias, *distance, *rows], slopes)
+
+
+def _contract(bends: Sequence[Sum], n: int) -> Sum:
+    """Returns vᵀ S v of a symmetric matrix's upper triangle, by rows."""
+    found: Sum = {}
+    for bend, i, j in zip(bends, *np.triu_indices(n), strict=True):
+        for product, coefficient in bend.items():
+            whole = tuple(sorted((*product, 1 + n + int(i), 1 + n + int(j))))
+            found[whole] = found.get(whole, 0.0) + (1 if i == j else 2) * coefficient
+    return found
 
 
 @inner
@@ -355,7 +378,7 @@ def _accelerate(
     memory: MechanicsMemory,
 ) -> None:
     code, numbers, _, actuation, contacts, solids = mechanics
-    values, sums, factor, force, acceleration, slopes = memory
+    values, sums, factor, force, acceleration, slopes, _, _ = memory
     accelerate(
         code,
         numbers,

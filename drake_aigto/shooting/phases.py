@@ -1,8 +1,8 @@
-"""Motions in phases that meet where something hits a rigid wall."""
+"""Motions in phases that meet where something hits a rigid wall, or lets go of it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -10,24 +10,33 @@ from drake_aigto.arrays import ArrayRecord, Floats, Ints, read_only
 from drake_aigto.errors import ProgramError
 from drake_aigto.shooting.tables import FLOW, START
 
+_FIELDS = {"contacts": np.int64, "knots": np.int64, "durations": float, "held": np.int64}
+
 
 @dataclass(frozen=True, eq=False)
 class Phases(ArrayRecord):
     """Which contact is hit at which knot, with free durations between; P phases.
 
         φ_i(q) = 0,   v⁺ = v⁻ − M⁻¹ Jᵀ (J M⁻¹ Jᵀ)⁻¹ (1 + e) J v⁻     where contact i is hit
+        J v̇ + J̇ v = 0,   M v̇ + h = B u + Jᵀ λ,   λ ≥ 0               while contact i is held
+
+    What is held has been hit before, and e is 0 then, whatever the contact's is: so ends what
+    bounces ever faster, or does not bounce at all. A phase holds one contact at most, and lets it
+    go where it ends, unless the next one holds it too.
 
     Attributes:
-        contacts: what ends each phase but the last, shape (P − 1,).
+        contacts: what ends each phase but the last, −1 if nothing is hit; shape (P − 1,).
         knots: where it does, rising, inside of 0 … N, shape (P − 1,).
         durations: of the phases, to start from, shape (P,) [s].
         total: the least and the most of their sum [s].
+        held: which contact is held in each phase, −1 if none is, shape (P,); empty: never any.
     """
 
     contacts: Ints
     knots: Ints
     durations: Floats
     total: tuple[float, float]
+    held: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
         """Makes arrays read-only.
@@ -35,10 +44,13 @@ class Phases(ArrayRecord):
         Raises:
             ProgramError: numbers do not fit together.
         """
-        for name, dtype in (("contacts", np.int64), ("knots", np.int64), ("durations", float)):
+        for name, dtype in _FIELDS.items():
             object.__setattr__(self, name, read_only(getattr(self, name), dtype))
         touches = len(self.contacts)
+        if not len(self.held):
+            object.__setattr__(self, "held", read_only(np.full(touches + 1, -1), np.int64))
         checks = (
+            ("held", f"{touches + 1} numbers", len(self.held) == touches + 1),
             ("knots", f"{touches}, rising", len(self.knots) == touches),
             ("knots", "rising numbers", bool(np.all(np.diff(self.knots) > 0))),
             ("durations", f"{touches + 1} numbers", len(self.durations) == touches + 1),
@@ -50,10 +62,10 @@ class Phases(ArrayRecord):
                 raise ProgramError(f"phases: {name}", got=getattr(self, name), expected=expected)
 
     @classmethod
-    def free(cls, duration: float, total: tuple[float, float]) -> Phases:
+    def free(cls, duration: float, total: tuple[float, float], held: int = -1) -> Phases:
         """Returns one phase, which ends where nothing is hit, of free duration [s]."""
         none = np.zeros(0, dtype=np.int64)
-        return cls(contacts=none, knots=none, durations=np.array([duration]), total=total)
+        return cls(none, none, np.array([duration]), total, np.array([held]))
 
     @property
     def is_many(self) -> bool:
@@ -67,11 +79,13 @@ class Layout:
 
     Attributes:
         kinds: FLOW, START or a contact, of each of K stages, shape (K,).
+        held: which contact is held in each, or −1, shape (K,).
         flights: which stages are flights, shape (N,).
         shares: how long each lasts [s]; of phases, as a share of its phase; shape (K,).
     """
 
     kinds: Ints
+    held: Ints
     flights: Ints
     shares: Floats
 
@@ -80,17 +94,22 @@ class Layout:
         """Returns the stages of knots at these times, shape (N + 1,)."""
         steps = np.diff(times)
         if phases is None:
-            return cls(np.full(len(steps), FLOW), np.arange(len(steps)), steps)
+            never = np.full(len(steps), -1)
+            return cls(np.full(len(steps), FLOW), never, np.arange(len(steps)), steps)
         kinds: list[int] = []
+        held: list[int] = []
         shares: list[float] = []
         ends = [*phases.knots.tolist(), len(steps)]
-        for kind, first, last in zip(
-            [START, *phases.contacts.tolist()], [0, *ends[:-1]], ends, strict=True
+        contacts = np.where(phases.contacts < 0, START, phases.contacts).tolist()
+        for kind, contact, first, last in zip(
+            [START, *contacts], phases.held.tolist(), [0, *ends[:-1]], ends, strict=True
         ):
             of_phase = steps[first:last]
             kinds += [kind, *[FLOW] * len(of_phase)]
+            held += [contact] * (1 + len(of_phase))
             shares += [0.0, *(of_phase / of_phase.sum())]
-        return cls(np.array(kinds), np.flatnonzero(np.equal(kinds, FLOW)), np.array(shares))
+        flights = np.flatnonzero(np.equal(kinds, FLOW))
+        return cls(np.array(kinds), np.array(held), flights, np.array(shares))
 
     def calc_times(self, durations: Floats) -> Floats:
         """Returns when knots are [s], shape (N + 1,), where phases last so long, shape (P,)."""

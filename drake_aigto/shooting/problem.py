@@ -221,7 +221,7 @@ class _Descent:
     def _update_multipliers(self) -> None:
         before = self._violation
         self._violation = measure_bounds(
-            self._program, self._states, self._penalty, True, self._memory
+            self._program, self._states, self._controls, self._penalty, True, self._memory
         )
         if self._violation > before / 4:
             self._penalty *= 10
@@ -231,7 +231,9 @@ class _Descent:
         last = self._options.rungs[-1]._replace(iterations=0)
         exact, _, _ = self._descend(last._replace(smoothing=0.0))
         cost, _, _ = self._descend(last)
-        violation = measure_bounds(self._program, self._states, 1.0, False, self._memory)
+        violation = measure_bounds(
+            self._program, self._states, self._controls, 1.0, False, self._memory
+        )
         problem, layout, nx = self._problem, self._layout, len(self._problem.start)
         at_knots = self._states[[*layout.flights, -1]]
         return ShootingResult(

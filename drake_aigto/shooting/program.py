@@ -32,6 +32,7 @@ def make_program(problem: ShootingQuestion, layout: Layout, options: ShootingOpt
         task=_make_task(problem.cost),
         bounds=_make_bounds(problem, layout),
         kinds=layout.kinds,
+        held=layout.held,
         steps=layout.shares,
         times=problem.times if problem.phases is None else np.zeros(len(layout.kinds) + 1),
         substeps=options.substeps,
@@ -85,6 +86,8 @@ def _make_bounds(problem: ShootingQuestion, layout: Layout) -> Bounds:
         is_distance_bounded=is_distance_bounded,
         approach_weight=float(T / problem.length) ** 2,
         approach_multipliers=np.zeros(len(layout.kinds)),
+        force_weight=float(T * np.max(problem.cost.R)) / problem.cost_scale,
+        force_multipliers=np.zeros(len(layout.kinds)),
         lower_control=low_control,
         upper_control=high_control,
         norm=float(problem.control_norm),
@@ -125,8 +128,10 @@ def _bound_distances(problem: ShootingQuestion, layout: Layout) -> Floats:
         if problem.clearances is not None:
             knots = np.concatenate([[0], np.cumsum(layout.kinds == FLOW)])
             bounds[0][:, is_rigid] = problem.clearances[knots][:, is_rigid]
-        bounds[1, layout.starts[1:], problem.phases.contacts] = 0.0
-        bounds[0, layout.starts[1:], problem.phases.contacts] = 0.0
+        along = np.flatnonzero(layout.held >= 0)
+        bounds[0, along, layout.held[along]] = -np.inf
+        hit = np.flatnonzero(layout.kinds >= 0)
+        bounds[:, hit, layout.kinds[hit]] = 0.0
     return bounds
 
 

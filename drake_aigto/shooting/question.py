@@ -76,7 +76,8 @@ class ShootingQuestion:
         m, N, phases = self.mechanism.num_contacts, len(self.times) - 1, self.phases
         is_possible = phases is None or (
             np.all((phases.knots > 0) & (phases.knots < N))
-            and np.all((phases.contacts >= 0) & (phases.contacts < m))
+            and np.all((phases.contacts >= -1) & (phases.contacts < m))
+            and np.all((phases.held >= -1) & (phases.held < m))
         )
         checks = (
             (

@@ -56,6 +56,9 @@ class Bounds(NamedTuple):
         is_distance_bounded: as above.
         approach_weight: w of φ̇ ≤ 0 before an impact.
         approach_multipliers: y of that, shape (K,).
+        force_weight: w of the force of what is held, which is at least 0; its unit is the control
+            that costs as much as all else.
+        force_multipliers: y of that, shape (K,).
         lower_control: shape (K, controls of a stage).
         upper_control: the same.
         norm: of a control, at most.
@@ -76,6 +79,8 @@ class Bounds(NamedTuple):
     is_distance_bounded: Bools
     approach_weight: float
     approach_multipliers: Floats
+    force_weight: float
+    force_multipliers: Floats
     lower_control: Floats
     upper_control: Floats
     norm: float
@@ -90,6 +95,7 @@ class Program(NamedTuple):
         task: the cost.
         bounds: the constraints.
         kinds: FLOW, START or a contact, of each stage, shape (K,).
+        held: which contact is held in each stage, from its start, or −1, shape (K,).
         steps: how long each stage lasts [s]; of phases, as a share of τ; shape (K,).
         times: when each stage starts, without phases, shape (K + 1,) [s].
         substeps: Runge-Kutta steps of a stage.
@@ -100,6 +106,7 @@ class Program(NamedTuple):
     task: Task
     bounds: Bounds
     kinds: Ints
+    held: Ints
     steps: Floats
     times: Floats
     substeps: int

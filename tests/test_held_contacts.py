@@ -1,0 +1,180 @@
+"""Contact that lasts: what holds it, its derivatives, and carts that push each other."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+from mechanisms import build
+
+from drake_aigto import Scenario, World
+from drake_aigto.arrays import Floats
+from drake_aigto.errors import ProgramError
+from drake_aigto.jit import kernel
+from drake_aigto.shooting import (
+    Mechanism,
+    Phases,
+    ShootingOptions,
+    ShootingProblem,
+    ShootingResult,
+    Smoothing,
+)
+from drake_aigto.shooting.hold import press
+from drake_aigto.shooting.mechanism import (
+    Mechanics,
+    MechanicsMemory,
+    copy_writable,
+    make_mechanics_memory,
+)
+from drake_aigto.simulation import replay_event_driven
+from drake_aigto.world import RigidLaw, TaskCost
+
+
+@kernel
+def _press(
+    mechanics: Mechanics, contact: int, x: Floats, u: Floats, memory: MechanicsMemory
+) -> float:
+    return press(mechanics, contact, x, u, True, memory)
+
+
+def run(world: World, contact: int, x: Floats, u: Floats) -> tuple[float, Floats, Floats, Floats]:
+    """Returns λ, v̇ and their derivatives by (q, v, u)."""
+    mechanics = Mechanism.of(world, RigidLaw(np.zeros(world.num_contacts))).mechanics
+    memory = copy_writable(make_mechanics_memory(mechanics))
+    force = _press(mechanics, contact, x, u, memory)
+    return force, memory.acceleration[0], memory.by_force, memory.slopes.T
+
+
+@pytest.mark.parametrize("name", ["cart-pole", "two discs", "double pendulum", "paddle"])
+def test_what_is_held_moves_as_gauss_says_and_its_derivatives_are_those_of_differences(
+    name: str,
+) -> None:
+    world, rng = build(name), np.random.default_rng(3)
+    n, nu = world.num_positions, world.num_actuators
+    for contact in range(min(2, world.num_contacts)):
+        x, u = rng.uniform(0.2, 0.9, 2 * n), rng.normal(size=nu)
+        force, acceleration, by_force, slopes = run(world, contact, x, u)
+        wanted, pushes = world.calc_supported_acceleration(x[:n], x[n:], u, np.array([contact]))
+        np.testing.assert_allclose(acceleration, wanted, rtol=1e-9, atol=1e-9)
+        assert force == pytest.approx(pushes[0], rel=1e-9)
+        for c in range(2 * n + nu):
+            step = np.zeros(2 * n + nu)
+            step[c] = 1e-6
+            ends = [
+                run(world, contact, x + s * step[: 2 * n], u + s * step[2 * n :]) for s in (1, -1)
+            ]
+            by, slope = ((ends[0][i] - ends[1][i]) / 2e-6 for i in (0, 1))
+            assert by_force[c] == pytest.approx(by, rel=1e-5, abs=1e-6)
+            np.testing.assert_allclose(slopes[:, c], slope, rtol=1e-5, atol=1e-6)
+
+
+N = 50
+CARTS = Scenario.named("three_carts/apart")
+
+
+@cache
+def carts() -> World:
+    return World.from_scenario(CARTS)
+
+
+def pose(
+    world: World,
+    scenario: Scenario,
+    start: tuple[Floats, Floats],
+    T: float,
+    N: int,
+    phases: Phases,
+) -> ShootingProblem:
+    n, bounds = world.num_positions, world.bounds(scenario)
+    return ShootingProblem(
+        mechanism=Mechanism.of(world, RigidLaw(np.zeros(world.num_contacts))),
+        cost=TaskCost.of(world, scenario),
+        times=np.linspace(0.0, T, N + 1),
+        start=np.concatenate(start),
+        scales=np.full(2 * n, 3.0),
+        state_bounds=np.hstack([bounds.position, bounds.velocity]),
+        control_bounds=bounds.control,
+        hard_goal=np.full(2 * n, np.nan),
+        length=3.0,
+        phases=phases,
+    )
+
+
+@cache
+def push_apart() -> ShootingResult:
+    """Returns a motion in which the middle cart pushes one cart, then the other."""
+    world = carts()
+    phases = Phases(
+        contacts=np.array([0, -1, 1, -1]),
+        knots=np.array([8, 18, 30, 42]),
+        durations=np.array([0.5, 0.8, 1.2, 0.9, 1.6]),
+        total=(5.0, 5.0),
+        held=np.array([-1, 0, -1, 1, -1]),
+    )
+    start = CARTS.initial_position, CARTS.initial_velocity
+    problem = pose(world, CARTS, start, 5.0, N, phases)
+    controls = np.repeat([-8.0, -12.0, 12.0, 12.0, -10.0], [8, 10, 12, 12, 8])[:, np.newaxis]
+    rungs = (Smoothing(1e-3, 300, 1e-6),)
+    return problem.solve(controls, options=ShootingOptions(rungs, 2, multiplier_updates=20))
+
+
+def test_carts_push_each_other_apart_and_a_simulation_agrees() -> None:
+    result, world = push_apart(), carts()
+    assert result.violation < 1e-4
+    assert result.is_converged
+    replay = replay_event_driven(world, CARTS, result.times, result.controls)
+    assert replay.cost == pytest.approx(result.cost, rel=1e-3)
+    assert replay.bounce_contacts == (0, 1)
+    np.testing.assert_allclose(replay.bounce_times, result.times[[8, 30]], atol=1e-3)
+    beyond = np.setdiff1d(np.arange(9, N + 1), 30)  # Off impacts.
+    states = np.hstack(replay.states_at(result.times[beyond]))
+    np.testing.assert_allclose(states, result.states[beyond], atol=0.01)
+
+
+def test_what_is_held_stays_at_the_wall_and_pushes() -> None:
+    result, world = push_apart(), carts()
+    phi = world.calc_signed_distance(result.states[:, :3])
+    rate = np.einsum(
+        "kij,kj->ki", world.calc_contact_jacobian(result.states[:, :3]), result.states[:, 3:]
+    )
+    for contact, first, last in ((0, 8, 18), (1, 30, 42)):
+        np.testing.assert_allclose(phi[first : last + 1, contact], 0.0, atol=1e-3)
+        np.testing.assert_allclose(rate[first : last + 1, contact], 0.0, atol=1e-9)
+        for k in range(first, last):
+            force, *_ = run(world, contact, result.states[k].copy(), result.controls[k].copy())
+            assert force > -0.05
+
+
+def test_what_slides_along_a_wall_without_a_push_keeps_its_energy() -> None:
+    world = build("cart-pole")
+    n, q, v = 2, np.array([0.0, 0.4]), np.array([0.3, -0.5])
+    J = world.calc_contact_jacobian(q)[0]
+    q[0] = -world.calc_signed_distance(q)[0] / J[0]
+    kick = np.linalg.solve(world.calc_mass_matrix(q), J)
+    v -= kick * (J @ v) / (J @ kick)
+    problem = pose(
+        world,
+        Scenario.named("cart_pole/soft_06"),
+        (q, v),
+        0.5,
+        20,
+        Phases.free(0.5, (0.5, 0.5), held=0),
+    )
+    states = problem.simulate(np.zeros((20, 1)), substeps=8).states
+    assert np.abs(states[-1] - states[0]).max() > 0.1
+    energies = []
+    for x in states:
+        context = world.plant.CreateDefaultContext()
+        world.plant.SetPositionsAndVelocities(context, x)
+        energies.append(
+            world.plant.CalcPotentialEnergy(context) + world.plant.CalcKineticEnergy(context)
+        )
+    np.testing.assert_allclose(energies, energies[0], rtol=1e-7)
+    np.testing.assert_allclose(world.calc_signed_distance(states[:, :n])[:, 0], 0.0, atol=1e-7)
+
+
+def test_phases_that_hold_what_is_not_there_are_refused() -> None:
+    with pytest.raises(ProgramError, match=r"phases: held: got .* expected 1 numbers"):
+        none = np.zeros(0, dtype=np.int64)
+        Phases(none, none, np.ones(1), (1.0, 1.0), np.array([0, 1]))
