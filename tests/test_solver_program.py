@@ -15,7 +15,8 @@ from pydrake.symbolic import Polynomial, cos, exp, sin
 from drake_aigto import UnsupportedTermError
 from drake_aigto.solver import AigoOptions
 from drake_aigto.solver.first_box import make_first_box
-from drake_aigto.solver.program import ContradictionError, read_program
+from drake_aigto.solver.program import read_program
+from drake_aigto.solver.question import ContradictionError
 from drake_aigto.solver.ranges import sum_range
 
 INF = np.inf

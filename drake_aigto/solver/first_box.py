@@ -17,7 +17,7 @@ _MOST_HALVINGS = 60  # of exponentials' variables
 
 
 def make_first_box(program: AigoProgram, guess: Floats, options: AigoOptions) -> Box:
-    """Returns the first box over y = (x, s).
+    """Returns the first box over y = (z, s).
 
     Between two bounds, it is all that the bounds leave. Otherwise it reaches R = first_half_width ·
     max(1, |guess|) around the guess (0 where there is none), cut to the bound on one side, and R
@@ -31,8 +31,8 @@ def make_first_box(program: AigoProgram, guess: Floats, options: AigoOptions) ->
     nothing else.
 
     Args:
-        program: with n variables x.
-        guess: shape (n,); NaN where there is none.
+        program: with n variables z.
+        guess: of z, shape (n,); NaN where there is none.
         options: the first reach, and how often it doubles at most.
     """
     n = guess.size

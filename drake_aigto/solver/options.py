@@ -30,6 +30,7 @@ class AigoOptions:
         first_half_width: half width of the first box where a variable has no bounds, relative to
             max(1, |guess|); it doubles from there while that lowers the cost's mean.
         max_doublings: how often it does so at most.
+        presolve: whether variables that an equality defines are substituted.
         seed: of everything random.
     """
 
@@ -39,6 +40,7 @@ class AigoOptions:
     feasibility: float = 1e-6
     first_half_width: float = 1.0
     max_doublings: int = 10
+    presolve: bool = True
     seed: int = 0
 
     def __post_init__(self) -> None:

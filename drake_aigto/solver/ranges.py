@@ -83,6 +83,8 @@ def _exponential(y: float) -> float:
 
 def _cosine_range(first: float, last: float) -> Range:
     """Returns the least and largest cosine between two angles."""
+    if not last - first < 2 * math.pi:
+        return -1.0, 1.0
     ends = math.cos(first), math.cos(last)
     has_top = math.floor(last / (2 * math.pi)) >= math.ceil(first / (2 * math.pi))
     has_bottom = math.floor(last / (2 * math.pi) - 0.5) >= math.ceil(first / (2 * math.pi) - 0.5)

@@ -60,8 +60,9 @@ class AigoDetails:
         iterations: inner iterations of AIGO, all boxes.
         polishes: how many points were polished.
         origin: which algorithm, from which box, led to the answer.
-        first_center: of the first box, shape (n,).
-        first_half_width: of the first box, shape (n,).
+        substituted: numbers of the variables that presolve left out, in the order of doing so.
+        first_center: of the first box, shape (n,); of what was left out, its value there.
+        first_half_width: of the first box, shape (n,); NaN of what was left out.
         widths: for each weight of the penalties, for each first algorithm: geometric-mean half
             widths of the first box as it shrank.
         box_storage: how Newton systems over boxes were ordered, stored and factorized, and why;
@@ -80,6 +81,7 @@ class AigoDetails:
     widths: tuple[tuple[tuple[float, ...], ...], ...] = field(repr=False)
     box_storage: Storage | None = None
     kkt_storage: Storage | None = None
+    substituted: tuple[int, ...] = ()
 
     @classmethod
     def of_nothing(cls, status: AigoStatus, x: Floats) -> AigoDetails:

@@ -67,8 +67,8 @@ class Solve:
     ) -> None:
         """Makes the first box."""
         self._program, self._options, self._observers = program, options, observers
-        self._guess = guess
-        self._first = make_first_box(program, guess, options)
+        self._guess = program.reduce(guess)
+        self._first = make_first_box(program, self._guess, options)
         self._best: _Answer | None = None
         self._boxes = self._iterations = self._polishes = 0
         self._widths: list[tuple[tuple[float, ...], ...]] = []
@@ -88,12 +88,14 @@ class Solve:
             status = AigoStatus.INTERRUPTED
         best = self._best
         if best is None:
-            x = self._first.center[: self._guess.size]
+            x = self._program.answer(self._first.center)
             return x, np.inf, AigoDetails.of_nothing(AigoStatus.NOT_FINITE, x)
         return best.x, self._program.cost(best.x), self._details(best, status or self._judge(best))
 
     def _details(self, best: _Answer, status: AigoStatus) -> AigoDetails:
-        n = self._guess.size
+        first, reduced = self._first, self._program.reduced
+        half_width = np.full(best.x.size, np.nan)
+        half_width[reduced.kept] = first.half_width[: reduced.kept.size]
         return AigoDetails(
             status=status,
             violation=best.violation,
@@ -101,25 +103,23 @@ class Solve:
             iterations=self._iterations,
             polishes=self._polishes,
             origin=best.origin,
-            first_center=self._first.center[:n],
-            first_half_width=self._first.half_width[:n],
+            substituted=tuple(definition.variable for definition in reduced.definitions),
+            first_center=self._program.answer(first.center),
+            first_half_width=half_width,
             widths=tuple(self._widths),
             box_storage=self._box_storage,
             kkt_storage=self._kkt_storage,
         )
 
     def _judge(self, best: _Answer) -> AigoStatus:
-        lower, upper = (bound[: best.x.size] for bound in self._bounds())
-        is_open = np.isinf(lower) | np.isinf(upper)
+        reduced = self._program.reduced
+        is_open = np.isinf(reduced.lower) | np.isinf(reduced.upper)
         if best.violation > self._options.feasibility:
             return AigoStatus.NO_FEASIBLE_POINT
         is_low = np.any(is_open) and best.cost < _LOW
         if is_low or np.any(np.abs(best.x[is_open]) > _FAR):
             return AigoStatus.FALLS_WITHOUT_END
         return AigoStatus.SOLVED
-
-    def _bounds(self) -> tuple[Floats, Floats]:
-        return self._program.nlp.lower, self._program.nlp.upper
 
     def _search_all(self) -> None:
         """Searches f, or with constraints the augmented Lagrangians of rising weights."""
@@ -167,26 +167,28 @@ class Solve:
         return found
 
     def _polish(self, y: Floats, name: str) -> Floats:
-        """Returns y = (x, s) improved on the true constraints; it is a candidate too."""
-        n, program = self._guess.size, self._program
+        """Returns y = (z, s) improved on the true constraints; it is a candidate too."""
+        program = self._program
         if self._options.polish == "none":
             return y
         self._polishes += 1
         if self._options.polish == "newton":
             found = InteriorPoint(max_iterations=_POLISH_STEPS).solve(
-                program.nlp, program.with_slacks(y[:n])
+                program.nlp, program.with_slacks(y)
             )
-            x, self._kkt_storage = found.x[:n], found.storage
+            z, self._kkt_storage = found.x, found.storage
         else:
-            x = solve_with_drake(program.source, y[:n], self._options.polish).x
-        self._offer(x, f"polish{name}")
-        return program.with_slacks(np.clip(x, *(bound[:n] for bound in self._bounds())))
+            x = solve_with_drake(program.source, program.answer(y), self._options.polish).x
+            z = program.reduce(x)
+        self._offer(z, f"polish{name}")
+        return program.with_slacks(z)
 
     def _offer(self, y: Floats, origin: str) -> None:
-        """Keeps a point, x or (x, s), if it is the best so far."""
-        n, program = self._guess.size, self._program
-        x = np.clip(y[:n], *(bound[:n] for bound in self._bounds()))
-        padded = np.concatenate([x, np.zeros(program.nlp.num_variables - n)])
+        """Keeps a point, z or (z, s), if it is the best so far."""
+        program = self._program
+        x = program.answer(y)
+        padded = np.zeros(program.nlp.num_variables)
+        padded[: self._guess.size] = program.reduce(x)
         cost = program.costs(padded)
         rounding = _ROUNDING * program.nlp.cost_magnitude(padded)
         if not np.isfinite(cost + rounding):

@@ -18,7 +18,8 @@ from pydrake.solvers import (
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError
 from drake_aigto.solver.options import AigoOptions
-from drake_aigto.solver.program import ContradictionError, read_program
+from drake_aigto.solver.program import read_program
+from drake_aigto.solver.question import ContradictionError
 from drake_aigto.solver.result import (
     SOLVER_ID,
     AigoDetails,
@@ -119,7 +120,7 @@ class AigoSolver(SolverInterface):
         guess = _check_guess(prog, initial_guess)
         filled = AigoProgramResult() if result is None else result
         try:
-            program = read_program(prog)
+            program = read_program(prog, presolve=options.presolve)
         except ContradictionError:
             x = np.where(np.isfinite(guess), guess, 0.0)
             details = AigoDetails.of_nothing(AigoStatus.CONTRADICTORY_BOUNDS, x)

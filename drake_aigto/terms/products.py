@@ -147,7 +147,9 @@ def compose(total: Sum, values: Sequence[Sum]) -> Sum:
     """Returns a sum whose variables i are replaced by sums values[i], multiplied out.
 
     Raises:
-        NoClosedFormError: A sum replaces the variable of a function that is no power.
+        NoClosedFormError: A sum that is not affine replaces the variable of a function that is no
+            power, or one of several variables that of a hinge or logarithm.
+        TooManyTermsError: There are more than MAX_TERMS.
     """
     return add(*(_compose_term(parts, a, values) for parts, a in total.items()))
 
@@ -159,18 +161,40 @@ def _compose_term(parts: tuple[Part, ...], coefficient: float, values: Sequence[
         if part.kind == _POWER:
             product = multiply(product, power(value, part.exponent))
         else:
-            renamed = part._replace(variable=_find_variable(value))
-            product = multiply(product, {(renamed,): 1.0})
+            product = multiply(product, _compose_function(part, value))
     return product
 
 
-def _find_variable(total: Sum) -> int:
-    """Returns the variable that a sum is."""
+def _compose_function(part: Part, value: Sum) -> Sum:
+    """Returns a wave, hinge or logarithm of an affine sum in place of its variable."""
+    scales, offset = _split_affine(value)
+    if scales == [(scales[0][0], 1.0)] and not offset:
+        return {(part._replace(variable=scales[0][0]),): 1.0}
+    offset = float(part.scale) * offset + float(part.offset)
+    inside = [(variable, float(part.scale) * scale) for variable, scale in scales]
+    if part.kind in _WAVES:
+        wave = wave_of_sum(part.kind, inside, offset)
+        return multiply(power(value, part.exponent), wave)
+    if len(inside) > 1:
+        raise NoClosedFormError("a sum of several variables stands in a hinge or logarithm")
+    return function(inside[0][0], part.kind, 1, inside[0][1], offset)
+
+
+def _split_affine(total: Sum) -> tuple[list[tuple[int, float]], float]:
+    """Returns [(variable, scale), …] and the offset of an affine sum."""
+    scales, offset = [], 0.0
     for parts, coefficient in total.items():
-        is_one = len(total) == len(parts) == 1 and parts[0] == Part(parts[0].variable, _POWER)
-        if is_one and coefficient == 1.0:
-            return parts[0].variable
-    raise NoClosedFormError("a sum stands in a function that is no power")
+        if not parts:
+            offset = coefficient
+        elif len(parts) == 1 and parts[0] == Part(parts[0].variable, _POWER):
+            scales.append((parts[0].variable, coefficient))
+        else:
+            raise NoClosedFormError(
+                "a sum that is not affine stands in a function that is no power"
+            )
+    if not scales:
+        raise NoClosedFormError("a constant stands in a function that is no power")
+    return scales, offset
 
 
 def evaluate(total: Sum, x: Floats) -> Floats:
