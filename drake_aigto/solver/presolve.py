@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+import math
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -13,16 +16,17 @@ from drake_aigto.solver.question import Question
 from drake_aigto.solver.ranges import sum_range
 from drake_aigto.terms import (
     ConstraintRow,
-    Factor,
     FunctionKind,
     NoClosedFormError,
-    Term,
+    Part,
+    Sum,
     TermBlock,
     TooManyTermsError,
+    add,
     compose,
+    constant,
     evaluate,
     from_terms,
-    function,
     to_terms,
 )
 
@@ -30,27 +34,32 @@ from drake_aigto.terms import (
 _LEAST_PIVOT = 1e-4
 # A row that defines a variable may have so many terms, as its powers are multiplied out.
 _MOST_TERMS = 60
+# It is not tried where so many times more terms than before would be multiplied out.
+_MOST_MULTIPLIED = 10
 # A program of few variables may grow, for all of them meet anyway, but not without end.
 _FEW, _MOST_COST_TERMS, _MOST_DEGREE = 40, 500, 16
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class Piece:
-    """A cost, or one row, over its own variables.
+    """A cost, or one row.
 
     Attributes:
         label: how messages call it.
         name: of the cost or constraint that it came from.
-        terms: over local variables 0 … L−1.
-        variables: which of x these are.
+        total: its terms over x.
         bounds: of a row; None for a cost.
     """
 
     label: str
     name: str
-    terms: tuple[Term, ...]
-    variables: tuple[int, ...]
+    total: Sum
     bounds: tuple[float, float] | None = None
+
+    @cached_property
+    def variables(self) -> list[int]:
+        """Which of x it reads, rising."""
+        return _variables(self.total)
 
     @property
     def is_equality(self) -> bool:
@@ -60,27 +69,26 @@ class Piece:
     @property
     def size(self) -> int:
         """How many terms boxes see of it at most: of a row, those of its square."""
-        count = len(self.terms)
+        count = len(self.total)
         return count if self.bounds is None else (count + 1) * (count + 2) // 2
 
+    @property
+    def degree(self) -> int:
+        """The largest total degree of a term."""
+        return max((sum(part.exponent for part in parts) for parts in self.total), default=0)
 
-@dataclass(frozen=True)
+
+@dataclass(frozen=True, eq=False)
 class Definition:
     """x_j = Σ terms of other variables.
 
     Attributes:
         variable: j.
-        terms: over local variables.
-        variables: which of x these are.
+        total: the terms over x.
     """
 
     variable: int
-    terms: tuple[Term, ...]
-    variables: tuple[int, ...]
-
-    def value(self, x: Floats) -> float:
-        """Returns x_j from the others of x (n,)."""
-        return float(evaluate(from_terms(self.terms), x[list(self.variables)]))
+    total: Sum
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,7 +116,7 @@ class Reduced:
         x = np.clip(x, self.lower, self.upper)
         for definition in reversed(self.definitions):
             j = definition.variable
-            x[j] = np.clip(definition.value(x), self.lower[j], self.upper[j])
+            x[j] = np.clip(evaluate(definition.total, x), self.lower[j], self.upper[j])
         return x
 
 
@@ -145,30 +153,32 @@ def _split(question: Question) -> Iterator[Piece]:
     """Yields every copy of all costs and rows."""
     for block in question.costs:
         for copy in block.variables.tolist():
-            yield Piece(block.name, block.name, block.terms, tuple(copy))
+            yield Piece(block.name, block.name, from_terms(block.terms, copy))
     for each in question.rows:
         bounds = each.row.lower, each.row.upper
         for copy in each.block.variables.tolist():
-            yield Piece(each.label, each.block.name, each.row.terms, tuple(copy), bounds)
+            total = from_terms(each.row.terms, copy)
+            yield Piece(each.label, each.block.name, total, bounds)
 
 
 def _join(pieces: Iterable[Piece], kept: Ints, lower: Floats, upper: Floats) -> Question:
-    """Returns the question of pieces, equal ones as copies of one sum."""
+    """Returns the question of pieces over z, alike ones as copies of one sum."""
     place = {variable: i for i, variable in enumerate(kept.tolist())}
-    alike: dict[Piece, list[list[int]]] = {}
+    alike: dict[tuple[Any, ...], list[list[int]]] = {}
     for piece in pieces:
-        copies = alike.setdefault(replace(piece, variables=()), [])
+        local = {variable: i for i, variable in enumerate(piece.variables)}
+        terms = to_terms(_renamed(piece.total, local))
+        copies = alike.setdefault((piece.label, piece.name, piece.bounds, terms), [])
         copies.append([place[variable] for variable in piece.variables])
     question = Question(kept.size)
     question.lower, question.upper = lower[kept], upper[kept]
     costs = []
-    for piece, copies in alike.items():
-        block = TermBlock(piece.name, piece.terms, copies)
-        if piece.bounds is None:
+    for (label, name, bounds, terms), copies in alike.items():
+        block = TermBlock(name, terms, copies)
+        if bounds is None:
             costs.append(block)
         else:
-            row = ConstraintRow(piece.terms, *piece.bounds)
-            question.add(piece.label, row, block)
+            question.add(label, ConstraintRow(terms, *bounds), block)
     question.costs = tuple(costs)
     return question
 
@@ -182,22 +192,27 @@ class _Substitution:
         self._lower, self._upper = lower, upper
         self._definitions: list[Definition] = []
         self._num_added = 0
-        # Stages have the same sums, of other variables.
-        self._compose, self._solve = cache(_compose), cache(_solve)
+        self._tried: dict[int, int] = {}
         for piece in pieces:
             self._add(piece)
-        self._may_grow = len(self._readers) <= _FEW
 
-    def run(self) -> tuple[tuple[Piece, ...], tuple[Definition, ...]]:
+    def run(self) -> tuple[list[Piece], tuple[Definition, ...]]:
         """Goes over the rows until none defines anything more."""
         changed = True
         while changed:
             rows = [number for number, piece in self._pieces.items() if piece.is_equality]
             changed = False
             for number in rows:
-                if number in self._pieces:
+                if number in self._pieces and self._is_new(number):
                     changed |= self._use(number)
-        return tuple(self._pieces.values()), tuple(self._definitions)
+        return list(self._pieces.values()), tuple(self._definitions)
+
+    def _is_new(self, number: int) -> bool:
+        """Returns whether anything has changed around a row since it was tried."""
+        around = [self._readers[variable] for variable in self._pieces[number].variables]
+        newest = max(set.union(set(), *around), default=number)
+        before, self._tried[number] = self._tried.get(number), newest
+        return newest != before
 
     def _add(self, piece: Piece) -> None:
         self._pieces[self._num_added] = piece
@@ -211,150 +226,112 @@ class _Substitution:
 
     def _use(self, number: int) -> bool:
         """Substitutes one of the variables that a row defines, if it pays for any."""
-        best: tuple[int, Definition, list[Piece]] | None = None
-        for definition in self._define(self._pieces[number]):
-            others = self._others(number, definition)
-            pieces = self._insert_all(others, definition)
-            if pieces is None:
+        row = self._pieces[number]
+        for definition in sorted(_define(row), key=self._cheapness):
+            readers = self._readers[definition.variable] - {number}
+            before = [self._pieces[reader] for reader in sorted(readers)]
+            after = _insert(before, definition)
+            if after is None:
                 continue
-            row = self._bound(self._pieces[number], definition)
-            growth = _growth(others, pieces, self._pieces[number], row, self._may_grow)
-            if growth is not None and (best is None or growth < best[0]):
-                best = growth, definition, [*pieces, *row]
-        if best is None:
-            return False
-        _, definition, pieces = best
+            kept = self._bound(row, definition)
+            if self._fits([*before, row], after, kept):
+                self._replace(definition, [*after, *kept])
+                return True
+        return False
+
+    def _cheapness(self, definition: Definition) -> tuple[bool, int]:
+        """Orders definitions: first those of variables without bounds, which few pieces read."""
+        j = definition.variable
+        is_open = bool(np.isinf(self._lower[j]) and np.isinf(self._upper[j]))
+        return not is_open, len(self._readers[j])
+
+    def _replace(self, definition: Definition, pieces: Iterable[Piece]) -> None:
+        """Has pieces stand for all that read a variable."""
         for reader in sorted(self._readers[definition.variable]):
             self._remove(reader)
         for piece in pieces:
             self._add(piece)
         self._definitions.append(definition)
-        return True
-
-    def _define(self, row: Piece) -> Iterator[Definition]:
-        """Yields what a row defines."""
-        if row.bounds is None or len(row.terms) > _MOST_TERMS:
-            return
-        for place, terms in self._solve(row.terms, row.bounds[0]).items():
-            others = tuple(i for i in row.variables if i != row.variables[place])
-            yield Definition(row.variables[place], terms, others)
-
-    def _others(self, number: int, definition: Definition) -> list[Piece]:
-        readers = sorted(self._readers[definition.variable] - {number})
-        return [self._pieces[reader] for reader in readers]
-
-    def _insert_all(self, pieces: Sequence[Piece], definition: Definition) -> list[Piece] | None:
-        """Returns the pieces without a variable; None where one would have no mean."""
-        found = []
-        for piece in pieces:
-            rest = tuple(i for i in piece.variables if i != definition.variable)
-            union = (*rest, *(i for i in definition.variables if i not in rest))
-            place = {variable: i for i, variable in enumerate(union)}
-            places = tuple(place.get(i, -1) for i in piece.variables)
-            inner = tuple(place[i] for i in definition.variables)
-            composed = self._compose(piece.terms, places, definition.terms, inner)
-            if composed is None:
-                return None
-            terms, read = composed
-            variables = tuple(union[i] for i in read)
-            found.append(replace(piece, terms=terms, variables=variables))
-        return found
 
     def _bound(self, row: Piece, definition: Definition) -> list[Piece]:
         """Returns the row that keeps a substituted variable within its bounds, if one has to."""
-        j, places = definition.variable, list(definition.variables)
-        least, most = sum_range(definition.terms, self._lower[places], self._upper[places])
-        low, high = float(self._lower[j]), float(self._upper[j])
+        read = _variables(definition.total)
+        local = {variable: i for i, variable in enumerate(read)}
+        terms = to_terms(_renamed(definition.total, local))
+        least, most = sum_range(terms, self._lower[read], self._upper[read])
+        low, high = (float(side[definition.variable]) for side in (self._lower, self._upper))
         if low <= least and most <= high:
             return []
-        terms, variables = definition.terms, definition.variables
-        return [replace(row, terms=terms, variables=variables, bounds=(low, high))]
+        return [replace(row, total=definition.total, bounds=(low, high))]
 
+    def _fits(self, before: Sequence[Piece], after: Sequence[Piece], kept: Sequence[Piece]) -> bool:
+        """Returns whether boxes see no more terms after than before, or few variables.
 
-def _growth(
-    before: Sequence[Piece],
-    after: Sequence[Piece],
-    row: Piece,
-    bound: Sequence[Piece],
-    may_grow: bool,
-) -> int | None:
-    """Returns by how many terms a program grows; None if that is too much."""
-    growth = _size(after) - _size(before) - row.size
-    if growth <= 0:
-        return growth
-    costs = [piece for piece in after if piece.bounds is None]
-    rows = [piece for piece in (*after, *bound) if piece.bounds is not None]
-    old_rows = [piece for piece in (*before, row) if piece.bounds is not None]
-    fits = (
-        _size(rows) <= _size(old_rows)
-        and all(piece.size <= _MOST_COST_TERMS for piece in costs)
-        and all(_degree(piece) <= _MOST_DEGREE for piece in costs)
-    )
-    return growth if may_grow and fits else None
+        A row that stays to keep bounds does not count, for it replaces one that is as long.
+        """
+        if _size(after) <= _size(before):
+            return True
+        costs = [piece for piece in after if piece.bounds is None]
+        num_variables = len(self._readers) - len(self._definitions)
+        return (
+            num_variables <= _FEW
+            and _size_of_rows([*after, *kept]) <= _size_of_rows(before)
+            and all(piece.size <= _MOST_COST_TERMS for piece in costs)
+            and all(piece.degree <= _MOST_DEGREE for piece in costs)
+        )
 
 
 def _size(pieces: Iterable[Piece]) -> int:
     return sum(piece.size for piece in pieces)
 
 
-def _degree(piece: Piece) -> int:
-    """Returns the largest total degree of a term."""
-    return max((sum(f.exponent for f in term.factors) for term in piece.terms), default=0)
+def _size_of_rows(pieces: Iterable[Piece]) -> int:
+    return _size(piece for piece in pieces if piece.bounds is not None)
 
 
-def _solve(terms: tuple[Term, ...], value: float) -> dict[int, tuple[Term, ...]]:
-    """Returns what Σ terms = value has each variable be that stands once, alone and linearly."""
-    counts: dict[int, int] = {}
-    for term in terms:
-        for factor in term.factors:
-            counts[factor.variable] = counts.get(factor.variable, 0) + 1
-    largest = max((abs(term.coefficient) for term in terms if term.factors), default=0.0)
-    found = {}
-    for term in terms:
-        if len(term.factors) == 1 and abs(term.coefficient) >= _LEAST_PIVOT * largest:
-            (factor,) = term.factors
-            if (
-                factor == Factor(factor.variable, FunctionKind.POWER)
-                and counts[factor.variable] == 1
-            ):
-                found[factor.variable] = _solved_for(terms, value, term)
+def _define(row: Piece) -> Iterator[Definition]:
+    """Yields what a row has each variable be that stands once, alone and linearly."""
+    if row.bounds is None or len(row.total) > _MOST_TERMS:
+        return
+    counts = Counter(part.variable for parts in row.total for part in parts)
+    largest = max((abs(a) for parts, a in row.total.items() if parts), default=0.0)
+    for parts, a in row.total.items():
+        if len(parts) != 1 or parts[0] != Part(j := parts[0].variable, FunctionKind.POWER):
+            continue
+        if counts[j] == 1 and abs(a) >= _LEAST_PIVOT * largest:
+            rest = {others: -b / a for others, b in row.total.items() if others != parts}
+            yield Definition(j, add(rest, constant(row.bounds[0] / a)))
+
+
+def _insert(pieces: Iterable[Piece], definition: Definition) -> list[Piece] | None:
+    """Returns pieces without the variable that is defined; None where one would have no mean."""
+    found = []
+    for piece in pieces:
+        reading: Sum = {}
+        total: Sum = {}
+        count = 0
+        for parts, a in piece.total.items():
+            exponents = [part.exponent for part in parts if part.variable == definition.variable]
+            (reading if exponents else total)[parts] = a
+            count += math.comb(len(definition.total) + sum(exponents), sum(exponents))
+        if count > _MOST_MULTIPLIED * max(len(piece.total), _MOST_TERMS):
+            return None
+        try:
+            total = add(total, compose(reading, {definition.variable: definition.total}))
+        except (NoClosedFormError, TooManyTermsError):
+            return None
+        found.append(replace(piece, total=total))
     return found
 
 
-def _solved_for(terms: tuple[Term, ...], value: float, own: Term) -> tuple[Term, ...]:
-    """Returns −(Σ other terms − value)/a, numbered without the variable of the term a x."""
-    (factor,) = own.factors
-    count = 1 + max(f.variable for term in terms for f in term.factors)
-    places = [i - (i > factor.variable) for i in range(count)]
-    total = from_terms((term for term in terms if term is not own), places)
-    total[()] = total.get((), 0.0) - value
-    return to_terms({parts: -a / own.coefficient for parts, a in total.items() if a})
+def _variables(total: Sum) -> list[int]:
+    """Returns the variables that a sum reads, rising."""
+    return sorted({part.variable for parts in total for part in parts})
 
 
-def _compose(
-    terms: tuple[Term, ...],
-    places: tuple[int, ...],
-    definition: tuple[Term, ...],
-    inner: tuple[int, ...],
-) -> tuple[tuple[Term, ...], tuple[int, ...]] | None:
-    """Returns terms into which a definition is put, and what they still read of the union.
-
-    Args:
-        terms: over local variables.
-        places: which of the union of both's variables those are; −1 for the one that is defined.
-        definition: over its own.
-        inner: which of the union those are.
-    """
-    defined = from_terms(definition, inner)
-    values = [defined if i < 0 else function(i, FunctionKind.POWER) for i in places]
-    try:
-        total = compose(from_terms(terms), values)
-    except (NoClosedFormError, TooManyTermsError):
-        return None
-    read = tuple(sorted({part.variable for parts in total for part in parts}))
-    number = {variable: i for i, variable in enumerate(read)}
-    renamed = {
-        tuple(part._replace(variable=number[part.variable]) for part in parts): a
+def _renamed(total: Sum, names: Mapping[int, int]) -> Sum:
+    """Returns a sum with other numbers of variables, in the same order."""
+    return {
+        tuple(part._replace(variable=names[part.variable]) for part in parts): a
         for parts, a in total.items()
     }
-    return to_terms(renamed), read

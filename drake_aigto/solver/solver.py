@@ -53,6 +53,9 @@ class AigoSolver(SolverInterface):
         result = AigoSolver().Solve(prog)
         result.get_solver_details()      # an `AigoDetails`
 
+    Variables that an equality defines are substituted first (`AigoDetails.substituted`), so that a
+    program written with auxiliary variables is searched as one without them.
+
     The mean of f over boxes, or with constraints that of its augmented Lagrangian, is minimized
     in closed form while they shrink (AIGTO Sec. II; Labbe & Del Prete 2025); a local solver then
     improves their centers on the true constraints. An answer is called a solution if its

@@ -11,7 +11,7 @@ Scales and offsets add up exactly, that like terms of sin(x/3)⁶ are found what
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from fractions import Fraction
 from typing import NamedTuple
 
@@ -143,8 +143,10 @@ def power(base: Sum, exponent: int) -> Sum:
     return result
 
 
-def compose(total: Sum, values: Sequence[Sum]) -> Sum:
+def compose(total: Sum, values: Sequence[Sum] | Mapping[int, Sum]) -> Sum:
     """Returns a sum whose variables i are replaced by sums values[i], multiplied out.
+
+    Variables that a mapping does not name stay.
 
     Raises:
         NoClosedFormError: A sum that is not affine replaces the variable of a function that is no
@@ -154,9 +156,14 @@ def compose(total: Sum, values: Sequence[Sum]) -> Sum:
     return add(*(_compose_term(parts, a, values) for parts, a in total.items()))
 
 
-def _compose_term(parts: tuple[Part, ...], coefficient: float, values: Sequence[Sum]) -> Sum:
+def _compose_term(
+    parts: tuple[Part, ...], coefficient: float, values: Sequence[Sum] | Mapping[int, Sum]
+) -> Sum:
     product = constant(coefficient)
     for part in parts:
+        if isinstance(values, Mapping) and part.variable not in values:
+            product = multiply(product, {(part,): 1.0})
+            continue
         value = values[part.variable]
         if part.kind == _POWER:
             product = multiply(product, power(value, part.exponent))

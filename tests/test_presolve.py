@@ -1,0 +1,135 @@
+"""Presolve of `AigoSolver`: what is substituted, that nothing else changes, and what is refused."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import assume, given
+from hypothesis import strategies as st
+from pydrake.solvers import ExpressionCost, MathematicalProgram
+from pydrake.symbolic import cos, exp, sin
+
+from benchmarks.collections.lifted_functions import lift, lifted_problems
+from drake_aigto.solver import AigoOptions, AigoSolver, AigoStatus
+from drake_aigto.solver.program import AigoProgram, read_program
+from drake_aigto.solver.question import ContradictionError
+
+SMALL = [problem for problem in lifted_problems() if problem.num_variables <= 3]
+
+
+def add_cost(prog: MathematicalProgram, expression: Any) -> None:
+    cost = ExpressionCost(expression)
+    prog.AddCost(cost, vars=cost.vars())
+
+
+@given(st.sampled_from(SMALL), st.integers(0, 5), st.randoms(use_true_random=False))
+def test_a_lifted_function_costs_what_it_does_without_lift_and_its_rows_hold(
+    problem: Any, seed: int, random: Any
+) -> None:
+    prog = lift(problem, seed)
+    program = read_program(prog, presolve=True)
+    assume(not program.num_rows)
+    low, high = program.nlp.lower, program.nlp.upper
+    z = np.array([random.uniform(a, b) for a, b in zip(low, high, strict=True)])
+    x = program.answer(z)
+    scale = max(1.0, program.nlp.cost_magnitude(z))
+    assert program.violation(x) <= 1e-9 * scale
+    expected = problem.evaluate(x[: problem.num_variables])
+    assert program.nlp.evaluate(z)[0] == pytest.approx(expected, abs=1e-9 * scale)
+
+
+@pytest.mark.parametrize("problem", SMALL[::4], ids=lambda problem: str(problem.name))
+def test_variables_of_a_lift_are_gone_and_back_in_the_answer(problem: Any) -> None:
+    prog = lift(problem, 3)
+    result = AigoSolver().Solve(prog)
+    details = result.get_solver_details()
+    assert result.is_success()
+    assert prog.num_vars() - len(details.substituted) <= problem.num_variables
+    scale = max(1.0, float(np.max(np.abs(result.get_x_val()))))
+    assert details.violation <= 1e-12 * scale**2
+    assert result.get_optimal_cost() >= problem.minimum - 1e-6 * max(1.0, abs(problem.minimum))
+
+
+def double_integrator(num_steps: int, most: float) -> MathematicalProgram:
+    """Returns a chain of stages with a bounded control in its rows, from rest at 0 to rest at 1."""
+    prog = MathematicalProgram()
+    q, v = prog.NewContinuousVariables(2, num_steps + 1, "x")
+    u, dt = prog.NewContinuousVariables(num_steps, "u"), 1.0 / num_steps
+    for k in range(num_steps):
+        prog.AddConstraint(q[k + 1] == q[k] + dt * v[k])
+        prog.AddConstraint(v[k + 1] == v[k] + dt * u[k])
+        add_cost(prog, dt * u[k] ** 2)
+    prog.AddBoundingBoxConstraint(-most, most, u)
+    for state, start, end in ((q, 0.0, 1.0), (v, 0.0, 0.0)):
+        prog.AddBoundingBoxConstraint(start, start, state[:1])
+        prog.AddBoundingBoxConstraint(end, end, state[-1:])
+    return prog
+
+
+@pytest.mark.parametrize("most", [20.0, 4.5])
+def test_controls_of_a_chain_vanish_their_bounds_stay_and_so_does_the_optimum(most: float) -> None:
+    prog = double_integrator(20, most)
+    found = [AigoSolver(AigoOptions(presolve=on, rounds=5)).Solve(prog) for on in (True, False)]
+    assert all(result.is_success() for result in found)
+    costs = [result.get_optimal_cost() for result in found]
+    assert costs[0] == pytest.approx(costs[1], rel=1e-6)
+    assert len(found[0].get_solver_details().substituted) >= 20
+    assert found[1].get_solver_details().substituted == ()
+    assert np.max(np.abs(found[0].get_x_val()[42:])) <= most
+
+
+def test_a_long_chain_keeps_its_states_coupled_to_neighbors_only() -> None:
+    program = read_program(double_integrator(200, 20.0), presolve=True)
+    terms = [block.terms for block in program.costs.blocks]
+    assert max(len({f.variable for term in each for f in term.factors}) for each in terms) <= 5
+
+
+def reduced(
+    *rows: Any, cost: Any = lambda x: x[0] ** 2 + x[1] ** 2, bounds: Any = ()
+) -> AigoProgram:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(3, "x")
+    add_cost(prog, cost(x))
+    for row in rows:
+        prog.AddConstraint(row(x))
+    for i, low, high in bounds:
+        prog.AddBoundingBoxConstraint(low, high, x[i])
+    return read_program(prog, presolve=True)
+
+
+def test_waves_of_an_affine_definition_stay_closed() -> None:
+    program = reduced(lambda x: x[2] == 2 * x[0] - x[1] + 0.3, cost=lambda x: x[2] * cos(x[2]))
+    assert program.num_rows == 0
+    x = np.array([0.4, -1.1, 2.2])
+    y = program.with_slacks(program.reduce(x))
+    assert program.nlp.evaluate(y)[0] == pytest.approx(2.2 * np.cos(2.2))
+
+
+def test_what_would_have_no_mean_is_not_substituted() -> None:
+    program = reduced(lambda x: x[2] == x[0] ** 2 + x[1], cost=lambda x: sin(x[2]) + x[0] ** 4)
+    # x₁ = x₂ − x₀² is fine, and x₂ in the sine is not.
+    assert [each.variable for each in program.reduced.definitions] == [1]
+    none = reduced(lambda x: x[2] == exp(x[1]) * x[0], cost=lambda x: sin(x[2]) + x[0] ** 2)
+    assert none.reduced.definitions == () and none.num_rows == 1
+
+
+def test_bounds_of_what_is_substituted_stay_unless_they_hold_anyway() -> None:
+    square, box = (lambda x: x[2] == x[0] ** 2), [(0, -2.0, 2.0), (1, -1.0, 1.0)]
+    for low, high, count in ((0.0, 4.0, 0), (-np.inf, 5.0, 0), (1.0, 4.0, 1), (0.0, 3.0, 1)):
+        program = reduced(square, bounds=[*box, (2, low, high)])
+        assert [each.variable for each in program.reduced.definitions] == [2]
+        assert len(program.slacks) == program.num_rows == count
+
+
+def test_rows_that_contradict_each_other_by_substitution_are_told() -> None:
+    with pytest.raises(ContradictionError):
+        reduced(lambda x: x[2] == x[0] + x[1], lambda x: x[2] - x[0] - x[1] == 1)
+    prog = MathematicalProgram()
+    (x,) = prog.NewContinuousVariables(1, "x")
+    (y,) = prog.NewContinuousVariables(1, "y")
+    prog.AddConstraint(x == y + 1)
+    prog.AddConstraint(x == y + 2)
+    details = AigoSolver().Solve(prog).get_solver_details()
+    assert details.status is AigoStatus.CONTRADICTORY_BOUNDS
