@@ -178,16 +178,34 @@ def test_the_lowest_of_many_valleys_of_a_constraint_is_found() -> None:
 
 
 @pytest.mark.parametrize(
-    "constraints",
+    ("constraints", "status"),
     [
-        lambda x: [sin(x[0]) >= 2],
-        lambda x: [exp(x[0]) >= 1e200, x[0] >= 800],
+        (lambda x: [sin(x[0]) >= 2], AigoStatus.INFEASIBLE),
+        # They hold, where an exponential overflows.
+        (lambda x: [exp(x[0]) >= 1e200, x[0] >= 800], AigoStatus.NO_FEASIBLE_POINT),
     ],
 )
-def test_constraints_that_can_not_hold_or_overflow_are_no_success(constraints: Any) -> None:
+def test_constraints_that_can_not_hold_or_overflow_are_no_success(
+    constraints: Any, status: AigoStatus
+) -> None:
     result = solve(constrained(1, lambda x: x[0] ** 2, constraints, 1e3), rounds=3)
     assert not result.is_success()
-    assert result.get_solver_details().status == AigoStatus.NO_FEASIBLE_POINT
+    assert result.get_solver_details().status == status
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-7, 1e-12])
+def test_rows_count_whatever_units_they_are_in(unit: float) -> None:
+    prog, x = himmelblau()
+    prog.AddConstraint(unit * (x[0] ** 3 - 8 * x[1] - 6) == 0)
+    prog.AddConstraint(unit * (x[0] * x[1]), unit, np.inf)
+    result = solve(prog)
+    u, v = result.GetSolution(x)
+    assert result.is_success()
+    assert u**3 - 8 * v == pytest.approx(6, abs=1e-6) and u * v >= 1 - 1e-6
+    contrary = prog.Clone()
+    contrary.AddConstraint(unit * (x[0] ** 2 + x[1] ** 2), -np.inf, unit)
+    result = solve(contrary, rounds=3)
+    assert not result.is_success() and result.get_solver_details().violation > 0.1
 
 
 def test_bounds_hold_exactly() -> None:
@@ -316,7 +334,7 @@ def test_no_feasible_point_is_said_to_be_no_proof() -> None:
     prog.AddConstraint(x[0] * x[1] >= 1)
     result = solve(prog)
     assert not result.is_success()
-    assert result.get_solution_result() == SolutionResult.kInfeasibleConstraints
+    assert result.get_solution_result() == SolutionResult.kIterationLimit
     details = result.get_solver_details()
     assert details.status is AigoStatus.NO_FEASIBLE_POINT and "no proof" in details.status.value
     assert details.violation > 0.1

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from pydrake.solvers import MathematicalProgram
+from pydrake.solvers import EvaluatorBase, MathematicalProgram
 
 from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial
@@ -55,6 +56,7 @@ class AigoProgram:
 
     Attributes:
         source: the program that was asked, over x.
+        row_sizes: what rows of its constraints are divided by.
         reduced: what presolve made of it.
         nlp: f, r and bounds over y, for a local solver.
         costs: f over y.
@@ -63,6 +65,7 @@ class AigoProgram:
     """
 
     source: MathematicalProgram
+    row_sizes: Mapping[EvaluatorBase, Floats]
     reduced: Reduced
     nlp: PolynomialNlp
     costs: BoxPolynomial
@@ -80,7 +83,10 @@ class AigoProgram:
         return float(sum(values))
 
     def violation(self, x: Floats) -> float:
-        """Returns the largest violation of the source's constraints at x (n,); 0 without any."""
+        """Returns the largest violation of the source's constraints at x (n,); 0 without any.
+
+        It is relative to a row's largest coefficient where that is below 1.
+        """
         worst = 0.0
         for binding in self.source.GetAllConstraints():
             evaluator = binding.evaluator()
@@ -88,6 +94,7 @@ class AigoProgram:
             if not np.all(np.isfinite(value)):
                 return np.inf
             excess = np.maximum(evaluator.lower_bound() - value, value - evaluator.upper_bound())
+            excess /= self.row_sizes[evaluator]
             worst = max(worst, float(np.max(excess, initial=0.0)))
         return worst
 
@@ -123,14 +130,19 @@ def read_program(prog: MathematicalProgram, presolve: bool = False) -> AigoProgr
     """
     question = Question.of(prog)
     reduced = substitute(question) if presolve else keep_all(question)
-    return _Rows(prog, reduced).finish()
+    return _Rows(prog, question.row_sizes, reduced).finish()
 
 
 class _Rows:
     """Collects equality rows, their squares, and slacks."""
 
-    def __init__(self, source: MathematicalProgram, reduced: Reduced) -> None:
-        self._source, self._reduced = source, reduced
+    def __init__(
+        self,
+        source: MathematicalProgram,
+        row_sizes: Mapping[EvaluatorBase, Floats],
+        reduced: Reduced,
+    ) -> None:
+        self._source, self._row_sizes, self._reduced = source, row_sizes, reduced
         self._blocks: list[TermBlock] = []
         self._squares: list[TermBlock] = []
         self._slacks: list[Slack] = []
@@ -174,6 +186,7 @@ class _Rows:
         size, costs = self._lower.size, self._reduced.question.costs
         return AigoProgram(
             source=self._source,
+            row_sizes=self._row_sizes,
             reduced=self._reduced,
             nlp=PolynomialNlp(size, costs, tuple(self._blocks), self._lower, self._upper),
             costs=BoxPolynomial(size, costs),

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pydrake.solvers import MathematicalProgram
+from pydrake.solvers import EvaluatorBase, MathematicalProgram
 from pydrake.symbolic import Variable
 
-from drake_aigto.arrays import Ints
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.terms import (
     ConstraintRow,
@@ -47,11 +47,13 @@ class Row:
 class Question:
     """Minimize Σ costs subject to rows, lower ≤ x ≤ upper.
 
-    Rows that are affine in one variable are bounds.
+    Rows that are affine in one variable are bounds. Those whose coefficients are all below 1 are
+    divided by the largest one: units of their own are no reason to hold them less.
 
     Attributes:
         costs: f.
         rows: all others.
+        row_sizes: what the rows of each constraint were divided by, shape (m,) each.
         lower: bounds of x, shape (n,).
         upper: shape (n,).
     """
@@ -60,6 +62,7 @@ class Question:
         """Starts with nothing."""
         self.costs: tuple[TermBlock, ...] = ()
         self.rows: list[Row] = []
+        self.row_sizes: dict[EvaluatorBase, Floats] = {}
         self.lower = np.full(num_variables, -np.inf)
         self.upper = np.full(num_variables, np.inf)
 
@@ -75,9 +78,13 @@ class Question:
         _check_variables(prog)
         question = cls(prog.num_vars())
         for label, evaluator, copies in shared_evaluators(prog, prog.GetAllConstraints()):
-            for row, variables in parse_rows(label, evaluator, copies):
+            sizes = []
+            for given, variables in parse_rows(label, evaluator, copies):
+                row, size = _in_own_units(given)
+                sizes.append(size)
                 for block in term_blocks(evaluator_name(evaluator), row.terms, variables.tolist()):
                     question.add(label, replace(row, terms=block.terms), block)
+            question.row_sizes[evaluator] = np.array(sizes)
         question.costs = parse_costs(prog)
         return question
 
@@ -117,6 +124,16 @@ def _check_variables(prog: MathematicalProgram) -> None:
                 expected="continuous variables",
                 remedy="Relax it, or use a mixed-integer solver.",
             )
+
+
+def _in_own_units(row: ConstraintRow) -> tuple[ConstraintRow, float]:
+    """Returns a row divided by its size, and the size: its largest coefficient, or 1 if larger."""
+    largest = max((abs(term.coefficient) for term in row.terms if term.factors), default=1.0)
+    size = min(1.0, largest) or 1.0
+    if size == 1.0:
+        return row, size
+    terms = tuple(replace(term, coefficient=term.coefficient / size) for term in row.terms)
+    return replace(row, terms=terms, lower=row.lower / size, upper=row.upper / size), size
 
 
 def _check_constant(row: ConstraintRow) -> None:

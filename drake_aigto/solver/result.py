@@ -30,6 +30,7 @@ class AigoStatus(enum.Enum):
         "no box led to a feasible point, which is no proof that there is none: allow more boxes, "
         "give a guess, or bound the variables"
     )
+    INFEASIBLE = "the rows leave no feasible point within the bounds, by interval arithmetic"
     CONTRADICTORY_BOUNDS = "bounds or constants contradict each other: there is no feasible point"
     FALLS_WITHOUT_END = (
         "the cost seems to fall without end, which is no proof: bound the variables, or check its "
@@ -41,7 +42,8 @@ class AigoStatus(enum.Enum):
 
 _DRAKE_STATUS = {
     AigoStatus.SOLVED: SolutionResult.kSolutionFound,
-    AigoStatus.NO_FEASIBLE_POINT: SolutionResult.kInfeasibleConstraints,
+    AigoStatus.NO_FEASIBLE_POINT: SolutionResult.kIterationLimit,
+    AigoStatus.INFEASIBLE: SolutionResult.kInfeasibleConstraints,
     AigoStatus.CONTRADICTORY_BOUNDS: SolutionResult.kInfeasibleConstraints,
     AigoStatus.FALLS_WITHOUT_END: SolutionResult.kUnbounded,
     AigoStatus.NOT_FINITE: SolutionResult.kSolverSpecificError,
@@ -55,7 +57,8 @@ class AigoDetails:
 
     Attributes:
         status: why the solve ended.
-        violation: the largest violation of a constraint at the answer.
+        violation: the largest violation of a constraint at the answer, relative to the row's
+            largest coefficient where that is below 1.
         boxes: how many boxes were shrunk.
         iterations: inner iterations of AIGO, all boxes.
         polishes: how many points were polished.

@@ -20,6 +20,7 @@ from drake_aigto.solver.lagrangian import AugmentedLagrangian
 from drake_aigto.solver.options import AigoOptions
 from drake_aigto.solver.program import AigoProgram
 from drake_aigto.solver.result import AigoDetails, AigoStatus
+from drake_aigto.solver.tighten import may_be_feasible
 
 _LOG = logging.getLogger(__name__)
 
@@ -115,7 +116,8 @@ class Solve:
         reduced = self._program.reduced
         is_open = np.isinf(reduced.lower) | np.isinf(reduced.upper)
         if best.violation > self._options.feasibility:
-            return AigoStatus.NO_FEASIBLE_POINT
+            is_proven = not may_be_feasible(self._program.nlp)
+            return AigoStatus.INFEASIBLE if is_proven else AigoStatus.NO_FEASIBLE_POINT
         is_low = np.any(is_open) and best.cost < _LOW
         if is_low or np.any(np.abs(best.x[is_open]) > _FAR):
             return AigoStatus.FALLS_WITHOUT_END
