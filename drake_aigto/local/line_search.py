@@ -138,7 +138,7 @@ class LineSearch:
         least = _GAMMA_THETA
         if slope < 0:
             least = min(least, _GAMMA_PHI * violation / -slope)
-            least = min(least, _DELTA * violation**_S_THETA / (-slope) ** _S_PHI)
+            least = min(least, _DELTA * violation**_S_THETA * (-slope) ** -_S_PHI)
         return max(_SHORTEST, _GAMMA_ALPHA * least)
 
 

@@ -30,6 +30,8 @@ class AigoOptions:
         first_half_width: half width of the first box where a variable has no bounds, relative to
             max(1, |guess|); it doubles from there while that lowers the cost's mean.
         max_doublings: how often it does so at most.
+        starts: how many points, spread over the first box, are polished too; of programs with more
+            than 30 variables, none.
         presolve: whether variables that an equality defines are substituted.
         seed: of everything random.
     """
@@ -40,6 +42,7 @@ class AigoOptions:
     feasibility: float = 1e-6
     first_half_width: float = 1.0
     max_doublings: int = 10
+    starts: int = 20
     presolve: bool = True
     seed: int = 0
 
@@ -51,7 +54,13 @@ class AigoOptions:
         for name in ("feasibility", "first_half_width"):
             if not 0 < (value := getattr(self, name)) < float("inf"):
                 raise OptionsError(name, got=value, expected="a number above 0")
-        for name, least in (("rounds", 0), ("patience", 1), ("max_doublings", 0), ("seed", 0)):
+        for name, least in (
+            ("rounds", 0),
+            ("patience", 1),
+            ("max_doublings", 0),
+            ("starts", 0),
+            ("seed", 0),
+        ):
             value = getattr(self, name)
             if value != int(value) or value < least:
                 raise OptionsError(name, got=value, expected=f"a whole number, {least} or more")

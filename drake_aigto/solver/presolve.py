@@ -109,6 +109,11 @@ class Reduced:
     lower: Floats
     upper: Floats
 
+    @property
+    def defined(self) -> list[int]:
+        """Which of x were left out, in that order."""
+        return [definition.variable for definition in self.definitions]
+
     def restore(self, z: Floats) -> Floats:
         """Returns x (n,) within its bounds, with the values of what was left out."""
         x = np.zeros(self.lower.size)

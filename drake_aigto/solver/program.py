@@ -12,6 +12,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.local import PolynomialNlp
+from drake_aigto.solver.lift import Lifted, lift
 from drake_aigto.solver.presolve import Reduced, keep_all, substitute
 from drake_aigto.solver.question import Question, Row
 from drake_aigto.solver.ranges import LARGEST
@@ -49,13 +50,14 @@ class Slack:
 class AigoProgram:
     """Minimize f(x) subject to r(y) = 0, lower ≤ y ≤ upper, over y = (z, s).
 
-    Variables z are those of x that presolve leaves: all of them without it. An inequality of
-    several variables, or one that is not affine, has a slack s of its own: lower ≤ g(z) ≤ upper
-    becomes g(z) − s = 0 with s between the bounds. Inequalities that are affine in one variable
-    are bounds.
+    Variables z are those of x, and of functions that have no mean (`lift`), which presolve leaves:
+    all of them without it. An inequality of several variables, or one that is not affine, has a
+    slack s of its own: lower ≤ g(z) ≤ upper becomes g(z) − s = 0 with s between the bounds.
+    Inequalities that are affine in one variable are bounds.
 
     Attributes:
         source: the program that was asked, over x.
+        lifted: the same with variables of their own for functions that have no mean.
         row_sizes: what rows of its constraints are divided by.
         reduced: what presolve made of it.
         nlp: f, r and bounds over y, for a local solver.
@@ -65,6 +67,7 @@ class AigoProgram:
     """
 
     source: MathematicalProgram
+    lifted: Lifted
     row_sizes: Mapping[EvaluatorBase, Floats]
     reduced: Reduced
     nlp: PolynomialNlp
@@ -94,17 +97,17 @@ class AigoProgram:
             if not np.all(np.isfinite(value)):
                 return np.inf
             excess = np.maximum(evaluator.lower_bound() - value, value - evaluator.upper_bound())
-            excess /= self.row_sizes[evaluator]
+            excess /= self.row_sizes.get(evaluator, 1.0)
             worst = max(worst, float(np.max(excess, initial=0.0)))
         return worst
 
     def reduce(self, x: Floats) -> Floats:
-        """Returns z of x (n,), or of y."""
-        return x[self.reduced.kept]
+        """Returns z of x (n,)."""
+        return self.lifted.extend(x)[self.reduced.kept]
 
     def answer(self, y: Floats) -> Floats:
         """Returns x (n,) of z or y, within its bounds."""
-        return self.reduced.restore(y[: self.reduced.kept.size])
+        return self.reduced.restore(y[: self.reduced.kept.size])[: self.source.num_vars()]
 
     def with_slacks(self, z: Floats) -> Floats:
         """Returns y = (z, s) with s = g(z), moved within the bounds; z may be a y already."""
@@ -128,9 +131,14 @@ def read_program(prog: MathematicalProgram, presolve: bool = False) -> AigoProgr
             that are not continuous; by name.
         ContradictionError: bounds or constants alone leave no feasible point.
     """
-    question = Question.of(prog)
+    lifted = Lifted(prog)
+    try:
+        question = Question.of(prog)
+    except UnsupportedTermError:
+        lifted = lift(prog)
+        question = Question.of(lifted.prog)
     reduced = substitute(question) if presolve else keep_all(question)
-    return _Rows(prog, question.row_sizes, reduced).finish()
+    return _Rows(prog, lifted, question.row_sizes, reduced).finish()
 
 
 class _Rows:
@@ -139,10 +147,12 @@ class _Rows:
     def __init__(
         self,
         source: MathematicalProgram,
+        lifted: Lifted,
         row_sizes: Mapping[EvaluatorBase, Floats],
         reduced: Reduced,
     ) -> None:
-        self._source, self._row_sizes, self._reduced = source, row_sizes, reduced
+        self._source, self._lifted = source, lifted
+        self._row_sizes, self._reduced = row_sizes, reduced
         self._blocks: list[TermBlock] = []
         self._squares: list[TermBlock] = []
         self._slacks: list[Slack] = []
@@ -186,6 +196,7 @@ class _Rows:
         size, costs = self._lower.size, self._reduced.question.costs
         return AigoProgram(
             source=self._source,
+            lifted=self._lifted,
             row_sizes=self._row_sizes,
             reduced=self._reduced,
             nlp=PolynomialNlp(size, costs, tuple(self._blocks), self._lower, self._upper),

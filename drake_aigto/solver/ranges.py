@@ -73,7 +73,7 @@ def _factor_range(factor: Factor, x: Range) -> Range:
         wave = _exponential(y[0]), _exponential(y[1])
     else:
         quarter = math.pi / 2 if factor.kind == FunctionKind.SINE else 0.0
-        wave = _cosine_range(y[0] - quarter, y[1] - quarter)  # sin y = cos(y − π/2)
+        wave = cosine_range(y[0] - quarter, y[1] - quarter)  # sin y = cos(y − π/2)
     return _clamped(product(*_clamped(power_range(*x, factor.exponent)), *wave))
 
 
@@ -81,7 +81,7 @@ def _exponential(y: float) -> float:
     return math.exp(min(y, math.log(LARGEST)))
 
 
-def _cosine_range(first: float, last: float) -> Range:
+def cosine_range(first: float, last: float) -> Range:
     """Returns the least and largest cosine between two angles."""
     if not last - first < 2 * math.pi:
         return -1.0, 1.0

@@ -64,6 +64,7 @@ class AigoDetails:
         polishes: how many points were polished.
         origin: which algorithm, from which box, led to the answer.
         substituted: numbers of the variables that presolve left out, in the order of doing so.
+        lifted: functions without a mean, for which variables with rows stood.
         first_center: of the first box, shape (n,); of what was left out, its value there.
         first_half_width: of the first box, shape (n,); NaN of what was left out.
         widths: for each weight of the penalties, for each first algorithm: geometric-mean half
@@ -85,6 +86,7 @@ class AigoDetails:
     box_storage: Storage | None = None
     kkt_storage: Storage | None = None
     substituted: tuple[int, ...] = ()
+    lifted: tuple[str, ...] = ()
 
     @classmethod
     def of_nothing(cls, status: AigoStatus, x: Floats) -> AigoDetails:

@@ -29,6 +29,8 @@ Observer = Callable[["Floats", str], Any]
 # Penalties Σ r² weigh so many times what the cost varies by over the first box, in turn.
 _PENALTIES = (1.0, 30.0, 1e3)
 _POLISH_STEPS = 200
+# Programs of more variables have too many local minima for a few starts.
+_FEW = 30
 # With constraints, so many of the points on the way are polished too, the last ones, and every
 # such a one; and so many renewals of all variables.
 _POLISHED, _EVERY = 8, 2
@@ -85,6 +87,7 @@ class Solve:
                 self._offer(self._guess, "the guess")
                 self._polish(self._program.with_slacks(self._guess), " of the guess")
             self._search_all()
+            self._polish_spread()
         except KeyboardInterrupt:
             status = AigoStatus.INTERRUPTED
         best = self._best
@@ -95,7 +98,7 @@ class Solve:
 
     def _details(self, best: _Answer, status: AigoStatus) -> AigoDetails:
         first, reduced = self._first, self._program.reduced
-        half_width = np.full(best.x.size, np.nan)
+        half_width = np.full(reduced.lower.size, np.nan)
         half_width[reduced.kept] = first.half_width[: reduced.kept.size]
         return AigoDetails(
             status=status,
@@ -104,9 +107,10 @@ class Solve:
             iterations=self._iterations,
             polishes=self._polishes,
             origin=best.origin,
-            substituted=tuple(definition.variable for definition in reduced.definitions),
+            substituted=tuple(j for j in reduced.defined if j < best.x.size),
+            lifted=tuple(map(str, self._program.lifted.formulas)),
             first_center=self._program.answer(first.center),
-            first_half_width=half_width,
+            first_half_width=half_width[: best.x.size],
             widths=tuple(self._widths),
             box_storage=self._box_storage,
             kkt_storage=self._kkt_storage,
@@ -114,7 +118,7 @@ class Solve:
 
     def _judge(self, best: _Answer) -> AigoStatus:
         reduced = self._program.reduced
-        is_open = np.isinf(reduced.lower) | np.isinf(reduced.upper)
+        is_open = (np.isinf(reduced.lower) | np.isinf(reduced.upper))[: best.x.size]
         if best.violation > self._options.feasibility:
             is_proven = not may_be_feasible(self._program.nlp)
             return AigoStatus.INFEASIBLE if is_proven else AigoStatus.NO_FEASIBLE_POINT
@@ -151,6 +155,23 @@ class Solve:
             for candidate in found.candidates[:-1][::-_EVERY][:_POLISHED]:
                 self._polish(candidate.x, name)
             lagrangian.update(factor, found.unpolished.x)
+
+    def _polish_spread(self) -> None:
+        """Polishes points spread over the first box: a box's mean shows nothing that is narrow."""
+        first, program, starts = self._first, self._program, self._options.starts
+        count = program.reduced.kept.size
+        # In one variable alone, boxes find the global minimum (Labbe & Del Prete 2025).
+        is_alone = count == 1 and not program.num_rows
+        if self._options.polish == "none" or is_alone or count > _FEW:
+            return
+        rng = np.random.default_rng(self._options.seed)
+        # A Latin hypercube: one of each layer of each variable.
+        layers = rng.permuted(np.tile(np.arange(starts), (count, 1)), axis=1).T
+        for place in (layers + rng.random((starts, count))) / max(1, starts):
+            z = first.center[:count] + (2 * place - 1) * first.half_width[:count]
+            # What stands for a function is what it is there, so that rows hold.
+            start = program.reduce(program.answer(z))
+            self._polish(np.where(np.isfinite(start), start, z), " of a spread point")
 
     def _search(self, search: BoxSearch, f: BoxPolynomial, name: str) -> SearchResult:
         """Searches the first box for low points of f, each a candidate."""

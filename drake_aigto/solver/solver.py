@@ -48,6 +48,8 @@ class AigoSolver(SolverInterface):
 
     Costs are sums of products of one-variable functions (`drake_aigto.terms.parse_costs` lists
     them); constraints are bounds, and rows that are sums of products of powers, sin, cos and exp.
+    For quotients, roots, logarithms, tan, |x|, max, min and functions of functions the solver adds
+    variables and rows of its own (`AigoDetails.lifted`).
     Called as any other solver of Drake:
 
         result = AigoSolver().Solve(prog)
@@ -104,6 +106,9 @@ class AigoSolver(SolverInterface):
         result: MathematicalProgramResult | None = None,
     ) -> Any:
         """Solves a program.
+
+        Where no feasible point was found, the result is kIterationLimit; kInfeasibleConstraints
+        only where bounds or interval arithmetic show that there is none.
 
         Args:
             prog: the program.

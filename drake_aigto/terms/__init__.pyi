@@ -2,11 +2,13 @@ from .constraints import ConstraintRow as ConstraintRow
 from .constraints import as_bound as as_bound
 from .constraints import parse_rows as parse_rows
 from .costs import affine_terms as affine_terms
+from .costs import evaluator_label as evaluator_label
 from .costs import evaluator_name as evaluator_name
 from .costs import parse_costs as parse_costs
 from .costs import shared_evaluators as shared_evaluators
 from .costs import term_blocks as term_blocks
 from .expressions import expression_terms as expression_terms
+from .expressions import shown as shown
 from .products import MAX_TERMS as MAX_TERMS
 from .products import NoClosedFormError as NoClosedFormError
 from .products import Part as Part

@@ -102,7 +102,7 @@ def shared_evaluators(
         grouped.setdefault(binding.evaluator(), []).append(binding)
     for evaluator, group in grouped.items():
         copies = [prog.FindDecisionVariableIndices(binding.variables()) for binding in group]
-        yield _label(group[0]), evaluator, copies
+        yield evaluator_label(group[0]), evaluator, copies
 
 
 def evaluator_name(evaluator: EvaluatorBase) -> str:
@@ -121,7 +121,7 @@ def term_blocks(
         yield TermBlock(name, _identify(name, terms, pattern), alike)
 
 
-def _label(binding: Binding) -> str:
+def evaluator_label(binding: Binding) -> str:
     """Returns how messages call a cost or constraint: its name and its first variables."""
     evaluator = binding.evaluator()
     role = "cost" if isinstance(evaluator, Cost) else "constraint"

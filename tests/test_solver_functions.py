@@ -1,0 +1,192 @@
+"""Functions without a mean in `AigoSolver`: quotients, roots, logarithms, |x|, max, and others."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pydrake.symbolic as sym
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from pydrake.solvers import ExpressionCost, MathematicalProgram
+from pydrake.symbolic import Expression, Variable
+
+from drake_aigto import UnsupportedTermError
+from drake_aigto.solver import AigoOptions, AigoSolver
+from drake_aigto.solver.intervals import interval, is_above
+from drake_aigto.solver.lift import lift
+from drake_aigto.solver.program import read_program
+
+Formula = Callable[[Any], Any]
+
+# Name, formula of two variables, and their bounds.
+FORMULAS: dict[str, tuple[Formula, float, float]] = {
+    "a quotient": (lambda x: (x[0] + x[1]) / (x[0] ** 2 + x[1] ** 2 + 1), -3.0, 2.0),
+    "sin over a square": (lambda x: sym.sin(3 * x[0]) / (x[1] ** 2 + 1) + 0.1 * x[0], -3.0, 2.0),
+    "x log x": (lambda x: x[0] * sym.log(x[0]) + (x[1] - x[0]) ** 2, 0.01, 3.0),
+    "roots": (lambda x: sym.sqrt(x[0] ** 2 + 1) + sym.cos(3 * x[1]) * (x[1] + 4) ** 0.5, -3.0, 2.0),
+    "powers": (lambda x: x[0] ** 1.5 - 2 * x[0] + x[1] ** -0.37 + x[1], 0.1, 3.0),
+    "|x|, less is better": (
+        lambda x: sym.abs(x[0] - 1) + 2 * sym.abs(x[1] + x[0]) + 0.1 * x[0],
+        *(-3.0, 2.0),
+    ),
+    "|x|, more is": (lambda x: (x[0] - 1) ** 2 + x[1] ** 2 - sym.abs(x[0] - x[1]), -3.0, 2.0),
+    "max": (lambda x: sym.max(x[0] + x[1], x[0] - 2 * x[1]) + x[0] ** 2, -3.0, 2.0),
+    "min": (lambda x: sym.min(x[0] ** 2 + x[1], (x[0] - 2) ** 2 - 0.3) + x[1] ** 2, -3.0, 2.5),
+    "tan": (lambda x: sym.tan(x[0]) - 3 * x[0] + x[1] ** 2, -1.2, 1.0),
+    "exp of a quotient": (
+        lambda x: sym.exp(-x[0] / (1 + x[0] ** 2)) + 0.1 * sym.sin(5 * x[0]) * x[1],
+        *(-3.0, 2.0),
+    ),
+    "exp times sin": (lambda x: sym.exp(0.5 * x[0]) * sym.sin(4 * x[0]) + x[1] ** 2, -3.0, 2.0),
+    "of products": (
+        lambda x: sym.sin(x[0] * x[1]) * sym.exp(-(x[0] ** 2)) + 0.05 * x[1] ** 2,
+        *(-3.0, 2.0),
+    ),
+    "powers of one another": (lambda x: x[0] ** x[1] - 2 * x[0] * x[1], 0.2, 2.0),
+}
+
+
+def make_program(
+    formula: Formula, low: float, high: float, *rows: Callable[[Any], Any]
+) -> tuple[MathematicalProgram, Any]:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(2, "x")
+    cost = ExpressionCost(formula(x))
+    prog.AddCost(cost, vars=cost.vars())
+    prog.AddBoundingBoxConstraint(low, high, x)
+    for row in rows:
+        prog.AddConstraint(row(x))
+    return prog, x
+
+
+def least_on_grid(prog: MathematicalProgram, low: float, high: float, count: int = 61) -> float:
+    """Returns the least value on a grid that is fine enough for these."""
+    axis = np.linspace(low, high, count)
+    (cost,) = prog.GetAllCosts()
+    return min(prog.EvalBinding(cost, np.array([a, b]))[0] for a in axis for b in axis)
+
+
+@pytest.mark.parametrize("name", FORMULAS)
+def test_functions_by_rows_reach_what_a_grid_of_them_does(name: str) -> None:
+    formula, low, high = FORMULAS[name]
+    prog, _ = make_program(formula, low, high)
+    result = AigoSolver().Solve(prog)
+    assert result.is_success() and result.get_solver_details().lifted
+    assert result.get_optimal_cost() <= least_on_grid(prog, low, high) + 1e-9
+    (cost,) = prog.GetAllCosts()
+    assert result.get_optimal_cost() == prog.EvalBinding(cost, result.get_x_val())[0]
+
+
+@given(st.sampled_from(sorted(FORMULAS)), st.floats(0, 1), st.floats(0, 1))
+def test_rows_hold_for_what_their_formulas_are_and_within_their_ranges(
+    name: str, a: float, b: float
+) -> None:
+    formula, low, high = FORMULAS[name]
+    prog, _ = make_program(formula, low, high)
+    lifted = lift(prog)
+    x = low + (high - low) * np.array([a, b])
+    values = lifted.extend(x)
+    assert lifted.prog.num_vars() == 2 + len(lifted.formulas)
+    (cost,), (own,) = lifted.prog.GetAllCosts(), prog.GetAllCosts()
+    expected = prog.EvalBinding(own, x)[0]
+    assert lifted.prog.EvalBinding(cost, values)[0] == pytest.approx(expected, rel=1e-12, abs=1e-12)
+    assert all(
+        np.all(found >= each.evaluator().lower_bound() - 1e-9)
+        and np.all(found <= each.evaluator().upper_bound() + 1e-9)
+        for each in lifted.prog.GetAllConstraints()
+        for found in [lifted.prog.EvalBinding(each, values)]
+    )
+
+
+def test_programs_whose_functions_have_means_stay_as_they_are() -> None:
+    prog, _ = make_program(lambda x: sym.sin(x[0]) * sym.exp(x[1]), -1.0, 2.0)
+    program = read_program(prog)
+    assert program.lifted.prog is prog and program.lifted.formulas == ()
+
+
+def test_constraints_may_have_such_functions_too() -> None:
+    prog, x = make_program(
+        lambda x: x[0] ** 2 + (x[1] - 3) ** 2,
+        -4.0,
+        4.0,
+        lambda x: sym.abs(x[0]) + sym.abs(x[1]) <= 1,
+    )
+    np.testing.assert_allclose(AigoSolver().Solve(prog).GetSolution(x), [0, 1], atol=1e-5)
+    prog, x = make_program(
+        lambda x: (x[0] - 1) ** 2 + x[1] ** 2, -4.0, 4.0, lambda x: sym.max(x[0], x[1]) == 0.5
+    )
+    np.testing.assert_allclose(AigoSolver().Solve(prog).GetSolution(x), [0.5, 0], atol=1e-5)
+    shares = MathematicalProgram()
+    p = shares.NewContinuousVariables(3, "p")
+    cost = ExpressionCost(sum(each * sym.log(each) for each in p))
+    shares.AddCost(cost, vars=cost.vars())
+    shares.AddBoundingBoxConstraint(1e-3, 1, p)
+    shares.AddConstraint(p[0] + p[1] + p[2] == 1)
+    assert AigoSolver().Solve(shares).get_optimal_cost() == pytest.approx(-math.log(3), abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("formula", "message"),
+    [
+        (lambda x: sym.log(x[0]) + x[1], r"log\(x\(0\)\), where x\(0\) is in \[-1, 2\].*> 0"),
+        (lambda x: sym.sqrt(x[0] + x[1]), r"sqrt.* is in \[-2, 4\] .* >= 0"),
+        (lambda x: x[1] / x[0], r"\(x\(1\) / x\(0\)\), where x\(0\) is in .*divisor that is not 0"),
+        (lambda x: sym.tan(2 * x[0]), r"cos\(\(2 \* x\(0\)\)\) is in .*divisor that is not 0"),
+        (lambda x: sym.atan2(x[0], x[1]), r"atan2\(x\(0\), x\(1\)\), which has no equation"),
+        (lambda x: sym.ceil(x[0]), r"ceil\(x\(0\)\), which has no equation"),
+    ],
+)
+def test_functions_without_a_value_within_the_bounds_are_refused_by_name(
+    formula: Formula, message: str
+) -> None:
+    prog, _ = make_program(formula, -1.0, 2.0)
+    with pytest.raises(UnsupportedTermError, match=message):
+        AigoSolver().Solve(prog)
+
+
+def test_a_constraint_or_halved_ranges_may_show_that_a_function_has_a_value() -> None:
+    root = lambda x: sym.sqrt(x[0] + x[1]) + x[0] ** 2  # noqa: E731
+    prog, x = make_program(root, -3.0, 3.0, lambda x: x[0] + x[1] >= 0.25)
+    result = AigoSolver().Solve(prog)
+    assert result.is_success() and result.GetSolution(x)[0] == pytest.approx(0.0, abs=1e-4)
+    assert result.get_optimal_cost() == pytest.approx(0.5, abs=1e-6)
+    # By terms alone, the divisor might be as low as −5.
+    prog, _ = make_program(lambda x: 1 / (x[0] ** 2 - 2 * x[0] + 2) + x[1] ** 2, -1.0, 3.0)
+    assert AigoSolver().Solve(prog).get_optimal_cost() == pytest.approx(0.2, abs=1e-6)
+
+
+@given(
+    st.sampled_from(sorted(FORMULAS)),
+    st.tuples(st.floats(0, 1), st.floats(0, 1)),
+    st.tuples(st.floats(0, 1), st.floats(0, 1)),
+    st.tuples(st.floats(0, 1), st.floats(0, 1)),
+)
+def test_ranges_hold_every_value(name: str, a: Any, b: Any, at: Any) -> None:
+    formula, low, high = FORMULAS[name]
+    variables = [Variable("x"), Variable("y")]
+    e = Expression(1.0) * formula(variables)
+    ends = low + (high - low) * np.sort([a, b], axis=0)
+    x = ends[0] + np.array(at) * (ends[1] - ends[0])
+    ranges = {v.get_id(): (p, q) for v, p, q in zip(variables, *ends.tolist(), strict=True)}
+    found = interval(e, ranges)
+    value = e.Evaluate(dict(zip(variables, x.tolist(), strict=True)))
+    slack = 1e-9 * max(1.0, abs(value))
+    assert found[0] - slack <= value <= found[1] + slack
+    assert not is_above(e, value + slack, ranges, is_strict=False)
+
+
+def test_options_and_guesses_work_with_functions_by_rows() -> None:
+    prog, _ = make_program(*FORMULAS["a quotient"])
+    prog.SetInitialGuessForAllVariables(np.array([0.5, -0.5]))
+    for options in (
+        AigoOptions(presolve=False),
+        AigoOptions(polish="snopt"),
+        AigoOptions(rounds=0),
+    ):
+        result = AigoSolver(options).Solve(prog)
+        assert result.is_success()
+        assert result.get_optimal_cost() == pytest.approx(-math.sqrt(0.5), abs=1e-6)
