@@ -153,6 +153,11 @@ def build_world(parts: str) -> World:
 
 def build_stiff(name: str, stiffness: float) -> World:
     """Returns a mechanism of `MECHANISMS` whose contacts have this stiffness [N/m]."""
+    return build_world(stiffen(MECHANISMS[name], stiffness))
+
+
+def stiffen(parts: str, stiffness: float) -> str:
+    """Returns links and joints whose contacts have this stiffness [N/m], and dissipate nothing."""
     given = f"""<drake:point_contact_stiffness>{2 * stiffness}</drake:point_contact_stiffness>
       <drake:hunt_crossley_dissipation>0</drake:hunt_crossley_dissipation>"""
-    return build_world(MECHANISMS[name].replace(MATERIAL, MATERIAL.replace("\n", given, 1)))
+    return parts.replace(MATERIAL, MATERIAL.replace("\n", given, 1))

@@ -8,12 +8,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mechanisms import build, build_stiff
+from mechanisms import LEFT, MECHANISMS, build, build_stiff, build_world, stiffen
 
 from drake_aigto import Scenario, World
 from drake_aigto.simulation import confirms, make_simulator, replay_drake, replay_event_driven
-from drake_aigto.simulation.material import contact_delay
+from drake_aigto.simulation.material import contact_delay, contact_delays
 from drake_aigto.world import Scales
+from drake_aigto.world.material import find_anywhere
 
 TIMES = np.linspace(0.0, 1.0, 21)
 SOFT, STIFF = 1e5, 1e7
@@ -80,9 +81,18 @@ def test_a_simulator_of_ones_own_bounces_a_mechanism_as_the_replay_does() -> Non
 
 def test_how_long_a_contact_lasts_is_told_by_the_mass_that_it_feels() -> None:
     world = read("cart-pole", STIFF)
-    J, M = world.calc_contact_jacobian(np.zeros(2))[0], world.calc_mass_matrix(np.zeros(2))
+    q = find_anywhere(world.plant)
+    J, M = world.calc_contact_jacobian(q)[0], world.calc_mass_matrix(q)
     mass = 1 / (J @ np.linalg.solve(M, J))
-    assert contact_delay(world) == pytest.approx(np.pi * np.sqrt(mass / STIFF))
+    assert contact_delays(world)[0] == pytest.approx(np.pi * np.sqrt(mass / STIFF))
+
+
+def test_a_contact_lasts_a_while_also_where_a_rod_hangs_along_the_walls_normal() -> None:
+    over_a_floor = MECHANISMS["pendulum"].replace(LEFT, "0 0 -1 0 0 0")
+    world = build_world(stiffen(over_a_floor, STIFF))
+    assert not np.any(world.calc_contact_jacobian(np.zeros(1)))
+    assert np.isinf(world.inertia_at(np.zeros(1)).masses)
+    assert 0 < contact_delay(world) < 0.1
 
 
 def test_a_shipped_cart_pole_between_rigid_walls_is_confirmed_by_drake() -> None:

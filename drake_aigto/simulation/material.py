@@ -12,7 +12,7 @@ from pydrake.systems.framework import Context
 from drake_aigto.arrays import Floats
 from drake_aigto.simulation.contact_motion import ContactMotion
 from drake_aigto.world import World
-from drake_aigto.world.material import DISSIPATION, read_stiffness, set_material
+from drake_aigto.world.material import DISSIPATION, find_anywhere, read_stiffness, set_material
 
 # No finite dissipation takes all of the speed; below this restitution it is this.
 LEAST_RESTITUTION = 1e-3
@@ -25,7 +25,7 @@ def contact_delay(world: World) -> float:
 
     A rigid wall turns the ball round at once. Drake's compliant one, of stiffness k = k₁ k₂ /
     (k₁ + k₂), keeps it for half a period of m = (J_i M⁻¹ J_iᵀ)⁻¹ on a spring, which delays all
-    that follows. Where m depends on q, it is the one at the plant's default positions.
+    that follows. Where m depends on q, it is the one at some positions (`find_anywhere`).
 
     Raises:
         ModelError: a shape has no stiffness.
@@ -35,8 +35,8 @@ def contact_delay(world: World) -> float:
 
 def contact_delays(world: World) -> list[float]:
     """Returns `contact_delay` of each contact [s]."""
-    start = world.plant.GetDefaultPositions()
-    motion = ContactMotion.reader(world)(np.concatenate([start, np.zeros(len(start))]))
+    q = find_anywhere(world.plant)
+    motion = ContactMotion.reader(world)(np.concatenate([q, np.zeros(len(q))]))
     return calc_delays(motion, world.stiffness)
 
 

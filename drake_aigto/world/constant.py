@@ -61,8 +61,9 @@ class ConstantInertia:
 
     @cached_property
     def masses(self) -> Floats:
-        """1 / A_ii, shape (m,) [kg]: what each contact feels."""
-        return read_only(1 / np.diag(self.delassus))
+        """1 / A_ii, shape (m,) [kg]: what each contact feels, infinite where nothing yields."""
+        with np.errstate(divide="ignore"):
+            return read_only(1 / np.diag(self.delassus))
 
     @cached_property
     def lifts(self) -> Floats:

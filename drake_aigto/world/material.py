@@ -10,6 +10,7 @@ from pydrake.multibody.plant import CalcContactFrictionFromSurfaceProperties, Mu
 from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.systems.framework import Context
 
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
 from drake_aigto.world.contact import SphereAndFace
 
@@ -44,8 +45,7 @@ def read_friction(
 def can_slide(plant: MultibodyPlant, face: SphereAndFace) -> bool:
     """Returns whether a sphere's point of contact can move along the face."""
     context = plant.CreateDefaultContext()
-    n = plant.num_positions()
-    plant.SetPositions(context, plant.GetPositions(context) + _ANYWHERE * np.arange(1, n + 1))
+    plant.SetPositions(context, find_anywhere(plant))
     body, wall = face.sphere_body.body_frame(), face.face_body.body_frame()
     edges, normal = np.split(face.X_BF.rotation().matrix(), [2], axis=1)
     normal = plant.CalcRelativeTransform(context, body, wall).rotation().matrix() @ normal
@@ -55,6 +55,14 @@ def can_slide(plant: MultibodyPlant, face: SphereAndFace) -> bool:
     )
     along = edges.T @ rates
     return bool(np.any(np.abs(along) > _ROUNDING * np.max(np.abs(rates), initial=0.0)))
+
+
+def find_anywhere(plant: MultibodyPlant) -> Floats:
+    """Returns positions at which nothing cancels by chance, as it may at the default ones, (nq,).
+
+    There an arm may be stretched out along the normal of a wall.
+    """
+    return plant.GetDefaultPositions() + _ANYWHERE * np.arange(1, plant.num_positions() + 1)
 
 
 def read_stiffness(scene_graph: SceneGraph, shape: GeometryId) -> float:
