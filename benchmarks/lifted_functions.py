@@ -1,0 +1,94 @@
+"""AIGO on test functions that are written with auxiliary variables, with presolve and without.
+
+    python -m benchmarks.lifted_functions [--only Levy] [--lift-seed 1] [--workers 1]
+
+A part of every formula has, with probability 0.6, a variable of its own and an equality that
+defines it; bounds are cut, so that no minimizer is in the middle of the box. Solved: the answer is
+feasible to 1e-6, and f − f* ≤ 1e-6 max(1, |f*|).
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from benchmarks.collections.lifted_functions import lift, lifted_problems
+from benchmarks.jobs import add_options, run_all, run_as
+from benchmarks.measure import machine
+from drake_aigto.solver import AigoOptions, AigoSolver
+
+TOLERANCE = 1e-6
+
+
+@dataclass(frozen=True)
+class Run:
+    """One solve.
+
+    Attributes:
+        problem: the function.
+        cost: of the answer; inf where it is not feasible.
+        is_solved: by value.
+        is_broken: a success that is infeasible, or lower than the minimum.
+        seconds: of the process.
+        substituted: how many variables presolve left out.
+    """
+
+    problem: str
+    cost: float
+    is_solved: bool
+    is_broken: bool
+    seconds: float
+    substituted: int
+
+
+def main() -> None:
+    """Runs all functions and prints those that are missed, and counts."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--only", default="", help="functions whose name has this in it")
+    parser.add_argument("--lift-seed", type=int, default=1, help="of the parts and the cuts")
+    add_options(parser)
+    arguments = parser.parse_args()
+    print(machine())
+    names = [each.name for each in lifted_problems() if arguments.only in each.name]
+    pairs = run_all(partial(solve_both, seed=arguments.lift_seed), names, arguments)
+    for runs in pairs:
+        if not all(run.is_solved for run in runs):
+            told = "   ".join(f"{run.cost:12.6g}{run.seconds:8.2f} s" for run in runs)
+            print(f"{runs[0].problem:24}{told}")
+    for which, runs in zip(("presolve", "without"), zip(*pairs, strict=True), strict=True):
+        solved, broken = sum(run.is_solved for run in runs), sum(run.is_broken for run in runs)
+        median = np.median([run.seconds for run in runs])
+        print(f"{which:9} solved {solved} of {len(runs)}, broken {broken}, median {median:.2f} s")
+
+
+def solve_both(name: str, *, seed: int) -> tuple[Run, Run]:
+    """Returns runs with presolve and without."""
+    return solve(name, seed, presolve=True), solve(name, seed, presolve=False)
+
+
+def solve(name: str, seed: int, presolve: bool) -> Run:
+    """Returns one run."""
+    (problem,) = (each for each in lifted_problems() if each.name == name)
+    prog = lift(problem, seed)
+    start = time.process_time()
+    result = AigoSolver(AigoOptions(presolve=presolve)).Solve(prog)
+    seconds = time.process_time() - start
+    details, unit = result.get_solver_details(), max(1.0, abs(problem.minimum))
+    above = (result.get_optimal_cost() - problem.minimum) / unit
+    is_feasible = details.violation <= TOLERANCE
+    return Run(
+        problem=name,
+        cost=result.get_optimal_cost() if is_feasible else np.inf,
+        is_solved=is_feasible and above <= TOLERANCE,
+        is_broken=result.is_success() and (not is_feasible or above < -10 * TOLERANCE),
+        seconds=seconds,
+        substituted=len(details.substituted),
+    )
+
+
+if __name__ == "__main__":
+    run_as("benchmarks.lifted_functions")
