@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
 from typing import Any
 
@@ -397,6 +398,18 @@ def test_renewals_are_drawn_with_a_seed_and_end_within_the_motion() -> None:
     assert repr(draws[0]) == repr(draws[-1]) != repr(draws[1])
     assert all(each.first >= 1 and each.first + each.count <= 22 for each in draws)
     assert {each.count for each in draws} == {5, 10, 15, 20}
+
+
+def test_a_moved_start_shows_another_motion_from_the_same_place() -> None:
+    world = read("cart-pole")
+    ends = Ends(np.array([0.1, 0.2]), np.zeros(2), make_cost(world, np.array([0.0, np.pi])))
+    started = make_boxes(world, ends, make_law(world), 12, np.inf).start(ends)
+    rng = np.random.default_rng(0)
+    rung = MechanismRung.draw(rng, 12, world.is_hinge)
+    still = started.run(dataclasses.replace(rung, shift=()), started.rest())
+    moved = started.run(rung, started.rest())
+    np.testing.assert_allclose(moved.positions[0], ends.position)
+    assert np.max(np.abs(moved.boxes[0].center - still.boxes[0].center)) > 0.1
 
 
 def test_what_a_box_shows_is_a_motion_where_every_joint_is_driven() -> None:

@@ -14,7 +14,7 @@ from drake_aigto.planning import Center, MechanismOptions, MechanismRung, Renewa
 from drake_aigto.planning.mechanism_problem import MechanismProblem
 from drake_aigto.shooting import ShootingResult
 
-QUICK = MechanismOptions(renewals=8, finalists=1)
+QUICK = MechanismOptions(renewals=16, finalists=1)
 
 
 @pytest.fixture(scope="module")
@@ -112,19 +112,24 @@ def test_what_touches_nothing_swings_up() -> None:
 def test_a_search_without_boxes_has_none_in_renewals_either(
     cart_pole: Planner, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    widths, draw = [], MechanismProblem.renew
+    widths, draw, run = [], MechanismProblem.renew, MechanismProblem.run_aigo
 
     def renew(self: MechanismProblem, motion: ShootingResult, renewal: Renewal) -> Center:
         widths.append(renewal.half_width)
         return draw(self, motion, renewal)
 
+    def run_aigo(self: MechanismProblem, rung: MechanismRung) -> Center:
+        widths.append(rung.half_width)
+        return run(self, rung)
+
     monkeypatch.setattr(MechanismProblem, "renew", renew)
+    monkeypatch.setattr(MechanismProblem, "run_aigo", run_aigo)
     for half_width in (0.0, 0.5):
         rung = MechanismRung(half_width=half_width, num_steps=15)
         options = MechanismOptions(ladder=(rung,), renewals=2, finalists=1, confirm=False)
         Planner(cart_pole.scenario, options, cart_pole.world).plan()
-    assert widths[:2] == [0.0, 0.0]
-    assert min(widths[2:]) > 0
+    assert widths[:3] == [0.0, 0.0, 0.0]
+    assert min(widths[3:]) > 0
 
 
 def test_options_of_another_road_are_refused() -> None:

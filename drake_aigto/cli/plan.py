@@ -34,9 +34,10 @@ _NUMERICS = {
     "relaxation": "rigid: how much walls push from afar while boxes shrink",
     "aigo_steps": "rigid: the most time steps that boxes have",
     "exhaustive": "rigid: also run starts, and polish flights, that can hardly win",
-    "renewals": "shooting: how many times stretches of motions are opened to boxes again",
+    "renewals": "shooting: how many times at most motions are opened to boxes again, or begun anew",
+    "patience": "shooting: after how many of these that find nothing better the search ends",
     "search_steps": "shooting: the most time steps that motions are searched with",
-    "seed": "shooting: of the stretches that are opened",
+    "seed": "shooting: of what is drawn",
     "nonpenetration": "literal: ask for φ(q) ≥ 0 at the knots",
     "algorithm": "literal: how boxes shrink",
 }

@@ -23,11 +23,13 @@ from drake_aigto.transcription import (
 )
 
 MechanismStart = Literal["rest", "coast", "line"]
+_STARTS: tuple[MechanismStart, ...] = ("rest", "coast", "line")
 
 _COOLING = 0.2
 _TOLERANCE = 0.05  # Of boxes: what they show is closed by another method, however near it is.
 _POINT_STEPS, _POINT_TOLERANCE = 30, 1e-3
 _GOAL_WEIGHT = 10.0  # of a hard goal, in what standing still costs: 10 at a distance of L
+_FAR = 0.5  # how far a slider's path is moved at most, in `StartedBoxes.widths`; a hinge's by π
 _SAMPLES = 16  # of a motion, to see what is typical of it
 
 
@@ -71,16 +73,33 @@ class MechanismRung(Shrinking):
         start: which path the first box is around: "rest", standing still; "coast", the motion
             without control; "line", the straight line to the goal.
         num_steps: N of its program.
+        shift: how far the middle of that path is moved, in `StartedBoxes.widths`, of each
+            coordinate; empty: nowhere.
     """
 
     start: MechanismStart = "rest"
     num_steps: int = 30
+    shift: tuple[float, ...] = ()
+
+    @classmethod
+    def draw(cls, rng: np.random.Generator, num_steps: int, is_hinge: Bools) -> MechanismRung:
+        """Returns one by chance."""
+        far = np.where(is_hinge, np.pi, _FAR)
+        return cls(
+            start=_STARTS[rng.integers(len(_STARTS))],
+            num_steps=num_steps,
+            shift=tuple((far * rng.uniform(-1.0, 1.0, len(far))).tolist()),
+            weight=10 ** rng.uniform(-2.0, 0.5),
+            temperature=10 ** rng.uniform(-1.0, 1.0),
+            half_width=10 ** rng.uniform(-0.7, 0.3),
+            temperatures=1,
+        )
 
     def describe(self, algorithm: str) -> str:
         """Returns an algorithm's start here, in words."""
-        how = f"from temperature {self.temperature:g}" if self.half_width else "of points"
-        steps = f"{self.num_steps} time steps"
-        return f"{algorithm} {how}; around the {self.start}; weight {self.weight:g}; {steps}"
+        how = f"from temperature {self.temperature:.3g}" if self.half_width else "of points"
+        path = f"around the {self.start}" + (", moved" if self.shift else "")
+        return f"{algorithm} {how}; {path}; weight {self.weight:.3g}; {self.num_steps} time steps"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,6 +171,11 @@ def sample_cubic(knots: Floats, positions: Floats, velocities: Floats, times: Fl
     motion = PiecewisePolynomial.CubicHermite(knots, positions.T, velocities.T)
     each = motion.vector_values(times), motion.MakeDerivative().vector_values(times)
     return np.vstack(each).T
+
+
+def _bump(count: int) -> Floats:
+    """Returns half a wave, which is 0 beyond both ends, shape (count, 1)."""
+    return np.sin(np.pi * np.arange(1, count + 1) / (count + 1))[:, np.newaxis]
 
 
 class MechanismBoxes:
@@ -253,6 +277,8 @@ class StartedBoxes:
         times = program.time_step * np.arange(program.num_steps + 2)
         given = np.linspace(0.0, program.duration, len(path))
         q = interpolate(times, given, path)
+        if rung.shift:
+            q[1:] += _bump(len(q) - 1) * np.array(rung.shift) * self.widths[: q.shape[1]]
         q[-1] = 2 * q[-2] - q[-3]
         return self._shrink(rung, program.calc_variables(q, self.ends), self._is_free)
 
@@ -264,10 +290,8 @@ class StartedBoxes:
             renewal: which stretch, and how.
         """
         knots = np.arange(renewal.first, min(renewal.first + renewal.count, len(positions)))
-        bump = np.sin(np.pi * np.arange(1, len(knots) + 1) / (len(knots) + 1))
         q = positions.copy()
-        shift = renewal.shift * self.widths[: q.shape[1]]
-        q[knots] += bump[:, np.newaxis] * shift
+        q[knots] += _bump(len(knots)) * renewal.shift * self.widths[: q.shape[1]]
         is_open = np.zeros((len(positions), len(self.widths)), dtype=bool)
         is_open[knots] = True
         z = self.program.calc_variables(q, self.ends)

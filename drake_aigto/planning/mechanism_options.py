@@ -41,14 +41,17 @@ class MechanismOptions(SearchOptions):
         finalists: see `SearchOptions`, as threads and confirm.
         ladder: the starts of AIGO; the center of each last box is closed by shooting. If no rung
             has a half width, renewals have none either: a search without boxes.
-        renewals: how many times a stretch of a candidate is opened to boxes again.
+        renewals: how many times at most a stretch of a candidate is opened to boxes again, or boxes
+            are drawn around another start.
+        patience: renewals in a row that find nothing better, after which there are no more.
         search_steps: how many time steps candidates have at most; finalists have the scenario's.
-        seed: of the stretches that are opened.
+        seed: of what is drawn.
     """
 
     finalists: int = 3
     ladder: tuple[MechanismRung, ...] = field(default=MECHANISM_LADDER, repr=False)
     renewals: int = 240
+    patience: int = 120
     search_steps: int = 60
     seed: int = 0
 
@@ -58,6 +61,7 @@ class MechanismOptions(SearchOptions):
         """Checks the numbers."""
         super().__post_init__()
         self._check_count("renewals", 0)
+        self._check_count("patience", 1)
         self._check_count("search_steps", 2)
         self._check_count("seed", 0)
         if not self.ladder:

@@ -123,8 +123,8 @@ class MechanismProblem:
 
     @property
     def renewal_steps(self) -> int:
-        """How many time steps boxes have that open a motion again: half as many."""
-        return max(2, self.search_steps // 2)
+        """How many time steps drawn boxes have: a quarter, as few do and they are many."""
+        return max(2, self.search_steps // 4)
 
     @property
     def mechanism(self) -> Mechanism:

@@ -2,21 +2,20 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
 from drake_aigto.jit import tell_compilation
 from drake_aigto.planning.branching import scaled
 from drake_aigto.planning.candidate import Candidate
-from drake_aigto.planning.mechanism_boxes import Center, Renewal
+from drake_aigto.planning.mechanism_boxes import Center, MechanismRung, Renewal
 from drake_aigto.planning.mechanism_problem import COARSE, NEARER, MechanismProblem
 from drake_aigto.planning.origin import Origin
 from drake_aigto.planning.pool import CandidatePool, Progress, Stopwatch
@@ -27,6 +26,14 @@ _LOG = logging.getLogger(__name__)
 # Newton steps of a box, and the motion that it led to.
 Closed: TypeAlias = tuple[int, ShootingResult]
 
+
+class Proposal(NamedTuple):
+    """Where a motion is to come from, and what makes it."""
+
+    origin: Origin
+    close: Callable[[], Closed]
+
+
 _ANNEALING = "annealing"
 # So many motions are kept, no two of them near each other; nor do costs of two differ by less.
 _MOST_KEPT, _SAME = 8, 1e-3
@@ -34,7 +41,7 @@ _MOST_KEPT, _SAME = 8, 1e-3
 _WAVE = 8
 # A motion that costs so many times the best finalist is not polished.
 _DEAR = 1.2
-# Every second renewal is of the best motion, the others of one of so many.
+# Every second renewal is of the best motion, the others are of one of so many.
 _MOST_RENEWED = 4
 
 
@@ -97,55 +104,55 @@ class MechanismSearch(CandidatePool):
         """Closes the centers of all rungs."""
         rungs = self.problem.options.ladder
         self.tell(f"AIGO from {len(rungs)} starts")
-        origins = [Origin(_ANNEALING, rung) for rung in rungs]
-        proposals = [partial(self.problem.run_aigo, rung) for rung in rungs]
-        self._offer_all(origins, proposals, COARSE)
+        self._close_all([self._start(rung) for rung in rungs])
 
     def _renew(self) -> None:
-        """Opens stretches of the best motions to boxes again."""
-        options, n = self.problem.options, self.problem.world.num_positions
-        rng = np.random.default_rng(options.seed)
-        has_boxes = any(rung.half_width for rung in options.ladder)
+        """Opens stretches of the best motions to boxes again, and begins anew in turn."""
+        options, rng = self.problem.options, np.random.default_rng(self.problem.options.seed)
+        best, idle = np.inf, 0
         for first in range(0, options.renewals if self.motions else 0, _WAVE):
-            best = self.motions[0].cost
-            self.tell(f"renewal {first} of {options.renewals}; the best costs {best:.6g}")
-            origins, proposals = [], []
-            for number in range(first, min(first + _WAVE, options.renewals)):
-                most = min(_MOST_RENEWED, len(self.motions))
-                motion = self.motions[int(rng.integers(most)) if number % 2 else 0]
-                renewal = Renewal.draw(rng, self.problem.renewal_steps, n)
-                if not has_boxes:
-                    renewal = dataclasses.replace(renewal, half_width=0.0)
-                origins.append(motion.origin.renewed())
-                proposals.append(partial(self.problem.renew, motion.result, renewal))
-            self._offer_all(origins, proposals, NEARER)
+            cost = self.motions[0].cost
+            is_better = not cost + _SAME * abs(cost) >= best
+            best, idle = (cost, 0) if is_better else (best, idle + _WAVE)
+            if idle >= options.patience:
+                break
+            self.tell(f"renewal {first} of {options.renewals}; the best costs {cost:.6g}")
+            last = min(first + _WAVE, options.renewals)
+            self._close_all([self._draw(rng, number) for number in range(first, last)])
 
-    def _offer_all(
-        self,
-        origins: Iterable[Origin],
-        proposals: Sequence[Callable[[], Center]],
-        options: ShootingOptions,
-    ) -> None:
+    def _draw(self, rng: np.random.Generator, number: int) -> Proposal:
+        """Returns a renewal, or every second time a start, by chance."""
+        problem, num_steps = self.problem, self.problem.renewal_steps
+        has_boxes = any(rung.half_width for rung in problem.options.ladder)
+        if number % 2:
+            rung = MechanismRung.draw(rng, num_steps, problem.world.is_hinge)
+            return self._start(replace(rung, half_width=has_boxes * rung.half_width))
+        most = min(_MOST_RENEWED, len(self.motions))
+        motion = self.motions[int(rng.integers(most)) if number % 4 else 0]
+        renewal = Renewal.draw(rng, num_steps, problem.world.num_positions)
+        renewal = replace(renewal, half_width=has_boxes * renewal.half_width)
+        propose = partial(problem.renew, motion.result, renewal)
+        return Proposal(motion.origin.renewed(), partial(self._close, propose, NEARER))
+
+    def _start(self, rung: MechanismRung) -> Proposal:
+        propose = partial(self.problem.run_aigo, rung)
+        return Proposal(Origin(_ANNEALING, rung), partial(self._close, propose, COARSE))
+
+    def _close(self, propose: Callable[[], Center], options: ShootingOptions) -> Closed:
         """Closes what boxes propose."""
+        center = propose()
+        return center.iterations, self.problem.close(center, options)
 
-        def close(propose: Callable[[], Center]) -> tuple[int, ShootingResult]:
-            center = propose()
-            return center.iterations, self.problem.close(center, options)
-
-        self._close_all(origins, [partial(close, propose) for propose in proposals])
-
-    def _close_all(
-        self, origins: Iterable[Origin], closings: Sequence[Callable[[], Closed]]
-    ) -> None:
-        """Closes motions in threads, and keeps the best in the order of their origins."""
+    def _close_all(self, proposals: Sequence[Proposal]) -> None:
+        """Closes motions in threads, and keeps the best in the order of proposals."""
         threads = self.problem.options.num_threads
         with self.clock("search"), ThreadPoolExecutor(threads) as pool:
             # The first one of all compiles; where Ctrl-C is raised, that ends it.
-            first = [] if self.motions else [each() for each in closings[:1]]
-            results = chain(first, pool.map(lambda close: close(), closings[len(first) :]))
-            for origin, (steps, result) in zip(origins, results, strict=True):
+            first = [] if self.motions else [each.close() for each in proposals[:1]]
+            rest = pool.map(lambda proposal: proposal.close(), proposals[len(first) :])
+            for proposal, (steps, result) in zip(proposals, chain(first, rest), strict=True):
                 self.aigo_steps += steps
-                self._keep(Motion(origin, result, self.problem.price(result)))
+                self._keep(Motion(proposal.origin, result, self.problem.price(result)))
 
     def _keep(self, motion: Motion) -> None:
         """Keeps a motion if it is among the best, and no better one is near."""

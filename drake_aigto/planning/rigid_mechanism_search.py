@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import pairwise
 from typing import TypeAlias
@@ -10,7 +10,7 @@ from typing import TypeAlias
 import numpy as np
 
 from drake_aigto.planning.mechanism_phases import BouncingResult
-from drake_aigto.planning.mechanism_search import Closed, MechanismSearch, Motion
+from drake_aigto.planning.mechanism_search import Closed, MechanismSearch, Motion, Proposal
 from drake_aigto.planning.origin import ChangeName, Origin
 from drake_aigto.planning.pool import Stopwatch
 from drake_aigto.planning.rigid_mechanism import RigidMechanismProblem
@@ -42,10 +42,8 @@ class RigidMechanismSearch(MechanismSearch):
         self._tried: set[_Key] = set()
         self._branched: set[_Key] = set()
 
-    def _close_all(
-        self, origins: Iterable[Origin], closings: Sequence[Callable[[], Closed]]
-    ) -> None:
-        super()._close_all(origins, closings)
+    def _close_all(self, proposals: Sequence[Proposal]) -> None:
+        super()._close_all(proposals)
         while (motion := self._find_unbranched()) is not None:
             self._branched.add(self._find_key(_read(motion).touches))
             self._branch(motion.origin, _read(motion))
@@ -59,15 +57,15 @@ class RigidMechanismSearch(MechanismSearch):
 
     def _branch(self, origin: Origin, motion: BouncingResult) -> None:
         """Closes the neighbors of a motion, those that were not tried yet."""
-        origins, closings = [], []
+        proposals = []
         for change, touches in self._find_neighbors(motion):
             key = self._find_key(touches)
             if key not in self._tried:
                 self._tried.add(key)
-                origins.append(origin.changed(change, motion.touches))
-                closings.append(partial(self._bounce, touches, motion))
-        if closings:
-            super()._close_all(origins, closings)
+                changed = origin.changed(change, motion.touches)
+                proposals.append(Proposal(changed, partial(self._bounce, touches, motion)))
+        if proposals:
+            super()._close_all(proposals)
 
     def _bounce(self, touches: TouchSequence, guess: ShootingResult) -> Closed:
         return 0, self.problem.bounce(touches, guess)

@@ -20,7 +20,7 @@ from drake_aigto.shooting.tables import FLOW
 
 # Bounds can't be kept near a motion where so many updates in a row, each at a penalty that has
 # grown, leave more than this part of what they are off.
-_PATIENCE, _STUCK = 2, 0.9
+_PATIENCE, _STUCK = 4, 0.9
 
 
 @dataclass(frozen=True, eq=False)
