@@ -8,7 +8,18 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mechanisms import LEFT, PASSIVE, build, build_world, joint, link, plane, sphere, wall
+from mechanisms import (
+    LEFT,
+    MECHANISMS,
+    PASSIVE,
+    build,
+    build_world,
+    joint,
+    link,
+    plane,
+    sphere,
+    wall,
+)
 
 from drake_aigto.box import BoxPolynomial, ParametricPolynomial
 from drake_aigto.errors import UnsupportedTermError
@@ -307,6 +318,13 @@ def test_springs_in_place_of_rigid_walls_return_what_these_do_at_one_speed() -> 
         push = law.stiffness[0] * depth * (1 + law.dissipation[0] * speed)
         speed -= h * push / 2.0
     assert speed == pytest.approx(-0.6 * 1.5, rel=1e-3)
+
+
+def test_a_wall_below_a_rod_that_hangs_has_a_finite_spring_in_its_place() -> None:
+    world = build_world(MECHANISMS["pendulum"].replace(LEFT, "0 0 -0.9 0 0 0"))
+    assert not np.any(world.calc_contact_jacobian(np.zeros(1)))
+    law = soften(world, RigidLaw(np.ones(1)), 0.02, 1.5)
+    assert np.all(np.isfinite(law.stiffness)) and np.all(law.stiffness > 0)
 
 
 # Boxes.

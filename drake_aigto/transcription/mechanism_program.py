@@ -15,11 +15,13 @@ from drake_aigto.transcription.box_coordinates import BoxCoordinates, variables
 from drake_aigto.transcription.stage_sums import StageSums, combine, scaled
 from drake_aigto.transcription.tracking_sums import TrackingSums
 from drake_aigto.world import CompliantLaw, RigidLaw, TaskCost, World
+from drake_aigto.world.material import find_anywhere
 
 # What blocks are called: J, what no control can meet, distances that are variables, hard goals.
 COST, ROWS, DISTANCES, GOAL = "cost", "rows", "distances", "goal"
 
 _LEAST_RESTITUTION = 0.2  # of springs that stand in for rigid walls
+_LEAST_MOBILITY = 0.01  # of the one elsewhere: an arm that is not quite stretched out
 
 
 def soften(world: World, law: RigidLaw, time_step: float, speed: float) -> CompliantLaw:
@@ -317,12 +319,19 @@ class MechanismProgram:
 
 
 def _calc_mobility(world: World) -> Floats:
-    """Returns J M⁻¹ Jᵀ of each contact at the plant's default position, shape (m,) [1/kg]."""
+    """Returns J M⁻¹ Jᵀ of each contact at the plant's default position, shape (m,) [1/kg].
+
+    Where an arm is stretched out there along the wall's normal, so that nothing yields, it is the
+    one at another position.
+    """
     if not world.num_contacts:
         return np.zeros(0)
-    q = world.plant.GetDefaultPositions()
-    J, M = world.calc_contact_jacobian(q), world.calc_mass_matrix(q)
-    return np.einsum("ij,ji->i", J, np.linalg.solve(M, J.T))
+    mobilities = []
+    for q in (world.plant.GetDefaultPositions(), find_anywhere(world.plant)):
+        J, M = world.calc_contact_jacobian(q), world.calc_mass_matrix(q)
+        mobilities.append(np.einsum("ij,ji->i", J, np.linalg.solve(M, J.T)))
+    here, elsewhere = mobilities
+    return np.where(here > _LEAST_MOBILITY * elsewhere, here, elsewhere)
 
 
 def _calc_residuals(world: World) -> Floats:
