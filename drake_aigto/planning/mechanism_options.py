@@ -48,10 +48,10 @@ class MechanismOptions(SearchOptions):
         seed: of what is drawn.
     """
 
-    finalists: int = 3
+    finalists: int = 2
     ladder: tuple[MechanismRung, ...] = field(default=MECHANISM_LADDER, repr=False)
     renewals: int = 240
-    patience: int = 120
+    patience: int = 64
     search_steps: int = 60
     seed: int = 0
 

@@ -250,7 +250,9 @@ class MechanismProblem:
             and result.substeps < _MOST_SUBSTEPS
             and problem.estimate_error(result) > _EXACT
         ):
-            finer = dataclasses.replace(POLISH, substeps=2 * result.substeps)
+            finer = dataclasses.replace(
+                POLISH, rungs=POLISH.rungs[-1:], substeps=2 * result.substeps
+            )
             problem = problem.starting_from(result)
             result = problem.solve(result.controls, result.states, finer)
         return result
