@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from benchmarks.robots.results import Outcome, Results, Row
-from benchmarks.robots.worlds import WORLDS
 
 NEAR, WIDE = 0.01, 0.05
 _LESS = 1e-3  # what counts as less than what was known
@@ -32,10 +31,8 @@ def format_results(results: Results) -> str:
         deep = [row for row in rows if row.is_deep]
         shallow = [row for row in rows if not row.is_deep]
         methods = results.question.methods_for(world)
-        lines += _section(
-            f"{world}: {len(rows)} of {WORLDS[world].count} questions", shallow, methods
-        )
-        lines += _section(f"{world}, deep in a wall: {len(deep)} of these", deep, methods)
+        lines += _section(f"{world}: {len(shallow)} questions", shallow, methods)
+        lines += _section(f"{world}, deep in a wall: {len(deep)} questions", deep, methods)
     return "\n".join(lines)
 
 
