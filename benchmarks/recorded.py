@@ -36,7 +36,6 @@ RECORDS: Mapping[str, str] = {
     "floors": "python -m benchmarks.floors --count 200 --seed 2026 --workers 2",
     "room_with_block": f"{_WORLDS} room_with_block --count 40 --peer coasting --peer listed"
     " --workers 2",
-    "robots": "python -m benchmarks.robots compare --count 12 --minutes 17 --workers 2",
     "table1": "python -m benchmarks.table1_figures",
     "rigid": "python -m benchmarks.rigid_figures",
     "planner_speed": f"python -m benchmarks.planner_speed {_SPEED}",
@@ -95,47 +94,6 @@ def _world(name: str, *peers: str) -> dict[str, Figure]:
     return {f"{name}_{what}": Figure(name, pattern) for what, pattern in patterns.items()}
 
 
-# Name in figures → world of `benchmarks.robots`.
-ROBOTS = {
-    "soft_06": "cart_pole/soft_06",
-    "soft_06_deep": "cart_pole/soft_06, deep in a wall",
-    "soft_10": "cart_pole/soft_10",
-    "rigid_06_1": "cart_pole/rigid_06/e=1",
-    "rigid_06_05": "cart_pole/rigid_06/e=0.5",
-    "rigid_10_1": "cart_pole/rigid_10/e=1",
-    "rigid_10_05": "cart_pole/rigid_10/e=0.5",
-    "pendulum": "pendulum/off_the_wall",
-    "throw": "throwing_ball/bounces",
-    "paddle": "paddle/bat",
-    "discs": "two_discs/swap",
-    "carts": "three_carts/apart",
-    "acrobot": "acrobot/swing_up",
-    "acrobot_wall": "acrobot/beside_a_wall",
-}
-
-
-def _robots(name: str) -> dict[str, Figure]:
-    title = rf"^{re.escape(ROBOTS[name])}: "
-    methods = {
-        "plan": "plan",
-        "points": "plan, points",
-        "random": "(?:shooting|listed)",
-        "cma": "CMA-ES",
-    }
-    if name in ("soft_06", "soft_06_deep", "soft_10", "acrobot"):
-        methods["ipopt"] = "IPOPT"
-    shares = {
-        what: rf"(?s){title}(?:(?!\n\n).)*?^{method} +([\d.]+) %"
-        for what, method in methods.items()
-    }
-    patterns = {
-        "count": rf"{title}(\d+) questions",
-        "cpu": rf"(?s){title}(?:(?!\n\n).)*?^plan +(?:[\d.]+ % +){{3}}{_NUMBER} ",
-        **shares,
-    }
-    return {f"robots_{name}_{what}": Figure("robots", each) for what, each in patterns.items()}
-
-
 def _planner_speed(name: str, method: str) -> dict[str, Figure]:
     line = rf"^  {re.escape(method)} +"
     return {
@@ -180,7 +138,6 @@ FIGURES: Mapping[str, Figure] = {
     "floors_rests": Figure("floors", rf"rests and jumps: {_NUMBER},"),
     "floors_median": Figure("floors", rf"median {_NUMBER}, at most"),
     "floors_most": Figure("floors", rf"at most {_NUMBER}$"),
-    **{name: each for world in ROBOTS for name, each in _robots(world).items()},
     **_planner_speed("plan", "plan"),
     **_planner_speed("casadi", "CasADi + IPOPT from zero"),
     **_planner_speed("casadi_random", "CasADi + IPOPT from random"),

@@ -8,6 +8,8 @@ A page quotes a figure of `FIGURES` between marks that readers do not see:
 
     <!-- figure: plan_ms -->12.8<!-- end -->
 
+One of several lines becomes a block of its own.
+
 A test compares the pages with the records, so that neither changes without the other.
 """
 
@@ -77,7 +79,7 @@ def _read_figure(name: str) -> str:
     found = re.search(pattern, read_output(record), re.MULTILINE)
     if not found:
         raise LookupError(f"figure {name!r}: record {record!r} has nothing like {pattern!r}")
-    return found[1]
+    return f"\n\n```text\n{found[1]}\n```\n\n" if "\n" in found[1] else found[1]
 
 
 def main(arguments: Sequence[str] | None = None) -> int:

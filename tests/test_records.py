@@ -41,6 +41,11 @@ def test_a_changed_record_changes_the_page(tmp_path: Path, monkeypatch: pytest.M
     (tmp_path / "speed.txt").write_text("# python -m x\n# machine\n# commit\nplan   12.8 ms\n")
     page = "in <!-- figure: ms -->1<!-- end --> ms"
     assert records.quote(page) == "in <!-- figure: ms -->12.8<!-- end --> ms"
+    monkeypatch.setattr(records, "FIGURES", {"ms": recorded.Figure("speed", r"(?s)\A(.*\S)")})
+    (tmp_path / "speed.txt").write_text("# python -m x\nplan\n12.8 ms\n")
+    block = "<!-- figure: ms -->\n\n```text\nplan\n12.8 ms\n```\n\n<!-- end -->"
+    assert records.quote("<!-- figure: ms -->1<!-- end -->") == block
+    monkeypatch.setattr(records, "FIGURES", figures)
     (tmp_path / "speed.txt").write_text("# python -m x\nplan 12.8 seconds\n")
     with pytest.raises(LookupError, match="record 'speed' has nothing like"):
         records.quote(page)

@@ -85,7 +85,8 @@ def find_deepest(world: World, motion: BouncingResult) -> Dip | None:
     """Returns where a motion in phases is deepest inside of a wall between its knots, if at all."""
     times, positions = _look_between(world, motion)
     flat = positions.reshape(-1, positions.shape[-1])
-    return max(_find_dips(world, times.ravel(), flat), default=None)
+    dips = _find_dips(world, times.ravel(), flat)
+    return max(dips, key=lambda dip: dip.depth, default=None)
 
 
 def find_grazes(world: World, motion: BouncingResult, speed: float) -> list[int]:
