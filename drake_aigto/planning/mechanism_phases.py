@@ -24,23 +24,36 @@ class BouncingResult(ShootingResult):
     """A motion in phases, and where they meet.
 
     Attributes:
-        contacts: what is touched at the end of each phase but the last, shape (P − 1,).
+        contacts: what is touched at the end of each phase but the last, −1 where what was held
+            lets go, shape (P − 1,).
         knots: where that is, shape (P − 1,).
+        held: which contact is held in each phase, or −1, shape (P,).
     """
 
     contacts: Ints
     knots: Ints
+    held: Ints
 
     def __post_init__(self) -> None:
         """Makes the arrays read-only."""
         super().__post_init__()
-        for name in ("contacts", "knots"):
+        for name in ("contacts", "knots", "held"):
             object.__setattr__(self, name, read_only(getattr(self, name), np.int64))
 
     @property
     def touches(self) -> TouchSequence:
         """What is touched, and when."""
-        return tuple(map(Touch.bounce, self.times[self.knots].tolist(), self.contacts.tolist()))
+        times = self.times[[*self.knots, -1]].tolist()
+        return tuple(
+            Touch(times[i], times[i + 1] if self.held[i + 1] >= 0 else times[i], contact)
+            for i, contact in enumerate(self.contacts.tolist())
+            if contact >= 0
+        )
+
+    @property
+    def hits(self) -> Ints:
+        """The knots at which something is hit."""
+        return self.knots[self.contacts >= 0]
 
 
 class Dip(NamedTuple):
@@ -48,37 +61,67 @@ class Dip(NamedTuple):
 
     depth: float  # −φ at most [m]
     touch: Touch  # then, and through that face
+    start: float  # the first time that it is inside [s]
+    end: float  # the last one [s]
+
+    def as_touch(self, lasting: Floats) -> Touch:
+        """Returns a touch, which lasts if the dip lasts longer than its contact's number says."""
+        contact = self.touch.contact
+        if self.end - self.start > lasting[contact]:
+            return Touch(self.start, self.end, contact)
+        return self.touch
 
 
 def lay_out(
     touches: TouchSequence, num_steps: int, duration: float, total: tuple[float, float]
 ) -> tuple[Floats, Phases]:
-    """Returns knots of which one is at each touch, and the phases between.
+    """Returns knots of which one is at each touch and release, and the phases between.
+
+    What a touch holds lets go where the next touch is, at the latest. Where there are not enough
+    steps, the last touches are left out.
 
     Args:
-        touches: bounces by time, fewer than steps.
+        touches: by time.
         num_steps: N.
         duration: of the motion [s].
         total: the least and the most that it may become [s].
     """
-    ends = np.clip([touch.start for touch in touches], 0.0, duration)
+    joints = list(_find_joints(touches, duration))[: num_steps - 1]
+    ends = np.clip([time for time, _, _ in joints], 0.0, duration)
     durations = np.maximum(np.diff(ends, prepend=0.0, append=duration), _SHORTEST * duration)
     durations *= duration / durations.sum()
     knots = np.rint(np.cumsum(durations[:-1]) / duration * num_steps).astype(np.int64)
     places = np.arange(len(knots))
     knots = np.maximum.accumulate(np.maximum(knots, places + 1) - places) + places
     knots = np.minimum(knots, num_steps - len(knots) + places)
-    joints = np.concatenate([[0.0], np.cumsum(durations)])
-    joints[-1] = duration
-    times = np.interp(np.arange(num_steps + 1), [0, *knots, num_steps], joints)
-    contacts = np.array([touch.contact for touch in touches], dtype=np.int64)
-    return times, Phases(contacts, knots, durations, total)
+    elapsed = np.concatenate([[0.0], np.cumsum(durations)])
+    elapsed[-1] = duration
+    times = np.interp(np.arange(num_steps + 1), [0, *knots, num_steps], elapsed)
+    contacts = np.array([contact for _, contact, _ in joints], dtype=np.int64)
+    held = np.array([-1, *(held for _, _, held in joints)])
+    return times, Phases(contacts, knots, durations, total, held)
 
 
-def read_touches(world: World, motion: ShootingResult) -> TouchSequence:
-    """Returns where a motion between walls that yield is deepest inside, by time."""
+def _find_joints(touches: TouchSequence, duration: float) -> Iterator[tuple[float, int, int]]:
+    """Yields when phases meet, what is touched then or −1, and what is held from then on or −1."""
+    nexts = [*(touch.start for touch in touches), duration][1:]
+    for touch, until in zip(touches, nexts, strict=True):
+        yield touch.start, touch.contact, touch.contact if touch.lasts else -1
+        if touch.lasts and touch.end < until:
+            yield touch.end, -1, -1
+
+
+def read_touches(world: World, motion: ShootingResult, lasting: Floats) -> TouchSequence:
+    """Returns where a motion between walls that yield is inside, by time.
+
+    Args:
+        world: the mechanism.
+        motion: its motion.
+        lasting: from how long on a touch of each contact lasts, shape (m,) [s].
+    """
     q = motion.states[:, : world.num_positions]
-    return tuple(dip.touch for dip in _find_dips(world, motion.times, q))
+    touches = (dip.as_touch(lasting) for dip in _find_dips(world, motion.times, q))
+    return tuple(sorted(touches, key=lambda touch: touch.start))
 
 
 def find_deepest(world: World, motion: BouncingResult) -> Dip | None:
@@ -90,11 +133,13 @@ def find_deepest(world: World, motion: BouncingResult) -> Dip | None:
 
 
 def find_grazes(world: World, motion: BouncingResult, speed: float) -> list[int]:
-    """Returns which touches of a motion are slower than a speed [m/s]."""
-    n, rows = world.num_positions, np.arange(len(motion.knots))
-    J = world.calc_contact_jacobian(motion.states[motion.knots, :n])[rows, motion.contacts]
+    """Returns which bounces among the touches of a motion are slower than a speed [m/s]."""
+    n, knots, touches = world.num_positions, motion.hits, motion.touches
+    contacts = [touch.contact for touch in touches]
+    J = world.calc_contact_jacobian(motion.states[knots, :n])[np.arange(len(knots)), contacts]
     _, before = _find_slopes(world, motion)
-    return np.flatnonzero(np.einsum("bi,bi->b", J, before[motion.knots - 1]) > -speed).tolist()
+    is_slow = np.einsum("bi,bi->b", J, before[knots - 1]) > -speed
+    return [i for i in np.flatnonzero(is_slow).tolist() if not touches[i].lasts]
 
 
 def find_lacks(world: World, motion: BouncingResult, margin: float) -> Floats:
@@ -118,6 +163,10 @@ def find_lacks(world: World, motion: BouncingResult, margin: float) -> Floats:
         lacks[np.arange(N), np.array(faces)[foremost]] = margin - there.max(axis=1)
         touched = motion.knots[np.isin(motion.contacts, faces)]
         is_touched[touched[:, np.newaxis], faces] = True
+        along = np.flatnonzero(np.isin(motion.held, faces))
+        ends = [0, *motion.knots.tolist(), N]
+        for phase in along.tolist():
+            is_touched[ends[phase] : ends[phase + 1] + 1, faces] = True
     lacks[is_touched[1:] | is_touched[:-1]] = 0.0
     found = np.zeros((N + 1, m))
     found[:-1] = lacks
@@ -137,7 +186,8 @@ def _find_dips(world: World, times: Floats, positions: Floats) -> Iterator[Dip]:
                 deepest = knots[np.argmin(clearance[knots])]
                 entered = faces[int(np.argmax(distances[knots[0], faces]))]
                 touch = Touch.bounce(times[deepest], entered)
-                found.append(Dip(-float(clearance[deepest]), touch))
+                ends = float(times[knots[0]]), float(times[knots[-1]])
+                found.append(Dip(-float(clearance[deepest]), touch, *ends))
     yield from sorted(found, key=lambda dip: dip.touch.start)
 
 
@@ -177,6 +227,6 @@ def _find_slopes(world: World, motion: ShootingResult) -> tuple[Floats, Floats]:
     q, v = motion.states[:, :n], motion.states[:, n:]
     end = v[1:].copy()
     if isinstance(motion, BouncingResult):
-        bounces = motion.knots - 1
+        bounces = motion.hits - 1
         end[bounces] = 2 * (np.diff(q, axis=0) / h)[bounces] - v[:-1][bounces]
     return v[:-1], end

@@ -67,7 +67,18 @@ class RigidMechanismProblem(MechanismProblem):
     def close(self, center: Center, options: ShootingOptions = COARSE) -> BouncingResult:
         """Returns the motion on rigid walls near a box center."""
         soft = super().close(center, options)
-        return self.bounce(read_touches(self.world, soft), soft)
+        return self.bounce(read_touches(self.world, soft, self.lasting), soft)
+
+    @cached_property
+    def lasting(self) -> Floats:
+        """From how long on [s] a touch of a spring is one that lasts on a wall, shape (m,).
+
+        Where nothing is returned, any is: what is let go at once was a bounce. Elsewhere it is
+        twice what a spring takes to turn a speed round.
+        """
+        time_step = self.scenario.duration / self.search_steps
+        returned = self.world.restitutions(self.scenario)
+        return np.where(returned == 0, 0.0, 2 * np.pi * time_step)
 
     def bounce(self, touches: TouchSequence, guess: ShootingResult) -> BouncingResult:
         """Returns a motion with these touches near another, as far as a few steps lead.
@@ -86,7 +97,8 @@ class RigidMechanismProblem(MechanismProblem):
             if dip is None or dip.depth < _DEEP * self.scales.length or is_full:
                 break
             guess = motion
-            touches = tuple(sorted((*motion.touches, dip.touch), key=lambda touch: touch.start))
+            added = dip.as_touch(self.lasting)
+            touches = tuple(sorted((*motion.touches, added), key=lambda touch: touch.start))
         return min(tried, key=self.price)
 
     def polish(self, motion: ShootingResult) -> BouncingResult:
@@ -118,7 +130,7 @@ class RigidMechanismProblem(MechanismProblem):
     ) -> BouncingResult:
         """Returns the motion with these touches near another one."""
         T = float(guess.times[-1])
-        times, phases = lay_out(touches[: num_steps - 1], num_steps, T, self._total(T))
+        times, phases = lay_out(touches, num_steps, T, self._total(T))
         middles = (times[1:] + times[:-1]) / 2
         row = np.clip(np.searchsorted(guess.times, middles) - 1, 0, len(guess.controls) - 1)
         states = sample(self.world, guess, times)
@@ -131,7 +143,11 @@ class RigidMechanismProblem(MechanismProblem):
         As what is unstable goes elsewhere under other steps, states are kept, and gaps closed.
         """
         phases = Phases(
-            motion.contacts, motion.knots, motion.durations, self._total(motion.times[-1])
+            motion.contacts,
+            motion.knots,
+            motion.durations,
+            self._total(motion.times[-1]),
+            motion.held,
         )
         problem = self._pose_phases(motion.times, phases, clearances)
         found: ShootingResult = motion
@@ -179,7 +195,7 @@ def _join(found: ShootingResult, phases: Phases) -> BouncingResult:
     fields = {
         field.name: getattr(found, field.name) for field in dataclasses.fields(ShootingResult)
     }
-    return BouncingResult(**fields, contacts=phases.contacts, knots=phases.knots)
+    return BouncingResult(**fields, contacts=phases.contacts, knots=phases.knots, held=phases.held)
 
 
 def make_mechanism_problem(

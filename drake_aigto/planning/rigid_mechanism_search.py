@@ -23,8 +23,8 @@ _MOST_BRANCHED = 3
 # Touches that are this near, as a part of the duration, are one and the same, and may be swapped.
 _NEAR = 0.05
 
-# Which contacts are touched, and roughly when.
-_Key: TypeAlias = tuple[tuple[int, int], ...]
+# Which contacts are touched, and roughly when and for how long.
+_Key: TypeAlias = tuple[tuple[int, int, int], ...]
 
 
 class RigidMechanismSearch(MechanismSearch):
@@ -85,16 +85,22 @@ class RigidMechanismSearch(MechanismSearch):
         world, times = self.problem.world, motion.times
         distances = world.calc_signed_distance(motion.states[:, : world.num_positions])
         ends = [0, *motion.knots.tolist(), len(times) - 1]
-        for place, (first, last) in enumerate(pairwise(ends)):
+        lasting = self.problem.lasting
+        places = np.cumsum([0, *(motion.contacts >= 0)]).tolist()
+        for place, (first, last) in zip(places, pairwise(ends), strict=True):
             for contact in range(world.num_contacts if last - first > 1 else 0):
                 inside = distances[first + 1 : last, contact]
                 nearest = times[first + 1 + int(np.argmin(inside))]
                 for time in (nearest, (times[first] + times[last]) / 2):
-                    yield place, Touch.bounce(time, contact)
+                    end = time if lasting[contact] else (time + times[last]) / 2
+                    yield place, Touch(float(time), float(end), contact)
 
     def _find_key(self, touches: TouchSequence) -> _Key:
         near = _NEAR * self.problem.scenario.duration
-        return tuple((touch.contact, round(touch.start / near)) for touch in touches)
+        return tuple(
+            (touch.contact, round(touch.start / near), round((touch.end - touch.start) / near))
+            for touch in touches
+        )
 
 
 def _read(motion: Motion) -> BouncingResult:

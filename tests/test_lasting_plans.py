@@ -1,0 +1,37 @@
+"""Plans between rigid walls in which contact lasts."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from drake_aigto import Planner, Scenario
+from drake_aigto.planning import MechanismOptions
+from drake_aigto.planning.mechanism_phases import lay_out
+from drake_aigto.transcription import Touch
+
+
+def test_carts_are_pushed_apart_one_after_the_other() -> None:
+    options = MechanismOptions(renewals=0, confirm=False)
+    plan = Planner(Scenario.named("three_carts/apart"), options).plan()
+    assert plan.holds
+    assert plan.cost < 147.0
+    assert sorted(contact.index for contact in plan.best.contacts) == [0, 1]
+    for contact in plan.best.contacts:
+        assert contact.last_time > contact.time + 0.05
+    forces = plan.trajectory.forces
+    assert forces is not None
+    assert np.all(forces > -1e-6)
+    assert np.max(forces) > 1.0
+
+
+def test_touches_that_last_are_held_until_they_end_or_another_one_begins() -> None:
+    touches = (Touch(0.2, 0.5, 1), Touch.bounce(0.4, 0), Touch(0.6, 0.7, 1), Touch(0.8, 1.0, 0))
+    times, phases = lay_out(touches, 20, 1.0, (1.0, 1.0))
+    np.testing.assert_array_equal(phases.contacts, [1, 0, 1, -1, 0])
+    np.testing.assert_array_equal(phases.held, [-1, 1, -1, 1, -1, 0])
+    np.testing.assert_allclose(times[phases.knots], [0.2, 0.4, 0.6, 0.7, 0.8])
+    assert times[-1] == pytest.approx(1.0)
+    few, short = lay_out(touches, 3, 1.0, (1.0, 1.0))
+    assert len(short.contacts) == 2
+    assert len(few) == 4
