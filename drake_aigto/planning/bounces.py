@@ -14,8 +14,9 @@ from drake_aigto.world import Scenario, World
 
 # A bounce this near to a knot is at it, as a part of the duration; less than replays resolve.
 _AT_KNOT = 2e-10
-# A knot is moved to a bounce that is off by at most this part of a step; else one is added there.
-_NEAR = 1e-2
+# A knot is moved to a bounce that is off by at most this part of the shorter step beside it; else
+# one is added there.
+_NEAR = 0.1
 # Moving knots moves bounces, the square of that. So often at most.
 _MOST_MOVES = 12
 
@@ -46,8 +47,8 @@ def _put_knot(times: Floats, controls: Floats, bounce: float) -> tuple[Floats, F
     off = abs(times[nearest] - bounce)
     if off <= _AT_KNOT * times[-1]:
         return times, controls
-    step = times[at] - times[at - 1]
-    if off < _NEAR * step and 0 < nearest < len(times) - 1:
+    is_inside = 0 < nearest < len(times) - 1
+    if is_inside and off < _NEAR * min(np.diff(times)[nearest - 1 : nearest + 1]):
         times = times.copy()
         times[nearest] = bounce
         return times, controls

@@ -12,6 +12,7 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
+from drake_aigto.errors import TrajectoryError
 from drake_aigto.jit import tell_compilation
 from drake_aigto.planning.branching import scaled
 from drake_aigto.planning.candidate import Candidate
@@ -39,6 +40,8 @@ _ANNEALING = "annealing"
 _MOST_KEPT, _SAME = 8, 1e-3
 # Renewals are drawn from what is kept, and closed, so many at a time.
 _WAVE = 8
+# A cost of this part of the task's scale is none.
+_NOTHING = 1e-12
 # A motion that costs so many times the best finalist is not polished.
 _DEAR = 1.2
 # Every second renewal is of the best motion, the others are of one of so many.
@@ -114,7 +117,7 @@ class MechanismSearch(CandidatePool):
             cost = self.motions[0].cost
             is_better = not cost + _SAME * abs(cost) >= best
             best, idle = (cost, 0) if is_better else (best, idle + _WAVE)
-            if idle >= options.patience:
+            if idle >= options.patience or cost <= _NOTHING * self.problem.scales.cost:
                 break
             self.tell(f"renewal {first} of {options.renewals}; the best costs {cost:.6g}")
             last = min(first + _WAVE, options.renewals)
@@ -190,8 +193,12 @@ class MechanismSearch(CandidatePool):
             self.ended_by_ctrl_c(lambda: [] if self._candidates else [start]),
         ):
             polished = self.problem.polish(start)
-        with self.clock("replay"):
-            candidate = self.problem.judge(origin, start, polished)
+        try:
+            with self.clock("replay"):
+                candidate = self.problem.judge(origin, start, polished)
+        except TrajectoryError as error:
+            _LOG.info("  not a candidate: %s", error)
+            return polished
         self._candidates.append(candidate)
         _LOG.info(
             "  %s: cost %.6g, replayed %.6g",

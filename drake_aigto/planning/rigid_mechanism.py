@@ -9,6 +9,8 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.planning.bounces import add_impulses, replay_at_knots
+from drake_aigto.planning.branching import scaled
+from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.flow import trace
 from drake_aigto.planning.mechanism_boxes import Center
 from drake_aigto.planning.mechanism_options import MechanismOptions
@@ -45,9 +47,17 @@ _MARGIN, _MOST_LIFTS, _SLOW = 1e-4, 6, 1e-2
 # Near a wall that is grazed, speeds change with the square root of distances: a finalist has to
 # meet its walls closely.
 _FINE = ShootingOptions(
-    rungs=(Smoothing(0.0, 60, 1e-7),), substeps=4, multiplier_updates=20, feasibility=1e-7
+    rungs=(Smoothing(0.0, 40, 1e-6),),
+    substeps=4,
+    penalty=1e4,
+    multiplier_updates=8,
+    feasibility=1e-6,
 )
-_EXACT, _MOST_SUBSTEPS = 1e-5, 64
+_EXACT, _MOST_SUBSTEPS = 1e-4, 16
+# A motion whose end other steps move by less than this part of its scales is steady.
+_STEADY = 1.0
+# Who costs so many times as much after the polish was led astray.
+_FAR = 1.05
 _COARSE = ShootingOptions(rungs=(Smoothing(0.0, 40, 1e-3),), multiplier_updates=4)
 
 
@@ -87,11 +97,8 @@ class RigidMechanismProblem(MechanismProblem):
         """
         tried = []
         for _ in range(1 + _MOST_ADDED):
-            motion = self._shoot(touches, guess, self.search_steps, _COARSE)
+            motion = self._told(self._shoot(touches, guess, self.search_steps, _COARSE))
             dip = find_deepest(self.world, motion) if np.isfinite(motion.cost) else None
-            if dip is not None:
-                depth = dip.depth / self.scales.length
-                motion = dataclasses.replace(motion, violation=max(motion.violation, depth))
             tried.append(motion)
             is_full = len(motion.knots) + 1 >= self.search_steps
             if dip is None or dip.depth < _DEEP * self.scales.length or is_full:
@@ -111,15 +118,35 @@ class RigidMechanismProblem(MechanismProblem):
         num_steps, margin = self.scenario.num_steps, _MARGIN * self.scales.length
         grazes = find_grazes(self.world, motion, _SLOW * self.scales.velocity)
         touches = tuple(each for i, each in enumerate(motion.touches) if i not in grazes)
-        found = self._refine(self._shoot(touches, motion, num_steps, _FINE))
-        clearances = np.zeros((num_steps + 1, self.world.num_contacts))
+        is_as_is = not grazes and len(motion.controls) == num_steps
+        first = motion if is_as_is else self._shoot(touches, motion, num_steps, _FINE)
+        found = self._told(self._refine(first))
+        if not is_as_is and self.price(found) > scaled(_FAR, self.price(motion)):
+            # That is another optimum: other steps, or a graze left out, led astray.
+            found = min(found, self._told(self._refine(motion)), key=self.price)
+        clearances = np.zeros((len(found.times), self.world.num_contacts))
         for _ in range(_MOST_LIFTS):
             lacks = find_lacks(self.world, found, margin)
             if not np.isfinite(found.cost) or np.max(lacks) < margin / 2:
                 break
             clearances = clearances + lacks
-            found = self._refine(found, clearances)
+            lifted = self._told(self._refine(found, clearances))
+            if self.price(lifted) > scaled(_FAR, self.price(found)):
+                break
+            found = lifted
         return found
+
+    def _told(self, motion: BouncingResult) -> BouncingResult:
+        """Returns a motion whose violation tells how deep it dips into walls between knots."""
+        dip = find_deepest(self.world, motion) if np.isfinite(motion.cost) else None
+        depth = 0.0 if dip is None else dip.depth / self.scales.length
+        return dataclasses.replace(motion, violation=max(motion.violation, depth))
+
+    def idle_candidate(self) -> Candidate:
+        """Returns what the world does without any control: what its replay says, not springs."""
+        idle = super().idle_candidate()
+        cost, goal_error = idle.replay.cost, idle.replay.goal_error
+        return dataclasses.replace(idle, start_cost=cost, cost=cost, goal_error=goal_error)
 
     def _shoot(
         self,
@@ -130,7 +157,7 @@ class RigidMechanismProblem(MechanismProblem):
     ) -> BouncingResult:
         """Returns the motion with these touches near another one."""
         T = float(guess.times[-1])
-        times, phases = lay_out(touches, num_steps, T, self._total(T))
+        times, phases = lay_out(touches, num_steps, T, self._total)
         middles = (times[1:] + times[:-1]) / 2
         row = np.clip(np.searchsorted(guess.times, middles) - 1, 0, len(guess.controls) - 1)
         states = sample(self.world, guess, times)
@@ -140,22 +167,19 @@ class RigidMechanismProblem(MechanismProblem):
     def _refine(self, motion: BouncingResult, clearances: Floats | None = None) -> BouncingResult:
         """Returns the optimum near a motion with as many substeps as its accuracy takes.
 
-        As what is unstable goes elsewhere under other steps, states are kept, and gaps closed.
+        As what is unstable goes elsewhere under other steps, states are kept, and gaps closed. What
+        is steady is followed from its controls, by steps that never raise the cost.
         """
-        phases = Phases(
-            motion.contacts,
-            motion.knots,
-            motion.durations,
-            self._total(motion.times[-1]),
-            motion.held,
-        )
+        phases = Phases(motion.contacts, motion.knots, motion.durations, self._total, motion.held)
         problem = self._pose_phases(motion.times, phases, clearances)
         found: ShootingResult = motion
+        error = problem.estimate_error(found)
         while True:
             options = dataclasses.replace(_FINE, substeps=found.substeps)
-            found = problem.starting_from(found).solve(found.controls, found.states, options)
-            is_exact = problem.starting_from(found).estimate_error(found) <= _EXACT
-            if is_exact or found.substeps >= _MOST_SUBSTEPS:
+            states = found.states if error > _STEADY else None
+            found = problem.starting_from(found).solve(found.controls, states, options)
+            error = problem.starting_from(found).estimate_error(found)
+            if error <= _EXACT or found.substeps >= _MOST_SUBSTEPS:
                 return _join(found, phases)
             found = dataclasses.replace(found, substeps=2 * found.substeps)
 
@@ -171,8 +195,10 @@ class RigidMechanismProblem(MechanismProblem):
             clearances=clearances,
         )
 
-    def _total(self, duration: float) -> tuple[float, float]:
-        """Returns how long a motion may last, which lasts so long now [s]."""
+    @property
+    def _total(self) -> tuple[float, float]:
+        """The least and the most that a motion may last [s]."""
+        duration = self.scenario.duration
         return self.scenario.duration_range or (duration, duration)
 
     def _simulate(self, found: ShootingResult) -> tuple[Replay, Trajectory, dict[str, float]]:
@@ -187,8 +213,7 @@ class RigidMechanismProblem(MechanismProblem):
 
     def _end_exactly(self, times: Floats) -> Floats:
         """Returns times that end when the scenario says: phases may be off a little."""
-        duration = self.scenario.duration_range or self.scenario.duration
-        return times * (np.clip(times[-1], np.min(duration), np.max(duration)) / times[-1])
+        return times * (np.clip(times[-1], *self._total) / times[-1])
 
 
 def _join(found: ShootingResult, phases: Phases) -> BouncingResult:
