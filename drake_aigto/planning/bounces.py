@@ -13,7 +13,7 @@ from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scenario, World
 
 # A bounce this near to a knot is at it, as a part of the duration; less than replays resolve.
-_AT_KNOT = 2e-10
+_AT_KNOT = 1e-11
 # A knot is moved to a bounce that is off by at most this part of the shorter step beside it; else
 # one is added there.
 _NEAR = 0.1
