@@ -41,7 +41,6 @@ EXTRAS: dict[str, Any] = {
 CONTROLLER = HeldControl(*hold(0.0))
 NO_PLAN: Any = None
 DOORS: dict[str, Callable[[World, Scenario], Any]] = {
-    "Planner": lambda world, task: Planner(task, world=world),
     "plan_literal": lambda world, task: plan_literal(task, world=world),
     "make_literal_problem": make_literal_problem,
     "make_problem": make_problem,
@@ -61,12 +60,9 @@ DOORS: dict[str, Callable[[World, Scenario], Any]] = {
     **{name: partial(_run_baseline, name) for name in BASELINES},
 }
 
-# Soft walls are planned for, see test_mechanism_planner.
-TAKEN = "Planner", "contact"
-ASKED = [(door, field) for door in DOORS for field in EXTRAS if (door, field) != TAKEN]
 
-
-@pytest.mark.parametrize(("door", "field"), ASKED)
+@pytest.mark.parametrize("field", EXTRAS)
+@pytest.mark.parametrize("door", DOORS)
 def test_a_task_that_would_lose_something_is_refused(door: str, field: str) -> None:
     task = make_scenario(**{field: EXTRAS[field]})
     with pytest.raises(ScenarioError, match=rf"^{field}: got .* would ignore it"):
@@ -83,9 +79,9 @@ def test_a_planner_refuses_such_weights_for_its_next_plan_too() -> None:
 
 
 def test_the_command_line_refuses_what_its_planner_would_ignore(capsys: Any) -> None:
-    for words in (["--control-norm", "9"], ["--transcription", "literal", "--control-norm", "9"]):
-        message = "control_norm: got 9.0, expected its default, None. What plans for balls"
-        check_refused(["plan", "table1/1", *words], message, capsys)
+    message = "control_norm: got 9.0, expected its default, None. What plans for balls"
+    words = ["--transcription", "literal", "--control-norm", "9"]
+    check_refused(["plan", "table1/1", *words], message, capsys)
 
 
 def test_the_unit_of_costs_of_such_a_task_is_what_it_costs_to_stay() -> None:
