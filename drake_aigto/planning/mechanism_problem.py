@@ -49,7 +49,11 @@ _NEAR = 0.05
 # What a motion misses of its bounds, in the state's scales, costs this in the task's scale: more
 # than is won by it, and little enough that motions which come near are kept for the polish.
 _PRICE = 10.0
-POLISH = ShootingOptions(rungs=(Smoothing(1e-3, 60, 1e-5), Smoothing(1e-4, 40, 1e-6)), substeps=4)
+# A wall that is smoothed by more than the last one pushes otherwise by as much as hard goals allow.
+POLISH = ShootingOptions(
+    rungs=(Smoothing(1e-3, 60, 1e-5), Smoothing(1e-4, 40, 1e-6), Smoothing(1e-6, 40, 1e-6)),
+    substeps=4,
+)
 
 # What boxes show is closed from walls that push from afar. A renewed motion has met them before.
 COARSE = ShootingOptions.coarse()
