@@ -9,6 +9,7 @@ from typing import TypeAlias
 
 import numpy as np
 
+from drake_aigto.planning.branching import scaled
 from drake_aigto.planning.mechanism_phases import BouncingResult
 from drake_aigto.planning.mechanism_search import Closed, MechanismSearch, Motion, Proposal
 from drake_aigto.planning.origin import ChangeName, Origin
@@ -18,8 +19,10 @@ from drake_aigto.planning.touches import swapped
 from drake_aigto.shooting import ShootingResult
 from drake_aigto.transcription import Touch, TouchSequence
 
-# Neighbors are tried of so many of the best motions.
-_MOST_BRANCHED = 3
+# Neighbors are tried of so many of the best motions, of those that cost at most so many times the
+# best, and of so many after each wave of proposals: near a wall that is hugged there is no end of
+# sequences.
+_MOST_BRANCHED, _PROMISING, _MOST_BRANCHES = 3, 1.5, 6
 # Touches that are this near, as a part of the duration, are one and the same, and may be swapped.
 _NEAR = 0.05
 
@@ -44,14 +47,19 @@ class RigidMechanismSearch(MechanismSearch):
 
     def _close_all(self, proposals: Sequence[Proposal]) -> None:
         super()._close_all(proposals)
-        while (motion := self._find_unbranched()) is not None:
+        for _ in range(_MOST_BRANCHES):
+            motion = self._find_unbranched()
+            if motion is None:
+                return
             self._branched.add(self._find_key(_read(motion).touches))
             self._branch(motion.origin, _read(motion))
 
     def _find_unbranched(self) -> Motion | None:
         """Returns one of the best whose neighbors were not tried yet."""
-        for motion in self.motions[:_MOST_BRANCHED]:
-            if self._find_key(_read(motion).touches) not in self._branched:
+        best = self.motions[:_MOST_BRANCHED]
+        for motion in best:
+            is_promising = motion.cost <= scaled(_PROMISING, best[0].cost)
+            if is_promising and self._find_key(_read(motion).touches) not in self._branched:
                 return motion
         return None
 
