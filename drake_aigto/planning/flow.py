@@ -7,7 +7,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from drake_aigto.arrays import Bools, Floats
+from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.simulation.replay import Replay
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import ContactLaw, RigidLaw, World
@@ -75,24 +75,38 @@ def _find_rates(world: World, law: ContactLaw, x: Floats, controls: Floats) -> R
     if not isinstance(law, RigidLaw):
         return yielding
     resting = _find_resting(world, x)
-    rows = np.flatnonzero(resting.any(axis=1))
+    held_sets = np.unique(resting, axis=0)
 
     def rigid(x: Floats) -> tuple[Floats, Floats]:
         rates, forces = yielding(x)
-        for row in rows:
-            contacts = np.flatnonzero(resting[row])
-            q, v, u = x[row, :n], x[row, n:], controls[row]
-            while len(contacts):
-                rates[row, n:], held = world.calc_supported_acceleration(q, v, u, contacts)
-                if np.all(held >= 0):
-                    forces[row, contacts] = held
-                    break
-                contacts = contacts[held >= 0]
-            else:
-                rates[row, n:] = world.calc_acceleration(q, v, u)
+        for held in held_sets[held_sets.any(axis=1)]:
+            rows = np.flatnonzero((resting == held).all(axis=1))
+            _hold(world, np.flatnonzero(held), x, controls, rows, rates, forces)
         return rates, forces
 
     return rigid
+
+
+def _hold(
+    world: World,
+    contacts: Ints,
+    x: Floats,
+    controls: Floats,
+    rows: Ints,
+    rates: Floats,
+    forces: Floats,
+) -> None:
+    """Lets some of the states rest on contacts, of these on those alone that press."""
+    n = world.num_positions
+    q, v = x[rows, :n], x[rows, n:]
+    supported, pushes = world.calc_supported_acceleration(q, v, controls[rows], contacts)
+    presses = pushes >= 0
+    is_held = presses.all(axis=1)
+    rates[rows[is_held], n:] = supported[is_held]
+    forces[rows[is_held][:, np.newaxis], contacts] = pushes[is_held]
+    for row, pressing in zip(rows[~is_held], presses[~is_held], strict=True):
+        if pressing.any():
+            _hold(world, contacts[pressing], x, controls, np.array([row]), rates, forces)
 
 
 def _find_resting(world: World, x: Floats) -> Bools:
