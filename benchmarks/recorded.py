@@ -36,6 +36,9 @@ RECORDS: Mapping[str, str] = {
     "floors": "python -m benchmarks.floors --count 200 --seed 2026 --workers 2",
     "room_with_block": f"{_WORLDS} room_with_block --count 40 --peer coasting --peer listed"
     " --workers 2",
+    "robots": "python -m benchmarks.robots compare --count 12 --minutes 14 --workers 2",
+    "robots_soft": "python -m benchmarks.robots compare cart_pole/soft_06 cart_pole/soft_10"
+    " --methods plan --workers 2",
     "table1": "python -m benchmarks.table1_figures",
     "rigid": "python -m benchmarks.rigid_figures",
     "planner_speed": f"python -m benchmarks.planner_speed {_SPEED}",
@@ -138,6 +141,8 @@ FIGURES: Mapping[str, Figure] = {
     "floors_rests": Figure("floors", rf"rests and jumps: {_NUMBER},"),
     "floors_median": Figure("floors", rf"median {_NUMBER}, at most"),
     "floors_most": Figure("floors", rf"at most {_NUMBER}$"),
+    "robots_tables": Figure("robots", r"(?s)\A(.*\S)"),
+    "robots_soft_tables": Figure("robots_soft", r"(?s)\A(.*\S)"),
     **_planner_speed("plan", "plan"),
     **_planner_speed("casadi", "CasADi + IPOPT from zero"),
     **_planner_speed("casadi_random", "CasADi + IPOPT from random"),
