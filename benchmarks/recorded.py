@@ -36,7 +36,8 @@ RECORDS: Mapping[str, str] = {
     "floors": "python -m benchmarks.floors --count 200 --seed 2026 --workers 2",
     "room_with_block": f"{_WORLDS} room_with_block --count 40 --peer coasting --peer listed"
     " --workers 2",
-    "robots": "python -m benchmarks.robots compare --count 12 --minutes 14 --workers 2",
+    "robots": "python -m benchmarks.robots compare --count 12 --minutes 10"
+    " --methods plan 'plan, points' shooting listed --workers 2",
     "robots_soft": "python -m benchmarks.robots compare cart_pole/soft_06 cart_pole/soft_10"
     " --methods plan --workers 2",
     "table1": "python -m benchmarks.table1_figures",
