@@ -34,7 +34,6 @@ class Run:
         is_solved: by value.
         is_broken: a success that is infeasible, or lower than the minimum.
         seconds: of the process.
-        substituted: how many variables presolve left out.
     """
 
     problem: str
@@ -42,7 +41,6 @@ class Run:
     is_solved: bool
     is_broken: bool
     seconds: float
-    substituted: int
 
 
 def main() -> None:
@@ -86,7 +84,6 @@ def solve(name: str, seed: int, presolve: bool) -> Run:
         is_solved=is_feasible and above <= TOLERANCE,
         is_broken=result.is_success() and (not is_feasible or above < -10 * TOLERANCE),
         seconds=seconds,
-        substituted=len(details.substituted),
     )
 
 

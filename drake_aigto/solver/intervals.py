@@ -5,23 +5,17 @@ from __future__ import annotations
 import heapq
 import math
 from collections.abc import Callable, Mapping
-from typing import Any, cast
 
 from pydrake.symbolic import Expression, ExpressionKind
 
-from drake_aigto.solver.ranges import Range, cosine_range, product
+from drake_aigto.solver.ranges import Range, cosine_range, power_range, product
+from drake_aigto.terms import operands
 
 # By a variable's id.
 Ranges = Mapping[int, Range]
 
 _ALL = (-math.inf, math.inf)
 _MOST_SPLITS = 500
-
-
-def operands(e: Expression) -> list[Expression]:
-    """Returns the arguments of an operation."""
-    _, found = cast("tuple[Any, list[Any]]", e.Unapply())
-    return [each if isinstance(each, Expression) else Expression(each) for each in found]
 
 
 def interval(e: Expression, ranges: Ranges) -> Range:
@@ -97,10 +91,7 @@ def _raise(base: Range, exponent: Range) -> Range:
     if exponent[0] != exponent[1]:
         return _ALL
     if p == int(p) and p >= 0:
-        ends = _power(low, p), _power(high, p)
-        if p % 2 == 1 or p == 0:
-            return ends
-        return (0.0 if low <= 0.0 <= high else min(ends)), max(ends)
+        return power_range(low, high, int(p))
     if p == int(p):
         return _divide((1.0, 1.0), _raise(base, (-p, -p)))
     if low < 0.0:
@@ -112,7 +103,7 @@ def _power(base: float, exponent: float) -> float:
     try:
         return math.pow(base, exponent)
     except OverflowError:
-        return math.copysign(math.inf, base if exponent % 2 == 1 else 1.0)
+        return math.inf
 
 
 def _exp(y: float) -> float:

@@ -21,9 +21,9 @@ from pydrake.symbolic import Expression, ExpressionKind, Variable
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import UnsupportedTermError
-from drake_aigto.solver.intervals import interval, is_above, operands
+from drake_aigto.solver.intervals import interval, is_above
 from drake_aigto.solver.ranges import Range
-from drake_aigto.terms import evaluator_label, evaluator_name, expression_terms, shown
+from drake_aigto.terms import evaluator_label, evaluator_name, expression_terms, operands, shown
 
 # Roots of a higher order are exponentials of logarithms.
 _HIGHEST_ROOT = 6

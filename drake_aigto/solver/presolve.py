@@ -151,7 +151,9 @@ def substitute(question: Question) -> Reduced:
     pieces, definitions = _Substitution(_split(question), lower, upper).run()
     gone = {definition.variable for definition in definitions}
     kept = np.array([i for i in range(lower.size) if i not in gone], dtype=np.int64)
-    return Reduced(_join(pieces, kept, lower, upper), kept, definitions, lower, upper)
+    reduced = _join(pieces, kept, lower, upper)
+    reduced.row_sizes = question.row_sizes
+    return Reduced(reduced, kept, definitions, lower, upper)
 
 
 def _split(question: Question) -> Iterator[Piece]:

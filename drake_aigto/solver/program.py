@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-from pydrake.solvers import EvaluatorBase, MathematicalProgram
+from pydrake.solvers import MathematicalProgram
 
 from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial
@@ -58,7 +57,6 @@ class AigoProgram:
     Attributes:
         source: the program that was asked, over x.
         lifted: the same with variables of their own for functions that have no mean.
-        row_sizes: what rows of its constraints are divided by.
         reduced: what presolve made of it.
         nlp: f, r and bounds over y, for a local solver.
         costs: f over y.
@@ -68,7 +66,6 @@ class AigoProgram:
 
     source: MathematicalProgram
     lifted: Lifted
-    row_sizes: Mapping[EvaluatorBase, Floats]
     reduced: Reduced
     nlp: PolynomialNlp
     costs: BoxPolynomial
@@ -97,7 +94,7 @@ class AigoProgram:
             if not np.all(np.isfinite(value)):
                 return np.inf
             excess = np.maximum(evaluator.lower_bound() - value, value - evaluator.upper_bound())
-            excess /= self.row_sizes.get(evaluator, 1.0)
+            excess /= self.reduced.question.row_sizes.get(evaluator, 1.0)
             worst = max(worst, float(np.max(excess, initial=0.0)))
         return worst
 
@@ -138,21 +135,14 @@ def read_program(prog: MathematicalProgram, presolve: bool = False) -> AigoProgr
         lifted = lift(prog)
         question = Question.of(lifted.prog)
     reduced = substitute(question) if presolve else keep_all(question)
-    return _Rows(prog, lifted, question.row_sizes, reduced).finish()
+    return _Rows(prog, lifted, reduced).finish()
 
 
 class _Rows:
     """Collects equality rows, their squares, and slacks."""
 
-    def __init__(
-        self,
-        source: MathematicalProgram,
-        lifted: Lifted,
-        row_sizes: Mapping[EvaluatorBase, Floats],
-        reduced: Reduced,
-    ) -> None:
-        self._source, self._lifted = source, lifted
-        self._row_sizes, self._reduced = row_sizes, reduced
+    def __init__(self, source: MathematicalProgram, lifted: Lifted, reduced: Reduced) -> None:
+        self._source, self._lifted, self._reduced = source, lifted, reduced
         self._blocks: list[TermBlock] = []
         self._squares: list[TermBlock] = []
         self._slacks: list[Slack] = []
@@ -197,7 +187,6 @@ class _Rows:
         return AigoProgram(
             source=self._source,
             lifted=self._lifted,
-            row_sizes=self._row_sizes,
             reduced=self._reduced,
             nlp=PolynomialNlp(size, costs, tuple(self._blocks), self._lower, self._upper),
             costs=BoxPolynomial(size, costs),

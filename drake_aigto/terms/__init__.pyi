@@ -8,6 +8,7 @@ from .costs import parse_costs as parse_costs
 from .costs import shared_evaluators as shared_evaluators
 from .costs import term_blocks as term_blocks
 from .expressions import expression_terms as expression_terms
+from .expressions import operands as operands
 from .expressions import shown as shown
 from .products import MAX_TERMS as MAX_TERMS
 from .products import NoClosedFormError as NoClosedFormError

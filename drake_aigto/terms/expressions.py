@@ -81,7 +81,7 @@ def _all_terms(
 ) -> tuple[Term, ...]:
     polynomial, functions, is_sum = Expression(0.0), [], expression.get_kind() == ExpressionKind.Add
     is_whole = expression.is_polynomial() or not is_sum
-    for summand in [expression] if is_whole else _operands(expression):
+    for summand in [expression] if is_whole else operands(expression):
         if summand.is_polynomial():
             polynomial += summand
         else:
@@ -111,10 +111,10 @@ def _polynomial_terms(expression: Expression, index: LocalIndex) -> tuple[Term, 
     return tuple(terms)
 
 
-def _operands(expression: Expression) -> list[Expression]:
+def operands(expression: Expression) -> list[Expression]:
     """Returns arguments of an operation; Drake gives constants back as floats."""
-    _, operands = cast("tuple[Any, list[Any]]", expression.Unapply())
-    return [e if isinstance(e, Expression) else Expression(e) for e in operands]
+    _, parts = cast("tuple[Any, list[Any]]", expression.Unapply())
+    return [e if isinstance(e, Expression) else Expression(e) for e in parts]
 
 
 def _summand_terms(label: str, summand: Expression, index: LocalIndex, is_row: bool) -> Sum:
@@ -181,25 +181,25 @@ def _expand(e: Expression, index: LocalIndex) -> Sum:
         _check_count(_count_monomials(e)[0])
         return from_terms(_polynomial_terms(e, index))
     if kind == ExpressionKind.Add:
-        return add(*(_expand(operand, index) for operand in _operands(e)))
+        return add(*(_expand(operand, index) for operand in operands(e)))
     if kind == ExpressionKind.Mul:
-        return functools.reduce(multiply, (_expand(operand, index) for operand in _operands(e)))
+        return functools.reduce(multiply, (_expand(operand, index) for operand in operands(e)))
     if kind == ExpressionKind.Div:
         return _expand_quotient(e, index)
     if kind == ExpressionKind.Pow:
         return _expand_power(e, index)
     if kind in _WAVES:
-        scales, offset = _affine(e, _operands(e)[0])
+        scales, offset = _affine(e, operands(e)[0])
         return wave_of_sum(_WAVES[kind], [(index[v.get_id()], a) for v, a in scales], offset)
     if kind == ExpressionKind.Log:
-        return _of_one_variable(-1.0, FunctionKind.NEG_LOG, e, _operands(e)[0], index)
+        return _of_one_variable(-1.0, FunctionKind.NEG_LOG, e, operands(e)[0], index)
     if kind == ExpressionKind.Max:
         raise NoClosedFormError(f"{e} is not the square of a max(0, y)")
     raise NoClosedFormError(f"{e} has no closed-form mean")
 
 
 def _expand_quotient(e: Expression, index: LocalIndex) -> Sum:
-    dividend, divisor = _operands(e)
+    dividend, divisor = operands(e)
     if divisor.GetVariables():
         raise NoClosedFormError(f"the divisor {divisor} is not constant")
     number = divisor.Evaluate()
@@ -207,14 +207,14 @@ def _expand_quotient(e: Expression, index: LocalIndex) -> Sum:
 
 
 def _expand_power(e: Expression, index: LocalIndex) -> Sum:
-    base, exponent = _operands(e)
+    base, exponent = operands(e)
     number = math.nan if exponent.GetVariables() else exponent.Evaluate()
     if not (number >= 0.0 and number == int(number)):
         raise NoClosedFormError(f"the exponent of {e} is not a whole number")
     factor, hinge = _split_constant(base)
     if hinge.get_kind() != ExpressionKind.Max or number != 2.0:
         return power(_expand(base, index), int(number))
-    first, second = _operands(hinge)
+    first, second = operands(hinge)
     zero = Expression(0.0)
     if not (first.EqualTo(zero) or second.EqualTo(zero)):
         raise NoClosedFormError(f"{hinge} is not max(0, y)")
@@ -226,11 +226,11 @@ def _expand_power(e: Expression, index: LocalIndex) -> Sum:
 def _split_constant(expression: Expression) -> tuple[float, Expression]:
     """Writes an expression as constant · rest."""
     constant, rest = 1.0, expression
-    if rest.get_kind() == ExpressionKind.Div and not _operands(rest)[1].GetVariables():
-        rest, divisor = _operands(rest)
+    if rest.get_kind() == ExpressionKind.Div and not operands(rest)[1].GetVariables():
+        rest, divisor = operands(rest)
         constant /= divisor.Evaluate()
     if rest.get_kind() == ExpressionKind.Mul:
-        factor, *others = _operands(rest)  # Drake puts the constant first, also when it is 1
+        factor, *others = operands(rest)  # Drake puts the constant first, also when it is 1
         constant *= factor.Evaluate()
         rest = functools.reduce(operator.mul, others)
     return constant, rest
@@ -270,13 +270,13 @@ def _count_monomials(e: Expression | float) -> tuple[int, int]:
     kind = e.get_kind()
     if kind in (ExpressionKind.Constant, ExpressionKind.Var):
         return 1, int(kind == ExpressionKind.Var)
-    _, operands = cast("tuple[Any, list[Any]]", e.Unapply())
+    _, parts = cast("tuple[Any, list[Any]]", e.Unapply())
     if kind == ExpressionKind.Pow:
-        count, degree = _count_monomials(operands[0])
-        exponent = int(_operands(e)[1].Evaluate())
+        count, degree = _count_monomials(parts[0])
+        exponent = int(operands(e)[1].Evaluate())
         count, degree = math.comb(count + exponent - 1, exponent), degree * exponent
     else:
-        counts, degrees = zip(*map(_count_monomials, operands), strict=True)
+        counts, degrees = zip(*map(_count_monomials, parts), strict=True)
         if kind == ExpressionKind.Add:
             count, degree = sum(counts), max(degrees)
         else:  # Mul, or Div by a constant
