@@ -9,6 +9,7 @@ from drake_aigto.shooting.mechanism import (
     MechanicsMemory,
     accelerate,
     divide_by_mass,
+    find_rows,
     triangle,
 )
 
@@ -35,9 +36,7 @@ def hold(
     is computed, too, shape (2n + nu,). Room is `support`, shape (1 + n, n).
     """
     n, m = acceleration.shape[1], num_contacts
-    half = n * (n + 1) // 2
-    row = half + n + m + contact * n
-    bends = half + n + m + m * n + half * n + 2 * n * n + contact * half
+    row, bends = find_rows(n, m, contact)
     for j in range(n):
         support[0, j] = sums[row + j]
     divide_by_mass(n, factor, support[:1])
@@ -83,11 +82,10 @@ def _differentiate(
 ) -> None:
     """Computes the derivatives of λ, and adds those of M⁻¹ Jᵀ λ to the acceleration's."""
     n = acceleration.shape[1]
-    half = n * (n + 1) // 2
-    row, mass = half + n + m + contact * n, half + n + m + m * n
-    bends = mass + half * n + 2 * n * n
-    turns = bends + m * half + contact * n
-    bends += contact * half
+    row, bends = find_rows(n, m, contact)
+    # Behind those of all contacts.
+    mass, turns = find_rows(n, m, m)
+    turns += contact * n
     # The derivative of M⁻¹ Jᵀ by q, transposed, below M⁻¹ Jᵀ itself.
     for c in range(n):
         at = mass + c

@@ -348,13 +348,18 @@ def triangle(n: int, i: int, j: int) -> int:
 
 
 @inner
+def find_rows(n: int, m: int, i: int) -> tuple[int, int]:
+    """Returns where J_i, and the second derivatives of φ_i, begin in the sums of all slopes."""
+    half = n * (n + 1) // 2
+    return half + n + m + i * n, half + n + m + m * n + half * n + 2 * n * n + i * half
+
+
+@inner
 def _differentiate_force(
     n: int, m: int, i: int, x: Floats, sums: Floats, force: Floats, slopes: Floats
 ) -> None:
     """Adds ∂(J_iᵀ f_i)/∂(q, v), transposed."""
-    half = n * (n + 1) // 2
-    row = half + n + m + i * n
-    bends = half + n + m + m * n + half * n + 2 * n * n + i * half
+    row, bends = find_rows(n, m, i)
     for c in range(n):
         rate = 0.0
         for j in range(n):
