@@ -71,7 +71,7 @@ class Page:
             raise RuntimeError(f"{method}: {answer['error']}")
         return answer["result"]
 
-    def open(self, path: Path, width: int = 1000, height: int = 700, scale: float = 1.0) -> None:
+    def open(self, path: Path, width: int = 480, height: int = 360, scale: float = 1.0) -> None:
         """Shows a file in a window of this size, and waits until it is loaded."""
         self.call(
             "Emulation.setDeviceMetricsOverride",

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pydrake.symbolic as sym
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.solvers import ExpressionCost, MathematicalProgram
 from pydrake.symbolic import Expression, Variable
@@ -159,6 +159,7 @@ def test_a_constraint_or_halved_ranges_may_show_that_a_function_has_a_value() ->
     assert AigoSolver().Solve(prog).get_optimal_cost() == pytest.approx(0.2, abs=1e-6)
 
 
+@settings(max_examples=50)
 @given(
     st.sampled_from(sorted(FORMULAS)),
     st.tuples(st.floats(0, 1), st.floats(0, 1)),
