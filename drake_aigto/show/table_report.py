@@ -14,7 +14,8 @@ from drake_aigto.show.figures import plot_motions
 from drake_aigto.show.motion import PLAN_LABEL, SIMULATION_LABELS, Motion
 from drake_aigto.show.page import Page
 from drake_aigto.show.playback import open_meshcat, publish
-from drake_aigto.show.report import PROBLEM, describe_versions
+from drake_aigto.show.question import PROBLEM
+from drake_aigto.show.report import describe_versions
 from drake_aigto.show.tables import entries_of, format_table1
 from drake_aigto.show.text import cost_text, length_text, run_texts, task_items
 from drake_aigto.world import Scenario, World
