@@ -73,6 +73,19 @@ def test_a_thrown_ball_bounces_six_times(throw: Plan) -> None:
     check_impacts(throw)
 
 
+def test_no_motion_that_misses_much_of_a_hard_goal_is_taken_for_a_cheap_one() -> None:
+    """By continuation from the shipped throw, six bounces cost 9.313."""
+    scenario = dataclasses.replace(
+        Scenario.named("throwing_ball/bounces"),
+        initial_position=[0.0, 0.51338337],
+        goal_position=[3.86148829, 0.51338337],
+        restitution=0.8594073825461525,
+    )
+    plan = Planner(scenario, dataclasses.replace(QUICK, confirm=False)).plan()
+    assert plan.holds
+    assert plan.cost < 9.33
+
+
 def test_who_needs_no_wall_touches_none(pendulum: Planner) -> None:
     free = pendulum.plan(initial_velocity=[0.0], duration=0.3)
     assert free.holds

@@ -46,9 +46,9 @@ _HOPELESS = 0.05
 _NEXT_DURATION = 1.1
 # Motions whose positions are nowhere farther apart than this part of their scales have one optimum.
 _NEAR = 0.05
-# What a motion misses of its bounds, in the state's scales, costs this in the task's scale: more
-# than is won by it, and little enough that motions which come near are kept for the polish.
-_PRICE = 10.0
+# What a motion misses of its bounds, in the state's scales, costs this in the task's scale. That may
+# be less than is won by it: what misses more than so much comes after all that does not.
+_PRICE, _MUCH = 10.0, 1e-2
 # A wall that is smoothed by more than the last one pushes otherwise by as much as hard goals allow.
 POLISH = ShootingOptions(
     rungs=(Smoothing(1e-3, 60, 1e-5), Smoothing(1e-4, 40, 1e-6), Smoothing(1e-6, 40, 1e-6)),
@@ -265,6 +265,10 @@ class MechanismProblem:
         """Returns J of a motion, and a price for what it misses of bounds and a hard goal."""
         missed = max(0.0, motion.violation - POLISH.feasibility)
         return motion.cost + _PRICE * self.scales.cost * missed
+
+    def rank(self, motion: ShootingResult) -> tuple[bool, float]:
+        """Orders motions by whether they miss much, and by their price."""
+        return motion.violation > _MUCH, self.price(motion)
 
     def are_near(self, one: ShootingResult, other: ShootingResult) -> bool:
         """Returns whether two motions are so near each other that one polish does for both."""

@@ -55,12 +55,17 @@ class Motion:
     Attributes:
         origin: where it came from.
         result: of shooting.
-        cost: J of it, and a price for what it misses of bounds and a hard goal.
+        rank: whether it misses much of bounds and a hard goal; J, and a price for what it misses.
     """
 
     origin: Origin
     result: ShootingResult
-    cost: float
+    rank: tuple[bool, float]
+
+    @property
+    def cost(self) -> float:
+        """J of it, and a price for what it misses of bounds and a hard goal."""
+        return self.rank[1]
 
 
 class MechanismSearch(CandidatePool):
@@ -155,14 +160,14 @@ class MechanismSearch(CandidatePool):
             rest = pool.map(lambda proposal: proposal.close(), proposals[len(first) :])
             for proposal, (steps, result) in zip(proposals, chain(first, rest), strict=True):
                 self.aigo_steps += steps
-                self._keep(Motion(proposal.origin, result, self.problem.price(result)))
+                self._keep(Motion(proposal.origin, result, self.problem.rank(result)))
 
     def _keep(self, motion: Motion) -> None:
         """Keeps a motion if it is among the best, and no better one is near."""
         near = [known for known in self.motions if self._are_same(known, motion)]
-        if np.isfinite(motion.cost) and all(motion.cost < known.cost for known in near):
+        if np.isfinite(motion.cost) and all(motion.rank < known.rank for known in near):
             others = [known for known in self.motions if known not in near]
-            self.motions = sorted([*others, motion], key=lambda each: each.cost)[:_MOST_KEPT]
+            self.motions = sorted([*others, motion], key=lambda each: each.rank)[:_MOST_KEPT]
 
     def _are_same(self, one: Motion, other: Motion) -> bool:
         """Returns whether two motions lead to one optimum, by cost or by path."""

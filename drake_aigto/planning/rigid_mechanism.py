@@ -106,7 +106,7 @@ class RigidMechanismProblem(MechanismProblem):
             guess = motion
             added = dip.as_touch(self.lasting)
             touches = tuple(sorted((*motion.touches, added), key=lambda touch: touch.start))
-        return min(tried, key=self.price)
+        return min(tried, key=self.rank)
 
     def polish(self, motion: ShootingResult) -> BouncingResult:
         """Returns the local optimum near a motion in phases, in the scenario's time steps.
@@ -123,7 +123,7 @@ class RigidMechanismProblem(MechanismProblem):
         found = self._told(self._refine(first))
         if not is_as_is and self.price(found) > scaled(_FAR, self.price(motion)):
             # That is another optimum: other steps, or a graze left out, led astray.
-            found = min(found, self._told(self._refine(motion)), key=self.price)
+            found = min(found, self._told(self._refine(motion)), key=self.rank)
         clearances = np.zeros((len(found.times), self.world.num_contacts))
         for _ in range(_MOST_LIFTS):
             lacks = find_lacks(self.world, found, margin)
