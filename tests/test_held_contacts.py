@@ -27,8 +27,10 @@ from drake_aigto.shooting.mechanism import (
     copy_writable,
     make_mechanics_memory,
 )
-from drake_aigto.simulation import replay_event_driven
-from drake_aigto.world import RigidLaw, TaskCost
+from drake_aigto.simulation import confirms, replay_drake, replay_event_driven
+from drake_aigto.simulation.material import set_stiffness
+from drake_aigto.world import RigidLaw, Scales, TaskCost
+from drake_aigto.world.material import STIFFNESS, read_material
 
 
 @kernel
@@ -130,6 +132,34 @@ def test_carts_push_each_other_apart_and_a_simulation_agrees() -> None:
     beyond = np.setdiff1d(np.arange(9, N + 1), 30)  # Off impacts.
     states = np.hstack(replay.states_at(result.times[beyond]))
     np.testing.assert_allclose(states, result.states[beyond], atol=0.01)
+
+
+def test_drake_confirms_carts_that_push_each_other_and_refuses_what_they_do_not() -> None:
+    result, world = push_apart(), carts()
+    replay = replay_drake(world, CARTS, result.times, result.controls)
+    rigid = replay_event_driven(world, CARTS, result.times, result.controls)
+    assert replay.cost == pytest.approx(rigid.cost, rel=1e-3)
+    scales = Scales.of(world, CARTS)
+    assert confirms(result.cost, replay, scales, rigid.goal_error)
+    assert not confirms(0.9 * result.cost, replay, scales)
+    weaker = replay_drake(world, CARTS, result.times, 0.9 * result.controls)
+    assert not confirms(result.cost, weaker, scales, rigid.goal_error)
+
+
+def test_what_lasts_yields_more_and_other_contacts_as_before() -> None:
+    world, root = carts(), carts().create_context()
+
+    def read(contact: int) -> float:
+        k = [
+            read_material(world.scene_graph, root, shape).GetProperty(*STIFFNESS)
+            for shape in world.shapes[contact]
+        ]
+        return k[0] * k[1] / (k[0] + k[1])
+
+    for factor in (0.01, 1.0):
+        set_stiffness(world, root, 1, factor)
+        assert read(1) == pytest.approx(factor * world.stiffness[1])
+        assert read(0) == pytest.approx(world.stiffness[0])
 
 
 def test_what_is_held_stays_at_the_wall_and_pushes() -> None:

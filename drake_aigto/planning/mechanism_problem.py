@@ -46,8 +46,8 @@ _HOPELESS = 0.05
 _NEXT_DURATION = 1.1
 # Motions whose positions are nowhere farther apart than this part of their scales have one optimum.
 _NEAR = 0.05
-# What a motion misses of its bounds, in the state's scales, costs this in the task's scale. That may
-# be less than is won by it: what misses more than so much comes after all that does not.
+# What a motion misses of its bounds, in the state's scales, costs this in the task's scale. More
+# may be won by it: what misses more than so much comes after all that does not.
 _PRICE, _MUCH = 10.0, 1e-2
 # A wall that is smoothed by more than the last one pushes otherwise by as much as hard goals allow.
 POLISH = ShootingOptions(

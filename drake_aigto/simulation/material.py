@@ -12,7 +12,13 @@ from pydrake.systems.framework import Context
 from drake_aigto.arrays import Floats
 from drake_aigto.simulation.contact_motion import ContactMotion
 from drake_aigto.world import World
-from drake_aigto.world.material import DISSIPATION, find_anywhere, read_stiffness, set_material
+from drake_aigto.world.material import (
+    DISSIPATION,
+    STIFFNESS,
+    find_anywhere,
+    read_stiffness,
+    set_material,
+)
 
 # No finite dissipation takes all of the speed; below this restitution it is this.
 LEAST_RESTITUTION = 1e-3
@@ -87,6 +93,22 @@ def set_dissipation(world: World, root: Context, contact: int, dissipation: floa
     source = world.plant.get_source_id()
     for shape, value in zip(shapes, values, strict=True):
         set_material(world.scene_graph, source, root, shape, DISSIPATION, value)
+
+
+def set_stiffness(world: World, root: Context, contact: int, factor: float) -> None:
+    """Gives a contact this part, at most 1, of its own stiffness, in this context only.
+
+    Where one shape belongs to other contacts too, the other one yields for both, so that no other
+    contact is another. Where both do, nothing is changed.
+    """
+    shapes = [shape for shape in world.shapes[contact] if _is_alone(world, shape)]
+    whole = world.stiffness[contact]
+    source = world.plant.get_source_id()
+    for shape in shapes:
+        k = read_stiffness(world.scene_graph, shape)
+        # 1/k of all is (Σ 1/k_i): what is added to it falls to those that may yield.
+        value = 1 / (1 / k + (1 / factor - 1) / whole / len(shapes))
+        set_material(world.scene_graph, source, root, shape, STIFFNESS, value)
 
 
 def _is_alone(world: World, shape: GeometryId) -> bool:

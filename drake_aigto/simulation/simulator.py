@@ -16,6 +16,7 @@ from drake_aigto.simulation.material import (
     calc_dissipation,
     contact_delays,
     set_dissipation,
+    set_stiffness,
 )
 
 if TYPE_CHECKING:
@@ -52,6 +53,10 @@ _COARSE_STEP = 10.0
 # largest position, or of 1 m, takes it for touched. What leaves a wall goes on in fine steps until
 # it is farther, unless that takes so many durations of a contact.
 _BLURRED, _LINGERS = 1e-7, 30.0
+# Contacts that last have this part of their stiffness: forces of newtons press bodies together by
+# nanometers, a blur to that Jacobian, with which steps are microseconds. So they do by no more than
+# 1e-7 m a newton, where walls have 1e9 N/m; impacts of 1 m/s and 1 kg do by 3e-5 m.
+_HELD_STIFFNESS = 1e-2
 # Dissipation is matched to no speed below this part of the fastest approach so far: it grows as
 # speeds fall, and with it the number of steps that bodies take which are pressed together.
 _SLOWEST_MATCH = 5e-2
@@ -67,7 +72,8 @@ def make_simulator(world: World, scenario: Scenario) -> Simulator:
     alone: the plant and its scene graph stay as they are. If the scenario's contact is compliant,
     walls are as the model has them, and an explicit rule of fifth order integrates.
 
-    Walls are as stiff as the model has them, so that a bounce is late by π √(m / k). The
+    Walls are as stiff as the model has them, so that a bounce is late by π √(m / k), but for
+    contacts that last: of these a hundredth is left until they end, in the context alone, too. The
     integrator is Radau's of third order, in steps so fine about contacts that none is missed. What
     else is in the diagram runs as it is: controllers, loggers, visualizers.
 
@@ -116,11 +122,11 @@ def start_simulator(
         world.remove_friction(root)
     context = world.plant.GetMyMutableContextFromRoot(root)
     world.plant.SetPositionsAndVelocities(context, np.concatenate(state))
-    root.SetTime(time)
     simulator = Simulator(world.diagram, root)
     accuracy = _ACCURACY if world.has_constant_inertia else _FINE_ACCURACY
     stiff = SimulatorConfig(integration_scheme="radau3", accuracy=accuracy, use_error_control=True)
     ApplySimulatorConfig(config or stiff, simulator)
+    root.SetTime(time)
     return simulator
 
 
@@ -250,6 +256,10 @@ class _Matching:
             self.speeds.append(speed)
         set_dissipation(self._world, root, near.contact, dissipation)
 
+    def soften(self, root: Context, contact: int, factor: float) -> None:
+        """Sets the stiffness of a contact to this part of the model's."""
+        set_stiffness(self._world, root, contact, factor)
+
 
 class _SolidPace:
     """What one solid asks for."""
@@ -263,6 +273,7 @@ class _SolidPace:
         self._touched = start  # no contact that is still going on began before this [s]
         self._is_slow = False
         self._is_matched = False
+        self._held: int | None = None  # the contact that lasts
         self._fastest = 0.0  # approach so far [m/s]
 
     def plan(
@@ -279,6 +290,9 @@ class _SolidPace:
         """
         time, delay = root.get_time(), min(delays[i] for i in self._faces)
         self._fastest = max(self._fastest, -near.rate)
+        if near.distance > 0 and self._held is not None:
+            self._matching.soften(root, self._held, 1.0)
+            self._held = None
         if 0 < near.distance < blurred:
             leaving = calc_time_to_wall(blurred - near.distance, -near.rate, -push)
             if leaving < _LINGERS * delay:
@@ -295,7 +309,11 @@ class _SolidPace:
             slowest = _SLOWEST_MATCH * self._fastest
             self._matching.match(root, near, push, slowest, delays[near.contact])
             self._is_matched = True
-        if self._is_slow or time - self._touched > SETTLED * delay:
+        is_settled = time - self._touched > SETTLED * delay
+        if is_settled and self._held is None:
+            self._held = near.contact
+            self._matching.soften(root, near.contact, _HELD_STIFFNESS)
+        if self._is_slow or is_settled:
             return 2 * _COARSE_STEP * delay, _COARSE_STEP * delay
         return delay, _FINE_STEP * delay
 
