@@ -1,4 +1,6 @@
+from .control import TrackingController as TrackingController
 from .errors import AigtoError as AigtoError
+from .errors import ControlError as ControlError
 from .errors import ModelError as ModelError
 from .errors import OptionsError as OptionsError
 from .errors import OutputFileError as OutputFileError

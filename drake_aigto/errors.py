@@ -70,6 +70,10 @@ class TrajectoryError(AigtoError, ValueError):
     """A trajectory, or a control to replay, whose numbers do not fit together."""
 
 
+class ControlError(AigtoError, ValueError):
+    """A controller whose ports, period or plant do not fit."""
+
+
 class DamagedDataError(AigtoError, ValueError):
     """Plain values that are not what they should be; says which."""
 

@@ -31,7 +31,7 @@ from benchmarks.robustness.results import (
 )
 from benchmarks.robustness.study import plan_without_contact, run_robustness, run_task
 from drake_aigto import OptionsError, PlanningError, Scenario
-from drake_aigto.control import TrackingController, track_event_driven
+from drake_aigto.control import FlightFeedback, track_event_driven
 from drake_aigto.errors import ResultsFileError
 from drake_aigto.optima import rigid_optimum
 from drake_aigto.plain import from_plain, to_plain
@@ -96,7 +96,7 @@ def test_outcomes_are_replays_of_the_perturbed_truth() -> None:
     world, scenario = shipped_world(), result.scenario
     gradient = next(plan for plan in result.plans if plan.method == GRADIENT)
     plan = plan_without_contact(world, scenario)
-    controller = TrackingController(world, scenario, plan)
+    controller = FlightFeedback(world, scenario, plan)
     perturbations = SMALL.perturbations(scenario)
     assert result.kinds == tuple(perturbation.kind for perturbation in perturbations)
     for i in (0, 5, 7, len(perturbations) - 1):

@@ -15,7 +15,7 @@ from several_walls import make_task, shipped
 
 from drake_aigto import Planner, PlanOptions, Scenario, ScenarioError, World
 from drake_aigto.baselines import BASELINES, run_baseline
-from drake_aigto.control import TrackingController, track_drake, track_event_driven
+from drake_aigto.control import FlightFeedback, track_drake, track_event_driven
 from drake_aigto.optima import block_optimum, masses_optimum, rigid_optimum, walls_optimum
 from drake_aigto.optima.rigid_optimum import bounce_costs
 from drake_aigto.paper import SingleShooting, make_literal_problem, plan_literal
@@ -56,7 +56,7 @@ DOORS: dict[str, Callable[[World, Scenario], Any]] = {
     "block_optimum": block_optimum,
     "track_event_driven": lambda world, task: track_event_driven(world, task, CONTROLLER),
     "track_drake": lambda world, task: track_drake(world, task, CONTROLLER),
-    "TrackingController": lambda world, task: TrackingController(world, task, NO_PLAN),
+    "FlightFeedback": lambda world, task: FlightFeedback(world, task, NO_PLAN),
     **{name: partial(_run_baseline, name) for name in BASELINES},
 }
 

@@ -1,385 +1,179 @@
-"""Feedback between bounces: gains, flights beyond their ends, bounces that come early or late."""
+"""Plans that are tracked in Diagrams: whose bounces count, what feedback wins, what is refused."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
 from functools import cache
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
-from phase_solutions import optimise
-from replay_worlds import make_diagram, make_scenario, shipped_world
-from scipy.integrate import solve_ivp
-from several_walls import make_task, shipped
+from mechanism_tasks import drop_ball
+from pydrake.multibody.parsing import Parser
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import LogVectorOutput, TrajectorySource
+from pydrake.trajectories import PiecewisePolynomial
 
-from drake_aigto import Scenario, TrajectoryError, World
-from drake_aigto.control import TrackingController, track_drake, track_event_driven
-from drake_aigto.optima import rigid_optimum
-from drake_aigto.simulation import replay_drake, replay_event_driven
-from drake_aigto.simulation.controller import Controller, Held, HeldControl
+from drake_aigto import (
+    ControlError,
+    MechanismOptions,
+    ModelError,
+    Plan,
+    Planner,
+    Scenario,
+    TrackingController,
+    TrajectoryError,
+    World,
+)
+from drake_aigto.control import KnotFeedback
+from drake_aigto.planning import MechanismProblem
+from drake_aigto.simulation import make_simulator, replay_drake
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import Touch
+from drake_aigto.world import package_map
+from drake_aigto.world.files import find_model
 
-# Of costs: the control after a bounce comes up to 4e-7 of the duration late.
-REPRODUCED = 1e-5
-# Of gains, relative to the largest, through Drake's integration and interpolation.
-GAIN = 5e-6
-# A row of Table I, and a wall that returns less.
-BOUNCES = [(1, 1.0), (2, 0.8), (4, 0.5)]
+QUICK = MechanismOptions(renewals=8, finalists=1, confirm=False)
 
 
 @cache
-def make_bounce(row: int, e: float) -> tuple[Scenario, Trajectory]:
-    """Returns a row of Table I, and its best bounce."""
-    scenario = dataclasses.replace(Scenario.named(f"table1/{row}"), restitution=e)
-    (time,) = rigid_optimum(shipped_world(), scenario).bounce_times
-    return scenario, optimise(shipped_world(), scenario, Touch.bounce(time)).trajectory
+def make_plan(name: str) -> Plan:
+    scenario = Scenario.named(name)
+    return Planner(scenario, QUICK if name.startswith("cart") else None).plan()
 
 
-@cache
-def make_controller(row: int, e: float) -> TrackingController:
-    return TrackingController(shipped_world(), *make_bounce(row, e))
+def track(plan: Plan, off: Any, feels: bool, **options: Any) -> tuple[Any, tuple[int, ...]]:
+    """Returns where a plant ends that starts off its plan, and the bounces that were counted."""
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
+    parser = Parser(plant)
+    parser.package_map().AddMap(package_map())
+    parser.AddModels(find_model(plan.scenario.model))
+    plant.Finalize()
+    controller = builder.AddSystem(TrackingController(plan, **options))
+    builder.Connect(plant.get_state_output_port(), controller.GetInputPort("estimated_state"))
+    builder.Connect(controller.GetOutputPort("control"), plant.get_actuation_input_port())
+    if feels:
+        contacts = controller.GetInputPort("contact_results")
+        builder.Connect(plant.get_contact_results_output_port(), contacts)
+    world = World.from_diagram(builder.Build())
+    simulator = make_simulator(world, move(plan.scenario, off))
+    simulator.AdvanceTo(plan.scenario.duration)
+    root = simulator.get_context()
+    x = plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(root))
+    return x, controller.count_bounces(controller.GetMyContextFromRoot(root))
 
 
-@cache
-def make_flight() -> tuple[Scenario, Trajectory]:
-    """Returns a row of Table I, and the plan that brakes and turns."""
-    scenario = Scenario.named("table1/1")
-    return scenario, optimise(shipped_world(), scenario).trajectory
+def move(scenario: Scenario, off: Any) -> Scenario:
+    return dataclasses.replace(scenario, initial_position=scenario.initial_position + off)
 
 
-def moved(scenario: Scenario, position: float = 0.0, velocity: float = 0.0) -> Scenario:
-    return dataclasses.replace(
-        scenario,
-        initial_position=scenario.initial_position + position,
-        initial_velocity=scenario.initial_velocity + velocity,
+@pytest.mark.parametrize("feels", [False, True])
+@pytest.mark.parametrize("off", [0.0, 0.03, -0.03])
+def test_a_ball_is_brought_to_its_goal_off_the_wall(off: float, feels: bool) -> None:
+    plan = make_plan("table1/1")
+    x, bounces = track(plan, off, feels)
+    open_loop = replay_drake(
+        plan.find_world(), move(plan.scenario, off), plan.trajectory.times, plan.trajectory.controls
     )
+    planned = plan.trajectory.positions[-1, 0]
+    assert bounces == (1,)
+    assert abs(x[0] - planned) < max(0.05 * abs(open_loop.positions[-1, 0] - planned), 2e-4)
 
 
-def end_of(scenario: Scenario, controller: TrackingController) -> Any:
-    replay = track_event_driven(shipped_world(), scenario, controller).replay
-    return np.array([replay.positions[-1, 0], replay.velocities[-1, 0]])
+@pytest.mark.parametrize("feels", [False, True])
+def test_bounces_are_counted_at_any_period(feels: bool) -> None:
+    plan = make_plan("table1/1")
+    for period in (0.0007, 0.03):
+        x, bounces = track(plan, 0.0, feels, period=period)
+        assert bounces == (1,)
+        assert x[0] == pytest.approx(plan.trajectory.positions[-1, 0], abs=5e-3)
 
 
-# Without a perturbation.
+def test_a_pole_that_starts_elsewhere_stands_up_off_a_soft_wall() -> None:
+    plan = make_plan("cart_pole/soft_06")
+    assert plan.best.contacts
+    off = np.array([0.02, -0.05])
+    control = plan.trajectory.times, plan.trajectory.controls
+    open_loop = replay_drake(plan.find_world(), move(plan.scenario, off), *control)
+    x, _ = track(plan, off, feels=False)
+    goal = plan.trajectory.positions[-1]
+    missed = np.abs(open_loop.positions[-1] - goal)
+    assert np.all(np.abs(x[:2] - goal) < 0.3 * missed)
 
 
-@pytest.mark.parametrize(("row", "e"), BOUNCES)
-def test_an_unperturbed_plan_is_reproduced(row: int, e: float) -> None:
-    (scenario, plan), controller = make_bounce(row, e), make_controller(row, e)
-    open_loop = replay_event_driven(shipped_world(), scenario, plan.times, plan.controls)
-    tracked = track_event_driven(shipped_world(), scenario, controller)
-    assert tracked.replay.cost == pytest.approx(open_loop.cost, rel=REPRODUCED)
-    assert tracked.replay.bounce_times == pytest.approx(open_loop.bounce_times, abs=1e-10)
-    # Drake's walls are late by 0.1 ms, with feedback as without.
-    open_loop = replay_drake(shipped_world(), scenario, plan.times, plan.controls)
-    compliant = track_drake(shipped_world(), scenario, controller)
-    assert compliant.replay.cost == pytest.approx(open_loop.cost, rel=5e-3)
-    assert compliant.replay.bounce_times == pytest.approx(open_loop.bounce_times, abs=1e-6)
+def solve_riccati(h: float, steps: int, mass: float, weights: dict[str, Any]) -> Any:
+    """Returns the gains of held forces on a mass, by exact integrals and the discrete equation."""
+    nodes, shares = np.polynomial.legendre.leggauss(4)
+    stage = np.zeros((3, 3))
+    for t, share in zip(h / 2 * (1 + nodes), h / 2 * shares, strict=True):
+        rows = np.array([[1, t, t**2 / 2 / mass], [0, 1, t / mass], [0, 0, 1]])
+        effort = [weights["position_weight"], weights["velocity_weight"], weights["control_weight"]]
+        stage += share * rows.T @ np.diag(effort) @ rows
+    F = np.array([[1, h, h**2 / 2 / mass], [0, 1, h / mass]])
+    V = np.diag([weights["goal_weight"], weights["goal_velocity_weight"]])
+    gains = []
+    for _ in range(steps):
+        H = stage + F.T @ V @ F
+        gains.append(-H[2:, :2] / H[2, 2])
+        V = H[:2, :2] + H[:2, 2:] @ gains[-1]
+    return np.array(gains[::-1])
 
 
-def test_a_plan_between_walls_is_reproduced() -> None:
-    world, scenario = shipped("corridor"), Scenario.named("corridor/lossy")
-    touches = [Touch.bounce(t, c) for t, c in [(0.17, 1), (0.63, 0), (1.31, 1)]]
-    plan = optimise(world, scenario, *touches).trajectory
-    controller = TrackingController(world, scenario, plan)
-    assert [bounce.contact for bounce in controller.bounces] == [1, 0, 1]
-    tracked = track_event_driven(world, scenario, controller)
-    assert tracked.replay.bounce_contacts == (1, 0, 1)
-    open_loop = replay_event_driven(world, scenario, plan.times, plan.controls)
-    assert tracked.replay.cost == pytest.approx(open_loop.cost, rel=REPRODUCED)
-    start = dataclasses.replace(scenario, initial_velocity=1.01 * scenario.initial_velocity)
-    open_loop = replay_event_driven(world, start, plan.times, plan.controls)
-    tracked = track_event_driven(world, start, controller)
-    assert tracked.replay.bounce_contacts == (1, 0, 1)
-    assert tracked.replay.goal_error < 0.2 * open_loop.goal_error
-
-
-def test_a_plan_on_a_spring_is_reproduced() -> None:
-    world = World.from_diagram(make_diagram(spring=30.0, reference=0.4))
-    scenario = make_scenario(0.6, -1.5, restitution=0.8)
-    plan = optimise(world, scenario, Touch.bounce(0.4)).trajectory
-    controller = TrackingController(world, scenario, plan)
-    open_loop = replay_event_driven(world, scenario, plan.times, plan.controls)
-    tracked = track_event_driven(world, scenario, controller)
-    # The midpoint rule plans what the replay does but for its error, which feedback takes out.
-    assert tracked.replay.cost == pytest.approx(open_loop.cost, rel=1e-3)
-    start = moved(scenario, 0.01, -0.02)
-    open_loop = replay_event_driven(world, start, plan.times, plan.controls)
-    assert track_event_driven(world, start, controller).replay.cost < open_loop.cost
-
-
-# Gains.
-
-
-def solve_riccati(scenario: Scenario, mass: float, start: float, end: float, final: Any) -> Any:
-    """Returns K(t) and S(start) of the double integrator, by SciPy."""
-    A, B = np.array([[0.0, 1.0], [0.0, 0.0]]), np.array([[0.0], [1 / mass]])
-
-    def rates(_: float, s: Any) -> Any:
-        S = s.reshape(2, 2)
-        return -(S @ A + A.T @ S - S @ B @ B.T @ S / scenario.control_weight).ravel()
-
-    span = (end, start)
-    found = solve_ivp(rates, span, final.ravel(), rtol=1e-11, atol=1e-13, dense_output=True)
-    return (
-        lambda t: B.T @ found.sol(t).reshape(2, 2) / scenario.control_weight,
-        found.sol(start).reshape(2, 2),
+def test_gains_are_those_of_the_discrete_riccati_equation() -> None:
+    weights: dict[str, Any] = {
+        "position_weight": 3.0,
+        "velocity_weight": 0.4,
+        "control_weight": 0.1,
+        "goal_weight": 20.0,
+        "goal_velocity_weight": 2.0,
+    }
+    scenario = Scenario(
+        initial_position=0.9, initial_velocity=0.0, goal_position=1.0, duration=0.8, time_step=0.1
     )
+    scenario = dataclasses.replace(scenario, **weights)
+    task = MechanismProblem(drop_ball(), scenario, MechanismOptions()).shooting(8)
+    expected = solve_riccati(0.1, 8, 2.0, weights)
+    # A descent's first damping is a millionth of the curvature.
+    np.testing.assert_allclose(task.calc_gains(np.zeros((8, 1)), 8), expected, rtol=2e-6)
+    # Where a control is clamped it answers nothing.
+    bounds = np.array([[-0.5], [0.0]])
+    clamped = dataclasses.replace(task, control_bounds=bounds).calc_gains(np.zeros((8, 1)), 8)
+    assert not clamped[0].any()
 
 
-def read_gain(controller: TrackingController, i: int, time: float) -> Any:
-    """Returns K_i(t), from what the controller does about deviations from flight i."""
-    flight = controller.flights[i]
-    done = [bounce.contact for bounce in controller.bounces[:i]]
-    x = flight.calc_state(time)
-    nominal = controller.sample(time, x, done).control
-    steps = (controller.sample(time, x + dx, done).control for dx in np.eye(len(x)))
-    return np.column_stack([nominal - step for step in steps])
-
-
-@pytest.mark.parametrize("mass", [None, 2.0])
-def test_gains_solve_the_riccati_equation(mass: float | None) -> None:
-    world, e = shipped_world(mass), 0.8
-    scenario = make_scenario(mass=mass, restitution=e)
-    plan = optimise(world, scenario, Touch.bounce(0.55)).trajectory
-    controller = TrackingController(world, scenario, plan)
-    (bounce,) = controller.bounces
-    final = np.diag([scenario.goal_weight, 0.0])
-    gain, S = solve_riccati(scenario, mass or 1.0, bounce.time, 1.0, final)
-    # How much a deviation before the bounce is worth, by hand: x̃⁺ = Ξ x̃⁻.
-    k = int(np.flatnonzero(plan.impulses[:, 0])[0])
-    v, before, after = plan.velocities[k, 0], *(plan.controls[k - 1 : k + 1, 0] / (mass or 1.0))
-    saltation = np.array([[-e, 0.0], [(after + e * before) / v, -e]])
-    np.testing.assert_allclose(bounce.saltation, saltation, atol=1e-9)
-    first_gain, _ = solve_riccati(
-        scenario, mass or 1.0, 0.0, bounce.time, saltation.T @ S @ saltation
+def test_no_nan_leaves_a_port() -> None:
+    plan = make_plan("table1/1")
+    x = np.array([plan.scenario.initial_position[0], plan.scenario.initial_velocity[0]])
+    sampled = PiecewisePolynomial.ZeroOrderHold(
+        [0.0, 0.2, 0.4, 2.0], np.array([x, [np.nan, 1.0], [np.inf, 0.0], x]).T
     )
-    for i, expected, times in [
-        (1, gain, np.linspace(bounce.time, 0.999, 20)),
-        (0, first_gain, np.linspace(0.0, bounce.time - 1e-3, 20)),
-    ]:
-        largest = max(float(np.max(np.abs(expected(t)))) for t in times)
-        for t in times:
-            np.testing.assert_allclose(
-                read_gain(controller, i, t), expected(t), atol=GAIN * largest
-            )
+    builder = DiagramBuilder()
+    source = builder.AddSystem(TrajectorySource(sampled))
+    controller = builder.AddSystem(TrackingController(plan))
+    builder.Connect(source.get_output_port(), controller.get_input_port(0))
+    logs = [LogVectorOutput(controller.get_output_port(k), builder) for k in (0, 1)]
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(1.0)
+    for log in logs:
+        assert np.all(np.isfinite(log.FindLog(simulator.get_context()).data()))
 
 
-class Unsteered(Controller):
-    """Holds the control of the flight that the ball is on: contact switches it, not the clock."""
-
-    feels_contact = True
-
-    def __init__(self, tracking: TrackingController) -> None:
-        self.start, self.end, self.longest_hold = 0.0, 1.0, 0.01
-        self._flights = tracking.flights
-
-    def sample(self, time: float, x: Any, bounces: Sequence[int]) -> Held:
-        flight = self._flights[len(bounces)]
-        return Held(flight.calc_control(time), flight.find_next_sample(time))
+def test_what_can_not_be_tracked_is_refused_before_it_runs() -> None:
+    plan = make_plan("table1/1")
+    for period in (0.0, -1.0, np.nan, "1"):
+        with pytest.raises(ControlError, match=r"^period: got .*, expected seconds above zero"):
+            TrackingController(plan, period=period)  # type: ignore[arg-type]
+    with pytest.raises(ModelError, match="the world"):
+        TrackingController(plan, drop_ball())
+    with pytest.raises(ControlError, match=r"estimated_state .*: got nothing .* Connect the plant"):
+        Simulator(TrackingController(plan)).Initialize()
 
 
-@pytest.mark.parametrize(("row", "e"), BOUNCES)
-def test_saltation_is_what_simulations_show(row: int, e: float) -> None:
-    scenario, _ = make_bounce(row, e)
-    controller = Unsteered(make_controller(row, e))
-    (bounce,) = make_controller(row, e).bounces
-
-    def end(x: Any) -> Any:
-        start = dataclasses.replace(scenario, initial_position=x[0], initial_velocity=x[1])
-        replay = track_event_driven(shipped_world(), start, controller).replay
-        return np.array([replay.positions[-1, 0], replay.velocities[-1, 0]])
-
-    x = np.concatenate([scenario.initial_position, scenario.initial_velocity])
-    h = 1e-4
-    slopes = np.column_stack([(end(x + dx) - end(x - dx)) / (2 * h) for dx in h * np.eye(2)])
-    before, after = (np.array([[1.0, t], [0.0, 1.0]]) for t in (bounce.time, 1 - bounce.time))
-    np.testing.assert_allclose(slopes, after @ bounce.saltation @ before, atol=1e-4)
-
-
-# Flights beyond their ends.
-
-
-@pytest.mark.parametrize(("row", "e"), BOUNCES)
-def test_flights_follow_the_plan_and_go_on_beyond(row: int, e: float) -> None:
-    _, plan = make_bounce(row, e)
-    controller = make_controller(row, e)
-    first, last = controller.flights
-    (k,) = np.flatnonzero(plan.impulses[:, 0])
-    for flight, knots in ((first, range(k + 1)), (last, range(k + 1, len(plan.times)))):
-        for i in knots:
-            x = flight.calc_state(plan.times[i])
-            assert x == pytest.approx([plan.positions[i, 0], plan.velocities[i, 0]], abs=1e-9)
-    for flight, inside, outside in ((first, -1e-3, 1e-2), (last, 1e-3, -1e-2)):
-        u = flight.calc_control(flight.end + inside if flight is first else flight.start + inside)
-        joint = controller.bounces[0].time
-        q, v = flight.calc_state(joint if flight is last else joint - 1e-12)
-        t = outside
-        assert flight.calc_control(joint + t) == u
-        expected = [q + v * t + u[0] * t**2 / 2, v + u[0] * t]
-        assert flight.calc_state(joint + t) == pytest.approx(expected, abs=1e-9)
-    for flight in (first, last):
-        assert (flight.state.start_time(), flight.state.end_time()) == (0.0, 1.0)
-        assert np.all(np.diff(flight.samples) > 0) and flight.samples[-1] == 1.0
-
-
-@pytest.mark.parametrize("shift", [-0.02, 0.02])
-def test_the_next_flight_begins_when_the_ball_bounces(shift: float) -> None:
-    scenario, _ = make_bounce(1, 1.0)
-    controller = make_controller(1, 1.0)
-    (bounce,) = controller.bounces
-    tracked = track_event_driven(shipped_world(), moved(scenario, shift), controller)
-    (time,) = tracked.replay.bounce_times
-    assert (time - bounce.time) * shift > 1e-4  # From farther away it comes later.
-    (k,) = np.flatnonzero(np.abs(tracked.times - time) < 1e-6)
-    replay = tracked.replay
-    # Just before it, and from then on, the deviation is from the flight that the ball is on.
-    for i, flight, at in ((k - 1, 0, tracked.times[k - 1]), (k, 1, tracked.times[k])):
-        row = int(np.searchsorted(replay.times, at, side="right")) - 1
-        x = np.array([replay.positions[row, 0], replay.velocities[row, 0]])
-        held = controller.sample(at, x, [0] * flight)
-        assert tracked.controls[i] == pytest.approx(held.control, abs=1e-9)
-    # Taken for the other flight, it would be off by more than the speed of the bounce.
-    x = np.array([replay.positions[-1, 0], replay.velocities[-1, 0]])
-    assert np.abs(controller.flights[1].calc_state(1.0) - x).max() < 0.05
-
-
-def test_bounces_that_the_plan_lacks_change_nothing() -> None:
-    controller = make_controller(1, 1.0)
-    x = np.array([0.3, 1.0])
-    first, second = (controller.sample(0.5, x, bounces).control for bounces in ([], [0]))
-    assert first != second
-    assert controller.sample(0.5, x, [3, 2]).control == first
-    assert controller.sample(0.5, x, [2, 0, 0]).control == second
-
-
-# With perturbations.
-
-
-@given(st.floats(-0.01, 0.01), st.floats(-0.02, 0.02), st.sampled_from(BOUNCES))
-@settings(max_examples=8)
-def test_feedback_is_nearly_as_good_as_hindsight(
-    position: float, velocity: float, case: tuple[int, float]
-) -> None:
-    scenario = moved(make_bounce(*case)[0], position, velocity)
-    tracked = track_event_driven(shipped_world(), scenario, make_controller(*case))
-    least = rigid_optimum(shipped_world(), scenario).cost
-    assert least * (1 - 1e-9) <= tracked.replay.cost <= least * 1.01
-
-
-@given(st.floats(-1, 1), st.floats(-1, 1))
-@settings(max_examples=5)
-def test_without_a_bounce_errors_are_linear(position: float, velocity: float) -> None:
-    scenario, plan = make_flight()
-    controller = TrackingController(shipped_world(), scenario, plan)
-    nominal = end_of(scenario, controller)
-    large, small = (
-        end_of(moved(scenario, size * position, size * velocity), controller) - nominal
-        for size in (1e-2, 1e-4)
-    )
-    assert large == pytest.approx(100 * small, abs=1e-8)
-
-
-@pytest.mark.parametrize(("row", "e"), BOUNCES)
-def test_through_a_bounce_errors_are_linear_but_for_the_second_order(row: int, e: float) -> None:
-    scenario, _ = make_bounce(row, e)
-    controller = make_controller(row, e)
-    nominal = end_of(scenario, controller)
-    sizes = [4e-3, 2e-3, 1e-3]
-    ends = [end_of(moved(scenario, size, size), controller) - nominal for size in sizes]
-    ratios = [end / size for end, size in zip(ends, sizes, strict=True)]
-    change, half = ratios[0] - ratios[1], ratios[1] - ratios[2]
-    assert np.max(np.abs(ratios[-1])) > 1e-3  # Velocity at the end costs nothing.
-    assert half == pytest.approx(change / 2, abs=0.3 * np.max(np.abs(change)) + 1e-4)
-
-
-@pytest.mark.parametrize(("row", "e"), BOUNCES)
-def test_the_control_that_feedback_applied_does_the_same_again(row: int, e: float) -> None:
-    scenario = moved(make_bounce(row, e)[0], 0.01, -0.01)
-    tracked = track_event_driven(shipped_world(), scenario, make_controller(row, e))
-    again = replay_event_driven(shipped_world(), scenario, tracked.times, tracked.controls)
-    assert again.cost == pytest.approx(tracked.replay.cost, rel=1e-9)
-    assert again.positions[-1] == pytest.approx(tracked.replay.positions[-1], abs=1e-9)
-
-
-@pytest.mark.parametrize(("row", "e"), BOUNCES)
-def test_a_held_control_is_open_loop(row: int, e: float) -> None:
-    scenario, plan = make_bounce(row, e)
-    scenario = moved(scenario, -0.01, 0.01)
-    controller = HeldControl(plan.times, plan.controls)
-    for track, replay in (
-        (track_event_driven, replay_event_driven),
-        (track_drake, replay_drake),
-    ):
-        held = track(shipped_world(), scenario, controller).replay
-        direct = replay(shipped_world(), scenario, plan.times, plan.controls)
-        assert held.cost == pytest.approx(direct.cost, rel=1e-9)
-        assert held.bounce_times == pytest.approx(direct.bounce_times, abs=1e-9)
-
-
-@pytest.mark.parametrize(("row", "e"), BOUNCES)
-def test_feedback_does_the_same_on_drakes_plant(row: int, e: float) -> None:
-    scenario = moved(make_bounce(row, e)[0], 0.01, -0.02)
-    rigid, compliant = (
-        track(shipped_world(), scenario, make_controller(row, e)).replay
-        for track in (track_event_driven, track_drake)
-    )
-    assert compliant.cost == pytest.approx(rigid.cost, rel=1e-2)
-    assert compliant.bounce_times == pytest.approx(rigid.bounce_times, abs=1e-6)
-
-
-# What no feedback is known for.
-
-
-def alter(**fields: Any) -> Trajectory:
-    return dataclasses.replace(make_bounce(1, 1.0)[1], **fields)
-
-
-def with_impulse(k: int, value: float = 1.0) -> Any:
-    impulses = make_bounce(1, 1.0)[1].impulses.copy()
-    impulses[k] = value
-    return impulses
-
-
-def test_a_contact_that_lasts_is_refused() -> None:
-    forces = make_bounce(1, 1.0)[1].forces.copy()
-    forces[100] = 1.0
-    with pytest.raises(TrajectoryError, match=r"one that lasts, at 0\.\d+ s, expected bounces"):
-        TrackingController(shipped_world(), make_bounce(1, 1.0)[0], alter(forces=forces))
-
-
-def test_a_literal_plan_is_refused() -> None:
-    everywhere = np.full_like(make_bounce(1, 1.0)[1].impulses, 1e-3)
-    with pytest.raises(TrajectoryError, match=r"a push at the very start.*rigid transcription"):
-        TrackingController(shipped_world(), make_bounce(1, 1.0)[0], alter(impulses=everywhere))
-
-
-def test_a_graze_is_refused() -> None:
-    # After the bounce the ball rises.
-    with pytest.raises(TrajectoryError, match=r"one that grazes, at 0\.9\d+ s"):
-        TrackingController(
-            shipped_world(), make_bounce(1, 1.0)[0], alter(impulses=with_impulse(-8))
-        )
-
-
-def test_a_corner_is_refused() -> None:
-    world, scenario = shipped("room"), make_task("room", [0.3, 0.7], [-1.0, -1.0])
-    zeros = np.zeros((3, 2))
-    impulses = np.zeros((3, world.num_contacts))
-    impulses[1, :2] = 1.0
-    plan = Trajectory(
-        np.arange(3.0), zeros, zeros, zeros[1:], impulses, np.zeros((2, world.num_contacts))
-    )
-    with pytest.raises(TrajectoryError, match=r"several at once, at 1\.000 s"):
-        TrackingController(world, scenario, plan)
-
-
-def test_another_worlds_plan_is_refused() -> None:
-    world, scenario = shipped("room"), make_task("room", [0.3, 0.7], [-1.0, -1.0])
-    with pytest.raises(TrajectoryError, match=r"got \(1, 1, 1\) .*expected the world's, \(2, 2, 4"):
-        TrackingController(world, scenario, make_bounce(1, 1.0)[1])
+def test_gains_that_know_of_no_impact_are_not_used_at_one() -> None:
+    scenario = Scenario.named("pendulum/off_the_wall")
+    push, none = np.array([[0.0], [0.0], [1.0], [0.0], [0.0]]), np.zeros((5, 1))
+    trajectory = Trajectory(np.linspace(0, 1, 5), none, none, none[1:], push, none[1:])
+    with pytest.raises(TrajectoryError, match=r"hits a rigid wall at 0\.500 s"):
+        KnotFeedback(World.from_scenario(scenario), scenario, trajectory)

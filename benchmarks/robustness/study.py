@@ -21,7 +21,7 @@ from benchmarks.robustness.results import (
     TaskResult,
     round_as_filed,
 )
-from drake_aigto.control import TrackingController, track_drake, track_event_driven
+from drake_aigto.control import FlightFeedback, track_drake, track_event_driven
 from drake_aigto.count import Count
 from drake_aigto.errors import AigtoError
 from drake_aigto.jobs import Jobs, open_jobs
@@ -144,7 +144,7 @@ def _judge(
     """Returns what becomes of a plan, or why there is none that can be tracked."""
     try:
         plan = make_plan(world, scenario)
-        controller = TrackingController(world, scenario, plan)
+        controller = FlightFeedback(world, scenario, plan)
     except AigtoError as error:
         return PlanResult(method, error=str(error))
     control = plan.times, plan.controls

@@ -1,213 +1,200 @@
-"""Feedback that tracks a plan through its bounces: Drake's finite-horizon LQR on each flight."""
+"""A plan tracked in a Diagram: feedback as a LeafSystem, which feels or infers bounces."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
-from pydrake.systems.controllers import (
-    FiniteHorizonLinearQuadraticRegulator,
-    FiniteHorizonLinearQuadraticRegulatorOptions,
+from pydrake.common.value import Value
+from pydrake.multibody.plant import ContactResults
+from pydrake.systems.framework import (
+    BasicVector,
+    Context,
+    DiscreteStateIndex,
+    DiscreteValues,
+    EventStatus,
+    LeafSystem,
 )
-from pydrake.systems.primitives import SymbolicVectorSystem
-from pydrake.trajectories import Trajectory as DrakeTrajectory
 
-from drake_aigto.arrays import Floats
-from drake_aigto.control.flights import Bounce, Flight, split_flights
-from drake_aigto.simulation.compliance import calc_compliance_error
-from drake_aigto.simulation.compliant_wall import simulate_compliant_wall
-from drake_aigto.simulation.controller import Controller, Held
-from drake_aigto.simulation.recording import Recording
-from drake_aigto.simulation.replay import Replay, summarize
-from drake_aigto.simulation.rigid_wall import simulate_rigid_wall
-from drake_aigto.trajectory import Trajectory
-from drake_aigto.world import Scenario, World
-
-# Of the Riccati equation: gains are right to 5e-6 of the largest.
-_ACCURACY = 1e-7
-# The least eigenvalue of a final cost, as a part of the largest.
-_LEAST = 1e-13
-# Samples that come sooner than this part of the duration after one are left out.
-_SHORTEST_HOLD = 1e-6
-# Who refuses tasks of other costs, as errors name it.
-_READER = "Feedback"
+from drake_aigto.arrays import Bools, Floats
+from drake_aigto.control.feedback import make_feedback
+from drake_aigto.control.watch import BounceWatch
+from drake_aigto.errors import ControlError
+from drake_aigto.planning import Plan
+from drake_aigto.world import World
 
 
-class TrackingController(Controller):
-    """Tracks a plan on each of its flights, and goes on to the next when the bounce happens.
+class _Groups(NamedTuple):
+    """Which group of the discrete state holds what."""
 
-    On flight i, from one bounce of the plan to the next at τ_i, the deviation x̃ = x − x_i(t) from
-    the plan is steered by the least of the scenario's own cost, to second order:
+    control: DiscreteStateIndex  # u, shape (nu,)
+    bounces: DiscreteStateIndex  # how many of each contact, shape (m,)
+    touches: DiscreteStateIndex  # 1 where one goes on, or is not over yet, shape (m,)
+    last: DiscreteStateIndex  # the time of the last sample, q and v, shape (1 + 2n,)
 
-        ũ = −K_i(t) x̃,    S_i(τ_i) = Ξ_iᵀ S_{i+1}(τ_i) Ξ_i,    S_n(T) = goal_weight diag(I, 0)
 
-    where S_i solves the Riccati equation with Q = 0 and R = control_weight I (Drake's
-    FiniteHorizonLinearQuadraticRegulator), and Ξ_i is the saltation matrix: how a deviation before
-    a bounce becomes one after it, as that comes sooner or later (`Bounce.saltation`).
+class TrackingController(LeafSystem):
+    """Keeps a plant on a plan: samples its state every period, and holds the control between.
 
-    The next flight begins when the ball bounces, not when the plan's clock says so. For that every
-    flight of the plan goes on beyond its ends under its first and its last control, behind the wall
-    too: a ball that bounces early meets what the next flight was before its beginning, and one that
-    is late goes on with the last one, with its last gain. Which flight it is, is told by the number
-    of bounces at each wall: bounces that the plan lacks change nothing.
+        controller = builder.AddSystem(TrackingController(plan))
+        builder.Connect(plant.get_state_output_port(), controller.get_input_port(0))
+        builder.Connect(controller.get_output_port(0), plant.get_actuation_input_port())
 
-    The control is held between samples: at the plan's knots, and as soon as a bounce is over.
+    Between rigid walls the plan of a ball has flights, each with its own gains, and the next one
+    begins when the ball bounces (`FlightFeedback`). Plans of mechanisms between walls that yield,
+    or that touch nothing, have gains at knots (`KnotFeedback`).
+
+    A bounce is over when a ball leaves a wall that it has touched, with J_i v > 0. Touches are
+    *felt*, at every step of the simulation, where the plant's contact results are connected; the
+    control is sampled as soon as they are over. Else they are *inferred* from samples: φ_i ≤ 0, or
+    it would have come to that since the last one (`BounceWatch.reaches`). The first sample in a
+    touched wall changes nothing, for no plan says how fast a ball is there.
+
+    A state that is not finite changes nothing either: no NaN leaves a port.
+
+    Input ports: `estimated_state`, q and v; `contact_results`, which may stay unconnected. Output
+    ports: `control`, u as the plant's actuation port takes it, and `desired_state`, q and v of the
+    plan, on the flight that the ball is on.
 
     Attributes:
-        flights: those of the plan.
-        bounces: of the plan, one fewer.
+        feedback: the law.
+        period: between samples [s].
     """
 
-    feels_contact = True
+    def __init__(self, plan: Plan, world: World | None = None, period: float | None = None) -> None:
+        """Computes the gains.
 
-    def __init__(self, world: World, scenario: Scenario, trajectory: Trajectory) -> None:
-        """Solves the Riccati equations.
+        Args:
+            plan: what to track; its time 0 is the context's.
+            world: see `Plan.find_world`.
+            period: between samples [s]; None: the scenario's time step.
 
         Raises:
-            ScenarioError: the task asks for more than AIGTO's (`Scenario.is_plain`).
-            TrajectoryError: it does not fit the world; or it has contacts that last, several at
-                once, at the start, or that only graze the wall: no feedback is known there.
+            ModelError: from `Plan.find_world`.
+            TrajectoryError: no feedback is known for its contacts (`FlightFeedback`,
+                `KnotFeedback`).
+            ControlError: the period is not a number above zero.
         """
-        scenario.check_plain(_READER)
-        self.flights, self.bounces = split_flights(world, scenario, trajectory)
-        self.start, self.end = float(trajectory.times[0]), float(trajectory.times[-1])
-        self.longest_hold = float(np.max(np.diff(trajectory.times)))
-        self._gains = _calc_gains(world, scenario, self.flights, self.bounces)
+        super().__init__()
+        world = plan.find_world(world)
+        self.period = plan.scenario.time_step if period is None else _check_period(period)
+        self.feedback = make_feedback(world, plan.scenario, plan.trajectory)
+        self._watch = BounceWatch(world)
+        n, m, nu = world.num_positions, world.num_contacts, world.num_actuators
+        self._estimate = self.DeclareVectorInputPort("estimated_state", 2 * n)
+        self._results = self.DeclareAbstractInputPort("contact_results", Value(ContactResults()))
+        self._groups = _Groups(*map(self.DeclareDiscreteState, (nu, m, m, 1 + 2 * n)))
+        self.DeclareInitializationDiscreteUpdateEvent(self._start)
+        self.DeclarePeriodicDiscreteUpdateEvent(self.period, 0.0, self._sample)
+        self.DeclarePerStepDiscreteUpdateEvent(self._step)
+        state = self.discrete_state_ticket
+        control = {state(self._groups.control)}
+        desired = {self.time_ticket(), state(self._groups.bounces)}
+        self.DeclareVectorOutputPort("control", nu, self._write_control, control)
+        self.DeclareVectorOutputPort("desired_state", 2 * n, self._write_state, desired)
 
-    def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
-        """Returns u_i(t) − K_i(t) (x − x_i(t)) − k_i(t)."""
-        i = self._find_flight(bounces)
-        flight, gain = self.flights[i], self._gains[i]
-        feedback = gain.feedback.value(min(time, flight.end)) @ (x - flight.calc_state(time))
-        offset = gain.offset.value(min(time, flight.end))[:, 0]
-        until = flight.find_next_sample(time + _SHORTEST_HOLD * (self.end - self.start))
-        return Held(flight.calc_control(time) - feedback - offset, until)
+    def count_bounces(self, context: Context) -> tuple[int, ...]:
+        """Returns how many times each contact has bounced in its own context, shape (m,)."""
+        return tuple(int(count) for count in self._read(context, self._groups.bounces))
 
-    def _find_flight(self, bounces: Sequence[int]) -> int:
-        """Returns on which flight of the plan the ball is: all bounces before it have happened."""
-        left = list(bounces)
-        for i, planned in enumerate(self.bounces):
-            if planned.contact not in left:
-                return i
-            left.remove(planned.contact)
-        return len(self.bounces)
+    def _read(self, context: Context, group: DiscreteStateIndex) -> Floats:
+        return np.array(context.get_discrete_state(group).value())
 
-
-class _Gain(NamedTuple):
-    """ũ = −K x̃ − k over a flight and all of the time before it."""
-
-    feedback: DrakeTrajectory  # K(t), shape (nu, nx)
-    offset: DrakeTrajectory  # k(t), shape (nu, 1) [N]; zero but for the plan's integration error
-
-
-def _calc_gains(
-    world: World, scenario: Scenario, flights: Sequence[Flight], bounces: Sequence[Bounce]
-) -> list[_Gain]:
-    """Returns the gain of each flight, computed from the last to the first."""
-    n = world.num_positions
-    system = _make_flight_system(world)
-    context = system.CreateDefaultContext()
-    R = scenario.control_weight * np.eye(world.num_actuators)
-    options = FiniteHorizonLinearQuadraticRegulatorOptions()
-    options.simulator_config.accuracy = _ACCURACY
-    S = scenario.goal_weight * np.diag(np.repeat([1.0, 0.0], n))
-    gains: list[_Gain] = []
-    for flight, bounce in zip(reversed(flights), [None, *reversed(bounces)], strict=True):
-        if bounce is not None:
-            S = bounce.saltation.T @ S @ bounce.saltation
-        options.Qf = _make_positive(S)
-        options.x0, options.u0 = flight.state, flight.control
-        Q = np.zeros((2 * n, 2 * n))
-        result = FiniteHorizonLinearQuadraticRegulator(
-            system, context, flights[0].start, flight.end, Q, R, options
+    def _start(self, context: Context, values: DiscreteValues) -> EventStatus:
+        """Forgets what was, and takes the first sample."""
+        if not self._estimate.HasValue(context):
+            raise ControlError(
+                f"the input port estimated_state of {self.GetSystemPathname()}",
+                got="nothing that is connected to it",
+                expected="q and v of the plant",
+                remedy="Connect the plant's state output port, or an estimator's.",
+            )
+        x, none = (
+            self._estimate.Eval(context),
+            np.zeros(len(self._read(context, self._groups.bounces))),
         )
-        gains.append(_Gain(result.K, result.k0))
-        S = result.S.value(flight.start)
-    return gains[::-1]
+        if not np.all(np.isfinite(x)):
+            raise ControlError(
+                "estimated_state at the start", got=x.tolist(), expected="finite numbers"
+            )
+        return self._hold(context, values, x, none, none)
+
+    def _sample(self, context: Context, values: DiscreteValues) -> EventStatus:
+        """Takes a sample: touches, bounces that are over, and the control from now on."""
+        x = self._estimate.Eval(context)
+        if not np.all(np.isfinite(x)):
+            return EventStatus.DidNothing()
+        reached = pressed = self._feel(context, x)
+        if not self._results.HasValue(context):
+            last, u = (
+                self._read(context, self._groups.last),
+                self._read(context, self._groups.control),
+            )
+            reached = pressed | self._watch.reaches(context.get_time() - last[0], last[1:], u)
+        return self._go_on(context, values, x, reached, pressed)
+
+    def _feel(self, context: Context, x: Floats) -> Bools:
+        """Returns which contacts are touched now: as the plant reports, or else φ_i ≤ 0."""
+        if self._results.HasValue(context):
+            return self._watch.feel(self._results.Eval(context), x)
+        return self._watch.is_inside(x)
+
+    def _step(self, context: Context, values: DiscreteValues) -> EventStatus:
+        """Notes touches that the plant reports, and samples at once where one is over."""
+        x = self._estimate.Eval(context)
+        if not (self._results.HasValue(context) and np.all(np.isfinite(x))):
+            return EventStatus.DidNothing()
+        touches, felt = self._read(context, self._groups.touches) > 0, self._feel(context, x)
+        if np.array_equal(touches, felt):
+            return EventStatus.DidNothing()
+        return self._go_on(context, values, x, felt, felt)
+
+    def _go_on(
+        self, context: Context, values: DiscreteValues, x: Floats, reached: Bools, pressed: Bools
+    ) -> EventStatus:
+        """Counts what has left its wall, and holds another control unless a touch is new."""
+        groups, before = self._groups, self._read(context, self._groups.touches) > 0
+        touches = before | reached
+        over = touches & ~pressed & self._watch.is_leaving(x)
+        bounces, left = self._read(context, groups.bounces) + over, touches & ~over
+        if not np.any(left & ~before):
+            return self._hold(context, values, x, bounces, left)
+        values.set_value(groups.bounces, bounces)
+        values.set_value(groups.touches, left)
+        return EventStatus.Succeeded()
+
+    def _hold(
+        self,
+        context: Context,
+        values: DiscreteValues,
+        x: Floats,
+        bounces: Floats,
+        touches: Floats | Bools,
+    ) -> EventStatus:
+        """Holds the control of a state from now on."""
+        time = context.get_time()
+        control = self.feedback.sample(time, x, _list_bounces(bounces)).control
+        for group, value in zip(
+            self._groups, (control, bounces, touches, np.append(time, x)), strict=True
+        ):
+            values.set_value(group, value)
+        return EventStatus.Succeeded()
+
+    def _write_control(self, context: Context, output: BasicVector) -> None:
+        output.SetFromVector(self._read(context, self._groups.control))
+
+    def _write_state(self, context: Context, output: BasicVector) -> None:
+        bounces = _list_bounces(self._read(context, self._groups.bounces))
+        output.SetFromVector(self.feedback.find_state(context.get_time(), bounces))
 
 
-def _make_positive(S: Floats) -> Floats:
-    """Returns the nearest final cost that Drake takes: integration may leave eigenvalues below 0.
-
-    A cost of nothing but the goal is singular, and stays so on its way back in time.
-    """
-    values, vectors = np.linalg.eigh((S + S.T) / 2)
-    positive = vectors * np.maximum(values, _LEAST * values[-1]) @ vectors.T
-    return (positive + positive.T) / 2
+def _list_bounces(counts: Floats) -> list[int]:
+    """Returns the contact of each bounce so far."""
+    return [int(i) for i in np.repeat(np.arange(len(counts)), counts.astype(int))]
 
 
-def _make_flight_system(world: World) -> Any:
-    """Returns q̇ = v, M v̇ = B u − h(q, v) as a system of Drake's."""
-    # NumPy takes Drake's boxed constants for invalid numbers, and warns.
-    with np.errstate(invalid="ignore"):
-        force = world.actuation @ world.controls - world.bias
-        acceleration = world.constant_inertia.inverse_mass @ force
-    return SymbolicVectorSystem(
-        state=np.concatenate([world.positions, world.velocities]),
-        input=world.controls,
-        dynamics=np.concatenate([world.velocities, acceleration]),
-        output=world.positions,
-    )
-
-
-@dataclass(frozen=True)
-class Tracked:
-    """A motion under feedback.
-
-    Attributes:
-        replay: what happened; its cost is that of the control that was applied.
-        times: from when each control was held, and the end, shape (K+1,) [s].
-        controls: shape (K, nu) [N].
-    """
-
-    replay: Replay
-    times: Floats
-    controls: Floats
-
-
-def track_event_driven(world: World, scenario: Scenario, controller: Controller) -> Tracked:
-    """Runs a controller on exactly rigid walls (`RigidWall` has their equations).
-
-    World, start, goal, weights and restitution may be others than those of the plan.
-
-    Raises:
-        ScenarioError: the task asks for more than AIGTO's (`Scenario.is_plain`).
-    """
-    scenario.check_plain(_READER)
-    start = scenario.initial_position, scenario.initial_velocity
-    recording = simulate_rigid_wall(world, world.restitutions(scenario), start, controller)
-    return _summarize("event-driven", world, scenario, controller, recording)
-
-
-def track_drake(world: World, scenario: Scenario, controller: Controller) -> Tracked:
-    """Runs a controller on the world's own continuous plant in Drake, as `replay_drake` does.
-
-    World, start, goal, weights and restitution may be others than those of the plan.
-
-    Raises:
-        ScenarioError: the task asks for more than AIGTO's (`Scenario.is_plain`).
-        ModelError: a shape of the contact has no stiffness.
-    """
-    scenario.check_plain(_READER)
-    start = scenario.initial_position, scenario.initial_velocity
-    restitutions = world.restitutions(scenario)
-    without_friction = scenario.friction == 0
-    recording = simulate_compliant_wall(world, start, controller, restitutions, without_friction)
-    error = calc_compliance_error(world, restitutions, recording)
-    return _summarize("drake", world, scenario, controller, recording, error)
-
-
-def _summarize(
-    simulator: str,
-    world: World,
-    scenario: Scenario,
-    controller: Controller,
-    recording: Recording,
-    compliance_error: float = 0.0,
-) -> Tracked:
-    times = np.append(recording.control_times, controller.end)
-    controls = np.array(recording.controls)
-    replay = summarize(simulator, world, scenario, times, controls, recording, compliance_error)
-    return Tracked(replay, times, controls)
+def _check_period(period: float) -> float:
+    """Returns a period as a number above zero."""
+    if not (isinstance(period, int | float) and 0 < period < np.inf):
+        raise ControlError("period", got=period, expected="seconds above zero")
+    return float(period)

@@ -70,6 +70,23 @@ class ShootingProblem(ShootingQuestion):
         options = ShootingOptions((Smoothing(smoothing, 1, 1.0),), substeps, order)
         return _Descent(self, controls, None, options).finish(is_converged=False)
 
+    def calc_gains(self, controls: Floats, substeps: int, smoothing: float = 0.0) -> Floats:
+        """Returns how held controls best answer deviations of the state, shape (N, nu, 2n).
+
+        ũ_k = K_k x̃_k has the least cost to go to second order, in the Gauss-Newton form, about the
+        motion of given controls. Where a control is at its bound, K_k is 0.
+
+        Args:
+            controls: see `simulate`, as for substeps and smoothing.
+            substeps: Runge-Kutta steps between knots.
+            smoothing: ε in units of the problem's length.
+
+        Raises:
+            ProgramError: a shape does not fit, or the motion runs away.
+        """
+        options = ShootingOptions((Smoothing(smoothing, 1, np.inf),), substeps)
+        return _Descent(self, controls, None, options).find_gains()
+
     def estimate_error(self, result: ShootingResult) -> float:
         """Returns how far off the steps of a result are: against twice as many of order 4.
 
@@ -187,6 +204,16 @@ class _Descent:
             is_converged = self._run_rung(rungs[-1])
             stuck = stuck + 1 if self._violation > _STUCK * before else 0
         return self.finish(is_converged)
+
+    def find_gains(self) -> Floats:
+        """Returns the gains of one sweep about the motion: no gain is worth a step here."""
+        cost, _, is_converged = self._descend(self._options.rungs[-1])
+        if not is_converged:
+            raise ProgramError(
+                "controls", got=f"a motion that costs {cost}", expected="a finite one"
+            )
+        gains = self._memory.sweep.gains[self._layout.flights]
+        return np.array(gains[:, :, : len(self._problem.start)])
 
     def _choose_rungs(self) -> tuple[Smoothing, ...]:
         """Returns the rungs; without springs, one."""
