@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.local_peers import casadi
+from benchmarks.robots.bounce_times import find_bounces
 from benchmarks.robots.extremals import find_extremals
 from benchmarks.robots.ipopt import IPOPT_STEPS, find_program
 from benchmarks.robots.judge import Control, judge, roll_out
@@ -108,6 +109,11 @@ def listed_sequences(question: Question, first: int = 0) -> Attempts:
             yield Attempt(judge(question, control).score if is_found else np.inf, control)
 
 
+def bounces(question: Question, first: int = 0) -> Attempts:
+    """Yields what a fine search over when the pendulum bounces, and how fast, finds."""
+    yield from itertools.starmap(Attempt, find_bounces(question))
+
+
 def extremals(question: Question, first: int = 0) -> Attempts:
     """Yields the extremals of the pendulum, which are searched on a grid."""
     yield from itertools.starmap(Attempt, find_extremals(question))
@@ -158,6 +164,7 @@ METHODS: Mapping[str, Method] = {
     "plan, points": Method(plan_of_points),
     "shooting": Method(shooting_multistart, on_rigid_walls=False),
     "listed": Method(listed_sequences, on_soft_walls=False),
+    "bounces": Method(bounces, only="pendulum/off_the_wall"),
     "extremals": Method(extremals, only="pendulum/off_the_wall"),
     "IPOPT": Method(ipopt_multistart, on_rigid_walls=False),
     "CMA-ES": Method(evolution),
