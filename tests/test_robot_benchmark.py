@@ -27,6 +27,7 @@ from benchmarks.robots.methods import (
     listed_sequences,
     random_control,
     shooting_multistart,
+    snopt_multistart,
 )
 from benchmarks.robots.results import Comparison, Outcome, Results, Row, Step
 from benchmarks.robots.shooting import world_of
@@ -204,6 +205,16 @@ def test_what_the_gradient_peer_promises_is_nearly_what_the_judge_finds(world: s
     attempt = next(each for each in ipopt_multistart(question) if math.isfinite(each.promised))
     assert attempt.control.values.shape == (2 * IPOPT_STEPS, 1)
     assert judge(question, attempt.control).score == pytest.approx(attempt.promised, rel=5e-3)
+
+
+@pytest.mark.parametrize("world", [NEAR, SWING_UP])
+def test_what_snopt_promises_on_our_transcription_is_nearly_what_the_judge_finds(
+    world: str,
+) -> None:
+    question = Question(world, 20)
+    attempt = next(each for each in snopt_multistart(question) if math.isfinite(each.promised))
+    assert len(attempt.control.values) == scenario_of(question).num_steps
+    assert judge(question, attempt.control).score == pytest.approx(attempt.promised, rel=2e-3)
 
 
 def row(cost: float, known: float, method: str = "shooting") -> Row:

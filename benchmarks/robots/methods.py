@@ -19,6 +19,7 @@ from benchmarks.robots.ipopt import IPOPT_STEPS, find_program
 from benchmarks.robots.judge import Control, judge, roll_out
 from benchmarks.robots.plans import find_plan
 from benchmarks.robots.shooting import list_phases, pose, shoot
+from benchmarks.robots.snopt import Transcription
 from benchmarks.robots.worlds import WORLDS, Question, scenario_of, setting_of
 
 try:
@@ -128,6 +129,16 @@ def ipopt_multistart(question: Question, first: int = 0) -> Attempts:
         yield Attempt(*program.solve(question, motion.states, u))
 
 
+def snopt_multistart(question: Question, first: int = 0) -> Attempts:
+    """Yields what SNOPT makes of random roll-outs."""
+    scenario = scenario_of(question)
+    transcription = Transcription(pose(question))
+    for rng in _generators(question, first):
+        u = random_control(question, rng, _middles(scenario.num_steps))
+        motion = roll_out(question, Control.even(u, scenario.duration), _GUESS_STEP)
+        yield Attempt(*transcription.solve(motion.states, u))
+
+
 def evolution(question: Question, first: int = 0) -> Attempts:
     """Yields the best of each generation of CMA-ES, begun again where it ends."""
     setting, world = setting_of(question), WORLDS[question.world]
@@ -167,6 +178,7 @@ METHODS: Mapping[str, Method] = {
     "bounces": Method(bounces, only="pendulum/off_the_wall"),
     "extremals": Method(extremals, only="pendulum/off_the_wall"),
     "IPOPT": Method(ipopt_multistart, on_rigid_walls=False),
+    "SNOPT": Method(snopt_multistart, on_rigid_walls=False),
     "CMA-ES": Method(evolution),
 }
 PLANS = ("plan", "plan, points")  # They end by themselves.
