@@ -207,6 +207,17 @@ def test_what_the_gradient_peer_promises_is_nearly_what_the_judge_finds(world: s
     assert judge(question, attempt.control).score == pytest.approx(attempt.promised, rel=5e-3)
 
 
+@pytest.mark.skipif(casadi is None, reason="CasADi is not installed")
+@pytest.mark.parametrize("question", [Question(PENDULUM, 41), Question("paddle/bat", 0)])
+def test_what_the_gradient_peer_promises_between_rigid_walls_is_what_the_judge_finds(
+    question: Question,
+) -> None:
+    attempt = next(each for each in ipopt_multistart(question) if math.isfinite(each.promised))
+    judgment = judge(question, attempt.control)
+    assert judgment.touches > 0
+    assert judgment.score == pytest.approx(attempt.promised, rel=2e-3)
+
+
 @pytest.mark.parametrize("world", [NEAR, SWING_UP])
 def test_what_snopt_promises_on_our_transcription_is_nearly_what_the_judge_finds(
     world: str,

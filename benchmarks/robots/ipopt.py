@@ -1,4 +1,4 @@
-"""The gradient peer: CasADi and IPOPT on a direct transcription, exact Hessian.
+"""The gradient peer where walls yield: CasADi and IPOPT on a direct transcription, exact Hessian.
 
 Knots k = 0, …, N at k Δt and one beyond; accelerations (q_{k+1} − 2 q_k + q_{k−1})/Δt², velocities
 (q_{k+1} − q_{k−1})/2Δt and the mechanics at knots, q_{−1} = q_1 − 2 Δt q̇_0, costs by the trapezoid
@@ -14,15 +14,15 @@ import numpy as np
 
 from benchmarks.local_peers import casadi
 from benchmarks.robots.judge import Control
-from benchmarks.robots.mechanics import Tables
-from benchmarks.robots.worlds import Question, Setting, setting_of
+from benchmarks.robots.mechanics import Mechanism, Tables
+from benchmarks.robots.worlds import Question, Setting, Weights, setting_of
 
 IPOPT_STEPS = 120  # with 60, costs of replays are off by more than 1 % in every third optimum
 # max(0, y) as (y + √(y² + ε²))/2, which is complementarity 0 ≤ f ⊥ f/k − y ≥ 0 relaxed to f (f/k −
 # y) = k ε²/4; ε [m] falls, each program from the optimum of the one before.
 _LADDER = (1e-1, 1e-2, 1e-3)
 MAX_ITERATIONS = 300  # of each
-_FARTHEST = 40.0  # [m], [rad]: a bound that none comes near
+FARTHEST = 40.0  # [m], [rad]: a bound that none comes near
 _OPTIONS: dict[str, Any] = {
     "print_time": False,
     "ipopt.print_level": 0,
@@ -30,8 +30,8 @@ _OPTIONS: dict[str, Any] = {
     "ipopt.max_iter": MAX_ITERATIONS,
     "ipopt.tol": 1e-6,
 }
-_COLD = {**_OPTIONS, "ipopt.mu_strategy": "adaptive"}
-_WARM = {
+COLD = {**_OPTIONS, "ipopt.mu_strategy": "adaptive"}
+WARM = {
     **_OPTIONS,
     "ipopt.warm_start_init_point": "yes",
     "ipopt.warm_start_bound_push": 1e-6,
@@ -40,13 +40,35 @@ _WARM = {
 }
 
 
-def find_program(question: Question) -> Program:
-    """Returns the program of a question's world, which one start shares with all others."""
-    return _program(question.world)
+def prepare() -> None:
+    """Has CasADi take NumPy's sin and cos of its symbols, which new versions ask for."""
+    if hasattr(casadi.GlobalOptions, "setNumpyMode"):
+        casadi.GlobalOptions.setNumpyMode(1)
+
+
+def write_symbols(mechanism: Mechanism, q: Any, v: Any, u: Any) -> Tables:
+    """Returns a mechanism's tables in CasADi's symbols."""
+    n, m = mechanism.coordinates, max(1, mechanism.walls)
+    sizes = (n, n), (n, 1), (m, 1), (m, n), (m, 1)
+    out = Tables(*(casadi.SX(*size) for size in sizes))
+    mechanism.write.py_func(q, v, u, mechanism.wall, out)
+    return out
+
+
+def weigh(w: Weights, position: Any, velocity: Any, q: Any, v: Any, goal: Any) -> Any:
+    """Returns what a state costs by these weights of its parts."""
+    off = q - goal
+    squares = [
+        2 - 2 * casadi.cos(off[i]) if is_chordal else off[i] ** 2
+        for i, is_chordal in enumerate(w.is_chordal)
+    ]
+    speeds = (v - w.goal_velocity) ** 2
+    return casadi.dot(position, casadi.vertcat(*squares)) + casadi.dot(velocity, speeds)
 
 
 @cache
-def _program(world: str) -> Program:
+def find_program(world: str) -> Program:
+    """Returns the program of a world, which one start shares with all others."""
     return Program(setting_of(Question(world, 0)), IPOPT_STEPS)
 
 
@@ -55,8 +77,7 @@ class Program:
 
     def __init__(self, setting: Setting, num_steps: int) -> None:
         """Makes the program of N steps, and IPOPT for it."""
-        if hasattr(casadi.GlobalOptions, "setNumpyMode"):  # Its sin and cos of symbols, as NumPy's.
-            casadi.GlobalOptions.setNumpyMode(1)
+        prepare()
         self.num_steps, self._setting = num_steps, setting
         n, nu = setting.mechanism.coordinates, setting.mechanism.controls
         q, u = casadi.SX.sym("q", n, num_steps + 2), casadi.SX.sym("u", nu, num_steps + 1)
@@ -66,7 +87,7 @@ class Program:
         program = {"x": variables, "p": parameters, "f": cost, "g": rows}
         self._solvers = [
             casadi.nlpsol(name, "ipopt", program, options)
-            for name, options in (("cold", _COLD), ("warm", _WARM))
+            for name, options in (("cold", COLD), ("warm", WARM))
         ]
 
     def _write(self, q: Any, u: Any, parameters: Any) -> tuple[Any, Any]:
@@ -80,36 +101,22 @@ class Program:
         for k in range(self.num_steps + 1):
             rows.append(self._balance(q[:, k], v[:, k], u[:, k], rate[:, k], smoothing))
             running.append(
-                self._weigh(w.position, w.velocity, q[:, k], v[:, k])
+                weigh(w, w.position, w.velocity, q[:, k], v[:, k], w.goal)
                 + casadi.dot(w.control, u[:, k] ** 2)
             )
         total = step * (sum(running) - (running[0] + running[-1]) / 2)
-        end = self._weigh(w.final_position, w.final_velocity, q[:, -2], v[:, -1])
+        end = weigh(w, w.final_position, w.final_velocity, q[:, -2], v[:, -1], w.goal)
         return total + end, casadi.veccat(*rows)
 
     def _balance(self, q: Any, v: Any, u: Any, rate: Any, smoothing: Any) -> Any:
         """Returns M v̇ − f − Jᵀ λ at a knot."""
         mechanism, stiffness = self._setting.mechanism, self._setting.stiffness
-        n, m = mechanism.coordinates, max(1, mechanism.walls)
-        sizes = (n, n), (n, 1), (m, 1), (m, n), (m, 1)
-        out = Tables(*(casadi.SX(*size) for size in sizes))
-        mechanism.write.py_func(q, v, u, mechanism.wall, out)
+        out = write_symbols(mechanism, q, v, u)
         row = out.mass @ rate - out.force
-        for i in range(m if stiffness else 0):
+        for i in range(mechanism.walls if stiffness else 0):
             push = stiffness * (casadi.sqrt(out.gap[i] ** 2 + smoothing**2) - out.gap[i]) / 2
             row -= out.normal[i, :].T * push
         return row
-
-    def _weigh(self, position: Any, velocity: Any, q: Any, v: Any) -> Any:
-        """Returns what a state costs by these weights."""
-        w = self._setting.weights
-        off = q - w.goal
-        squares = [
-            2 - 2 * casadi.cos(off[i]) if is_chordal else off[i] ** 2
-            for i, is_chordal in enumerate(w.is_chordal)
-        ]
-        speeds = (v - w.goal_velocity) ** 2
-        return casadi.dot(position, casadi.vertcat(*squares)) + casadi.dot(velocity, speeds)
 
     def solve(
         self, question: Question, states: np.ndarray, controls: np.ndarray
@@ -141,7 +148,7 @@ class Program:
         """Returns those of all variables; the start's position is held by them."""
         n, steps = setting.mechanism.coordinates, self.num_steps
         nu, force = setting.mechanism.controls, min(setting.mechanism.force, 1e3)
-        ranges = np.clip(setting.ranges[:, :n], -_FARTHEST, _FARTHEST)
+        ranges = np.clip(setting.ranges[:, :n], -FARTHEST, FARTHEST)
         lower, upper = (
             np.concatenate([np.tile(each, steps + 2), np.full((steps + 1) * nu, sign * force)])
             for each, sign in zip(ranges, (-1, 1), strict=True)

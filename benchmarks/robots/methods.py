@@ -15,6 +15,7 @@ import numpy as np
 from benchmarks.local_peers import casadi
 from benchmarks.robots.bounce_times import find_bounces
 from benchmarks.robots.extremals import find_extremals
+from benchmarks.robots.impulses import find_rigid_program, find_touches
 from benchmarks.robots.ipopt import IPOPT_STEPS, find_program
 from benchmarks.robots.judge import Control, judge, roll_out
 from benchmarks.robots.plans import find_plan
@@ -121,12 +122,18 @@ def extremals(question: Question, first: int = 0) -> Attempts:
 
 
 def ipopt_multistart(question: Question, first: int = 0) -> Attempts:
-    """Yields what IPOPT makes of random roll-outs."""
-    program, duration = find_program(question), scenario_of(question).duration
+    """Yields what IPOPT makes of random roll-outs, of their touches where walls are rigid."""
+    is_rigid, duration = WORLDS[question.world].is_rigid, scenario_of(question).duration
+    count = round(duration / _GUESS_STEP) if is_rigid else IPOPT_STEPS
     for rng in _generators(question, first):
-        u = random_control(question, rng, np.linspace(0.0, 1.0, IPOPT_STEPS + 1))
-        motion = roll_out(question, Control.even(u[:-1], duration), _GUESS_STEP)
-        yield Attempt(*program.solve(question, motion.states, u))
+        u = random_control(question, rng, np.linspace(0.0, 1.0, count + 1))
+        states = roll_out(question, Control.even(u[:-1], duration), _GUESS_STEP).states
+        if is_rigid:
+            touches = find_touches(question, states)
+            program = find_rigid_program(question.world, len(touches))
+            yield Attempt(*program.solve(question, touches, states, u))
+        else:
+            yield Attempt(*find_program(question.world).solve(question, states, u))
 
 
 def snopt_multistart(question: Question, first: int = 0) -> Attempts:
@@ -177,7 +184,7 @@ METHODS: Mapping[str, Method] = {
     "listed": Method(listed_sequences, on_soft_walls=False),
     "bounces": Method(bounces, only="pendulum/off_the_wall"),
     "extremals": Method(extremals, only="pendulum/off_the_wall"),
-    "IPOPT": Method(ipopt_multistart, on_rigid_walls=False),
+    "IPOPT": Method(ipopt_multistart),
     "SNOPT": Method(snopt_multistart, on_rigid_walls=False),
     "CMA-ES": Method(evolution),
 }
