@@ -38,9 +38,9 @@ class Touch(NamedTuple):
 
 
 def find_touches(question: Question, states: np.ndarray) -> list[Touch]:
-    """Returns the first touches of a roll-out at equal times (L + 1, 2n): where it stops nearing a wall.
+    """Returns the first touches of walls in a roll-out at equal times (L + 1, 2n).
 
-    As many as are listed for the world at most.
+    There a wall that is near is neared no more. As many as are listed for the world at most.
     """
     setting, touches = setting_of(question), []
     mechanism, n = setting.mechanism, setting.mechanism.coordinates
