@@ -69,8 +69,7 @@ def _find_rates(world: World, law: ContactLaw, x: Floats, controls: Floats) -> R
     def yielding(x: Floats) -> tuple[Floats, Floats]:
         q, v = x[:, :n], x[:, n:]
         forces = world.calc_pushes(law, q, v)
-        pushed = world.calc_velocity_change(q, forces)
-        return np.hstack([v, world.calc_acceleration(q, v, controls) + pushed]), forces
+        return np.hstack([v, world.calc_acceleration(q, v, controls, forces)]), forces
 
     if not isinstance(law, RigidLaw):
         return yielding

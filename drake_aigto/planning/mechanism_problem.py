@@ -56,8 +56,7 @@ POLISH = ShootingOptions(
 )
 
 # What boxes show is closed from walls that push from afar. A renewed motion has met them before.
-COARSE = ShootingOptions.coarse()
-NEARER = ShootingOptions.coarse(smoothings=(0.01, 0.001))
+COARSE = NEARER = ShootingOptions((Smoothing(0.01, 8, 5e-2), Smoothing(1e-3, 15, 1e-2)), order=2, multiplier_updates=0)
 
 
 @dataclass(frozen=True, eq=False)

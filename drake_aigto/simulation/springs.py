@@ -82,18 +82,18 @@ class Springs(HybridMotion):
         """Moves on until a phase ends: of which contact, −1 if none, and what it is in then."""
         n, world, law = self.world.num_positions, self.world, self._law
         pressed, ends = self._phases == _Phase.PRESSED, self._list_ends()
+        is_pressed, stiffness = pressed.any(), -law.stiffness * pressed
         contacts = np.array([end.contact for end in ends], dtype=int)
         signs, is_rate = np.array([end.sign for end in ends]), [end.is_rate for end in ends]
         overlap = np.where(is_rate, 1.0, max(1.0, float(np.max(np.abs(self.x[:n]))))) * _OVERLAP
 
         def rates(x: Floats) -> Floats:
             q, v = x[..., :n], x[..., n:]
-            acceleration = world.calc_acceleration(q, v, control)
-            if pressed.any():
+            forces = None
+            if is_pressed:
                 distances, speeds = self._measure(x)
-                forces = -law.stiffness * distances * (1 - law.dissipation * speeds) * pressed
-                acceleration = acceleration + world.calc_velocity_change(q, forces)
-            return np.concatenate([v, acceleration], axis=-1)
+                forces = stiffness * distances * (1 - law.dissipation * speeds)
+            return np.concatenate([v, world.calc_acceleration(q, v, control, forces)], axis=-1)
 
         def watched(x: Floats) -> Floats:
             distances, speeds = self._measure(x)

@@ -14,7 +14,7 @@ from pydrake.symbolic import Expression
 from drake_aigto.arrays import Bools, Floats, Ints, read_only
 from drake_aigto.world.constant import ConstantDynamics, ConstantInertia, read_constant
 from drake_aigto.world.contact import Contact
-from drake_aigto.world.sums import SumMap, is_constant, tidy
+from drake_aigto.world.sums import SumMap, is_constant, load_kernels, tidy
 
 _INERTIA_REMEDY = "Use the literal transcription."
 _BIAS_REMEDY = (
@@ -238,19 +238,33 @@ class EquationsOfMotion:
         inverse = J.T / np.sum(J**2) if len(contacts) == 1 else np.linalg.pinv(J)
         return q - inverse @ self.calc_signed_distance(q)[contacts]
 
-    def calc_acceleration(self, q: Floats, v: Floats, u: Floats) -> Floats:
-        """Returns v̇ = M⁻¹ (B u − h(q, v)), without contact, (…, nv) [m/s²], at u (…, nu) [N]."""
+    def calc_acceleration(
+        self, q: Floats, v: Floats, u: Floats, forces: Floats | None = None
+    ) -> Floats:
+        """Returns v̇ = M⁻¹ (B u − h(q, v) + Jᵀ f), shape (…, nv) [m/s²].
+
+        Args:
+            q: shape (…, nq) [m].
+            v: shape (…, nv) [m/s].
+            u: shape (…, nu) [N].
+            forces: f of contacts, shape (…, m) [N]; None: nothing touches.
+        """
         force = u @ self.actuation.T - self.calc_bias(q, v)
+        if forces is not None:
+            force = force + self._calc_push(q, forces)
         if self.has_constant_inertia:  # Simulations ask this in every step.
             return force @ self.constant_inertia.inverse_mass.T
         return self._divide_by_mass(q, force)
+
+    def _calc_push(self, q: Floats, impulses: Floats) -> Floats:
+        """Returns J(q)ᵀ p, shape (…, nv)."""
+        return (impulses[..., np.newaxis, :] @ self.calc_contact_jacobian(q))[..., 0, :]
 
     def calc_velocity_change(self, q: Floats, impulses: Floats) -> Floats:
         """Returns M⁻¹ J(q)ᵀ p, shape (…, nv) [m/s], for contact impulses p, (…, m) [N s]."""
         if self.has_constant_inertia:
             return impulses @ self.constant_inertia.kicks
-        J = self.calc_contact_jacobian(q)
-        return self._divide_by_mass(q, (impulses[..., np.newaxis, :] @ J)[..., 0, :])
+        return self._divide_by_mass(q, self._calc_push(q, impulses))
 
     def calc_kinetic_energy(self, q: Floats, v: Floats) -> Floats:
         """Returns ½ vᵀ M(q) v, shape (…) [J]."""
@@ -258,8 +272,13 @@ class EquationsOfMotion:
 
     def _divide_by_mass(self, q: Floats, momentum: Floats) -> Floats:
         """Returns M(q)⁻¹ times momenta or forces, shape (…, nv)."""
-        columns = np.linalg.solve(self.calc_mass_matrix(q), momentum[..., np.newaxis])
-        return np.asarray(columns[..., 0], dtype=np.float64)
+        masses, n = self._mass_map(q), self.num_velocities
+        if q.shape != momentum.shape:
+            shape = np.broadcast_shapes(q.shape, momentum.shape)
+            momentum = np.broadcast_to(momentum, shape)
+            masses = np.broadcast_to(masses, (*shape[:-1], n * n))
+        found = load_kernels().divide_by_masses(masses.reshape(-1, n * n), momentum.reshape(-1, n))
+        return np.asarray(found.reshape(momentum.shape))
 
     @cached_property
     def _mass_map(self) -> SumMap:
