@@ -14,7 +14,7 @@ from drake_aigto.planning import Center, MechanismOptions, MechanismRung, Renewa
 from drake_aigto.planning.mechanism_problem import MechanismProblem
 from drake_aigto.shooting import ShootingResult
 
-QUICK = MechanismOptions(renewals=16, finalists=1)
+QUICK = MechanismOptions(renewals=16)
 
 
 @pytest.fixture(scope="module")

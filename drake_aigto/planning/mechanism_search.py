@@ -17,10 +17,10 @@ from drake_aigto.jit import tell_compilation
 from drake_aigto.planning.branching import scaled
 from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.mechanism_boxes import Center, MechanismRung, Renewal
-from drake_aigto.planning.mechanism_problem import COARSE, NEARER, MechanismProblem
+from drake_aigto.planning.mechanism_problem import MechanismProblem
 from drake_aigto.planning.origin import Origin
 from drake_aigto.planning.pool import CandidatePool, Progress, Stopwatch
-from drake_aigto.shooting import ShootingOptions, ShootingResult
+from drake_aigto.shooting import ShootingResult
 
 _LOG = logging.getLogger(__name__)
 
@@ -44,6 +44,8 @@ _WAVE = 8
 _NOTHING = 1e-12
 # A motion that costs so many times the best finalist is not polished.
 _DEAR = 1.2
+# Of so many motions a finalist what they cost in shorter steps decides: long ones may mislead.
+_MOST_TIGHTENED = 2
 # Every second renewal is of the best motion, the others are of one of so many.
 _MOST_RENEWED = 4
 
@@ -140,16 +142,16 @@ class MechanismSearch(CandidatePool):
         renewal = Renewal.draw(rng, num_steps, problem.world.num_positions)
         renewal = replace(renewal, half_width=has_boxes * renewal.half_width)
         propose = partial(problem.renew, motion.result, renewal)
-        return Proposal(motion.origin.renewed(), partial(self._close, propose, NEARER))
+        return Proposal(motion.origin.renewed(), partial(self._close, propose))
 
     def _start(self, rung: MechanismRung) -> Proposal:
         propose = partial(self.problem.run_aigo, rung)
-        return Proposal(Origin(_ANNEALING, rung), partial(self._close, propose, COARSE))
+        return Proposal(Origin(_ANNEALING, rung), partial(self._close, propose))
 
-    def _close(self, propose: Callable[[], Center], options: ShootingOptions) -> Closed:
+    def _close(self, propose: Callable[[], Center]) -> Closed:
         """Closes what boxes propose."""
         center = propose()
-        return center.iterations, self.problem.close(center, options)
+        return center.iterations, self.problem.close(center)
 
     def _close_all(self, proposals: Sequence[Proposal]) -> None:
         """Closes motions in threads, and keeps the best in the order of proposals."""
@@ -177,12 +179,23 @@ class MechanismSearch(CandidatePool):
     def _finish(self) -> None:
         """Polishes and judges the best motions, one of those that are near each other."""
         known: list[ShootingResult] = []
-        for motion in self.motions:
+        for motion in self._tighten():
             is_full = len(known) >= 2 * self.problem.options.finalists
-            if is_full or self.is_interrupted or self._is_hopeless(motion):
+            is_ended = self.is_interrupted and known
+            if is_full or is_ended or self._is_hopeless(motion):
                 return
             if not any(self.problem.are_near(motion.result, other) for other in known):
                 known += [motion.result, self._polish(motion.origin, motion.result)]
+
+    def _tighten(self) -> list[Motion]:
+        """Returns the motions, the best of them by what they cost in shorter steps."""
+        tight: list[Motion] = []
+        most = 1 if self.is_interrupted else _MOST_TIGHTENED * self.problem.options.finalists
+        with self.clock("polish"), self.ended_by_ctrl_c(lambda: self.motions):
+            for motion in self.motions[:most]:
+                result = self.problem.tighten(motion.result)
+                tight.append(Motion(motion.origin, result, self.problem.rank(result)))
+        return [*sorted(tight, key=lambda each: each.rank), *self.motions[len(tight) :]]
 
     def _is_hopeless(self, motion: Motion) -> bool:
         """Returns whether a motion costs more than its polish can win back."""

@@ -108,6 +108,10 @@ class RigidMechanismProblem(MechanismProblem):
             touches = tuple(sorted((*motion.touches, added), key=lambda touch: touch.start))
         return min(tried, key=self.rank)
 
+    def tighten(self, motion: ShootingResult) -> ShootingResult:
+        """Returns a motion as it is: in phases, few steps err little."""
+        return motion
+
     def polish(self, motion: ShootingResult) -> BouncingResult:
         """Returns the local optimum near a motion in phases, in the scenario's time steps.
 

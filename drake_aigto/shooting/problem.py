@@ -38,6 +38,7 @@ class ShootingProblem(ShootingQuestion):
         controls: Floats,
         states: Floats | None = None,
         options: ShootingOptions | None = None,
+        prices: Floats | None = None,
     ) -> ShootingResult:
         """Returns a local optimum near a motion.
 
@@ -46,12 +47,13 @@ class ShootingProblem(ShootingQuestion):
             states: q and v at knots, shape (N + 1, 2n), which need not follow from the controls
                 and are taken there; None: those that do.
             options: numerics.
+            prices: of bounds at first: those of a result of this problem under other options.
 
         Raises:
             ProgramError: a shape does not fit.
         """
         options = options or ShootingOptions()
-        return _Descent(self, controls, states, options).run()
+        return _Descent(self, controls, states, options, prices).run()
 
     def simulate(
         self, controls: Floats, substeps: int, smoothing: float = 0.0, order: int = 4
@@ -119,7 +121,8 @@ class ShootingProblem(ShootingQuestion):
         options = options or ShootingOptions()
         while result.substeps < most_substeps and self.estimate_error(result) > tolerance:
             finer = replace(options, rungs=options.rungs[-1:], substeps=2 * result.substeps)
-            result = self.starting_from(result).solve(result.controls, None, finer)
+            problem = self.starting_from(result)
+            result = problem.solve(result.controls, None, finer, result.prices)
         return result
 
     @property
@@ -152,6 +155,7 @@ class _Descent:
         controls: Floats,
         states: Floats | None,
         options: ShootingOptions,
+        prices: Floats | None = None,
     ) -> None:
         """Takes the motion's shape from the problem."""
         self._problem, self._options, self._has_gaps = problem, options, states is not None
@@ -162,7 +166,22 @@ class _Descent:
         clip_controls(self._program, self._controls)
         self._memory = make_memory(self._program, len(self._controls), self._states.shape[1])
         self._penalty, self._violation = options.penalty * problem.cost_scale, np.inf
+        if prices is not None:
+            self._take_prices(prices)
         self._iterations = 0
+
+    @property
+    def _multipliers(self) -> tuple[Floats, ...]:
+        """Those of all bounds at knots."""
+        of = self._program.bounds
+        forces = of.approach_multipliers, of.force_multipliers
+        return of.multipliers, of.distance_multipliers, *forces
+
+    def _take_prices(self, prices: Floats) -> None:
+        ends = np.cumsum([1, *(own.size for own in self._multipliers)])
+        self._penalty = float(_take("prices", prices, (int(ends[-1]),))[0])
+        for own, known in zip(self._multipliers, np.split(prices, ends)[1:], strict=False):
+            own[...] = known.reshape(own.shape)
 
     def _lay_out_controls(self, controls: Floats) -> Floats:
         """Returns what each stage chooses, shape (K, nu): durations where phases start."""
@@ -276,6 +295,7 @@ class _Descent:
             substeps=self._options.substeps,
             order=self._options.order,
             durations=self._controls[layout.starts, 0],
+            prices=np.concatenate([[self._penalty], *map(np.ravel, self._multipliers)]),
         )
 
 

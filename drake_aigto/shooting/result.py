@@ -25,6 +25,7 @@ class ShootingResult(ArrayRecord):
         substeps: Runge-Kutta steps between knots.
         order: of their error.
         durations: of phases, shape (P,) [s]; none without phases.
+        prices: of bounds at knots: ρ, then all multipliers.
     """
 
     times: Floats
@@ -39,8 +40,9 @@ class ShootingResult(ArrayRecord):
     substeps: int
     order: int
     durations: Floats
+    prices: Floats
 
     def __post_init__(self) -> None:
         """Makes the arrays read-only."""
-        for name in ("times", "states", "controls", "durations"):
+        for name in ("times", "states", "controls", "durations", "prices"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
