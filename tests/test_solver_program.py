@@ -114,13 +114,13 @@ def test_a_row_without_a_square_in_closed_form_is_refused_by_name() -> None:
         match=r"the constraint 'mixed' of .* the row .*exp\(x\(0\)\).*, in whose square an "
         r"exponential and a sine .* Give one of the two functions a variable s of its own",
     ):
-        read_program(prog)
+        assert read_program(prog).penalties
     # What it says works.
     prog = make_program()
     x, (s,) = prog.decision_variables(), prog.NewContinuousVariables(1, "s")
     prog.AddConstraint(s == exp(x[0]))
     prog.AddConstraint(s + sin(x[0]) == x[1])
-    assert read_program(prog).num_rows == 2
+    assert len(read_program(prog).penalties.blocks) == 2
 
 
 def test_a_square_of_too_many_terms_is_refused_by_name() -> None:
@@ -132,7 +132,7 @@ def test_a_square_of_too_many_terms_is_refused_by_name() -> None:
     with pytest.raises(
         UnsupportedTermError, match=r"the constraint 'long' of .* has too many terms: got 1,213,"
     ):
-        read_program(prog)
+        assert read_program(prog).penalties
 
 
 def test_rows_that_are_constant_once_multiplied_out_are_checked() -> None:

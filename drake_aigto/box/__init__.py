@@ -1,5 +1,6 @@
 """Means of sums of products over boxes, in closed form."""
 
+from drake_aigto.box.functions import D_C, D_CC, VALUE, factor_mean
 from drake_aigto.box.kernels import NO_SYSTEM, System, add_means
 from drake_aigto.box.lanes import Lanes, make_lanes
 from drake_aigto.box.parameters import ParametricPolynomial
@@ -7,7 +8,10 @@ from drake_aigto.box.polynomial import BoxPolynomial, NewtonSystem
 from drake_aigto.box.tapes import Order
 
 __all__ = [
+    "D_C",
+    "D_CC",
     "NO_SYSTEM",
+    "VALUE",
     "BoxPolynomial",
     "Lanes",
     "NewtonSystem",
@@ -15,5 +19,6 @@ __all__ = [
     "ParametricPolynomial",
     "System",
     "add_means",
+    "factor_mean",
     "make_lanes",
 ]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -27,7 +27,7 @@ from drake_aigto.terms import (
     constant,
     evaluate,
     from_terms,
-    to_terms,
+    with_own_variables,
 )
 
 # What a variable is divided by may be so much smaller than other coefficients of its row.
@@ -173,10 +173,9 @@ def _join(pieces: Iterable[Piece], kept: Ints, lower: Floats, upper: Floats) -> 
     place = {variable: i for i, variable in enumerate(kept.tolist())}
     alike: dict[tuple[Any, ...], list[list[int]]] = {}
     for piece in pieces:
-        local = {variable: i for i, variable in enumerate(piece.variables)}
-        terms = to_terms(_renamed(piece.total, local))
+        terms, read = with_own_variables(piece.total)
         copies = alike.setdefault((piece.label, piece.name, piece.bounds, terms), [])
-        copies.append([place[variable] for variable in piece.variables])
+        copies.append([place[variable] for variable in read])
     question = Question(kept.size)
     question.lower, question.upper = lower[kept], upper[kept]
     costs = []
@@ -262,9 +261,7 @@ class _Substitution:
 
     def _bound(self, row: Piece, definition: Definition) -> list[Piece]:
         """Returns the row that keeps a substituted variable within its bounds, if one has to."""
-        read = _variables(definition.total)
-        local = {variable: i for i, variable in enumerate(read)}
-        terms = to_terms(_renamed(definition.total, local))
+        terms, read = with_own_variables(definition.total)
         least, most = sum_range(terms, self._lower[read], self._upper[read])
         low, high = (float(side[definition.variable]) for side in (self._lower, self._upper))
         if low <= least and most <= high:
@@ -334,11 +331,3 @@ def _insert(pieces: Iterable[Piece], definition: Definition) -> list[Piece] | No
 def _variables(total: Sum) -> list[int]:
     """Returns the variables that a sum reads, rising."""
     return sorted({part.variable for parts in total for part in parts})
-
-
-def _renamed(total: Sum, names: Mapping[int, int]) -> Sum:
-    """Returns a sum with other numbers of variables, in the same order."""
-    return {
-        tuple(part._replace(variable=names[part.variable]) for part in parts): a
-        for parts, a in total.items()
-    }

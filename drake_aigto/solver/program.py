@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from pydrake.solvers import MathematicalProgram
@@ -46,6 +47,28 @@ class Slack:
 
 
 @dataclass(frozen=True, eq=False)
+class PenalizedRow:
+    """Copies of an equality row r(y) = 0.
+
+    Attributes:
+        label: how messages call it.
+        name: of its square, unlike all costs'.
+        row: what it came from.
+        block: r, and which variables each copy is of.
+    """
+
+    label: str
+    name: str
+    row: ConstraintRow
+    block: TermBlock
+
+    def square(self) -> TermBlock:
+        """Returns r² of all copies."""
+        terms = _square(self.label, self.row, self.block.terms)
+        return TermBlock(self.name, terms, self.block.variables)
+
+
+@dataclass(frozen=True, eq=False)
 class AigoProgram:
     """Minimize f(x) subject to r(y) = 0, lower ≤ y ≤ upper, over y = (z, s).
 
@@ -60,7 +83,7 @@ class AigoProgram:
         reduced: what presolve made of it.
         nlp: f, r and bounds over y, for a local solver.
         costs: f over y.
-        penalties: Σ r_i², named unlike all costs.
+        rows: r over y.
         slacks: what each s_i stands for.
     """
 
@@ -69,8 +92,28 @@ class AigoProgram:
     reduced: Reduced
     nlp: PolynomialNlp
     costs: BoxPolynomial
-    penalties: BoxPolynomial
+    rows: tuple[PenalizedRow, ...]
     slacks: tuple[Slack, ...]
+
+    @cached_property
+    def penalties(self) -> BoxPolynomial:
+        """Σ r_i², named unlike all costs.
+
+        Raises:
+            UnsupportedTermError: a row's square has no mean in closed form; by name.
+        """
+        return BoxPolynomial(self.nlp.num_variables, tuple(row.square() for row in self.rows))
+
+    def presolved(self) -> AigoProgram:
+        """Returns the program without variables that rows define.
+
+        Raises:
+            ContradictionError: constants alone leave no feasible point.
+        """
+        reduced = substitute(self.reduced.question)
+        if reduced.question is self.reduced.question:
+            return self
+        return _Rows(self.source, self.lifted, reduced).finish()
 
     @property
     def num_rows(self) -> int:
@@ -116,16 +159,12 @@ class AigoProgram:
         return np.clip(y, self.nlp.lower, self.nlp.upper)
 
 
-def read_program(prog: MathematicalProgram, presolve: bool = False) -> AigoProgram:
-    """Returns a program with slacks.
-
-    Args:
-        prog: the program.
-        presolve: whether variables that rows define are substituted.
+def read_program(prog: MathematicalProgram) -> AigoProgram:
+    """Returns a program with slacks, and all its variables.
 
     Raises:
-        UnsupportedTermError: a cost or a row's square without a mean in closed form, or variables
-            that are not continuous; by name.
+        UnsupportedTermError: a cost or a row without a mean in closed form, or variables that are
+            not continuous; by name.
         ContradictionError: bounds or constants alone leave no feasible point.
     """
     lifted = Lifted(prog)
@@ -134,17 +173,15 @@ def read_program(prog: MathematicalProgram, presolve: bool = False) -> AigoProgr
     except UnsupportedTermError:
         lifted = lift(prog)
         question = Question.of(lifted.prog)
-    reduced = substitute(question) if presolve else keep_all(question)
-    return _Rows(prog, lifted, reduced).finish()
+    return _Rows(prog, lifted, keep_all(question)).finish()
 
 
 class _Rows:
-    """Collects equality rows, their squares, and slacks."""
+    """Collects equality rows and slacks."""
 
     def __init__(self, source: MathematicalProgram, lifted: Lifted, reduced: Reduced) -> None:
         self._source, self._lifted, self._reduced = source, lifted, reduced
-        self._blocks: list[TermBlock] = []
-        self._squares: list[TermBlock] = []
+        self._rows: list[PenalizedRow] = []
         self._slacks: list[Slack] = []
         self._lower, self._upper = reduced.question.lower, reduced.question.upper
         self._prefix = self._row_prefix()
@@ -175,8 +212,8 @@ class _Rows:
             self._upper = np.append(self._upper, np.full(count, row.upper))
         terms = (*row.terms, rest)
         name = f"{self._prefix}{self._num_rows}"
-        self._blocks.append(TermBlock(block.name, terms, variables))
-        self._squares.append(TermBlock(name, _square(copies.label, row, terms), variables))
+        own_block = TermBlock(block.name, terms, variables)
+        self._rows.append(PenalizedRow(copies.label, name, row, own_block))
         self._num_rows += count
 
     def finish(self) -> AigoProgram:
@@ -184,13 +221,14 @@ class _Rows:
         for row in self._reduced.question.rows:
             self._add(row)
         size, costs = self._lower.size, self._reduced.question.costs
+        blocks = tuple(row.block for row in self._rows)
         return AigoProgram(
             source=self._source,
             lifted=self._lifted,
             reduced=self._reduced,
-            nlp=PolynomialNlp(size, costs, tuple(self._blocks), self._lower, self._upper),
+            nlp=PolynomialNlp(size, costs, blocks, self._lower, self._upper),
             costs=BoxPolynomial(size, costs),
-            penalties=BoxPolynomial(size, tuple(self._squares)),
+            rows=tuple(self._rows),
             slacks=tuple(self._slacks),
         )
 

@@ -65,6 +65,9 @@ class AigoDetails:
         origin: which algorithm, from which box, led to the answer.
         substituted: numbers of the variables that presolve left out, in the order of doing so.
         lifted: functions without a mean, for which variables with rows stood.
+        complementarities: how many rows were read as λ s = 0, or λ s ≤ ε, of λ, s ≥ 0, and relaxed.
+        ladders: how many ladders of penalties were begun: 0 unless there are complementarities, or
+            the program is a long chain of stages.
         first_center: of the first box, shape (n,); of what was left out, its value there.
         first_half_width: of the first box, shape (n,); NaN of what was left out.
         widths: for each weight of the penalties, for each first algorithm: geometric-mean half
@@ -87,6 +90,8 @@ class AigoDetails:
     kkt_storage: Storage | None = None
     substituted: tuple[int, ...] = ()
     lifted: tuple[str, ...] = ()
+    complementarities: int = 0
+    ladders: int = 0
 
     @classmethod
     def of_nothing(cls, status: AigoStatus, x: Floats) -> AigoDetails:

@@ -1,4 +1,4 @@
-"""One solve: boxes shrink on the penalized cost, their centers are polished, the best is kept."""
+"""One solve: boxes or ladders lead to points, these are polished, and the best is kept."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 
-from drake_aigto.aigo import BoxSearch, LowPoint, SearchResult
+from drake_aigto.aigo import Box, BoxSearch, LowPoint, SearchResult
 from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.linear import Storage
@@ -20,6 +20,7 @@ from drake_aigto.solver.lagrangian import AugmentedLagrangian
 from drake_aigto.solver.options import AigoOptions
 from drake_aigto.solver.program import AigoProgram
 from drake_aigto.solver.result import AigoDetails, AigoStatus
+from drake_aigto.solver.staged import StagedProgram, StagedSearch
 from drake_aigto.solver.tighten import may_be_feasible
 
 _LOG = logging.getLogger(__name__)
@@ -29,6 +30,7 @@ Observer = Callable[["Floats", str], Any]
 # Penalties Σ r² weigh so many times what the cost varies by over the first box, in turn.
 _PENALTIES = (1.0, 30.0, 1e3)
 _POLISH_STEPS = 200
+_RELAXED_STEPS = 60  # from a ladder's top, which is nearly an answer
 # Programs of more variables have too many local minima for a few starts.
 _FEW = 30
 # With constraints, so many of the points on the way are polished too, the last ones, and every
@@ -60,34 +62,44 @@ class Solve:
 
     Args:
         program: with its slacks.
+        staged: the same without presolve, its complementarities relaxed.
         options: numerics.
         guess: shape (n,), NaN where there is none.
         observers: called with every better point, and a line about it.
     """
 
     def __init__(
-        self, program: AigoProgram, options: AigoOptions, guess: Floats, observers: list[Observer]
+        self,
+        program: AigoProgram,
+        staged: StagedProgram,
+        options: AigoOptions,
+        guess: Floats,
+        observers: list[Observer],
     ) -> None:
         """Makes the first box."""
         self._program, self._options, self._observers = program, options, observers
-        self._guess = program.reduce(guess)
-        self._first = make_first_box(program, self._guess, options)
+        self._guess, self._staged = program.reduce(guess), staged
+        self._ladders: StagedSearch | None = None
+        if staged.is_worth_ladders and options.polish != "none":
+            whole = staged.program.reduce(guess)
+            self._ladders = StagedSearch(staged, options, whole, self._polish_relaxed)
+        ladders = self._ladders if staged.is_chain else None
+        self._first = ladders.first if ladders else self._make_first_box()
         self._best: _Answer | None = None
         self._boxes = self._iterations = self._polishes = 0
         self._widths: list[tuple[tuple[float, ...], ...]] = []
         self._box_storage: Storage | None = None
         self._kkt_storage: Storage | None = None
 
+    def _make_first_box(self) -> Box:
+        return make_first_box(self._program, self._guess, self._options)
+
     def run(self) -> tuple[Floats, float, AigoDetails]:
         """Returns the answer x (n,), its cost, and details."""
         status = None
         try:
-            self._offer(self._first.center, "the middle of the first box")
-            if np.all(np.isfinite(self._guess)):
-                self._offer(self._guess, "the guess")
-                self._polish(self._program.with_slacks(self._guess), " of the guess")
-            self._search_all()
-            self._polish_spread()
+            if not self._search_stages():
+                self._search_boxes()
         except KeyboardInterrupt:
             status = AigoStatus.INTERRUPTED
         best = self._best
@@ -95,6 +107,29 @@ class Solve:
             x = self._program.answer(self._first.center)
             return x, np.inf, AigoDetails.of_nothing(AigoStatus.NOT_FINITE, x)
         return best.x, self._program.cost(best.x), self._details(best, status or self._judge(best))
+
+    def _search_stages(self) -> bool:
+        """Goes up ladders, where that is worth it; returns whether boxes are no longer needed."""
+        if self._ladders is None:
+            return False
+        self._offer_guess()
+        self._ladders.run()
+        is_found = self._best is not None and self._best.violation <= self._options.feasibility
+        return is_found and self._staged.is_chain
+
+    def _search_boxes(self) -> None:
+        if self._staged.is_chain:
+            self._first = self._make_first_box()
+        self._offer(self._first.center, "the middle of the first box")
+        if np.all(np.isfinite(self._guess)):
+            self._offer_guess()
+            self._polish(self._program.with_slacks(self._guess), " of the guess")
+        self._search_all()
+        self._polish_spread()
+
+    def _offer_guess(self) -> None:
+        if np.all(np.isfinite(self._guess)):
+            self._offer(self._guess, "the guess")
 
     def _details(self, best: _Answer, status: AigoStatus) -> AigoDetails:
         first, reduced = self._first, self._program.reduced
@@ -109,6 +144,8 @@ class Solve:
             origin=best.origin,
             substituted=tuple(j for j in reduced.defined if j < best.x.size),
             lifted=tuple(map(str, self._program.lifted.formulas)),
+            complementarities=len(self._staged.complementarities),
+            ladders=self._ladders.climbs if self._ladders else 0,
             first_center=self._program.answer(first.center),
             first_half_width=half_width[: best.x.size],
             widths=tuple(self._widths),
@@ -206,10 +243,26 @@ class Solve:
         self._offer(z, f"polish{name}")
         return program.with_slacks(z)
 
+    def _polish_relaxed(self, y: Floats, name: str) -> None:
+        """Offers a point of the program without presolve, improved on its relaxed rows."""
+        staged, options = self._staged, self._options
+        self._polishes += 1
+        if options.polish == "newton":
+            local = InteriorPoint.warm(max_iterations=_RELAXED_STEPS)
+            found = local.solve(staged.nlp, y)
+            x, self._kkt_storage = staged.program.answer(found.x), found.storage
+        else:
+            start = staged.program.answer(y)
+            x = solve_with_drake(staged.program.source, start, options.polish).x
+        self._keep(x, f"ladder from {name}")
+
     def _offer(self, y: Floats, origin: str) -> None:
         """Keeps a point, z or (z, s), if it is the best so far."""
+        self._keep(self._program.answer(y), origin)
+
+    def _keep(self, x: Floats, origin: str) -> None:
+        """Keeps a point x (n,) if it is the best so far."""
         program = self._program
-        x = program.answer(y)
         padded = np.zeros(program.nlp.num_variables)
         padded[: self._guess.size] = program.reduce(x)
         cost = program.costs(padded)

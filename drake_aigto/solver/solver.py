@@ -28,6 +28,7 @@ from drake_aigto.solver.result import (
     fill_result,
 )
 from drake_aigto.solver.solve import Observer, Solve
+from drake_aigto.solver.staged import StagedProgram
 
 _SUPPORTED = {
     ProgramAttribute.kLinearCost,
@@ -58,10 +59,15 @@ class AigoSolver(SolverInterface):
     Variables that an equality defines are substituted first (`AigoDetails.substituted`), so that a
     program written with auxiliary variables is searched as one without them.
 
-    The mean of f over boxes, or with constraints that of its augmented Lagrangian, is minimized
-    in closed form while they shrink (AIGTO Sec. II; Labbe & Del Prete 2025); a local solver then
-    improves their centers on the true constraints. An answer is called a solution if its
-    constraints hold; that it is the global one is likely, not proven.
+    Rows that are complementarities, λ s = 0, λ s ≤ 0 or λ s ≤ ε of λ, s ≥ 0, are relaxed at first,
+    and met in the answer (`AigoDetails.complementarities`). Long chains of stages, as programs of
+    trajectories are, are searched by ladders of penalties from many starts, and by renewing
+    stretches of stages; boxes only where that leads to no feasible point.
+
+    Of all other programs the mean of f over boxes, or with constraints that of its augmented
+    Lagrangian, is minimized in closed form while they shrink (AIGTO Sec. II; Labbe & Del Prete
+    2025); a local solver then improves their centers on the true constraints. An answer is called
+    a solution if its constraints hold; that it is the global one is likely, not proven.
     """
 
     def __init__(self, options: AigoOptions | None = None) -> None:
@@ -128,13 +134,16 @@ class AigoSolver(SolverInterface):
         guess = _check_guess(prog, initial_guess)
         filled = AigoProgramResult() if result is None else result
         try:
-            program = read_program(prog, presolve=options.presolve)
+            program = read_program(prog)
+            staged = StagedProgram(program, options.feasibility)
+            if options.presolve and not staged.is_chain:
+                program = program.presolved()
         except ContradictionError:
             x = np.where(np.isfinite(guess), guess, 0.0)
             details = AigoDetails.of_nothing(AigoStatus.CONTRADICTORY_BOUNDS, x)
             fill_result(filled, prog, x, np.inf, details)
             return filled if result is None else None
-        x, cost, details = Solve(program, options, guess, _observers(prog, prints)).run()
+        x, cost, details = Solve(program, staged, options, guess, _observers(prog, prints)).run()
         fill_result(filled, prog, x, cost, details)
         return filled if result is None else None
 

@@ -24,6 +24,7 @@ from .products import function as function
 from .products import multiply as multiply
 from .products import power as power
 from .products import to_terms as to_terms
+from .products import with_own_variables as with_own_variables
 from .sums import WAVES as WAVES
 from .sums import Factor as Factor
 from .sums import FunctionKind as FunctionKind

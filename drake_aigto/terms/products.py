@@ -249,6 +249,17 @@ def from_terms(terms: Iterable[Term], places: Sequence[int] | None = None) -> Su
     return add(*products)
 
 
+def with_own_variables(total: Sum) -> tuple[tuple[Term, ...], list[int]]:
+    """Returns a sum's terms over variables 0 … L−1, and which ones these are, rising."""
+    read = sorted({part.variable for parts in total for part in parts})
+    number = {variable: i for i, variable in enumerate(read)}
+    renamed = {
+        tuple(part._replace(variable=number[part.variable]) for part in parts): a
+        for parts, a in total.items()
+    }
+    return to_terms(renamed), read
+
+
 def _sum(a: Fraction | float, b: Fraction | float) -> Fraction | float:
     """Returns the exact sum, as a float where one has its value."""
     if isinstance(a, float) and isinstance(b, float):

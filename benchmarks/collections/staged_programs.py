@@ -1,0 +1,250 @@
+"""Programs that are chains of stages with contact, as their authors would write them.
+
+Sources: SPOT (Kang, Liu & Yang, RSS 2025, arXiv:2502.02829) for the push-bot and the push-box;
+CRISP (Li, Han, Kang, Ma & Yang, RSS 2025, arXiv:2502.01055) for the payload on a cart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import Any, Literal
+
+import numpy as np
+from pydrake.solvers import MathematicalProgram
+from pydrake.symbolic import cos, sin
+
+Form = Literal["equalities", "inequalities", "variables"]
+
+# Cart position [m], speed [m/s], pole angle [rad], its rate [rad/s]: SPOT's ten.
+SPOT_STARTS = (
+    (0.7740, -0.6848, 0.2446, 1.2363),
+    (0.8605, 0.9412, -0.7293, -2.8090),
+    (0.1206, 0.9143, 0.5484, -1.3385),
+    (0.8677, -0.0292, 0.6817, -2.7230),
+    (0.6007, 0.6006, 0.2808, -2.4172),
+    (0.0927, -0.7162, 0.4049, 1.9407),
+    (0.2646, -0.1565, 0.3819, 1.1690),
+    (0.5195, 0.8315, -0.1693, -1.0974),
+    (0.9096, 0.5844, 0.2442, 2.7013),
+    (0.9166, 0.9190, -0.5165, -2.7933),
+)
+# Cart and pole [kg], pole [m], gravity [m/s²], stiffness [N/m], largest force and control [N].
+_CART, _POLE, _LENGTH, _GRAVITY, _STIFFNESS, _FORCE, _CONTROL = 1.0, 0.1, 0.8, 9.8, 200.0, 100, 20
+_STEPS, _DT = 30, 0.05  # [s]
+_LARGEST_TURN = np.arccos(0.7)  # [rad] in a step
+
+
+@dataclass(frozen=True)
+class StagedProblem:
+    """A program, made anew each time.
+
+    Attributes:
+        name: of it.
+        prog: makes it.
+    """
+
+    name: str
+    prog: Callable[[], MathematicalProgram]
+
+
+def staged_problems(num_random: int = 50) -> Iterator[StagedProblem]:
+    """Yields the push-bot's between near and far walls, and the others.
+
+    Args:
+        num_random: how many random starts of the push-bot there are, at each distance of the walls.
+    """
+    for wall in (1.0, 0.6):
+        for i, start in enumerate(push_bot_starts(wall, num_random)):
+            form: Form = ("equalities", "inequalities", "variables")[i % 3]
+            name = f"push_bot/{wall:g}/{i}"
+            yield StagedProblem(name, partial(push_bot, start, wall, form))
+    for i, task in enumerate(payload_tasks()):
+        yield StagedProblem(f"payload/{i}", partial(payload, *task))
+    for i, pose in enumerate(push_box_starts()):
+        yield StagedProblem(f"push_box/{i}", partial(push_box, pose))
+
+
+def push_bot_starts(wall: float, num_random: int) -> list[tuple[float, ...]]:
+    """Returns SPOT's ten starts, and random ones of its distribution.
+
+    Starts whose first knots are so deep in a wall that its force is above the bound on forces are
+    left out, and drawn again.
+    """
+    rng = np.random.default_rng(17)
+    starts: list[tuple[float, ...]] = [each for each in SPOT_STARTS if _is_possible(each, wall)]
+    last = len(starts) + num_random
+    while len(starts) < last:
+        low, high = (0.0, -1.0, -np.pi / 4, -3.0), (0.95, 1.0, np.pi / 4, 3.0)
+        start = tuple(rng.uniform(low, high).tolist())
+        if _is_possible(start, wall):
+            starts.append(start)
+    return starts
+
+
+def _is_possible(start: tuple[float, ...], wall: float) -> bool:
+    a, v, angle, rate = start
+    tip = a + _DT * v + _LENGTH * np.sin(angle + _DT * rate)
+    return bool(_STIFFNESS * (abs(tip) - wall) < 0.99 * _FORCE and abs(a + _DT * v) <= 1.0)
+
+
+def push_bot(start: tuple[float, ...], wall: float, form: Form) -> MathematicalProgram:
+    """Returns SPOT's push-bot: a cart-pole swings up between soft walls, in its discrete mechanics.
+
+    With a, θ of knots 0 … N + 1, control u and the walls' forces λ₁, λ₂ of steps 1 … N:
+
+        (m_c + m_p) ä + m_p l (sin θ)¨ = u + λ₁ − λ₂
+        l (sin Δθ_k − sin Δθ_{k−1})/dt² + (ä + λ₂ − λ₁) cos θ + g sin θ = 0
+        0 ≤ λ₁ ⊥ λ₁/k + d + a + l sin θ ≥ 0,    0 ≤ λ₂ ⊥ λ₂/k + d − a − l sin θ ≥ 0
+
+    Args:
+        start: a [m], its speed [m/s], θ [rad] (0 hangs down) and its rate [rad/s].
+        wall: d [m].
+        form: complementarities as λ s = 0, as λ s ≤ 0, or with a variable for s.
+    """
+    prog = MathematicalProgram()
+    a, angle = (prog.NewContinuousVariables(_STEPS + 2, name) for name in ("a", "angle"))
+    u, left, right = (prog.NewContinuousVariables(_STEPS, name) for name in ("u", "left", "right"))
+    position, speed, first, rate = start
+    knots = np.array([[position, position + _DT * speed], [first, first + _DT * rate]])
+    for variables, values in zip((a, angle), knots, strict=True):
+        prog.AddBoundingBoxConstraint(values, values, variables[:2])
+    prog.AddBoundingBoxConstraint(-1.0, 1.0, a[2:])
+    prog.AddBoundingBoxConstraint(-_CONTROL, _CONTROL, u)
+    prog.AddBoundingBoxConstraint(0.0, _FORCE, np.concatenate([left, right]))
+    for k in range(1, _STEPS + 1):
+        force = left[k - 1] - right[k - 1]
+        acc = (a[k - 1] - 2 * a[k] + a[k + 1]) / _DT**2
+        sines = (sin(angle[k - 1]) - 2 * sin(angle[k]) + sin(angle[k + 1])) / _DT**2
+        turns = (sin(angle[k + 1] - angle[k]) - sin(angle[k] - angle[k - 1])) / _DT**2
+        prog.AddConstraint((_CART + _POLE) * acc + _POLE * _LENGTH * sines - u[k - 1] - force == 0)
+        hangs = _GRAVITY * sin(angle[k])
+        prog.AddConstraint(_LENGTH * turns + (acc - force) * cos(angle[k]) + hangs == 0)
+        tip = a[k] + _LENGTH * sin(angle[k])
+        for push, gap in ((left[k - 1], wall + tip), (right[k - 1], wall - tip)):
+            _add_complementarity(prog, push, push / _STIFFNESS + gap, form)
+        turn = angle[k + 1] - angle[k]
+        prog.AddLinearConstraint(turn, -_LARGEST_TURN, _LARGEST_TURN)
+        weight = 10.0 if k == _STEPS else 1.0
+        upright = (cos(angle[k]) + 1) ** 2 + sin(angle[k + 1]) ** 2
+        prog.AddCost(weight * (a[k + 1] ** 2 + upright + 2 - 2 * cos(turn)))
+        prog.AddQuadraticCost((u[k - 1] / _CONTROL) ** 2)
+    return prog
+
+
+def _add_complementarity(prog: MathematicalProgram, force: Any, gap: Any, form: Form) -> None:
+    """Adds 0 ≤ λ ⊥ s ≥ 0 for a λ that has its bound."""
+    if form == "variables":
+        (own,) = prog.NewContinuousVariables(1, "gap")
+        prog.AddBoundingBoxConstraint(0.0, np.inf, own)
+        prog.AddConstraint(gap - own == 0)
+        prog.AddConstraint(force * own == 0)
+        return
+    prog.AddConstraint(gap >= 0)
+    prog.AddConstraint(force * gap == 0 if form == "equalities" else force * gap <= 0)
+
+
+def payload_tasks() -> Iterator[tuple[np.ndarray, np.ndarray]]:
+    """Yields CRISP's 27 starts and goals, each positions and speeds of cargo and cart."""
+    for cargo in (3.0, 2.5, 3.5):
+        for speeds in ((0.0, 0.0), (-3.0, 0.0), (-4.0, -2.0)):
+            for goal in (0.0, -0.5, 0.5):
+                first, last = speeds
+                yield (
+                    np.array([cargo, 3.0, first, first]),
+                    np.array([goal, 0.0, last, last]),
+                )
+
+
+def payload(start: np.ndarray, goal: np.ndarray, num_steps: int = 200) -> MathematicalProgram:
+    """Returns CRISP's payload on a cart, which slides: linear rows and complementarities.
+
+    ẍ₁ = f/m₁,  ẍ₂ = (u − f)/m₂,  ẋ₁ − ẋ₂ = v − w,  |f| ≤ μ m₁ g,  |x₁ − x₂| ≤ 1,
+    0 ≤ v ⊥ w ≥ 0,    w ⊥ μ m₁ g − f,    v ⊥ f + μ m₁ g
+    """
+    cargo, cart, dt, most = 1.0, 2.0, 0.02, 0.2 * 9.81
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(num_steps + 1, 4, "x")
+    u, f, v, w = (prog.NewContinuousVariables(num_steps, name) for name in "ufvw")
+    prog.AddBoundingBoxConstraint(start, start, x[0])
+    prog.AddBoundingBoxConstraint(-most, most, f)
+    prog.AddBoundingBoxConstraint(0.0, np.inf, np.concatenate([v, w]))
+    for k in range(num_steps):
+        acc = np.array([f[k] / cargo, (u[k] - f[k]) / cart])
+        for i in range(2):
+            prog.AddConstraint(x[k + 1, 2 + i] == x[k, 2 + i] + dt * acc[i])
+            prog.AddConstraint(x[k + 1, i] == x[k, i] + dt * x[k + 1, 2 + i])
+        prog.AddConstraint(x[k, 2] - x[k, 3] == v[k] - w[k])
+        prog.AddLinearConstraint(x[k + 1, 0] - x[k + 1, 1], -1.0, 1.0)
+        prog.AddConstraint(v[k] * w[k] <= 0)
+        prog.AddConstraint(w[k] * (most - f[k]) <= 0)
+        prog.AddConstraint(v[k] * (f[k] + most) <= 0)
+        prog.AddQuadraticCost(1e-4 * (f[k] ** 2 + u[k] ** 2))
+    weights = (1e5, 1e5, 10.0, 10.0)
+    for variable, value, weight in zip(x[-1], goal, weights, strict=True):
+        prog.AddQuadraticCost(weight * (variable - value) ** 2)
+    return prog
+
+
+def push_box_starts() -> tuple[tuple[float, float, float], ...]:
+    """Returns SPOT's ten poses: angle [rad] and position [m]."""
+    return (
+        (1.9775, 0.1473, 0.2967),
+        (2.5497, 0.3912, 0.1107),
+        (-2.3437, 0.3872, 0.3547),
+        (2.5973, 0.2456, 0.3802),
+        (0.8316, 0.3401, 0.3036),
+        (-2.5287, 0.1426, 0.3273),
+        (-1.3917, 0.2265, 0.3229),
+        (0.2946, 0.3747, 0.2177),
+        (2.8746, 0.3377, 0.2966),
+        (2.9210, 0.3878, 0.1514),
+    )
+
+
+def push_box(pose: tuple[float, float, float]) -> MathematicalProgram:
+    """Returns SPOT's box, pushed quasi-statically by one point without friction.
+
+    Which of four faces is pushed is chosen by λ_i (1 − λ_i) = 0, Σ λ_i² = 1 at every step.
+    """
+    num_steps, dt, c, a, b, reach, most = 30, 0.1, 0.3, 0.05, 0.1, 0.99, 0.6
+    radius = np.hypot(a, b)
+    prog = MathematicalProgram()
+    s, angle = (
+        prog.NewContinuousVariables(num_steps + 1, 2, "s"),
+        prog.NewContinuousVariables(num_steps + 1, "angle"),
+    )
+    force, point = (prog.NewContinuousVariables(num_steps, 2, name) for name in ("F", "p"))
+    face = prog.NewContinuousVariables(num_steps, 4, "face")
+    prog.AddBoundingBoxConstraint(pose[1:], pose[1:], s[0])
+    prog.AddBoundingBoxConstraint(pose[0], pose[0], angle[:1])
+    prog.AddBoundingBoxConstraint(-most, most, s[1:])
+    prog.AddBoundingBoxConstraint(-1.0, 1.0, force)
+    for side, i in ((a, 0), (b, 1)):
+        prog.AddBoundingBoxConstraint(-side, side, point[:, i])
+    prog.AddBoundingBoxConstraint(0.0, 1.0, face)
+    for k in range(num_steps):
+        (fx, fy), (px, py), chosen = force[k], point[k], face[k]
+        cosine, sine, turn = cos(angle[k]), sin(angle[k]), angle[k + 1] - angle[k]
+        prog.AddConstraint(s[k + 1, 0] - s[k, 0] - dt * (cosine * fx - sine * fy) == 0)
+        prog.AddConstraint(s[k + 1, 1] - s[k, 1] - dt * (sine * fx + cosine * fy) == 0)
+        prog.AddConstraint(sin(turn) == dt / (c * radius) * (px * fy - py * fx))
+        prog.AddLinearConstraint(turn, -_LARGEST_TURN, _LARGEST_TURN)
+        for i, (across, along, place, half) in enumerate(
+            ((py, px, b, a), (px, py, a, b), (py, px, -b, a), (px, py, -a, b))
+        ):
+            prog.AddConstraint(chosen[i] * (1 - chosen[i]) == 0)
+            prog.AddConstraint(chosen[i] * (across - place) == 0)
+            prog.AddConstraint(chosen[i] * (along - reach * half) <= 0)
+            prog.AddConstraint(chosen[i] * (along + reach * half) >= 0)
+        prog.AddConstraint(chosen @ chosen == 1)
+        prog.AddConstraint((chosen[0] + chosen[2]) * fx + (chosen[1] + chosen[3]) * fy == 0)
+        for sign, i, part in ((-1, 0, fy), (-1, 1, fx), (1, 2, fy), (1, 3, fx)):
+            prog.AddConstraint(sign * chosen[i] * part >= 0)
+        weight = 10.0 if k == num_steps - 1 else 1.0
+        at = s[k + 1] / most
+        home = (cos(angle[k + 1]) - 1) ** 2 + sin(angle[k + 1]) ** 2 + at @ at
+        prog.AddCost(weight * home)
+        prog.AddQuadraticCost(fx**2 + fy**2)
+    return prog

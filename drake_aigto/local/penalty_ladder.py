@@ -1,0 +1,174 @@
+"""Local optima from anywhere: rows are penalized, first little, then ever more."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from drake_aigto.arrays import Floats, Ints
+from drake_aigto.local.nlp import PolynomialNlp
+from drake_aigto.local.penalty_newton import (
+    PenaltyIterate,
+    PenaltyProgram,
+    Rung,
+    descend,
+    differentiate_at,
+)
+from drake_aigto.local.points import PointTables, make_point_system
+
+_PUSH = 1e-2  # of the distance between two bounds, or of a unit: a start's least slack
+_PROBES, _REACH = 4, 0.6  # points, within this part of the box, where slopes are looked at
+# How steep a scaled cost is on average, per unit; and a scaled row. Those that are relaxed count
+# more, as they are 0 on wide plains.
+_COST, _RELAXED = 150.0, 5.0
+
+# Measured on the push-bot between soft walls (`benchmarks.staged_programs`): barriers of a lower
+# weight, relative to ε, end at points that are not feasible.
+_BARRIER = 250.0
+_RELAXED_LESS, _PENALIZED_MORE = 0.3, 5.6
+_STEPS, _FIRST_STEPS, _LAST_STEPS = 12, 20, 20
+_ROUGH, _FINE = 1e5, 1e7  # weights
+_LAST_WEIGHT, _LAST_RELAXATIONS = 1e8, (2e-5, 2e-6, 2e-7)
+# A residual of scaled rows that the last weight does not mend any more; and that of an end.
+_HOPELESS, _FEASIBLE = 1e-3, 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class Climb:
+    """Where a ladder ended.
+
+    Attributes:
+        x: the point (n,).
+        cost: f(x).
+        residual: the largest of scaled rows; inf if it was given up as too dear.
+        steps: Newton steps.
+    """
+
+    x: Floats
+    cost: float
+    residual: float
+    steps: int
+
+    @property
+    def is_nearly_feasible(self) -> bool:
+        """Whether a polish has little left to do."""
+        return self.residual <= _FEASIBLE
+
+
+def rungs(relaxation: float, weight: float) -> Iterator[Rung]:
+    """Yields the rungs of a ladder from a first ε, relative to what rows vary by, and weight."""
+    count = _FIRST_STEPS
+    while True:
+        tolerance = 1e-1 if weight < _ROUGH else 1e-2
+        yield Rung(relaxation, weight, _BARRIER * relaxation, count, tolerance)
+        if weight >= _FINE:
+            break
+        weight = min(_PENALIZED_MORE * weight, _FINE)
+        relaxation = max(_RELAXED_LESS * relaxation, _LAST_RELAXATIONS[0])
+        count = _STEPS
+    for number, last in enumerate(_LAST_RELAXATIONS):
+        count = _LAST_STEPS // (1 + bool(number))
+        yield Rung(last, _LAST_WEIGHT, _BARRIER * last, count, 1e-3 * 0.1**number)
+
+
+class PenaltyLadder:
+    """Minimizes f(x) subject to c(x) = 0, lower ≤ x ≤ upper on rungs of rising penalties.
+
+    On each, a point that need not be near the rows is moved to a minimizer of f, a barrier of the
+    bounds and the rows' augmented Lagrangian (`penalty_newton`). The lowest rungs forget most of
+    where they start, and see past much of what makes a program not convex; the highest hold the
+    rows.
+
+    Rows may be relaxed: c_i(x) = ε in place of 0, with ε → 0. Of complementarities λ s = 0 that
+    makes a smooth law of a corner.
+    """
+
+    def __init__(
+        self,
+        nlp: PolynomialNlp,
+        tables: PointTables,
+        center: Floats,
+        half_width: Floats,
+        relaxed: Ints,
+    ) -> None:
+        """Scales costs and rows by how steep they are over a box.
+
+        Args:
+            nlp: the program.
+            tables: of it.
+            center: of the box (n,).
+            half_width: of the box, the units of variables (n,).
+            relaxed: numbers of the rows that are relaxed.
+        """
+        self._units = np.where(half_width > 0.0, half_width, 1.0)
+        self._places = tables.places
+        self._relaxed, self._system = relaxed, make_point_system(tables)
+        self._program = PenaltyProgram(
+            *(tables, nlp.lower.copy(), nlp.upper.copy(), self._units),
+            *(np.ones(nlp.num_rows), 1.0),
+        )
+        self._scale(center, np.random.default_rng(0))
+
+    def _scale(self, center: Floats, rng: np.random.Generator) -> None:
+        """Sets the scales of the rows and of the cost."""
+        tables, num_rows = self._program.tables, self._program.row_scales.size
+        by_place = np.ones(self._system.gradient.size)
+        by_place[self._places[self._places >= 0]] = self._units[self._places >= 0]
+        rows = np.repeat(np.arange(num_rows), np.diff(tables.first_entries))
+        slopes, steepness = np.zeros(num_rows), 0.0
+        for _ in range(_PROBES):
+            x = center + _REACH * self._units * rng.uniform(-1.0, 1.0, center.size)
+            x = np.where(self._places < 0, center, x)
+            differentiate_at(tables, x, self._system)
+            entries = np.abs(self._system.jacobian) * by_place[tables.entry_places]
+            found = np.zeros(num_rows)
+            np.maximum.at(found, rows, entries)
+            slopes += found**2 / _PROBES
+            steepness += np.sum((self._system.gradient * by_place) ** 2) / _PROBES
+        self._sizes = np.sqrt(slopes)
+        self._sizes[~(self._sizes > 0.0) | ~np.isfinite(self._sizes)] = 1.0
+        scales = 1.0 / self._sizes
+        scales[self._relaxed] *= _RELAXED
+        cost = _COST / np.sqrt(steepness) if 0.0 < steepness < np.inf else 1.0
+        self._program = self._program._replace(row_scales=scales, cost_scale=float(cost))
+
+    def climb(self, start: Floats, relaxation: float, weight: float, dear: float = np.inf) -> Climb:
+        """Goes up a ladder, until its top or until that is hopeless.
+
+        Args:
+            start: x (n,); it is moved within the bounds.
+            relaxation: first ε, relative to what rows vary by over the box.
+            weight: first weight of penalties.
+            dear: a cost beyond which nobody asks for the point.
+        """
+        program, x = self._program, self._inside(start)
+        multipliers = np.zeros(program.row_scales.size)
+        first = next(rungs(relaxation, weight)).barrier
+        iterate = PenaltyIterate(
+            x,
+            multipliers,
+            *(first / np.where(self._places < 0, 1.0, slack) for slack in self._slacks(x)),
+        )
+        rows, targets = np.empty(multipliers.size), np.zeros(multipliers.size)
+        total, cost, residual = 0, np.inf, np.inf
+        for rung in rungs(relaxation, weight):
+            targets[self._relaxed] = rung.relaxation * self._sizes[self._relaxed]
+            steps, cost = descend(program, targets, rung, iterate, self._system, rows)
+            total, residual = total + steps, float(np.max(np.abs(program.row_scales * rows)))
+            if rung.weight >= _FINE and cost > dear:
+                residual = np.inf
+                break
+            if rung.weight == _LAST_WEIGHT and not residual <= _HOPELESS:
+                break
+        return Climb(iterate.x, cost, residual, total)
+
+    def _inside(self, x: Floats) -> Floats:
+        """Returns a point (n,) strictly within the bounds."""
+        lower, upper = self._program.lower, self._program.upper
+        room = _PUSH * np.minimum(self._units, upper - lower)
+        return np.where(self._places < 0, lower, np.clip(x, lower + room, upper - room))
+
+    def _slacks(self, x: Floats) -> tuple[Floats, Floats]:
+        return x - self._program.lower, self._program.upper - x

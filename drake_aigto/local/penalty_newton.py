@@ -1,0 +1,311 @@
+"""Newton's method on a barrier function with penalized rows, compiled as a whole.
+
+    Φ(x) = s f(x) + yᵀ r(x) + ρ/2 Σ w_i² r_i(x)² − μ Σ log (slacks of bounds),    r = c(x) − ε
+
+One call goes a rung of a ladder: to a minimizer for given (ε, ρ, μ), followed by y ← y + ρ w² r,
+the method of multipliers (Hestenes 1969, Powell 1969). The Hessian is a band: far from feasible
+points an iteration costs as much as near them, and no restoration is ever needed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from drake_aigto.arrays import Floats
+from drake_aigto.jit import borrow, inner, kernel
+from drake_aigto.local.band import factorize_band, solve_band
+from drake_aigto.local.points import (
+    PointSystem,
+    PointTables,
+    differentiate,
+    evaluate,
+)
+
+_TAU = 0.995  # of any slack that a step may use
+_KAPPA = 1e3  # how far multipliers of bounds may leave μ/slack
+_ARMIJO, _HALVINGS = 1e-4, 12
+# Shifts of the Hessian, in units of the variables: they are tried one after the other.
+_FIRST_SHIFT, _LEAST_SHIFT, _LARGEST_SHIFT = 1e-3, 1e-6, 1e6
+_HARDER, _SOFTER, _AFTER_FAILURE = 5.0, 0.3, 1e-2
+# So many steps go without the rows' curvature once it has made the Hessian indefinite.
+_CONVEX_STEPS = 3
+
+
+class PenaltyProgram(NamedTuple):
+    """A program as the kernel reads it.
+
+    Attributes:
+        tables: of its costs and rows.
+        lower: bounds, −∞ where there is none (n,).
+        upper: (n,).
+        units: a distance that matters, of each variable (n,).
+        row_scales: w, of each row (m,).
+        cost_scale: s.
+    """
+
+    tables: PointTables
+    lower: Floats
+    upper: Floats
+    units: Floats
+    row_scales: Floats
+    cost_scale: float
+
+
+class PenaltyIterate(NamedTuple):
+    """What a rung changes.
+
+    Attributes:
+        x: the point, within its bounds (n,).
+        multipliers: y (m,).
+        of_lower: multipliers of lower bounds (n,).
+        of_upper: multipliers of upper bounds (n,).
+    """
+
+    x: Floats
+    multipliers: Floats
+    of_lower: Floats
+    of_upper: Floats
+
+
+class Rung(NamedTuple):
+    """How far a point is to be moved, and on what.
+
+    Attributes:
+        relaxation: ε of the rows that are relaxed.
+        weight: ρ.
+        barrier: μ.
+        max_steps: Newton steps.
+        tolerance: of the decrease that a step promises, where the rung ends.
+    """
+
+    relaxation: float
+    weight: float
+    barrier: float
+    max_steps: int
+    tolerance: float
+
+
+@inner
+def _merit(
+    program: PenaltyProgram,
+    targets: Floats,
+    weight: float,
+    barrier: float,
+    multipliers: Floats,
+    x: Floats,
+    values: Floats,
+    rows: Floats,
+) -> tuple[float, float]:
+    """Fills rows r(x) (m,), and the functions' values; returns Φ and f."""
+    cost = evaluate(program.tables, x, values, rows)
+    total = program.cost_scale * cost
+    for i in range(rows.size):
+        rows[i] -= targets[i]
+        scaled = program.row_scales[i] * rows[i]
+        total += multipliers[i] * rows[i] + 0.5 * weight * scaled * scaled
+    for i in range(x.size):
+        if program.tables.places[i] >= 0:
+            if program.lower[i] > -np.inf:
+                total -= barrier * math.log(x[i] - program.lower[i])
+            if program.upper[i] < np.inf:
+                total -= barrier * math.log(program.upper[i] - x[i])
+    return total, cost
+
+
+@inner
+def _add_bounds(
+    program: PenaltyProgram, iterate: PenaltyIterate, barrier: float, system: PointSystem
+) -> None:
+    """Adds the barrier's gradient and primal-dual Hessian."""
+    for i in range(iterate.x.size):
+        place = program.tables.places[i]
+        if place < 0:
+            continue
+        if program.lower[i] > -np.inf:
+            slack = iterate.x[i] - program.lower[i]
+            system.gradient[place] -= barrier / slack
+            system.hessian[place, 0] += iterate.of_lower[i] / slack
+        if program.upper[i] < np.inf:
+            slack = program.upper[i] - iterate.x[i]
+            system.gradient[place] += barrier / slack
+            system.hessian[place, 0] += iterate.of_upper[i] / slack
+
+
+@inner
+def _add_rows(
+    program: PenaltyProgram, weight: float, multipliers: Floats, system: PointSystem
+) -> None:
+    """Adds the rows' gradient, and the convex part of their penalty's Hessian."""
+    tables = program.tables
+    for row in range(multipliers.size):
+        scale = weight * program.row_scales[row] * program.row_scales[row]
+        first, last = tables.first_entries[row], tables.first_entries[row + 1]
+        for i in range(first, last):
+            place, slope = tables.entry_places[i], system.jacobian[i]
+            system.gradient[place] += multipliers[row] * slope
+            for j in range(first, last):
+                other = tables.entry_places[j]
+                if other >= place:
+                    product = scale * slope * system.jacobian[j]
+                    system.hessian[place, other - place] += product
+
+
+@inner
+def _factorize(program: PenaltyProgram, hessian: Floats, factor: Floats, shift: float) -> float:
+    """Fills the factor of a Hessian, shifted as little as makes it definite; returns the shift."""
+    while shift <= _LARGEST_SHIFT:
+        factor[:] = hessian
+        if shift > 0.0:
+            for i in range(program.units.size):
+                place = program.tables.places[i]
+                if place >= 0:
+                    factor[place, 0] += shift / (program.units[i] * program.units[i])
+        if factorize_band(factor):
+            return shift
+        shift = max(_FIRST_SHIFT, _HARDER * shift)
+    return shift
+
+
+@inner
+def _longest(program: PenaltyProgram, x: Floats, step: Floats) -> float:
+    """Returns the part of a step, up to 1, that leaves slacks room."""
+    length = 1.0
+    for i in range(x.size):
+        if step[i] < 0.0 and program.lower[i] > -np.inf:
+            length = min(length, _TAU * (program.lower[i] - x[i]) / step[i])
+        elif step[i] > 0.0 and program.upper[i] < np.inf:
+            length = min(length, _TAU * (program.upper[i] - x[i]) / step[i])
+    return length
+
+
+@inner
+def _moved(multiplier: float, slack: float, change: float, barrier: float) -> float:
+    """Returns a bound's multiplier after a full Newton step that changes its slack."""
+    step = barrier / slack - multiplier - multiplier / slack * change
+    if step < 0.0:
+        step *= min(1.0, _TAU * multiplier / -step)
+    return multiplier + step
+
+
+@inner
+def _move(
+    program: PenaltyProgram, iterate: PenaltyIterate, barrier: float, step: Floats, to: Floats
+) -> None:
+    """Moves the point, and the multipliers of bounds."""
+    for i in range(step.size):
+        if program.tables.places[i] < 0:
+            continue
+        at = iterate.x[i]
+        iterate.x[i] = to[i]
+        if program.lower[i] > -np.inf:
+            z = _moved(iterate.of_lower[i], at - program.lower[i], step[i], barrier)
+            middle = barrier / (to[i] - program.lower[i])
+            iterate.of_lower[i] = min(max(z, middle / _KAPPA), middle * _KAPPA)
+        if program.upper[i] < np.inf:
+            z = _moved(iterate.of_upper[i], program.upper[i] - at, -step[i], barrier)
+            middle = barrier / (program.upper[i] - to[i])
+            iterate.of_upper[i] = min(max(z, middle / _KAPPA), middle * _KAPPA)
+
+
+@inner
+def _differentiate(
+    program: PenaltyProgram,
+    iterate: PenaltyIterate,
+    weight: float,
+    barrier: float,
+    rows: Floats,
+    estimates: Floats,
+    is_convex: bool,
+    system: PointSystem,
+) -> None:
+    """Fills Φ's gradient and Hessian, the latter without the rows' curvature if it is convex."""
+    for i in range(rows.size):
+        scale = program.row_scales[i]
+        estimates[i] = iterate.multipliers[i] + weight * scale * scale * rows[i]
+    curved = np.zeros(rows.size) if is_convex else estimates
+    differentiate(program.tables, iterate.x, program.cost_scale, curved, system)
+    _add_bounds(program, iterate, barrier, system)
+    _add_rows(program, weight, estimates, system)
+
+
+@kernel
+def differentiate_at(tables: PointTables, x: Floats, system: PointSystem) -> None:
+    """Fills a system at a point (n,), without curvature of rows."""
+    num_rows = tables.first_entries.size - 1
+    differentiate(borrow(tables), x, 1.0, np.zeros(num_rows), borrow(system))
+
+
+@kernel
+def descend(
+    program: PenaltyProgram,
+    targets: Floats,
+    rung: Rung,
+    iterate: PenaltyIterate,
+    system: PointSystem,
+    rows: Floats,
+) -> tuple[int, float]:
+    """Minimizes Φ from an iterate, which is overwritten, and moves the multipliers of rows.
+
+    Args:
+        program: the program.
+        targets: ε of each row (m,).
+        rung: weights, and when to stop.
+        iterate: the start, strictly within its bounds.
+        system: room for derivatives.
+        rows: filled with r (m,).
+
+    Returns:
+        The number of steps, and f.
+    """
+    program, iterate, system = borrow(program), borrow(iterate), borrow(system)
+    weight, barrier = rung.weight, rung.barrier
+    x, size = iterate.x, system.gradient.size
+    tried, step, right = np.empty(x.size), np.zeros(x.size), np.empty(size)
+    new_rows, estimates = np.empty(rows.size), np.empty(rows.size)
+    factor = np.empty_like(system.hessian)
+    places, multipliers = program.tables.places, iterate.multipliers
+    merit, cost = _merit(program, targets, weight, barrier, multipliers, x, system.values, rows)
+    shift, convex_steps, steps = 0.0, 0, 0
+    while steps < rung.max_steps and shift <= _LARGEST_SHIFT:
+        is_convex = convex_steps > 0
+        _differentiate(program, iterate, weight, barrier, rows, estimates, is_convex, system)
+        if is_convex:
+            convex_steps -= 1
+            shift = _SOFTER * shift if shift > _LEAST_SHIFT else 0.0
+            shift = _factorize(program, system.hessian, factor, shift)
+        else:
+            factor[:] = system.hessian
+            if not factorize_band(factor):
+                convex_steps = _CONVEX_STEPS
+                continue
+        steps += 1
+        right[:] = -system.gradient
+        solve_band(factor, right)
+        slope = np.dot(system.gradient, right)
+        if not -slope >= rung.tolerance:
+            break
+        for i in range(x.size):
+            step[i] = right[places[i]] if places[i] >= 0 else 0.0
+        length, is_lower = _longest(program, x, step), False
+        for _ in range(_HALVINGS):
+            tried[:] = x + length * step
+            new_merit, new_cost = _merit(
+                program, targets, weight, barrier, multipliers, tried, system.values, new_rows
+            )
+            is_lower = new_merit <= merit + _ARMIJO * length * slope
+            if is_lower:
+                break
+            length *= 0.5
+        if is_lower:
+            _move(program, iterate, barrier, step, tried)
+            merit, cost = new_merit, new_cost
+            rows[:] = new_rows
+        else:
+            shift, convex_steps = max(_AFTER_FAILURE, 20.0 * shift), _CONVEX_STEPS
+    for i in range(rows.size):
+        scale = program.row_scales[i]
+        multipliers[i] += weight * scale * scale * rows[i]
+    return steps, cost

@@ -1,0 +1,205 @@
+"""Programs that are chains of stages, or have complementarities: local solves from many starts."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cached_property
+
+import numpy as np
+
+from drake_aigto.aigo import Box
+from drake_aigto.arrays import Floats, Ints
+from drake_aigto.local import PenaltyLadder, PointTables, PolynomialNlp, make_point_tables
+from drake_aigto.solver.complementarity import find_complementarities
+from drake_aigto.solver.options import AigoOptions
+from drake_aigto.solver.program import AigoProgram
+from drake_aigto.terms import Sum, TermBlock, add, constant, with_own_variables
+
+# A chain is so many times longer than its half bandwidth, and has more variables than a few.
+_LEAST_LENGTH, _FEW = 6, 40
+# Programs whose systems take longer to factorize, in multiplications, are left to boxes.
+_MOST_WORK = 3e7
+# λ s ends at this part of what an answer may violate.
+_PART_OF_FEASIBILITY = 0.1
+# So many points are kept, no two of which cost the same but for this part; and so much better,
+# relative to the best, is better.
+_MOST_KEPT, _SAME = 4, 1e-3
+# Costs this much above the best one, relative to it, are of no use.
+_DEAR = 0.05
+# Starts reach so far over the box; ladders begin at these powers of ten.
+_REACH = 0.6
+_START_RELAXATIONS, _START_WEIGHTS = (-2.2, -0.7), (2.5, 5.0)
+_RENEWED_RELAXATIONS, _RENEWED_WEIGHTS, _SHIFTS = (-3.7, -1.2), (3.5, 6.0), (-1.5, 0.0)
+_RENEWED_PART = 0.7  # of what comes after the first starts
+
+
+class StagedProgram:
+    """A program whose complementarities are rows λ s = ε, after all other rows.
+
+    Attributes:
+        program: as it was read, without presolve.
+        complementarities: those of its rows.
+        nlp: costs and rows over y, with ε as small as an answer has to have it.
+    """
+
+    def __init__(self, program: AigoProgram, feasibility: float) -> None:
+        """Looks for complementarities.
+
+        Args:
+            program: as it was read.
+            feasibility: how much an answer may violate a row.
+        """
+        self.program = program
+        self.complementarities = find_complementarities(program) if program.num_rows else ()
+        self.nlp = self._relax(_PART_OF_FEASIBILITY * feasibility)
+
+    @property
+    def relaxed(self) -> Ints:
+        """Numbers of the rows of `nlp` that are complementarities."""
+        last = self.nlp.num_rows
+        return np.arange(last - len(self.complementarities), last)
+
+    @cached_property
+    def tables(self) -> PointTables:
+        """What local solves read."""
+        return make_point_tables(self.nlp)
+
+    @property
+    def is_chain(self) -> bool:
+        """Whether this is a chain of stages: its band is narrow beside its length."""
+        if self.nlp.num_variables < _FEW or not self.program.num_rows:
+            return False
+        return bool(self.tables.size >= max(_FEW, _LEAST_LENGTH * self.tables.bandwidth))
+
+    @property
+    def is_worth_ladders(self) -> bool:
+        """Whether there is a chain, or complementarities, and Newton steps are quick."""
+        is_any = self.is_chain or bool(self.complementarities)
+        return is_any and self.tables.size * self.tables.bandwidth**2 <= _MOST_WORK
+
+    def _relax(self, least: float) -> PolynomialNlp:
+        nlp, found = self.program.nlp, self.complementarities
+        if not found:
+            return nlp
+        gone = {each.row for each in found}
+        rows, number = [], 0
+        for block in nlp.blocks[len(nlp.costs) :]:
+            numbers = range(number, number + len(block.variables))
+            number = numbers.stop
+            kept = [i for i, row in enumerate(numbers) if row not in gone]
+            if kept:
+                rows.append(TermBlock(block.name, block.terms, block.variables[kept]))
+        for each in found:
+            total = add(each.product, constant(-max(least, each.allowed)))
+            rows.append(_block("complementarity", total))
+        lower, upper = nlp.lower.copy(), nlp.upper.copy()
+        unused = [each.slack for each in found if each.slack >= 0]
+        lower[unused] = upper[unused] = np.clip(0.0, lower[unused], upper[unused])
+        return PolynomialNlp(nlp.num_variables, nlp.costs, tuple(rows), lower, upper)
+
+
+def _block(name: str, total: Sum) -> TermBlock:
+    """Returns a sum as a block of one copy."""
+    terms, read = with_own_variables(total)
+    return TermBlock(name, terms, [read])
+
+
+class StagedSearch:
+    """Ladders of penalties from many starts, and from renewed stretches of the best points.
+
+    What is drawn depends on the seed alone; work is cut off by counts.
+
+    Attributes:
+        first: the box that starts are drawn from.
+        climbs: how many ladders were begun.
+        steps: their Newton steps.
+        best: cost of the best point; inf if none was nearly feasible.
+    """
+
+    def __init__(
+        self,
+        staged: StagedProgram,
+        options: AigoOptions,
+        guess: Floats,
+        polish: Callable[[Floats, str], None],
+    ) -> None:
+        """Makes the tables.
+
+        Args:
+            staged: the program.
+            options: rounds, patience and the seed.
+            guess: of z, NaN where there is none.
+            polish: called with points that are nearly feasible, if they are better than others.
+        """
+        self.climbs = self.steps = 0
+        self.best = np.inf
+        self._options, self._polish = options, polish
+        self._guess, self._program = guess, staged.program
+        self._nlp, self._places = staged.nlp, staged.tables.places
+        self.first = self._box()
+        self._ladder = PenaltyLadder(
+            self._nlp, staged.tables, self.first.center, self.first.half_width, staged.relaxed
+        )
+        self._kept: list[tuple[float, Floats]] = []
+        self._rng = np.random.default_rng(options.seed)
+
+    def _box(self) -> Box:
+        """Returns where starts are drawn: between bounds, or around the guess or a bound."""
+        lower, upper = self._nlp.lower, self._nlp.upper
+        guess = np.zeros(lower.size)
+        guess[: self._guess.size] = np.nan_to_num(self._guess)
+        reach = self._options.first_half_width * np.maximum(1.0, np.abs(guess))
+        near = np.clip(guess, lower, upper)
+        low = np.where(np.isfinite(lower), lower, np.minimum(near, upper - reach) - reach)
+        high = np.where(np.isfinite(upper), upper, np.maximum(near, low + reach) + reach)
+        return Box((low + high) / 2, (high - low) / 2)
+
+    def run(self) -> None:
+        """Goes up ladders for as long as that pays."""
+        if np.all(np.isfinite(self._guess)):
+            self._climb(self._program.with_slacks(self._guess), "the guess", renewed=True)
+        idle, num_starts = 0, max(1, self._options.starts)
+        while self.climbs < self._options.rounds and idle < self._options.patience // 2:
+            before = self.best
+            is_start = not self._kept or self.climbs < num_starts
+            if is_start or self._rng.random() > _RENEWED_PART:
+                self._climb(self._start(), "a start by chance", renewed=False)
+            else:
+                self._climb(self._renewed(), "a renewed stretch", renewed=True)
+            is_better = self.best < before - _SAME * abs(before) or np.isinf(before)
+            idle = 0 if is_better and np.isfinite(self.best) else idle + 1
+
+    def _start(self) -> Floats:
+        reach = self._rng.uniform(0.0, _REACH)
+        return self.first.center + reach * self._shift()
+
+    def _shift(self) -> Floats:
+        return self.first.half_width * self._rng.uniform(-1.0, 1.0, self.first.center.size)
+
+    def _renewed(self) -> Floats:
+        """Returns one of the best points, a stretch of its stages moved."""
+        rng = self._rng
+        is_best = rng.random() < 0.5
+        _, x = self._kept[0 if is_best else int(rng.integers(len(self._kept)))]
+        size = int(np.max(self._places)) + 1
+        count = max(1, size * int(rng.integers(1, 5)) // 4)
+        first = int(rng.integers(-count // 2, size - count // 2))
+        is_open = (self._places >= first) & (self._places < first + count)
+        return np.where(is_open, x + 10 ** rng.uniform(*_SHIFTS) * self._shift(), x)
+
+    def _climb(self, start: Floats, name: str, renewed: bool) -> None:
+        """Goes up a ladder, and keeps where it ends."""
+        relaxations = _RENEWED_RELAXATIONS if renewed else _START_RELAXATIONS
+        weights = _RENEWED_WEIGHTS if renewed else _START_WEIGHTS
+        relaxation, weight = (10 ** self._rng.uniform(*each) for each in (relaxations, weights))
+        dear = self.best + _DEAR * abs(self.best)
+        found = self._ladder.climb(start, relaxation, weight, dear)
+        self.climbs, self.steps = self.climbs + 1, self.steps + found.steps
+        if not found.is_nearly_feasible:
+            return
+        if found.cost < self.best - _SAME * abs(self.best) or not self._kept:
+            self._polish(found.x, name)
+        self.best = min(self.best, found.cost)
+        if all(abs(found.cost - cost) > _SAME * abs(cost) for cost, _ in self._kept):
+            kept = [*self._kept, (found.cost, found.x)]
+            self._kept = sorted(kept, key=lambda pair: pair[0])[:_MOST_KEPT]

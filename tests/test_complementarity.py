@@ -1,0 +1,126 @@
+"""Complementarities are recognized however they are written, and answers meet them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from pydrake.solvers import MathematicalProgram
+from pydrake.symbolic import sin
+
+from benchmarks.collections.staged_programs import Form, payload, payload_tasks, push_bot
+from drake_aigto.solver import AigoOptions, AigoSolver
+from drake_aigto.solver.complementarity import find_complementarities
+from drake_aigto.solver.program import read_program
+from drake_aigto.solver.staged import StagedProgram
+
+Add = Callable[[MathematicalProgram, Any, Any, Any], object]
+
+
+def two_pushes(*adds: Add) -> MathematicalProgram:
+    """Returns a program of x in [−3, 5] and λ in [0, 4], to which constraints are added."""
+    prog = MathematicalProgram()
+    x, other, push = prog.NewContinuousVariables(3, "x")
+    prog.AddBoundingBoxConstraint([-3.0, -3.0, 0.0], [5.0, 5.0, 4.0], [x, other, push])
+    for add in adds:
+        add(prog, x, other, push)
+    prog.AddQuadraticCost((x - 2) ** 2 + (other - 1.5) ** 2 + (push - 3) ** 2)
+    return prog
+
+
+GAP_ROW: Add = lambda prog, x, y, _: prog.AddConstraint(x + sin(y) >= -1)  # noqa: E731
+GAP_TWICE: Add = lambda prog, x, y, _: prog.AddConstraint(2 * x + 2 * sin(y) + 2 >= 0)  # noqa: E731
+GAP_ABOVE: Add = lambda prog, x, y, _: prog.AddConstraint(-1 - x - sin(y) <= 0)  # noqa: E731
+
+
+@pytest.mark.parametrize(
+    "adds",
+    [
+        (GAP_ROW, lambda prog, x, y, p: prog.AddConstraint(p * (x + sin(y) + 1) == 0)),
+        (GAP_ROW, lambda prog, x, y, p: prog.AddConstraint(p * (x + sin(y) + 1) <= 0)),
+        (GAP_ROW, lambda prog, x, y, p: prog.AddConstraint(p * (x + sin(y) + 1) <= 1e-5)),
+        (GAP_ROW, lambda prog, x, y, p: prog.AddConstraint(-3 * p * (x + sin(y) + 1) >= 0)),
+        (GAP_TWICE, lambda prog, x, y, p: prog.AddConstraint(p * (x + sin(y) + 1) == 0)),
+        (GAP_ABOVE, lambda prog, x, y, p: prog.AddConstraint(p * (x + sin(y) + 1) == 0)),
+        (lambda prog, x, y, p: prog.AddConstraint(p * (x + 3) == 0),),
+        (lambda prog, x, y, p: prog.AddConstraint(p * (5 - x) <= 0),),
+        (lambda prog, x, y, p: prog.AddConstraint(p * (x + y + 6) == 0),),
+    ],
+)
+def test_a_complementarity_is_recognized_however_it_is_written(adds: tuple[Add, ...]) -> None:
+    program = read_program(two_pushes(*adds))
+    (found,) = find_complementarities(program)
+    staged = StagedProgram(program, 1e-6)
+    rng = np.random.default_rng(3)
+    for _ in range(5):
+        y = program.with_slacks(rng.uniform([-3, -3, 0], [5, 5, 4]))
+        x, other, push = y[:3]
+        (row,) = staged.nlp.evaluate(y)[1][staged.relaxed]
+        gap = row / push + max(1e-7, found.allowed) / push
+        assert gap >= -1e-9 or x + np.sin(other) < -1.0
+        assert row != pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    "adds",
+    [
+        # Nothing says that the other factor is not negative.
+        (lambda prog, x, y, p: prog.AddConstraint(p * (x + sin(y) + 1) == 0),),
+        # Their product may be large.
+        (GAP_ROW, lambda prog, x, y, p: prog.AddConstraint(p * (x + sin(y) + 1) <= 2.0)),
+        # It says that the product is not below 0, which it never is.
+        (GAP_ROW, lambda prog, x, y, p: prog.AddConstraint(p * (x + sin(y) + 1) >= 0)),
+        # The gap is another one.
+        (GAP_ROW, lambda prog, x, y, p: prog.AddConstraint(p * (x + sin(y) + 1.5) == 0)),
+        # A sum that is not a product.
+        (GAP_ROW, lambda prog, x, y, p: prog.AddConstraint(p * (x + sin(y) + 1) + y == 0)),
+        # A factor that may have either sign.
+        (GAP_ROW, lambda prog, x, y, p: prog.AddConstraint(y * (x + sin(y) + 1) == 0)),
+    ],
+)
+def test_other_rows_are_none(adds: tuple[Add, ...]) -> None:
+    assert find_complementarities(read_program(two_pushes(*adds))) == ()
+
+
+@pytest.mark.parametrize("is_equality", [True, False])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_small_programs_with_corners_are_solved_to_the_better_branch(
+    is_equality: bool, sign: float
+) -> None:
+    # Ten pairs, of which each costs least with its larger one alone: the optimum is known.
+    rng = np.random.default_rng(5)
+    goals = rng.uniform(0.5, 3.0, (10, 2))
+    prog = MathematicalProgram()
+    x, s = (prog.NewContinuousVariables(10, name) for name in "xs")
+    prog.AddBoundingBoxConstraint(min(0.0, 5.0 * sign), max(0.0, 5.0 * sign), x)
+    prog.AddBoundingBoxConstraint(0.0, 5.0, s)
+    for a, b, (first, last) in zip(x, s, goals, strict=True):
+        row = sign * a * b
+        prog.AddConstraint(row == 0 if is_equality else row <= 0)
+        prog.AddQuadraticCost((sign * a - first) ** 2 + (b - last) ** 2)
+    result = AigoSolver().Solve(prog)
+    assert result.is_success()
+    assert result.get_solver_details().complementarities == 10
+    assert result.get_optimal_cost() == pytest.approx(np.sum(goals.min(axis=1) ** 2), rel=1e-5)
+    found = result.get_x_val()
+    assert np.max(np.abs(found[:10] * found[10:])) <= 1e-6
+
+
+@pytest.mark.parametrize("form", ["equalities", "inequalities", "variables"])
+def test_a_push_bot_swings_up_between_soft_walls_however_it_is_written(form: Form) -> None:
+    # SPOT's fourth start; the least cost that hundreds of local solves know is 40.084188.
+    prog = push_bot((0.8677, -0.0292, 0.6817, -2.7230), 1.0, form)
+    result = AigoSolver(AigoOptions(rounds=25)).Solve(prog)
+    details = result.get_solver_details()
+    assert result.is_success() and details.violation <= 1e-6
+    assert details.complementarities == 60 and 0 < details.ladders <= 25
+    assert result.get_optimal_cost() == pytest.approx(40.0842, rel=1e-4)
+
+
+def test_a_sliding_payload_is_carried_to_its_goal() -> None:
+    *_, (start, goal) = payload_tasks()
+    result = AigoSolver(AigoOptions(rounds=10)).Solve(payload(start, goal, 40))
+    assert result.is_success()
+    assert result.get_solver_details().complementarities == 120
