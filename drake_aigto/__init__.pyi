@@ -1,3 +1,4 @@
+from .control import ModelPredictiveController as ModelPredictiveController
 from .control import TrackingController as TrackingController
 from .errors import AigtoError as AigtoError
 from .errors import ControlError as ControlError

@@ -8,9 +8,8 @@ from typing import Any
 
 import numpy as np
 import pytest
+from loops import close_loop
 from mechanism_tasks import drop_ball
-from pydrake.multibody.parsing import Parser
-from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import LogVectorOutput, TrajectorySource
@@ -31,10 +30,8 @@ from drake_aigto.control import KnotFeedback
 from drake_aigto.planning import MechanismProblem
 from drake_aigto.simulation import make_simulator, replay_drake
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.world import package_map
-from drake_aigto.world.files import find_model
 
-QUICK = MechanismOptions(renewals=8, finalists=1, confirm=False)
+QUICK = MechanismOptions(renewals=48, finalists=1, confirm=False)
 
 
 @cache
@@ -45,19 +42,9 @@ def make_plan(name: str) -> Plan:
 
 def track(plan: Plan, off: Any, feels: bool, **options: Any) -> tuple[Any, tuple[int, ...]]:
     """Returns where a plant ends that starts off its plan, and the bounces that were counted."""
-    builder = DiagramBuilder()
-    plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
-    parser = Parser(plant)
-    parser.package_map().AddMap(package_map())
-    parser.AddModels(find_model(plan.scenario.model))
-    plant.Finalize()
-    controller = builder.AddSystem(TrackingController(plan, **options))
-    builder.Connect(plant.get_state_output_port(), controller.GetInputPort("estimated_state"))
-    builder.Connect(controller.GetOutputPort("control"), plant.get_actuation_input_port())
-    if feels:
-        contacts = controller.GetInputPort("contact_results")
-        builder.Connect(plant.get_contact_results_output_port(), contacts)
-    world = World.from_diagram(builder.Build())
+    controller = TrackingController(plan, **options)
+    diagram, plant = close_loop(plan.scenario.model, controller, feels)
+    world = World.from_diagram(diagram)
     simulator = make_simulator(world, move(plan.scenario, off))
     simulator.AdvanceTo(plan.scenario.duration)
     root = simulator.get_context()

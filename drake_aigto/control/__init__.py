@@ -1,4 +1,4 @@
-"""What runs a plan: feedback through its bounces, in a Diagram or in simulations of one's own."""
+"""What runs a plan, or plans again: LeafSystems, and feedback in simulations of our own."""
 
 from drake_aigto.control.feedback import (
     Feedback,
@@ -9,12 +9,15 @@ from drake_aigto.control.feedback import (
     track_drake,
     track_event_driven,
 )
+from drake_aigto.control.predictive import ModelPredictiveController, TickStatus
 from drake_aigto.control.tracking import TrackingController
 
 __all__ = [
     "Feedback",
     "FlightFeedback",
     "KnotFeedback",
+    "ModelPredictiveController",
+    "TickStatus",
     "Tracked",
     "TrackingController",
     "make_feedback",

@@ -18,8 +18,8 @@ from pydrake.systems.framework import (
 
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.control.feedback import make_feedback
+from drake_aigto.control.ports import check_period, read_start
 from drake_aigto.control.watch import BounceWatch
-from drake_aigto.errors import ControlError
 from drake_aigto.planning import Plan
 from drake_aigto.world import World
 
@@ -77,7 +77,7 @@ class TrackingController(LeafSystem):
         """
         super().__init__()
         world = plan.find_world(world)
-        self.period = plan.scenario.time_step if period is None else _check_period(period)
+        self.period = plan.scenario.time_step if period is None else check_period(period)
         self.feedback = make_feedback(world, plan.scenario, plan.trajectory)
         self._watch = BounceWatch(world)
         n, m, nu = world.num_positions, world.num_contacts, world.num_actuators
@@ -102,21 +102,8 @@ class TrackingController(LeafSystem):
 
     def _start(self, context: Context, values: DiscreteValues) -> EventStatus:
         """Forgets what was, and takes the first sample."""
-        if not self._estimate.HasValue(context):
-            raise ControlError(
-                f"the input port estimated_state of {self.GetSystemPathname()}",
-                got="nothing that is connected to it",
-                expected="q and v of the plant",
-                remedy="Connect the plant's state output port, or an estimator's.",
-            )
-        x, none = (
-            self._estimate.Eval(context),
-            np.zeros(len(self._read(context, self._groups.bounces))),
-        )
-        if not np.all(np.isfinite(x)):
-            raise ControlError(
-                "estimated_state at the start", got=x.tolist(), expected="finite numbers"
-            )
+        x = read_start(self, self._estimate, context)
+        none = 0 * self._read(context, self._groups.bounces)
         return self._hold(context, values, x, none, none)
 
     def _sample(self, context: Context, values: DiscreteValues) -> EventStatus:
@@ -191,10 +178,3 @@ class TrackingController(LeafSystem):
 def _list_bounces(counts: Floats) -> list[int]:
     """Returns the contact of each bounce so far."""
     return [int(i) for i in np.repeat(np.arange(len(counts)), counts.astype(int))]
-
-
-def _check_period(period: float) -> float:
-    """Returns a period as a number above zero."""
-    if not (isinstance(period, int | float) and 0 < period < np.inf):
-        raise ControlError("period", got=period, expected="seconds above zero")
-    return float(period)

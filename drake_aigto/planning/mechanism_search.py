@@ -103,12 +103,16 @@ class MechanismSearch(CandidatePool):
             KeyboardInterrupt: before there was any motion, or while the first is polished; else it
                 ends what it meets, the search or the polishing of others.
         """
+        self.explore(progress)
+        with self.ended_by_ctrl_c(lambda: self._candidates):
+            self._finish()
+
+    def explore(self, progress: Progress | None = None) -> None:
+        """Runs the ladder and the renewals: `motions` are what they lead to, unpolished."""
         self._progress = progress
         with self.ended_by_ctrl_c(lambda: self.motions), tell_compilation(self.tell):
             self._climb()
             self._renew()
-        with self.ended_by_ctrl_c(lambda: self._candidates):
-            self._finish()
 
     def _climb(self) -> None:
         """Closes the centers of all rungs."""

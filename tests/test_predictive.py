@@ -1,0 +1,140 @@
+"""Plans that are made again while the robot moves: what they reach, and what they survive."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from loops import close_loop, set_start
+from pydrake.systems.analysis import Simulator
+from pydrake.systems.framework import DiagramBuilder
+from pydrake.systems.primitives import LogVectorOutput, TrajectorySource
+from pydrake.trajectories import PiecewisePolynomial
+
+from drake_aigto import ControlError, MechanismOptions, ModelPredictiveController, Planner, Scenario
+from drake_aigto.control import TickStatus
+from drake_aigto.world import TaskCost
+
+SCENARIO = Scenario.named("cart_pole/soft_06")
+OPTIONS = MechanismOptions(renewals=16)
+
+
+@cache
+def make_planner() -> Planner:
+    return Planner(SCENARIO, OPTIONS)
+
+
+class Run:
+    """A cart-pole under a controller, in Drake's Simulator."""
+
+    def __init__(self, **options: Any) -> None:
+        self.controller = ModelPredictiveController(make_planner(), period=0.02, **options)
+        diagram, self.plant = close_loop(SCENARIO.model, self.controller)
+        self.simulator = Simulator(diagram)
+        root = self.simulator.get_mutable_context()
+        self.context = set_start(self.plant, root, SCENARIO)
+        self.statuses: list[TickStatus] = []
+        self.rows: list[tuple[float, Any, Any]] = []
+        self.simulator.set_monitor(self.watch)
+
+    def watch(self, root: Any) -> None:
+        context = self.controller.GetMyContextFromRoot(root)
+        x = np.array(self.plant.GetPositionsAndVelocities(self.context))
+        u = np.array(self.controller.GetOutputPort("control").Eval(context))
+        self.rows.append((root.get_time(), x, u))
+        status = self.controller.GetOutputPort("status").Eval(context)
+        if not self.statuses or status.time > self.statuses[-1].time:
+            self.statuses.append(status)
+
+    def advance(self, time: float) -> Any:
+        """Returns q and v then."""
+        self.simulator.AdvanceTo(time)
+        return np.array(self.plant.GetPositionsAndVelocities(self.context))
+
+
+def test_a_pole_stands_up_between_walls_and_again_after_a_kick() -> None:
+    run = Run()
+    x = run.advance(3.0)
+    np.testing.assert_allclose(x, [0.0, np.pi, 0.0, 0.0], atol=0.05)
+    first = run.statuses[0]
+    assert first.reason == "the first search"
+    # Where it stands still, it costs nothing to go on.
+    assert run.statuses[-1].cost < 1e-3 * first.cost
+    kick = np.array([1.5, -3.0])
+    run.plant.SetVelocities(run.context, x[2:] + kick)
+    assert np.abs(run.advance(3.2)[1] - np.pi) > 0.1
+    np.testing.assert_allclose(run.advance(6.0), [0.0, np.pi, 0.0, 0.0], atol=0.05)
+    after = [status for status in run.statuses if status.time > 2.99]
+    assert after[0].reason.startswith(("warm; a search", "switched"))
+
+
+def test_a_horizon_that_shrinks_costs_what_the_first_plan_promised() -> None:
+    run = Run(horizon="shrinking")
+    run.advance(SCENARIO.duration)
+    task = TaskCost.of(make_planner().world, SCENARIO)
+    times, states, controls = (np.array(each) for each in zip(*run.rows, strict=True))
+    q, v = np.split(states, 2, axis=1)
+    rates = task.running(times, q, v, controls)
+    cost = np.trapezoid(rates, times) + task.final(q[-1], v[-1])
+    assert cost == pytest.approx(run.statuses[0].cost, rel=0.03)
+    run.advance(SCENARIO.duration + 0.1)
+    assert run.statuses[-1].reason == "the horizon ends: the last plan goes on"
+
+
+def test_searches_are_when_they_are_due_and_switch_for_the_better() -> None:
+    run = Run(search_every=10, margin=0.0)
+    run.advance(0.45)
+    searched = [status for status in run.statuses if status.reason != "warm"]
+    assert [round(status.time, 9) for status in searched] == [0.0, 0.2, 0.4]
+
+
+def test_a_run_is_the_same_again() -> None:
+    one, other = (Run() for _ in range(2))
+    np.testing.assert_array_equal(one.advance(0.2), other.advance(0.2))
+
+
+def test_what_is_not_finite_leaves_the_last_plan() -> None:
+    x = np.concatenate([SCENARIO.initial_position, SCENARIO.initial_velocity])
+    told = np.array([x, np.full(4, np.nan), np.full(4, np.inf), x]).T
+    builder = DiagramBuilder()
+    sampled = PiecewisePolynomial.ZeroOrderHold([0.0, 0.1, 0.2, 9.0], told)
+    source = builder.AddSystem(TrajectorySource(sampled))
+    controller = builder.AddSystem(ModelPredictiveController(make_planner(), period=0.05))
+    builder.Connect(source.get_output_port(), controller.get_input_port(0))
+    log = LogVectorOutput(controller.GetOutputPort("control"), builder)
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(0.19)
+    root = simulator.get_context()
+    controls = log.FindLog(root).data()
+    assert np.all(np.isfinite(controls))
+    context = controller.GetMyContextFromRoot(root)
+    status = controller.GetOutputPort("status").Eval(context)
+    assert status.reason.startswith("the estimated state is not finite")
+    path = controller.GetOutputPort("planned_state").Eval(context)
+    np.testing.assert_allclose(path.value(0.05)[:, 0], x)
+    # The plan goes on: its control is that of now, not of when it was made.
+    assert controls[0, -1] != controls[0, 0]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"period": 0.0}, "^period: got 0.0, expected seconds above zero"),
+        ({"iterations": 0}, "^iterations: got 0, expected a count"),
+        ({"search_every": 2.5}, "^search_every: got 2.5"),
+        ({"margin": -1.0}, "^margin: got -1.0"),
+        ({"horizon": "fixed"}, "^horizon: got fixed, expected 'receding' or 'shrinking'"),
+    ],
+)
+def test_arguments_out_of_range_are_refused(options: dict[str, Any], message: str) -> None:
+    with pytest.raises(ControlError, match=message):
+        ModelPredictiveController(make_planner(), **{"period": 0.1, **options})
+
+
+def test_what_it_can_not_plan_from_is_refused() -> None:
+    with pytest.raises(ControlError, match="rigid walls, expected walls that yield"):
+        ModelPredictiveController(Planner(Scenario.named("table1/1")), 0.1)
+    with pytest.raises(ControlError, match=r"estimated_state .* Connect the plant"):
+        Simulator(ModelPredictiveController(make_planner(), 0.1)).Initialize()
