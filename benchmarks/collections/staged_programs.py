@@ -43,10 +43,12 @@ class StagedProblem:
     Attributes:
         name: of it.
         prog: makes it.
+        roll_out: draws a start x for peers that need a good one, if there is a way to.
     """
 
     name: str
     prog: Callable[[], MathematicalProgram]
+    roll_out: Callable[[np.random.Generator], np.ndarray] | None = None
 
 
 def staged_problems(num_random: int = 50) -> Iterator[StagedProblem]:
@@ -59,7 +61,8 @@ def staged_problems(num_random: int = 50) -> Iterator[StagedProblem]:
         for i, start in enumerate(push_bot_starts(wall, num_random)):
             form: Form = ("equalities", "inequalities", "variables")[i % 3]
             name = f"push_bot/{wall:g}/{i}"
-            yield StagedProblem(name, partial(push_bot, start, wall, form))
+            roll_out = partial(push_bot_roll_out, start, wall, form)
+            yield StagedProblem(name, partial(push_bot, start, wall, form), roll_out)
     for i, task in enumerate(payload_tasks()):
         yield StagedProblem(f"payload/{i}", partial(payload, *task))
     for i, pose in enumerate(push_box_starts()):
@@ -143,6 +146,42 @@ def _add_complementarity(prog: MathematicalProgram, force: Any, gap: Any, form: 
         return
     prog.AddConstraint(gap >= 0)
     prog.AddConstraint(force * gap == 0 if form == "equalities" else force * gap <= 0)
+
+
+def push_bot_roll_out(
+    start: tuple[float, ...], wall: float, form: Form, rng: np.random.Generator
+) -> np.ndarray:
+    """Returns x of the motion under a random smooth control, with the springs' own forces."""
+    position, speed, first, rate = start
+    a, angle = [position, position + _DT * speed], [first, first + _DT * rate]
+    count = int(rng.integers(3, 9))
+    control = np.interp(
+        np.linspace(0.0, 1.0, _STEPS), np.linspace(0.0, 1.0, count), rng.uniform(-1, 1, count)
+    )
+    u = _CONTROL * rng.uniform(0.0, 1.0) * control
+    forces, gaps = np.zeros((2, _STEPS)), []
+    for k in range(1, _STEPS + 1):
+        tip = a[k] + _LENGTH * np.sin(angle[k])
+        forces[:, k - 1] = _STIFFNESS * np.maximum(0.0, [-wall - tip, tip - wall])
+        gaps += [
+            forces[0, k - 1] / _STIFFNESS + wall + tip,
+            forces[1, k - 1] / _STIFFNESS + wall - tip,
+        ]
+        force = forces[0, k - 1] - forces[1, k - 1]
+        before = np.sin(angle[k] - angle[k - 1])
+        turn = angle[k] - angle[k - 1]
+        for _ in range(8):  # Newton steps, in which the cart's acceleration follows the turn's.
+            sines = np.sin(angle[k - 1]) - 2 * np.sin(angle[k]) + np.sin(angle[k] + turn)
+            acc = (u[k - 1] + force - _POLE * _LENGTH * sines / _DT**2) / (_CART + _POLE)
+            acc_slope = -_POLE * _LENGTH * np.cos(angle[k] + turn) / _DT**2 / (_CART + _POLE)
+            cosine = np.cos(angle[k])
+            swing = _LENGTH * (np.sin(turn) - before) / _DT**2
+            row = swing + (acc - force) * cosine + _GRAVITY * np.sin(angle[k])
+            slope = _LENGTH * np.cos(turn) / _DT**2 + acc_slope * cosine
+            turn = float(np.clip(turn - row / slope, -_LARGEST_TURN, _LARGEST_TURN))
+        angle.append(angle[k] + turn)
+        a.append(2 * a[k] - a[k - 1] + _DT**2 * acc)
+    return np.concatenate([a, angle, u, *forces, gaps if form == "variables" else []])
 
 
 def payload_tasks() -> Iterator[tuple[np.ndarray, np.ndarray]]:

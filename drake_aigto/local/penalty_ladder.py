@@ -23,6 +23,8 @@ _PROBES, _REACH = 4, 0.6  # points, within this part of the box, where slopes ar
 # How steep a scaled cost is on average, per unit; and a scaled row. Those that are relaxed count
 # more, as they are 0 on wide plains.
 _COST, _RELAXED = 150.0, 5.0
+# What a scaled cost is once a point's is known, and how far that may leave the first scale.
+_KNOWN_COST, _MOST_RESCALED = 75.0, 1e6
 
 # Measured on the push-bot between soft walls (`benchmarks.staged_programs`): barriers of a lower
 # weight, relative to ε, end at points that are not feasible.
@@ -132,7 +134,17 @@ class PenaltyLadder:
         scales = 1.0 / self._sizes
         scales[self._relaxed] *= _RELAXED
         cost = _COST / np.sqrt(steepness) if 0.0 < steepness < np.inf else 1.0
+        self._first_scale = float(cost)
         self._program = self._program._replace(row_scales=scales, cost_scale=float(cost))
+
+    def scale_cost(self, cost: float) -> None:
+        """Scales costs anew, by that of a point that is feasible.
+
+        Over a box, penalties that are part of a cost hide what is left of it where they are met.
+        """
+        most = _MOST_RESCALED * self._first_scale
+        scale = min(_KNOWN_COST / max(abs(cost), 1e-300), most)
+        self._program = self._program._replace(cost_scale=max(scale, self._first_scale))
 
     def climb(self, start: Floats, relaxation: float, weight: float, dear: float = np.inf) -> Climb:
         """Goes up a ladder, until its top or until that is hopeless.

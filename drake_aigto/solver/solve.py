@@ -19,6 +19,7 @@ from drake_aigto.solver.first_box import make_first_box
 from drake_aigto.solver.lagrangian import AugmentedLagrangian
 from drake_aigto.solver.options import AigoOptions
 from drake_aigto.solver.program import AigoProgram
+from drake_aigto.solver.question import ContradictionError
 from drake_aigto.solver.result import AigoDetails, AigoStatus
 from drake_aigto.solver.staged import StagedProgram, StagedSearch
 from drake_aigto.solver.tighten import may_be_feasible
@@ -78,12 +79,13 @@ class Solve:
     ) -> None:
         """Makes the first box."""
         self._program, self._options, self._observers = program, options, observers
-        self._guess, self._staged = program.reduce(guess), staged
+        self._asked, self._guess = guess, program.reduce(guess)
+        self._staged = staged
         self._ladders: StagedSearch | None = None
         if staged.is_worth_ladders and options.polish != "none":
             whole = staged.program.reduce(guess)
             self._ladders = StagedSearch(staged, options, whole, self._polish_relaxed)
-        ladders = self._ladders if staged.is_chain else None
+        ladders = self._ladders if staged.is_beyond_boxes else None
         self._first = ladders.first if ladders else self._make_first_box()
         self._best: _Answer | None = None
         self._boxes = self._iterations = self._polishes = 0
@@ -102,6 +104,8 @@ class Solve:
                 self._search_boxes()
         except KeyboardInterrupt:
             status = AigoStatus.INTERRUPTED
+        except ContradictionError:  # Found by presolve, after ladders were gone up in vain.
+            status = AigoStatus.CONTRADICTORY_BOUNDS
         best = self._best
         if best is None:
             x = self._program.answer(self._first.center)
@@ -115,10 +119,13 @@ class Solve:
         self._offer_guess()
         self._ladders.run()
         is_found = self._best is not None and self._best.violation <= self._options.feasibility
-        return is_found and self._staged.is_chain
+        return is_found and self._staged.is_beyond_boxes
 
     def _search_boxes(self) -> None:
-        if self._staged.is_chain:
+        if self._staged.is_beyond_boxes:
+            if self._options.presolve:
+                self._program = self._program.presolved()
+                self._guess = self._program.reduce(self._asked)
             self._first = self._make_first_box()
         self._offer(self._first.center, "the middle of the first box")
         if np.all(np.isfinite(self._guess)):

@@ -60,11 +60,12 @@ class AigoSolver(SolverInterface):
     program written with auxiliary variables is searched as one without them.
 
     Rows that are complementarities, λ s = 0, λ s ≤ 0 or λ s ≤ ε of λ, s ≥ 0, are relaxed at first,
-    and met in the answer (`AigoDetails.complementarities`). Long chains of stages, as programs of
-    trajectories are, are searched by ladders of penalties from many starts, and by renewing
-    stretches of stages; boxes only where that leads to no feasible point.
+    and met in the answer (`AigoDetails.complementarities`). Such programs, and chains of stages
+    that follow from each other by equalities, are searched by ladders of penalties from many
+    starts, and by renewing stretches of stages. Then come boxes; where there are stages with
+    complementarities, only if that led to no feasible point.
 
-    Of all other programs the mean of f over boxes, or with constraints that of its augmented
+    The mean of f over boxes, or with constraints that of its augmented
     Lagrangian, is minimized in closed form while they shrink (AIGTO Sec. II; Labbe & Del Prete
     2025); a local solver then improves their centers on the true constraints. An answer is called
     a solution if its constraints hold; that it is the global one is likely, not proven.
@@ -136,7 +137,7 @@ class AigoSolver(SolverInterface):
         try:
             program = read_program(prog)
             staged = StagedProgram(program, options.feasibility)
-            if options.presolve and not staged.is_chain:
+            if options.presolve and not staged.is_beyond_boxes:
                 program = program.presolved()
         except ContradictionError:
             x = np.where(np.isfinite(guess), guess, 0.0)

@@ -17,6 +17,9 @@ from drake_aigto.terms import Sum, TermBlock, add, constant, with_own_variables
 
 # A chain is so many times longer than its half bandwidth, and has more variables than a few.
 _LEAST_LENGTH, _FEW = 6, 40
+# Stages are linked by so many equalities, relative to the variables: where there are fewer, much is
+# free, and boxes see more of it.
+_LEAST_EQUALITIES = 1 / 3
 # Programs whose systems take longer to factorize, in multiplications, are left to boxes.
 _MOST_WORK = 3e7
 # λ s ends at this part of what an answer may violate.
@@ -72,10 +75,22 @@ class StagedProgram:
         return bool(self.tables.size >= max(_FEW, _LEAST_LENGTH * self.tables.bandwidth))
 
     @property
+    def is_linked(self) -> bool:
+        """Whether this is a chain whose stages follow from each other by equalities."""
+        num_equalities = self.nlp.num_rows - len(self.program.slacks)
+        return self.is_chain and num_equalities >= _LEAST_EQUALITIES * self.tables.size
+
+    @property
     def is_worth_ladders(self) -> bool:
-        """Whether there is a chain, or complementarities, and Newton steps are quick."""
-        is_any = self.is_chain or bool(self.complementarities)
-        return is_any and self.tables.size * self.tables.bandwidth**2 <= _MOST_WORK
+        """Whether there are complementarities, or linked stages, and Newton steps are quick."""
+        if not (self.complementarities or self.is_linked):
+            return False
+        return self.tables.size * self.tables.bandwidth**2 <= _MOST_WORK
+
+    @property
+    def is_beyond_boxes(self) -> bool:
+        """Whether ladders alone search it: stages with contact, of which boxes see the mean."""
+        return self.is_worth_ladders and self.is_chain and bool(self.complementarities)
 
     def _relax(self, least: float) -> PolynomialNlp:
         nlp, found = self.program.nlp, self.complementarities
@@ -199,6 +214,7 @@ class StagedSearch:
             return
         if found.cost < self.best - _SAME * abs(self.best) or not self._kept:
             self._polish(found.x, name)
+            self._ladder.scale_cost(found.cost)
         self.best = min(self.best, found.cost)
         if all(abs(found.cost - cost) > _SAME * abs(cost) for cost, _ in self._kept):
             kept = [*self._kept, (found.cost, found.x)]

@@ -1,0 +1,220 @@
+"""AIGO on chains of stages with contact, and multistarts of IPOPT and SNOPT beside it.
+
+    python -m benchmarks.staged_programs [--only push_bot/0.6] [--random 50] [--seeds 3]
+        [--workers 1] [--minutes 60]
+
+Every peer has as many seconds of the processor as ours took, one start at least. IPOPT runs through
+CasADi on the same rows, with exact Hessians and complementarities λ s ≤ ε that are relaxed and
+tightened; the push-bot's starts are roll-outs of random smooth controls, all others random points
+of the box, as SNOPT's, which runs through Drake. Best known is the least of all answers, those of
+ours from other seeds among them. Feasible: violated by no more than 1e-6.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+from pydrake.solvers import SnoptSolver
+
+from benchmarks.collections.staged_programs import StagedProblem, staged_problems
+from benchmarks.jobs import add_options, run_all, run_as
+from benchmarks.local_peers import casadi
+from benchmarks.measure import machine
+from benchmarks.robots.ipopt import COLD, WARM, prepare
+from drake_aigto.arrays import Floats
+from drake_aigto.solver import AigoOptions, AigoSolver
+from drake_aigto.solver.program import AigoProgram, read_program
+from drake_aigto.solver.staged import StagedProgram
+from drake_aigto.terms import FunctionKind
+
+FEASIBLE = 1e-6
+GLOBAL = 1e-2
+_LADDER = (1e-2, 1e-4, 1e-7)  # ε, relative to what IPOPT's λ s varies by
+_FARTHEST = 10.0  # a variable without bounds starts within this
+
+
+@dataclass(frozen=True)
+class Run:
+    """What came of one program.
+
+    Attributes:
+        problem: its name.
+        costs: of ours, IPOPT and SNOPT; inf where no answer was feasible.
+        seconds: of ours.
+        others: of ours from other seeds.
+    """
+
+    problem: str
+    costs: tuple[float, float, float]
+    seconds: float
+    others: tuple[float, ...]
+
+    @property
+    def known(self) -> float:
+        """The least of all answers."""
+        return min(*self.costs, *self.others)
+
+    def is_best(self, cost: float) -> bool:
+        """Whether a cost is within 1 % of the best known."""
+        return bool(np.isfinite(cost) and cost - self.known <= GLOBAL * abs(self.known))
+
+
+def main() -> None:
+    """Runs all programs and prints a line of each, and shares."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--only", default="", help="programs whose name has this in it")
+    parser.add_argument("--random", type=int, default=50, help="random starts of the push-bot")
+    parser.add_argument("--seeds", type=int, default=3, help="of ours, for the best known")
+    add_options(parser)
+    arguments = parser.parse_args()
+    print(machine())
+    problems = staged_problems(arguments.random)
+    names = [each.name for each in problems if arguments.only in each.name]
+    work = partial(run, num_random=arguments.random, num_seeds=arguments.seeds)
+    runs = run_all(work, names, arguments)
+    for family in sorted({each.problem.rpartition("/")[0] for each in runs}):
+        summarise(family, [each for each in runs if each.problem.startswith(f"{family}/")])
+
+
+def summarise(family: str, runs: list[Run]) -> None:
+    """Prints shares within 1 % of the best known, and seconds."""
+    seconds = [each.seconds for each in runs]
+    print(
+        f"{family}: {len(runs)} programs, ours {np.median(seconds):.2f} s at the median, "
+        f"{max(seconds):.2f} s at most"
+    )
+    for i, name in enumerate(("ours", "IPOPT", "SNOPT")):
+        best = sum(each.is_best(each.costs[i]) for each in runs)
+        feasible = sum(bool(np.isfinite(each.costs[i])) for each in runs)
+        print(f"  {name:6} within 1 % of the best known {best}, feasible {feasible}")
+
+
+def run(name: str, *, num_random: int, num_seeds: int) -> Run:
+    """Runs ours, the peers, and ours from other seeds."""
+    warm_up()
+    (problem,) = (each for each in staged_problems(num_random) if each.name == name)
+    program = read_program(problem.prog())
+    cost, seconds = run_ours(problem, 0)
+    others = tuple(run_ours(problem, seed)[0] for seed in range(1, num_seeds + 1))
+    costs = cost, run_ipopt(problem, program, seconds), run_snopt(program, seconds)
+    found = Run(name, costs, seconds, others)
+    marks = "".join("*" if found.is_best(each) else "-" for each in costs)
+    told = " ".join(f"{each:10.5g}" for each in (*costs, found.known))
+    print(f"{name:18}{marks} {told} {seconds:6.2f} s", flush=True)
+    return found
+
+
+def warm_up() -> None:
+    """Has Numba compile before anything is timed in this process."""
+    problem = next(iter(staged_problems(0)))
+    AigoSolver(AigoOptions(rounds=2)).Solve(problem.prog())
+
+
+def run_ours(problem: StagedProblem, seed: int) -> tuple[float, float]:
+    """Returns our cost, and seconds."""
+    prog = problem.prog()
+    begin = time.process_time()
+    result = AigoSolver(AigoOptions(seed=seed)).Solve(prog)
+    seconds = time.process_time() - begin
+    return (result.get_optimal_cost() if result.is_success() else np.inf), seconds
+
+
+def run_snopt(program: AigoProgram, seconds: float) -> float:
+    """Returns the best feasible cost of starts that end in time, of one at least."""
+    rng, prog = np.random.default_rng(0), program.source
+    deadline, best = time.process_time() + seconds, np.inf
+    while True:
+        x = SnoptSolver().Solve(prog, random_point(program, rng), None).get_x_val()
+        best = min(best, cost_of(program, x))
+        if time.process_time() > deadline:
+            return best
+
+
+def cost_of(program: AigoProgram, x: Floats) -> float:
+    """Returns a point's cost; inf if it is not feasible."""
+    if not np.all(np.isfinite(x)) or program.violation(x) > FEASIBLE:
+        return np.inf
+    return program.cost(x)
+
+
+def random_point(program: AigoProgram, rng: np.random.Generator) -> Floats:
+    """Returns x (n,) of the box."""
+    question = program.reduced.question
+    return rng.uniform(
+        np.maximum(question.lower, -_FARTHEST), np.minimum(question.upper, _FARTHEST)
+    )
+
+
+def run_ipopt(problem: StagedProblem, program: AigoProgram, seconds: float) -> float:
+    """Returns the best feasible cost of starts that end in time, of one at least."""
+    peer, rng = Ipopt(StagedProgram(program, FEASIBLE)), np.random.default_rng(0)
+    start: Callable[[np.random.Generator], Floats] = partial(random_point, program)
+    if problem.roll_out is not None:
+        start = problem.roll_out
+    deadline, best = time.process_time() + seconds, np.inf
+    while True:
+        best = min(best, cost_of(program, peer.solve(start(rng))))
+        if time.process_time() > deadline:
+            return best
+
+
+class Ipopt:
+    """CasADi and IPOPT on a program's rows, complementarities as λ s ≤ ε."""
+
+    def __init__(self, staged: StagedProgram) -> None:
+        """Writes the program in CasADi's symbols, over y = (x, slacks)."""
+        prepare()
+        self._staged, nlp = staged, staged.nlp
+        y = casadi.SX.sym("y", nlp.num_variables)
+        sums = [
+            sum((_term(term, copy, y) for term in block.terms), casadi.SX(0.0))
+            for block in nlp.blocks
+            for copy in block.variables.tolist()
+        ]
+        costs, rows = sums[: nlp.num_costs], sums[nlp.num_costs :]
+        problem = {"x": y, "f": sum(costs, casadi.SX(0.0)), "g": casadi.vertcat(*rows)}
+        self._solvers = [
+            casadi.nlpsol("peer", "ipopt", problem, options) for options in (COLD, WARM)
+        ]
+
+    def solve(self, x: Floats) -> Floats:
+        """Returns where IPOPT ends from x (n,), relaxed and tightened."""
+        program, nlp = self._staged.program, self._staged.nlp
+        y = program.with_slacks(x)
+        multipliers: dict[str, Any] = {}
+        for number, relaxation in enumerate(_LADDER):
+            lower, upper = np.zeros(nlp.num_rows), np.zeros(nlp.num_rows)
+            lower[self._staged.relaxed] = -np.inf
+            upper[self._staged.relaxed] = relaxation
+            bounds = {"lbx": nlp.lower, "ubx": nlp.upper, "lbg": lower, "ubg": upper}
+            found = self._solvers[min(number, 1)](x0=y, **bounds, **multipliers)
+            y = np.array(found["x"]).ravel()
+            multipliers = {"lam_x0": found["lam_x"], "lam_g0": found["lam_g"]}
+        return program.answer(y)
+
+
+def _term(term: Any, copy: list[int], y: Any) -> Any:
+    """Returns a term in CasADi's symbols."""
+    product = casadi.SX(term.coefficient)
+    for factor in term.factors:
+        at = y[copy[factor.variable]]
+        inner = factor.scale * at + factor.offset
+        if factor.kind == FunctionKind.POWER:
+            product *= inner**factor.exponent
+        elif factor.kind == FunctionKind.COSINE:
+            product *= at**factor.exponent * casadi.cos(inner)
+        elif factor.kind == FunctionKind.SINE:
+            product *= at**factor.exponent * casadi.sin(inner)
+        else:
+            raise ValueError(f"{factor} is not written in CasADi")
+    return product
+
+
+if __name__ == "__main__":
+    run_as("benchmarks.staged_programs")
