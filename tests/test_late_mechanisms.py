@@ -81,10 +81,14 @@ def test_a_simulator_of_ones_own_bounces_a_mechanism_as_the_replay_does() -> Non
 
 def test_how_long_a_contact_lasts_is_told_by_the_mass_that_it_feels() -> None:
     world = read("cart-pole", STIFF)
-    q = find_anywhere(world.plant)
-    J, M = world.calc_contact_jacobian(q)[0], world.calc_mass_matrix(q)
-    mass = 1 / (J @ np.linalg.solve(M, J))
-    assert contact_delays(world)[0] == pytest.approx(np.pi * np.sqrt(mass / STIFF))
+    delays = []
+    for q in (world.plant.GetDefaultPositions(), find_anywhere(world.plant)):
+        J, M = world.calc_contact_jacobian(q)[0], world.calc_mass_matrix(q)
+        mass = 1 / (J @ np.linalg.solve(M, J))
+        delays.append(np.pi * np.sqrt(mass / STIFF))
+        assert contact_delays(world, q)[0] == pytest.approx(delays[-1])
+    assert delays[0] != delays[1]
+    assert contact_delays(world)[0] == pytest.approx(min(delays))
 
 
 def test_a_contact_lasts_a_while_also_where_a_rod_hangs_along_the_walls_normal() -> None:
@@ -93,6 +97,11 @@ def test_a_contact_lasts_a_while_also_where_a_rod_hangs_along_the_walls_normal()
     assert not np.any(world.calc_contact_jacobian(np.zeros(1)))
     assert np.isinf(world.inertia_at(np.zeros(1)).masses)
     assert 0 < contact_delay(world) < 0.1
+
+
+def test_no_shipped_wall_is_late_because_a_rod_points_at_it_where_one_looks() -> None:
+    # This start and the position beside it are such that the latter's rod lies along the normal.
+    assert contact_delay(World.from_scenario(Scenario.named("pendulum/off_the_wall"))) < 1e-3
 
 
 def test_a_shipped_cart_pole_between_rigid_walls_is_confirmed_by_drake() -> None:

@@ -6,6 +6,7 @@ import textwrap
 from collections.abc import Iterable, Iterator, Sequence
 from string import ascii_lowercase
 
+from drake_aigto.arrays import interpolate
 from drake_aigto.planning import Candidate, Plan, PlanOptions, Veto
 from drake_aigto.show.text import (
     WIDTH,
@@ -24,7 +25,7 @@ from drake_aigto.show.text import (
 )
 from drake_aigto.simulation import Replay
 from drake_aigto.simulation.contacts import PlannedContact
-from drake_aigto.simulation.material import contact_delay
+from drake_aigto.simulation.material import contact_delay, contact_delays
 from drake_aigto.transcription.rows import UNITS
 from drake_aigto.world import Scenario, World
 
@@ -285,9 +286,15 @@ def _misses(plan: Plan, names: Iterable[str]) -> Iterator[str]:
 
 
 def told_delay(plan: Plan, world: World) -> float | None:
-    """Returns by how much rigid walls are late in Drake [s], if the plan was replayed there."""
+    """Returns by how much the plan's contacts are late in Drake at most [s], if it ran there."""
     is_rigid = plan.scenario.contact == "rigid" and world.contacts
-    return contact_delay(world) if is_rigid and plan.replay.drake is not None else None
+    if not is_rigid or plan.replay.drake is None:
+        return None
+    if world.has_constant_inertia or not plan.best.contacts:
+        return contact_delay(world)
+    times, rows = plan.trajectory.times, plan.trajectory.positions
+    touches = [(interpolate(each.time, times, rows), each.index) for each in plan.best.contacts]
+    return max(contact_delays(world, q)[index] for q, index in touches)
 
 
 def _contacts(candidate: Candidate, names: Sequence[str], world: World) -> Iterator[str]:

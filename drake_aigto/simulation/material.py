@@ -31,7 +31,7 @@ def contact_delay(world: World) -> float:
 
     A rigid wall turns the ball round at once. Drake's compliant one, of stiffness k = k₁ k₂ /
     (k₁ + k₂), keeps it for half a period of m = (J_i M⁻¹ J_iᵀ)⁻¹ on a spring, which delays all
-    that follows. Where m depends on q, it is the one at some positions (`find_anywhere`).
+    that follows.
 
     Raises:
         ModelError: a shape has no stiffness.
@@ -39,11 +39,17 @@ def contact_delay(world: World) -> float:
     return max(contact_delays(world), default=0.0)
 
 
-def contact_delays(world: World) -> list[float]:
-    """Returns `contact_delay` of each contact [s]."""
-    q = find_anywhere(world.plant)
-    motion = ContactMotion.reader(world)(np.concatenate([q, np.zeros(len(q))]))
-    return calc_delays(motion, world.stiffness)
+def contact_delays(world: World, q: Floats | None = None) -> list[float]:
+    """Returns `contact_delay` of each contact [s].
+
+    Where m depends on q it is the one there; without q, the smaller one of two positions, as at
+    either a link may be stretched out along a wall's normal, and be felt as a mass without end.
+    """
+    reader = ContactMotion.reader(world)
+    places = (world.plant.GetDefaultPositions(), find_anywhere(world.plant)) if q is None else (q,)
+    motions = [reader(np.concatenate([place, np.zeros(len(place))])) for place in places]
+    delays = [calc_delays(motion, world.stiffness) for motion in motions]
+    return np.min(delays, axis=0).tolist()
 
 
 def calc_delays(motion: ContactMotion, stiffness: Floats, longest: float = math.inf) -> list[float]:
