@@ -38,6 +38,8 @@ RECORDS: Mapping[str, str] = {
     " --workers 2",
     "robots": "python -m benchmarks.robots compare --count 12 --minutes 10"
     " --methods plan 'plan, points' shooting listed --workers 2",
+    "robots_pendulum": "python -m benchmarks.robots compare pendulum/off_the_wall"
+    " --methods plan bounces --seconds 1.5 --workers 1",
     "robots_soft": "python -m benchmarks.robots compare cart_pole/soft_06 cart_pole/soft_10"
     " --methods plan --workers 2",
     "table1": "python -m benchmarks.table1_figures",
@@ -98,6 +100,14 @@ def _world(name: str, *peers: str) -> dict[str, Figure]:
     return {f"{name}_{what}": Figure(name, pattern) for what, pattern in patterns.items()}
 
 
+def _soft(wall: str) -> dict[str, Figure]:
+    head = rf"(?s)^cart_pole/soft_{wall}: (?:\d+) questions\n[^\n]*\nplan +"
+    return {
+        f"soft_{wall}_near": Figure("robots_soft", rf"{head}{_NUMBER} %"),
+        f"soft_{wall}_seconds": Figure("robots_soft", rf"{head}(?:\d+ % +){{3}}{_NUMBER}"),
+    }
+
+
 def _planner_speed(name: str, method: str) -> dict[str, Figure]:
     line = rf"^  {re.escape(method)} +"
     return {
@@ -143,7 +153,10 @@ FIGURES: Mapping[str, Figure] = {
     "floors_median": Figure("floors", rf"median {_NUMBER}, at most"),
     "floors_most": Figure("floors", rf"at most {_NUMBER}$"),
     "robots_tables": Figure("robots", r"(?s)\A(.*\S)"),
+    "robots_pendulum_tables": Figure("robots_pendulum", r"(?s)\A(.*\S)"),
     "robots_soft_tables": Figure("robots_soft", r"(?s)\A(.*\S)"),
+    **_soft("06"),
+    **_soft("10"),
     **_planner_speed("plan", "plan"),
     **_planner_speed("casadi", "CasADi + IPOPT from zero"),
     **_planner_speed("casadi_random", "CasADi + IPOPT from random"),

@@ -125,6 +125,8 @@ def ipopt_multistart(question: Question, first: int = 0) -> Attempts:
     """Yields what IPOPT makes of random roll-outs, of their touches where walls are rigid."""
     is_rigid, duration = WORLDS[question.world].is_rigid, scenario_of(question).duration
     count = round(duration / _GUESS_STEP) if is_rigid else IPOPT_STEPS
+    for number in range(WORLDS[question.world].touches + 1 if is_rigid else 0):
+        find_rigid_program(question.world, number)  # All of them once, before time counts.
     for rng in _generators(question, first):
         u = random_control(question, rng, np.linspace(0.0, 1.0, count + 1))
         states = roll_out(question, Control.even(u[:-1], duration), _GUESS_STEP).states
