@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -96,6 +97,27 @@ def test_more_time_is_taken_where_it_may_be() -> None:
     assert longer.violation < 1e-4
     assert longer.times[-1] == pytest.approx(3.0, abs=1e-3)
     assert longer.cost < 0.5 * fixed.cost
+
+
+@pytest.mark.parametrize("push", [1.0, -1.0])
+def test_a_wall_is_hit_from_outside_only(push: float) -> None:
+    phases = Phases(np.zeros(1, dtype=np.int64), np.array([1]), np.ones(2), (TOTAL, TOTAL))
+    start, after = -push / 2, -RESTITUTION * push  # It is at the wall after a second.
+    problem = pose(ball(), [start], [after], phases, 2)
+    motion = problem.simulate(np.array([[push], [0.0]]), 1)
+    np.testing.assert_allclose(motion.states[1:], [[0.0, after], [after, after]], atol=1e-12)
+    # Coming out, φ̇ is off by its unit L/T times two, and the end is inside by 0.6 L.
+    assert motion.violation == pytest.approx(2.0 if push > 0 else 0.0, abs=1e-12)
+
+
+def test_walls_are_hit_no_slower_than_asked() -> None:
+    phases = Phases(np.zeros(1, dtype=np.int64), np.array([5]), np.array([0.7, 1.3]), (2.0, 2.0))
+    problem = pose(ball(), [1.0], [2.0], phases, 10)
+    fast = replace(problem, slowest=3.0).solve(np.full((10, 1), -1.0))
+    assert fast.violation < 1e-4
+    assert fast.states[5, 1] == pytest.approx(3.0 * RESTITUTION, rel=1e-3)
+    with pytest.raises(ProgramError, match="slowest: got -1"):
+        replace(problem, slowest=-1.0)
 
 
 def test_a_pendulum_meets_its_wall_at_a_knot_and_stays_in_front_of_it() -> None:

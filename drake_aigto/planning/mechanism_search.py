@@ -181,10 +181,14 @@ class MechanismSearch(CandidatePool):
         return is_as_dear or self.problem.are_near(one.result, other.result)
 
     def _finish(self) -> None:
-        """Polishes and judges the best motions, one of those that are near each other."""
+        """Polishes and judges the best motions, one of those that are near each other.
+
+        As many as there are to be finalists have to hold; others do not count.
+        """
         known: list[ShootingResult] = []
         for motion in self._tighten():
-            is_full = len(known) >= 2 * self.problem.options.finalists
+            holding = sum(each.is_feasible and each.is_confirmed for each in self._candidates)
+            is_full = holding >= self.problem.options.finalists
             is_ended = self.is_interrupted and known
             if is_full or is_ended or self._is_hopeless(motion):
                 return

@@ -42,7 +42,8 @@ from drake_aigto.world import Scenario, World
 # bounce added there, so often at most.
 _DEEP, _MOST_ADDED = 1e-2, 4
 # Walls are passed at this part of the task's length, for which knots are moved so often at most;
-# touches slower than this part of its speed are passed, too.
+# touches slower than this part of its speed are passed, too, and what lasts begins no slower: any
+# error would miss the wall.
 _MARGIN, _MOST_LIFTS, _SLOW = 1e-4, 6, 1e-2
 # Near a wall that is grazed, speeds change with the square root of distances: a finalist has to
 # meet its walls closely.
@@ -197,6 +198,7 @@ class RigidMechanismProblem(MechanismProblem):
             times=times,
             phases=phases,
             clearances=clearances,
+            slowest=_SLOW * self.scales.velocity,
         )
 
     @property

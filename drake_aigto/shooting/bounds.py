@@ -86,15 +86,15 @@ def _add_distances(
 def _add_approach(
     program: Program, k: int, z: Floats, penalty: float, has_slopes: bool, memory: Memory
 ) -> float:
-    """Returns what φ̇ ≤ 0 adds before the impact at knot k; adds to derivatives if asked.
+    """Returns what a bound of φ̇ adds before the impact at knot k; adds to derivatives if asked.
 
-    Without it a motion could come out of a wall, and be pulled back by the impact.
+    Where φ̇ > 0 a motion would come out of a wall, and be pulled back by the impact.
     """
     bounds, nx = program.bounds, 2 * program.mechanics.actuation.shape[0]
     l1, l2, slope = memory.expansion.l1, memory.expansion.l2, memory.flow.points[0]
     weight = penalty * bounds.approach_weight
     rate = _measure_approach(program, program.kinds[k], z, has_slopes, memory)
-    off = max(rate + bounds.approach_multipliers[k] / weight, 0.0)
+    off = max(rate + bounds.slowest + bounds.approach_multipliers[k] / weight, 0.0)
     if has_slopes and off > 0.0:
         for j in range(nx):
             l1[k, j] += weight * off * slope[j]
@@ -209,9 +209,10 @@ def measure_bounds(
         if k < program.kinds.size and program.kinds[k] >= 0:
             weight = penalty * bounds.approach_weight
             rate = _measure_approach(program, program.kinds[k], states[k], False, memory)
-            worst = max(worst, np.sqrt(bounds.approach_weight) * rate)
+            off = rate + bounds.slowest
+            worst = max(worst, np.sqrt(bounds.approach_weight) * off)
             if updates:
-                multiplier = bounds.approach_multipliers[k] + weight * rate
+                multiplier = bounds.approach_multipliers[k] + weight * off
                 bounds.approach_multipliers[k] = max(multiplier, 0.0)
         if k < program.held.size and program.kinds[k] == FLOW and program.held[k] >= 0:
             weight, nx = penalty * bounds.force_weight, memory.flow.points.shape[1]

@@ -84,6 +84,7 @@ def _make_bounds(problem: ShootingQuestion, layout: Layout) -> Bounds:
         distance_weight=float(problem.length) ** -2,
         distance_multipliers=np.zeros_like(low),
         is_distance_bounded=is_distance_bounded,
+        slowest=float(problem.slowest),
         approach_weight=float(T / problem.length) ** 2,
         approach_multipliers=np.zeros(len(layout.kinds)),
         force_weight=float(T * np.max(problem.cost.R)) / problem.cost_scale,

@@ -35,6 +35,7 @@ class ShootingQuestion:
         phases: what rigid walls are hit at which knots; None: nothing is hit. Then `times` says how
             knots divide each phase, and where contacts do not yield φ ≥ 0 at all knots.
         clearances: of phases, how far φ has to be above 0 at knots, shape (N + 1, m) [m]; None: 0.
+        slowest: of phases, how fast walls are hit at least [m/s].
 
     Raises:
         ProgramError: a shape or a number does not fit; says which.
@@ -52,6 +53,7 @@ class ShootingQuestion:
     length: float = 1.0
     phases: Phases | None = None
     clearances: Floats | None = None
+    slowest: float = 0.0
 
     def __post_init__(self) -> None:
         """Checks shapes and numbers, and makes arrays read-only."""
@@ -96,6 +98,7 @@ class ShootingQuestion:
             ("phases", f"contacts below {m}, knots inside of 0 … {N}", is_possible),
             ("control_norm", "a number above 0", self.control_norm > 0),
             ("length", "a number above 0", self.length > 0),
+            ("slowest", "a number of at least 0", 0 <= self.slowest < np.inf),
         )
         for name, expected, holds in checks:
             if not holds:

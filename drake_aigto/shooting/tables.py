@@ -54,7 +54,8 @@ class Bounds(NamedTuple):
         distance_weight: w of φ.
         distance_multipliers: y of φ, shape (K + 1, m).
         is_distance_bounded: as above.
-        approach_weight: w of φ̇ ≤ 0 before an impact.
+        slowest: −φ̇ at least before an impact [m/s].
+        approach_weight: w of that.
         approach_multipliers: y of that, shape (K,).
         force_weight: w of the force of what is held, which is at least 0; its unit is the control
             that costs as much as all else.
@@ -77,6 +78,7 @@ class Bounds(NamedTuple):
     distance_weight: float
     distance_multipliers: Floats
     is_distance_bounded: Bools
+    slowest: float
     approach_weight: float
     approach_multipliers: Floats
     force_weight: float
