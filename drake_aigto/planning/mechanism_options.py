@@ -38,7 +38,9 @@ class MechanismOptions(SearchOptions):
     """Numerics of a plan for a mechanism, or for soft walls.
 
     Attributes:
-        finalists: see `SearchOptions`, as threads and confirm.
+        finalists: how many of the best candidates are improved at most; between soft walls, fewer
+            where the next ones promise no less than what was found. Threads and confirm: see
+            `SearchOptions`.
         ladder: the starts of AIGO; the center of each last box is closed by shooting. If no rung
             has a half width, renewals have none either: a search without boxes.
         renewals: how many times at most a stretch of a candidate is opened to boxes again, or boxes
@@ -51,7 +53,7 @@ class MechanismOptions(SearchOptions):
     finalists: int = 2
     ladder: tuple[MechanismRung, ...] = field(default=MECHANISM_LADDER, repr=False)
     renewals: int = 240
-    patience: int = 64
+    patience: int = 72
     search_steps: int = 60
     seed: int = 0
 

@@ -40,6 +40,8 @@ from drake_aigto.world import CompliantLaw, Scales, Scenario, TaskCost, World
 
 # Runge-Kutta steps of a finalist are halved until cost and end change by this part of their scales.
 _EXACT, _MOST_SUBSTEPS = 1e-3, 64
+# What changes by less with halved steps is steady: the same controls lead to about the same motion.
+_STEADY = 0.1
 # What is farther off its bounds than this, in parts of the scales, won't be a plan.
 _HOPELESS = 0.05
 # Boxes have a duration of which this is the next one, where it is free.
@@ -49,11 +51,10 @@ _NEAR = 0.05
 # What a motion misses of its bounds, in the state's scales, costs this in the task's scale. More
 # may be won by it: what misses more than so much comes after all that does not.
 _PRICE, _MUCH = 10.0, 1e-2
-# A wall that is smoothed by more than the last one pushes otherwise by as much as hard goals allow.
-POLISH = ShootingOptions(
-    rungs=(Smoothing(1e-3, 60, 1e-5), Smoothing(1e-4, 40, 1e-6), Smoothing(1e-6, 40, 1e-6)),
-    substeps=4,
-)
+# What a motion costs in short time steps, and then what walls that are hardly smoothed make of it:
+# more smoothed, they push otherwise by as much as hard goals allow.
+TIGHT = ShootingOptions(rungs=(Smoothing(1e-3, 40, 1e-3),), substeps=4)
+POLISH = ShootingOptions(rungs=(Smoothing(1e-4, 40, 1e-5), Smoothing(1e-6, 40, 1e-5)), substeps=4)
 
 # What boxes show is closed in a few steps: from walls smoothed by more, it takes longer and ends
 # within 1 % of the best half as often (of 800 boxes around the cart-pole, `cart_pole/soft_06`).
@@ -249,24 +250,29 @@ class MechanismProblem:
         times = problem.knot_times
         controls = motion.controls[np.searchsorted(motion.times, (times[1:] + times[:-1]) / 2) - 1]
         q, v = motion.states[:, :n], motion.states[:, n:]
-        return problem.solve(controls, sample_cubic(motion.times, q, v, times), POLISH)
+        return problem.solve(controls, sample_cubic(motion.times, q, v, times), TIGHT)
 
     def polish(self, motion: ShootingResult) -> ShootingResult:
-        """Returns the local optimum near a motion, its time steps halved until they agree."""
-        problem = self.shooting(self.scenario.num_steps)
-        if motion.substeps < POLISH.substeps:
+        """Returns the local optimum near a motion, its time steps halved until they agree.
+
+        What is steady is followed from its controls, by steps that never raise the cost.
+        """
+        if motion.substeps < TIGHT.substeps:
             motion = self.tighten(motion)
-        while (
-            motion.violation <= _HOPELESS
-            and motion.substeps < _MOST_SUBSTEPS
-            and problem.estimate_error(motion) > _EXACT
-        ):
-            finer = dataclasses.replace(
-                POLISH, rungs=POLISH.rungs[-1:], substeps=2 * motion.substeps
-            )
+        problem, options, error = self.shooting(self.scenario.num_steps), POLISH, 0.0
+        while True:
+            states = motion.states if error > _STEADY else None
             problem = problem.starting_from(motion)
-            motion = problem.solve(motion.controls, motion.states, finer, motion.prices)
-        return motion
+            motion = problem.solve(motion.controls, states, options, motion.prices)
+            if motion.violation > _HOPELESS or motion.substeps >= _MOST_SUBSTEPS:
+                return motion
+            error = problem.estimate_error(motion)
+            if error <= _EXACT:
+                return motion
+            # Where contact begins and ends, steps are of second order.
+            halvings = np.ceil(np.log2(min(error / _EXACT, _MOST_SUBSTEPS)) / 2)
+            substeps = min(motion.substeps * 2 ** int(halvings), _MOST_SUBSTEPS)
+            options = dataclasses.replace(POLISH, rungs=POLISH.rungs[-1:], substeps=substeps)
 
     def price(self, motion: ShootingResult) -> float:
         """Returns J of a motion, and a price for what it misses of bounds and a hard goal."""

@@ -8,7 +8,7 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
-from typing import NamedTuple, TypeAlias
+from typing import ClassVar, NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -42,10 +42,6 @@ _MOST_KEPT, _SAME = 8, 1e-3
 _WAVE = 8
 # A cost of this part of the task's scale is none.
 _NOTHING = 1e-12
-# A motion that costs so many times the best finalist is not polished.
-_DEAR = 1.2
-# Of so many motions a finalist what they cost in shorter steps decides: long ones may mislead.
-_MOST_TIGHTENED = 2
 # Every second renewal is of the best motion, the others are of one of so many.
 _MOST_RENEWED = 4
 
@@ -77,9 +73,11 @@ class MechanismSearch(CandidatePool):
 
     Attributes:
         motions: the best so far.
+        dear: what costs so many times the best finalist is not polished.
     """
 
     problem: MechanismProblem
+    dear: ClassVar[float] = 1.0
 
     def __init__(self, problem: MechanismProblem, clock: Stopwatch | None = None) -> None:
         """Starts with no motion."""
@@ -185,30 +183,31 @@ class MechanismSearch(CandidatePool):
 
         As many as there are to be finalists have to hold; others do not count.
         """
-        known: list[ShootingResult] = []
+        known: list[Motion] = []
         for motion in self._tighten():
             holding = sum(each.is_feasible and each.is_confirmed for each in self._candidates)
             is_full = holding >= self.problem.options.finalists
             is_ended = self.is_interrupted and known
             if is_full or is_ended or self._is_hopeless(motion):
                 return
-            if not any(self.problem.are_near(motion.result, other) for other in known):
-                known += [motion.result, self._polish(motion.origin, motion.result)]
+            if not any(self._are_same(motion, other) for other in known):
+                polished = self._polish(motion.origin, motion.result)
+                rank = self.problem.rank(polished)
+                known += [motion, Motion(motion.origin, polished, rank)]
 
     def _tighten(self) -> list[Motion]:
-        """Returns the motions, the best of them by what they cost in shorter steps."""
+        """Returns the motions by what they cost in shorter steps."""
         tight: list[Motion] = []
-        most = 1 if self.is_interrupted else _MOST_TIGHTENED * self.problem.options.finalists
         with self.clock("polish"), self.ended_by_ctrl_c(lambda: self.motions):
-            for motion in self.motions[:most]:
+            for motion in self.motions[: 1 if self.is_interrupted else None]:
                 result = self.problem.tighten(motion.result)
                 tight.append(Motion(motion.origin, result, self.problem.rank(result)))
-        return [*sorted(tight, key=lambda each: each.rank), *self.motions[len(tight) :]]
+        return sorted(tight, key=lambda each: each.rank) or self.motions[:1]
 
     def _is_hopeless(self, motion: Motion) -> bool:
         """Returns whether a motion costs more than its polish can win back."""
         costs = (each.replay.cost for each in self._candidates if each.is_confirmed)
-        return motion.cost > scaled(_DEAR, min(costs, default=np.inf))
+        return motion.cost > scaled(self.dear, min(costs, default=np.inf))
 
     def _polish(self, origin: Origin, start: ShootingResult) -> ShootingResult:
         """Adds the candidate that a motion becomes, and returns its motion."""

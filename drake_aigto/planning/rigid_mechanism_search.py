@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import pairwise
-from typing import TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 
@@ -38,6 +38,7 @@ class RigidMechanismSearch(MechanismSearch):
     """
 
     problem: RigidMechanismProblem
+    dear: ClassVar[float] = 1.2
 
     def __init__(self, problem: RigidMechanismProblem, clock: Stopwatch | None = None) -> None:
         """Starts with no motion."""
