@@ -79,7 +79,7 @@ def test_forces_give_what_the_momentum_lacks(plan: Plan) -> None:
 
 
 def test_a_plan_is_that_of_any_number_of_threads(cart_pole: Planner, plan: Plan) -> None:
-    options = dataclasses.replace(QUICK, threads=1)
+    options = MechanismOptions(threads=1)
     other = Planner(cart_pole.scenario, options, cart_pole.world).plan()
     np.testing.assert_array_equal(other.trajectory.controls, plan.trajectory.controls)
 
