@@ -11,6 +11,7 @@ from pydrake.solvers import MathematicalProgram
 from pydrake.symbolic import sin
 
 from benchmarks.collections.staged_programs import Form, payload, payload_tasks, push_bot
+from drake_aigto.local import InteriorPoint
 from drake_aigto.solver import AigoOptions, AigoSolver
 from drake_aigto.solver.complementarity import find_complementarities
 from drake_aigto.solver.program import read_program
@@ -84,14 +85,9 @@ def test_other_rows_are_none(adds: tuple[Add, ...]) -> None:
     assert find_complementarities(read_program(two_pushes(*adds))) == ()
 
 
-@pytest.mark.parametrize("is_equality", [True, False])
-@pytest.mark.parametrize("sign", [1.0, -1.0])
-def test_small_programs_with_corners_are_solved_to_the_better_branch(
-    is_equality: bool, sign: float
-) -> None:
-    # Ten pairs, of which each costs least with its larger one alone: the optimum is known.
-    rng = np.random.default_rng(5)
-    goals = rng.uniform(0.5, 3.0, (10, 2))
+def ten_pairs(is_equality: bool, sign: float) -> tuple[MathematicalProgram, np.ndarray]:
+    """Returns a program of ten pairs, and what each of (λ, s) is best at, shape (10, 2)."""
+    goals = np.random.default_rng(5).uniform(0.5, 3.0, (10, 2))
     prog = MathematicalProgram()
     x, s = (prog.NewContinuousVariables(10, name) for name in "xs")
     prog.AddBoundingBoxConstraint(min(0.0, 5.0 * sign), max(0.0, 5.0 * sign), x)
@@ -100,12 +96,35 @@ def test_small_programs_with_corners_are_solved_to_the_better_branch(
         row = sign * a * b
         prog.AddConstraint(row == 0 if is_equality else row <= 0)
         prog.AddQuadraticCost((sign * a - first) ** 2 + (b - last) ** 2)
+    return prog, goals
+
+
+@pytest.mark.parametrize("is_equality", [True, False])
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_small_programs_with_corners_are_solved_to_the_better_branch(
+    is_equality: bool, sign: float
+) -> None:
+    prog, goals = ten_pairs(is_equality, sign)
     result = AigoSolver().Solve(prog)
     assert result.is_success()
     assert result.get_solver_details().complementarities == 10
     assert result.get_optimal_cost() == pytest.approx(np.sum(goals.min(axis=1) ** 2), rel=1e-5)
     found = result.get_x_val()
     assert np.max(np.abs(found[:10] * found[10:])) <= 1e-6
+
+
+@pytest.mark.parametrize("is_equality", [True, False])
+def test_at_corners_the_smaller_of_each_pair_is_zero(is_equality: bool) -> None:
+    prog, goals = ten_pairs(is_equality, 1.0)
+    program = read_program(prog)
+    values = np.random.default_rng(6).uniform(0.1, 2.0, (2, 10))
+    start = program.with_slacks(values.ravel())
+    nlp = StagedProgram(program, 1e-6).at_corners(start)
+    found = InteriorPoint.warm().solve(nlp, start)
+    assert found.is_success
+    pairs = found.x[:20].reshape(2, 10)
+    expected = np.where(values == values.max(axis=0), goals.T, 0.0)
+    np.testing.assert_allclose(pairs, expected, atol=1e-6)
 
 
 @pytest.mark.parametrize("form", ["equalities", "inequalities", "variables"])

@@ -1,7 +1,7 @@
 """Programs that are chains of stages with contact, as their authors would write them.
 
-Sources: SPOT (Kang, Liu & Yang, RSS 2025, arXiv:2502.02829) for the push-bot and the push-box;
-CRISP (Li, Han, Kang, Ma & Yang, RSS 2025, arXiv:2502.01055) for the payload on a cart.
+Sources: SPOT (Kang, Liu & Yang, RSS 2025, arXiv:2502.02829) for the push-bot; CRISP (Li, Han,
+Kang, Ma & Yang, RSS 2025, arXiv:2502.01055) for payloads and the pushed box.
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ class StagedProblem:
 
 
 def staged_problems(num_random: int = 50) -> Iterator[StagedProblem]:
-    """Yields the push-bot's between near and far walls, and the others.
+    """Yields push-bots between far and near walls, payloads and pushed boxes.
 
     Args:
         num_random: how many random starts of the push-bot there are, at each distance of the walls.
@@ -65,8 +65,8 @@ def staged_problems(num_random: int = 50) -> Iterator[StagedProblem]:
             yield StagedProblem(name, partial(push_bot, start, wall, form), roll_out)
     for i, task in enumerate(payload_tasks()):
         yield StagedProblem(f"payload/{i}", partial(payload, *task))
-    for i, pose in enumerate(push_box_starts()):
-        yield StagedProblem(f"push_box/{i}", partial(push_box, pose))
+    for i, goal in enumerate(box_goals()):
+        yield StagedProblem(f"push_box/{i}", partial(push_box, goal))
 
 
 def push_bot_starts(wall: float, num_random: int) -> list[tuple[float, ...]]:
@@ -226,64 +226,46 @@ def payload(start: np.ndarray, goal: np.ndarray, num_steps: int = 200) -> Mathem
     return prog
 
 
-def push_box_starts() -> tuple[tuple[float, float, float], ...]:
-    """Returns SPOT's ten poses: angle [rad] and position [m]."""
-    return (
-        (1.9775, 0.1473, 0.2967),
-        (2.5497, 0.3912, 0.1107),
-        (-2.3437, 0.3872, 0.3547),
-        (2.5973, 0.2456, 0.3802),
-        (0.8316, 0.3401, 0.3036),
-        (-2.5287, 0.1426, 0.3273),
-        (-1.3917, 0.2265, 0.3229),
-        (0.2946, 0.3747, 0.2177),
-        (2.8746, 0.3377, 0.2966),
-        (2.9210, 0.3878, 0.1514),
-    )
+def box_goals() -> list[tuple[float, float, float]]:
+    """Returns CRISP's 18 goals on a circle of 3 m; each faces the way it lies in."""
+    angles = 2 * np.pi * np.arange(18) / 18
+    return [(3 * np.cos(t), 3 * np.sin(t), t) for t in angles.tolist()]
 
 
-def push_box(pose: tuple[float, float, float]) -> MathematicalProgram:
-    """Returns SPOT's box, pushed quasi-statically by one point without friction.
+def push_box(goal: tuple[float, float, float], num_steps: int = 100) -> MathematicalProgram:
+    """Returns CRISP's box, pushed quasi-statically on one of four faces at a time.
 
-    Which of four faces is pushed is chosen by λ_i (1 − λ_i) = 0, Σ λ_i² = 1 at every step.
+    Forces λ₁, λ₂ ≥ 0 and λ₃, λ₄ ≤ 0 act at a point (x, y) of the box, on the face it is at:
+
+        λ₁ ⊥ y + b,  λ₂ ⊥ x + a,  −λ₃ ⊥ b − y,  −λ₄ ⊥ a − x,  λ_i λ_j = 0
     """
-    num_steps, dt, c, a, b, reach, most = 30, 0.1, 0.3, 0.05, 0.1, 0.99, 0.6
-    radius = np.hypot(a, b)
+    a, b, dt, ground = 0.5, 0.25, 0.02, 0.5 * 1.0 * 9.8
+    turning = ground * 0.4 * np.hypot(a, b)
     prog = MathematicalProgram()
-    s, angle = (
-        prog.NewContinuousVariables(num_steps + 1, 2, "s"),
-        prog.NewContinuousVariables(num_steps + 1, "angle"),
-    )
-    force, point = (prog.NewContinuousVariables(num_steps, 2, name) for name in ("F", "p"))
-    face = prog.NewContinuousVariables(num_steps, 4, "face")
-    prog.AddBoundingBoxConstraint(pose[1:], pose[1:], s[0])
-    prog.AddBoundingBoxConstraint(pose[0], pose[0], angle[:1])
-    prog.AddBoundingBoxConstraint(-most, most, s[1:])
-    prog.AddBoundingBoxConstraint(-1.0, 1.0, force)
-    for side, i in ((a, 0), (b, 1)):
+    pose = prog.NewContinuousVariables(num_steps + 1, 3, "pose")
+    point = prog.NewContinuousVariables(num_steps, 2, "point")
+    force = prog.NewContinuousVariables(num_steps, 4, "force")
+    prog.AddBoundingBoxConstraint(0.0, 0.0, pose[0])
+    for i, side in enumerate((a, b)):
         prog.AddBoundingBoxConstraint(-side, side, point[:, i])
-    prog.AddBoundingBoxConstraint(0.0, 1.0, face)
+    prog.AddBoundingBoxConstraint(0.0, np.inf, force[:, :2].ravel())
+    prog.AddBoundingBoxConstraint(-np.inf, 0.0, force[:, 2:].ravel())
     for k in range(num_steps):
-        (fx, fy), (px, py), chosen = force[k], point[k], face[k]
-        cosine, sine, turn = cos(angle[k]), sin(angle[k]), angle[k + 1] - angle[k]
-        prog.AddConstraint(s[k + 1, 0] - s[k, 0] - dt * (cosine * fx - sine * fy) == 0)
-        prog.AddConstraint(s[k + 1, 1] - s[k, 1] - dt * (sine * fx + cosine * fy) == 0)
-        prog.AddConstraint(sin(turn) == dt / (c * radius) * (px * fy - py * fx))
-        prog.AddLinearConstraint(turn, -_LARGEST_TURN, _LARGEST_TURN)
-        for i, (across, along, place, half) in enumerate(
-            ((py, px, b, a), (px, py, a, b), (py, px, -b, a), (px, py, -a, b))
-        ):
-            prog.AddConstraint(chosen[i] * (1 - chosen[i]) == 0)
-            prog.AddConstraint(chosen[i] * (across - place) == 0)
-            prog.AddConstraint(chosen[i] * (along - reach * half) <= 0)
-            prog.AddConstraint(chosen[i] * (along + reach * half) >= 0)
-        prog.AddConstraint(chosen @ chosen == 1)
-        prog.AddConstraint((chosen[0] + chosen[2]) * fx + (chosen[1] + chosen[3]) * fy == 0)
-        for sign, i, part in ((-1, 0, fy), (-1, 1, fx), (1, 2, fy), (1, 3, fx)):
-            prog.AddConstraint(sign * chosen[i] * part >= 0)
-        weight = 10.0 if k == num_steps - 1 else 1.0
-        at = s[k + 1] / most
-        home = (cos(angle[k + 1]) - 1) ** 2 + sin(angle[k + 1]) ** 2 + at @ at
-        prog.AddCost(weight * home)
-        prog.AddQuadraticCost(fx**2 + fy**2)
+        (x, y), each, angle = point[k], force[k], pose[k, 2]
+        along, across = each[1] + each[3], each[0] + each[2]
+        rates = (
+            (cos(angle) * along - sin(angle) * across) / ground,
+            (sin(angle) * along + cos(angle) * across) / ground,
+            (x * across - y * along) / turning,
+        )
+        for i, rate in enumerate(rates):
+            prog.AddConstraint(pose[k + 1, i] - pose[k, i] - dt * rate == 0)
+        gaps = (y + b, x + a, b - y, a - x)
+        for i, (push, gap) in enumerate(zip(each, gaps, strict=True)):
+            prog.AddConstraint(push * gap == 0)
+            for other in each[i + 1 :]:
+                prog.AddConstraint(push * other == 0)
+        prog.AddQuadraticCost(1e-3 * each @ each)
+    off = pose[-1] - np.array(goal)
+    prog.AddQuadraticCost(100.0 * off @ off)
     return prog

@@ -23,16 +23,22 @@ class Complementarity:
     Attributes:
         row: its number among the program's rows.
         variable: λ or −λ, one of y.
-        product: λ s over y, s by the variable of the row that keeps it above 0, if it has one.
+        gap: s or −s, the sign such that the product is not below 0; by the variable of the row that
+            keeps it above 0, if it has one.
         allowed: ε; 0 of a row that says λ s = 0.
         slack: variable of y that the row itself has as an inequality; −1 if it is an equality.
     """
 
     row: int
     variable: int
-    product: Sum
+    gap: Sum
     allowed: float
     slack: int = -1
+
+    @property
+    def product(self) -> Sum:
+        """λ s over y."""
+        return {_times(parts, self.variable): a for parts, a in self.gap.items()}
 
 
 class _Side(NamedTuple):
@@ -117,9 +123,9 @@ class _Search:
             allowed = upper if oriented > 0.0 else -lower
             if not (-_ROUNDING <= allowed <= _LARGEST_PART * self._most(variable)):
                 continue
-            whole = {_times(parts, variable): oriented * a for parts, a in distance.items()}
+            gap = {parts: oriented * a for parts, a in distance.items()}
             slack = self._slacks.get(number, -1)
-            return Complementarity(number, variable, whole, max(0.0, allowed), slack)
+            return Complementarity(number, variable, gap, max(0.0, allowed), slack)
         return None
 
     def _most(self, variable: int) -> float:

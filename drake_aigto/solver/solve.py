@@ -250,18 +250,35 @@ class Solve:
         self._offer(z, f"polish{name}")
         return program.with_slacks(z)
 
-    def _polish_relaxed(self, y: Floats, name: str) -> None:
-        """Offers a point of the program without presolve, improved on its relaxed rows."""
+    def _polish_relaxed(self, y: Floats, name: str) -> Floats | None:
+        """Offers a point of the program without presolve, improved on its relaxed rows.
+
+        Where that is not feasible, it is improved with corners chosen: of each λ and s, which is 0.
+
+        Returns:
+            The point y; None if it is not feasible.
+        """
         staged, options = self._staged, self._options
         self._polishes += 1
-        if options.polish == "newton":
-            local = InteriorPoint.warm(max_iterations=_RELAXED_STEPS)
-            found = local.solve(staged.nlp, y)
-            x, self._kkt_storage = staged.program.answer(found.x), found.storage
-        else:
+        if options.polish != "newton":
             start = staged.program.answer(y)
             x = solve_with_drake(staged.program.source, start, options.polish).x
+            return self._keep_relaxed(staged.program.with_slacks(staged.program.reduce(x)), name)
+        found = InteriorPoint.warm(max_iterations=_RELAXED_STEPS).solve(staged.nlp, y)
+        self._kkt_storage = found.storage
+        kept = self._keep_relaxed(found.x, name)
+        if kept is None and staged.complementarities:
+            local = InteriorPoint.warm(max_iterations=_POLISH_STEPS)
+            found = local.solve(staged.at_corners(y), y)
+            kept = self._keep_relaxed(found.x, f"{name}, at corners")
+        return kept
+
+    def _keep_relaxed(self, y: Floats, name: str) -> Floats | None:
+        """Offers a point, and returns it if it is feasible."""
+        program = self._staged.program
+        x = program.answer(y)
         self._keep(x, f"ladder from {name}")
+        return y if program.violation(x) <= self._options.feasibility else None
 
     def _offer(self, y: Floats, origin: str) -> None:
         """Keeps a point, z or (z, s), if it is the best so far."""

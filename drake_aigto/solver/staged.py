@@ -13,7 +13,7 @@ from drake_aigto.local import PenaltyLadder, PointTables, PolynomialNlp, make_po
 from drake_aigto.solver.complementarity import find_complementarities
 from drake_aigto.solver.options import AigoOptions
 from drake_aigto.solver.program import AigoProgram
-from drake_aigto.terms import Sum, TermBlock, add, constant, with_own_variables
+from drake_aigto.terms import Sum, TermBlock, add, constant, evaluate, with_own_variables
 
 # A chain is so many times longer than its half bandwidth, and has more variables than a few.
 _LEAST_LENGTH, _FEW = 6, 40
@@ -93,24 +93,41 @@ class StagedProgram:
         return self.is_worth_ladders and self.is_chain and bool(self.complementarities)
 
     def _relax(self, least: float) -> PolynomialNlp:
+        rows = [
+            _block("complementarity", add(each.product, constant(-max(least, each.allowed))))
+            for each in self.complementarities
+        ]
+        return self._with_rows(rows, [])
+
+    def at_corners(self, y: Floats) -> PolynomialNlp:
+        """Returns the program in which of each λ and s the one that is smaller at y (n,) is 0."""
+        rows, held = [], []
+        for each in self.complementarities:
+            if each.allowed:
+                rows.append(_block("complementarity", add(each.product, constant(-each.allowed))))
+            elif abs(evaluate(each.gap, y)) >= abs(y[each.variable]):
+                held.append(each.variable)
+            else:
+                rows.append(_block("complementarity", each.gap))
+        return self._with_rows(rows, held)
+
+    def _with_rows(self, rows: list[TermBlock], held: list[int]) -> PolynomialNlp:
+        """Returns the program with other rows for complementarities, and variables held at 0."""
         nlp, found = self.program.nlp, self.complementarities
         if not found:
             return nlp
         gone = {each.row for each in found}
-        rows, number = [], 0
+        others, number = [], 0
         for block in nlp.blocks[len(nlp.costs) :]:
             numbers = range(number, number + len(block.variables))
             number = numbers.stop
             kept = [i for i, row in enumerate(numbers) if row not in gone]
             if kept:
-                rows.append(TermBlock(block.name, block.terms, block.variables[kept]))
-        for each in found:
-            total = add(each.product, constant(-max(least, each.allowed)))
-            rows.append(_block("complementarity", total))
+                others.append(TermBlock(block.name, block.terms, block.variables[kept]))
         lower, upper = nlp.lower.copy(), nlp.upper.copy()
-        unused = [each.slack for each in found if each.slack >= 0]
+        unused = held + [each.slack for each in found if each.slack >= 0]
         lower[unused] = upper[unused] = np.clip(0.0, lower[unused], upper[unused])
-        return PolynomialNlp(nlp.num_variables, nlp.costs, tuple(rows), lower, upper)
+        return PolynomialNlp(nlp.num_variables, nlp.costs, (*others, *rows), lower, upper)
 
 
 def _block(name: str, total: Sum) -> TermBlock:
@@ -136,7 +153,7 @@ class StagedSearch:
         staged: StagedProgram,
         options: AigoOptions,
         guess: Floats,
-        polish: Callable[[Floats, str], None],
+        polish: Callable[[Floats, str], Floats | None],
     ) -> None:
         """Makes the tables.
 
@@ -144,7 +161,8 @@ class StagedSearch:
             staged: the program.
             options: rounds, patience and the seed.
             guess: of z, NaN where there is none.
-            polish: called with points that are nearly feasible, if they are better than others.
+            polish: called with points y that are nearly feasible, if they are better than others;
+                returns the point that each becomes, or None if that is not feasible.
         """
         self.climbs = self.steps = 0
         self.best = np.inf
@@ -212,10 +230,16 @@ class StagedSearch:
         self.climbs, self.steps = self.climbs + 1, self.steps + found.steps
         if not found.is_nearly_feasible:
             return
-        if found.cost < self.best - _SAME * abs(self.best) or not self._kept:
-            self._polish(found.x, name)
-            self._ladder.scale_cost(found.cost)
-        self.best = min(self.best, found.cost)
-        if all(abs(found.cost - cost) > _SAME * abs(cost) for cost, _ in self._kept):
-            kept = [*self._kept, (found.cost, found.x)]
-            self._kept = sorted(kept, key=lambda pair: pair[0])[:_MOST_KEPT]
+        cost, x = found.cost, found.x
+        if cost < self.best - _SAME * abs(self.best) or not self._kept:
+            polished = self._polish(x, name)
+            if polished is not None:
+                cost, x = self._nlp.evaluate(polished)[0], polished
+            self._ladder.scale_cost(cost)
+        self._keep(cost, x)
+
+    def _keep(self, cost: float, x: Floats) -> None:
+        """Keeps a point if it is among the best, and no other costs the same."""
+        self.best = min(self.best, cost)
+        if all(abs(cost - other) > _SAME * abs(other) for other, _ in self._kept):
+            self._kept = sorted([*self._kept, (cost, x)], key=lambda pair: pair[0])[:_MOST_KEPT]
