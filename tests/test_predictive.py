@@ -10,7 +10,7 @@ import pytest
 from loops import close_loop, set_start
 from pydrake.systems.analysis import Simulator
 from pydrake.systems.framework import DiagramBuilder
-from pydrake.systems.primitives import LogVectorOutput, TrajectorySource
+from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto import ControlError, MechanismOptions, ModelPredictiveController, Planner, Scenario
@@ -116,6 +116,20 @@ def test_what_is_not_finite_leaves_the_last_plan() -> None:
     np.testing.assert_allclose(path.value(0.05)[:, 0], x)
     # The plan goes on: its control is that of now, not of when it was made.
     assert controls[0, -1] != controls[0, 0]
+
+
+def test_a_state_beyond_its_limits_is_planned_from() -> None:
+    builder = DiagramBuilder()
+    beyond = np.array([1.05, 0.0, 0.3, 0.0])  # The cart's rail ends at 1 m.
+    source = builder.AddSystem(ConstantVectorSource(beyond))
+    controller = builder.AddSystem(ModelPredictiveController(make_planner(), period=0.1))
+    builder.Connect(source.get_output_port(), controller.get_input_port(0))
+    simulator = Simulator(builder.Build())
+    simulator.AdvanceTo(0.15)
+    context = controller.GetMyContextFromRoot(simulator.get_context())
+    path = controller.GetOutputPort("planned_state").Eval(context)
+    np.testing.assert_allclose(path.value(0.1)[:, 0], beyond)
+    assert path.value(0.6)[0, 0] < 1.0
 
 
 @pytest.mark.parametrize(

@@ -122,7 +122,9 @@ class Horizon:
 
         It takes what the planner's options allow: counts, not seconds.
         """
-        q, v = np.split(x, 2)
+        # No plan may start beyond its bounds, where an estimate may be.
+        bounds, (q, v) = self._problem.bounds, np.split(x, 2)
+        q, v = np.clip(q, *bounds.position), np.clip(v, *bounds.velocity)
         left, scenario = float(np.ptp(self.times(now))), self._problem.scenario
         scenario = dataclasses.replace(
             scenario,
@@ -136,7 +138,8 @@ class Horizon:
         if not search.motions:
             return None
         found = search.motions[0].result
-        motion = Motion(now + found.times, found.states, found.controls, found.cost)
+        states = np.vstack([x, found.states[1:]])
+        motion = Motion(now + found.times, states, found.controls, found.cost)
         return self._descend(motion, dataclasses.replace(self._options, rungs=(_FOUND,)))
 
     @property
