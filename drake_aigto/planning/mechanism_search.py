@@ -121,11 +121,11 @@ class MechanismSearch(CandidatePool):
     def _renew(self) -> None:
         """Opens stretches of the best motions to boxes again, and begins anew in turn."""
         options, rng = self.problem.options, np.random.default_rng(self.problem.options.seed)
-        best, idle = np.inf, 0
+        best, idle = (True, np.inf), 0
         for first in range(0, options.renewals if self.motions else 0, _WAVE):
-            cost = self.motions[0].cost
-            is_better = not cost + _SAME * abs(cost) >= best
-            best, idle = (cost, 0) if is_better else (best, idle + _WAVE)
+            misses, cost = rank = self.motions[0].rank
+            is_better = misses < best[0] or not cost + _SAME * abs(cost) >= best[1]
+            best, idle = (rank, 0) if is_better else (best, idle + _WAVE)
             if idle >= options.patience or cost <= _NOTHING * self.problem.scales.cost:
                 break
             self.tell(f"renewal {first} of {options.renewals}; the best costs {cost:.6g}")
