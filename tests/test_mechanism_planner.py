@@ -13,6 +13,7 @@ from drake_aigto.errors import OptionsError, ProgramError
 from drake_aigto.planning import Center, MechanismOptions, MechanismRung, Renewal
 from drake_aigto.planning.mechanism_problem import MechanismProblem
 from drake_aigto.shooting import ShootingResult
+from drake_aigto.simulation import replay_event_driven
 
 QUICK = MechanismOptions(renewals=16, finalists=1)
 
@@ -52,6 +53,21 @@ def test_bounds_hold_in_both_simulations(cart_pole: Planner) -> None:
         assert replay.violations["bounds"] < 1e-3
         assert np.min(replay.positions[:, 0]) > -0.202
     assert bounded.additions == ()
+
+
+def test_what_passes_its_bounds_between_knots_has_narrower_ones_there(cart_pole: Planner) -> None:
+    scenario = dataclasses.replace(cart_pole.scenario, velocity_upper=[np.inf, 3.5])
+    problem = MechanismProblem(cart_pole.world, scenario, QUICK)
+    motion = problem.coast
+    replay = replay_event_driven(cart_pole.world, scenario, motion.times, motion.controls)
+    fastest = float(np.max(replay.velocities[:, 1]))
+    assert fastest > 3.6
+    narrowed = problem.narrowed(motion, replay)
+    within = narrowed.bounds.velocity
+    np.testing.assert_allclose(within[1], [np.inf, 7.0 - fastest])
+    np.testing.assert_array_equal(within[0], [-np.inf, -np.inf])
+    slow = narrowed.tighten(motion)
+    assert np.max(slow.states[1:, 3]) < 7.0 - fastest + 1e-3
 
 
 def test_a_hard_goal_is_met_in_both_simulations() -> None:

@@ -30,7 +30,7 @@ from drake_aigto.shooting import (
     ShootingResult,
     Smoothing,
 )
-from drake_aigto.simulation.bounds import BOUNDS, state_scales
+from drake_aigto.simulation.bounds import BOUNDS, calc_excess, state_scales
 from drake_aigto.simulation.contacts import find_contacts, max_penetration
 from drake_aigto.simulation.replay import Replay, replay_drake, replay_event_driven
 from drake_aigto.trajectory import Trajectory
@@ -337,6 +337,23 @@ class MechanismProblem:
             control = candidate.trajectory.times, candidate.trajectory.controls
             drake = replay_drake(self.world, self.scenario, *control)
         return Replays(candidate.replay, drake)
+
+    def narrowed(self, motion: ShootingResult, replay: Replay) -> MechanismProblem:
+        """Returns the same, at knots within what a motion has there, less its replay's excess.
+
+        Bounds hold at knots. What moves faster between, as right before a touch, slows down there.
+        """
+        excess = calc_excess(self.world, self.scenario, replay.positions, replay.velocities)
+        lower, upper = np.hstack([self.bounds.position, self.bounds.velocity])
+        after = motion.states[1:]
+        lower = np.where(excess[0] > 0, np.maximum(lower, after.min(axis=0)) + excess[0], lower)
+        upper = np.where(excess[1] > 0, np.minimum(upper, after.max(axis=0)) - excess[1], upper)
+        # Where both ends are passed by more than all that is between, all there is left is a point.
+        ends = np.array([np.minimum(lower, upper), np.maximum(lower, upper)])
+        position, velocity = np.split(ends, 2, axis=1)
+        other = self.again(self.scenario)
+        other.bounds = dataclasses.replace(self.bounds, position=position, velocity=velocity)
+        return other
 
     def again(self, scenario: Scenario) -> MechanismProblem:
         """Returns the same for a changed scenario; boxes are compiled anew for other weights."""

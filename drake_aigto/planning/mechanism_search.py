@@ -21,6 +21,7 @@ from drake_aigto.planning.mechanism_problem import MechanismProblem
 from drake_aigto.planning.origin import Origin
 from drake_aigto.planning.pool import CandidatePool, Progress, Stopwatch
 from drake_aigto.shooting import ShootingResult
+from drake_aigto.simulation.bounds import BOUNDS
 
 _LOG = logging.getLogger(__name__)
 
@@ -42,6 +43,8 @@ _MOST_KEPT, _SAME = 8, 1e-3
 _WAVE = 8
 # A cost of this part of the task's scale is none.
 _NOTHING = 1e-12
+# Bounds that a simulation passes are narrowed so often at most.
+_MOST_NARROWED = 2
 # Every second renewal is of the best motion, the others are of one of so many.
 _MOST_RENEWED = 4
 
@@ -210,17 +213,24 @@ class MechanismSearch(CandidatePool):
         return motion.cost > scaled(self.dear, min(costs, default=np.inf))
 
     def _polish(self, origin: Origin, start: ShootingResult) -> ShootingResult:
-        """Adds the candidate that a motion becomes, and returns its motion."""
+        """Adds the candidate that a motion becomes, and returns its motion.
+
+        Where it leaves its bounds in simulation, it is polished within narrower ones.
+        """
         self.tell(f"polishing a motion that costs {start.cost:.6g}")
-        polished = start
-        with (
-            self.clock("polish"),
-            self.ended_by_ctrl_c(lambda: [] if self._candidates else [start]),
-        ):
-            polished = self.problem.polish(start)
+        polished, problem = start, self.problem
         try:
-            with self.clock("replay"):
-                candidate = self.problem.judge(origin, start, polished)
+            for _ in range(1 + _MOST_NARROWED):
+                with (
+                    self.clock("polish"),
+                    self.ended_by_ctrl_c(lambda: [] if self._candidates else [start]),
+                ):
+                    polished = problem.polish(polished)
+                with self.clock("replay"):
+                    candidate = self.problem.judge(origin, start, polished)
+                if self.is_interrupted or BOUNDS not in candidate.replay.broken:
+                    break
+                problem = problem.narrowed(polished, candidate.replay)
         except TrajectoryError as error:
             _LOG.info("  not a candidate: %s", error)
             return polished

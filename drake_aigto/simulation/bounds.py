@@ -17,6 +17,14 @@ def state_scales(world: World, scenario: Scenario) -> Floats:
     return np.concatenate([q, q / scales.time])
 
 
+def calc_excess(world: World, scenario: Scenario, positions: Floats, velocities: Floats) -> Floats:
+    """Returns how far a motion is below and above its bounds of q and v at most, (2, 2n), ≥ 0."""
+    bounds = world.bounds(scenario)
+    lower, upper = np.hstack([bounds.position, bounds.velocity])
+    x = np.hstack([positions, velocities])
+    return np.maximum([np.max(lower - x, axis=0), np.max(x - upper, axis=0)], 0.0)
+
+
 def calc_violations(
     world: World, scenario: Scenario, positions: Floats, velocities: Floats
 ) -> dict[str, float]:
@@ -29,10 +37,9 @@ def calc_violations(
         return {}
     bounds, units = world.bounds(scenario), state_scales(world, scenario)
     missed: dict[str, float] = {}
-    lower, upper = np.hstack([bounds.position, bounds.velocity])
-    if np.any(np.isfinite([lower, upper])):
-        x = np.hstack([positions, velocities])
-        missed[BOUNDS] = float(np.max(np.maximum(lower - x, x - upper) / units, initial=0.0))
+    if np.any(np.isfinite(np.hstack([bounds.position, bounds.velocity]))):
+        excess = calc_excess(world, scenario, positions, velocities)
+        missed[BOUNDS] = float(np.max(excess / units))
     if scenario.hard_goal:
         task = TaskCost.of(world, scenario)
         off = [task.goal_errors(positions[-1])]
