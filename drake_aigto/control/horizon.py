@@ -17,7 +17,7 @@ from drake_aigto.shooting import ShootingOptions, ShootingResult, Smoothing
 _SMOOTHING = 1e-3
 # Where nothing promises more than this part of the cost, a tick ends before its iterations do.
 _TOLERANCE = 1e-4
-_SUBSTEPS = 2
+_SUBSTEPS = 4
 # What a search finds is led so near to its optimum, before it is compared.
 _FOUND = Smoothing(_SMOOTHING, 60, _TOLERANCE)
 # A step of which less than this part is left is over.
