@@ -233,8 +233,9 @@ class StagedSearch:
         cost, x = found.cost, found.x
         if cost < self.best - _SAME * abs(self.best) or not self._kept:
             polished = self._polish(x, name)
-            if polished is not None:
-                cost, x = self._nlp.evaluate(polished)[0], polished
+            if polished is None:
+                return
+            cost, x = self._nlp.evaluate(polished)[0], polished
             self._ladder.scale_cost(cost)
         self._keep(cost, x)
 
