@@ -51,6 +51,8 @@ RECORDS: Mapping[str, str] = {
     "start_time": f"python -m benchmarks.start_time --repeats 3 {_SPEED}",
     "global_functions": f"python -m benchmarks.global_functions --workers 2 --seeds 1 {_SOLVER}",
     "constrained_programs": f"python -m benchmarks.constrained_programs --workers 2 {_SOLVER}",
+    "staged_programs": "python -m benchmarks.staged_programs --only push_bot --random 25 --seeds 2"
+    " --workers 2",
     "chain": "python -m benchmarks.chain --workers 2 --first-seed 100 --patience 20 --minutes 60"
     f" {_SOLVER}",
     "random_programs": "python -m benchmarks.random_programs --count 500 --seed 4 --workers 2",
@@ -180,6 +182,7 @@ FIGURES: Mapping[str, Figure] = {
     "constrained_broken": Figure(
         "constrained_programs", rf"successes of ours that are infeasible: {_NUMBER}"
     ),
+    "staged_tables": Figure("staged_programs", r"(?s)^(push_bot/0\.6: .*\S)"),
     "random_tried": Figure("random_programs", rf"^{_NUMBER} of \d+ programs, each twice"),
     "random_wrong": Figure("random_programs", rf"^crashed or lied: {_NUMBER}"),
     "plan_confirmed": Figure("rigid", rf"confirmed in Drake: median {_NUMBER} s"),
