@@ -23,9 +23,10 @@ class AigoOptions:
         polish: the local solver that improves every box center on the true constraints: "newton"
             (`local.InteriorPoint`), "ipopt" or "snopt" through Drake, or "none".
         rounds: the most rounds in which boxes of some variables are renewed (`aigo.BoxSearch`).
-            With constraints, they are shared out to three weights of their penalties.
+            With constraints, they are shared out to three weights of their penalties. Also the most
+            ladders of penalties, where there are stages or complementarities.
         patience: rounds in a row without a better point that end the search; with constraints, a
-            sixth of them does at each weight.
+            sixth of them does at each weight; with ladders, half of them.
         feasibility: the largest violation of a constraint in an answer that is called a solution.
         first_half_width: half width of the first box where a variable has no bounds, relative to
             max(1, |guess|); it doubles from there while that lowers the cost's mean.

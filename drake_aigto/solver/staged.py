@@ -188,11 +188,12 @@ class StagedSearch:
         return Box((low + high) / 2, (high - low) / 2)
 
     def run(self) -> None:
-        """Goes up ladders for as long as that pays."""
+        """Goes up ladders while that pays, and all of them if none ends nearly feasible."""
         if np.all(np.isfinite(self._guess)):
             self._climb(self._program.with_slacks(self._guess), "the guess", renewed=True)
         idle, num_starts = 0, max(1, self._options.starts)
-        while self.climbs < self._options.rounds and idle < self._options.patience // 2:
+        patience = self._options.patience // 2
+        while self.climbs < self._options.rounds and (idle < patience or not self._kept):
             before = self.best
             is_start = not self._kept or self.climbs < num_starts
             if is_start or self._rng.random() > _RENEWED_PART:
