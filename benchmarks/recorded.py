@@ -37,9 +37,9 @@ RECORDS: Mapping[str, str] = {
     "room_with_block": f"{_WORLDS} room_with_block --count 40 --peer coasting --peer listed"
     " --workers 2",
     "robots": "python -m benchmarks.robots compare --count 12 --minutes 10"
-    " --methods plan 'plan, points' shooting listed --workers 2",
+    " --methods plan 'plan, points' shooting listed bounces SNOPT IPOPT --workers 2",
     "robots_pendulum": "python -m benchmarks.robots compare pendulum/off_the_wall"
-    " --methods plan bounces --seconds 1.5 --workers 1",
+    " --methods plan bounces --seconds 1.5 --workers 2",
     "robots_soft": "python -m benchmarks.robots compare cart_pole/soft_06 cart_pole/soft_10"
     " --methods plan --workers 2",
     "table1": "python -m benchmarks.table1_figures",
