@@ -33,6 +33,9 @@ _DEAR = 0.05
 _REACH = 0.6
 _START_RELAXATIONS, _START_WEIGHTS = (-2.2, -0.7), (2.5, 5.0)
 _RENEWED_RELAXATIONS, _RENEWED_WEIGHTS, _SHIFTS = (-3.7, -1.2), (3.5, 6.0), (-1.5, 0.0)
+# So many times points are kept anew, as those that are renewed are of few basins; each time until
+# this part of the patience is over.
+_POPULATIONS, _PART_OF_PATIENCE = 2, 0.375
 _RENEWED_PART = 0.7  # of what comes after the first starts
 
 
@@ -188,20 +191,28 @@ class StagedSearch:
         return Box((low + high) / 2, (high - low) / 2)
 
     def run(self) -> None:
-        """Goes up ladders while that pays, and all of them if none ends nearly feasible."""
+        """Goes up ladders for as long as that pays, in several populations of kept points."""
         if np.all(np.isfinite(self._guess)):
             self._climb(self._program.with_slacks(self._guess), "the guess", renewed=True)
-        idle, num_starts = 0, max(1, self._options.starts)
-        patience = self._options.patience // 2
-        while self.climbs < self._options.rounds and (idle < patience or not self._kept):
-            before = self.best
-            is_start = not self._kept or self.climbs < num_starts
+        for number in range(_POPULATIONS):
+            if number:
+                self._kept = []
+            self._evolve()
+
+    def _evolve(self) -> None:
+        """Starts by chance, then renews the best points, until none is better for long."""
+        first, best, idle = self.climbs, np.inf, 0
+        num_starts = max(1, self._options.starts)
+        patience = max(1, int(_PART_OF_PATIENCE * self._options.patience))
+        while self.climbs < self._options.rounds and (idle < patience or np.isinf(self.best)):
+            is_start = not self._kept or self.climbs < first + num_starts
             if is_start or self._rng.random() > _RENEWED_PART:
                 self._climb(self._start(), "a start by chance", renewed=False)
             else:
                 self._climb(self._renewed(), "a renewed stretch", renewed=True)
-            is_better = self.best < before - _SAME * abs(before) or np.isinf(before)
-            idle = 0 if is_better and np.isfinite(self.best) else idle + 1
+            now = self._kept[0][0] if self._kept else np.inf
+            is_better = now < best - _SAME * abs(best) or np.isinf(best)
+            best, idle = min(now, best), 0 if is_better and self._kept else idle + 1
 
     def _start(self) -> Floats:
         reach = self._rng.uniform(0.0, _REACH)
@@ -232,7 +243,7 @@ class StagedSearch:
         if not found.is_nearly_feasible:
             return
         cost, x = found.cost, found.x
-        if cost < self.best - _SAME * abs(self.best) or not self._kept:
+        if cost < self.best - _SAME * abs(self.best) or np.isinf(self.best):
             polished = self._polish(x, name)
             if polished is None:
                 return
