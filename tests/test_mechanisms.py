@@ -24,7 +24,8 @@ from mechanisms import (
 from pydrake.multibody.tree import MultibodyForces
 from world_models import make_scenario
 
-from drake_aigto import ModelError, ScenarioError, World
+from drake_aigto import ModelError, Scenario, ScenarioError, World
+from drake_aigto.world.sums import SumMap
 
 # Sums over some hundred products, each of a few roundings, of numbers of size 1 to 100.
 ROUNDING = 1e-10
@@ -231,3 +232,26 @@ def test_an_unactuated_joint_has_no_column_in_b() -> None:
     world = read("cart-pole")
     np.testing.assert_array_equal(world.actuation, [[1.0], [0.0]])
     assert PASSIVE in MECHANISMS["cart-pole"]
+
+
+@pytest.mark.parametrize("name", ["pendulum", "cart-pole", "double pendulum", "two discs"])
+def test_no_distance_is_out_of_its_range(name: str) -> None:
+    world, rng = build(name), np.random.default_rng(1)
+    low, high = np.sort(rng.normal(scale=2.0, size=(2, world.num_positions)), axis=0)
+    distances = SumMap(np.array([each.signed_distance for each in world.contacts]), world.positions)
+    least, most = distances.calc_range(low, high)
+    found = world.calc_signed_distance(rng.uniform(low, high, (500, world.num_positions)))
+    assert np.all(found >= least - 1e-12) and np.all(found <= most + 1e-12)
+    none = np.full(world.num_positions, np.inf)
+    least, most = distances.calc_range(-none, none)
+    assert np.all(least <= found.min(axis=0)) and np.all(most >= found.max(axis=0))
+
+
+def test_a_wall_out_of_reach_of_all_links_is_refused() -> None:
+    near, far = MECHANISMS["pendulum"], "-0.9 0 0 0 1.5707963267948966 0"
+    scenario = Scenario(
+        initial_position=0.1, initial_velocity=0.0, goal_position=0.2, angles="exact"
+    )
+    build_world(near).check(scenario)  # The tip comes 0.85 m far.
+    with pytest.raises(ModelError, match=r"out of reach .*: got at least 0\.05 m between them"):
+        build_world(near.replace(LEFT, far)).check(scenario)

@@ -67,6 +67,17 @@ def refuse_inside(
     )
 
 
+def refuse_out_of_reach(face: SphereAndFace, distance: float) -> ModelError:
+    """Returns the error of a wall that stays at least so far from all that could touch it."""
+    return ModelError(
+        f"a wall is out of reach ({face.pair})",
+        got=f"at least {distance:.3g} m between them, wherever joints go within their limits",
+        expected="a wall that a sphere can touch",
+        remedy="Move the wall, widen the joints' limits, or leave the shape out by the scenario's "
+        "ignored_shapes.",
+    )
+
+
 def refuse_beside(name: str, face: SphereAndFace, off: Floats) -> ScenarioError:
     """Returns the error of a position off the edges of the only face of a wall."""
     return ScenarioError(

@@ -138,6 +138,39 @@ class SumMap:
         sums = load_kernels().evaluate_sums(points, *tables)
         return sums.reshape(*x.shape[:-1], len(self.coefficients))
 
+    def calc_range(self, low: Floats, high: Floats) -> Floats:
+        """Returns lower and upper bounds of f(x) over low ≤ x ≤ high, shape (2, m).
+
+        Each product by itself, waves between −1 and 1: f may not come near them.
+
+        Args:
+            low: shape (n,), −∞ where there is no bound.
+            high: shape (n,).
+        """
+        ranges = [_find_range(int(kind), low[i], high[i], int(p)) for i, p, kind in self._factors]
+        total = np.zeros((2, len(self.coefficients)))
+        for members, column in zip(self._members, self.coefficients.T, strict=True):
+            ends = (1.0, 1.0)
+            for member in members[members < len(ranges)]:
+                ends = _multiply(ends, ranges[member])
+            both = [_multiply((a, a), ends) for a in column]
+            total += np.array(both).T
+        return total
+
+
+def _find_range(kind: int, low: float, high: float, exponent: int) -> tuple[float, float]:
+    """Returns the range of x^p, times a wave if there is one, over low ≤ x ≤ high."""
+    ends = float(low) ** exponent, float(high) ** exponent
+    least = 0.0 if exponent and exponent % 2 == 0 and low <= 0 <= high else min(ends)
+    most = max(ends)
+    return (least, most) if kind == FunctionKind.POWER else _multiply((least, most), (-1.0, 1.0))
+
+
+def _multiply(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
+    """Returns the range of x y over x in a and y in b, with 0 · ∞ = 0."""
+    products = [x * y if x and y else 0.0 for x in a for y in b]
+    return min(products), max(products)
+
 
 @cache
 def load_kernels() -> ModuleType:

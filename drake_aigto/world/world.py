@@ -34,6 +34,7 @@ from drake_aigto.world.fit import (
     refuse_beside,
     refuse_friction,
     refuse_inside,
+    refuse_out_of_reach,
 )
 from drake_aigto.world.law import CompliantLaw, ContactLaw, RigidLaw, calc_stiffness
 from drake_aigto.world.limits import Limits
@@ -298,18 +299,32 @@ class World(EquationsOfMotion):
             ScenarioError: sizes differ from the plant's, its mass is another, the cost makes no
                 sense here (`TaskCost.of`), or start or goal touches the wall, is inside or behind
                 it, or beside its face, or is beyond joint limits.
-            ModelError: a sphere can slide with friction, and the scenario does not leave it out; or
-                the model lacks what the scenario's law of contact takes (`contact_law`).
+            ModelError: a sphere can slide with friction, and the scenario does not leave it out; a
+                wall is out of reach of all spheres; or the model lacks what the scenario's law of
+                contact takes (`contact_law`).
         """
         check_sizes(self.plant, scenario)
         TaskCost.of(self, scenario)
         self.bounds(scenario)
         check_made_for(scenario, self.mass, self.ignored_shapes)
         self.contact_law(scenario)
+        self._check_reach()
         for name in ("initial_position", "goal_position"):
             self._check_place(name, getattr(scenario, name), scenario.contact)
         if scenario.friction is None and self.frictions:
             raise refuse_friction(self.frictions)
+
+    def _check_reach(self) -> None:
+        """Refuses a wall that is farther off than the model's joints go, as far as bounds tell."""
+        least, _ = self._signed_distance_map.calc_range(*self.limits.position)
+        away: dict[GeometryId, list[float]] = {}
+        for faces in self.solids:
+            wall = self._reachable[faces[0]].face.shapes[1]
+            away.setdefault(wall, []).append(max(least[i] for i in faces))
+        for faces in self.solids:
+            face = self._reachable[faces[0]].face
+            if (distance := min(away[face.shapes[1]])) > 0:
+                raise refuse_out_of_reach(face, distance)
 
     def _check_place(self, name: str, q: Floats, contact: ContactKind) -> None:
         """Refuses a position inside or against a solid, or beside the one face that it has.
