@@ -17,9 +17,11 @@ from scipy.special import ellipk, ellipkinc
 from test_direct_replay import draw_task, follows_chatter, roll_out, world_of
 
 from drake_aigto import Scenario, TrajectoryError, World
+from drake_aigto.planning.flow import _find_rates, _integrate
 from drake_aigto.simulation import Replay, replay_costs, replay_event_driven
 from drake_aigto.simulation.controller import HeldControl
 from drake_aigto.simulation.mechanism import simulate_mechanism
+from drake_aigto.world import RigidLaw
 
 
 @cache
@@ -282,3 +284,12 @@ def test_contacts_accelerate_by_j_and_its_change(name: str) -> None:
             world.calc_mass_matrix(q), J[0] * forces[0]
         )
         np.testing.assert_allclose(a, pushed, atol=1e-9)
+
+
+def test_a_trace_in_steps_that_are_too_long_runs_away_without_an_error() -> None:
+    world, law = build("pendulum"), RigidLaw(np.ones(1))
+    x = np.array([[np.arcsin(-(0.6 - 0.05) / 0.8), 0.0]])  # The tip rests at the wall.
+    x[0, 0] = world.move_onto(x[0, :1], [0])[0]
+    rates = _find_rates(world, law, x, np.array([[-1e150]]))
+    end, _ = _integrate(rates, x, np.array([1e150]), 1)
+    assert not np.all(np.isfinite(end))

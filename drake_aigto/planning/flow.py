@@ -50,7 +50,8 @@ def trace(
     sizes, steps = np.max(np.abs(x), axis=0), _STEPS
     while True:
         ends, pushes = _integrate(rates, x[:-1][is_step], h, steps)
-        gaps = np.max(np.abs(ends - x[1:][is_step]), axis=0)
+        off = np.abs(ends - x[1:][is_step])
+        gaps = np.max(np.where(np.isnan(off), np.inf, off), axis=0)
         if steps >= _MOST_STEPS or np.all(gaps <= _EXACT * sizes):
             break
         steps *= 4
@@ -79,7 +80,7 @@ def _find_rates(world: World, law: ContactLaw, x: Floats, controls: Floats) -> R
     def rigid(x: Floats) -> tuple[Floats, Floats]:
         rates, forces = yielding(x)
         for held in held_sets[held_sets.any(axis=1)]:
-            rows = np.flatnonzero((resting == held).all(axis=1))
+            rows = np.flatnonzero((resting == held).all(axis=1) & np.isfinite(x).all(axis=1))
             _hold(world, np.flatnonzero(held), x, controls, rows, rates, forces)
         return rates, forces
 
@@ -118,14 +119,18 @@ def _find_resting(world: World, x: Floats) -> Bools:
 
 
 def _integrate(rates: Rates, x: Floats, durations: Floats, steps: int) -> tuple[Floats, Floats]:
-    """Returns where states (K, 2n) are after durations (K,) [s], and what contacts gave [N s]."""
+    """Returns where states (K, 2n) are after durations (K,) [s], and what contacts gave [N s].
+
+    Few steps may run away, to numbers that are not finite.
+    """
     h = durations[:, np.newaxis] / steps
     total: Floats | float = 0.0
-    for _ in range(steps):
-        first, a = rates(x)
-        second, b = rates(x + h / 2 * first)
-        third, c = rates(x + h / 2 * second)
-        fourth, d = rates(x + h * third)
-        x = x + h / 6 * (first + 2 * second + 2 * third + fourth)
-        total = total + h / 6 * (a + 2 * b + 2 * c + d)
+    with np.errstate(over="ignore", invalid="ignore"):
+        for _ in range(steps):
+            first, a = rates(x)
+            second, b = rates(x + h / 2 * first)
+            third, c = rates(x + h / 2 * second)
+            fourth, d = rates(x + h * third)
+            x = x + h / 6 * (first + 2 * second + 2 * third + fourth)
+            total = total + h / 6 * (a + 2 * b + 2 * c + d)
     return x, np.asarray(total)
