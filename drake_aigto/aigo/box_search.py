@@ -296,7 +296,8 @@ class _Search:
         opened = labels >= 0
         for node, weight in zip(_NODES, _WEIGHTS, strict=True):
             _, gradient, _ = self._f.gradient(x + node * (y - x), np.zeros(x.size))
-            np.add.at(change, labels[opened], weight * (gradient * (y - x))[opened])
+            with np.errstate(over="ignore", invalid="ignore"):  # Far out f may overflow.
+                np.add.at(change, labels[opened], weight * (gradient * (y - x))[opened])
         taken = opened & (change < 0)[labels]
         return np.where(taken, y, x)
 

@@ -33,6 +33,9 @@ class AigoOptions:
         max_doublings: how often it does so at most.
         starts: how many points, spread over the first box, are polished too; of programs with more
             than 30 variables, none.
+        decades: where variables have no bounds, as many points again are spread beyond the first
+            box and polished, up to its half width times 10 to this power; farther, as long as that
+            leads to lower ones. 0: none.
         presolve: whether variables that an equality defines are substituted.
         seed: of everything random.
     """
@@ -44,6 +47,7 @@ class AigoOptions:
     first_half_width: float = 1.0
     max_doublings: int = 10
     starts: int = 20
+    decades: int = 6
     presolve: bool = True
     seed: int = 0
 
@@ -60,6 +64,7 @@ class AigoOptions:
             ("patience", 1),
             ("max_doublings", 0),
             ("starts", 0),
+            ("decades", 0),
             ("seed", 0),
         ):
             value = getattr(self, name)

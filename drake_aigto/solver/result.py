@@ -26,6 +26,10 @@ class AigoStatus(enum.Enum):
     """Why a solve ended, and what to make of it."""
 
     SOLVED = "the best feasible point of all boxes"
+    SOLVED_IN_PART = (
+        "the best feasible point of the part that was searched, as some variables have no bounds: "
+        "the details say which part; bound the variables to have all of it searched"
+    )
     NO_FEASIBLE_POINT = (
         "no box led to a feasible point, which is no proof that there is none: allow more boxes, "
         "give a guess, or bound the variables"
@@ -42,6 +46,7 @@ class AigoStatus(enum.Enum):
 
 _DRAKE_STATUS = {
     AigoStatus.SOLVED: SolutionResult.kSolutionFound,
+    AigoStatus.SOLVED_IN_PART: SolutionResult.kSolutionFound,
     AigoStatus.NO_FEASIBLE_POINT: SolutionResult.kIterationLimit,
     AigoStatus.INFEASIBLE: SolutionResult.kInfeasibleConstraints,
     AigoStatus.CONTRADICTORY_BOUNDS: SolutionResult.kInfeasibleConstraints,
@@ -70,6 +75,9 @@ class AigoDetails:
             the program is a long chain of stages.
         first_center: of the first box, shape (n,); of what was left out, its value there.
         first_half_width: of the first box, shape (n,); NaN of what was left out.
+        searched: lower and upper bounds, shape (n,) each, of the part that points were spread over:
+            the variables' own, or those that rows leave, where there are two. What was left out
+            is searched wherever the others are.
         widths: for each weight of the penalties, for each first algorithm: geometric-mean half
             widths of the first box as it shrank.
         box_storage: how Newton systems over boxes were ordered, stored and factorized, and why;
@@ -85,6 +93,7 @@ class AigoDetails:
     origin: str
     first_center: Floats = field(repr=False)
     first_half_width: Floats = field(repr=False)
+    searched: tuple[Floats, Floats] = field(repr=False)
     widths: tuple[tuple[tuple[float, ...], ...], ...] = field(repr=False)
     box_storage: Storage | None = None
     kkt_storage: Storage | None = None
@@ -96,7 +105,19 @@ class AigoDetails:
     @classmethod
     def of_nothing(cls, status: AigoStatus, x: Floats) -> AigoDetails:
         """Returns details of a solve that did not start."""
-        return cls(status, np.inf, 0, 0, 0, "none", x, np.zeros(x.size), ())
+        nothing = np.zeros(x.size)
+        return cls(status, np.inf, 0, 0, 0, "none", x, nothing, (x, x), ())
+
+    def __str__(self) -> str:
+        """Returns the status, and what was searched where that is not all of it."""
+        lines = [f"{self.status.name}: {self.status.value}", f"found by {self.origin}"]
+        if self.status in (AigoStatus.SOLVED_IN_PART, AigoStatus.FALLS_WITHOUT_END):
+            lines += [
+                f"searched {low:g} ≤ x[{i}] ≤ {high:g}"
+                for i, (low, high) in enumerate(zip(*self.searched, strict=True))
+                if np.isfinite(low) or np.isfinite(high)
+            ]
+        return "\n".join(lines)
 
 
 class AigoProgramResult(MathematicalProgramResult):

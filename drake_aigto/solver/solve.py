@@ -9,12 +9,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from pydrake.solvers import GetProgramType, ProgramType
 
 from drake_aigto.aigo import Box, BoxSearch, LowPoint, SearchResult
 from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.linear import Storage
 from drake_aigto.local import InteriorPoint, solve_with_drake
+from drake_aigto.solver.far import Outside
 from drake_aigto.solver.first_box import make_first_box
 from drake_aigto.solver.lagrangian import AugmentedLagrangian
 from drake_aigto.solver.options import AigoOptions
@@ -22,7 +24,7 @@ from drake_aigto.solver.program import AigoProgram
 from drake_aigto.solver.question import ContradictionError
 from drake_aigto.solver.result import AigoDetails, AigoStatus
 from drake_aigto.solver.staged import StagedProgram, StagedSearch
-from drake_aigto.solver.tighten import may_be_feasible
+from drake_aigto.solver.tighten import may_be_feasible, tighten
 
 _LOG = logging.getLogger(__name__)
 
@@ -45,6 +47,8 @@ _ROUNDING = 1e-14
 # A point farther out than this, in a variable without bounds, is where a cost falls without end;
 # and one that is lower than this, which exponentials are well before they are far out.
 _FAR, _LOW = 1e8, -1e20
+# A local minimum of these is the global one, wherever it is.
+_CONVEX = (ProgramType.kLP, ProgramType.kQP)
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,15 +90,21 @@ class Solve:
             whole = staged.program.reduce(guess)
             self._ladders = StagedSearch(staged, options, whole, self._polish_relaxed)
         ladders = self._ladders if staged.is_beyond_boxes else None
-        self._first = ladders.first if ladders else self._make_first_box()
+        self._begin(ladders.first if ladders else self._make_first_box())
         self._best: _Answer | None = None
-        self._boxes = self._iterations = self._polishes = 0
+        self._boxes = self._iterations = self._polishes = self._decades = 0
         self._widths: list[tuple[tuple[float, ...], ...]] = []
         self._box_storage: Storage | None = None
         self._kkt_storage: Storage | None = None
 
     def _make_first_box(self) -> Box:
         return make_first_box(self._program, self._guess, self._options)
+
+    def _begin(self, first: Box) -> None:
+        """Sets the first box, and what is outside of it."""
+        count = self._program.reduced.kept.size
+        self._first = first
+        self._outside = Outside.of(first, tighten(self._program.nlp), count)
 
     def run(self) -> tuple[Floats, float, AigoDetails]:
         """Returns the answer x (n,), its cost, and details."""
@@ -126,22 +136,72 @@ class Solve:
             if self._options.presolve:
                 self._program = self._program.presolved()
                 self._guess = self._program.reduce(self._asked)
-            self._first = self._make_first_box()
+            self._begin(self._make_first_box())
         self._offer(self._first.center, "the middle of the first box")
         if np.all(np.isfinite(self._guess)):
             self._offer_guess()
             self._polish(self._program.with_slacks(self._guess), " of the guess")
         self._search_all()
         self._polish_spread()
+        self._search_far()
+
+    def _search_far(self) -> None:
+        """Polishes points beyond the first box, and searches around what is better there."""
+        far, options = self._outside, self._options
+        if options.polish == "none" or far.box.center.size > _FEW or not np.any(far.is_open):
+            return
+        rng = np.random.default_rng(options.seed)
+        for _ in range(1 + np.count_nonzero(far.is_open)):
+            before = self._best
+            self._polish_far(rng)
+            best = self._best
+            if best is before or best is None or self._is_outermost(best):
+                return
+            is_feasible = best.violation <= options.feasibility
+            if is_feasible and far.decade(z := self._reduced(best)) > 0.0:
+                self._first = make_first_box(self._program, z, options)
+                self._search_all()
+
+    def _polish_far(self, rng: np.random.Generator) -> None:
+        """Polishes points of all decades, and more as long as the best is in the outermost one."""
+        far, options = self._outside, self._options
+        places = rng.permutation(np.flatnonzero(far.is_open))
+        count = math.ceil(options.starts / max(1, options.decades))
+        decade = number = 0
+        while decade < options.decades or self._is_falling():
+            decade += 1
+            self._decades = max(decade, self._decades)
+            for part in range(count):
+                turn, i = divmod(number, places.size)
+                base = self._reduced(self._best) if self._best and turn % 2 else None
+                exponent = decade - 1 + (part + rng.random()) / count
+                start = far.point(places[i], exponent, base, rng)
+                self._polish_start(start, f" of a point in decade {decade}")
+                number += 1
+
+    def _is_falling(self) -> bool:
+        """Whether the best point is in the outermost decade, which may still be passed."""
+        best = self._best
+        return best is not None and bool(np.max(np.abs(best.x)) < _FAR) and self._is_outermost(best)
+
+    def _is_outermost(self, best: _Answer) -> bool:
+        """Whether a point is in the outermost decade."""
+        decade = self._outside.decade(self._reduced(best))
+        return self._decades > 0 and decade > self._decades - 1
+
+    def _reduced(self, answer: _Answer) -> Floats:
+        return self._program.reduce(answer.x)
 
     def _offer_guess(self) -> None:
         if np.all(np.isfinite(self._guess)):
             self._offer(self._guess, "the guess")
 
     def _details(self, best: _Answer, status: AigoStatus) -> AigoDetails:
-        first, reduced = self._first, self._program.reduced
+        first, reduced = self._outside.box, self._program.reduced
         half_width = np.full(reduced.lower.size, np.nan)
-        half_width[reduced.kept] = first.half_width[: reduced.kept.size]
+        half_width[reduced.kept] = first.half_width
+        searched = np.tile([[-np.inf], [np.inf]], reduced.lower.size)
+        searched[:, reduced.kept] = self._outside.within(self._decades)
         return AigoDetails(
             status=status,
             violation=best.violation,
@@ -155,21 +215,30 @@ class Solve:
             ladders=self._ladders.climbs if self._ladders else 0,
             first_center=self._program.answer(first.center),
             first_half_width=half_width[: best.x.size],
+            searched=tuple(searched[:, : best.x.size]),
             widths=tuple(self._widths),
             box_storage=self._box_storage,
             kkt_storage=self._kkt_storage,
         )
 
     def _judge(self, best: _Answer) -> AigoStatus:
-        reduced = self._program.reduced
-        is_open = (np.isinf(reduced.lower) | np.isinf(reduced.upper))[: best.x.size]
         if best.violation > self._options.feasibility:
             is_proven = not may_be_feasible(self._program.nlp)
             return AigoStatus.INFEASIBLE if is_proven else AigoStatus.NO_FEASIBLE_POINT
-        is_low = np.any(is_open) and best.cost < _LOW
-        if is_low or np.any(np.abs(best.x[is_open]) > _FAR):
+        if self._has_fallen() or self._is_outermost(best):
             return AigoStatus.FALLS_WITHOUT_END
-        return AigoStatus.SOLVED
+        is_convex = GetProgramType(self._program.source) in _CONVEX
+        is_whole = is_convex or not np.any(self._outside.is_open)
+        return AigoStatus.SOLVED if is_whole else AigoStatus.SOLVED_IN_PART
+
+    def _has_fallen(self) -> bool:
+        """Whether the best point is feasible and too far out, or too low, to be a minimum."""
+        best, reduced = self._best, self._program.reduced
+        if best is None or best.violation > self._options.feasibility:
+            return False
+        is_open = (np.isinf(reduced.lower) | np.isinf(reduced.upper))[: best.x.size]
+        is_low = bool(np.any(is_open)) and best.cost < _LOW
+        return is_low or bool(np.any(np.abs(best.x[is_open]) > _FAR))
 
     def _search_all(self) -> None:
         """Searches f, or with constraints the augmented Lagrangians of rising weights."""
@@ -213,9 +282,14 @@ class Solve:
         layers = rng.permuted(np.tile(np.arange(starts), (count, 1)), axis=1).T
         for place in (layers + rng.random((starts, count))) / max(1, starts):
             z = first.center[:count] + (2 * place - 1) * first.half_width[:count]
-            # What stands for a function is what it is there, so that rows hold.
-            start = program.reduce(program.answer(z))
-            self._polish(np.where(np.isfinite(start), start, z), " of a spread point")
+            self._polish_start(z, " of a spread point")
+
+    def _polish_start(self, z: Floats, name: str) -> None:
+        """Polishes a point, with what rows define, unless the cost has fallen too far already."""
+        if self._has_fallen():
+            return
+        start = self._program.reduce(self._program.answer(z))
+        self._polish(np.where(np.isfinite(start), start, z), name)
 
     def _search(self, search: BoxSearch, f: BoxPolynomial, name: str) -> SearchResult:
         """Searches the first box for low points of f, each a candidate."""
