@@ -13,7 +13,8 @@ from scipy.optimize import minimize_scalar
 
 from drake_aigto import Plan, Planner, Scenario, World
 from drake_aigto.planning import MechanismOptions
-from drake_aigto.show.plans import describe_duration, format_plan
+from drake_aigto.show.plans import format_plan
+from drake_aigto.show.remarks import describe_duration
 
 DISTANCE, PACE, WEIGHT = 1.0, 0.8, 3.0
 QUICK = MechanismOptions(renewals=8, finalists=1)

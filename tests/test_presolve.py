@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from hypothesis import assume, given
 from hypothesis import strategies as st
-from pydrake.solvers import ExpressionCost, MathematicalProgram
+from local_problems import add_cost
+from pydrake.solvers import MathematicalProgram
 from pydrake.symbolic import cos, exp, sin
 
 from benchmarks.collections.lifted_functions import lift, lifted_problems
@@ -17,11 +18,6 @@ from drake_aigto.solver.program import AigoProgram, read_program
 from drake_aigto.solver.question import ContradictionError
 
 SMALL = [problem for problem in lifted_problems() if problem.num_variables <= 3]
-
-
-def add_cost(prog: MathematicalProgram, expression: Any) -> None:
-    cost = ExpressionCost(expression)
-    prog.AddCost(cost, vars=cost.vars())
 
 
 @given(st.sampled_from(SMALL), st.integers(0, 5), st.randoms(use_true_random=False))

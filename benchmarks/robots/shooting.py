@@ -11,10 +11,23 @@ import numpy as np
 
 from benchmarks.robots.judge import Control
 from benchmarks.robots.worlds import WORLDS, Question, scenario_of
-from drake_aigto.shooting import Mechanism, Phases, ShootingOptions, ShootingProblem, ShootingResult
+from drake_aigto.shooting import (
+    Mechanism,
+    Phases,
+    ShootingOptions,
+    ShootingProblem,
+    ShootingResult,
+    Smoothing,
+)
 from drake_aigto.simulation.bounds import state_scales
 from drake_aigto.world import Scales, TaskCost, World
 
+# They soon tell whether a start is any good.
+_COARSE = ShootingOptions(
+    rungs=tuple(Smoothing(smoothing, 15, 1e-2) for smoothing in (0.1, 0.01, 0.001)),
+    order=2,
+    multiplier_updates=0,
+)
 # What was closed roughly is made exact where it is so near the best: most isn't.
 _PROMISING = 1.03
 _EXACT = ShootingOptions(rungs=ShootingOptions().rungs[-1:], substeps=2)
@@ -68,7 +81,7 @@ def shoot(
     """
     best = np.inf
     for problem, guess in zip(problems, guesses, strict=False):
-        found = problem.solve(guess, None, ShootingOptions.coarse())
+        found = problem.solve(guess, None, _COARSE)
         is_rough = found.violation > _NEARLY or found.exact_cost > _PROMISING * best
         if problem.phases is not None or not is_rough:
             found = _finish(problem, found)

@@ -10,6 +10,7 @@ from drake_aigto.linear.storage import (
     narrow_band,
     spread,
 )
+from drake_aigto.linear.triangular import solve_factored
 
 __all__ = [
     "Factorization",
@@ -23,5 +24,6 @@ __all__ = [
     "make_pattern",
     "multiply",
     "narrow_band",
+    "solve_factored",
     "spread",
 ]

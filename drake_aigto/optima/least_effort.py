@@ -16,6 +16,7 @@ from numpy.polynomial import Polynomial
 
 from drake_aigto.arrays import Floats
 from drake_aigto.jit import kernel
+from drake_aigto.linear import solve_factored
 
 # Newton's method: a predicted gain that is rounding, and the most steps.
 _RELATIVE, _ABSOLUTE, _MOST_STEPS = 1e-14, 1e-24, 80
@@ -262,23 +263,6 @@ def _factor(L: Floats) -> bool:
 
 
 @kernel
-def _solve_factored(L: Floats, gradient: Floats) -> Floats:
-    """Returns −(L Lᵀ)⁻¹ times the gradient."""
-    n = len(L)
-    x = np.empty(n)
-    for i in range(n):
-        x[i] = -gradient[i]
-        for k in range(i):
-            x[i] -= L[i, k] * x[k]
-        x[i] /= L[i, i]
-    for i in range(n - 1, -1, -1):
-        for k in range(i + 1, n):
-            x[i] -= L[k, i] * x[k]
-        x[i] /= L[i, i]
-    return x
-
-
-@kernel
 def _newton_step(gradient: Floats, hessian: Floats) -> Floats:
     """Returns a step down: Newton's, with the least shift, by powers of 4, that makes it one."""
     n = gradient.size
@@ -291,7 +275,9 @@ def _newton_step(gradient: Floats, hessian: Floats) -> Floats:
         for i in range(n):
             shifted[i, i] += shift * scale[i]
         if _factor(shifted):
-            return _solve_factored(shifted, gradient)
+            step = -gradient
+            solve_factored(n, shifted, step)
+            return step
         shift = 4 * shift if shift else 1e-3
     return np.full(n, np.nan)  # Numbers overflowed.
 

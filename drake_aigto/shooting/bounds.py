@@ -7,7 +7,8 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.jit import inner, kernel
 from drake_aigto.shooting.hold import press
-from drake_aigto.shooting.mechanism import find_foremost, triangle
+from drake_aigto.shooting.layout import triangle
+from drake_aigto.shooting.mechanism import find_foremost
 from drake_aigto.shooting.tables import FLOW, Bounds, Memory, Program
 from drake_aigto.shooting.tape import run_tape
 

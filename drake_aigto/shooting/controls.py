@@ -6,6 +6,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.jit import inner
+from drake_aigto.linear import solve_factored
 
 
 @inner
@@ -38,19 +39,6 @@ def _factor_free(size: int, shift: float, H: Floats, is_free: Ints, L: Floats) -
             else:
                 L[i, j] = total / L[j, j]
     return True
-
-
-@inner
-def solve_free(size: int, L: Floats, y: Floats) -> None:
-    """Solves with the factor in place, y being 0 where nothing is free."""
-    for i in range(size):
-        for k in range(i):
-            y[i] -= L[i, k] * y[k]
-        y[i] /= L[i, i]
-    for i in range(size - 1, -1, -1):
-        for k in range(i + 1, size):
-            y[i] -= L[k, i] * y[k]
-        y[i] /= L[i, i]
 
 
 @inner
@@ -101,7 +89,7 @@ def solve_box(
             step[i] = -slope[i] if is_free[i] else 0.0
         if not _factor_free(size, 0.0, H, is_free, factor):
             return False
-        solve_free(size, factor, step)
+        solve_factored(size, factor, step)
         length, is_better = 1.0, False
         for _ in range(20):
             for i in range(size):
@@ -157,11 +145,11 @@ def solve_ball(
                 w[i] = -g[i]
                 for j in range(size):
                     w[i] += H[i, j] * (u[j] if is_free[j] else -du[j])
-        solve_free(size, factor, w)
+        solve_factored(size, factor, w)
         for i in range(size):
             squares += w[i] * w[i]
             y[i] = w[i]
-        solve_free(size, factor, y)
+        solve_factored(size, factor, y)
         for i in range(size):
             curve += w[i] * y[i]
         length = np.sqrt(squares)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from drake_aigto.arrays import Floats
 from drake_aigto.jit import inner
+from drake_aigto.shooting.layout import find_rows, triangle
 from drake_aigto.shooting.mechanism import (
     Mechanics,
     MechanicsMemory,
     accelerate,
     divide_by_mass,
-    find_rows,
-    triangle,
 )
 
 

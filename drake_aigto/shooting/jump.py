@@ -5,7 +5,8 @@ from __future__ import annotations
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.jit import inner
 from drake_aigto.shooting.flow import clear
-from drake_aigto.shooting.mechanism import divide_by_mass, factor_mass, triangle
+from drake_aigto.shooting.layout import triangle
+from drake_aigto.shooting.mechanism import divide_by_mass, factor_mass
 from drake_aigto.shooting.tape import run_tape
 
 

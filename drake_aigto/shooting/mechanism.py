@@ -10,6 +10,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.jit import inner, kernel, pasted
+from drake_aigto.shooting.layout import find_rows, triangle
 from drake_aigto.shooting.tape import Sum, Tape, TapeBuilder, run_tape
 from drake_aigto.world import ContactLaw, EquationsOfMotion, RigidLaw
 
@@ -338,20 +339,6 @@ def _differentiate(
         if force[i, 0] != 0.0:
             _differentiate_force(n, m, i, x, sums, force, slopes)
     divide_by_mass(n, factor, slopes)
-
-
-@inner
-def triangle(n: int, i: int, j: int) -> int:
-    """Returns where entry (i, j) of a symmetric matrix stands in its upper triangle, by rows."""
-    low, high = min(i, j), max(i, j)
-    return low * n - low * (low - 1) // 2 + high - low
-
-
-@inner
-def find_rows(n: int, m: int, i: int) -> tuple[int, int]:
-    """Returns where J_i, and the second derivatives of φ_i, begin in the sums of all slopes."""
-    half = n * (n + 1) // 2
-    return half + n + m + i * n, half + n + m + m * n + half * n + 2 * n * n + i * half
 
 
 @inner

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 from drake_aigto.errors import OptionsError
 
@@ -68,9 +68,3 @@ class ShootingOptions:
         for name, got, expected, holds in checks:
             if not holds:
                 raise OptionsError(name, got, expected)
-
-    @classmethod
-    def coarse(cls, substeps: int = 1, smoothings: tuple[float, ...] = (0.1, 0.01, 0.001)) -> Self:
-        """Returns those that soon tell whether a start is any good."""
-        rungs = tuple(Smoothing(smoothing, 15, 1e-2) for smoothing in smoothings)
-        return cls(rungs, substeps, order=2, multiplier_updates=0)

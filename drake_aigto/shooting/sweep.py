@@ -6,7 +6,8 @@ import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.jit import inner, pasted
-from drake_aigto.shooting.controls import clip_control, solve_ball, solve_box, solve_free
+from drake_aigto.linear import solve_factored
+from drake_aigto.shooting.controls import clip_control, solve_ball, solve_box
 from drake_aigto.shooting.tables import FLOW, Expansion, Program, SweepMemory
 
 
@@ -139,13 +140,13 @@ def _find_gains(
     if is_on_ball:
         for i in range(size):
             normal[i] = u[i] + du[i] if is_free[i] else 0.0
-        solve_free(size, factor, normal)
+        solve_factored(size, factor, normal)
         for i in range(size):
             along += normal[i] * (u[i] + du[i]) if is_free[i] else 0.0
     for c in range(nz):
         for i in range(size):
             y[i] = -Q2[nz + i, c] if is_free[i] else 0.0
-        solve_free(size, factor, y)
+        solve_factored(size, factor, y)
         off = 0.0
         if along > 0.0:
             for i in range(size):

@@ -21,20 +21,18 @@ from drake_aigto.show.landscapes import plot_cost_history, plot_cost_landscape
 from drake_aigto.show.linkage_figures import draw_mechanism
 from drake_aigto.show.motion import motions_of_plan, simulation_label
 from drake_aigto.show.page import Page
-from drake_aigto.show.plans import (
+from drake_aigto.show.plans import candidate_texts, format_replays, told_delay
+from drake_aigto.show.playback import open_meshcat, play
+from drake_aigto.show.question import add_question
+from drake_aigto.show.remarks import (
     INTERRUPTED,
-    candidate_texts,
     describe_duration,
     describe_idle,
     describe_steps,
     describe_unplanned,
     describe_verdict,
     describe_vetoes,
-    format_replays,
-    told_delay,
 )
-from drake_aigto.show.playback import open_meshcat, play
-from drake_aigto.show.question import add_question
 from drake_aigto.show.text import (
     NO_COST,
     contact_names,

@@ -138,8 +138,7 @@ class Solve:
                 self._guess = self._program.reduce(self._asked)
             self._begin(self._make_first_box())
         self._offer(self._first.center, "the middle of the first box")
-        if np.all(np.isfinite(self._guess)):
-            self._offer_guess()
+        if self._offer_guess():
             self._polish(self._program.with_slacks(self._guess), " of the guess")
         self._search_all()
         self._polish_spread()
@@ -192,9 +191,12 @@ class Solve:
     def _reduced(self, answer: _Answer) -> Floats:
         return self._program.reduce(answer.x)
 
-    def _offer_guess(self) -> None:
-        if np.all(np.isfinite(self._guess)):
+    def _offer_guess(self) -> bool:
+        """Offers the guess, and returns whether there is one."""
+        is_given = bool(np.all(np.isfinite(self._guess)))
+        if is_given:
             self._offer(self._guess, "the guess")
+        return is_given
 
     def _details(self, best: _Answer, status: AigoStatus) -> AigoDetails:
         first, reduced = self._outside.box, self._program.reduced

@@ -6,6 +6,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.jit import kernel
+from drake_aigto.linear import solve_factored
 from drake_aigto.terms import FunctionKind
 
 _COSINE, _SINE = int(FunctionKind.COSINE), int(FunctionKind.SINE)
@@ -59,18 +60,11 @@ def divide_by_masses(masses: Floats, momenta: Floats) -> Floats:
     n = momenta.shape[1]
     L, found = np.empty((n, n)), momenta.copy()
     for k in range(found.shape[0]):
-        y = found[k]
         for i in range(n):
             for j in range(i + 1):
                 total = masses[k, i * n + j]
                 for c in range(j):
                     total -= L[i, c] * L[j, c]
                 L[i, j] = np.sqrt(total) if i == j else total / L[j, j]
-            for c in range(i):
-                y[i] -= L[i, c] * y[c]
-            y[i] /= L[i, i]
-        for i in range(n - 1, -1, -1):
-            for c in range(i + 1, n):
-                y[i] -= L[c, i] * y[c]
-            y[i] /= L[i, i]
+        solve_factored(n, L, found[k])
     return found

@@ -308,14 +308,16 @@ class World(EquationsOfMotion):
         self.bounds(scenario)
         check_made_for(scenario, self.mass, self.ignored_shapes)
         self.contact_law(scenario)
-        self._check_reach()
+        if self._out_of_reach:
+            raise refuse_out_of_reach(*self._out_of_reach)
         for name in ("initial_position", "goal_position"):
             self._check_place(name, getattr(scenario, name), scenario.contact)
         if scenario.friction is None and self.frictions:
             raise refuse_friction(self.frictions)
 
-    def _check_reach(self) -> None:
-        """Refuses a wall that is farther off than the model's joints go, as far as bounds tell."""
+    @cached_property
+    def _out_of_reach(self) -> tuple[SphereAndFace, float] | None:
+        """A wall that is farther off than the model's joints go, as far as bounds tell, or None."""
         least, _ = self._signed_distance_map.calc_range(*self.limits.position)
         away: dict[GeometryId, list[float]] = {}
         for faces in self.solids:
@@ -324,7 +326,8 @@ class World(EquationsOfMotion):
         for faces in self.solids:
             face = self._reachable[faces[0]].face
             if (distance := min(away[face.shapes[1]])) > 0:
-                raise refuse_out_of_reach(face, distance)
+                return face, distance
+        return None
 
     def _check_place(self, name: str, q: Floats, contact: ContactKind) -> None:
         """Refuses a position inside or against a solid, or beside the one face that it has.
