@@ -29,7 +29,7 @@ COMMANDS = {command.prog: command for command in commands(make_parser())}
 
 
 def test_the_commands_are_all_there() -> None:
-    names = ("table1", "plan", "replay", "play", "report", "bench", "bench scenarios")
+    names = ("table1", "plan", "replay", "play", "report", "control", "bench", "bench scenarios")
     assert {f"drake-aigto {name}" for name in names} < COMMANDS.keys()
 
 

@@ -26,12 +26,14 @@ _COMMANDS = {
     "replay": "drake_aigto.cli.plan",
     "play": "drake_aigto.cli.play",
     "report": "drake_aigto.cli.play",
+    "control": "drake_aigto.cli.control",
     "bench": "drake_aigto.cli.bench",
 }
 _EXAMPLES = """\
 drake-aigto plan table1/1 --json plan.json   # plan, and keep the plan
 drake-aigto play plan.json                   # watch it
 drake-aigto report plan.json --html p.html   # a page about it, to mail
+drake-aigto control cart_pole/soft_06 --kick 0.3 1.5 --kick-time 0.5   # plan again as it moves
 drake-aigto -v plan table1/3                 # see what the planner does, step by step
 drake-aigto table1                           # the paper's Table I, and the truth beside it
 drake-aigto plan --help                      # all that a command takes

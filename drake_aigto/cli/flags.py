@@ -52,6 +52,12 @@ def add_json(command: Any, text: str) -> None:
     command.add_argument("--json", metavar="FILE", help=text)
 
 
+def add_port(command: Any) -> None:
+    """Adds --port N."""
+    text = "where Meshcat listens (0: anywhere)"
+    command.add_argument("--port", type=int, metavar="N", help=text)
+
+
 def add_workers(command: Any, count: int | None = None) -> None:
     """Adds where jobs run: as many processes if nothing is said, or one a core for None."""
     where = command.add_mutually_exclusive_group()
@@ -80,6 +86,14 @@ def positive(text: str) -> int:
 def natural(text: str) -> int:
     """Returns a whole number, 0 or more."""
     return int(_within(int(text), 0))
+
+
+def seconds(text: str) -> float:
+    """Returns a finite number above 0."""
+    value = float(text)
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"got {value:g}, expected seconds above zero")
+    return value
 
 
 def share(text: str) -> float:

@@ -7,7 +7,7 @@ import sys
 import threading
 from typing import TYPE_CHECKING, Any
 
-from drake_aigto.cli.flags import add_command
+from drake_aigto.cli.flags import add_command, add_port
 from drake_aigto.cli.progress import show_progress
 from drake_aigto.cli.status import FINE
 from drake_aigto.planning import Plan
@@ -38,7 +38,7 @@ def add_play(commands: Any) -> None:
     play = add_command(commands, "play", _play, text, _PLAY_EXAMPLES)
     play.add_argument("plan", metavar="PLAN.json", help="a plan file")
     play.add_argument("--html", metavar="FILE", help="write one self-contained page instead")
-    play.add_argument("--port", type=int, metavar="N", help="where Meshcat listens (0: anywhere)")
+    add_port(play)
     what = play.add_mutually_exclusive_group()
     text = "show what a gradient solver makes of the same scenario beside the plan"
     what.add_argument("--beside", choices=["gradient"], help=text)
@@ -59,9 +59,7 @@ def _play(options: argparse.Namespace) -> int:
         save_html(meshcat, options.html)
         print(f"wrote {options.html}")
         return FINE
-    key = "Enter" if sys.stdin and sys.stdin.isatty() else "Ctrl-C"
-    print(f"Meshcat plays at {meshcat.web_url()}; press {key} to stop.", flush=True)
-    _wait()
+    wait_at(meshcat)
     return FINE
 
 
@@ -81,8 +79,10 @@ def _publish(options: argparse.Namespace, plan: Plan, meshcat: Meshcat, world: W
             play(plan, meshcat, world)
 
 
-def _wait() -> None:
-    """Waits for Enter; where nobody can press it, for a signal."""
+def wait_at(meshcat: Meshcat) -> None:
+    """Says where Meshcat plays, and waits for Enter; where nobody can press it, for a signal."""
+    key = "Enter" if sys.stdin and sys.stdin.isatty() else "Ctrl-C"
+    print(f"Meshcat plays at {meshcat.web_url()}; press {key} to stop.", flush=True)
     if not (sys.stdin and sys.stdin.readline()):
         threading.Event().wait()
 

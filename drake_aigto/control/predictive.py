@@ -33,6 +33,7 @@ class TickStatus:
             into it.
         reason: why the plan is what it is.
         seconds: of wall time that the tick took.
+        has_switched: whether another contact sequence was taken.
     """
 
     time: float
@@ -40,6 +41,7 @@ class TickStatus:
     touches: tuple[int, ...]
     reason: str
     seconds: float
+    has_switched: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,6 +54,7 @@ class _Moment:
     time: float
     seconds: float
     tick: int
+    has_switched: bool = False
 
 
 class ModelPredictiveController(LeafSystem):
@@ -149,35 +152,44 @@ class ModelPredictiveController(LeafSystem):
         """Improves the plan, or takes another one."""
         x, now, begin = self._estimate.Eval(context), context.get_time(), time.perf_counter()
         before = self._read(context)
-        motion, reason = self._choose(before, now, x)
-        return self._keep(state, motion, reason, now, begin, before.tick + 1)
+        motion, reason, has_switched = self._choose(before, now, x)
+        return self._keep(state, motion, reason, now, begin, before.tick + 1, has_switched)
 
-    def _choose(self, before: _Moment, now: float, x: Floats) -> tuple[Motion, str]:
-        """Returns the plan from now on, and why it is that."""
+    def _choose(self, before: _Moment, now: float, x: Floats) -> tuple[Motion, str, bool]:
+        """Returns the plan from now on, why it is that, and whether it is another sequence's."""
         last = before.motion
         if not np.all(np.isfinite(x)):
-            return last, "the estimated state is not finite: the last plan goes on"
+            return last, "the estimated state is not finite: the last plan goes on", False
         rest = self._horizon.shift(last, now, x)
         if rest is None:
-            return last, "the horizon ends: the last plan goes on"
-        motion, reason = self._horizon.improve(rest), "warm"
+            return last, "the horizon ends: the last plan goes on", False
+        motion, reason, has_switched = self._horizon.improve(rest), "warm", False
         is_due = self._every is not None and (before.tick + 1) % self._every == 0
         surprise = motion.cost - last.cost
         if is_due or not surprise <= _SURPRISE * last.cost + _NOTHING * self._horizon.cost_scale:
             found = self._horizon.search(now, x)
             if found is not None and found.cost < (1 - self._margin) * motion.cost:
-                motion, reason = found, f"switched: {found.cost:.4g} in place of {motion.cost:.4g}"
+                reason = f"switched: {found.cost:.4g} in place of {motion.cost:.4g}"
+                motion, has_switched = found, True
             else:
                 reason = "warm; a search found nothing better"
         if not np.isfinite(motion.cost):
-            return last, "no motion was found: the last plan goes on"
-        return motion, reason
+            return last, "no motion was found: the last plan goes on", False
+        return motion, reason, has_switched
 
     def _keep(
-        self, state: State, motion: Motion, reason: str, now: float, begin: float, tick: int
+        self,
+        state: State,
+        motion: Motion,
+        reason: str,
+        now: float,
+        begin: float,
+        tick: int,
+        has_switched: bool = False,
     ) -> EventStatus:
         seconds = time.perf_counter() - begin
-        moment = _Moment(motion, motion.calc_control(now), reason, now, seconds, tick)
+        control = motion.calc_control(now)
+        moment = _Moment(motion, control, reason, now, seconds, tick, has_switched)
         state.get_mutable_abstract_state(int(self._moment)).set_value(moment)
         return EventStatus.Succeeded()
 
@@ -195,4 +207,13 @@ class ModelPredictiveController(LeafSystem):
         comes = inside & ~np.vstack([np.zeros_like(inside[:1]), inside[:-1]])
         touches = tuple(int(i) for _, i in np.argwhere(comes))
         cost = moment.motion.cost
-        output.set_value(TickStatus(moment.time, cost, touches, moment.reason, moment.seconds))
+        output.set_value(
+            TickStatus(
+                moment.time,
+                cost,
+                touches,
+                moment.reason,
+                moment.seconds,
+                moment.reason.startswith("switched"),
+            )
+        )

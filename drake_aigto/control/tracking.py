@@ -57,6 +57,7 @@ class TrackingController(LeafSystem):
     plan, on the flight that the ball is on.
 
     Attributes:
+        plan: what is tracked.
         feedback: the law.
         period: between samples [s].
     """
@@ -77,6 +78,7 @@ class TrackingController(LeafSystem):
         """
         super().__init__()
         world = plan.find_world(world)
+        self.plan = plan
         self.period = plan.scenario.time_step if period is None else check_period(period)
         self.feedback = make_feedback(world, plan.scenario, plan.trajectory)
         self._watch = BounceWatch(world)

@@ -14,6 +14,13 @@ from .landscapes import plot_cost_landscape as plot_cost_landscape
 from .landscapes import plot_integrated_product as plot_integrated_product
 from .linkage_figures import plot_contact_forces as plot_contact_forces
 from .linkage_figures import plot_strobe as plot_strobe
+from .loop_figures import figures_of_run as figures_of_run
+from .loop_figures import plot_mind as plot_mind
+from .loop_figures import plot_promises as plot_promises
+from .loop_figures import plot_run as plot_run
+from .loops import format_run as format_run
+from .loops import report_run as report_run
+from .loops import show_run as show_run
 from .methods import gradient_motions as gradient_motions
 from .methods import paper_methods as paper_methods
 from .methods import plot_methods as plot_methods

@@ -100,6 +100,11 @@ class Motion:
         bounces = zip(replay.bounce_times, replay.bounce_contacts, strict=True)
         return cls(label, *rows, impacts=tuple(Touch.bounce(*bounce) for bounce in bounces))
 
+    @classmethod
+    def from_path(cls, label: str, times: Floats, states: Floats) -> Motion:
+        """Returns a planned motion through states (K, 2n) at times (K,) [s]."""
+        return cls(label, *_fill_in(times, *np.split(states, 2, axis=1)))
+
     def under(self, times: Floats, controls: Floats) -> Motion:
         """Returns the same motion with the control that it is a simulation of."""
         return dataclasses.replace(self, control_times=times, controls=controls)

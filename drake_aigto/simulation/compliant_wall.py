@@ -67,20 +67,20 @@ def simulate_compliant_wall(
     root = simulator.get_mutable_context()
     context = plant.GetMyMutableContextFromRoot(root)
     contacts = ContactMonitor(world, simulator, restitutions, controller.end - controller.start)
-    trace = _Trace(world, controller)
+    trace = ContactTrace(world)
 
     def watch(root: Context) -> EventStatus:
         # Of what belongs to the simulator it knows but this: neither would ever be freed.
         now = root.get_time()
         trace.add(now, plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(root)))
-        if trace.is_due(now):
+        if trace.is_due(now, controller.feels_contact):
             return EventStatus.ReachedTermination(world.diagram, "the controller is asked again")
         contacts(root)
         return EventStatus.DidNothing()
 
     simulator.set_monitor(watch)
     while (now := context.get_time()) < controller.end:
-        if trace.is_due(now):
+        if trace.is_due(now, controller.feels_contact):
             x = plant.GetPositionsAndVelocities(context)
             held = controller.sample(now, x, trace.bounces)
             trace.hold(now, held)
@@ -109,19 +109,23 @@ class _Row(NamedTuple):
     push: float  # φ̈ without this contact [m/s²]
 
 
-class _Trace:
-    """Every step of a simulation, and the contacts that are read off it."""
+class ContactTrace:
+    """Every step of a simulation between stiff walls, and the contacts that are read off it.
 
-    def __init__(self, world: World, controller: Controller) -> None:
+    Attributes:
+        bounces: the contact of each touch that has ended so far.
+    """
+
+    def __init__(self, world: World) -> None:
+        """Begins with nothing; the first control has to be held before the first step."""
         self._world = world
-        self._controller = controller
         self._motion_at = ContactMotion.reader(world)
         self._samples: list[_Sample] = []
         self._held: Held | None = None
         self._recording = Recording()
         # Of each solid that is touched: when it is rest [s], and which face.
         self._touched: dict[int, tuple[float, int]] = {}
-        self.bounces: list[int] = []  # the contact of each touch that has ended
+        self.bounces: list[int] = []
         self._known = 0  # of them when the controller was asked
 
     def add(self, time: float, x: Floats) -> None:
@@ -148,11 +152,11 @@ class _Trace:
         self._recording.hold(time, held.control)
         self._held, self._known = held, len(self.bounces)
 
-    def is_due(self, time: float) -> bool:
-        """Returns whether the controller is to be asked again, or for the first time."""
+    def is_due(self, time: float, feels_contact: bool) -> bool:
+        """Returns whether a controller is to be asked again, or for the first time."""
         if self._held is None:
             return True
-        if self._controller.feels_contact:
+        if feels_contact:
             if len(self.bounces) > self._known:
                 return True
             if any(time < settled for settled, _ in self._touched.values()):

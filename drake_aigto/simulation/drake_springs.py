@@ -18,7 +18,7 @@ from drake_aigto.simulation.springs import find_depth, read_touch
 from drake_aigto.world import World
 
 
-class _Row(NamedTuple):
+class StepEnd(NamedTuple):
     """The end of a step."""
 
     time: float  # [s]
@@ -50,12 +50,12 @@ def simulate_plant(
     plant, root = world.plant, simulator.get_mutable_context()
     context = plant.GetMyMutableContextFromRoot(root)
     recording, control = Recording(), np.zeros(world.num_actuators)
-    rows = [_Row(controller.start, np.concatenate(state), control)]
+    rows = [StepEnd(controller.start, np.concatenate(state), control)]
 
     def watch(root: Context) -> EventStatus:
         x = plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(root))
         if root.get_time() > rows[-1].time:
-            rows.append(_Row(root.get_time(), x, control))
+            rows.append(StepEnd(root.get_time(), x, control))
         return EventStatus.DidNothing()
 
     simulator.set_monitor(watch)
@@ -67,11 +67,11 @@ def simulate_plant(
         plant.get_actuation_input_port().FixValue(context, control)
         simulator.AdvanceTo(held.until)
         recording.add(held.until, *np.split(rows[-1].x, 2))
-    _read(world, rows, recording)
+    read_steps(world, rows, recording)
     return recording
 
 
-def _read(world: World, rows: list[_Row], recording: Recording) -> None:
+def read_steps(world: World, rows: list[StepEnd], recording: Recording) -> None:
     """Adds samples, contacts and depth to a recording, read off the ends of steps."""
     times, states = np.array([row.time for row in rows]), np.array([row.x for row in rows])
     controls = np.array([row.control for row in rows])
@@ -86,7 +86,7 @@ def _read(world: World, rows: list[_Row], recording: Recording) -> None:
 
 def _read_contact(
     world: World,
-    rows: list[_Row],
+    rows: list[StepEnd],
     contact: int,
     distances: Floats,
     rates: Floats,
@@ -106,7 +106,7 @@ def _read_contact(
         recording.impacts.append(touch._replace(energy_after=energy))
 
 
-def _interpolate(a: _Row, b: _Row, wait: float) -> tuple[float, Floats]:
+def _interpolate(a: StepEnd, b: StepEnd, wait: float) -> tuple[float, Floats]:
     """Returns time and state a wait [s] after one row, at most at the next."""
     step = b.time - a.time
     t = min(wait, step) if math.isfinite(wait) else step

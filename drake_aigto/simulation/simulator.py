@@ -90,15 +90,23 @@ def make_simulator(world: World, scenario: Scenario) -> Simulator:
         ScenarioError: it does not fit.
         ModelError: a sphere can slide with friction, or a shape has no stiffness.
     """
+    simulator, contacts = start_plant(world, scenario)
+    if contacts is not None:
+        simulator.set_monitor(contacts)
+    return simulator
+
+
+def start_plant(world: World, scenario: Scenario) -> tuple[Simulator, ContactMonitor | None]:
+    """Returns the Simulator of `make_simulator`, and its monitor if walls are stiff."""
     world.check(scenario)
     start = scenario.initial_position, scenario.initial_velocity
     without_friction = scenario.friction == 0
     if scenario.contact == "compliant" or not world.num_contacts:
-        return start_soft_simulator(world, start, (0.0, scenario.duration), without_friction)
+        span = 0.0, scenario.duration
+        return start_soft_simulator(world, start, span, without_friction), None
     simulator = start_simulator(world, start, without_friction=without_friction)
     restitutions = world.restitutions(scenario)
-    simulator.set_monitor(ContactMonitor(world, simulator, restitutions, scenario.duration))
-    return simulator
+    return simulator, ContactMonitor(world, simulator, restitutions, scenario.duration)
 
 
 def start_simulator(

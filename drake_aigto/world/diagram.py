@@ -41,7 +41,7 @@ def build_diagram(model: str) -> Diagram:
     """Returns a diagram of a model's continuous plant and its scene graph.
 
     The model is a ``package://`` URI, or a path to a file that Drake parses. Ports: ``actuation``
-    in; ``state`` and ``query`` (for a visualizer) out.
+    in; ``state``, ``contact_results`` and ``query`` (for a visualizer) out.
 
     Raises:
         ModelError: there is no such file, Drake can't parse it, or its joints form a loop.
@@ -61,6 +61,7 @@ def build_diagram(model: str) -> Diagram:
         raise ModelError(f"Drake can't parse the model {path}", got=error) from error
     builder.ExportInput(plant.get_actuation_input_port(), "actuation")
     builder.ExportOutput(plant.get_state_output_port(), "state")
+    builder.ExportOutput(plant.get_contact_results_output_port(), "contact_results")
     builder.ExportOutput(scene_graph.get_query_output_port(), "query")
     return builder.Build()
 
