@@ -12,8 +12,17 @@ from pydrake.systems.framework import Context
 from drake_aigto.arrays import ArrayRecord, Floats, read_only
 from drake_aigto.errors import ControlError
 from drake_aigto.world import Scenario, World
+from drake_aigto.world.fields import ArrayField
 
 _NONE = read_only([])
+
+
+def _as_row(name: str, value: object) -> Floats:
+    """Returns a read-only array (n,) of finite floats, n ≥ 0."""
+    row = np.atleast_1d(np.array(value, dtype=float))
+    if row.ndim != 1 or not np.all(np.isfinite(row)):
+        raise ControlError(name, got=row.tolist(), expected="a row of finite numbers")
+    return read_only(row)
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,26 +43,21 @@ class Disturbance(ArrayRecord):
         seed: of the noise.
     """
 
-    start_offset: Floats = dataclasses.field(default_factory=lambda: _NONE)
+    start_offset: ArrayField[Floats] = ArrayField(_as_row, _NONE)
     mass_factor: float = 1.0
     wall_shift: float = 0.0
     restitution_factor: float = 1.0
-    kick: Floats = dataclasses.field(default_factory=lambda: _NONE)
+    kick: ArrayField[Floats] = ArrayField(_as_row, _NONE)
     kick_time: float = 0.0
-    noise: Floats = dataclasses.field(default_factory=lambda: _NONE)
+    noise: ArrayField[Floats] = ArrayField(_as_row, _NONE)
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Checks what does not depend on a world, and makes the arrays read-only.
+        """Checks what does not depend on a world.
 
         Raises:
             ControlError: numbers that are not finite, or out of their range.
         """
-        for name in ("start_offset", "kick", "noise"):
-            values = np.atleast_1d(np.array(getattr(self, name), dtype=float))
-            if values.ndim != 1 or not np.all(np.isfinite(values)):
-                raise ControlError(name, got=values.tolist(), expected="a row of finite numbers")
-            object.__setattr__(self, name, read_only(values))
         for name, least in (("mass_factor", 0.0), ("restitution_factor", 0.0), ("kick_time", 0.0)):
             value = getattr(self, name)
             is_above = value > least if name == "mass_factor" else value >= least
