@@ -14,8 +14,6 @@ from drake_aigto.errors import ControlError
 from drake_aigto.world import Scenario, World
 from drake_aigto.world.fields import ArrayField
 
-_NONE = read_only([])
-
 
 def _as_row(name: str, value: object) -> Floats:
     """Returns a read-only array (n,) of finite floats, n ≥ 0."""
@@ -43,13 +41,13 @@ class Disturbance(ArrayRecord):
         seed: of the noise.
     """
 
-    start_offset: ArrayField[Floats] = ArrayField(_as_row, _NONE)
+    start_offset: ArrayField[Floats] = ArrayField(_as_row, ())
     mass_factor: float = 1.0
     wall_shift: float = 0.0
     restitution_factor: float = 1.0
-    kick: ArrayField[Floats] = ArrayField(_as_row, _NONE)
+    kick: ArrayField[Floats] = ArrayField(_as_row, ())
     kick_time: float = 0.0
-    noise: ArrayField[Floats] = ArrayField(_as_row, _NONE)
+    noise: ArrayField[Floats] = ArrayField(_as_row, ())
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -58,6 +56,9 @@ class Disturbance(ArrayRecord):
         Raises:
             ControlError: numbers that are not finite, or out of their range.
         """
+        for name in ("start_offset", "kick", "noise"):
+            # A field does not look at its own default.
+            object.__setattr__(self, name, np.array(getattr(self, name)))
         for name, least in (("mass_factor", 0.0), ("restitution_factor", 0.0), ("kick_time", 0.0)):
             value = getattr(self, name)
             is_above = value > least if name == "mass_factor" else value >= least
