@@ -28,7 +28,8 @@ from drake_aigto.control import ClosedLoopRun, Disturbance, run_in_loop
 from drake_aigto.show import figures_of_run, format_run, plot_run
 
 WALL, POLE = Scenario.named("table1/1"), Scenario.named("cart_pole/soft_06")
-KICK = Disturbance(kick=[0.3, 1.5], kick_time=0.5)
+NOISE = np.array([1e-3, 1e-2])  # [m, m/s]
+KICK = Disturbance(kick=np.array([0.3, 1.5]), kick_time=0.5)
 
 
 @cache
@@ -109,8 +110,8 @@ def test_what_is_true_is_what_was_asked_for() -> None:
         "mass_factor": Disturbance(mass_factor=1.2),
         "wall_shift": Disturbance(wall_shift=0.01),
         "restitution_factor": Disturbance(restitution_factor=0.9),
-        "start_offset": Disturbance(start_offset=[0.02]),
-        "noise": Disturbance(noise=[1e-3, 1e-2]),
+        "start_offset": Disturbance(start_offset=np.array([0.02])),
+        "noise": Disturbance(noise=NOISE),
     }
     runs = {name: track(each) for name, each in disturbed.items()}
     plain = track()
@@ -124,7 +125,7 @@ def test_what_is_true_is_what_was_asked_for() -> None:
     assert runs["start_offset"].replay.positions[0, 0] == start + 0.02
     again = track(disturbed["noise"])
     np.testing.assert_array_equal(again.controls, runs["noise"].controls)
-    assert np.any(track(Disturbance(noise=[1e-3, 1e-2], seed=1)).controls != again.controls)
+    assert np.any(track(Disturbance(noise=NOISE, seed=1)).controls != again.controls)
     told = format_run(runs["noise"])
     assert "noise of [0.001, 0.01] (seed 0)" in told and max(map(len, told.splitlines())) <= 100
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from pydrake.multibody.tree import BodyIndex
@@ -12,7 +12,6 @@ from pydrake.systems.framework import Context
 from drake_aigto.arrays import ArrayRecord, Floats, read_only
 from drake_aigto.errors import ControlError
 from drake_aigto.world import Scenario, World
-from drake_aigto.world.fields import ArrayField
 
 
 def _as_row(name: str, value: object) -> Floats:
@@ -41,24 +40,23 @@ class Disturbance(ArrayRecord):
         seed: of the noise.
     """
 
-    start_offset: ArrayField[Floats] = ArrayField(_as_row, ())
+    start_offset: Floats = field(default_factory=lambda: np.empty(0))
     mass_factor: float = 1.0
     wall_shift: float = 0.0
     restitution_factor: float = 1.0
-    kick: ArrayField[Floats] = ArrayField(_as_row, ())
+    kick: Floats = field(default_factory=lambda: np.empty(0))
     kick_time: float = 0.0
-    noise: ArrayField[Floats] = ArrayField(_as_row, ())
+    noise: Floats = field(default_factory=lambda: np.empty(0))
     seed: int = 0
 
     def __post_init__(self) -> None:
-        """Checks what does not depend on a world.
+        """Checks what does not depend on a world, and makes the arrays read-only.
 
         Raises:
             ControlError: numbers that are not finite, or out of their range.
         """
         for name in ("start_offset", "kick", "noise"):
-            # A field does not look at its own default.
-            object.__setattr__(self, name, np.array(getattr(self, name)))
+            object.__setattr__(self, name, _as_row(name, getattr(self, name)))
         for name, least in (("mass_factor", 0.0), ("restitution_factor", 0.0), ("kick_time", 0.0)):
             value = getattr(self, name)
             is_above = value > least if name == "mass_factor" else value >= least
