@@ -9,8 +9,10 @@ import sys
 from pathlib import Path
 
 import matplotlib as mpl
+import numpy as np
 
-from drake_aigto import Plan, Scenario, World, plan
+from drake_aigto import ModelPredictiveController, Plan, Planner, Scenario, World, plan
+from drake_aigto.control import Disturbance, run_in_loop
 from drake_aigto.show import (
     gradient_motions,
     motions_of_plan,
@@ -20,7 +22,9 @@ from drake_aigto.show import (
     plot_cost_landscape,
     plot_integrated_product,
     plot_methods,
+    plot_mind,
     plot_phase_portrait,
+    plot_run,
     plot_strobe,
     run_boxes,
     write_numbers,
@@ -96,6 +100,24 @@ def draw_cart_pole(path: Path) -> None:
     figure.savefig(path, dpi=100)
 
 
+def draw_in_the_loop(path: Path) -> None:
+    """Writes the moment at which a kicked cart-pole's plan changes its mind."""
+    planner = Planner(Scenario.named("cart_pole/soft_06"))
+    controller = ModelPredictiveController(planner, period=0.01, horizon="shrinking")
+    kick = Disturbance(kick=np.array([0.3, 1.5]), kick_time=0.5)
+    run = run_in_loop(controller, planner.scenario, planner.world, kick)
+    figure = plt.figure(figsize=(11, 6.4), layout="constrained")
+    grid = figure.add_gridspec(2, 6, height_ratios=[1.35, 1])
+    plot_mind([figure.add_subplot(grid[0, 2 * i : 2 * i + 2]) for i in range(3)], run)
+    for coordinate in range(2):
+        axes = figure.add_subplot(grid[1, 3 * coordinate : 3 * coordinate + 3])
+        plot_run(axes, run, coordinate)
+        handles, labels = axes.get_legend_handles_labels()
+        axes.get_legend().remove()
+    figure.legend(handles, labels, loc="outside lower center", ncols=6, fontsize="small")
+    figure.savefig(path, dpi=100)
+
+
 def main(folder: Path) -> None:
     """Writes all of them."""
     draw_product(folder / "integrated_product.png")
@@ -106,6 +128,7 @@ def main(folder: Path) -> None:
     draw_boxes(found, world, folder / "boxes.png")
     draw_landscape(found, world, folder / "landscape.png")
     draw_cart_pole(folder / "cart_pole.png")
+    draw_in_the_loop(folder / "in_the_loop.png")
 
 
 if __name__ == "__main__":

@@ -19,11 +19,12 @@ from drake_aigto.show.motion import Motion, color_of
 SIMULATED = "simulation in Drake"
 _PLANNED: dict[str, Any] = {"linewidth": 1.6, "linestyle": (0, (4, 2)), "zorder": 3}
 _GIVEN_UP: dict[str, Any] = {"color": "#8a8f98", "linewidth": 1.6, "linestyle": (0, (1, 1.5))}
-_GIVEN_UP |= {"zorder": 2.5}
+_GIVEN_UP |= {"zorder": 3.5}
 _KICK: dict[str, Any] = {"color": "black", "linewidth": 1.0, "linestyle": (0, (6, 3))}
 _MOMENT: dict[str, Any] = {"marker": "o", "markersize": 6, "linestyle": "none", "zorder": 5}
 _PALE = 0.45  # how much the simulation covers, so that plans on top of it are seen
 _SAME_TIME = 1e-9  # rounding [s]
+_MARGIN = 0.02  # before and after a run, as a part of it
 _MOST_NAMED = 3  # plans that have a name of their own in a legend
 
 
@@ -65,7 +66,7 @@ def plot_run(axes: Axes, run: ClosedLoopRun, coordinate: int = 0) -> None:
         _draw_path(axes, switch.after, coordinate, switch.time, **look)
         axes.plot(switch.time, q, markeredgecolor=color, markerfacecolor="white", **_MOMENT)
     _mark_kick(axes, run)
-    axes.set(xlim=(-0.02 * run.duration, 1.02 * run.duration), ylim=_widen(axes, limits))
+    axes.set(xlim=_find_span(run), ylim=_widen(axes, limits))
     axes.legend(ncols=3, **ABOVE)
 
 
@@ -90,6 +91,11 @@ def _widen(axes: Axes, limits: tuple[float, float]) -> tuple[float, float]:
     return float(low), float(high)
 
 
+def _find_span(run: ClosedLoopRun) -> tuple[float, float]:
+    """Returns from when to when is drawn [s]."""
+    return -_MARGIN * run.duration, (1 + _MARGIN) * run.duration
+
+
 def _mark_kick(axes: Axes, run: ClosedLoopRun) -> None:
     if run.disturbance.kick.any():
         axes.axvline(run.disturbance.kick_time, label="kick", **_KICK)
@@ -104,7 +110,7 @@ def plot_promises(axes: Axes, run: ClosedLoopRun) -> None:
     look = {"markeredgecolor": color_of(2), "markerfacecolor": "white", **_MOMENT}
     axes.plot(times[taken], costs[taken], label="another plan is taken", **look)
     _mark_kick(axes, run)
-    axes.set(xlabel="time t [s]", ylabel="cost J", xlim=(0, run.duration))
+    axes.set(xlabel="time t [s]", ylabel="cost J", xlim=_find_span(run))
     axes.set_ylim(bottom=0)
     axes.legend(ncols=3, **ABOVE)
 
