@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
 from typing import Any
 
@@ -13,12 +14,23 @@ from pydrake.systems.framework import DiagramBuilder
 from pydrake.systems.primitives import ConstantVectorSource, LogVectorOutput, TrajectorySource
 from pydrake.trajectories import PiecewisePolynomial
 
-from drake_aigto import ControlError, MechanismOptions, ModelPredictiveController, Planner, Scenario
+from drake_aigto import (
+    ControlError,
+    MechanismOptions,
+    ModelPredictiveController,
+    Planner,
+    PlanOptions,
+    Scenario,
+    World,
+)
 from drake_aigto.control import TickStatus
+from drake_aigto.simulation import make_simulator
 from drake_aigto.world import TaskCost
 
 SCENARIO = Scenario.named("cart_pole/soft_06")
 OPTIONS = MechanismOptions(renewals=16)
+BALL = Scenario.named("table1/1")
+QUICK = PlanOptions(branches=0, finalists=1, confirm=False)
 
 
 @cache
@@ -148,7 +160,83 @@ def test_arguments_out_of_range_are_refused(options: dict[str, Any], message: st
 
 
 def test_what_it_can_not_plan_from_is_refused() -> None:
-    with pytest.raises(ControlError, match="rigid walls, expected walls that yield"):
-        ModelPredictiveController(Planner(Scenario.named("table1/1")), 0.1)
+    with pytest.raises(ControlError, match="a mechanism between rigid walls, expected balls"):
+        ModelPredictiveController(Planner(Scenario.named("cart_pole/rigid_06")), 0.1)
+    planner = Planner(BALL)
+    planner.transcription.AddFinalCost(planner.transcription.state()[0])
+    with pytest.raises(ControlError, match="got costs or constraints that were added"):
+        ModelPredictiveController(planner, 0.1)
     with pytest.raises(ControlError, match=r"estimated_state .* Connect the plant"):
         Simulator(ModelPredictiveController(make_planner(), 0.1)).Initialize()
+
+
+def fly(
+    off: float, e: float = 1.0, kick: float = 0.0, **options: Any
+) -> tuple[Any, list[TickStatus]]:
+    """Returns where a ball ends that was planned for elsewhere, and the ticks."""
+    controller = ModelPredictiveController(Planner(BALL, QUICK), period=0.02, **options)
+    diagram, plant = close_loop(BALL.model, controller)
+    world = World.from_diagram(diagram)
+    start = BALL.initial_position + off
+    truth = dataclasses.replace(BALL, initial_position=start, restitution=e)
+    simulator = make_simulator(world, truth)
+    statuses: dict[float, TickStatus] = {}
+    watch_contact = simulator.get_monitor()
+
+    def watch(root: Any) -> Any:
+        status = controller.GetOutputPort("status").Eval(controller.GetMyContextFromRoot(root))
+        statuses[status.time] = status
+        return watch_contact(root)
+
+    simulator.set_monitor(watch)
+    simulator.AdvanceTo(0.7)
+    context = plant.GetMyMutableContextFromRoot(simulator.get_mutable_context())
+    plant.SetVelocities(context, plant.GetVelocities(context) + kick)
+    simulator.AdvanceTo(BALL.duration)
+    return plant.GetPositions(context)[0], list(statuses.values())
+
+
+@pytest.mark.parametrize(("off", "e"), [(0.03, 1.0), (-0.03, 1.0), (0.0, 0.9)])
+def test_a_ball_is_brought_to_its_goal_off_a_rigid_wall(off: float, e: float) -> None:
+    end, ticks = fly(off, e, horizon="shrinking")
+    assert end == pytest.approx(BALL.goal_position[0], abs=2e-3)
+    # Touches are planned until they are over, and then no more.
+    assert [tick.touches for tick in ticks if tick.time < 0.5] == [(0,)] * 25
+    assert {tick.touches for tick in ticks if tick.time > 0.6} == {()}
+
+
+def test_a_kick_from_which_another_sequence_is_cheaper_is_searched_for() -> None:
+    end, ticks = fly(0.0, kick=-4.0, horizon="shrinking")
+    (switch,) = [tick for tick in ticks if tick.reason.startswith("switched")]
+    assert switch.time == pytest.approx(0.7)
+    assert switch.touches == (0,)
+    # It comes back off the wall, where it would have flown through without another plan.
+    assert end > 0
+
+
+def test_a_state_inside_of_a_rigid_wall_is_not_planned_from() -> None:
+    x = np.array([[0.5, -2.0], [-1e-3, -1.0], [0.02, 1.8], [0.02, 1.8]]).T
+    source = TrajectorySource(PiecewisePolynomial.ZeroOrderHold([0.0, 0.1, 0.2, 1.0], x))
+    builder = DiagramBuilder()
+    builder.AddSystem(source)
+    controller = builder.AddSystem(ModelPredictiveController(Planner(BALL, QUICK), period=0.1))
+    builder.Connect(source.get_output_port(), controller.get_input_port(0))
+    simulator = Simulator(builder.Build())
+    reasons = []
+    for time in (0.05, 0.15, 0.25):
+        simulator.AdvanceTo(time)
+        context = controller.GetMyContextFromRoot(simulator.get_context())
+        assert np.all(np.isfinite(controller.GetOutputPort("control").Eval(context)))
+        reasons.append(controller.GetOutputPort("status").Eval(context).reason)
+    assert reasons[1] == "a wall is touched: the last plan goes on"
+    assert reasons[2].startswith("warm")
+    with pytest.raises(ControlError, match="inside of a wall, expected one outside"):
+        start_at([-1e-3, -1.0])
+
+
+def start_at(x: list[float]) -> None:
+    builder = DiagramBuilder()
+    source = builder.AddSystem(ConstantVectorSource(x))
+    controller = builder.AddSystem(ModelPredictiveController(Planner(BALL, QUICK), period=0.1))
+    builder.Connect(source.get_output_port(), controller.get_input_port(0))
+    Simulator(builder.Build()).Initialize()

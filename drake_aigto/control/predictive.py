@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from pydrake.common.value import AbstractValue
@@ -12,7 +12,9 @@ from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSys
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
-from drake_aigto.control.horizon import Horizon, Motion
+from drake_aigto.control.horizon import Horizon
+from drake_aigto.control.horizons import make_horizon
+from drake_aigto.control.motion import Motion
 from drake_aigto.control.ports import check_period, read_start
 from drake_aigto.errors import ControlError
 from drake_aigto.planning import Planner
@@ -29,8 +31,7 @@ class TickStatus:
     Attributes:
         time: of the tick [s].
         cost: J of the plan from there on.
-        touches: the contacts that the plan is in at its knots, in order, each as often as it comes
-            into it.
+        touches: the contacts that the plan comes into, in order, each as often as it does.
         reason: why the plan is what it is.
         seconds: of wall time that the tick took.
         has_switched: whether another contact sequence was taken.
@@ -44,17 +45,27 @@ class TickStatus:
     has_switched: bool = False
 
 
-@dataclass(frozen=True, eq=False)
-class _Moment:
-    """What a tick leaves to the next."""
+class _Choice(NamedTuple):
+    """What a tick decides."""
 
     motion: Motion
-    control: Floats
     reason: str
+    has_switched: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class _Moment:
+    """What a tick leaves to the next; contexts share it, as nobody changes it."""
+
+    choice: _Choice
+    control: Floats
     time: float
     seconds: float
     tick: int
-    has_switched: bool = False
+
+    def __deepcopy__(self, memo: object) -> _Moment:
+        """Returns itself."""
+        return self
 
 
 class ModelPredictiveController(LeafSystem):
@@ -64,13 +75,15 @@ class ModelPredictiveController(LeafSystem):
         builder.Connect(plant.get_state_output_port(), controller.get_input_port(0))
         builder.Connect(controller.get_output_port(0), plant.get_actuation_input_port())
 
-    Each tick is *warm*: the last plan, shifted, is led to the best one near it from the new state
-    by a few iterations of the descent. Every `search_every` ticks, and where a plan costs half as
-    much again as the one before, boxes and renewals *search* for another contact sequence as well;
-    it is taken if it costs less by a margin. Work is bounded by counts: runs are the same again.
+    Each tick is *warm*: the last plan, shifted, is led to the best one near it from the new state,
+    by a few iterations of the descent, or of balls between rigid walls by Newton's on the phases
+    between touches. Every `search_every` ticks, and where a plan costs half as much again as the
+    one before, the planner *searches* for another contact sequence as well; it is taken if it costs
+    less by a margin. Work is bounded by counts: runs are the same again.
 
-    A state that is not finite, or from which no motion is found, leaves the last plan as it is, and
-    its control goes on. So it does at the end of a horizon that shrinks. No NaN leaves a port.
+    A state that is not finite, one inside of a rigid wall, or one from which no motion is found,
+    leaves the last plan as it is, and its control goes on. So it does at the end of a horizon that
+    shrinks. No NaN leaves a port.
 
     Input port: `estimated_state`, q and v. Output ports: `control`, u as the plant's actuation port
     takes it; `planned_state`, a PiecewisePolynomial of q and v over the horizon; and `status`, a
@@ -92,16 +105,18 @@ class ModelPredictiveController(LeafSystem):
         """Takes the planner's task; its start does not count.
 
         Args:
-            planner: of a mechanism between walls that yield, or that touches nothing.
+            planner: of balls between rigid walls, or of a mechanism between walls that yield, or
+                that touches nothing; its task and options are compiled once more.
             period: between ticks [s].
             horizon: whether it always lasts as long as the scenario's duration, or ends with it.
-            iterations: of the descent in a tick, at most.
+            iterations: of the descent in a tick, at most; balls between rigid walls have none.
             search_every: ticks from one search to the next; None: only at the start, and where
                 costs rise. What a search takes is in the planner's options.
             margin: what another sequence has to be better by, as a share of the cost.
 
         Raises:
-            ControlError: rigid walls; or an argument is out of its range.
+            ControlError: a mechanism between rigid walls, a free duration, or something that was
+                added to the planner's transcription; or an argument is out of its range.
         """
         super().__init__()
         for name, value in (("iterations", iterations), ("search_every", search_every)):
@@ -113,9 +128,12 @@ class ModelPredictiveController(LeafSystem):
             raise ControlError("margin", got=margin, expected="a number of at least 0")
         self.period = check_period(period)
         self._world, self._every, self._margin = planner.world, search_every, margin
-        self._horizon = Horizon(planner, horizon == "receding", iterations)
+        self._horizon: Horizon = make_horizon(
+            planner, horizon == "receding", iterations, self.period
+        )
         n, nu = self._world.num_positions, self._world.num_actuators
-        none = _Moment(self._horizon.rest(0.0, np.zeros(2 * n)), np.zeros(nu), "", 0.0, 0.0, 0)
+        rest = self._horizon.rest(0.0, np.zeros(2 * n))
+        none = _Moment(_Choice(rest, ""), np.zeros(nu), 0.0, 0.0, 0)
         self._estimate = self.DeclareVectorInputPort("estimated_state", 2 * n)
         self._moment = self.DeclareAbstractState(AbstractValue.Make(none))
         self.DeclareInitializationUnrestrictedUpdateEvent(self._start)
@@ -142,54 +160,61 @@ class ModelPredictiveController(LeafSystem):
     def _start(self, context: Context, state: State) -> EventStatus:
         """Searches for the first plan."""
         x = read_start(self, self._estimate, context)
+        if self._horizon.is_inside(x):
+            raise ControlError(
+                "the state at the start",
+                got=f"{x.tolist()}, inside of a wall",
+                expected="one outside of all walls, from which can be planned",
+            )
         now, begin = context.get_time(), time.perf_counter()
-        found = self._horizon.search(now, x)
-        motion = found or self._horizon.improve(self._horizon.rest(now, x))
-        reason = "the first search" if found else "a search found nothing; a descent from rest"
-        return self._keep(state, motion, reason, now, begin, 0)
+        choice = self._choose_first(now, x)
+        return self._keep(state, choice, now, time.perf_counter() - begin, 0)
+
+    def _choose_first(self, now: float, x: Floats) -> _Choice:
+        if found := self._horizon.search(now, x):
+            return _Choice(found, "the first search")
+        rest = self._horizon.rest(now, x)
+        motion = self._horizon.advance(rest, now, x) or rest
+        return _Choice(motion, "a search found nothing; a descent from rest")
 
     def _tick(self, context: Context, state: State) -> EventStatus:
         """Improves the plan, or takes another one."""
         x, now, begin = self._estimate.Eval(context), context.get_time(), time.perf_counter()
         before = self._read(context)
-        motion, reason, has_switched = self._choose(before, now, x)
-        return self._keep(state, motion, reason, now, begin, before.tick + 1, has_switched)
+        choice = self._choose(before, now, x)
+        return self._keep(state, choice, now, time.perf_counter() - begin, before.tick + 1)
 
-    def _choose(self, before: _Moment, now: float, x: Floats) -> tuple[Motion, str, bool]:
-        """Returns the plan from now on, why it is that, and whether it is another sequence's."""
-        last = before.motion
+    def _choose(self, before: _Moment, now: float, x: Floats) -> _Choice:
+        """Returns the plan from now on, and why it is that."""
+        last = before.choice.motion
         if not np.all(np.isfinite(x)):
-            return last, "the estimated state is not finite: the last plan goes on", False
-        rest = self._horizon.shift(last, now, x)
-        if rest is None:
-            return last, "the horizon ends: the last plan goes on", False
-        motion, reason, has_switched = self._horizon.improve(rest), "warm", False
-        is_due = self._every is not None and (before.tick + 1) % self._every == 0
-        surprise = motion.cost - last.cost
-        if is_due or not surprise <= _SURPRISE * last.cost + _NOTHING * self._horizon.cost_scale:
+            return _Choice(last, "the estimated state is not finite: the last plan goes on")
+        if self._horizon.is_over(now):
+            return _Choice(last, "the horizon ends: the last plan goes on")
+        if self._horizon.is_inside(x):
+            return _Choice(last, "a wall is touched: the last plan goes on")
+        motion = self._horizon.advance(last, now, x)
+        cost, reason = motion.cost if motion else np.inf, "warm"
+        if self._is_due(before) or not cost - last.cost <= self._calc_surprise(last.cost):
             found = self._horizon.search(now, x)
-            if found is not None and found.cost < (1 - self._margin) * motion.cost:
-                reason = f"switched: {found.cost:.4g} in place of {motion.cost:.4g}"
-                motion, has_switched = found, True
-            else:
-                reason = "warm; a search found nothing better"
-        if not np.isfinite(motion.cost):
-            return last, "no motion was found: the last plan goes on", False
-        return motion, reason, has_switched
+            if found and found.cost < (1 - self._margin) * cost:
+                return _Choice(found, f"switched: {found.cost:.4g} in place of {cost:.4g}", True)
+            reason = "warm; a search found nothing better"
+        if motion is None:
+            return _Choice(last, "no motion was found: the last plan goes on")
+        return _Choice(motion, reason)
+
+    def _is_due(self, before: _Moment) -> bool:
+        return self._every is not None and (before.tick + 1) % self._every == 0
+
+    def _calc_surprise(self, cost: float) -> float:
+        """Returns by how much a plan costs more than the one before, if it met a surprise."""
+        return _SURPRISE * cost + _NOTHING * self._horizon.cost_scale
 
     def _keep(
-        self,
-        state: State,
-        motion: Motion,
-        reason: str,
-        now: float,
-        begin: float,
-        tick: int,
-        has_switched: bool = False,
+        self, state: State, choice: _Choice, now: float, seconds: float, tick: int
     ) -> EventStatus:
-        seconds = time.perf_counter() - begin
-        control = motion.calc_control(now)
-        moment = _Moment(motion, control, reason, now, seconds, tick, has_switched)
+        moment = _Moment(choice, choice.motion.calc_control(now), now, seconds, tick)
         state.get_mutable_abstract_state(int(self._moment)).set_value(moment)
         return EventStatus.Succeeded()
 
@@ -197,23 +222,12 @@ class ModelPredictiveController(LeafSystem):
         output.SetFromVector(self._read(context).control)
 
     def _write_path(self, context: Context, output: AbstractValue) -> None:
-        motion = self._read(context).motion
-        output.set_value(PiecewisePolynomial.FirstOrderHold(motion.times, motion.states.T))
+        output.set_value(self._read(context).choice.motion.trajectory.to_piecewise()[0])
 
     def _write_status(self, context: Context, output: AbstractValue) -> None:
         moment = self._read(context)
-        q = moment.motion.states[:, : self._world.num_positions]
-        inside = self._world.calc_signed_distance(q) <= 0
-        comes = inside & ~np.vstack([np.zeros_like(inside[:1]), inside[:-1]])
-        touches = tuple(int(i) for _, i in np.argwhere(comes))
-        cost = moment.motion.cost
+        motion, reason, has_switched = moment.choice
+        touches = tuple(touch.contact for touch in motion.touches)
         output.set_value(
-            TickStatus(
-                moment.time,
-                cost,
-                touches,
-                moment.reason,
-                moment.seconds,
-                moment.reason.startswith("switched"),
-            )
+            TickStatus(moment.time, motion.cost, touches, reason, moment.seconds, has_switched)
         )

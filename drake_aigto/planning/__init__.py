@@ -1,6 +1,7 @@
 """From a scenario to a plan: search, polish, and replay on rigid walls."""
 
 from drake_aigto.planning.candidate import Candidate, Replays, Veto
+from drake_aigto.planning.coarse import coarsen
 from drake_aigto.planning.mechanism_boxes import (
     Center,
     MechanismBoxes,
@@ -17,7 +18,7 @@ from drake_aigto.planning.plan import Plan, PlanningError, PlanStats
 from drake_aigto.planning.planner import Planner, plan, run_search
 from drake_aigto.planning.pool import Stopwatch
 from drake_aigto.planning.problem import PlanningProblem
-from drake_aigto.planning.rigid import RigidProblem, coarsen, make_problem
+from drake_aigto.planning.rigid import RigidProblem, make_problem
 from drake_aigto.planning.rigid_search import RigidSearch
 from drake_aigto.planning.search import Search
 

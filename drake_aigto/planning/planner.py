@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from drake_aigto.errors import OptionsError, ProgramError
 from drake_aigto.planning.candidate import Candidate
+from drake_aigto.planning.coarse import transcribe
 from drake_aigto.planning.mechanism_options import MechanismOptions
 from drake_aigto.planning.mechanism_problem import (
     MechanismProblem,
@@ -19,7 +20,7 @@ from drake_aigto.planning.mechanism_search import MechanismSearch
 from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.plan import Plan, PlanningError
 from drake_aigto.planning.pool import Progress, Stopwatch
-from drake_aigto.planning.rigid import RigidProblem, transcribe
+from drake_aigto.planning.rigid import RigidProblem
 from drake_aigto.planning.rigid_mechanism import RigidMechanismProblem, make_mechanism_problem
 from drake_aigto.planning.rigid_mechanism_search import RigidMechanismSearch
 from drake_aigto.planning.rigid_search import RigidSearch

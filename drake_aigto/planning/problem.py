@@ -101,7 +101,8 @@ class PlanningProblem(ABC):
         self.options = options
         self._programs = programs or CompiledPrograms()
         self._starts: dict[StartName, Start] = {}
-        self._check_ladder(self.start("line").row_names)
+        if programs is None:
+            self._check_ladder(self.start("line").row_names)
         if self.additions.constraints:
             check_added_rows(transcription.prog(), self.additions)
 
@@ -118,12 +119,12 @@ class PlanningProblem(ABC):
     @property
     def polynomial(self) -> BoxPolynomial:
         """The penalized cost, for AIGO."""
-        return self._starts["line"].polynomial
+        return self.start("line").polynomial
 
     @property
     def box(self) -> Box:
         """Where AIGO starts, around the straight line from start to goal."""
-        return self._starts["line"].box
+        return self.start("line").box
 
     def start(self, name: StartName) -> Start:
         """Returns where a rung of this start begins."""

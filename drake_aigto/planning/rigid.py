@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import logging
 import math
 from collections.abc import Iterable
 from functools import cached_property
@@ -18,6 +17,7 @@ from drake_aigto.local import LocalResult, NewtonLagrange, PolynomialNlp, compil
 from drake_aigto.planning.arc_program import ArcPrograms
 from drake_aigto.planning.arcs import solve_in_arcs
 from drake_aigto.planning.candidate import LARGEST_DEFECT, Candidate
+from drake_aigto.planning.coarse import coarsen, transcribe
 from drake_aigto.planning.compiled import CompiledPrograms
 from drake_aigto.planning.instants import keep_apart, moved_past
 from drake_aigto.planning.options import PlanOptions, Rung
@@ -37,14 +37,12 @@ from drake_aigto.transcription import (
 from drake_aigto.transcription.facings import Facing, find_facings
 from drake_aigto.transcription.guesses import straight_path
 from drake_aigto.transcription.rows import largest_defect
-from drake_aigto.transcription.touch import AT_ONCE, joint_times
+from drake_aigto.transcription.touch import joint_times
 
 if TYPE_CHECKING:
     import numpy.typing as npt
 
     from drake_aigto.world import ConstantDynamics, Scenario, World
-
-_LOG = logging.getLogger(__name__)
 
 # Times (K,) [s] and positions (K, nq) [m].
 Path = tuple["npt.NDArray[np.float64]", "npt.NDArray[np.float64]"]
@@ -66,9 +64,6 @@ _MOST_GENERAL, _MOST_COARSE = 1000, 300
 # stationary: a loose tolerance at few temperatures reads as many sequences right as careful ones.
 # Fewer Newton steps than that takes are too few around the straight line, where bounces get lost.
 _COOLED = 5e-5
-# AIGO's boxes tell a bounce from the start's own push if so many steps lead to the wall; for that
-# they have so many times the steps at most, if the scenario does not have more.
-_STEPS_TO_WALL, _MOST_FINER = 3, 4
 
 
 def make_problem(
@@ -77,34 +72,6 @@ def make_problem(
     """Returns the scenario, transcribed with the time steps of `coarsen`, and compiled."""
     options = options or PlanOptions()
     return RigidProblem(transcribe(world, scenario, options), options, scenario.num_steps)
-
-
-def transcribe(world: World, scenario: Scenario, options: PlanOptions) -> RigidTranscription:
-    """Returns the scenario, transcribed with the time steps of `coarsen`."""
-    world.check_plain(scenario)
-    return RigidTranscription(world, coarsen(world, scenario, options), options.relaxation)
-
-
-def coarsen(world: World, scenario: Scenario, options: PlanOptions) -> Scenario:
-    """Returns the scenario with the time steps of AIGO's boxes (`PlanOptions.aigo_steps`).
-
-    There are more of them if a wall would be touched in less than three: up to the scenario's, or
-    four times as many if those are few.
-    """
-    most = max(scenario.num_steps, _MOST_FINER * options.aigo_steps)
-    return scenario.in_steps(max(options.aigo_steps, min(_count_steps(world, scenario), most)))
-
-
-def _count_steps(world: World, scenario: Scenario) -> int:
-    """Returns into how many steps T has to be cut for the ball to fly three before the wall.
-
-    No number would do for a wall that is touched at once, which needs no box to be seen.
-    """
-    distances = world.calc_signed_distance(scenario.initial_position)
-    jacobian = world.calc_contact_jacobian(scenario.initial_position)
-    speeds, T = -jacobian @ scenario.initial_velocity, scenario.duration
-    counts = T * speeds[distances > 0] / distances[distances > 0]
-    return math.ceil(_STEPS_TO_WALL * np.max(counts[counts < 1 / AT_ONCE], initial=0.0))
 
 
 class RigidProblem(PlanningProblem):
@@ -305,25 +272,12 @@ class RigidProblem(PlanningProblem):
         Arcs, where they lead to the optimum, have the last polish's steps at once: their number
         makes no difference. Where they don't, there are `_MOST_GENERAL` steps at most.
         """
-        world, (times, positions) = self.transcription.world, path
-        joints = joint_times(sequence)
-        through = interpolate(joints, times, positions)
-        # Box centers miss the goal, and neighbors the walls: on which side of it a block is passed
-        # is to be seen on a path that does not.
-        stops = straight_path(world, self.transcription.scenario, sequence, through)
-        has_boxes = world.num_solids < world.num_contacts
-        facings = find_facings(world, *_bend(path, *stops), sequence) if has_boxes else ()
+        through, facings = self._look_along(path, sequence)
         if self._has_arcs:
-            phases = self._phases(sequence, facings, self.num_steps)
             most = min(_ARC_ITERATIONS, max_iterations or _ARC_ITERATIONS)
-            x = solve_in_arcs(
-                phases,
-                phases.guess(through),
-                lambda nlp, start: self._settle(nlp, start, most),
-                self._arc_programs,
-            )
-            if x is not None:
-                return phases, x
+            solved = self._solve_in_arcs(through, facings, sequence, most)
+            if solved is not None:
+                return solved
             coarse = min(self.transcription.scenario.num_steps, _MOST_COARSE)
             num_steps = min(num_steps or coarse, _MOST_GENERAL)
         phases = self._phases(sequence, facings, num_steps)
@@ -331,6 +285,52 @@ class RigidProblem(PlanningProblem):
         order = phases.elimination_order()
         x = self.solve_program(prog, guess, lambda: compile_nlp(prog, order), max_iterations)
         return phases, x
+
+    def follow(self, path: Path, sequence: TouchSequence, max_iterations: int) -> Solved | None:
+        """Returns the same for who asks at every tick, or None if so few iterations don't lead on.
+
+        Where there are arcs, there is no general way after them; else what misses rows is None.
+
+        Args:
+            path: see `polish_along`, as sequence.
+            sequence: the contacts.
+            max_iterations: of the local solver, after plain Newton steps; 0: these alone.
+        """
+        if self._has_arcs:
+            return self._solve_in_arcs(*self._look_along(path, sequence), sequence, max_iterations)
+        solved = self.polish_along(path, sequence, max_iterations=max(max_iterations, 1))
+        missed = largest_defect(self.defects(*solved), self.scales)
+        return solved if missed <= LARGEST_DEFECT else None
+
+    def _look_along(
+        self, path: Path, sequence: TouchSequence
+    ) -> tuple[npt.NDArray[np.float64], tuple[Facing, ...]]:
+        """Returns where touches are on a path, and on which sides of boxes it goes."""
+        world, (times, positions) = self.transcription.world, path
+        through = interpolate(joint_times(sequence), times, positions)
+        if world.num_solids == world.num_contacts:
+            return through, ()
+        # Box centers miss the goal, and neighbors the walls: on which side of it a block is passed
+        # is to be seen on a path that does not.
+        stops = straight_path(world, self.transcription.scenario, sequence, through)
+        return through, tuple(find_facings(world, *_bend(path, *stops), sequence))
+
+    def _solve_in_arcs(
+        self,
+        through: npt.NDArray[np.float64],
+        facings: Iterable[Facing],
+        sequence: TouchSequence,
+        most: int,
+    ) -> Solved | None:
+        """Returns the local optimum if arcs lead to it."""
+        phases = self._phases(sequence, facings, self.num_steps)
+        x = solve_in_arcs(
+            phases,
+            phases.guess(through),
+            lambda nlp, start: self._settle(nlp, start, most),
+            self._arc_programs,
+        )
+        return None if x is None else (phases, x)
 
     def _settle(
         self, nlp: PolynomialNlp, guess: npt.NDArray[np.float64], max_iterations: int

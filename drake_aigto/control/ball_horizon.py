@@ -1,0 +1,161 @@
+"""The best motion from where balls are, between rigid walls."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterator
+
+import numpy as np
+
+from drake_aigto.arrays import Floats
+from drake_aigto.control.horizon import Horizon
+from drake_aigto.control.motion import Motion
+from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
+from drake_aigto.planning import (
+    PlanningError,
+    PlanOptions,
+    RigidProblem,
+    RigidSearch,
+    make_problem,
+)
+from drake_aigto.planning.rigid import Path
+from drake_aigto.transcription import Touch, TouchSequence
+from drake_aigto.world import Scenario, World
+
+# Touches that are planned within so many periods of now may have happened, or not yet.
+_NEAR = 2.0
+# Touches are kept this part of the time that is left apart, and away from both ends.
+_APART = 1e-4
+# Iterations of the local solver after plain Newton steps: none, but where these lead to nothing.
+_ITERATIONS = (0, 20)
+
+
+class BallHorizon(Horizon):
+    """A task of balls between rigid walls: what has to be known of a plan is its touches.
+
+    Each tick polishes the multi-phase problem of those that are still to come, from the last
+    plan's times. Which these are, a state does not tell for sure: a bounce may come sooner or later
+    than it was planned. So near a touch both are polished, with it and without it, and the cheaper
+    motion is taken; to have a bounce again that has been is dear, and so is to do without one.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        scenario: Scenario,
+        options: PlanOptions,
+        is_receding: bool,
+        period: float,
+    ) -> None:
+        """Compiles the task.
+
+        Args:
+            world: of the balls.
+            scenario: the task.
+            options: of searches.
+            is_receding: whether the horizon always lasts as long as the scenario, or ends with it.
+            period: between ticks [s].
+        """
+        super().__init__(world, scenario, is_receding, scenario.num_steps)
+        self._problem, self._near = make_problem(world, scenario, options), _NEAR * period
+
+    @property
+    def cost_scale(self) -> float:
+        """What the way costs from rest, without a wall."""
+        return self._problem.transcription.cost_scale()
+
+    def is_inside(self, x: Floats) -> bool:
+        """Returns whether a wall is touched: how fast a ball is there, no rigid wall tells."""
+        return bool(np.any(self.world.calc_clearance(np.split(x, 2)[0]) <= 0))
+
+    def _pose(self, now: float, x: Floats) -> RigidProblem:
+        """Returns the task from a state on."""
+        left = self.end(now) - now
+        changed = dataclasses.replace(
+            self.scenario,
+            initial_position=x[: self.world.num_positions],
+            initial_velocity=x[self.world.num_positions :],
+            duration=left,
+            time_step=left / self._num_steps,
+        )
+        return self._problem.again(changed)
+
+    def advance(self, motion: Motion, now: float, x: Floats) -> Motion | None:
+        """Returns the best polished motion of the touches that may be left; None if none is."""
+        problem, path = self._pose(now, x), self._find_path(motion, now, x)
+        sequences = [each for each in self._find_left(motion, now, x) if problem.fits(each)]
+        for most in _ITERATIONS:
+            tried = [_polish(problem, path, touches, most) for touches in sequences]
+            if found := [each for each in tried if each]:
+                return _move(min(found, key=lambda each: each.cost), now)
+        return None
+
+    @staticmethod
+    def _find_path(motion: Motion, now: float, x: Floats) -> Path:
+        """Returns where a motion goes from now on, from a state."""
+        last = motion.trajectory
+        is_later = last.times > now
+        times = np.append(0.0, last.times[is_later] - now)
+        return times, np.vstack([x[: x.size // 2], last.positions[is_later]])
+
+    def _find_left(self, motion: Motion, now: float, x: Floats) -> Iterator[TouchSequence]:
+        """Yields the touches that may be left, as times from now on."""
+        left = self.end(now) - now
+        coming = [touch for touch in motion.touches if touch.end > now]
+        late = [touch for touch in motion.touches if now - self._near < touch.end <= now]
+        yield _fit(coming, now, left)
+        if coming and coming[0].start < now + self._near:
+            yield _fit(coming[1:], now, left)
+        if late and self._comes_to(late[-1].contact, x):
+            yield _fit([late[-1], *coming], now, left)
+
+    def _comes_to(self, contact: int, x: Floats) -> bool:
+        return bool(self.world.calc_contact_rate(*np.split(x, 2))[contact] < 0)
+
+    def search(self, now: float, x: Floats) -> Motion | None:
+        """Returns the best motion that boxes, neighbors and polishes lead to; None if none."""
+        search = RigidSearch(self._pose(now, x))
+        try:
+            search.run()
+            best = search.find_best()
+        except PlanningError:
+            return None
+        if search.is_interrupted:
+            raise KeyboardInterrupt
+        if not best.is_confirmed:
+            return None
+        touches = tuple(Touch(each.time, each.last_time, each.index) for each in best.contacts)
+        return _move(Motion(best.trajectory, best.cost, touches), now)
+
+
+def _fit(touches: list[Touch], now: float, left: float) -> TouchSequence:
+    """Returns touches as times from now on, in order and apart, of what is left [s]."""
+    least = _APART * left
+    found: list[Touch] = []
+    for touch in touches:
+        start = max(touch.start - now, least + (found[-1].end if found else 0.0))
+        end = max(touch.end - now, start + least) if touch.lasts else start
+        if end < left - least:
+            found.append(Touch(start, end, touch.contact))
+    return tuple(found)
+
+
+def _polish(
+    problem: RigidProblem, path: Path, touches: TouchSequence, max_iterations: int
+) -> Motion | None:
+    """Returns the local optimum with these touches; None if no motion has them, or none is met."""
+    try:
+        solved = problem.follow(path, touches, max_iterations)
+    except (OptionsError, TrajectoryError, UnsupportedTermError):
+        return None
+    if solved is None:
+        return None
+    phases, x = solved
+    return Motion(phases.trajectory(x), problem.cost(phases, x), phases.contact_sequence(x))
+
+
+def _move(motion: Motion, now: float) -> Motion:
+    """Returns a motion from time 0 on as one from now on."""
+    moved = dataclasses.replace(motion.trajectory, times=motion.trajectory.times + now)
+    touches = (Touch(each.start + now, each.end + now, each.contact) for each in motion.touches)
+    return Motion(moved, motion.cost, tuple(touches))

@@ -1,0 +1,124 @@
+"""The best motion from where a mechanism is, between walls that yield."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from drake_aigto.arrays import Floats
+from drake_aigto.control.horizon import OVER, Horizon
+from drake_aigto.control.motion import Motion
+from drake_aigto.planning import MechanismOptions, MechanismProblem, MechanismSearch
+from drake_aigto.shooting import ShootingOptions, ShootingResult, Smoothing
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription import Touch
+from drake_aigto.world import Scenario, World
+
+# A tick descends on walls that are smoothed by this part of the task's length: about how far off
+# an estimate is that is worth to be planned from.
+_SMOOTHING = 1e-3
+# Where nothing promises more than this part of the cost, a tick ends before its iterations do.
+_TOLERANCE = 1e-4
+_SUBSTEPS = 4
+# What a search finds is led so near to its optimum, before it is compared.
+_FOUND = Smoothing(_SMOOTHING, 60, _TOLERANCE)
+
+
+class MechanismHorizon(Horizon):
+    """A task of a mechanism between walls that yield, or of one that touches nothing.
+
+    There a motion is all that has to be known of a plan, and a few iterations of the descent lead
+    from the last one to the next (`ShootingProblem`).
+    """
+
+    def __init__(
+        self,
+        world: World,
+        scenario: Scenario,
+        options: MechanismOptions,
+        is_receding: bool,
+        iterations: int,
+    ) -> None:
+        """Takes the planner's world, task and options.
+
+        Args:
+            world: the mechanism.
+            scenario: the task.
+            options: of searches.
+            is_receding: whether the horizon always lasts as long as the scenario, or ends with it.
+            iterations: of the descent in a tick, at most.
+        """
+        self._problem = MechanismProblem(world, scenario, options)
+        super().__init__(world, scenario, is_receding, self._problem.search_steps)
+        self._task = self._problem.shooting(self._num_steps)
+        rungs = (Smoothing(_SMOOTHING, iterations, _TOLERANCE),)
+        self._options = ShootingOptions(rungs, _SUBSTEPS, order=2, multiplier_updates=1)
+
+    @property
+    def cost_scale(self) -> float:
+        """What the task costs where all is off by its scale."""
+        return self._problem.scales.cost
+
+    def is_inside(self, x: Floats) -> bool:
+        """Returns False: walls that yield may be planned in."""
+        return False
+
+    def advance(self, motion: Motion, now: float, x: Floats) -> Motion | None:
+        """Returns what a few iterations make of what is left of a motion, whose gaps they close.
+
+        Its knots stay where they are, so that the motion stays what it was. Where the horizon
+        recedes, as many as are over come at its end, with the last control and state.
+        """
+        if now >= motion.trajectory.times[-1]:  # Nobody was told for that long.
+            motion = self.rest(now, x)
+        last = motion.trajectory
+        k = int(np.searchsorted(last.times, now + OVER * self._step, side="right")) - 1
+        added = k if self.is_receding else 0
+        ahead = last.times[-1] + self._step * np.arange(1, added + 1)
+        states = np.hstack([last.positions, last.velocities])
+        return self._descend(
+            times=np.concatenate([[now], last.times[k + 1 :], ahead]),
+            states=np.vstack([x, states[k + 1 :], *[states[-1:]] * added]),
+            controls=np.vstack([last.controls[k:], *[last.controls[-1:]] * added]),
+            options=self._options,
+        )
+
+    def _descend(
+        self, times: Floats, states: Floats, controls: Floats, options: ShootingOptions
+    ) -> Motion | None:
+        task = dataclasses.replace(self._task, times=times, start=states[0])
+        return self._read(task.solve(controls, states, options))
+
+    def _read(self, found: ShootingResult) -> Motion | None:
+        """Returns a result as a motion; None if it leads nowhere."""
+        if not (np.isfinite(found.cost) and np.all(np.isfinite(found.states))):
+            return None
+        q, v = np.split(found.states, 2, axis=1)
+        none = np.zeros((len(q), self.world.num_contacts))
+        motion = Trajectory(found.times, q, v, found.controls, none, none[1:])
+        inside = self.world.calc_signed_distance(q) <= 0
+        comes = inside & ~np.vstack([np.zeros_like(inside[:1]), inside[:-1]])
+        touches = (Touch.bounce(found.times[k], int(i)) for k, i in np.argwhere(comes))
+        return Motion(motion, found.cost, tuple(touches))
+
+    def search(self, now: float, x: Floats) -> Motion | None:
+        """Returns the best motion that boxes and renewals find from a state; None if none."""
+        # No plan may start beyond its bounds, where an estimate may be.
+        bounds, (q, v) = self._problem.bounds, np.split(x, 2)
+        left = self.end(now) - now
+        scenario = dataclasses.replace(
+            self.scenario,
+            initial_position=np.clip(q, *bounds.position),
+            initial_velocity=np.clip(v, *bounds.velocity),
+            duration=left,
+            time_step=left / self.scenario.num_steps,
+        )
+        search = MechanismSearch(self._problem.again(scenario))
+        search.explore()
+        if not search.motions:
+            return None
+        found = search.motions[0].result
+        states = np.vstack([x, found.states[1:]])
+        options = dataclasses.replace(self._options, rungs=(_FOUND,))
+        return self._descend(now + found.times, states, found.controls, options)
