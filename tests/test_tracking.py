@@ -26,7 +26,9 @@ from drake_aigto import (
     TrajectoryError,
     World,
 )
-from drake_aigto.control import KnotFeedback
+from drake_aigto.control import Disturbance, KnotFeedback, PhaseFeedback, run_in_loop
+from drake_aigto.control.flights import split_flights
+from drake_aigto.control.phase_feedback import Sweep
 from drake_aigto.planning import MechanismProblem
 from drake_aigto.simulation import make_simulator, replay_drake
 from drake_aigto.trajectory import Trajectory
@@ -164,3 +166,49 @@ def test_gains_that_know_of_no_impact_are_not_used_at_one() -> None:
     trajectory = Trajectory(np.linspace(0, 1, 5), none, none, none[1:], push, none[1:])
     with pytest.raises(TrajectoryError, match=r"hits a rigid wall at 0\.500 s"):
         KnotFeedback(World.from_scenario(scenario), scenario, trajectory)
+
+
+def test_a_mechanism_that_bounces_is_brought_back_to_its_plan() -> None:
+    options = MechanismOptions(renewals=0, confirm=False)
+    swing = Planner(Scenario.named("pendulum/off_the_wall"), options).plan()
+    world, scenario = swing.find_world(), swing.scenario
+    assert isinstance(TrackingController(swing).feedback, PhaseFeedback)
+    assert len(swing.best.contacts) == 1 and not world.has_constant_inertia
+    control = swing.trajectory.times, swing.trajectory.controls
+    for off in (0.1, -0.1):
+        open_loop = replay_drake(world, move(scenario, np.array([off])), *control)
+        moved = Disturbance(start_offset=np.array([off]))
+        run = run_in_loop(TrackingController(swing), scenario, world, moved)
+        # It bounces early or late, and each phase goes on until then.
+        assert abs(run.replay.bounce_times[0] - swing.best.contacts[0].time) > 5e-3
+        assert run.replay.goal_error < 0.05 * open_loop.goal_error
+    x, bounces = track(swing, np.array([off]), feels=False)
+    assert bounces[0] == 1
+    assert x[0] == pytest.approx(run.replay.positions[-1, 0], abs=2e-3)
+
+
+def test_a_bounce_does_to_deviations_what_it_does_to_balls() -> None:
+    found = make_plan("table1/1")
+    world, scenario, trajectory = found.find_world(), found.scenario, found.trajectory
+    (bounce,) = split_flights(world, scenario, trajectory)[1]
+    k = int(np.searchsorted(trajectory.times, bounce.time))
+    saltation = Sweep(world, scenario, trajectory).calc_saltation(k)
+    np.testing.assert_allclose(saltation, bounce.saltation, atol=1e-8)
+
+
+def test_gains_of_phases_are_those_of_the_discrete_riccati_equation() -> None:
+    weights: dict[str, Any] = {
+        "control_weight": 0.1,
+        "goal_weight": 20.0,
+        "goal_velocity_weight": 2.0,
+    }
+    weights |= {"position_weight": 0.0, "velocity_weight": 0.0}
+    scenario = Scenario(
+        initial_position=0.9, initial_velocity=0.0, goal_position=1.0, duration=0.8, time_step=0.1
+    )
+    scenario = dataclasses.replace(scenario, **weights)
+    none = np.zeros((9, 1))
+    still = Trajectory(np.linspace(0, 0.8, 9), none, none, none[1:], none, none[1:])
+    (phase,) = Sweep(drop_ball(), scenario, still).run([])
+    expected = solve_riccati(0.1, 8, 2.0, weights)
+    np.testing.assert_allclose(phase.gains, expected, rtol=1e-6)

@@ -7,11 +7,12 @@ from drake_aigto.control.feedback import (
     FlightFeedback,
     KnotFeedback,
     Tracked,
-    make_feedback,
     track_drake,
     track_event_driven,
 )
+from drake_aigto.control.laws import make_feedback
 from drake_aigto.control.loop_run import ClosedLoopRun, PlannedPath, PlanSwitch
+from drake_aigto.control.phase_feedback import PhaseFeedback
 from drake_aigto.control.predictive import ModelPredictiveController, TickStatus
 from drake_aigto.control.tracking import TrackingController
 
@@ -22,6 +23,7 @@ __all__ = [
     "FlightFeedback",
     "KnotFeedback",
     "ModelPredictiveController",
+    "PhaseFeedback",
     "PlanSwitch",
     "PlannedPath",
     "TickStatus",

@@ -18,7 +18,7 @@ from pydrake.trajectories import Trajectory as DrakeTrajectory
 from drake_aigto.arrays import Floats
 from drake_aigto.control.flights import Bounce, Flight, split_flights
 from drake_aigto.errors import TrajectoryError
-from drake_aigto.planning import MechanismOptions, MechanismProblem, needs_shooting
+from drake_aigto.planning import MechanismOptions, MechanismProblem
 from drake_aigto.simulation.compliance import calc_compliance_error
 from drake_aigto.simulation.compliant_wall import simulate_compliant_wall
 from drake_aigto.simulation.controller import Controller, Held
@@ -135,8 +135,8 @@ class KnotFeedback(Feedback):
         """Computes the gains.
 
         Raises:
-            TrajectoryError: it touches rigid walls: gains that know of impacts are those of balls
-                only (`FlightFeedback`); or it does not fit the world.
+            TrajectoryError: it touches rigid walls, whose impacts `PhaseFeedback` knows; or it does
+                not fit the world.
         """
         _check_knots(world, scenario, trajectory)
         self.trajectory = trajectory
@@ -183,7 +183,7 @@ def _check_knots(world: World, scenario: Scenario, trajectory: Trajectory) -> No
             "contacts of a plan to track",
             got=f"a mechanism that hits a rigid wall at {trajectory.times[touches[0]]:.3f} s",
             expected="walls that yield, or no touch",
-            remedy='Plan with contact="compliant", or track balls between rigid walls.',
+            remedy="Take PhaseFeedback.",
         )
 
 
@@ -242,16 +242,6 @@ def _make_flight_system(world: World) -> Any:
         dynamics=np.concatenate([world.velocities, acceleration]),
         output=world.positions,
     )
-
-
-def make_feedback(world: World, scenario: Scenario, trajectory: Trajectory) -> Feedback:
-    """Returns the law that fits a plan: by flights for AIGTO's tasks of balls, else by knots.
-
-    Raises:
-        TrajectoryError: neither knows its contacts.
-    """
-    law = KnotFeedback if needs_shooting(world, scenario) else FlightFeedback
-    return law(world, scenario, trajectory)
 
 
 @dataclass(frozen=True)

@@ -77,7 +77,7 @@ def split_flights(
     Raises:
         TrajectoryError: it does not fit the world, or has contacts other than bounces one by one.
     """
-    _check(world, trajectory)
+    check_bounces(world, trajectory)
     joints = [int(k) for k in np.flatnonzero(trajectory.impulses[:-1].any(axis=1))]
     ends = [0, *joints, len(trajectory.times) - 1]
     flights = [
@@ -87,8 +87,12 @@ def split_flights(
     return tuple(flights), tuple(bounces)
 
 
-def _check(world: World, trajectory: Trajectory) -> None:
-    """Refuses what is not bounces one by one."""
+def check_bounces(world: World, trajectory: Trajectory) -> None:
+    """Refuses what is not bounces one by one.
+
+    Raises:
+        TrajectoryError: says which contact is something else, or what does not fit the world.
+    """
     sizes = world.num_positions, world.num_actuators, world.num_contacts
     got = tuple(
         each.shape[1] for each in (trajectory.positions, trajectory.controls, trajectory.impulses)
@@ -109,7 +113,7 @@ def _check(world: World, trajectory: Trajectory) -> None:
     several = np.flatnonzero(np.count_nonzero(impulses, axis=1) > 1)
     if several.size:
         raise _refuse(f"several at once, at {times[several[0]]:.3f} s", remedy)
-    speeds = trajectory.velocities[:-1] @ world.constant_inertia.jacobian.T
+    speeds = world.calc_contact_rate(trajectory.positions[:-1], trajectory.velocities[:-1])
     slowest = -_GRAZE * float(np.max(np.linalg.norm(trajectory.velocities, axis=1)))
     grazes = np.flatnonzero(((impulses != 0) & (speeds >= slowest)).any(axis=1))
     if grazes.size:

@@ -17,11 +17,14 @@ from pydrake.systems.framework import (
 )
 
 from drake_aigto.arrays import Bools, Floats
-from drake_aigto.control.feedback import make_feedback
+from drake_aigto.control.laws import make_feedback
 from drake_aigto.control.ports import check_period, read_start
 from drake_aigto.control.watch import BounceWatch
 from drake_aigto.planning import Plan
 from drake_aigto.world import World
+
+# A period of what happens once [s]; and how near to a sample is the same, as a part of the period.
+_ONCE, _SAME = 1e12, 1e-6
 
 
 class _Groups(NamedTuple):
@@ -40,15 +43,17 @@ class TrackingController(LeafSystem):
         builder.Connect(plant.get_state_output_port(), controller.get_input_port(0))
         builder.Connect(controller.get_output_port(0), plant.get_actuation_input_port())
 
-    Between rigid walls the plan of a ball has flights, each with its own gains, and the next one
-    begins when the ball bounces (`FlightFeedback`). Plans of mechanisms between walls that yield,
-    or that touch nothing, have gains at knots (`KnotFeedback`).
+    Between rigid walls a plan has flights, each with its own gains, and the next one begins when
+    the ball or the mechanism bounces (`FlightFeedback`, `PhaseFeedback`). Plans of mechanisms
+    between walls that yield, or that touch nothing, have gains at knots (`KnotFeedback`).
 
     A bounce is over when a ball leaves a wall that it has touched, with J_i v > 0. Touches are
     *felt*, at every step of the simulation, where the plant's contact results are connected; the
     control is sampled as soon as they are over. Else they are *inferred* from samples: φ_i ≤ 0, or
     it would have come to that since the last one (`BounceWatch.reaches`). The first sample in a
     touched wall changes nothing, for no plan says how fast a ball is there.
+
+    Samples are taken at the plan's own knots as well, where its control changes.
 
     A state that is not finite changes nothing either: no NaN leaves a port.
 
@@ -72,8 +77,7 @@ class TrackingController(LeafSystem):
 
         Raises:
             ModelError: from `Plan.find_world`.
-            TrajectoryError: no feedback is known for its contacts (`FlightFeedback`,
-                `KnotFeedback`).
+            TrajectoryError: no feedback is known for its contacts (`make_feedback`).
             ControlError: the period is not a number above zero.
         """
         super().__init__()
@@ -88,6 +92,8 @@ class TrackingController(LeafSystem):
         self._groups = _Groups(*map(self.DeclareDiscreteState, (nu, m, m, 1 + 2 * n)))
         self.DeclareInitializationDiscreteUpdateEvent(self._start)
         self.DeclarePeriodicDiscreteUpdateEvent(self.period, 0.0, self._sample)
+        for knot in _find_between(plan.trajectory.times, self.period):
+            self.DeclarePeriodicDiscreteUpdateEvent(_ONCE, knot, self._sample)
         self.DeclarePerStepDiscreteUpdateEvent(self._step)
         state = self.discrete_state_ticket
         control = {state(self._groups.control)}
@@ -175,6 +181,13 @@ class TrackingController(LeafSystem):
     def _write_state(self, context: Context, output: BasicVector) -> None:
         bounces = _list_bounces(self._read(context, self._groups.bounces))
         output.SetFromVector(self.feedback.find_state(context.get_time(), bounces))
+
+
+def _find_between(knots: Floats, period: float) -> list[float]:
+    """Returns the knots that are no samples already, but for the last [s]."""
+    inside = knots[:-1]
+    off = np.abs(inside - period * np.round(inside / period))
+    return [float(knot) for knot in inside[off > _SAME * period]]
 
 
 def _list_bounces(counts: Floats) -> list[int]:
