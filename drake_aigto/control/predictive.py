@@ -19,9 +19,9 @@ from drake_aigto.control.ports import check_period, read_start
 from drake_aigto.errors import ControlError
 from drake_aigto.planning import Planner
 
-# A plan that costs by so much more than the one before, in parts of that one, met a surprise; and
-# not if that is less than this part of the task's scale.
-_SURPRISE, _NOTHING = 0.5, 1e-3
+# A plan that costs more than the one before met no surprise if that is less than this part of the
+# task's scale.
+_NOTHING = 1e-3
 
 
 @dataclass(frozen=True)
@@ -78,8 +78,8 @@ class ModelPredictiveController(LeafSystem):
     Each tick is *warm*: the last plan, shifted, is led to the best one near it from the new state,
     by a few iterations of the descent, or of balls between rigid walls by Newton's on the phases
     between touches. Every `search_every` ticks, and where a plan costs half as much again as the
-    one before, the planner *searches* for another contact sequence as well; it is taken if it costs
-    less by a margin. Work is bounded by counts: runs are the same again.
+    one before (`surprise`), the planner *searches* for another contact sequence as well; it is
+    taken if it costs less by a margin. Work is bounded by counts: runs are the same again.
 
     A state that is not finite, one inside of a rigid wall, or one from which no motion is found,
     leaves the last plan as it is, and its control goes on. So it does at the end of a horizon that
@@ -101,6 +101,7 @@ class ModelPredictiveController(LeafSystem):
         iterations: int = 5,
         search_every: int | None = None,
         margin: float = 0.02,
+        surprise: float = 0.5,
     ) -> None:
         """Takes the planner's task; its start does not count.
 
@@ -110,9 +111,11 @@ class ModelPredictiveController(LeafSystem):
             period: between ticks [s].
             horizon: whether it always lasts as long as the scenario's duration, or ends with it.
             iterations: of the descent in a tick, at most; balls between rigid walls have none.
-            search_every: ticks from one search to the next; None: only at the start, and where
-                costs rise. What a search takes is in the planner's options.
+            search_every: ticks from one search to the next; None: only at the start, and after a
+                surprise. What a search takes is in the planner's options.
             margin: what another sequence has to be better by, as a share of the cost.
+            surprise: by how much more than the one before a plan may cost, as a share of that,
+                before there is a search; infinite: any.
 
         Raises:
             ControlError: a mechanism between rigid walls, a free duration, or something that was
@@ -124,10 +127,12 @@ class ModelPredictiveController(LeafSystem):
                 raise ControlError(name, got=value, expected="a count of at least 1")
         if horizon not in ("receding", "shrinking"):
             raise ControlError("horizon", got=horizon, expected="'receding' or 'shrinking'")
-        if not 0 <= margin < np.inf:
-            raise ControlError("margin", got=margin, expected="a number of at least 0")
+        for name, share in (("margin", margin), ("surprise", surprise)):
+            if not (isinstance(share, int | float) and share >= 0):
+                raise ControlError(name, got=share, expected="a number of at least 0")
         self.period = check_period(period)
-        self._world, self._every, self._margin = planner.world, search_every, margin
+        self._world, self._every = planner.world, search_every
+        self._margin, self._surprise = margin, surprise
         self._horizon: Horizon = make_horizon(
             planner, horizon == "receding", iterations, self.period
         )
@@ -209,7 +214,7 @@ class ModelPredictiveController(LeafSystem):
 
     def _calc_surprise(self, cost: float) -> float:
         """Returns by how much a plan costs more than the one before, if it met a surprise."""
-        return _SURPRISE * cost + _NOTHING * self._horizon.cost_scale
+        return self._surprise * cost + _NOTHING * self._horizon.cost_scale
 
     def _keep(
         self, state: State, choice: _Choice, now: float, seconds: float, tick: int
