@@ -1,12 +1,16 @@
-"""A cart-pole between soft walls in the loop: other masses and walls, noise, and a kick.
+"""Plans in the loop on plants that are not their models: five methods on the same disturbances.
 
-    python -m benchmarks.in_the_loop [--count 100] [--seed 2026]
+    python -m benchmarks.in_the_loop [table1/1 corridor/three_bounces …] [--count 100] [--seed 2026]
 
-The plan for `cart_pole/soft_06` on plants whose two masses and two walls are off by up to 10 %
-each, whose state is told with noise every 10 ms, and that are kicked once, in Drake's Simulator,
-until the scenario ends. Methods: the plan's control alone, `TrackingController`,
-`ModelPredictiveController` without and with searches every 100 ms, and the latter on the true
-plant's own model without noise, which is the yardstick. Costs are integrated along what happened.
+Masses, walls and restitution are off by up to 10 % (a wall, of how far the start is from the
+nearest), the state is told with noise every 10 ms, and what moves is kicked once, so that another
+contact sequence may become the best. Plants run in Drake's Simulator, with Drake's own contact,
+until the scenario ends; costs are those of what happened.
+
+Methods: the plan's control alone; `TrackingController`, LQR between bounces; and
+`ModelPredictiveController`, warm without searches, warm with one every 100 ms and after surprises,
+and the latter with the true plant for its model and no noise: that is the yardstick, which does not
+know of the kick before it comes.
 """
 
 from __future__ import annotations
@@ -16,239 +20,201 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
+import dataclasses
+import re
 import sys
 import tempfile
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
-from pydrake.systems.analysis import Simulator
-from pydrake.systems.framework import DiagramBuilder, LeafSystem, OutputPort
-from pydrake.systems.primitives import (
-    Adder,
-    LogVectorOutput,
-    TrajectorySource,
-)
-from pydrake.trajectories import PiecewisePolynomial
+from pydrake.systems.framework import DiagramBuilder
 
 from benchmarks.measure import Spread
 from drake_aigto import (
+    AigtoError,
     MechanismOptions,
     ModelPredictiveController,
     Plan,
     Planner,
+    PlanOptions,
     Scenario,
     TrackingController,
     World,
 )
-from drake_aigto.control import TickStatus
-from drake_aigto.world import TaskCost, package_map
+from drake_aigto.arrays import Floats
+from drake_aigto.control import ClosedLoopRun, Disturbance, run_in_loop
+from drake_aigto.planning import needs_shooting
+from drake_aigto.simulation.controller import Held
+from drake_aigto.world import Scales, package_map
 from drake_aigto.world.files import find_model
 
-SCENARIO = "cart_pole/soft_06"
+SCENARIOS = (
+    "table1/1",
+    "corridor/three_bounces",
+    "room/bank_shot",
+    "floor/rebound",
+    "cart_pole/soft_06",
+)
 PERIOD = 0.01  # [s]
-OFF = 0.1  # Masses and walls are off by up to this part.
-NOISE = np.array([2e-3, 5e-3, 1e-2, 3e-2])  # standard deviations of what is told [m, rad, 1/s]
-KICK = np.array([0.3, 1.5])  # standard deviations of the kick [m/s, rad/s]
+OFF = 0.1  # Masses, walls and restitution are off by up to this part.
+# Standard deviations of what is told, and of the kick, in the task's lengths and velocities.
+NOISE, KICK = 1e-3, 0.5
 SEARCH_EVERY = 10  # ticks
-_LONGEST = 10.0  # of a scenario [s]
-OPTIONS = MechanismOptions(renewals=24, search_steps=30)
+BALLS = PlanOptions(branches=0, finalists=1, threads=1)
+MECHANISMS = MechanismOptions(renewals=24, search_steps=30)
 BEST = "knows the truth"
+_CART_POLE = "package://drake_aigto_models/cart_pole.sdf"
 
 
-@dataclass(frozen=True)
-class Truth:
-    """What a plan does not know.
+class _Blind(TrackingController):
+    """A plan's control alone, in the ports of what tracks it."""
 
-    Attributes:
-        masses: of cart and pole [kg].
-        walls: where the left and the right one are [m].
-        kick_time: when both velocities jump [s].
-        kick: by how much.
-        seed: of the noise.
-    """
+    def __init__(self, plan: Plan, period: float) -> None:
+        super().__init__(plan, period=period)
+        self.feedback: Any = self
+        self._control = plan.trajectory.to_piecewise()[1]
 
-    masses: tuple[float, float]
-    walls: tuple[float, float]
-    kick_time: float
-    kick: Any
-    seed: int
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, duration: float) -> Truth:
-        """Returns one by chance."""
-        factors = 1 + rng.uniform(-OFF, OFF, 4)
-        return cls(
-            masses=(1.0 * factors[0], 0.1 * factors[1]),
-            walls=(-0.6 * factors[2], 0.6 * factors[3]),
-            kick_time=float(rng.uniform(0.1, 0.7) * duration),
-            kick=KICK * rng.normal(size=2),
-            seed=int(rng.integers(2**31)),
-        )
+    def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
+        """Returns u(t)."""
+        return Held(self._control.value(time)[:, 0], np.inf)
 
 
-def build_plant(truth: Truth | None, scenario: Scenario) -> tuple[DiagramBuilder, Any]:
-    """Returns a builder with the plant of a truth, or the model's own."""
+def draw(scenario: Scenario, world: World, rng: np.random.Generator) -> Disturbance:
+    """Returns a disturbance by chance."""
+    n, scales = world.num_positions, Scales.of(world, scenario)
+    speed = max(scales.velocity, float(np.linalg.norm(scenario.initial_velocity)))
+    is_rigid = scenario.contact == "rigid"
+    most = min(1 + OFF, 1 / scenario.restitution) if is_rigid else 1.0
+    nearest = float(np.min(world.calc_clearance(scenario.initial_position)))
+    lengths = np.repeat([scales.length, speed], n)
+    return Disturbance(
+        mass_factor=rng.uniform(1 - OFF, 1 + OFF),
+        wall_shift=OFF * nearest * rng.uniform(-1, 1),
+        restitution_factor=rng.uniform(1 - OFF, most) if is_rigid else 1.0,
+        kick=KICK * speed * rng.normal(size=n),
+        kick_time=float(rng.uniform(0.1, 0.7) * scenario.duration),
+        noise=NOISE * lengths,
+        seed=int(rng.integers(2**31)),
+    )
+
+
+def make_true_world(scenario: Scenario, factor: float) -> World:
+    """Returns a shipped model's world with other masses, its walls where they are."""
     builder = DiagramBuilder()
     plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
     parser = Parser(plant)
     parser.package_map().AddMap(package_map())
-    walls = Path(find_model(scenario.model)).read_text(encoding="utf-8")
     with tempfile.TemporaryDirectory() as folder:
-        if truth is not None:
-            walls = _change(walls, truth, Path(folder))
-        parser.AddModelsFromString(walls, "sdf")
+        file = Path(folder) / "cart_pole.sdf"
+        file.write_text(_scale(_read(_CART_POLE), factor), encoding="utf-8")
+        text = _scale(_read(scenario.model), factor).replace(_CART_POLE, file.as_uri())
+        parser.AddModelsFromString(text, "sdf")
     plant.Finalize()
-    return builder, plant
+    builder.ExportInput(plant.get_actuation_input_port(), "actuation")
+    return World.from_diagram(builder.Build())
 
 
-def _change(walls: str, truth: Truth, folder: Path) -> str:
-    """Returns the model of a truth, whose cart-pole is in a file of the folder."""
-    uri = "package://drake_aigto_models/cart_pole.sdf"
-    robot = Path(find_model(uri)).read_text(encoding="utf-8")
-    changes = {
-        "<mass>1.0</mass>": f"<mass>{truth.masses[0]}</mass>",
-        "<mass>0.1</mass>": f"<mass>{truth.masses[1]}</mass>",
-    }
-    file = folder / "cart_pole.sdf"
-    file.write_text(_replace(robot, changes), encoding="utf-8")
-    radius = 0.04
-    changes = {
-        uri: file.as_uri(),
-        "<pose>-0.64 0 0 0 0 0</pose>": f"<pose>{truth.walls[0] - radius} 0 0 0 0 0</pose>",
-        "<pose>0.64 0 0 0 0 0</pose>": f"<pose>{truth.walls[1] + radius} 0 0 0 0 0</pose>",
-    }
-    return _replace(walls, changes)
+def _read(model: str) -> str:
+    return Path(find_model(model)).read_text(encoding="utf-8")
 
 
-def _replace(text: str, changes: dict[str, str]) -> str:
-    for old, new in changes.items():
-        if old not in text:
-            raise LookupError(f"the model has no {old}")
-        text = text.replace(old, new)
-    return text
+def _scale(text: str, factor: float) -> str:
+    """Returns a model with other masses; bodies that turn are point masses."""
+    return re.sub(
+        r"<mass>([\d.e+-]+)</mass>", lambda mass: f"<mass>{factor * float(mass[1])!r}</mass>", text
+    )
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """A run.
-
-    Attributes:
-        cost: J of what happened.
-        seconds: of wall time, of each tick that planned after the first.
-        switches: how often another plan was taken.
-    """
-
-    cost: float
-    seconds: tuple[float, ...]
-    switches: int
-
-
-def run(controller: LeafSystem, truth: Truth, scenario: Scenario, is_noisy: bool) -> Outcome:
-    """Returns what a controller makes of a truth."""
-    builder, plant = build_plant(truth, scenario)
-    builder.AddSystem(controller)
-    if controller.num_input_ports():
-        state = plant.get_state_output_port()
-        told = _add_noise(builder, state, truth) if is_noisy else state
-        builder.Connect(told, controller.get_input_port(0))
-    control = controller.get_output_port(0)
-    builder.Connect(control, plant.get_actuation_input_port())
-    logs = [LogVectorOutput(port, builder) for port in (plant.get_state_output_port(), control)]
-    simulator = Simulator(builder.Build())
-    simulator.get_mutable_integrator().set_maximum_step_size(PERIOD / 4)
-    root = simulator.get_mutable_context()
-    context = plant.GetMyMutableContextFromRoot(root)
-    start = scenario.initial_position, scenario.initial_velocity
-    plant.SetPositionsAndVelocities(context, np.concatenate(start))
-    statuses: dict[float, TickStatus] = {}
-
-    def watch(root: Any) -> None:
-        if isinstance(controller, ModelPredictiveController):
-            port = controller.GetOutputPort("status")
-            status = port.Eval(controller.GetMyContextFromRoot(root))
-            statuses[status.time] = status
-
-    simulator.set_monitor(watch)
-    simulator.AdvanceTo(truth.kick_time)
-    plant.SetVelocities(context, plant.GetVelocities(context) + truth.kick)
-    simulator.AdvanceTo(scenario.duration)
-    ticks = list(statuses.values())[1:]
-    switches = sum(tick.reason.startswith("switched") for tick in ticks)
-    cost = _calc_cost(plant, scenario, *(log.FindLog(root) for log in logs))
-    return Outcome(cost, tuple(tick.seconds for tick in ticks), switches)
-
-
-def _add_noise(builder: DiagramBuilder, state: OutputPort, truth: Truth) -> OutputPort:
-    """Returns the port of a state with noise, another one every period."""
-    times = np.arange(0.0, _LONGEST, PERIOD)
-    noise = NOISE * np.random.default_rng(truth.seed).normal(size=(len(times), len(NOISE)))
-    held = PiecewisePolynomial.ZeroOrderHold(times, noise.T)
-    source, adder = builder.AddSystem(TrajectorySource(held)), builder.AddSystem(Adder(2, 4))
-    builder.Connect(source.get_output_port(), adder.get_input_port(0))
-    builder.Connect(state, adder.get_input_port(1))
-    return adder.get_output_port()
-
-
-def _calc_cost(plant: Any, scenario: Scenario, states: Any, controls: Any) -> float:
-    """Returns J along what was logged, which is every step."""
-    task, times = TaskCost.of(World.from_scenario(scenario), scenario), states.sample_times()
-    q, v = np.split(states.data().T, 2, axis=1)
-    rates = task.running(times, q, v, controls.data().T)
-    return float(np.trapezoid(rates, times) + task.final(q[-1], v[-1]))
-
-
-def make_controllers(plan: Plan, planner: Planner, truth: Truth) -> dict[str, LeafSystem]:
-    """Returns the methods' controllers."""
-    true = World.from_diagram(build_plant(truth, planner.scenario)[0].Build())
+def make_controllers(
+    plan: Plan, planner: Planner, disturbance: Disturbance
+) -> Iterator[tuple[str, Any, Disturbance]]:
+    """Yields the methods' controllers, and what disturbs each."""
+    yield "open loop", _Blind(plan, PERIOD), disturbance
+    yield "tracking", TrackingController(plan, period=PERIOD), disturbance
     again: dict[str, Any] = {"period": PERIOD, "horizon": "shrinking"}
-    search = {**again, "search_every": SEARCH_EVERY}
-    return {
-        "open loop": TrajectorySource(plan.trajectory.to_piecewise()[1]),
-        "tracking": TrackingController(plan, period=PERIOD),
-        "warm": ModelPredictiveController(planner, **again),
-        "warm, search": ModelPredictiveController(planner, **search),
-        BEST: ModelPredictiveController(Planner(planner.scenario, OPTIONS, true), **search),
-    }
+    warm = ModelPredictiveController(planner, **again, surprise=np.inf)
+    yield "warm", warm, disturbance
+    search = ModelPredictiveController(planner, **again, search_every=SEARCH_EVERY)
+    yield "warm, search", search, disturbance
+    world = make_true_world(planner.scenario, disturbance.mass_factor)
+    true = Planner(*_swap(disturbance.apply(world, planner.scenario), planner.options))
+    silent = dataclasses.replace(disturbance, noise=np.empty(0))
+    yield BEST, ModelPredictiveController(true, **again, search_every=SEARCH_EVERY), silent
 
 
-def report(outcomes: dict[str, list[Outcome]]) -> str:
+def _swap(true: tuple[World, Scenario], options: Any) -> tuple[Scenario, Any, World]:
+    return true[1], options, true[0]
+
+
+def report(name: str, runs: dict[str, list[ClosedLoopRun]]) -> str:
     """Returns a table: costs above those of the one that knows, and how long ticks take."""
-    known = np.array([each.cost for each in outcomes[BEST]])
-    lines = [f"{'method':<16} mean above  median (quartiles)      switches  ms a tick, 99 %"]
-    for name, runs in outcomes.items():
-        above = np.array([each.cost for each in runs]) - known
+    known = np.array([each.cost for each in runs[BEST]])
+    lines = [
+        f"{name}: {len(known)} disturbances; {BEST!r} costs {known.mean():.3g} in the mean",
+        f"{'method':<16} mean above   median (quartiles)           switches"
+        "  ms a warm tick, 99 %  a search",
+    ]
+    for method, of_method in runs.items():
+        above = np.array([each.cost for each in of_method]) - known
         spread = Spread.of(above)
-        line = f"{name:<16} {above.mean():10.2f}  {spread.median:6.2f}"
-        line += f" ({spread.low:6.2f} … {spread.high:6.2f})"
-        seconds = [second for each in runs for second in each.seconds]
-        if seconds:
-            middle, late = 1e3 * np.percentile(seconds, [50, 99])
-            line += f"  {sum(each.switches for each in runs):8d}  {middle:5.1f} {late:6.1f}"
+        line = f"{method:<16} {above.mean():10.3g}  {spread.median:9.3g}"
+        line += f" ({spread.low:9.3g} … {spread.high:9.3g})"
+        ticks = [tick for each in of_method for tick in each.ticks[1:]]
+        if ticks:
+            line += f"  {sum(tick.has_switched for tick in ticks):6d}"
+            warm = [1e3 * tick.seconds for tick in ticks if tick.reason == "warm"]
+            line += "  {:12.1f} {:6.1f}".format(*np.percentile(warm, [50, 99]))
+            searched = [
+                1e3 * tick.seconds
+                for tick in ticks
+                if tick.has_switched or tick.reason.startswith("warm;")
+            ]
+            line += f"  {np.median(searched):8.1f}" if searched else ""
         lines.append(line)
-    lines.append(f"costs of {BEST!r}: {Spread.of(known).show()}")
     return "\n".join(lines)
 
 
+def run_all(name: str, count: int, seed: int) -> dict[str, list[ClosedLoopRun]]:
+    """Returns the runs of each method on a scenario's disturbances."""
+    scenario = Scenario.named(name)
+    world = World.from_scenario(scenario)
+    options = MECHANISMS if needs_shooting(world, scenario) else BALLS
+    plan, planner = Planner(scenario, None, world).plan(), Planner(scenario, options, world)
+    rng = np.random.default_rng(seed)
+    runs: dict[str, list[ClosedLoopRun]] = {}
+    left_out = 0
+    while len(runs.get(BEST, ())) < count:
+        disturbance = draw(scenario, world, rng)
+        try:
+            made = [
+                (method, run_in_loop(controller, scenario, world, which))
+                for method, controller, which in make_controllers(plan, planner, disturbance)
+            ]
+        except AigtoError as error:
+            left_out += 1
+            print(f"{name}: left out, {error}", file=sys.stderr, flush=True)
+            if left_out > count:
+                raise
+            continue
+        for method, run in made:
+            runs.setdefault(method, []).append(run)
+        print(f"{name}: {len(runs[BEST])} of {count}", file=sys.stderr, flush=True)
+    return runs
+
+
 def main() -> int:
-    """Runs all methods on the same truths, and prints a table."""
+    """Runs all methods on the same disturbances, and prints a table of each scenario."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--count", type=int, default=100, help="of truths")
-    parser.add_argument("--seed", type=int, default=2026, help="of the truths")
+    parser.add_argument("scenarios", nargs="*", default=SCENARIOS, help="of those shipped")
+    parser.add_argument("--count", type=int, default=100, help="of disturbances of each")
+    parser.add_argument("--seed", type=int, default=2026, help="of the disturbances")
     options = parser.parse_args()
-    scenario = Scenario.named(SCENARIO)
-    plan, planner = Planner(scenario).plan(), Planner(scenario, OPTIONS)
-    rng = np.random.default_rng(options.seed)
-    outcomes: dict[str, list[Outcome]] = {}
-    for number in range(options.count):
-        truth = Truth.draw(rng, scenario.duration)
-        for name, controller in make_controllers(plan, planner, truth).items():
-            outcomes.setdefault(name, []).append(run(controller, truth, scenario, name != BEST))
-        print(f"{number + 1} of {options.count}", file=sys.stderr, flush=True)
-    print(report(outcomes))
+    for name in options.scenarios:
+        print(report(name, run_all(name, options.count, options.seed)), flush=True)
     return 0
 
 

@@ -151,6 +151,7 @@ def test_a_state_beyond_its_limits_is_planned_from() -> None:
         ({"iterations": 0}, "^iterations: got 0, expected a count"),
         ({"search_every": 2.5}, "^search_every: got 2.5"),
         ({"margin": -1.0}, "^margin: got -1.0"),
+        ({"surprise": np.nan}, "^surprise: got nan, expected a number of at least 0"),
         ({"horizon": "fixed"}, "^horizon: got fixed, expected 'receding' or 'shrinking'"),
     ],
 )
