@@ -321,14 +321,18 @@ class MechanismProblem:
 
     def idle_candidate(self) -> Candidate:
         """Returns what the world does without any control, for as long as is best."""
+        idle = self.idle_motion
+        return self.judge(Origin(NO_CONTROL), idle, idle)
+
+    @cached_property
+    def idle_motion(self) -> ShootingResult:
+        """What the world does without any control."""
         problem = self.shooting(self.scenario.num_steps)
         none = np.zeros((self.scenario.num_steps, self.world.num_actuators))
         if problem.phases is None:
-            idle = problem.simulate(none, POLISH.substeps)
-        else:
-            nothing = np.tile(np.clip(0.0, *problem.control_bounds), (2, 1))
-            idle = dataclasses.replace(problem, control_bounds=nothing).solve(none, None, POLISH)
-        return self.judge(Origin(NO_CONTROL), idle, idle)
+            return problem.simulate(none, POLISH.substeps)
+        nothing = np.tile(np.clip(0.0, *problem.control_bounds), (2, 1))
+        return dataclasses.replace(problem, control_bounds=nothing).solve(none, None, POLISH)
 
     def confirm(self, candidate: Candidate) -> Replays:
         """Returns the candidate's replays: its own, and Drake's if the options confirm."""

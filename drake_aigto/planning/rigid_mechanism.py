@@ -32,9 +32,9 @@ from drake_aigto.shooting import (
     ShootingResult,
     Smoothing,
 )
-from drake_aigto.simulation.replay import Replay
+from drake_aigto.simulation.replay import Replay, replay_event_driven
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import TouchSequence
+from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.transcription.rows import INTEGRATION, RESTITUTION
 from drake_aigto.world import Scenario, World
 
@@ -108,6 +108,20 @@ class RigidMechanismProblem(MechanismProblem):
             added = dip.as_touch(self.lasting)
             touches = tuple(sorted((*motion.touches, added), key=lambda touch: touch.start))
         return min(tried, key=self.rank)
+
+    @cached_property
+    def coasting(self) -> TouchSequence:
+        """The touches that the world has without any control; what lasts does till the next."""
+        idle = self.idle_motion
+        times = self._end_exactly(idle.times)
+        replay = replay_event_driven(self.world, self.scenario, times, idle.controls)
+        ends = [*replay.bounce_times, float(times[-1])][1:]
+        return tuple(
+            Touch(start, start if self.lasting[contact] else end, contact)
+            for start, end, contact in zip(
+                replay.bounce_times, ends, replay.bounce_contacts, strict=True
+            )
+        )
 
     def tighten(self, motion: ShootingResult) -> ShootingResult:
         """Returns a motion as it is: in phases, few steps err little."""

@@ -12,7 +12,7 @@ import numpy as np
 from drake_aigto.planning.branching import scaled
 from drake_aigto.planning.mechanism_phases import BouncingResult
 from drake_aigto.planning.mechanism_search import Closed, MechanismSearch, Motion, Proposal
-from drake_aigto.planning.origin import ChangeName, Origin
+from drake_aigto.planning.origin import COASTING, ChangeName, Origin
 from drake_aigto.planning.pool import Stopwatch
 from drake_aigto.planning.rigid_mechanism import RigidMechanismProblem
 from drake_aigto.planning.touches import swapped
@@ -23,6 +23,8 @@ from drake_aigto.transcription import Touch, TouchSequence
 # best, and of so many after each wave of proposals: near a wall that is hugged there is no end of
 # sequences.
 _MOST_BRANCHED, _PROMISING, _MOST_BRANCHES = 3, 1.5, 6
+# So many of the touches that coasting has are tried, the first ones.
+_MOST_COASTED = 3
 # Touches that are this near, as a part of the duration, are one and the same, and may be swapped.
 _NEAR = 0.05
 
@@ -45,6 +47,22 @@ class RigidMechanismSearch(MechanismSearch):
         super().__init__(problem, clock)
         self._tried: set[_Key] = set()
         self._branched: set[_Key] = set()
+
+    def _climb(self) -> None:
+        """Closes the centers of all rungs, and motions with the first touches of coasting.
+
+        A fast start touches a wall at once, where boxes and springs are too coarse to tell how.
+        """
+        super()._climb()
+        first = self.problem.coasting[:_MOST_COASTED]
+        sequences = [first[: count + 1] for count in range(len(first))]
+        guess = self.problem.idle_motion
+        self._close_all(
+            [
+                Proposal(Origin(COASTING), partial(self._bounce, touches, guess))
+                for touches in sequences
+            ]
+        )
 
     def _close_all(self, proposals: Sequence[Proposal]) -> None:
         super()._close_all(proposals)
