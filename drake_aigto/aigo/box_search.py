@@ -19,6 +19,7 @@ from drake_aigto.aigo.algorithm import (
 from drake_aigto.aigo.annealing import BoundedAnnealing
 from drake_aigto.aigo.coupling import CouplingGraph
 from drake_aigto.aigo.face_flow import FaceFlow, Pace
+from drake_aigto.aigo.fusion import Fusion
 from drake_aigto.aigo.newton import Objective, bold_newton, newton, point_objective
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.box import BoxPolynomial
@@ -41,6 +42,9 @@ _BOLD_STEPS = 12  # Newton steps of many clusters at once; those that need more 
 _MOST_TERMS = 2e8  # terms evaluated in all that end the search: some five seconds
 _IDLE_TERMS = 2e7  # terms evaluated in rounds without a lower f that end the search: half a second
 _ROUNDING = 1e-9  # an f that is lower by this part of itself or less does not count as lower
+_MIX = 2500  # terms that are evaluated in the time that a mix takes, for each variable
+_MIXED = 4  # points that are mixed: the best one, and what renewals of all variables led to
+_LEAST_SHIFT = -1.5  # of points near the best one: a power of ten, of the first box's half width
 _LONGEST_REST = 7  # turns that a size of clusters is left out after it has failed
 
 
@@ -97,6 +101,11 @@ class BoxSearch:
     are held. They shrink by a fast face flow, a few Newton steps end in a local minimum, and
     each cluster keeps its new values if f is lower for it. Clusters that are not coupled change f
     independently, so that a round tries as many boxes as there are clusters.
+
+    After a renewal of all variables the best point is mixed with where the last three of them led,
+    and then with local minima near it (`Fusion`), which renews clusters of any size at once: around
+    loops, many variables have to change together to leave a minimum. That is left out where terms
+    read more than four variables.
 
     Neither face flow nor annealing is better everywhere: measured, the flow solves the family of
     [5], where annealing's boxes collapse onto the middle, and annealing finds the bounces of
@@ -174,9 +183,11 @@ class _Search:
         self._rng = np.random.default_rng(options.seed)
         self._graph = CouplingGraph.of(f)
         self._candidates: list[LowPoint] = []
+        self._fusion = Fusion.of(f, _MIXED) if f.num_variables > 1 else None
+        self._renewed: list[Floats] = []
         self._best = self._unpolished = self._candidate(box.center, "the middle of the first box")
         self._num_boxes = self._num_steps = self._num_of_all = 0
-        self._num_rounds = 0
+        self._num_rounds = self._num_mixes = 0
 
     def run(self) -> SearchResult:
         """Runs the first algorithms, the rounds, and polishes what they lead to."""
@@ -219,18 +230,22 @@ class _Search:
     def _renew(self) -> None:
         """Runs the rounds, until they no longer lower f."""
         sizes = _Sizes(self._options.cluster_sizes, self._f.num_variables)
-        idle, since = 0, self._num_steps
+        idle, since = 0, self._work
         for number in range(1, self._options.rounds + 1):
             self._num_rounds = number
             improved = self._round(sizes.next(), number)
             sizes.learn(improved)
             idle = 0 if improved else idle + 1
-            since = self._num_steps if improved else since
-            idle_terms = (self._num_steps - since) * self._f.num_terms
-            if idle >= self._options.patience or idle_terms >= _IDLE_TERMS:
+            since = self._work if improved else since
+            if idle >= self._options.patience or self._work - since >= _IDLE_TERMS:
                 return
-            if self._num_steps * self._f.num_terms >= _MOST_TERMS:
+            if self._work >= _MOST_TERMS:
                 return
+
+    @property
+    def _work(self) -> int:
+        """Terms evaluated so far, or what takes as long."""
+        return self._num_steps * self._f.num_terms + self._num_mixes * self._box.free.size * _MIX
 
     def _round(self, size: int, number: int) -> bool:
         """Renews the boxes of clusters of a size; returns whether that lowered f."""
@@ -244,9 +259,38 @@ class _Search:
         z = self._best_of_each(x, y, labels)
         name = f"renewal {number} of up to {size} variables"
         improved = self._offer(z, name)
+        if labels.max() == 0:
+            improved |= self._mix(y, name)
         if self._polish is not None and self._is_polished(size):
             improved |= self._offer(self._polish(y), name + ", polished", is_polished=True)
         return improved
+
+    def _mix(self, y: Floats, name: str) -> bool:
+        """Mixes the best point with where renewals led; returns whether that lowered f.
+
+        Then with minima near it, at a distance by chance: they differ here and there only.
+        """
+        self._renewed = [y, *self._renewed][: _MIXED - 1]
+        if self._fusion is None or len(self._renewed) < _MIXED - 1:
+            return False
+        improved = self._mix_with(self._renewed, name)
+        return self._mix_with([self._near_best() for _ in self._renewed], name) or improved
+
+    def _near_best(self) -> Floats:
+        free, part = self._box.free, 10 ** self._rng.uniform(_LEAST_SHIFT, 0.0)
+        shift = part * self._box.half_width * self._rng.normal(size=free.size)
+        moved = np.clip(self._best.x + shift, self._lower, self._upper)
+        return self._descend(moved, free, together=False)
+
+    def _mix_with(self, others: list[Floats], name: str) -> bool:
+        """Offers the best mix of the best point and others; returns whether it is lower."""
+        assert self._fusion is not None
+        self._num_mixes += 1
+        free = self._box.free
+        mixed = self._fusion.mix([self._best.x, *others], free, self._rng)
+        if np.array_equal(mixed, self._best.x):
+            return False
+        return self._offer(self._descend(mixed, free), f"{name}, mixed")
 
     def _is_polished(self, size: int) -> bool:
         """Returns whether a renewal of this size is one of those that are polished."""
