@@ -31,6 +31,7 @@ ROAD = (
     "aigo",
     "local",
     "shooting",
+    "certify",
     "solver",
     "planning",
     "paper",

@@ -36,6 +36,9 @@ class AigoOptions:
         decades: where variables have no bounds, as many points again are spread beyond the first
             box and polished, up to its half width times 10 to this power; farther, as long as that
             leads to lower ones. 0: none.
+        certify: whether a lower bound of the cost is found too (`drake_aigto.certify`): it ends the
+            search once it proves the answer, and bounds what is searched.
+        cells: the most cells that bounds are taken of.
         presolve: whether variables that an equality defines are substituted.
         seed: of everything random.
     """
@@ -48,6 +51,8 @@ class AigoOptions:
     max_doublings: int = 10
     starts: int = 20
     decades: int = 6
+    certify: bool = False
+    cells: int = 500_000
     presolve: bool = True
     seed: int = 0
 
@@ -65,6 +70,7 @@ class AigoOptions:
             ("max_doublings", 0),
             ("starts", 0),
             ("decades", 0),
+            ("cells", 1),
             ("seed", 0),
         ):
             value = getattr(self, name)

@@ -16,6 +16,7 @@ from pydrake.solvers import (
 )
 
 from drake_aigto.arrays import Floats
+from drake_aigto.certify import Certificate, relative_gap
 from drake_aigto.linear import Storage
 
 # Drake compares ids by identity.
@@ -30,6 +31,7 @@ class AigoStatus(enum.Enum):
         "the best feasible point of the part that was searched, as some variables have no bounds: "
         "the details say which part; bound the variables to have all of it searched"
     )
+    PROVEN = "no feasible point costs less, by 1e-6 of the cost or its scale: it is proven"
     NO_FEASIBLE_POINT = (
         "no box led to a feasible point, which is no proof that there is none: allow more boxes, "
         "give a guess, or bound the variables"
@@ -47,6 +49,7 @@ class AigoStatus(enum.Enum):
 _DRAKE_STATUS = {
     AigoStatus.SOLVED: SolutionResult.kSolutionFound,
     AigoStatus.SOLVED_IN_PART: SolutionResult.kSolutionFound,
+    AigoStatus.PROVEN: SolutionResult.kSolutionFound,
     AigoStatus.NO_FEASIBLE_POINT: SolutionResult.kIterationLimit,
     AigoStatus.INFEASIBLE: SolutionResult.kInfeasibleConstraints,
     AigoStatus.CONTRADICTORY_BOUNDS: SolutionResult.kInfeasibleConstraints,
@@ -73,6 +76,7 @@ class AigoDetails:
         complementarities: how many rows were read as λ s = 0, or λ s ≤ ε, of λ, s ≥ 0, and relaxed.
         ladders: how many ladders of penalties were begun: 0 unless there are complementarities, or
             the program is a long chain of stages.
+        cost: of the answer.
         first_center: of the first box, shape (n,); of what was left out, its value there.
         first_half_width: of the first box, shape (n,); NaN of what was left out.
         searched: lower and upper bounds, shape (n,) each, of the part that points were spread over:
@@ -83,6 +87,7 @@ class AigoDetails:
         box_storage: how Newton systems over boxes were ordered, stored and factorized, and why;
             None where no box was shrunk.
         kkt_storage: the same of the local solver's; None where there was no polish of ours.
+        certificate: what is known of the least cost; None unless the options ask for it.
     """
 
     status: AigoStatus
@@ -101,6 +106,20 @@ class AigoDetails:
     lifted: tuple[str, ...] = ()
     complementarities: int = 0
     ladders: int = 0
+    cost: float = np.inf
+    certificate: Certificate | None = None
+
+    @property
+    def lower_bound(self) -> float:
+        """No feasible point costs less; −∞ where nothing is known."""
+        return self.certificate.lower_bound if self.certificate else -np.inf
+
+    @property
+    def gap(self) -> float:
+        """(cost − lower bound) / max(|cost|, the program's scale); ∞ where nothing is known."""
+        if self.certificate is None:
+            return np.inf
+        return relative_gap(self.cost, self.lower_bound, self.certificate.scale)
 
     @classmethod
     def of_nothing(cls, status: AigoStatus, x: Floats) -> AigoDetails:

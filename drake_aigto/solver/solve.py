@@ -14,6 +14,7 @@ from pydrake.solvers import GetProgramType, ProgramType
 from drake_aigto.aigo import Box, BoxSearch, LowPoint, SearchResult
 from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial
+from drake_aigto.certify import Certificate, relative_gap
 from drake_aigto.linear import Storage
 from drake_aigto.local import InteriorPoint, solve_with_drake
 from drake_aigto.solver.far import Outside
@@ -21,6 +22,7 @@ from drake_aigto.solver.first_box import make_first_box
 from drake_aigto.solver.lagrangian import AugmentedLagrangian
 from drake_aigto.solver.options import AigoOptions
 from drake_aigto.solver.program import AigoProgram
+from drake_aigto.solver.proof import PROVEN, Proof
 from drake_aigto.solver.question import ContradictionError
 from drake_aigto.solver.result import AigoDetails, AigoStatus
 from drake_aigto.solver.staged import StagedProgram, StagedSearch
@@ -90,6 +92,9 @@ class Solve:
             whole = staged.program.reduce(guess)
             self._ladders = StagedSearch(staged, options, whole, self._polish_relaxed)
         ladders = self._ladders if staged.is_beyond_boxes else None
+        self._proof: Proof | None = None
+        if options.certify:
+            self._proof = Proof(program, options.cells, self._polish_cell)
         self._begin(ladders.first if ladders else self._make_first_box())
         self._best: _Answer | None = None
         self._boxes = self._iterations = self._polishes = self._decades = 0
@@ -110,8 +115,10 @@ class Solve:
         """Returns the answer x (n,), its cost, and details."""
         status = None
         try:
-            if not self._search_stages():
-                self._search_boxes()
+            if not self._begin_proof():
+                if not self._search_stages():
+                    self._search_boxes()
+                self._finish_proof()
         except KeyboardInterrupt:
             status = AigoStatus.INTERRUPTED
         except ContradictionError:  # Found by presolve, after ladders were gone up in vain.
@@ -121,6 +128,39 @@ class Solve:
             x = self._program.answer(self._first.center)
             return x, np.inf, AigoDetails.of_nothing(AigoStatus.NOT_FINITE, x)
         return best.x, self._program.cost(best.x), self._details(best, status or self._judge(best))
+
+    def _begin_proof(self) -> bool:
+        """Bounds the cost before the search, if asked to; returns whether that proves an answer."""
+        if self._proof is None:
+            return False
+        self._offer_guess()
+        is_for_boxes = not self._staged.is_beyond_boxes
+        if is_for_boxes:
+            self._polish(self._program.with_slacks(self._first.center), " of the middle")
+        self._tell_proof()
+        self._proof.begin()
+        if is_for_boxes:
+            self._first = self._proof.cut(self._first, self._program)
+        return self._proof.is_over and self._best is not None
+
+    def _finish_proof(self) -> None:
+        if self._proof is not None:
+            self._tell_proof()
+            self._proof.finish()
+
+    def _tell_proof(self) -> None:
+        """Hands the best point on, if it is feasible."""
+        best, proof = self._best, self._proof
+        if proof and best and best.violation <= self._options.feasibility:
+            proof.offer(best.x)
+
+    def _polish_cell(self, x: Floats) -> Floats | None:
+        """Keeps a point x of a cell, and what it is polished to; returns the best if feasible."""
+        self._keep(x, "a cell of the proof")
+        y = self._polish(self._program.with_slacks(self._program.reduce(x)), " of a cell")
+        better = self._program.answer(y)
+        is_feasible = self._program.violation(better) <= self._options.feasibility
+        return better if is_feasible else None
 
     def _search_stages(self) -> bool:
         """Goes up ladders, where that is worth it; returns whether boxes are no longer needed."""
@@ -200,6 +240,7 @@ class Solve:
 
     def _details(self, best: _Answer, status: AigoStatus) -> AigoDetails:
         first, reduced = self._outside.box, self._program.reduced
+        certificate = self._proof.certificate if self._proof else None
         half_width = np.full(reduced.lower.size, np.nan)
         half_width[reduced.kept] = first.half_width
         searched = np.tile([[-np.inf], [np.inf]], reduced.lower.size)
@@ -221,17 +262,27 @@ class Solve:
             widths=tuple(self._widths),
             box_storage=self._box_storage,
             kkt_storage=self._kkt_storage,
+            cost=self._program.cost(best.x),
+            certificate=certificate,
         )
 
     def _judge(self, best: _Answer) -> AigoStatus:
+        found = self._proof.certificate if self._proof else None
         if best.violation > self._options.feasibility:
+            if found and found.is_infeasible:
+                return AigoStatus.INFEASIBLE
             is_proven = not may_be_feasible(self._program.nlp)
             return AigoStatus.INFEASIBLE if is_proven else AigoStatus.NO_FEASIBLE_POINT
         if self._has_fallen() or self._is_outermost(best):
             return AigoStatus.FALLS_WITHOUT_END
+        if found and self._gap(best, found) <= PROVEN:
+            return AigoStatus.PROVEN
         is_convex = GetProgramType(self._program.source) in _CONVEX
         is_whole = is_convex or not np.any(self._outside.is_open)
         return AigoStatus.SOLVED if is_whole else AigoStatus.SOLVED_IN_PART
+
+    def _gap(self, best: _Answer, found: Certificate) -> float:
+        return relative_gap(self._program.cost(best.x), found.lower_bound, found.scale)
 
     def _has_fallen(self) -> bool:
         """Whether the best point is feasible and too far out, or too low, to be a minimum."""

@@ -68,9 +68,10 @@ class AigoSolver(SolverInterface):
     The mean of f over boxes, or with constraints that of its augmented Lagrangian, is minimized
     in closed form while they shrink (AIGTO Sec. II; Labbe & Del Prete 2025); a local solver then
     improves their centers on the true constraints. An answer is called a solution if its
-    constraints hold; that it is the global one is likely, not proven. Where variables have no
-    bounds, points are polished far out too, and the status and `AigoDetails.searched` say how
-    far: `SOLVED_IN_PART`.
+    constraints hold; that it is the global one is likely, not proven, unless
+    `AigoOptions.certify` asks for a lower bound (`AigoDetails.lower_bound`) and the status says so.
+    Where variables have no bounds, points are polished far out too, and the status and
+    `AigoDetails.searched` say how far: `SOLVED_IN_PART`.
     """
 
     def __init__(self, options: AigoOptions | None = None) -> None:

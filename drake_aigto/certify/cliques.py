@@ -1,0 +1,645 @@
+"""Bounds of sums over trees of small cliques: bins of every variable, and dynamic programming.
+
+Let f = Σ_p f_p, each f_p of up to three variables. Every variable's range is cut into bins k about
+points c_k. A function of x_i alone may be moved from one summand to another, so
+
+    f(x) = Σ_p [f_p(x) − Σ_i s_pik (x_i − c_k)] + Σ_i Σ_p s_pik (x_i − c_k),     x_i in bin k,
+
+whatever numbers s are. With s_pik = ∂f_p/∂x_i at c_k and the best neighbors of bin k, no summand
+has a slope where it matters, so that the sum of their minima over a cell is off by what falls with
+its width squared. Dynamic programming along a junction tree adds these minima up: exactly, and for
+every bin the least of all sums with it, its min-marginal (Wainwright & Jordan 2008, "Graphical
+Models, Exponential Families, and Variational Inference", ch. 8). Bins whose min-marginal is above a
+known value of f hold no minimizer, and go; the others are halved.
+"""
+
+from __future__ import annotations
+
+import heapq
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from drake_aigto.arrays import Bools, Floats, Ints
+from drake_aigto.certify.cells import curvatures, expansion_bound, least_linear, least_quadratic
+from drake_aigto.certify.enclosures import GRADIENT, HESSIAN, Scratch, enclose, make_scratch
+from drake_aigto.certify.intervals import down, plus, times, up
+from drake_aigto.certify.tape import Tape
+from drake_aigto.jit import inner, kernel
+
+MOST_VARIABLES = 3  # of a clique
+_FIRST_BINS = 16
+_SWEEPS = 2  # over all bins, before their cells are bounded
+_UNIT = 2.0**-52
+
+
+@dataclass(frozen=True, eq=False)
+class CliqueProgram:
+    """Minimize Σ_p f_p over a box, subject to rows.
+
+    Attributes:
+        tape: formulas of costs and rows. The first n are functions of one variable, x_0 … x_(n−1).
+        variables: those of each formula, at most three.
+        lower_rows: lower bounds of the rows among them; −∞ of costs (F,).
+        upper_rows: upper bounds (F,).
+        is_row: 1 of rows, 0 of costs (F,).
+        lower: bounds of x (n,), finite.
+        upper: shape (n,).
+    """
+
+    tape: Tape
+    variables: tuple[tuple[int, ...], ...]
+    lower_rows: Floats
+    upper_rows: Floats
+    is_row: Ints
+    lower: Floats
+    upper: Floats
+
+
+class _Layout(NamedTuple):
+    """Where a formula's variables, slopes and table are, and its bounds if it is a row."""
+
+    first_variable: Ints
+    variables: Ints
+    first_slope: Ints
+    first_cell: Ints
+    is_row: Ints
+    lower_rows: Floats
+    upper_rows: Floats
+
+
+# Room for formulas of one, two and three variables.
+Scratches = tuple[Scratch, Scratch, Scratch]
+
+
+def make_scratches(tape: Tape) -> Scratches:
+    """Returns room for the formulas of a tape."""
+    return make_scratch(tape, 1), make_scratch(tape, 2), make_scratch(tape, MOST_VARIABLES)
+
+
+class _Bins(NamedTuple):
+    """Bins of all variables, one variable after the other.
+
+    Attributes:
+        starts: first bin of each variable (n + 1,).
+        low: lower ends (K,).
+        high: upper ends (K,).
+        points: c (K,).
+    """
+
+    starts: Ints
+    low: Floats
+    high: Floats
+    points: Floats
+
+
+def elimination(
+    num_variables: int, cliques: Sequence[tuple[int, ...]]
+) -> list[tuple[int, ...]] | None:
+    """Returns every variable, in the order of elimination, with its neighbors then.
+
+    The next one is one of the fewest neighbors. None if one has more than two.
+    """
+    beside: list[set[int]] = [set() for _ in range(num_variables)]
+    for clique in cliques:
+        for i in clique:
+            beside[i].update(clique)
+    for i, others in enumerate(beside):
+        others.discard(i)
+    queue = [(len(others), i) for i, others in enumerate(beside)]
+    heapq.heapify(queue)
+    order, is_gone = [], [False] * num_variables
+    while queue:
+        degree, i = heapq.heappop(queue)
+        if is_gone[i] or degree != len(beside[i]):
+            continue
+        if degree >= MOST_VARIABLES:
+            return None
+        is_gone[i] = True
+        order.append((i, *sorted(beside[i])))
+        for j in beside[i]:
+            beside[j] |= beside[i]
+            beside[j] -= {i, j}
+            heapq.heappush(queue, (len(beside[j]), j))
+    return order
+
+
+class CliqueSearch:
+    """Dynamic programming over ever smaller bins.
+
+    Args:
+        program: what is bounded.
+        order: variables with their neighbors, as `elimination` returns them.
+    """
+
+    def __init__(self, program: CliqueProgram, order: Sequence[tuple[int, ...]]) -> None:
+        """Cuts every range into bins."""
+        self._program, self._order = program, order
+        self._rank = {clique[0]: number for number, clique in enumerate(order)}
+        edges = np.linspace(program.lower, program.upper, _FIRST_BINS + 1, axis=-1)
+        edges[:, 0], edges[:, -1] = program.lower, program.upper
+        self._low, self._high = list(edges[:, :-1]), list(edges[:, 1:])
+        self._tables: list[Floats] = []
+        self._partners: list[list[Floats]] | None = None
+        self._home = [min(map(self._rank.__getitem__, each)) for each in program.variables]
+        self._scratches = make_scratches(program.tape)
+        self.num_cells = 0
+        self.lower_bound = -np.inf
+        self.is_empty = False
+        self.best = np.array(0.5 * program.lower + 0.5 * program.upper)
+        self.least = np.inf
+
+    def offer(self, x: Floats, value: float) -> None:
+        """Takes a feasible point and its value, rounded up, if it is the best so far."""
+        if value < self.least:
+            self.least, self.best = value, np.clip(x, self._program.lower, self._program.upper)
+
+    @property
+    def hull(self) -> tuple[Floats, Floats]:
+        """The smallest box that holds all bins that are left."""
+        low, high = zip(
+            *((a[0], b[-1]) for a, b in zip(self._low, self._high, strict=True)), strict=True
+        )
+        return np.array(low), np.array(high)
+
+    def next_size(self) -> int:
+        """Returns how many cells the next step bounds."""
+        counts = [bins.size for bins in self._low]
+        return sum(math.prod(counts[i] for i in each) for each in self._program.variables)
+
+    def step(self) -> Floats:
+        """Bounds all cells, and returns a point of the lowest ones; see `drop`."""
+        self._drop_by_slopes()
+        bins = self._bins()
+        self._tables = self._fill(bins)
+        self.num_cells += sum(table.size for table in self._tables)
+        self._pass_up()
+        if not math.isfinite(self._total):
+            self.is_empty = self._total == np.inf
+            self.lower_bound = min(self.least, self._total)
+            return self.best
+        bound = self._total - self._margin
+        self.lower_bound = max(self.lower_bound, min(bound, self.least))
+        point = self._pass_down(bins)
+        return point
+
+    def drop(self) -> None:
+        """Drops the bins that hold nothing below the best value, and halves the others."""
+        self._close()
+        for i, marginal in enumerate(self._marginals):
+            keep = marginal - self._margin <= self.least
+            if not np.any(keep):
+                keep = marginal == np.min(marginal)
+            low, high = self._low[i][keep], self._high[i][keep]
+            middle = 0.5 * low + 0.5 * high
+            self._low[i] = np.column_stack([low, middle]).ravel()
+            self._high[i] = np.column_stack([middle, high]).ravel()
+            self._inherit(i, np.repeat(np.flatnonzero(keep), 2))
+
+    def _drop_by_slopes(self) -> None:
+        """Drops bins where f has no minimum along their own variable, whatever the others are.
+
+        It rises or falls all over the bin, which is none of the ends; or it is concave. That holds
+        however many other variables there are, and however far from the best value the bound is.
+        """
+        program = self._program
+        if np.any(program.is_row):
+            return
+        for _ in range(_SWEEPS):
+            bins = self._bins()
+            keep = _may_hold_minima(
+                program.tape, self._layout(), bins, program.lower, program.upper, self._scratches
+            )
+            if np.all(keep):
+                return
+            for i, kept in enumerate(np.split(keep, bins.starts[1:-1])):
+                if np.all(kept) or not np.any(kept):
+                    continue
+                self._low[i], self._high[i] = self._low[i][kept], self._high[i][kept]
+                self._inherit(i, np.flatnonzero(kept))
+
+    def _inherit(self, i: int, parents: Ints) -> None:
+        """Gives bins the neighbors of those that they came from."""
+        if self._partners is None:
+            return
+        for formula, local in self._readers[i]:
+            self._partners[formula][local] = self._partners[formula][local][parents]
+
+    @property
+    def _readers(self) -> list[list[tuple[int, int]]]:
+        if not hasattr(self, "_read_by"):
+            found: list[list[tuple[int, int]]] = [[] for _ in self._low]
+            for formula, variables in enumerate(self._program.variables):
+                if len(variables) > 1:
+                    for local, i in enumerate(variables):
+                        found[i].append((formula, local))
+            self._read_by = found
+        return self._read_by
+
+    def _bins(self) -> _Bins:
+        starts = np.cumsum([0, *(low.size for low in self._low)])
+        low, high = np.concatenate(self._low), np.concatenate(self._high)
+        points = 0.5 * low + 0.5 * high
+        best = np.repeat(self.best, np.diff(starts))
+        points = np.where((low <= best) & (best <= high), best, points)
+        return _Bins(starts, low, high, points)
+
+    def _layout(self) -> _Layout:
+        program = self._program
+        sizes = [len(each) for each in program.variables]
+        counts = [[self._low[i].size for i in each] for each in program.variables]
+        return _Layout(
+            np.cumsum([0, *sizes]),
+            np.concatenate([np.array(each, dtype=np.int64) for each in program.variables]),
+            np.cumsum([0, *(k for each in counts for k in each)]),
+            np.cumsum([0, *map(math.prod, counts)]),
+            program.is_row,
+            program.lower_rows,
+            program.upper_rows,
+        )
+
+    def _fill(self, bins: _Bins) -> list[Floats]:
+        """Returns a table of bounds for each formula, an axis for each variable."""
+        program, layout = self._program, self._layout()
+        slopes = np.zeros(layout.first_slope[-1])
+        partners = self._partner_points(bins, layout)
+        _fill_slopes(program.tape, layout, bins, partners, slopes, self._scratches)
+        flat = np.empty(layout.first_cell[-1])
+        _fill_tables(program.tape, layout, bins, slopes, program.lower.size, flat, self._scratches)
+        return [
+            flat[first:last].reshape([self._low[i].size for i in variables])
+            for first, last, variables in zip(
+                layout.first_cell[:-1], layout.first_cell[1:], program.variables, strict=True
+            )
+        ]
+
+    def _partner_points(self, bins: _Bins, layout: _Layout) -> Floats:
+        """Returns where each slope is taken: of each bin, all variables of the formula (S, 3)."""
+        found = np.zeros((layout.first_slope[-1], MOST_VARIABLES))
+        place = 0
+        for formula, variables in enumerate(self._program.variables):
+            for local, i in enumerate(variables):
+                own = bins.points[bins.starts[i] : bins.starts[i + 1]]
+                rows = found[place : place + own.size]
+                if self._partners is not None and len(variables) > 1:
+                    rows[:, : len(variables)] = self._partners[formula][local]
+                else:
+                    rows[:, : len(variables)] = self.best[list(variables)]
+                rows[:, local] = own
+                place += own.size
+        return found
+
+    def _pass_up(self) -> None:
+        """Adds tables up along the elimination, and sets the total."""
+        counts = [low.size for low in self._low]
+        order = self._order
+        self._sums = [np.zeros([counts[i] for i in clique]) for clique in order]
+        size = 0.0
+        for table, variables, home in zip(
+            self._tables, self._program.variables, self._home, strict=True
+        ):
+            self._sums[home] += _spread(table, variables, order[home])
+            finite = np.abs(table[np.isfinite(table)])
+            size += float(np.max(finite, initial=0.0))
+        # Every addition is off by half a unit of what is never more than all tables' largest.
+        self._margin = (len(self._tables) + 2 * len(order)) * _UNIT * size
+        self._messages: list[Floats] = []
+        self._total = 0.0
+        for number, clique in enumerate(order):
+            message = self._sums[number].min(axis=0)
+            self._messages.append(message)
+            if len(clique) > 1:
+                parent = min(map(self._rank.__getitem__, clique[1:]))
+                self._sums[parent] += _spread(message, clique[1:], order[parent])
+            else:
+                self._total += float(message)
+
+    def _pass_down(self, bins: _Bins) -> Floats:
+        """Fills min-marginals and the best neighbors, and returns the points of the best bins."""
+        order, counts = self._order, [low.size for low in self._low]
+        outside: list[Floats] = [np.zeros(())] * len(order)
+        marginals: list[Floats] = [np.empty(0)] * len(order)
+        chosen = np.zeros(len(order), dtype=np.int64)
+        for number in range(len(order) - 1, -1, -1):
+            clique = order[number]
+            if len(clique) > 1:
+                parent = min(map(self._rank.__getitem__, clique[1:]))
+                above = self._sums[parent]
+                own = _spread(self._messages[number], clique[1:], order[parent])
+                with np.errstate(invalid="ignore"):
+                    rest = np.where(np.isinf(above), np.inf, above - own)
+                axes = [a for a, i in enumerate(order[parent]) if i not in clique[1:]]
+                kept = [i for i in order[parent] if i in clique[1:]]
+                message = rest.min(axis=tuple(axes)) if axes else rest
+                outside[number] = _spread(message, kept, clique[1:])
+                self._sums[number] = self._sums[number] + outside[number]
+            else:
+                self._sums[number] = self._sums[number] + (self._total - self._messages[number])
+            sums = self._sums[number]
+            i = clique[0]
+            marginals[i] = sums.min(axis=tuple(range(1, sums.ndim)))
+            at = tuple(chosen[list(clique[1:])])
+            chosen[i] = np.argmin(sums[(slice(None), *at)])
+        self._marginals = marginals
+        self._find_partners(bins, counts)
+        return bins.points[bins.starts[:-1] + chosen]
+
+    def _find_partners(self, bins: _Bins, counts: Sequence[int]) -> None:
+        """Sets for each formula, variable and bin of it the points of its neighbors' best bins."""
+        self._partners = []
+        for variables, home in zip(self._program.variables, self._home, strict=True):
+            if len(variables) == 1:
+                self._partners.append([])
+                continue
+            clique, sums = self._order[home], self._sums[home]
+            places = [clique.index(i) for i in variables]
+            found = []
+            for i, place in zip(variables, places, strict=True):
+                flat = np.moveaxis(sums, place, 0)
+                shape = flat.shape[1:]
+                best = np.unravel_index(np.argmin(flat.reshape(counts[i], -1), axis=1), shape)
+                others = [j for j in clique if j != i]
+                columns = [
+                    np.zeros(counts[i])
+                    if j == i
+                    else bins.points[bins.starts[j] + best[others.index(j)]]
+                    for j in variables
+                ]
+                found.append(np.column_stack(columns))
+            self._partners.append(found)
+
+    def _close(self) -> None:
+        """Raises the bound to the best value where all bins that are left prove to be convex."""
+        if not math.isfinite(self.least):
+            return
+        keep = [marginal - self._margin <= self.least for marginal in self._marginals]
+        if not all(map(np.any, keep)):
+            self.lower_bound = self.least
+            return
+        low = np.array([a[k][0] for a, k in zip(self._low, keep, strict=True)])
+        high = np.array([b[k][-1] for b, k in zip(self._high, keep, strict=True)])
+        if np.any(self.best < low) or np.any(self.best > high):
+            return
+        bound = _bound_hull(
+            self._program.tape, self._layout(), low, high, self.best, self._scratches
+        )
+        self.lower_bound = max(self.lower_bound, min(bound, self.least))
+
+
+def _spread(table: Floats, variables: Sequence[int], clique: Sequence[int]) -> Floats:
+    """Returns a table over some variables with an axis for each of a clique's."""
+    kept = [i for i in clique if i in variables]
+    moved = np.transpose(table, [list(variables).index(i) for i in kept])
+    return moved[tuple(slice(None) if i in variables else None for i in clique)]
+
+
+@kernel
+def _fill_slopes(
+    tape: Tape, layout: _Layout, bins: _Bins, points: Floats, slopes: Floats, scratches: Scratches
+) -> None:
+    """Fills s of every formula of several variables: its slope at a bin's point and neighbors."""
+    for formula in range(layout.is_row.size):
+        first, last = layout.first_variable[formula], layout.first_variable[formula + 1]
+        if last - first == 1 or layout.is_row[formula]:
+            continue
+        scratch = scratches[last - first - 1]
+        for local in range(last - first):
+            for s in range(
+                layout.first_slope[first + local], layout.first_slope[first + local + 1]
+            ):
+                point = points[s]
+                end = enclose(tape, formula, point, point, GRADIENT, scratch)
+                if end >= 0:
+                    slope = 0.5 * scratch.gradients[end, local, 0]
+                    slope += 0.5 * scratch.gradients[end, local, 1]
+                    slopes[s] = slope if math.isfinite(slope) else 0.0
+
+
+@kernel
+def _fill_tables(
+    tape: Tape,
+    layout: _Layout,
+    bins: _Bins,
+    slopes: Floats,
+    num_variables: int,
+    table: Floats,
+    scratches: Scratches,
+) -> None:
+    """Fills bounds of all formulas over all cells of their variables' bins."""
+    most = len(scratches)
+    # What all formulas of several variables moved to those of one.
+    moved = np.zeros((bins.low.size, 2))
+    for formula in range(num_variables, layout.is_row.size):
+        first, last = layout.first_variable[formula], layout.first_variable[formula + 1]
+        for local in range(first, last):
+            start = bins.starts[layout.variables[local]]
+            count = layout.first_slope[local + 1] - layout.first_slope[local]
+            for k in range(count):
+                s = slopes[layout.first_slope[local] + k]
+                moved[start + k, 0], moved[start + k, 1] = plus(
+                    moved[start + k, 0], moved[start + k, 1], s, s
+                )
+    low, high, point = np.zeros(most), np.zeros(most), np.zeros(most)
+    slope, work = np.zeros((most, 2)), np.empty((most, most + 2))
+    counter = np.zeros(most, dtype=np.int64)
+    for formula in range(layout.is_row.size):
+        first = layout.first_variable[formula]
+        size = layout.first_variable[formula + 1] - first
+        scratch = scratches[size - 1]
+        counter[:] = 0
+        for cell in range(layout.first_cell[formula], layout.first_cell[formula + 1]):
+            for local in range(size):
+                bin_ = bins.starts[layout.variables[first + local]] + counter[local]
+                low[local], high[local] = bins.low[bin_], bins.high[bin_]
+                point[local] = bins.points[bin_]
+                if formula < num_variables:
+                    slope[local, 0], slope[local, 1] = moved[bin_, 0], moved[bin_, 1]
+                else:
+                    s = slopes[layout.first_slope[first + local] + counter[local]]
+                    slope[local, 0] = slope[local, 1] = -s
+            if layout.is_row[formula]:
+                table[cell] = _row_cell(
+                    tape,
+                    formula,
+                    layout.lower_rows[formula],
+                    layout.upper_rows[formula],
+                    low,
+                    high,
+                    point,
+                    size,
+                    scratch,
+                )
+            else:
+                table[cell] = _cost_cell(
+                    tape, formula, low, high, point, slope, size, scratch, work
+                )
+            for local in range(size - 1, -1, -1):
+                counter[local] += 1
+                variable = layout.variables[first + local]
+                if counter[local] < bins.starts[variable + 1] - bins.starts[variable]:
+                    break
+                counter[local] = 0
+
+
+@inner
+def _cost_cell(
+    tape: Tape,
+    formula: int,
+    low: Floats,
+    high: Floats,
+    point: Floats,
+    slope: Floats,
+    size: int,
+    scratch: Scratch,
+    work: Floats,
+) -> float:
+    """Returns a bound of f_p + s (x − c) over a cell."""
+    end = enclose(tape, formula, point, point, GRADIENT, scratch)
+    at_point, value = np.empty((size, 2)), -np.inf
+    if end >= 0:
+        value = scratch.values[end, 0]
+        for i in range(size):
+            at_point[i, 0] = scratch.gradients[end, i, 0]
+            at_point[i, 1] = scratch.gradients[end, i, 1]
+    end = enclose(tape, formula, low, high, HESSIAN, scratch)
+    if end < 0:
+        return np.inf
+    natural = scratch.values[end, 0]
+    over_cell = np.empty((size, 2))
+    low_steps, high_steps = np.empty(size), np.empty(size)
+    for i in range(size):
+        low_steps[i] = min(down(low[i] - point[i]), 0.0)
+        high_steps[i] = max(up(high[i] - point[i]), 0.0)
+        natural = down(
+            natural + least_linear(slope[i, 0], slope[i, 1], low_steps[i], high_steps[i])
+        )
+        over_cell[i, 0], over_cell[i, 1] = plus(
+            scratch.gradients[end, i, 0], scratch.gradients[end, i, 1], slope[i, 0], slope[i, 1]
+        )
+        at_point[i, 0], at_point[i, 1] = plus(
+            at_point[i, 0], at_point[i, 1], slope[i, 0], slope[i, 1]
+        )
+    if not math.isfinite(value):
+        return natural
+    bound, _ = expansion_bound(
+        value,
+        at_point,
+        over_cell,
+        scratch.hessians[end, : size * (size + 1) // 2],
+        low_steps,
+        high_steps,
+        work[:size, : size + 2],
+    )
+    return max(natural, bound)
+
+
+@inner
+def _row_cell(
+    tape: Tape,
+    formula: int,
+    least: float,
+    most: float,
+    low: Floats,
+    high: Floats,
+    point: Floats,
+    size: int,
+    scratch: Scratch,
+) -> float:
+    """Returns 0 where a row may hold in a cell, else +∞."""
+    end = enclose(tape, formula, point, point, GRADIENT, scratch)
+    a, b = (scratch.values[end, 0], scratch.values[end, 1]) if end >= 0 else (-np.inf, np.inf)
+    end = enclose(tape, formula, low, high, GRADIENT, scratch)
+    if end < 0 or scratch.values[end, 0] > most or scratch.values[end, 1] < least:
+        return np.inf
+    for i in range(size):
+        step = min(down(low[i] - point[i]), 0.0), max(up(high[i] - point[i]), 0.0)
+        a, b = plus(a, b, *times(scratch.gradients[end, i, 0], scratch.gradients[end, i, 1], *step))
+    return np.inf if a > most or b < least else 0.0
+
+
+@kernel
+def _may_hold_minima(
+    tape: Tape, layout: _Layout, bins: _Bins, lower: Floats, upper: Floats, scratches: Scratches
+) -> Bools:
+    """Returns for each bin whether f may have a minimum in it along the bin's variable."""
+    most = len(scratches)
+    slopes, bends = np.zeros((bins.low.size, 2)), np.zeros((bins.low.size, 2))
+    low, high = np.zeros(most), np.zeros(most)
+    for formula in range(layout.is_row.size):
+        first = layout.first_variable[formula]
+        size = layout.first_variable[formula + 1] - first
+        scratch = scratches[size - 1]
+        for own in range(size):
+            for local in range(size):
+                i = layout.variables[first + local]
+                low[local], high[local] = (
+                    bins.low[bins.starts[i]],
+                    bins.high[bins.starts[i + 1] - 1],
+                )
+            variable = layout.variables[first + own]
+            diagonal = own * (own + 1) // 2 + own
+            for k in range(bins.starts[variable], bins.starts[variable + 1]):
+                low[own], high[own] = bins.low[k], bins.high[k]
+                end = enclose(tape, formula, low, high, HESSIAN, scratch)
+                if end < 0:
+                    continue
+                g, h = scratch.gradients[end, own], scratch.hessians[end, diagonal]
+                slopes[k, 0], slopes[k, 1] = plus(slopes[k, 0], slopes[k, 1], g[0], g[1])
+                bends[k, 0], bends[k, 1] = plus(bends[k, 0], bends[k, 1], h[0], h[1])
+    keep = np.ones(bins.low.size, dtype=np.bool_)
+    for i in range(lower.size):
+        for k in range(bins.starts[i], bins.starts[i + 1]):
+            if not (math.isfinite(slopes[k, 0]) and math.isfinite(slopes[k, 1])):
+                continue
+            at_lower, at_upper = bins.low[k] == lower[i], bins.high[k] == upper[i]
+            rises, falls = slopes[k, 0] > 0.0, slopes[k, 1] < 0.0
+            is_bent = bends[k, 1] < 0.0 and not (at_lower or at_upper)
+            keep[k] = not ((rises and not at_lower) or (falls and not at_upper) or is_bent)
+    return keep
+
+
+@kernel
+def _bound_hull(
+    tape: Tape, layout: _Layout, low: Floats, high: Floats, best: Floats, scratches: Scratches
+) -> float:
+    """Returns a bound of Σ f_p over a box, about a point of it: tight if all f is convex there."""
+    size, most = low.size, len(scratches)
+    slopes, kappa = np.zeros((size, 2)), np.zeros(size)
+    local_low, local_high, point = np.zeros(most), np.zeros(most), np.zeros(most)
+    ones, own = np.ones(most), np.empty(most)
+    total = 0.0
+    for formula in range(layout.is_row.size):
+        if layout.is_row[formula]:
+            continue
+        first = layout.first_variable[formula]
+        count = layout.first_variable[formula + 1] - first
+        scratch = scratches[count - 1]
+        for k in range(count):
+            i = layout.variables[first + k]
+            local_low[k], local_high[k], point[k] = low[i], high[i], best[i]
+        end = enclose(tape, formula, point, point, GRADIENT, scratch)
+        if end < 0:
+            return -np.inf
+        total = down(total + scratch.values[end, 0])
+        for k in range(count):
+            i = layout.variables[first + k]
+            slopes[i, 0], slopes[i, 1] = plus(
+                slopes[i, 0],
+                slopes[i, 1],
+                scratch.gradients[end, k, 0],
+                scratch.gradients[end, k, 1],
+            )
+        end = enclose(tape, formula, local_low, local_high, HESSIAN, scratch)
+        if end < 0:
+            return -np.inf
+        curvatures(scratch.hessians[end, : count * (count + 1) // 2], ones[:count], own[:count])
+        for k in range(count):
+            i = layout.variables[first + k]
+            kappa[i] = down(kappa[i] + own[k])
+    for i in range(size):
+        a, b = min(down(low[i] - best[i]), 0.0), max(up(high[i] - best[i]), 0.0)
+        total = down(total + least_quadratic(slopes[i, 0], slopes[i, 1], kappa[i], a, b))
+    return total if math.isfinite(total) else -np.inf
