@@ -150,6 +150,7 @@ def test_a_state_beyond_its_limits_is_planned_from() -> None:
         ({"period": 0.0}, "^period: got 0.0, expected seconds above zero"),
         ({"iterations": 0}, "^iterations: got 0, expected a count"),
         ({"search_every": 2.5}, "^search_every: got 2.5"),
+        ({"search_ticks": 0}, "^search_ticks: got 0, expected a count"),
         ({"margin": -1.0}, "^margin: got -1.0"),
         ({"surprise": np.nan}, "^surprise: got nan, expected a number of at least 0"),
         ({"horizon": "fixed"}, "^horizon: got fixed, expected 'receding' or 'shrinking'"),
@@ -213,6 +214,16 @@ def test_a_kick_from_which_another_sequence_is_cheaper_is_searched_for() -> None
     assert switch.touches == (0,)
     # It comes back off the wall, where it would have flown through without another plan.
     assert end > 0
+
+
+def test_a_search_in_a_thread_is_taken_at_its_tick_and_runs_are_the_same_again() -> None:
+    runs = [fly(0.0, kick=-4.0, horizon="shrinking", search_ticks=2) for _ in range(2)]
+    (end, ticks), (again, _) = runs
+    (switch,) = [tick for tick in ticks if tick.has_switched]
+    # A surprise at 0.7 s begins it.
+    assert switch.time == pytest.approx(0.74)
+    assert end > 0
+    assert end == again
 
 
 def test_a_state_inside_of_a_rigid_wall_is_not_planned_from() -> None:

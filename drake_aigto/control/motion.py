@@ -30,3 +30,9 @@ class Motion:
         times, controls = self.trajectory.times, self.trajectory.controls
         k = int(np.searchsorted(times, time, side="right")) - 1
         return np.array(controls[min(max(k, 0), len(controls) - 1)])
+
+    def calc_state(self, time: float) -> Floats:
+        """Returns q and v at a time, shape (2n,); beyond the horizon its first and last."""
+        times = self.trajectory.times
+        state, _ = self.trajectory.to_piecewise()
+        return np.array(state.value(min(max(time, times[0]), times[-1]))[:, 0])

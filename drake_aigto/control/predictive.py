@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
@@ -45,12 +46,20 @@ class TickStatus:
     has_switched: bool = False
 
 
+class _Pending(NamedTuple):
+    """A search that goes on in its thread."""
+
+    due: int  # the tick that waits for it
+    found: Future[Motion | None]
+
+
 class _Choice(NamedTuple):
     """What a tick decides."""
 
     motion: Motion
     reason: str
     has_switched: bool = False
+    pending: _Pending | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -79,7 +88,8 @@ class ModelPredictiveController(LeafSystem):
     by a few iterations of the descent, or of balls between rigid walls by Newton's on the phases
     between touches. Every `search_every` ticks, and where a plan costs half as much again as the
     one before (`surprise`), the planner *searches* for another contact sequence as well; it is
-    taken if it costs less by a margin. Work is bounded by counts: runs are the same again.
+    taken if it costs less by a margin. Work is bounded by counts: runs are the same again, also
+    where searches have a thread of their own.
 
     A state that is not finite, one inside of a rigid wall, or one from which no motion is found,
     leaves the last plan as it is, and its control goes on. So it does at the end of a horizon that
@@ -102,6 +112,7 @@ class ModelPredictiveController(LeafSystem):
         search_every: int | None = None,
         margin: float = 0.02,
         surprise: float = 0.5,
+        search_ticks: int | None = None,
     ) -> None:
         """Takes the planner's task; its start does not count.
 
@@ -116,13 +127,22 @@ class ModelPredictiveController(LeafSystem):
             margin: what another sequence has to be better by, as a share of the cost.
             surprise: by how much more than the one before a plan may cost, as a share of that,
                 before there is a search; infinite: any.
+            search_ticks: after how many ticks a search is done that runs in a thread beside warm
+                ones: begun at tick k, from where the plan is going to be at tick k + search_ticks,
+                it is waited for there, and what it found is led from there to the state that is
+                told. None: searches end in their tick.
 
         Raises:
             ControlError: a mechanism between rigid walls, a free duration, or something that was
                 added to the planner's transcription; or an argument is out of its range.
         """
         super().__init__()
-        for name, value in (("iterations", iterations), ("search_every", search_every)):
+        counts = {
+            "iterations": iterations,
+            "search_every": search_every,
+            "search_ticks": search_ticks,
+        }
+        for name, value in counts.items():
             if value is not None and not (isinstance(value, int) and value >= 1):
                 raise ControlError(name, got=value, expected="a count of at least 1")
         if horizon not in ("receding", "shrinking"):
@@ -136,6 +156,11 @@ class ModelPredictiveController(LeafSystem):
         self._horizon: Horizon = make_horizon(
             planner, horizon == "receding", iterations, self.period
         )
+        self._search_ticks = search_ticks
+        if search_ticks is not None:
+            # In its thread it shares nothing that changes.
+            self._searching = make_horizon(planner, horizon == "receding", iterations, self.period)
+            self._thread = ThreadPoolExecutor(1, "search")
         n, nu = self._world.num_positions, self._world.num_actuators
         rest = self._horizon.rest(0.0, np.zeros(2 * n))
         none = _Moment(_Choice(rest, ""), np.zeros(nu), 0.0, 0.0, 0)
@@ -191,26 +216,50 @@ class ModelPredictiveController(LeafSystem):
 
     def _choose(self, before: _Moment, now: float, x: Floats) -> _Choice:
         """Returns the plan from now on, and why it is that."""
-        last = before.choice.motion
-        if not np.all(np.isfinite(x)):
-            return _Choice(last, "the estimated state is not finite: the last plan goes on")
-        if self._horizon.is_over(now):
-            return _Choice(last, "the horizon ends: the last plan goes on")
-        if self._horizon.is_inside(x):
-            return _Choice(last, "a wall is touched: the last plan goes on")
-        motion = self._horizon.advance(last, now, x)
-        cost, reason = motion.cost if motion else np.inf, "warm"
-        if self._is_due(before) or not cost - last.cost <= self._calc_surprise(last.cost):
-            found = self._horizon.search(now, x)
-            if found and found.cost < (1 - self._margin) * cost:
-                return _Choice(found, f"switched: {found.cost:.4g} in place of {cost:.4g}", True)
-            reason = "warm; a search found nothing better"
-        if motion is None:
-            return _Choice(last, "no motion was found: the last plan goes on")
-        return _Choice(motion, reason)
+        last, pending = before.choice.motion, before.choice.pending
 
-    def _is_due(self, before: _Moment) -> bool:
-        return self._every is not None and (before.tick + 1) % self._every == 0
+        def go_on(reason: str) -> _Choice:
+            return _Choice(last, f"{reason}: the last plan goes on", pending=pending)
+
+        if not np.all(np.isfinite(x)):
+            return go_on("the estimated state is not finite")
+        if self._horizon.is_over(now):
+            return go_on("the horizon ends")
+        if self._horizon.is_inside(x):
+            return go_on("a wall is touched")
+        motion = self._horizon.advance(last, now, x)
+        cost = motion.cost if motion else np.inf
+        has_searched, found, pending = self._find_other(before, now, x, motion)
+        if found and found.cost < (1 - self._margin) * cost:
+            reason = f"switched: {found.cost:.4g} in place of {cost:.4g}"
+            return _Choice(found, reason, has_switched=True, pending=pending)
+        if motion is None:
+            return go_on("no motion was found")
+        reason = "warm; a search found nothing better" if has_searched else "warm"
+        return _Choice(motion, reason, pending=pending)
+
+    def _find_other(
+        self, before: _Moment, now: float, x: Floats, motion: Motion | None
+    ) -> tuple[bool, Motion | None, _Pending | None]:
+        """Returns whether a search is done, what it found, and one that goes on."""
+        last, pending, tick = before.choice.motion.cost, before.choice.pending, before.tick + 1
+        if pending is not None:
+            if tick < pending.due:
+                return False, None, pending
+            found = pending.found.result()
+            return True, found and self._horizon.advance(found, now, x), None
+        is_due = self._every is not None and tick % self._every == 0
+        cost = motion.cost if motion else np.inf
+        if not is_due and cost - last <= self._calc_surprise(last):
+            return False, None, None
+        if self._search_ticks is None:
+            return True, self._horizon.search(now, x), None
+        ahead = now + self._search_ticks * self.period
+        x = motion.calc_state(ahead) if motion else np.array(x)
+        if self._horizon.is_over(ahead) or self._horizon.is_inside(x):
+            return False, None, None
+        begun = self._thread.submit(self._searching.search, ahead, x)
+        return False, None, _Pending(tick + self._search_ticks, begun)
 
     def _calc_surprise(self, cost: float) -> float:
         """Returns by how much a plan costs more than the one before, if it met a surprise."""
@@ -231,7 +280,7 @@ class ModelPredictiveController(LeafSystem):
 
     def _write_status(self, context: Context, output: AbstractValue) -> None:
         moment = self._read(context)
-        motion, reason, has_switched = moment.choice
+        motion, reason, has_switched, _ = moment.choice
         touches = tuple(touch.contact for touch in motion.touches)
         output.set_value(
             TickStatus(moment.time, motion.cost, touches, reason, moment.seconds, has_switched)
