@@ -185,18 +185,29 @@ class Ipopt:
 
     def solve(self, x: Floats) -> Floats:
         """Returns where IPOPT ends from x (n,), relaxed and tightened."""
-        program, nlp = self._staged.program, self._staged.nlp
+        program = self._staged.program
         y = program.with_slacks(x)
         multipliers: dict[str, Any] = {}
         for number, relaxation in enumerate(_LADDER):
-            lower, upper = np.zeros(nlp.num_rows), np.zeros(nlp.num_rows)
-            lower[self._staged.relaxed] = -np.inf
-            upper[self._staged.relaxed] = relaxation
-            bounds = {"lbx": nlp.lower, "ubx": nlp.upper, "lbg": lower, "ubg": upper}
-            found = self._solvers[min(number, 1)](x0=y, **bounds, **multipliers)
-            y = np.array(found["x"]).ravel()
-            multipliers = {"lam_x0": found["lam_x"], "lam_g0": found["lam_g"]}
+            y, multipliers = self._solve(min(number, 1), y, relaxation, multipliers)
         return program.answer(y)
+
+    def polish(self, x: Floats) -> Floats:
+        """Returns where IPOPT ends from x (n,) on the smallest ε alone."""
+        program = self._staged.program
+        return program.answer(self._solve(1, program.with_slacks(x), _LADDER[-1], {})[0])
+
+    def _solve(
+        self, number: int, y: Floats, relaxation: float, multipliers: dict[str, Any]
+    ) -> tuple[Floats, dict[str, Any]]:
+        """Returns the optimum for one ε, and its multipliers."""
+        nlp = self._staged.nlp
+        lower, upper = np.zeros(nlp.num_rows), np.zeros(nlp.num_rows)
+        lower[self._staged.relaxed] = -np.inf
+        upper[self._staged.relaxed] = relaxation
+        bounds = {"lbx": nlp.lower, "ubx": nlp.upper, "lbg": lower, "ubg": upper}
+        found = self._solvers[number](x0=y, **bounds, **multipliers)
+        return np.array(found["x"]).ravel(), {"lam_x0": found["lam_x"], "lam_g0": found["lam_g"]}
 
 
 def _term(term: Any, copy: list[int], y: Any) -> Any:

@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydrake.solvers import MathematicalProgram
+from pydrake.solvers import MathematicalProgram, SnoptSolver
 from pydrake.symbolic import sin
 
-from benchmarks.collections.staged_programs import Form, payload, payload_tasks, push_bot
+from benchmarks.collections.peer_programs import payload, payload_tasks, push_box
+from benchmarks.collections.staged_programs import Form, push_bot
 from drake_aigto.local import InteriorPoint
 from drake_aigto.solver import AigoOptions, AigoSolver
-from drake_aigto.solver.complementarity import find_complementarities
+from drake_aigto.solver.complementarity import are_shared, find_complementarities
 from drake_aigto.solver.program import read_program
 from drake_aigto.solver.staged import StagedProgram
 
@@ -138,8 +139,35 @@ def test_a_push_bot_swings_up_between_soft_walls_however_it_is_written(form: For
     assert result.get_optimal_cost() == pytest.approx(40.0842, rel=1e-4)
 
 
-def test_a_sliding_payload_is_carried_to_its_goal() -> None:
+def test_complementarities_that_share_a_side_are_told_from_others() -> None:
+    bot = read_program(push_bot((0.8677, -0.0292, 0.6817, -2.7230), 1.0, "inequalities"))
+    assert not np.any(are_shared(find_complementarities(bot)))
     *_, (start, goal) = payload_tasks()
-    result = AigoSolver(AigoOptions(rounds=10)).Solve(payload(start, goal, 40))
-    assert result.is_success()
-    assert result.get_solver_details().complementarities == 120
+    sliding = find_complementarities(read_program(payload(start, goal, 5)))
+    # At the last four knots, v ⊥ w, v ⊥ f + m, w ⊥ m − f: v and w are of two each.
+    assert are_shared(sliding).tolist() == [True] * 12
+
+
+@pytest.mark.parametrize("relaxation", [1.0, 1e-2])
+def test_tightened_products_stay_below_their_bound_and_reach_it(relaxation: float) -> None:
+    program = read_program(push_box((0.3, 0.1, 0.2), 4))
+    staged = StagedProgram(program, 1e-6)
+    assert staged.tightened is not None
+    start = program.with_slacks(np.full(program.source.num_vars(), 0.1))
+    found = staged.tightened.solve(InteriorPoint(), start, relaxation)
+    assert found.is_success
+    products = staged.nlp.evaluate(found.x[: start.size])[1][staged.relaxed] + 1e-7
+    assert np.min(products) >= -1e-9
+    assert np.max(products) == pytest.approx(relaxation, rel=1e-3)
+
+
+def test_a_payload_slides_to_its_goal_where_friction_alone_does_not_get_it_there() -> None:
+    start, goal = np.array([0.02, 0.0, 0.0, 0.0]), np.zeros(4)
+    result = AigoSolver(AigoOptions(rounds=20)).Solve(payload(start, goal, 12))
+    details = result.get_solver_details()
+    assert result.is_success() and details.violation <= 1e-6
+    assert details.complementarities == 33
+    held = payload(start, goal, 12)
+    slips = held.decision_variables()[-24:]
+    held.AddBoundingBoxConstraint(0.0, 0.0, slips)
+    assert result.get_optimal_cost() < 0.99 * SnoptSolver().Solve(held).get_optimal_cost()

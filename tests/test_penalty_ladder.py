@@ -116,9 +116,8 @@ def test_bands_are_solved_unless_they_are_indefinite(bandwidth: int) -> None:
 def test_a_ladder_leads_from_anywhere_to_a_feasible_point_near_an_optimum() -> None:
     nlp = chain()
     center, half_width = np.zeros(nlp.num_variables), np.full(nlp.num_variables, 2.0)
-    ladder = PenaltyLadder(
-        nlp, make_point_tables(nlp), center, half_width, relaxed=np.empty(0, dtype=np.int64)
-    )
+    tables, none = make_point_tables(nlp), np.empty(0, dtype=np.int64)
+    ladder = PenaltyLadder(nlp, tables, center, half_width, none, np.zeros(nlp.num_rows, bool))
     rng = np.random.default_rng(2)
     for _ in range(5):
         end = ladder.climb(rng.uniform(-2, 2, center.size), 0.01, 1e3)
@@ -135,7 +134,7 @@ def test_a_ladder_to_a_point_too_dear_is_given_up() -> None:
     nlp = chain()
     center, half_width = np.zeros(nlp.num_variables), np.full(nlp.num_variables, 2.0)
     tables, none = make_point_tables(nlp), np.empty(0, dtype=np.int64)
-    ladder = PenaltyLadder(nlp, tables, center, half_width, none)
+    ladder = PenaltyLadder(nlp, tables, center, half_width, none, np.zeros(nlp.num_rows, bool))
     whole = ladder.climb(center, 0.01, 1e3)
     cut = ladder.climb(center, 0.01, 1e3, dear=whole.cost - 10.0)
     assert cut.steps < whole.steps and not cut.is_nearly_feasible

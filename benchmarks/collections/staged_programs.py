@@ -1,7 +1,6 @@
-"""Programs that are chains of stages with contact, as their authors would write them.
+"""Programs that are chains of stages with contact: SPOT's push-bot as anyone would write it.
 
-Sources: SPOT (Kang, Liu & Yang, RSS 2025, arXiv:2502.02829) for the push-bot; CRISP (Li, Han,
-Kang, Ma & Yang, RSS 2025, arXiv:2502.01055) for payloads and the pushed box.
+Source: Kang, Liu & Yang, RSS 2025, arXiv:2502.02829.
 """
 
 from __future__ import annotations
@@ -44,15 +43,17 @@ class StagedProblem:
         name: of it.
         prog: makes it.
         roll_out: draws a start x for peers that need a good one, if there is a way to.
+        guess: returns the start x of the program's authors, if they have one.
     """
 
     name: str
     prog: Callable[[], MathematicalProgram]
     roll_out: Callable[[np.random.Generator], np.ndarray] | None = None
+    guess: Callable[[], np.ndarray] | None = None
 
 
 def staged_problems(num_random: int = 50) -> Iterator[StagedProblem]:
-    """Yields push-bots between far and near walls, payloads and pushed boxes.
+    """Yields push-bots between far and near walls.
 
     Args:
         num_random: how many random starts of the push-bot there are, at each distance of the walls.
@@ -63,10 +64,6 @@ def staged_problems(num_random: int = 50) -> Iterator[StagedProblem]:
             name = f"push_bot/{wall:g}/{i}"
             roll_out = partial(push_bot_roll_out, start, wall, form)
             yield StagedProblem(name, partial(push_bot, start, wall, form), roll_out)
-    for i, task in enumerate(payload_tasks()):
-        yield StagedProblem(f"payload/{i}", partial(payload, *task))
-    for i, goal in enumerate(box_goals()):
-        yield StagedProblem(f"push_box/{i}", partial(push_box, goal))
 
 
 def push_bot_starts(wall: float, num_random: int) -> list[tuple[float, ...]]:
@@ -182,90 +179,3 @@ def push_bot_roll_out(
         angle.append(angle[k] + turn)
         a.append(2 * a[k] - a[k - 1] + _DT**2 * acc)
     return np.concatenate([a, angle, u, *forces, gaps if form == "variables" else []])
-
-
-def payload_tasks() -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Yields CRISP's 27 starts and goals, each positions and speeds of cargo and cart."""
-    for cargo in (3.0, 2.5, 3.5):
-        for speeds in ((0.0, 0.0), (-3.0, 0.0), (-4.0, -2.0)):
-            for goal in (0.0, -0.5, 0.5):
-                first, last = speeds
-                yield (
-                    np.array([cargo, 3.0, first, first]),
-                    np.array([goal, 0.0, last, last]),
-                )
-
-
-def payload(start: np.ndarray, goal: np.ndarray, num_steps: int = 200) -> MathematicalProgram:
-    """Returns CRISP's payload on a cart, which slides: linear rows and complementarities.
-
-    ẍ₁ = f/m₁,  ẍ₂ = (u − f)/m₂,  ẋ₁ − ẋ₂ = v − w,  |f| ≤ μ m₁ g,  |x₁ − x₂| ≤ 1,
-    0 ≤ v ⊥ w ≥ 0,    w ⊥ μ m₁ g − f,    v ⊥ f + μ m₁ g
-    """
-    cargo, cart, dt, most = 1.0, 2.0, 0.02, 0.2 * 9.81
-    prog = MathematicalProgram()
-    x = prog.NewContinuousVariables(num_steps + 1, 4, "x")
-    u, f, v, w = (prog.NewContinuousVariables(num_steps, name) for name in "ufvw")
-    prog.AddBoundingBoxConstraint(start, start, x[0])
-    prog.AddBoundingBoxConstraint(-most, most, f)
-    prog.AddBoundingBoxConstraint(0.0, np.inf, np.concatenate([v, w]))
-    for k in range(num_steps):
-        acc = np.array([f[k] / cargo, (u[k] - f[k]) / cart])
-        for i in range(2):
-            prog.AddConstraint(x[k + 1, 2 + i] == x[k, 2 + i] + dt * acc[i])
-            prog.AddConstraint(x[k + 1, i] == x[k, i] + dt * x[k + 1, 2 + i])
-        prog.AddConstraint(x[k, 2] - x[k, 3] == v[k] - w[k])
-        prog.AddLinearConstraint(x[k + 1, 0] - x[k + 1, 1], -1.0, 1.0)
-        prog.AddConstraint(v[k] * w[k] <= 0)
-        prog.AddConstraint(w[k] * (most - f[k]) <= 0)
-        prog.AddConstraint(v[k] * (f[k] + most) <= 0)
-        prog.AddQuadraticCost(1e-4 * (f[k] ** 2 + u[k] ** 2))
-    weights = (1e5, 1e5, 10.0, 10.0)
-    for variable, value, weight in zip(x[-1], goal, weights, strict=True):
-        prog.AddQuadraticCost(weight * (variable - value) ** 2)
-    return prog
-
-
-def box_goals() -> list[tuple[float, float, float]]:
-    """Returns CRISP's 18 goals on a circle of 3 m; each faces the way it lies in."""
-    angles = 2 * np.pi * np.arange(18) / 18
-    return [(3 * np.cos(t), 3 * np.sin(t), t) for t in angles.tolist()]
-
-
-def push_box(goal: tuple[float, float, float], num_steps: int = 100) -> MathematicalProgram:
-    """Returns CRISP's box, pushed quasi-statically on one of four faces at a time.
-
-    Forces λ₁, λ₂ ≥ 0 and λ₃, λ₄ ≤ 0 act at a point (x, y) of the box, on the face it is at:
-
-        λ₁ ⊥ y + b,  λ₂ ⊥ x + a,  −λ₃ ⊥ b − y,  −λ₄ ⊥ a − x,  λ_i λ_j = 0
-    """
-    a, b, dt, ground = 0.5, 0.25, 0.02, 0.5 * 1.0 * 9.8
-    turning = ground * 0.4 * np.hypot(a, b)
-    prog = MathematicalProgram()
-    pose = prog.NewContinuousVariables(num_steps + 1, 3, "pose")
-    point = prog.NewContinuousVariables(num_steps, 2, "point")
-    force = prog.NewContinuousVariables(num_steps, 4, "force")
-    prog.AddBoundingBoxConstraint(0.0, 0.0, pose[0])
-    for i, side in enumerate((a, b)):
-        prog.AddBoundingBoxConstraint(-side, side, point[:, i])
-    prog.AddBoundingBoxConstraint(0.0, np.inf, force[:, :2].ravel())
-    prog.AddBoundingBoxConstraint(-np.inf, 0.0, force[:, 2:].ravel())
-    for k in range(num_steps):
-        (x, y), each, angle = point[k], force[k], pose[k, 2]
-        along, across = each[1] + each[3], each[0] + each[2]
-        rates = (
-            (cos(angle) * along - sin(angle) * across) / ground,
-            (sin(angle) * along + cos(angle) * across) / ground,
-            (x * across - y * along) / turning,
-        )
-        for i, rate in enumerate(rates):
-            prog.AddConstraint(pose[k + 1, i] - pose[k, i] - dt * rate == 0)
-        gaps = (y + b, x + a, b - y, a - x)
-        for i, (push, gap) in enumerate(zip(each, gaps, strict=True)):
-            prog.AddConstraint(push * gap == 0)
-            for other in each[i + 1 :]:
-                prog.AddConstraint(push * other == 0)
-        prog.AddQuadraticCost(1e-3 * each @ each)
-    off = pose[-1] - np.array(goal)
-    prog.AddQuadraticCost(100.0 * off @ off)
-    return prog

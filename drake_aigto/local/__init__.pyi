@@ -5,6 +5,7 @@ from .drake_solvers import solve_with_drake as solve_with_drake
 from .interior_point import InteriorPoint as InteriorPoint
 from .newton_lagrange import NewtonLagrange as NewtonLagrange
 from .nlp import PolynomialNlp as PolynomialNlp
+from .penalty_ladder import Climb as Climb
 from .penalty_ladder import PenaltyLadder as PenaltyLadder
 from .points import PointTables as PointTables
 from .points import make_point_tables as make_point_tables

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drake_aigto.arrays import Floats, Ints
+from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.local.nlp import PolynomialNlp
 from drake_aigto.local.penalty_newton import (
     PenaltyIterate,
@@ -65,7 +65,7 @@ def rungs(relaxation: float, weight: float) -> Iterator[Rung]:
     while True:
         tolerance = 1e-1 if weight < _ROUGH else 1e-2
         yield Rung(relaxation, weight, _BARRIER * relaxation, count, tolerance)
-        if weight >= _FINE:
+        if weight >= _FINE and relaxation <= _LAST_RELAXATIONS[0]:
             break
         weight = min(_PENALIZED_MORE * weight, _FINE)
         relaxation = max(_RELAXED_LESS * relaxation, _LAST_RELAXATIONS[0])
@@ -94,6 +94,7 @@ class PenaltyLadder:
         center: Floats,
         half_width: Floats,
         relaxed: Ints,
+        is_upper: Bools,
     ) -> None:
         """Scales costs and rows by how steep they are over a box.
 
@@ -103,13 +104,15 @@ class PenaltyLadder:
             center: of the box (n,).
             half_width: of the box, the units of variables (n,).
             relaxed: numbers of the rows that are relaxed.
+            is_upper: rows that are to be at or below 0, or ε, in place of at it (m,).
         """
+        self._nlp = nlp
         self._units = np.where(half_width > 0.0, half_width, 1.0)
         self._places = tables.places
         self._relaxed, self._system = relaxed, make_point_system(tables)
         self._program = PenaltyProgram(
             *(tables, nlp.lower.copy(), nlp.upper.copy(), self._units),
-            *(np.ones(nlp.num_rows), 1.0),
+            *(np.ones(nlp.num_rows), is_upper.copy(), 1.0),
         )
         self._scale(center, np.random.default_rng(0))
 
@@ -146,6 +149,16 @@ class PenaltyLadder:
         scale = min(_KNOWN_COST / max(abs(cost), 1e-300), most)
         self._program = self._program._replace(cost_scale=max(scale, self._first_scale))
 
+    @property
+    def sizes(self) -> Floats:
+        """What rows vary by over the box (m,)."""
+        return self._sizes
+
+    def judge(self, x: Floats, steps: int) -> Climb:
+        """Returns a point (n,) that others found as the end of a climb of so many steps."""
+        cost, rows = self._nlp.evaluate(x)
+        return Climb(x, cost, self._residual(rows), steps)
+
     def climb(self, start: Floats, relaxation: float, weight: float, dear: float = np.inf) -> Climb:
         """Goes up a ladder, until its top or until that is hopeless.
 
@@ -168,13 +181,18 @@ class PenaltyLadder:
         for rung in rungs(relaxation, weight):
             targets[self._relaxed] = rung.relaxation * self._sizes[self._relaxed]
             steps, cost = descend(program, targets, rung, iterate, self._system, rows)
-            total, residual = total + steps, float(np.max(np.abs(program.row_scales * rows)))
+            total, residual = total + steps, self._residual(rows)
             if rung.weight >= _FINE and cost > dear:
                 residual = np.inf
                 break
             if rung.weight == _LAST_WEIGHT and not residual <= _HOPELESS:
                 break
         return Climb(iterate.x, cost, residual, total)
+
+    def _residual(self, rows: Floats) -> float:
+        """Returns the largest of scaled rows."""
+        over = np.where(self._program.is_upper, np.maximum(rows, 0.0), np.abs(rows))
+        return float(np.max(self._program.row_scales * over))
 
     def _inside(self, x: Floats) -> Floats:
         """Returns a point (n,) strictly within the bounds."""

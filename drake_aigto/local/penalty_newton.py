@@ -2,6 +2,9 @@
 
     Φ(x) = s f(x) + yᵀ r(x) + ρ/2 Σ w_i² r_i(x)² − μ Σ log (slacks of bounds),    r = c(x) − ε
 
+Of rows that are to be at or below ε, r_i = max(c_i(x) − ε, −y_i/(ρ w_i²)), with y_i ≥ 0
+(Rockafellar 1973): those that are well below it neither cost nor curve.
+
 One call goes a rung of a ladder: to a minimizer for given (ε, ρ, μ), followed by y ← y + ρ w² r,
 the method of multipliers (Hestenes 1969, Powell 1969). The Hessian is a band: far from feasible
 points an iteration costs as much as near them, and no restoration is ever needed.
@@ -14,7 +17,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Bools, Floats
 from drake_aigto.jit import borrow, inner, kernel
 from drake_aigto.local.band import factorize_band, solve_band
 from drake_aigto.local.points import (
@@ -43,6 +46,7 @@ class PenaltyProgram(NamedTuple):
         upper: (n,).
         units: a distance that matters, of each variable (n,).
         row_scales: w, of each row (m,).
+        is_upper: rows that are to be at or below ε, all others at it (m,).
         cost_scale: s.
     """
 
@@ -51,6 +55,7 @@ class PenaltyProgram(NamedTuple):
     upper: Floats
     units: Floats
     row_scales: Floats
+    is_upper: Bools
     cost_scale: float
 
 
@@ -89,6 +94,15 @@ class Rung(NamedTuple):
 
 
 @inner
+def _inactive(program: PenaltyProgram, weight: float, multipliers: Floats, i: int) -> float:
+    """Returns r below which a row neither costs nor curves; −∞ of one that is to be at ε."""
+    if not program.is_upper[i]:
+        return -np.inf
+    scale = program.row_scales[i]
+    return -multipliers[i] / (weight * scale * scale)
+
+
+@inner
 def _merit(
     program: PenaltyProgram,
     targets: Floats,
@@ -103,7 +117,7 @@ def _merit(
     cost = evaluate(program.tables, x, values, rows)
     total = program.cost_scale * cost
     for i in range(rows.size):
-        rows[i] -= targets[i]
+        rows[i] = max(rows[i] - targets[i], _inactive(program, weight, multipliers, i))
         scaled = program.row_scales[i] * rows[i]
         total += multipliers[i] * rows[i] + 0.5 * weight * scaled * scaled
     for i in range(x.size):
@@ -141,6 +155,8 @@ def _add_rows(
     """Adds the rows' gradient, and the convex part of their penalty's Hessian."""
     tables = program.tables
     for row in range(multipliers.size):
+        if program.is_upper[row] and multipliers[row] == 0.0:
+            continue
         scale = weight * program.row_scales[row] * program.row_scales[row]
         first, last = tables.first_entries[row], tables.first_entries[row + 1]
         for i in range(first, last):
@@ -223,8 +239,10 @@ def _differentiate(
 ) -> None:
     """Fills Φ's gradient and Hessian, the latter without the rows' curvature if it is convex."""
     for i in range(rows.size):
-        scale = program.row_scales[i]
-        estimates[i] = iterate.multipliers[i] + weight * scale * scale * rows[i]
+        estimates[i] = 0.0
+        if rows[i] > _inactive(program, weight, iterate.multipliers, i):
+            scale = program.row_scales[i]
+            estimates[i] = iterate.multipliers[i] + weight * scale * scale * rows[i]
     curved = np.zeros(rows.size) if is_convex else estimates
     differentiate(program.tables, iterate.x, program.cost_scale, curved, system)
     _add_bounds(program, iterate, barrier, system)
@@ -308,4 +326,6 @@ def descend(
     for i in range(rows.size):
         scale = program.row_scales[i]
         multipliers[i] += weight * scale * scale * rows[i]
+        if program.is_upper[i]:
+            multipliers[i] = max(0.0, multipliers[i])
     return steps, cost

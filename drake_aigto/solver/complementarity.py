@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import itertools
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
+import numpy as np
+
+from drake_aigto.arrays import Bools
 from drake_aigto.solver.program import AigoProgram
 from drake_aigto.solver.ranges import sum_range
 from drake_aigto.terms import FunctionKind, Part, Sum, from_terms, with_own_variables
@@ -39,6 +43,28 @@ class Complementarity:
     def product(self) -> Sum:
         """λ s over y."""
         return {_times(parts, self.variable): a for parts, a in self.gap.items()}
+
+
+def are_shared(found: Sequence[Complementarity]) -> Bools:
+    """Returns which complementarities have a side, λ or s, that others have too (k,).
+
+    Equations λ s = ε of all of them leave less than they should: of f between −m and m, of which
+    v > 0 lets only −m and w > 0 only m, three equations v w = w (m − f) = v (m + f) = ε determine
+    all three variables.
+    """
+    counts: dict[_Form, int] = {}
+    sides = [_sides(each) for each in found]
+    for side in itertools.chain.from_iterable(sides):
+        counts[side] = counts.get(side, 0) + 1
+    return np.array([any(counts[side] > 1 for side in each) for each in sides], dtype=bool)
+
+
+def _sides(each: Complementarity) -> tuple[_Form, _Form]:
+    """Returns what tells the sides of a complementarity from those of others."""
+    own: Sum = {(Part(each.variable, FunctionKind.POWER),): 1.0}
+    unit = abs(next(iter(each.gap.values())))
+    gap = frozenset((parts, round(a / unit, 9)) for parts, a in each.gap.items())
+    return _normal_form(own)[0], gap
 
 
 class _Side(NamedTuple):

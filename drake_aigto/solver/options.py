@@ -24,9 +24,11 @@ class AigoOptions:
             (`local.InteriorPoint`), "ipopt" or "snopt" through Drake, or "none".
         rounds: the most rounds in which boxes of some variables are renewed (`aigo.BoxSearch`).
             With constraints, they are shared out to three weights of their penalties. Also the most
-            ladders of penalties, where there are stages or complementarities.
+            ladders of penalties, where there are stages or complementarities; a climb by interior
+            points, where complementarities share a side, counts as four.
         patience: rounds in a row without a better point that end the search; with constraints, a
-            sixth of them does at each weight; with ladders, half of them.
+            sixth of them does at each weight; with ladders, three eighths of them do, and what is
+            kept begins anew once, unless interior points climb too.
         feasibility: the largest violation of a constraint in an answer that is called a solution.
         first_half_width: half width of the first box where a variable has no bounds, relative to
             max(1, |guess|); it doubles from there while that lowers the cost's mean.

@@ -391,9 +391,9 @@ class Solve:
             start = staged.program.answer(y)
             x = solve_with_drake(staged.program.source, start, options.polish).x
             return self._keep_relaxed(staged.program.with_slacks(staged.program.reduce(x)), name)
-        found = InteriorPoint.warm(max_iterations=_RELAXED_STEPS).solve(staged.nlp, y)
+        found = staged.polish(y, _RELAXED_STEPS)
         self._kkt_storage = found.storage
-        kept = self._keep_relaxed(found.x, name)
+        kept = self._keep_relaxed(found.x[: y.size], name)
         if kept is None and staged.complementarities:
             local = InteriorPoint.warm(max_iterations=_POLISH_STEPS)
             found = local.solve(staged.at_corners(y), y)

@@ -8,11 +8,20 @@ from functools import cached_property
 import numpy as np
 
 from drake_aigto.aigo import Box
-from drake_aigto.arrays import Floats, Ints
-from drake_aigto.local import PenaltyLadder, PointTables, PolynomialNlp, make_point_tables
-from drake_aigto.solver.complementarity import find_complementarities
+from drake_aigto.arrays import Bools, Floats, Ints
+from drake_aigto.local import (
+    Climb,
+    InteriorPoint,
+    LocalResult,
+    PenaltyLadder,
+    PointTables,
+    PolynomialNlp,
+    make_point_tables,
+)
+from drake_aigto.solver.complementarity import are_shared, find_complementarities
 from drake_aigto.solver.options import AigoOptions
 from drake_aigto.solver.program import AigoProgram
+from drake_aigto.solver.tightened import TightenedProgram
 from drake_aigto.terms import Sum, TermBlock, add, constant, evaluate, with_own_variables
 
 # A chain is so many times longer than its half bandwidth, and has more variables than a few.
@@ -31,6 +40,10 @@ _MOST_KEPT, _SAME = 4, 1e-3
 _DEAR = 0.05
 # Starts reach so far over the box; ladders begin at these powers of ten.
 _REACH = 0.6
+_START_TIGHTENED, _RENEWED_TIGHTENED = (-2.0, 0.0), (-3.0, 0.0)
+# What led to the best point is left for the other way of climbing so often; interior points count
+# as so many ladders of penalties, and take about twice as long as those.
+_OTHER, _TIGHTENED_WORK = 0.25, 4
 _START_RELAXATIONS, _START_WEIGHTS = (-2.2, -0.7), (2.5, 5.0)
 _RENEWED_RELAXATIONS, _RENEWED_WEIGHTS, _SHIFTS = (-3.7, -1.2), (3.5, 6.0), (-1.5, 0.0)
 # So many times points are kept anew, as those that are renewed are of few basins; each time until
@@ -57,13 +70,35 @@ class StagedProgram:
         """
         self.program = program
         self.complementarities = find_complementarities(program) if program.num_rows else ()
-        self.nlp = self._relax(_PART_OF_FEASIBILITY * feasibility)
+        self._least = _PART_OF_FEASIBILITY * feasibility
+        self.nlp = self._relax()
 
     @property
     def relaxed(self) -> Ints:
         """Numbers of the rows of `nlp` that are complementarities."""
         last = self.nlp.num_rows
         return np.arange(last - len(self.complementarities), last)
+
+    @cached_property
+    def is_upper(self) -> Bools:
+        """Which rows of `nlp` are λ s ≤ ε: of complementarities of which several share a side."""
+        found = np.zeros(self.nlp.num_rows, dtype=bool)
+        found[self.relaxed] = are_shared(self.complementarities)
+        return found
+
+    @cached_property
+    def tightened(self) -> TightenedProgram | None:
+        """The program for interior points, if complementarities share sides."""
+        if not np.any(self.is_upper):
+            return None
+        return TightenedProgram(self._with_rows([], []), self.complementarities)
+
+    def polish(self, y: Floats, max_steps: int) -> LocalResult:
+        """Returns an optimum for the smallest ε from a point y (n,) that is nearly feasible."""
+        local = InteriorPoint.warm(max_iterations=max_steps)
+        if self.tightened is None:
+            return local.solve(self.nlp, y)
+        return self.tightened.solve(local, y, self._least)
 
     @cached_property
     def tables(self) -> PointTables:
@@ -95,9 +130,9 @@ class StagedProgram:
         """Whether ladders alone search it: stages with contact, of which boxes see the mean."""
         return self.is_worth_ladders and self.is_chain and bool(self.complementarities)
 
-    def _relax(self, least: float) -> PolynomialNlp:
+    def _relax(self) -> PolynomialNlp:
         rows = [
-            _block("complementarity", add(each.product, constant(-max(least, each.allowed))))
+            _block("complementarity", add(each.product, constant(-max(self._least, each.allowed))))
             for each in self.complementarities
         ]
         return self._with_rows(rows, [])
@@ -167,14 +202,19 @@ class StagedSearch:
             polish: called with points y that are nearly feasible, if they are better than others;
                 returns the point that each becomes, or None if that is not feasible.
         """
-        self.climbs = self.steps = 0
-        self.best = np.inf
+        self.climbs = self.steps = self._work = 0
+        self.best, self._is_tightened = np.inf, True
         self._options, self._polish = options, polish
-        self._guess, self._program = guess, staged.program
+        self._guess, self._program, self._staged = guess, staged.program, staged
         self._nlp, self._places = staged.nlp, staged.tables.places
         self.first = self._box()
         self._ladder = PenaltyLadder(
-            self._nlp, staged.tables, self.first.center, self.first.half_width, staged.relaxed
+            self._nlp,
+            staged.tables,
+            self.first.center,
+            self.first.half_width,
+            staged.relaxed,
+            staged.is_upper,
         )
         self._kept: list[tuple[float, Floats]] = []
         self._rng = np.random.default_rng(options.seed)
@@ -185,7 +225,7 @@ class StagedSearch:
         guess = np.zeros(lower.size)
         guess[: self._guess.size] = np.nan_to_num(self._guess)
         reach = self._options.first_half_width * np.maximum(1.0, np.abs(guess))
-        near = np.clip(guess, lower, upper)
+        near = self._near = np.clip(guess, lower, upper)
         low = np.where(np.isfinite(lower), lower, np.minimum(near, upper - reach) - reach)
         high = np.where(np.isfinite(upper), upper, np.maximum(near, low + reach) + reach)
         return Box((low + high) / 2, (high - low) / 2)
@@ -194,27 +234,32 @@ class StagedSearch:
         """Goes up ladders for as long as that pays, in several populations of kept points."""
         if np.all(np.isfinite(self._guess)):
             self._climb(self._program.with_slacks(self._guess), "the guess", renewed=True)
-        for number in range(_POPULATIONS):
+        for number in range(_POPULATIONS if self._staged.tightened is None else 1):
             if number:
                 self._kept = []
             self._evolve()
 
     def _evolve(self) -> None:
         """Starts by chance, then renews the best points, until none is better for long."""
-        first, best, idle = self.climbs, np.inf, 0
+        first, best, better = self._work, np.inf, self._work
         num_starts = max(1, self._options.starts)
         patience = max(1, int(_PART_OF_PATIENCE * self._options.patience))
-        while self.climbs < self._options.rounds and (idle < patience or np.isinf(self.best)):
-            is_start = not self._kept or self.climbs < first + num_starts
+        while self._work < self._options.rounds and (
+            self._work < better + patience or np.isinf(self.best)
+        ):
+            is_start = not self._kept or self._work < first + num_starts
             if is_start or self._rng.random() > _RENEWED_PART:
                 self._climb(self._start(), "a start by chance", renewed=False)
             else:
                 self._climb(self._renewed(), "a renewed stretch", renewed=True)
             now = self._kept[0][0] if self._kept else np.inf
-            is_better = now < best - _SAME * abs(best) or np.isinf(best)
-            best, idle = min(now, best), 0 if is_better and self._kept else idle + 1
+            if not self._kept or now < best - _SAME * abs(best) or np.isinf(best):
+                better = self._work
+            best = min(now, best)
 
     def _start(self) -> Floats:
+        if self.climbs == 0 and self._staged.tightened is not None:
+            return self._near
         reach = self._rng.uniform(0.0, _REACH)
         return self.first.center + reach * self._shift()
 
@@ -233,12 +278,20 @@ class StagedSearch:
         return np.where(is_open, x + 10 ** rng.uniform(*_SHIFTS) * self._shift(), x)
 
     def _climb(self, start: Floats, name: str, renewed: bool) -> None:
-        """Goes up a ladder, and keeps where it ends."""
-        relaxations = _RENEWED_RELAXATIONS if renewed else _START_RELAXATIONS
-        weights = _RENEWED_WEIGHTS if renewed else _START_WEIGHTS
-        relaxation, weight = (10 ** self._rng.uniform(*each) for each in (relaxations, weights))
-        dear = self.best + _DEAR * abs(self.best)
-        found = self._ladder.climb(start, relaxation, weight, dear)
+        """Goes up a ladder, and keeps where it ends.
+
+        Where several complementarities share sides, interior points climb too: mostly what led to
+        the best point does.
+        """
+        tightened, is_tightened = self._staged.tightened, self._is_tightened
+        if tightened is not None and self.climbs and self._rng.random() < _OTHER:
+            is_tightened = not is_tightened
+        if tightened is not None and is_tightened:
+            found = self._tighten(tightened, start, renewed)
+            self._work += _TIGHTENED_WORK
+        else:
+            found = self._penalize(start, renewed)
+            self._work += 1
         self.climbs, self.steps = self.climbs + 1, self.steps + found.steps
         if not found.is_nearly_feasible:
             return
@@ -248,8 +301,25 @@ class StagedSearch:
             if polished is None:
                 return
             cost, x = self._nlp.evaluate(polished)[0], polished
+            self._is_tightened = is_tightened
             self._ladder.scale_cost(cost)
         self._keep(cost, x)
+
+    def _penalize(self, start: Floats, renewed: bool) -> Climb:
+        """Returns where a ladder of penalties ends."""
+        relaxations = _RENEWED_RELAXATIONS if renewed else _START_RELAXATIONS
+        weights = _RENEWED_WEIGHTS if renewed else _START_WEIGHTS
+        relaxation, weight = (10 ** self._rng.uniform(*each) for each in (relaxations, weights))
+        dear = self.best + _DEAR * abs(self.best)
+        return self._ladder.climb(start, relaxation, weight, dear)
+
+    def _tighten(self, tightened: TightenedProgram, start: Floats, renewed: bool) -> Climb:
+        """Returns where an interior point's optima of falling ε end."""
+        y = self._program.with_slacks(start)
+        first = 10 ** self._rng.uniform(*(_RENEWED_TIGHTENED if renewed else _START_TIGHTENED))
+        sizes = self._ladder.sizes[self._staged.relaxed]
+        y, steps = tightened.tighten(y, sizes, first, renewed)
+        return self._ladder.judge(y, steps)
 
     def _keep(self, cost: float, x: Floats) -> None:
         """Keeps a point if it is among the best, and no other costs the same."""

@@ -1,0 +1,169 @@
+"""AIGO on programs of contact that other systems were made for, beside IPOPT from their own start.
+
+    python -m benchmarks.peer_programs [--only payload] [--seeds 1] [--workers 1] [--minutes 60]
+
+IPOPT runs through CasADi on the same rows, with exact Hessians and complementarities λ s ≤ ε that
+are relaxed and tightened, once from the start that the program's authors give (ours has none), and
+once from our answer on the smallest ε alone, which is how that is checked a second time: it is to
+stay feasible, and to cost what it did. Violations are of the program as it was given. Best known is
+the least of all feasible answers, those of ours from other seeds and a published one among them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from benchmarks.collections.peer_programs import KNOWN, peer_problems
+from benchmarks.collections.staged_programs import StagedProblem
+from benchmarks.jobs import add_options, run_all, run_as
+from benchmarks.measure import machine
+from benchmarks.staged_programs import FEASIBLE, GLOBAL, Ipopt, cost_of, run_ours, warm_up
+from drake_aigto.arrays import Floats
+from drake_aigto.solver import AigoOptions, AigoSolver
+from drake_aigto.solver.program import AigoProgram, read_program
+from drake_aigto.solver.staged import StagedProgram
+
+
+@dataclass(frozen=True)
+class Answer:
+    """What a method found.
+
+    Attributes:
+        cost: of it; inf if it is not feasible.
+        violation: of the program as it was given.
+        seconds: of the processor.
+    """
+
+    cost: float
+    violation: float
+    seconds: float
+
+    @classmethod
+    def of(cls, program: AigoProgram, x: Floats, seconds: float) -> Answer:
+        """Returns the answer that a point x (n,) is."""
+        return cls(cost_of(program, x), program.violation(x), seconds)
+
+    def __str__(self) -> str:
+        """Returns a table's columns."""
+        return f"{self.cost:11.5g} {self.violation:8.0e} {self.seconds:7.2f}"
+
+
+@dataclass(frozen=True)
+class Run:
+    """What came of one program.
+
+    Attributes:
+        problem: its name.
+        ours: without a start.
+        checked: of IPOPT from our answer.
+        peer: of IPOPT from its authors' start.
+        known: the least of all answers.
+    """
+
+    problem: str
+    ours: Answer
+    checked: Answer
+    peer: Answer
+    known: float
+
+    def is_best(self, answer: Answer) -> bool:
+        """Whether an answer is within 1 % of the best known."""
+        return bool(answer.cost <= self.known + GLOBAL * abs(self.known))
+
+    @property
+    def is_no_worse(self) -> bool:
+        """Whether ours is no worse than the peer by 1 %."""
+        return bool(self.ours.cost <= self.peer.cost + GLOBAL * abs(self.peer.cost))
+
+    @property
+    def is_better(self) -> bool:
+        """Whether ours is better than the peer by 1 %."""
+        return bool(self.ours.cost < self.peer.cost - GLOBAL * abs(self.peer.cost))
+
+    @property
+    def is_confirmed(self) -> bool:
+        """Whether IPOPT stays at our answer, or lowers its cost by less than 1 %."""
+        return bool(abs(self.checked.cost - self.ours.cost) <= GLOBAL * abs(self.ours.cost))
+
+
+def main() -> None:
+    """Runs all programs, and prints a table and shares."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--only", default="", help="programs whose name has this in it")
+    parser.add_argument("--seeds", type=int, default=1, help="of ours, for the best known")
+    add_options(parser)
+    arguments = parser.parse_args()
+    print(machine())
+    columns = "cost        violation seconds"
+    print(
+        f"{'':20} ours: {columns:25}   IPOPT from our answer        IPOPT from its authors' start"
+    )
+    names = [each.name for each in peer_problems() if arguments.only in each.name]
+    runs = run_all(partial(run, num_seeds=arguments.seeds), names, arguments)
+    for family in dict.fromkeys(each.problem.rpartition("/")[0] for each in runs):
+        summarise(family, [each for each in runs if each.problem.startswith(f"{family}/")])
+    summarise("all", runs)
+
+
+def summarise(family: str, runs: list[Run]) -> None:
+    """Prints how often ours is as good as the peer, or better, and seconds."""
+    ours, peer = ([getattr(each, name).seconds for each in runs] for name in ("ours", "peer"))
+    print(
+        f"{family}: {len(runs)} programs; ours no worse than IPOPT by 1 % in "
+        f"{sum(each.is_no_worse for each in runs)}, better in "
+        f"{sum(each.is_better for each in runs)}; within 1 % of the best known "
+        f"{sum(each.is_best(each.ours) for each in runs)}, IPOPT "
+        f"{sum(each.is_best(each.peer) for each in runs)};\n"
+        f"  confirmed {sum(each.is_confirmed for each in runs)}; "
+        f"median {np.median(ours):.1f} s, {max(ours):.1f} s at most, "
+        f"IPOPT {np.median(peer):.1f} s, {max(peer):.1f} s"
+    )
+
+
+def run(name: str, *, num_seeds: int) -> Run:
+    """Runs ours, IPOPT twice, and ours from other seeds."""
+    warm_up()
+    (problem,) = (each for each in peer_problems() if each.name == name)
+    program = read_program(problem.prog())
+    ours, x = _run_ours(problem, program)
+    ipopt = Ipopt(StagedProgram(program, FEASIBLE))
+    start = _start(problem)
+    checked = _timed(program, lambda: ipopt.polish(x))
+    peer = _timed(program, lambda: ipopt.solve(start))
+    others = [run_ours(problem, seed)[0] for seed in range(1, num_seeds + 1)]
+    known = min(ours.cost, checked.cost, peer.cost, *others, KNOWN.get(name, np.inf))
+    found = Run(name, ours, checked, peer, known)
+    mark = "*" if found.is_best(ours) else "-"
+    print(f"{name:20} {mark} {ours}   {checked}   {peer}", flush=True)
+    return found
+
+
+def _start(problem: StagedProblem) -> Floats:
+    if problem.guess is None:
+        raise ValueError(f"{problem.name} has no start of its authors")
+    return problem.guess()
+
+
+def _run_ours(problem: StagedProblem, program: AigoProgram) -> tuple[Answer, Floats]:
+    """Returns our answer, and its x (n,)."""
+    prog = problem.prog()
+    begin = time.process_time()
+    x = AigoSolver(AigoOptions()).Solve(prog).get_x_val()
+    return Answer.of(program, x, time.process_time() - begin), x
+
+
+def _timed(program: AigoProgram, solve: Callable[[], Floats]) -> Answer:
+    """Returns the answer that a call of IPOPT gives."""
+    begin = time.process_time()
+    x = solve()
+    return Answer.of(program, x, time.process_time() - begin)
+
+
+if __name__ == "__main__":
+    run_as("benchmarks.peer_programs")
