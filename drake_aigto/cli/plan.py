@@ -33,6 +33,7 @@ _NUMERICS = {
     "threads": "how many starts of AIGO run at once (default: more than one where it pays)",
     "relaxation": "rigid: how much walls push from afar while boxes shrink",
     "aigo_steps": "rigid: the most time steps that boxes have",
+    "certify": "rigid, shooting: say how far at most the plan is above any other",
     "exhaustive": "rigid: also run starts, and polish flights, that can hardly win",
     "renewals": "shooting: how many times at most motions are opened to boxes again, or begun anew",
     "patience": "shooting: after how many of these that find nothing better the search ends",

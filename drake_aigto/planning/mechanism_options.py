@@ -48,6 +48,8 @@ class MechanismOptions(SearchOptions):
         patience: renewals in a row that find nothing better, after which there are no more.
         search_steps: how many time steps candidates have at most; finalists have the scenario's.
         seed: of what is drawn.
+        certify: whether it is said why there is no lower bound of plans, as there is between rigid
+            walls (`Plan.bound`).
     """
 
     finalists: int = 2
@@ -56,6 +58,7 @@ class MechanismOptions(SearchOptions):
     patience: int = 72
     search_steps: int = 60
     seed: int = 0
+    certify: bool = False
 
     transcription: ClassVar[str] = "shooting"
 

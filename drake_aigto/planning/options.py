@@ -166,6 +166,7 @@ class PlanOptions(LadderOptions):
         exhaustive: whether rungs are run, too, that can hardly tell anything new
             (`RigidSearch.rungs`), and flights polished that cost too much (`RigidSearch.add`).
         branches: of how many candidates neighbors are tried, with a bounce more or less.
+        certify: whether a lower bound of all plans is found, too (`Plan.lower_bound`).
     """
 
     ladder: tuple[Rung, ...] = field(default=RIGID_LADDER, repr=False)
@@ -173,6 +174,7 @@ class PlanOptions(LadderOptions):
     aigo_steps: int = 50
     exhaustive: bool = False
     branches: int = 3
+    certify: bool = False
 
     transcription: ClassVar[str] = "rigid"
 

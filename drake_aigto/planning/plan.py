@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+from drake_aigto.certify import PlanBound
 from drake_aigto.errors import AigtoError, DamagedDataError, ModelError, PlanFileError
 from drake_aigto.plain import LEFT_OUT, from_plain, read_json, to_plain
 from drake_aigto.planning.candidate import Candidate, Replays, Veto
@@ -66,6 +67,7 @@ class Plan:
         made_in: what tells the world that it was made in from others; None: a file of version 3
             did not say.
         is_interrupted: whether Ctrl-C ended the search before it was done.
+        bound: what any plan costs at least; None unless the options asked for it.
         options: that it was made with; None: a file of version 3 did not say.
         world: that it was made in, while it is in memory: neither files nor copies in other
             processes have it (`find_world`).
@@ -78,6 +80,7 @@ class Plan:
     stats: PlanStats
     made_in: Fingerprint | None
     is_interrupted: bool = False
+    bound: PlanBound | None = None
     options: SearchOptions | None = field(default=None, metadata=LEFT_OUT)
     world: World | None = field(default=None, compare=False, repr=False, metadata=LEFT_OUT)
 
@@ -105,6 +108,16 @@ class Plan:
     def cost(self) -> float:
         """J of the scenario's task (`TaskCost`), and costs of users, of the chosen trajectory."""
         return self.best.cost
+
+    @property
+    def lower_bound(self) -> float | None:
+        """No control brings the cost below it; None where no bound was found."""
+        return self.bound.lower_bound if self.bound else None
+
+    @property
+    def gap(self) -> float | None:
+        """How far above that the simulated cost is: its part of it (`PlanBound.gap`)."""
+        return self.bound.gap(self.replay.event_driven.cost) if self.bound else None
 
     @property
     def trajectory(self) -> Trajectory:

@@ -8,6 +8,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
+from drake_aigto.certify import bound_plans
 from drake_aigto.errors import OptionsError, ProgramError
 from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.coarse import transcribe
@@ -217,9 +218,21 @@ def run_search(
     search.run(progress)
     search.add_idle()
     found = search.make_plan(scenario, _choose(search))
+    if search.problem.options.certify:
+        found = _bounded(found, search.problem.world)
     if not found.holds:
         raise _nothing_holds(found, search.problem.sources)
     return found
+
+
+def _bounded(found: Plan, world: World) -> Plan:
+    """Returns a plan with what any plan costs at least."""
+    cost = found.replay.event_driven.cost
+    bound = bound_plans(world, found.scenario, cost)
+    if found.best.added_costs:
+        reason = "costs of your own may be of any sign"
+        bound = dataclasses.replace(bound, lower_bound=None, reason=reason)
+    return dataclasses.replace(found, bound=bound)
 
 
 def _choose(search: RigidSearch | MechanismSearch) -> Candidate:

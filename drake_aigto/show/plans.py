@@ -10,6 +10,7 @@ from drake_aigto.arrays import interpolate
 from drake_aigto.planning import Candidate, Plan, PlanOptions
 from drake_aigto.show.remarks import (
     INTERRUPTED,
+    describe_bound,
     describe_duration,
     describe_idle,
     describe_steps,
@@ -79,6 +80,7 @@ def _answer(plan: Plan, world: World, contact_delay: float | None) -> Iterator[s
     for veto in describe_vetoes(plan, world):
         yield from _text("vetoed", veto)
     yield from _text("no control", describe_idle(plan, world))
+    yield from _text("bound", describe_bound(plan))
     mass = [] if scenario.mass is None else [f"mass {scenario.mass:g} kg"]
     T = plan.trajectory.times[-1] if scenario.duration_range else scenario.duration
     span = f"T = {T:.6g} s in {scenario.num_steps} steps"

@@ -47,6 +47,19 @@ def describe_idle(plan: Plan, world: World) -> str | None:
     return f"{less}it costs {replay.cost:.3e} and ends {miss} off the goal"
 
 
+def describe_bound(plan: Plan) -> str | None:
+    """Returns how far a plan is above any other at most; None where that was not asked for."""
+    if plan.bound is None:
+        return None
+    if plan.gap is None:
+        return f"no lower bound: {plan.bound.reason}"
+    of = " of the task's scale" if plan.bound.is_nothing else ""
+    return (
+        f"at most {100 * plan.gap:.2g} %{of} above any plan, as simulated: no control does it for "
+        f"less than {plan.bound.lower_bound:.4e}"
+    )
+
+
 def describe_unplanned(plan: Plan, world: World) -> str | None:
     """Returns which contacts a plan's control has on rigid walls, and its trajectory has not."""
     found, names = plan.best.unplanned, touch_names(world)

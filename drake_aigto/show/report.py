@@ -26,6 +26,7 @@ from drake_aigto.show.playback import open_meshcat, play
 from drake_aigto.show.question import add_question
 from drake_aigto.show.remarks import (
     INTERRUPTED,
+    describe_bound,
     describe_duration,
     describe_idle,
     describe_steps,
@@ -118,6 +119,8 @@ def add_verdict(page: Page, plan: Plan, world: World) -> None:
         page.paragraph(f"Duration: {duration}.")
     if steps := describe_steps(plan):
         page.paragraph(f"Time steps: {steps}.")
+    if bound := describe_bound(plan):
+        page.paragraph(f"{bound[0].upper()}{bound[1:]}.")
     if idle := describe_idle(plan, world):
         page.paragraph(f"Without control: {idle}.")
 

@@ -1,0 +1,80 @@
+"""Bounds of plans: below every exact optimum, near it, and told."""
+
+from __future__ import annotations
+
+import dataclasses
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from benchmarks.world_scenarios import WORLDS
+from drake_aigto import Plan, Planner, PlanOptions, Scenario, World
+from drake_aigto.certify import PlanBound, bound_plans
+from drake_aigto.optima import rigid_optimum, walls_optimum
+from drake_aigto.show.plans import format_plan
+
+
+def known(bound: PlanBound, cost: float) -> tuple[float, float]:
+    gap = bound.gap(cost)
+    assert bound.lower_bound is not None
+    assert gap is not None
+    return bound.lower_bound, gap
+
+
+def test_one_wall_is_bounded_by_the_exact_optimum_for_every_restitution() -> None:
+    rng = np.random.default_rng(0)
+    world = World.from_scenario(Scenario.named("table1/1"))
+    for e in (1.0, 0.9, 0.5, 0.1, 0.0) * 4:
+        scenario = Scenario(
+            initial_position=rng.uniform(0.05, 1.5),
+            initial_velocity=rng.uniform(-4.0, 1.0),
+            goal_position=rng.uniform(0.05, 1.5),
+            restitution=e,
+        )
+        least = rigid_optimum(world, scenario).cost
+        bound = bound_plans(world, scenario, 1.5 * least)
+        low, gap = known(bound, least)
+        assert low <= least
+        assert gap <= 1e-3
+
+
+@pytest.mark.parametrize("name", ["corridor", "room"])
+def test_several_walls_are_bounded_by_the_exact_optimum(name: str) -> None:
+    for scenario in WORLDS[name].draw(4, 3):
+        world = World.from_scenario(scenario)
+        least = walls_optimum(world, scenario).cost
+        bound = bound_plans(world, scenario, least + 1e-3)
+        low, gap = known(bound, least)
+        assert low <= least * (1 + 1e-9)
+        assert gap <= 1e-2
+
+
+def test_controls_that_are_held_cost_no_less_than_the_bound(tmp_path: Path) -> None:
+    scenario = dataclasses.replace(Scenario.named("table1/1"), restitution=0.8, time_step=0.05)
+    plan = Planner(scenario, PlanOptions(certify=True, confirm=False)).plan()
+    assert plan.bound is not None
+    low, gap = known(plan.bound, cost := plan.replay.event_driven.cost)
+    assert 0.0 < low <= cost
+    assert (plan.lower_bound, plan.gap) == (low, gap)
+    assert gap <= 0.05
+    assert "% above any plan" in " ".join(format_plan(plan).split())
+    plan.save(tmp_path / "plan.json")
+    assert Plan.load(tmp_path / "plan.json").bound == plan.bound
+
+
+@pytest.mark.parametrize(
+    ("change", "reason"),
+    [
+        ({"contact": "compliant"}, "give way"),
+        ({"velocity_weight": 1e-3}, "more than effort and goal: velocity_weight"),
+    ],
+)
+def test_where_there_is_no_bound_it_says_why(change: dict[str, Any], reason: str) -> None:
+    scenario = dataclasses.replace(Scenario.named("table1/1"), **change)
+    bound = bound_plans(World.from_scenario(scenario), scenario, 1.0)
+    assert bound.lower_bound is None
+    assert reason in bound.reason
+    floor = next(WORLDS["floor"].draw(1, 0))
+    assert "gravity" in bound_plans(World.from_scenario(floor), floor, 1.0).reason
