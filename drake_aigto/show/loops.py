@@ -10,6 +10,7 @@ import yaml
 from pydrake.geometry import Meshcat
 
 from drake_aigto.control import ClosedLoopRun
+from drake_aigto.plain import to_plain
 from drake_aigto.show.loop_figures import figures_of_run, motion_of_run, motions_of_switches
 from drake_aigto.show.page import Page
 from drake_aigto.show.playback import open_meshcat, publish
@@ -134,7 +135,8 @@ def report_run(run: ClosedLoopRun, progress: Callable[[str], None] | None = None
     if run.ticks:
         _add_ticks(page, run)
     page.heading("How to reproduce it")
-    page.code(yaml.safe_dump(run.scenario.to_plain(), sort_keys=False, allow_unicode=True))
+    for asked in (run.scenario.to_plain(), {"disturbance": to_plain(run.disturbance)}):
+        page.code(yaml.safe_dump(asked, sort_keys=False, allow_unicode=True))
     page.paragraph(describe_versions())
     return page.to_html()
 
