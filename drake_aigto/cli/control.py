@@ -26,6 +26,7 @@ from drake_aigto.control import (
 )
 from drake_aigto.errors import ControlError, OptionsError
 from drake_aigto.planning import MechanismOptions, Planner
+from drake_aigto.show.remarks import INTERRUPTED as CUT_SHORT
 from drake_aigto.world import Scenario
 from drake_aigto.world.files import check_writable, write_text
 
@@ -113,7 +114,11 @@ def _control(options: argparse.Namespace) -> int:
         run = run_in_loop(
             controller, scenario, planner.world, disturbance, duration, meshcat, progress
         )
-    return _answer(options, run, meshcat)
+    status = _answer(options, run, meshcat)
+    if isinstance(controller, TrackingController) and controller.plan.is_interrupted:
+        print(f"of the plan: {CUT_SHORT}", flush=True)
+        return INTERRUPTED
+    return status
 
 
 def _read_disturbance(options: argparse.Namespace) -> Disturbance:
