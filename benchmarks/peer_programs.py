@@ -1,6 +1,7 @@
 """AIGO on programs of contact that other systems were made for, beside IPOPT from their own start.
 
-    python -m benchmarks.peer_programs [--only payload] [--seeds 1] [--workers 1] [--minutes 60]
+    python -m benchmarks.peer_programs [--only payload] [--every 3] [--seeds 1] [--workers 1]
+        [--minutes 60]
 
 IPOPT runs through CasADi on the same rows, with exact Hessians and complementarities λ s ≤ ε that
 are relaxed and tightened, once from the start that the program's authors give (ours has none), and
@@ -96,6 +97,9 @@ def main() -> None:
     """Runs all programs, and prints a table and shares."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--only", default="", help="programs whose name has this in it")
+    parser.add_argument(
+        "--every", type=int, default=1, help="of the programs, the first of so many"
+    )
     parser.add_argument("--seeds", type=int, default=1, help="of ours, for the best known")
     add_options(parser)
     arguments = parser.parse_args()
@@ -105,6 +109,7 @@ def main() -> None:
         f"{'':20} ours: {columns:25}   IPOPT from our answer        IPOPT from its authors' start"
     )
     names = [each.name for each in peer_problems() if arguments.only in each.name]
+    names = names[:: arguments.every]
     runs = run_all(partial(run, num_seeds=arguments.seeds), names, arguments)
     for family in dict.fromkeys(each.problem.rpartition("/")[0] for each in runs):
         summarise(family, [each for each in runs if each.problem.startswith(f"{family}/")])

@@ -135,7 +135,8 @@ def test_a_push_bot_swings_up_between_soft_walls_however_it_is_written(form: For
     result = AigoSolver(AigoOptions(rounds=25)).Solve(prog)
     details = result.get_solver_details()
     assert result.is_success() and details.violation <= 1e-6
-    assert details.complementarities == 60 and 0 < details.ladders <= 25
+    assert details.complementarities == 60
+    assert 0 < details.repeats <= details.ladders <= 25
     assert result.get_optimal_cost() == pytest.approx(40.0842, rel=1e-4)
 
 
@@ -146,6 +147,11 @@ def test_complementarities_that_share_a_side_are_told_from_others() -> None:
     sliding = find_complementarities(read_program(payload(start, goal, 5)))
     # At the last four knots, v ⊥ w, v ⊥ f + m, w ⊥ m − f: v and w are of two each.
     assert are_shared(sliding).tolist() == [True] * 12
+
+
+def test_a_choice_between_zero_and_one_is_shared_as_its_equation_leaves_two_points() -> None:
+    choice: Add = lambda prog, x, y, p: prog.AddConstraint(p * (4 - p) == 0)  # noqa: E731
+    assert are_shared(find_complementarities(read_program(two_pushes(choice)))).tolist() == [True]
 
 
 @pytest.mark.parametrize("relaxation", [1.0, 1e-2])

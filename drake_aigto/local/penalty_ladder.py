@@ -65,7 +65,7 @@ def rungs(relaxation: float, weight: float) -> Iterator[Rung]:
     while True:
         tolerance = 1e-1 if weight < _ROUGH else 1e-2
         yield Rung(relaxation, weight, _BARRIER * relaxation, count, tolerance)
-        if weight >= _FINE and relaxation <= _LAST_RELAXATIONS[0]:
+        if weight >= _FINE:
             break
         weight = min(_PENALIZED_MORE * weight, _FINE)
         relaxation = max(_RELAXED_LESS * relaxation, _LAST_RELAXATIONS[0])

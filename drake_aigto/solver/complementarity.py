@@ -46,17 +46,24 @@ class Complementarity:
 
 
 def are_shared(found: Sequence[Complementarity]) -> Bools:
-    """Returns which complementarities have a side, λ or s, that others have too (k,).
+    """Returns which complementarities have a side, λ or s, that others have too, or both are (k,).
 
     Equations λ s = ε of all of them leave less than they should: of f between −m and m, of which
     v > 0 lets only −m and w > 0 only m, three equations v w = w (m − f) = v (m + f) = ε determine
-    all three variables.
+    all three variables; and so does λ (1 − λ) = ε.
     """
     counts: dict[_Form, int] = {}
     sides = [_sides(each) for each in found]
     for side in itertools.chain.from_iterable(sides):
         counts[side] = counts.get(side, 0) + 1
-    return np.array([any(counts[side] > 1 for side in each) for each in sides], dtype=bool)
+    of_one = [{part.variable for parts in each.gap for part in parts} for each in found]
+    return np.array(
+        [
+            read == {each.variable} or any(counts[side] > 1 for side in own)
+            for each, own, read in zip(found, sides, of_one, strict=True)
+        ],
+        dtype=bool,
+    )
 
 
 def _sides(each: Complementarity) -> tuple[_Form, _Form]:

@@ -25,7 +25,7 @@ class AigoOptions:
         rounds: the most rounds in which boxes of some variables are renewed (`aigo.BoxSearch`).
             With constraints, they are shared out to three weights of their penalties. Also the most
             ladders of penalties, where there are stages or complementarities; a climb by interior
-            points, where complementarities share a side, counts as four.
+            points, where complementarities share a side, counts as three.
         patience: rounds in a row without a better point that end the search; with constraints, a
             sixth of them does at each weight; with ladders, three eighths of them do, and what is
             kept begins anew once, unless interior points climb too.

@@ -26,15 +26,15 @@ SOLVER_ID = SolverId("AIGO")
 class AigoStatus(enum.Enum):
     """Why a solve ended, and what to make of it."""
 
-    SOLVED = "the best feasible point of all boxes"
+    SOLVED = "the best feasible point of all boxes and ladders"
     SOLVED_IN_PART = (
         "the best feasible point of the part that was searched, as some variables have no bounds: "
         "the details say which part; bound the variables to have all of it searched"
     )
     PROVEN = "no feasible point costs less, by 1e-6 of the cost or its scale: it is proven"
     NO_FEASIBLE_POINT = (
-        "no box led to a feasible point, which is no proof that there is none: allow more boxes, "
-        "give a guess, or bound the variables"
+        "no box or ladder led to a feasible point, which is no proof that there is none: allow "
+        "more of them, give a guess, or bound the variables"
     )
     INFEASIBLE = "the rows leave no feasible point within the bounds, by interval arithmetic"
     CONTRADICTORY_BOUNDS = "bounds or constants contradict each other: there is no feasible point"
@@ -74,8 +74,10 @@ class AigoDetails:
         substituted: numbers of the variables that presolve left out, in the order of doing so.
         lifted: functions without a mean, for which variables with rows stood.
         complementarities: how many rows were read as λ s = 0, or λ s ≤ ε, of λ, s ≥ 0, and relaxed.
-        ladders: how many ladders of penalties were begun: 0 unless there are complementarities, or
-            the program is a long chain of stages.
+        ladders: how many ladders of penalties or of interior points were begun: 0 unless there are
+            complementarities, or the program is a long chain of stages.
+        repeats: how many of the ladders ended at the answer's cost, to 1e-3 of it: where it is 1,
+            others found nothing as good, and a longer search may find better.
         cost: of the answer.
         first_center: of the first box, shape (n,); of what was left out, its value there.
         first_half_width: of the first box, shape (n,); NaN of what was left out.
@@ -106,6 +108,7 @@ class AigoDetails:
     lifted: tuple[str, ...] = ()
     complementarities: int = 0
     ladders: int = 0
+    repeats: int = 0
     cost: float = np.inf
     certificate: Certificate | None = None
 

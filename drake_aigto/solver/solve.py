@@ -256,6 +256,7 @@ class Solve:
             lifted=tuple(map(str, self._program.lifted.formulas)),
             complementarities=len(self._staged.complementarities),
             ladders=self._ladders.climbs if self._ladders else 0,
+            repeats=self._ladders.repeats if self._ladders else 0,
             first_center=self._program.answer(first.center),
             first_half_width=half_width[: best.x.size],
             searched=tuple(searched[:, : best.x.size]),

@@ -62,7 +62,9 @@ class AigoSolver(SolverInterface):
     Rows that are complementarities, λ s = 0, λ s ≤ 0 or λ s ≤ ε of λ, s ≥ 0, are relaxed at first,
     and met in the answer (`AigoDetails.complementarities`). Such programs, and chains of stages
     that follow from each other by equalities, are searched by ladders of penalties from many
-    starts, and by renewing stretches of stages. Then come boxes; where there are stages with
+    starts, and by renewing stretches of stages; where complementarities share a λ or s, by interior
+    points too. How many ladders ended at the answer's cost, `AigoDetails.repeats` tells: a search
+    by chance has no better sign that it is over. Then come boxes; where there are stages with
     complementarities, only if that led to no feasible point.
 
     The mean of f over boxes, or with constraints that of its augmented Lagrangian, is minimized

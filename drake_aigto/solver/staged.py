@@ -43,7 +43,7 @@ _REACH = 0.6
 _START_TIGHTENED, _RENEWED_TIGHTENED = (-2.0, 0.0), (-3.0, 0.0)
 # What led to the best point is left for the other way of climbing so often; interior points count
 # as so many ladders of penalties, and take about twice as long as those.
-_OTHER, _TIGHTENED_WORK = 0.25, 4
+_OTHER, _TIGHTENED_WORK = 0.25, 3
 _START_RELAXATIONS, _START_WEIGHTS = (-2.2, -0.7), (2.5, 5.0)
 _RENEWED_RELAXATIONS, _RENEWED_WEIGHTS, _SHIFTS = (-3.7, -1.2), (3.5, 6.0), (-1.5, 0.0)
 # So many times points are kept anew, as those that are renewed are of few basins; each time until
@@ -183,6 +183,7 @@ class StagedSearch:
         first: the box that starts are drawn from.
         climbs: how many ladders were begun.
         steps: their Newton steps.
+        repeats: how many of them ended at the cost of the best point.
         best: cost of the best point; inf if none was nearly feasible.
     """
 
@@ -202,7 +203,7 @@ class StagedSearch:
             polish: called with points y that are nearly feasible, if they are better than others;
                 returns the point that each becomes, or None if that is not feasible.
         """
-        self.climbs = self.steps = self._work = 0
+        self.climbs = self.steps = self.repeats = self._work = 0
         self.best, self._is_tightened = np.inf, True
         self._options, self._polish = options, polish
         self._guess, self._program, self._staged = guess, staged.program, staged
@@ -323,6 +324,9 @@ class StagedSearch:
 
     def _keep(self, cost: float, x: Floats) -> None:
         """Keeps a point if it is among the best, and no other costs the same."""
+        if cost < self.best - _SAME * abs(self.best) or np.isinf(self.best):
+            self.repeats = 0
+        self.repeats += int(cost <= self.best + _SAME * abs(self.best) or self.repeats == 0)
         self.best = min(self.best, cost)
         if all(abs(cost - other) > _SAME * abs(other) for other, _ in self._kept):
             self._kept = sorted([*self._kept, (cost, x)], key=lambda pair: pair[0])[:_MOST_KEPT]
