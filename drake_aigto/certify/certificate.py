@@ -11,7 +11,8 @@ import numpy as np
 from pydrake.solvers import MathematicalProgram
 
 from drake_aigto.arrays import Floats
-from drake_aigto.certify.cliques import MOST_VARIABLES, CliqueSearch, elimination
+from drake_aigto.certify.clique_kernels import MOST_VARIABLES
+from drake_aigto.certify.cliques import CliqueSearch, elimination
 from drake_aigto.certify.few_variables import CellSearch
 from drake_aigto.certify.parts import cell_program, clique_program
 from drake_aigto.certify.program import Formulas, read_formulas

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from drake_aigto.certify.cell_kernels import Rows
 from drake_aigto.certify.cliques import CliqueProgram
-from drake_aigto.certify.few_variables import CellProgram, Rows
+from drake_aigto.certify.few_variables import CellProgram
 from drake_aigto.certify.program import Formulas, formula_of
 from drake_aigto.certify.tape import make_tape
 from drake_aigto.certify.values import group

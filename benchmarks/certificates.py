@@ -1,0 +1,235 @@
+"""Lower bounds: how near they come, how long they take, and whether any is above what is known.
+
+    python -m benchmarks.certificates [--chains 50 170 1000 10000] [--univariate 1000]
+        [--programs 10000] [--scenarios 500] [--worlds 100]
+
+Chains, polynomials and test functions are solved with `AigoOptions(certify=True)`, and their bounds
+held against exact optima; those of random programs, after a random number of cells, against the
+best of random points and of polished ones. Bounds of plans are held against exact optima over all
+controls. A bound is wrong if it is above that by more than what is given as rounding.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from pydrake.solvers import ExpressionCost, MathematicalProgram
+from pydrake.symbolic import Expression, cos, exp, sin
+
+from benchmarks.collections.chain import chain_problem, exact_chain_minimum
+from benchmarks.collections.constrained_problem import ConstrainedProblem
+from benchmarks.collections.constrained_programs import constrained_problems
+from benchmarks.collections.global_functions import global_problems, random_univariate
+from benchmarks.collections.global_problem import GlobalProblem
+from benchmarks.measure import machine
+from benchmarks.world_scenarios import WORLDS
+from drake_aigto.certify import bound_plans, certify
+from drake_aigto.optima import rigid_optimum, walls_optimum
+from drake_aigto.solver import AigoDetails, AigoOptions, AigoSolver, AigoStatus
+from drake_aigto.world import Scenario, World
+
+DEGREES = (4, 6, 8, 10, 12)
+RESTITUTIONS = (1.0, 0.9, 0.8, 0.5, 0.2, 0.0)
+FEW = 4  # variables of the test functions
+PERMITTED = 10.0  # seconds of one of them
+SAMPLES = 400
+# Known optima are themselves rounded by this part of their size, or of 1.
+ROUNDING = 1e-9
+
+SOLVER = AigoSolver(AigoOptions(certify=True))
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--chains", type=int, nargs="*", default=(50, 170, 1000, 10_000))
+    parser.add_argument("--univariate", type=int, default=1000, help="polynomials")
+    parser.add_argument("--programs", type=int, default=10_000, help="random programs")
+    parser.add_argument("--scenarios", type=int, default=500, help="of one wall")
+    parser.add_argument("--worlds", type=int, default=100, help="scenarios of other worlds")
+    arguments = parser.parse_args()
+    print(machine(), flush=True)
+    warm_up()
+    wrong = sum(chain(n) for n in arguments.chains)
+    wrong += univariate(arguments.univariate)
+    wrong += few_variables()
+    wrong += constrained()
+    wrong += random_programs(arguments.programs)
+    wrong += one_wall(arguments.scenarios)
+    wrong += sum(world(name, arguments.worlds) for name in ("corridor", "room"))
+    print(f"bounds that were wrong, in all: {wrong}")
+
+
+def warm_up() -> None:
+    """Has machine code compiled or loaded."""
+    constrained = next(each for each in constrained_problems() if each.num_variables == 2)
+    for prog in (chain_problem(10, 0).prog(), random_univariate(4, 0).prog(), constrained.prog()):
+        SOLVER.Solve(prog)
+
+
+def chain(n: int) -> int:
+    """Prints AIGO's family at one size, and returns how many bounds are wrong."""
+    problem = chain_problem(n, 100)
+    prog, least = problem.prog(), problem.evaluate(exact_chain_minimum(problem))
+    start = time.perf_counter()
+    result = SOLVER.Solve(prog)
+    seconds = time.perf_counter() - start
+    details: AigoDetails = result.get_solver_details()
+    above = (result.get_optimal_cost() - least) / abs(least)
+    print(
+        f"chain n = {n:5}  {seconds:6.2f} s  {details.status.name:7} gap {details.gap:.1e}  "
+        f"answer {above:.1e} above the optimum  boxes {details.boxes}",
+        flush=True,
+    )
+    return is_wrong(details.lower_bound, least)
+
+
+def is_wrong(bound: float, least: float) -> int:
+    return int(bound > least + ROUNDING * max(1.0, abs(least)))
+
+
+def univariate(count: int) -> int:
+    """Prints how many polynomials of one variable are proven, and what the bound takes."""
+    proven, wrong, seconds = 0, 0, []
+    for number in range(count):
+        problem = random_univariate(DEGREES[number % len(DEGREES)], number)
+        prog = problem.prog()
+        result = SOLVER.Solve(prog)
+        details = result.get_solver_details()
+        proven += details.status == AigoStatus.PROVEN
+        wrong += is_wrong(details.lower_bound, problem.minimum)
+        start = time.perf_counter()
+        certify(prog, result.GetSolution())
+        seconds.append(time.perf_counter() - start)
+    print(
+        f"polynomials of one variable: {proven} of {count} proven; the bound takes "
+        f"{1e3 * np.median(seconds):.2f} ms, at most {1e3 * max(seconds, default=0.0):.2f} ms",
+        flush=True,
+    )
+    return wrong
+
+
+def few_variables() -> int:
+    few = [problem for problem in global_problems() if problem.num_variables <= FEW]
+    return _solve_all(f"test functions of up to {FEW} variables", few)
+
+
+def constrained() -> int:
+    few = [problem for problem in constrained_problems() if problem.num_variables <= 3]
+    return _solve_all("constrained programs of up to 3 variables", few)
+
+
+def _solve_all(name: str, problems: Sequence[GlobalProblem | ConstrainedProblem]) -> int:
+    """Prints how many problems are proven in time."""
+    proven, wrong, seconds, left = 0, 0, [], []
+    for problem in problems:
+        start = time.perf_counter()
+        details = SOLVER.Solve(problem.prog()).get_solver_details()
+        seconds.append(time.perf_counter() - start)
+        if details.status == AigoStatus.PROVEN and seconds[-1] <= PERMITTED:
+            proven += 1
+        else:
+            left.append(f"{problem.name} {details.gap:.0e}")
+        wrong += is_wrong(details.lower_bound, problem.minimum)
+    print(
+        f"{name}: {proven} of {len(seconds)} proven in {PERMITTED:g} s; median "
+        f"{1e3 * np.median(seconds):.0f} ms, at most {max(seconds):.2f} s; gaps left: "
+        f"{', '.join(left) or 'none'}",
+        flush=True,
+    )
+    return wrong
+
+
+def random_programs(count: int) -> int:
+    """Prints in how many random programs a bound is above the best value that anyone finds."""
+    generator = np.random.default_rng(0)
+    wrong = 0
+    for _ in range(count):
+        prog, x = draw_program(generator)
+        bound = certify(prog, cells=int(generator.integers(1, 300))).lower_bound
+        wrong += bound > best_value(prog, x, generator)
+    print(f"random programs: {wrong} of {count} bounds above the best known value", flush=True)
+    return wrong
+
+
+def draw_program(generator: np.random.Generator) -> tuple[MathematicalProgram, np.ndarray]:
+    """Returns a random program of up to six variables, a third of them with a row."""
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(int(generator.integers(1, 7)), "x")
+    low = generator.uniform(-2.0, 0.0, x.size)
+    prog.AddBoundingBoxConstraint(low, low + generator.uniform(0.1, 3.0, x.size), x)
+    cost = Expression(0.0)
+    for i, own in enumerate(x):
+        a, b, c, d = generator.normal(size=4).tolist()
+        cost += a * own**4 + b * own**3 + c * own * own + d * own
+        cost += generator.normal() * [sin(3.0 * own), cos(own), exp(own)][i % 3]
+        if i:
+            cost += generator.normal() * x[i - 1] * own
+    evaluator = ExpressionCost(cost)
+    prog.AddCost(evaluator, vars=evaluator.vars())
+    if x.size > 1 and generator.random() < 1 / 3:
+        prog.AddConstraint(x[0] * x[1] + generator.normal() * x[0] ** 2 <= generator.normal())
+    return prog, x
+
+
+def best_value(prog: MathematicalProgram, x: np.ndarray, generator: np.random.Generator) -> float:
+    """Returns the least cost of feasible points among many random ones."""
+    (box,) = (binding.evaluator() for binding in prog.bounding_box_constraints())
+    points = generator.uniform(box.lower_bound(), box.upper_bound(), (SAMPLES, x.size))
+    (cost,) = prog.GetAllCosts()
+    rows = [each for each in prog.GetAllConstraints() if each.evaluator() is not box]
+    places = prog.FindDecisionVariableIndices(cost.variables())
+    best = np.inf
+    for point in points:
+        if not rows or prog.CheckSatisfied(rows, point, 0.0):
+            best = min(best, float(cost.evaluator().Eval(point[places])[0]))
+    return best
+
+
+def one_wall(count: int) -> int:
+    return _bound_all("one wall, every e", draw_one_wall(count), 1e-3, is_one_wall=True)
+
+
+def draw_one_wall(count: int) -> Iterator[Scenario]:
+    generator = np.random.default_rng(0)
+    for number in range(count):
+        yield Scenario(
+            initial_position=generator.uniform(0.2, 1.5),
+            initial_velocity=generator.uniform(-3.0, 0.5),
+            goal_position=generator.uniform(0.2, 1.5),
+            restitution=RESTITUTIONS[number % len(RESTITUTIONS)],
+        )
+
+
+def world(name: str, count: int) -> int:
+    return _bound_all(name, WORLDS[name].draw(count, 2026), 1e-2, is_one_wall=False)
+
+
+def _bound_all(name: str, scenarios: Iterator[Scenario], enough: float, is_one_wall: bool) -> int:
+    """Prints how near bounds of plans are to the exact optima."""
+    near, wrong, seconds = 0, 0, []
+    for scenario in scenarios:
+        place = World.from_scenario(scenario)
+        optimum = rigid_optimum if is_one_wall else walls_optimum
+        least = optimum(place, scenario).cost
+        start = time.perf_counter()
+        bound = bound_plans(place, scenario, least)
+        seconds.append(time.perf_counter() - start)
+        gap = bound.gap(least)
+        near += gap is not None and gap <= enough
+        # What is above the optimum is cut to the cost that is given: ask again with a dearer plan.
+        dear = bound_plans(place, scenario, 1.1 * least + 1e-3 * bound.scale)
+        low = dear.lower_bound or 0.0
+        wrong += low > least + ROUNDING * max(least, bound.scale)
+    print(
+        f"{name}: {near} of {len(seconds)} within {enough:g}; median "
+        f"{1e3 * np.median(seconds):.1f} ms, at most {1e3 * max(seconds, default=0.0):.1f} ms",
+        flush=True,
+    )
+    return wrong
+
+
+if __name__ == "__main__":
+    main()
