@@ -1,6 +1,6 @@
 """AIGO on test functions that are written with auxiliary variables, with presolve and without.
 
-    python -m benchmarks.lifted_functions [--only Levy] [--lift-seed 1] [--workers 1]
+    python -m benchmarks.lifted_functions [--only Levy] [--lift-seeds 11 12] [--workers 1]
 
 A part of every formula has, with probability 0.6, a variable of its own and an equality that
 defines it; bounds are cut, so that no minimizer is in the middle of the box. Solved: the answer is
@@ -12,7 +12,6 @@ from __future__ import annotations
 import argparse
 import time
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
@@ -47,24 +46,28 @@ def main() -> None:
     """Runs all functions and prints those that are missed, and counts."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--only", default="", help="functions whose name has this in it")
-    parser.add_argument("--lift-seed", type=int, default=1, help="of the parts and the cuts")
+    parser.add_argument(
+        "--lift-seeds", type=int, nargs="*", default=(11, 12), help="of the parts and the cuts"
+    )
     add_options(parser)
     arguments = parser.parse_args()
     print(machine())
     names = [each.name for each in lifted_problems() if arguments.only in each.name]
-    pairs = run_all(partial(solve_both, seed=arguments.lift_seed), names, arguments)
+    jobs = [(name, seed) for seed in arguments.lift_seeds for name in names]
+    pairs = run_all(solve_both, jobs, arguments)
     for runs in pairs:
         if not all(run.is_solved for run in runs):
             told = "   ".join(f"{run.cost:12.6g}{run.seconds:8.2f} s" for run in runs)
-            print(f"{runs[0].problem:24}{told}")
+            print(f"{runs[0].problem:32}{told}")
     for which, runs in zip(("presolve", "without"), zip(*pairs, strict=True), strict=True):
         solved, broken = sum(run.is_solved for run in runs), sum(run.is_broken for run in runs)
         median = np.median([run.seconds for run in runs])
         print(f"{which:9} solved {solved} of {len(runs)}, broken {broken}, median {median:.2f} s")
 
 
-def solve_both(name: str, *, seed: int) -> tuple[Run, Run]:
+def solve_both(job: tuple[str, int]) -> tuple[Run, Run]:
     """Returns runs with presolve and without."""
+    name, seed = job
     return solve(name, seed, presolve=True), solve(name, seed, presolve=False)
 
 
@@ -79,7 +82,7 @@ def solve(name: str, seed: int, presolve: bool) -> Run:
     above = (result.get_optimal_cost() - problem.minimum) / unit
     is_feasible = details.violation <= TOLERANCE
     return Run(
-        problem=name,
+        problem=f"{name} seed={seed}",
         cost=result.get_optimal_cost() if is_feasible else np.inf,
         is_solved=is_feasible and above <= TOLERANCE,
         is_broken=result.is_success() and (not is_feasible or above < -10 * TOLERANCE),
