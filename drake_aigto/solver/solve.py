@@ -36,6 +36,8 @@ Observer = Callable[["Floats", str], Any]
 _PENALTIES = (1.0, 30.0, 1e3)
 _POLISH_STEPS = 200
 _RELAXED_STEPS = 60  # from a ladder's top, which is nearly an answer
+# So many times `starts` parts of the best point are moved at most, and this is a gain.
+_MOST_PARTS, _GAIN = 5, 1e-7
 # Programs of more variables have too many local minima for a few starts.
 _FEW = 30
 # With constraints, so many of the points on the way are polished too, the last ones, and every
@@ -182,6 +184,7 @@ class Solve:
             self._polish(self._program.with_slacks(self._guess), " of the guess")
         self._search_all()
         self._polish_spread()
+        self._renew_parts()
         self._search_far()
 
     def _search_far(self) -> None:
@@ -338,12 +341,58 @@ class Solve:
             z = first.center[:count] + (2 * place - 1) * first.half_width[:count]
             self._polish_start(z, " of a spread point")
 
+    def _renew_parts(self) -> None:
+        """Moves parts of the best point and solves from there, as long as that pays.
+
+        Boxes and interior points come from the middle, and may end in one corner again and again.
+        An active-set method keeps to the corner that it starts near to.
+        """
+        program, options, first = self._program, self._options, self._first
+        count = program.reduced.kept.size
+        if options.polish == "none" or count > _FEW or not self._may_be_at_corners():
+            return
+        rng = np.random.default_rng(options.seed)
+        idle = 0
+        for _ in range(_MOST_PARTS * options.starts):
+            best = self._best
+            if best is None or idle >= options.starts:
+                return
+            opened = rng.permutation(count) < rng.integers(1, count + 1)
+            z = first.center[:count] + first.half_width[:count] * rng.uniform(-1.0, 1.0, count)
+            self._solve_from(np.where(opened, z, self._reduced(best)), "a part of the best, moved")
+            idle = 0 if self._best is not None and self._is_gain(self._best, best) else idle + 1
+
+    def _may_be_at_corners(self) -> bool:
+        """Whether bounds and rows make corners, and a feasible point is known."""
+        best = self._best
+        is_feasible = best is not None and best.violation <= self._options.feasibility
+        is_closed = not np.any(self._outside.is_open)
+        return is_feasible and is_closed and bool(self._program.num_rows)
+
+    def _is_gain(self, answer: _Answer, before: _Answer) -> bool:
+        """Whether a feasible answer is better by more than what local solvers leave."""
+        return answer.cost < before.cost - _GAIN * max(1.0, abs(before.cost))
+
+    def _solve_from(self, z: Floats, name: str) -> None:
+        """Offers where an active-set method ends, on the program as it was given."""
+        solver = "ipopt" if self._options.polish == "ipopt" else "snopt"
+        source = self._program.source
+        self._polishes += 1
+        try:
+            x = solve_with_drake(source, self._program.answer(z), solver, _POLISH_STEPS).x
+        except (RuntimeError, ValueError):  # A formula has no value on the way.
+            return
+        self._offer(self._program.reduce(x), name)
+
     def _polish_start(self, z: Floats, name: str) -> None:
         """Polishes a point, with what rows define, unless the cost has fallen too far already."""
         if self._has_fallen():
             return
         start = self._program.reduce(self._program.answer(z))
-        self._polish(np.where(np.isfinite(start), start, z), name)
+        start = np.where(np.isfinite(start), start, z)
+        self._polish(start, name)
+        if self._may_be_at_corners():
+            self._solve_from(start, name.removeprefix(" of "))
 
     def _search(self, search: BoxSearch, f: BoxPolynomial, name: str) -> SearchResult:
         """Searches the first box for low points of f, each a candidate."""
