@@ -25,9 +25,9 @@ from drake_aigto.control import (
     run_in_loop,
 )
 from drake_aigto.errors import ControlError, OptionsError
-from drake_aigto.planning import MechanismOptions, Planner
+from drake_aigto.planning import MechanismOptions, Planner, needs_shooting
 from drake_aigto.show.remarks import INTERRUPTED as CUT_SHORT
-from drake_aigto.world import Scenario
+from drake_aigto.world import Scenario, World
 from drake_aigto.world.files import check_writable, write_text
 
 if TYPE_CHECKING:
@@ -105,15 +105,14 @@ def _control(options: argparse.Namespace) -> int:
     check_writable(options.html)
     scenario, disturbance = load_scenario(options), _read_disturbance(options)
     _check_flags(options, disturbance)
-    planner = Planner(scenario, _read_planning(options))
-    disturbance.apply(planner.world, scenario)  # Refused before long work.
+    world = World.from_scenario(scenario)
+    disturbance.apply(world, scenario)  # Refused before long work.
+    planner = Planner(scenario, _read_planning(options, world, scenario), world)
     meshcat = _open_live(options)
     with show_progress(options, "planning") as progress:
         controller = _make_controller(options, planner)
         duration = _find_duration(options, controller, scenario)
-        run = run_in_loop(
-            controller, scenario, planner.world, disturbance, duration, meshcat, progress
-        )
+        run = run_in_loop(controller, scenario, world, disturbance, duration, meshcat, progress)
     status = _answer(options, run, meshcat)
     if isinstance(controller, TrackingController) and controller.plan.is_interrupted:
         print(f"of the plan: {CUT_SHORT}", flush=True)
@@ -147,8 +146,16 @@ def _check_flags(options: argparse.Namespace, disturbance: Disturbance) -> None:
                 raise OptionsError(flag, got="--method tracking", expected=expected)
 
 
-def _read_planning(options: argparse.Namespace) -> MechanismOptions | None:
-    return None if options.renewals is None else MechanismOptions(renewals=options.renewals)
+def _read_planning(
+    options: argparse.Namespace, world: World, scenario: Scenario
+) -> MechanismOptions | None:
+    """Returns the numerics that were given; None: the defaults."""
+    if options.renewals is None:
+        return None
+    if not needs_shooting(world, scenario):
+        got, expected = "balls between rigid walls", "another task, whose search has renewals"
+        raise OptionsError("--renewals", got=got, expected=expected)
+    return MechanismOptions(renewals=options.renewals)
 
 
 def _make_controller(

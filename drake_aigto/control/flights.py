@@ -104,7 +104,7 @@ def check_bounces(world: World, trajectory: Trajectory) -> None:
             expected=f"the world's, {sizes}",
         )
     times, impulses = trajectory.times, trajectory.impulses[:-1]
-    remedy = "Track plans of the rigid transcription whose contacts are bounces one by one."
+    remedy = "Track plans whose contacts are bounces one by one."
     lasting = np.flatnonzero(trajectory.forces.any(axis=1))
     if lasting.size:
         raise _refuse(f"one that lasts, at {times[lasting[0]]:.3f} s", remedy)
