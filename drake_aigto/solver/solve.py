@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -26,6 +25,7 @@ from drake_aigto.solver.proof import PROVEN, Proof
 from drake_aigto.solver.question import ContradictionError
 from drake_aigto.solver.result import AigoDetails, AigoStatus
 from drake_aigto.solver.staged import StagedProgram, StagedSearch
+from drake_aigto.solver.starts import POLISH_STEPS, Answer, LocalStarts
 from drake_aigto.solver.tighten import may_be_feasible, tighten
 
 _LOG = logging.getLogger(__name__)
@@ -34,12 +34,7 @@ Observer = Callable[["Floats", str], Any]
 
 # Penalties Σ r² weigh so many times what the cost varies by over the first box, in turn.
 _PENALTIES = (1.0, 30.0, 1e3)
-_POLISH_STEPS = 200
 _RELAXED_STEPS = 60  # from a ladder's top, which is nearly an answer
-# So many times `starts` parts of the best point are moved at most, and this is a gain.
-_MOST_PARTS, _GAIN = 5, 1e-7
-# Programs of more variables have too many local minima for a few starts.
-_FEW = 30
 # With constraints, so many of the points on the way are polished too, the last ones, and every
 # such a one; and so many renewals of all variables.
 _POLISHED, _EVERY = 8, 2
@@ -48,25 +43,11 @@ _POLISHED_RENEWALS = 10
 _PATIENCE_SHARE = 6
 # A sum of terms is off by no more than this part of the sum of their sizes.
 _ROUNDING = 1e-14
-# A point farther out than this, in a variable without bounds, is where a cost falls without end;
-# and one that is lower than this, which exponentials are well before they are far out.
-_FAR, _LOW = 1e8, -1e20
 # A local minimum of these is the global one, wherever it is.
 _CONVEX = (ProgramType.kLP, ProgramType.kQP)
 
 
-@dataclass(frozen=True, eq=False)
-class _Answer:
-    """A point, what led to it, and f multiplied out, which is off by its rounding at most."""
-
-    x: Floats
-    cost: float
-    rounding: float
-    violation: float
-    origin: str
-
-
-class Solve:
+class Solve(LocalStarts):
     """Runs once.
 
     Args:
@@ -98,7 +79,7 @@ class Solve:
         if options.certify:
             self._proof = Proof(program, options.cells, self._polish_cell)
         self._begin(ladders.first if ladders else self._make_first_box())
-        self._best: _Answer | None = None
+        self._best: Answer | None = None
         self._boxes = self._iterations = self._polishes = self._decades = 0
         self._widths: list[tuple[tuple[float, ...], ...]] = []
         self._box_storage: Storage | None = None
@@ -187,53 +168,6 @@ class Solve:
         self._renew_parts()
         self._search_far()
 
-    def _search_far(self) -> None:
-        """Polishes points beyond the first box, and searches around what is better there."""
-        far, options = self._outside, self._options
-        if options.polish == "none" or far.box.center.size > _FEW or not np.any(far.is_open):
-            return
-        rng = np.random.default_rng(options.seed)
-        for _ in range(1 + np.count_nonzero(far.is_open)):
-            before = self._best
-            self._polish_far(rng)
-            best = self._best
-            if best is before or best is None or self._is_outermost(best):
-                return
-            is_feasible = best.violation <= options.feasibility
-            if is_feasible and far.decade(z := self._reduced(best)) > 0.0:
-                self._first = make_first_box(self._program, z, options)
-                self._search_all()
-
-    def _polish_far(self, rng: np.random.Generator) -> None:
-        """Polishes points of all decades, and more as long as the best is in the outermost one."""
-        far, options = self._outside, self._options
-        places = rng.permutation(np.flatnonzero(far.is_open))
-        count = math.ceil(options.starts / max(1, options.decades))
-        decade = number = 0
-        while decade < options.decades or self._is_falling():
-            decade += 1
-            self._decades = max(decade, self._decades)
-            for part in range(count):
-                turn, i = divmod(number, places.size)
-                base = self._reduced(self._best) if self._best and turn % 2 else None
-                exponent = decade - 1 + (part + rng.random()) / count
-                start = far.point(places[i], exponent, base, rng)
-                self._polish_start(start, f" of a point in decade {decade}")
-                number += 1
-
-    def _is_falling(self) -> bool:
-        """Whether the best point is in the outermost decade, which may still be passed."""
-        best = self._best
-        return best is not None and bool(np.max(np.abs(best.x)) < _FAR) and self._is_outermost(best)
-
-    def _is_outermost(self, best: _Answer) -> bool:
-        """Whether a point is in the outermost decade."""
-        decade = self._outside.decade(self._reduced(best))
-        return self._decades > 0 and decade > self._decades - 1
-
-    def _reduced(self, answer: _Answer) -> Floats:
-        return self._program.reduce(answer.x)
-
     def _offer_guess(self) -> bool:
         """Offers the guess, and returns whether there is one."""
         is_given = bool(np.all(np.isfinite(self._guess)))
@@ -241,7 +175,7 @@ class Solve:
             self._offer(self._guess, "the guess")
         return is_given
 
-    def _details(self, best: _Answer, status: AigoStatus) -> AigoDetails:
+    def _details(self, best: Answer, status: AigoStatus) -> AigoDetails:
         first, reduced = self._outside.box, self._program.reduced
         certificate = self._proof.certificate if self._proof else None
         half_width = np.full(reduced.lower.size, np.nan)
@@ -270,7 +204,7 @@ class Solve:
             certificate=certificate,
         )
 
-    def _judge(self, best: _Answer) -> AigoStatus:
+    def _judge(self, best: Answer) -> AigoStatus:
         found = self._proof.certificate if self._proof else None
         if best.violation > self._options.feasibility:
             if found and found.is_infeasible:
@@ -285,17 +219,8 @@ class Solve:
         is_whole = is_convex or not np.any(self._outside.is_open)
         return AigoStatus.SOLVED if is_whole else AigoStatus.SOLVED_IN_PART
 
-    def _gap(self, best: _Answer, found: Certificate) -> float:
+    def _gap(self, best: Answer, found: Certificate) -> float:
         return relative_gap(self._program.cost(best.x), found.lower_bound, found.scale)
-
-    def _has_fallen(self) -> bool:
-        """Whether the best point is feasible and too far out, or too low, to be a minimum."""
-        best, reduced = self._best, self._program.reduced
-        if best is None or best.violation > self._options.feasibility:
-            return False
-        is_open = (np.isinf(reduced.lower) | np.isinf(reduced.upper))[: best.x.size]
-        is_low = bool(np.any(is_open)) and best.cost < _LOW
-        return is_low or bool(np.any(np.abs(best.x[is_open]) > _FAR))
 
     def _search_all(self) -> None:
         """Searches f, or with constraints the augmented Lagrangians of rising weights."""
@@ -326,74 +251,6 @@ class Solve:
                 self._polish(candidate.x, name)
             lagrangian.update(factor, found.unpolished.x)
 
-    def _polish_spread(self) -> None:
-        """Polishes points spread over the first box: a box's mean shows nothing that is narrow."""
-        first, program, starts = self._first, self._program, self._options.starts
-        count = program.reduced.kept.size
-        # In one variable alone, boxes find the global minimum (Labbe & Del Prete 2025).
-        is_alone = count == 1 and not program.num_rows
-        if self._options.polish == "none" or is_alone or count > _FEW:
-            return
-        rng = np.random.default_rng(self._options.seed)
-        # A Latin hypercube: one of each layer of each variable.
-        layers = rng.permuted(np.tile(np.arange(starts), (count, 1)), axis=1).T
-        for place in (layers + rng.random((starts, count))) / max(1, starts):
-            z = first.center[:count] + (2 * place - 1) * first.half_width[:count]
-            self._polish_start(z, " of a spread point")
-
-    def _renew_parts(self) -> None:
-        """Moves parts of the best point and solves from there, as long as that pays.
-
-        Boxes and interior points come from the middle, and may end in one corner again and again.
-        An active-set method keeps to the corner that it starts near to.
-        """
-        program, options, first = self._program, self._options, self._first
-        count = program.reduced.kept.size
-        if options.polish == "none" or count > _FEW or not self._may_be_at_corners():
-            return
-        rng = np.random.default_rng(options.seed)
-        idle = 0
-        for _ in range(_MOST_PARTS * options.starts):
-            best = self._best
-            if best is None or idle >= options.starts:
-                return
-            opened = rng.permutation(count) < rng.integers(1, count + 1)
-            z = first.center[:count] + first.half_width[:count] * rng.uniform(-1.0, 1.0, count)
-            self._solve_from(np.where(opened, z, self._reduced(best)), "a part of the best, moved")
-            idle = 0 if self._best is not None and self._is_gain(self._best, best) else idle + 1
-
-    def _may_be_at_corners(self) -> bool:
-        """Whether bounds and rows make corners, and a feasible point is known."""
-        best = self._best
-        is_feasible = best is not None and best.violation <= self._options.feasibility
-        is_closed = not np.any(self._outside.is_open)
-        return is_feasible and is_closed and bool(self._program.num_rows)
-
-    def _is_gain(self, answer: _Answer, before: _Answer) -> bool:
-        """Whether a feasible answer is better by more than what local solvers leave."""
-        return answer.cost < before.cost - _GAIN * max(1.0, abs(before.cost))
-
-    def _solve_from(self, z: Floats, name: str) -> None:
-        """Offers where an active-set method ends, on the program as it was given."""
-        solver = "ipopt" if self._options.polish == "ipopt" else "snopt"
-        source = self._program.source
-        self._polishes += 1
-        try:
-            x = solve_with_drake(source, self._program.answer(z), solver, _POLISH_STEPS).x
-        except (RuntimeError, ValueError):  # A formula has no value on the way.
-            return
-        self._offer(self._program.reduce(x), name)
-
-    def _polish_start(self, z: Floats, name: str) -> None:
-        """Polishes a point, with what rows define, unless the cost has fallen too far already."""
-        if self._has_fallen():
-            return
-        start = self._program.reduce(self._program.answer(z))
-        start = np.where(np.isfinite(start), start, z)
-        self._polish(start, name)
-        if self._may_be_at_corners():
-            self._solve_from(start, name.removeprefix(" of "))
-
     def _search(self, search: BoxSearch, f: BoxPolynomial, name: str) -> SearchResult:
         """Searches the first box for low points of f, each a candidate."""
 
@@ -417,7 +274,7 @@ class Solve:
             return y
         self._polishes += 1
         if self._options.polish == "newton":
-            found = InteriorPoint(max_iterations=_POLISH_STEPS).solve(
+            found = InteriorPoint(max_iterations=POLISH_STEPS).solve(
                 program.nlp, program.with_slacks(y)
             )
             z, self._kkt_storage = found.x, found.storage
@@ -445,7 +302,7 @@ class Solve:
         self._kkt_storage = found.storage
         kept = self._keep_relaxed(found.x[: y.size], name)
         if kept is None and staged.complementarities:
-            local = InteriorPoint.warm(max_iterations=_POLISH_STEPS)
+            local = InteriorPoint.warm(max_iterations=POLISH_STEPS)
             found = local.solve(staged.at_corners(y), y)
             kept = self._keep_relaxed(found.x, f"{name}, at corners")
         return kept
@@ -472,13 +329,13 @@ class Solve:
             cost, rounding = program.cost(x), 0.0
         if not np.isfinite(cost):
             return
-        answer = _Answer(x, cost, rounding, program.violation(x), origin)
+        answer = Answer(x, cost, rounding, program.violation(x), origin)
         if self._best is None or self._is_better(answer, self._best):
             self._best = answer
             for observer in self._observers:
                 observer(x, f"cost {cost:.9g}, violation {answer.violation:.1e}: {origin}")
 
-    def _is_better(self, answer: _Answer, best: _Answer) -> bool:
+    def _is_better(self, answer: Answer, best: Answer) -> bool:
         """Whether an answer violates less beyond the tolerance, or costs less.
 
         Where rounding hides which costs less, the program's own formulas decide, which take long.
