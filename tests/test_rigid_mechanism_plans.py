@@ -58,7 +58,7 @@ def test_the_pendulum_comes_back_off_the_wall(plan: Plan) -> None:
 
 def test_a_plan_costs_what_it_promises_in_both_simulations(plan: Plan, throw: Plan) -> None:
     for each in (plan, throw):
-        assert each.replay.event_driven.cost == pytest.approx(each.cost, rel=0.01)
+        assert each.replay.event_driven.cost == pytest.approx(each.cost, rel=1e-6)
         assert each.replay.drake is not None
         assert each.replay.drake.cost == pytest.approx(each.cost, rel=0.02)
         assert max(each.defects.values()) < 1e-9

@@ -45,6 +45,8 @@ _WAVE = 8
 _NOTHING = 1e-12
 # Bounds that a simulation passes are narrowed so often at most.
 _MOST_NARROWED = 2
+# What costs so many times as much as the best that holds, after its polish, is not simulated.
+_ASTRAY = 2.0
 # Every second renewal is of the best motion, the others are of one of so many.
 _MOST_RENEWED = 4
 
@@ -212,6 +214,12 @@ class MechanismSearch(CandidatePool):
         costs = (each.replay.cost for each in self._candidates if each.is_confirmed)
         return motion.cost > scaled(self.dear, min(costs, default=np.inf))
 
+    def _is_astray(self, polished: ShootingResult) -> bool:
+        """Returns whether a polish ended so far above a plan that holds that none looks at it."""
+        misses, cost = self.problem.rank(polished)
+        costs = [each.replay.cost for each in self._candidates if each.is_confirmed]
+        return bool(costs) and (misses or not cost <= scaled(_ASTRAY, min(costs)))
+
     def _polish(self, origin: Origin, start: ShootingResult) -> ShootingResult:
         """Adds the candidate that a motion becomes, and returns its motion.
 
@@ -226,6 +234,9 @@ class MechanismSearch(CandidatePool):
                     self.ended_by_ctrl_c(lambda: [] if self._candidates else [start]),
                 ):
                     polished = problem.polish(polished)
+                if self._is_astray(polished):
+                    _LOG.info("  led astray: cost %.6g", polished.cost)
+                    return polished
                 with self.clock("replay"):
                     candidate = self.problem.judge(origin, start, polished)
                 if self.is_interrupted or BOUNDS not in candidate.replay.broken:

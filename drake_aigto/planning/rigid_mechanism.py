@@ -54,6 +54,7 @@ _FINE = ShootingOptions(
     multiplier_updates=8,
     feasibility=1e-6,
 )
+_SETTLED = dataclasses.replace(_FINE, multiplier_updates=24, feasibility=1e-11)
 _EXACT, _MOST_SUBSTEPS = 1e-4, 16
 # A motion whose end other steps move by less than this part of its scales is steady.
 _STEADY = 1.0
@@ -148,12 +149,11 @@ class RigidMechanismProblem(MechanismProblem):
             lacks = find_lacks(self.world, found, margin)
             if not np.isfinite(found.cost) or np.max(lacks) < margin / 2:
                 break
-            clearances = clearances + lacks
-            lifted = self._told(self._refine(found, clearances))
+            lifted = self._told(self._refine(found, clearances + lacks))
             if self.price(lifted) > scaled(_FAR, self.price(found)):
                 break
-            found = lifted
-        return found
+            found, clearances = lifted, clearances + lacks
+        return self._told(self._settle(found, clearances))
 
     def _told(self, motion: BouncingResult) -> BouncingResult:
         """Returns a motion whose violation tells how deep it dips into walls between knots."""
@@ -201,6 +201,23 @@ class RigidMechanismProblem(MechanismProblem):
             if error <= _EXACT or found.substeps >= _MOST_SUBSTEPS:
                 return _join(found, phases)
             found = dataclasses.replace(found, substeps=2 * found.substeps)
+
+    def _settle(self, motion: BouncingResult, clearances: Floats) -> BouncingResult:
+        """Returns a polished motion that meets its walls as closely as rounding allows.
+
+        A slow bounce is late by what it is off the wall over its speed, and what is unstable leaves
+        the promised motion exponentially from there.
+        """
+        phases = Phases(motion.contacts, motion.knots, motion.durations, self._total, motion.held)
+        if not len(phases.knots) or not np.isfinite(motion.cost):
+            return motion
+        problem = self._pose_phases(motion.times, phases, clearances)
+        options = dataclasses.replace(_SETTLED, substeps=motion.substeps)
+        settled = problem.solve(motion.controls, None, options, motion.prices)
+        is_better = settled.violation < motion.violation and self.price(settled) <= scaled(
+            _FAR, self.price(motion)
+        )
+        return _join(settled, phases) if is_better else motion
 
     def _pose_phases(
         self, times: Floats, phases: Phases, clearances: Floats | None = None

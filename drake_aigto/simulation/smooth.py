@@ -111,7 +111,10 @@ def _integrate(
             first_step=end - start,  # Knots are close: mostly one step, which a guess would halve.
         )
         while solver.status == "running":
-            solver.step()
+            try:
+                solver.step()
+            except np.linalg.LinAlgError:  # of numbers that overflowed
+                raise _refuse(solver.t) from None
             if solver.status == "failed" or not np.isfinite(solver.y).all():
                 raise _refuse(solver.t)
             for piece in _divide(solver):
