@@ -5,7 +5,7 @@
 
 Chains, polynomials and test functions are solved with `AigoOptions(certify=True)`, and their bounds
 held against exact optima; those of random programs, after a random number of cells, against the
-best of random points and of polished ones. Bounds of plans are held against exact optima over all
+best of 10,000 random points. Bounds of plans are held against exact optima over all
 controls. A bound is wrong if it is above that by more than what is given as rounding.
 """
 
@@ -14,10 +14,12 @@ from __future__ import annotations
 import argparse
 import time
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+import pydrake.symbolic as sym
 from pydrake.solvers import ExpressionCost, MathematicalProgram
-from pydrake.symbolic import Expression, cos, exp, sin
 
 from benchmarks.collections.chain import chain_problem, exact_chain_minimum
 from benchmarks.collections.constrained_problem import ConstrainedProblem
@@ -26,6 +28,7 @@ from benchmarks.collections.global_functions import global_problems, random_univ
 from benchmarks.collections.global_problem import GlobalProblem
 from benchmarks.measure import machine
 from benchmarks.world_scenarios import WORLDS
+from drake_aigto.arrays import Floats
 from drake_aigto.certify import bound_plans, certify
 from drake_aigto.optima import rigid_optimum, walls_optimum
 from drake_aigto.solver import AigoDetails, AigoOptions, AigoSolver, AigoStatus
@@ -35,7 +38,7 @@ DEGREES = (4, 6, 8, 10, 12)
 RESTITUTIONS = (1.0, 0.9, 0.8, 0.5, 0.2, 0.0)
 FEW = 4  # variables of the test functions
 PERMITTED = 10.0  # seconds of one of them
-SAMPLES = 400
+SAMPLES = 10_000
 # Known optima are themselves rounded by this part of their size, or of 1.
 ROUNDING = 1e-9
 
@@ -143,49 +146,76 @@ def _solve_all(name: str, problems: Sequence[GlobalProblem | ConstrainedProblem]
 
 
 def random_programs(count: int) -> int:
-    """Prints in how many random programs a bound is above the best value that anyone finds."""
+    """Prints in how many random programs a bound is above the best value of random points."""
     generator = np.random.default_rng(0)
     wrong = 0
     for _ in range(count):
-        prog, x = draw_program(generator)
-        bound = certify(prog, cells=int(generator.integers(1, 300))).lower_bound
-        wrong += bound > best_value(prog, x, generator)
+        draw = RandomProgram.draw(generator)
+        bound = certify(draw.prog(), cells=int(generator.integers(1, 300))).lower_bound
+        wrong += bound > draw.best_value(generator)
     print(f"random programs: {wrong} of {count} bounds above the best known value", flush=True)
     return wrong
 
 
-def draw_program(generator: np.random.Generator) -> tuple[MathematicalProgram, np.ndarray]:
-    """Returns a random program of up to six variables, a third of them with a row."""
-    prog = MathematicalProgram()
-    x = prog.NewContinuousVariables(int(generator.integers(1, 7)), "x")
-    low = generator.uniform(-2.0, 0.0, x.size)
-    prog.AddBoundingBoxConstraint(low, low + generator.uniform(0.1, 3.0, x.size), x)
-    cost = Expression(0.0)
-    for i, own in enumerate(x):
-        a, b, c, d = generator.normal(size=4).tolist()
-        cost += a * own**4 + b * own**3 + c * own * own + d * own
-        cost += generator.normal() * [sin(3.0 * own), cos(own), exp(own)][i % 3]
-        if i:
-            cost += generator.normal() * x[i - 1] * own
-    evaluator = ExpressionCost(cost)
-    prog.AddCost(evaluator, vars=evaluator.vars())
-    if x.size > 1 and generator.random() < 1 / 3:
-        prog.AddConstraint(x[0] * x[1] + generator.normal() * x[0] ** 2 <= generator.normal())
-    return prog, x
+@dataclass(frozen=True)
+class RandomProgram:
+    """A chain of up to six variables of quartics, waves and products, perhaps with a row.
 
+    Attributes:
+        own: of x_i⁴ … x_i, and of its wave (n, 5).
+        links: of x_i x_(i+1) (n − 1,).
+        row: (a, b) of x_0 x_1 + a x_0² ≤ b, or None.
+        lower: bounds of x (n,).
+        upper: shape (n,).
+    """
 
-def best_value(prog: MathematicalProgram, x: np.ndarray, generator: np.random.Generator) -> float:
-    """Returns the least cost of feasible points among many random ones."""
-    (box,) = (binding.evaluator() for binding in prog.bounding_box_constraints())
-    points = generator.uniform(box.lower_bound(), box.upper_bound(), (SAMPLES, x.size))
-    (cost,) = prog.GetAllCosts()
-    rows = [each for each in prog.GetAllConstraints() if each.evaluator() is not box]
-    places = prog.FindDecisionVariableIndices(cost.variables())
-    best = np.inf
-    for point in points:
-        if not rows or prog.CheckSatisfied(rows, point, 0.0):
-            best = min(best, float(cost.evaluator().Eval(point[places])[0]))
-    return best
+    own: Floats
+    links: Floats
+    row: tuple[float, float] | None
+    lower: Floats
+    upper: Floats
+
+    @classmethod
+    def draw(cls, generator: np.random.Generator) -> RandomProgram:
+        """Returns one; a third of those of several variables have a row."""
+        n = int(generator.integers(1, 7))
+        lower = generator.uniform(-2.0, 0.0, n)
+        has_row = n > 1 and generator.random() < 1 / 3
+        return cls(
+            generator.normal(size=(n, 5)),
+            generator.normal(size=n - 1),
+            (generator.normal(), generator.normal()) if has_row else None,
+            lower,
+            lower + generator.uniform(0.1, 3.0, n),
+        )
+
+    def cost(self, x: Any, waves: Sequence[Any]) -> Any:
+        """Returns f of numbers, arrays or Expressions x_0, x_1, …"""
+        total = 0.0
+        for i, (own, (a, b, c, d, e)) in enumerate(zip(x, self.own.tolist(), strict=True)):
+            total = total + a * own**4 + b * own**3 + c * own**2 + d * own + e * waves[i % 3](own)
+        for i, link in enumerate(self.links.tolist()):
+            total = total + link * x[i] * x[i + 1]
+        return total
+
+    def prog(self) -> MathematicalProgram:
+        """Returns it for Drake."""
+        prog = MathematicalProgram()
+        x = prog.NewContinuousVariables(self.lower.size, "x")
+        prog.AddBoundingBoxConstraint(self.lower, self.upper, x)
+        cost = ExpressionCost(self.cost(x, (sym.sin, sym.cos, sym.exp)))
+        prog.AddCost(cost, vars=cost.vars())
+        if self.row:
+            prog.AddConstraint(x[0] * x[1] + self.row[0] * x[0] ** 2 <= self.row[1])
+        return prog
+
+    def best_value(self, generator: np.random.Generator) -> float:
+        """Returns the least cost of feasible points among many random ones."""
+        points = generator.uniform(self.lower, self.upper, (SAMPLES, self.lower.size)).T
+        values = self.cost(points, (np.sin, np.cos, np.exp))
+        if self.row:
+            values = values[points[0] * points[1] + self.row[0] * points[0] ** 2 <= self.row[1]]
+        return float(np.min(values, initial=np.inf))
 
 
 def one_wall(count: int) -> int:
