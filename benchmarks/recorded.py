@@ -60,7 +60,6 @@ RECORDS: Mapping[str, str] = {
     " --workers 2",
     "chain": "python -m benchmarks.chain --workers 2 --first-seed 100 --patience 20 --minutes 60"
     f" {_SOLVER}",
-    "certificates": "python -m benchmarks.certificates",
     "random_programs": "python -m benchmarks.random_programs --count 500 --seed 4 --workers 2",
 }
 

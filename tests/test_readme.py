@@ -23,6 +23,7 @@ README = (CHECKOUT / "README.md").read_text(encoding="utf-8")
 MODELS_PAGE = (CHECKOUT / "docs" / "your_own_model.md").read_text(encoding="utf-8")
 TASKS_PAGE = (CHECKOUT / "docs" / "tasks.md").read_text(encoding="utf-8")
 LOOP_PAGE = (CHECKOUT / "docs" / "in_the_loop.md").read_text(encoding="utf-8")
+CERTIFICATES_PAGE = (CHECKOUT / "docs" / "certificates.md").read_text(encoding="utf-8")
 
 # Fields that are told where models and transcriptions are.
 _PHYSICS = (
@@ -58,7 +59,11 @@ def assert_same_output(printed: str, promised: str) -> None:
 
 @pytest.mark.parametrize(
     ("code", "promised"),
-    [*examples(README), *examples(MODELS_PAGE), *examples(TASKS_PAGE), *examples(LOOP_PAGE)],
+    [
+        example
+        for page in (README, MODELS_PAGE, TASKS_PAGE, LOOP_PAGE, CERTIFICATES_PAGE)
+        for example in examples(page)
+    ],
 )
 def test_an_example_prints_what_is_promised(
     code: str, promised: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
