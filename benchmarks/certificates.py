@@ -190,7 +190,7 @@ class RandomProgram:
         )
 
     def cost(self, x: Any, waves: Sequence[Any]) -> Any:
-        """Returns f of numbers, arrays or Expressions x_0, x_1, …"""
+        """Returns f of numbers, arrays or Expressions, and of their waves."""
         total = 0.0
         for i, (own, (a, b, c, d, e)) in enumerate(zip(x, self.own.tolist(), strict=True)):
             total = total + a * own**4 + b * own**3 + c * own**2 + d * own + e * waves[i % 3](own)
