@@ -40,11 +40,6 @@ RECORDS: Mapping[str, str] = {
     " --methods plan 'plan, points' shooting listed bounces SNOPT IPOPT --workers 2",
     "robots_pendulum": "python -m benchmarks.robots compare pendulum/off_the_wall"
     " --methods plan bounces --seconds 1.5 --workers 2",
-    "robots_rigid": "python -m benchmarks.robots compare cart_pole/rigid_06/e=1"
-    " cart_pole/rigid_06/e=0.5 cart_pole/rigid_10/e=1 cart_pole/rigid_10/e=0.5 paddle/bat"
-    " two_discs/swap three_carts/apart acrobot/swing_up acrobot/beside_a_wall --count 40"
-    " --methods plan listed IPOPT --minutes 90 --workers 2"
-    " --json docs/results/robots_rigid.json",
     "robots_soft": "python -m benchmarks.robots compare cart_pole/soft_06 cart_pole/soft_10"
     " --methods plan --workers 2",
     "table1": "python -m benchmarks.table1_figures",
