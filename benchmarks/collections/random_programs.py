@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 from pydrake.solvers import ExpressionCost, MathematicalProgram
-from pydrake.symbolic import Expression
+from pydrake.symbolic import Expression, abs, cos, exp, log, max, min, sqrt, tan
 
 
 def random_program(generator: np.random.Generator) -> MathematicalProgram:
-    """Returns a polynomial program of 1 to 3 variables.
+    """Returns a program of 1 to 3 variables: a polynomial, and in three of ten a function more.
 
     Coefficients span four decades. Some programs have a cost that grows in all directions, some may
     fall without end; bounds may be on one side, on both or none, and contradict the rows.
@@ -29,7 +29,28 @@ def random_program(generator: np.random.Generator) -> MathematicalProgram:
     for _ in range(int(generator.integers(0, 3))):
         row, level = _random_polynomial(generator, x, 2) + x[0], generator.normal()
         prog.AddConstraint(row == level if generator.random() < 0.4 else row <= level)
+    if generator.random() < 0.3:
+        extra = ExpressionCost(_random_function(generator, x))
+        prog.AddCost(extra, vars=extra.vars())
     return prog
+
+
+def _random_function(generator: np.random.Generator, x: Any) -> Expression:
+    """Returns a function that has a value everywhere, or the tangent within its branch."""
+    u, v = x[0], x[-1]
+    functions = (
+        lambda: u / (1.0 + v**2),
+        lambda: sqrt(1.0 + u**2),
+        lambda: (2.0 + u**2) ** 1.5,
+        lambda: log(1.0 + u**2 + v**2),
+        lambda: (1.0 + u**2) * log(1.0 + u**2),
+        lambda: abs(u - v**2),
+        lambda: max(u, 1.0 - v),
+        lambda: min(u**2, 3.0 + v),
+        lambda: tan(0.5 * cos(u)),
+        lambda: exp(-(u**2) / (1.0 + v**2)),
+    )
+    return generator.normal() * functions[int(generator.integers(len(functions)))]()
 
 
 def _random_polynomial(generator: np.random.Generator, x: Any, num_terms: int) -> Expression:
