@@ -55,6 +55,7 @@ RECORDS: Mapping[str, str] = {
     " --workers 2",
     "chain": "python -m benchmarks.chain --workers 2 --first-seed 100 --patience 20 --minutes 60"
     f" {_SOLVER}",
+    "certificates": "python -m benchmarks.certificates",
     "random_programs": "python -m benchmarks.random_programs --count 500 --seed 4 --workers 2",
 }
 
@@ -183,6 +184,7 @@ FIGURES: Mapping[str, Figure] = {
         "constrained_programs", rf"successes of ours that are infeasible: {_NUMBER}"
     ),
     "staged_tables": Figure("staged_programs", r"(?s)^(push_bot/0\.6: .*\S)"),
+    "certificates_table": Figure("certificates", r"(?s)\A[^\n]*\n(.*\S)"),
     "random_tried": Figure("random_programs", rf"^{_NUMBER} of \d+ programs, each twice"),
     "random_wrong": Figure("random_programs", rf"^crashed or lied: {_NUMBER}"),
     "plan_confirmed": Figure("rigid", rf"confirmed in Drake: median {_NUMBER} s"),
