@@ -40,6 +40,10 @@ RECORDS: Mapping[str, str] = {
     " --methods plan 'plan, points' shooting listed bounces SNOPT IPOPT --workers 2",
     "robots_pendulum": "python -m benchmarks.robots compare pendulum/off_the_wall"
     " --methods plan bounces --seconds 1.5 --workers 2",
+    "robots_rigid": "python -m benchmarks.robots compare cart_pole/rigid_06/e=1"
+    " cart_pole/rigid_06/e=0.5 cart_pole/rigid_10/e=1 cart_pole/rigid_10/e=0.5 paddle/bat"
+    " acrobot/swing_up acrobot/beside_a_wall --count 40 --methods plan listed IPOPT"
+    " --minutes 17 --workers 2 --json docs/results/robots_rigid.json",
     "robots_soft": "python -m benchmarks.robots compare cart_pole/soft_06 cart_pole/soft_10"
     " --methods plan --workers 2",
     "table1": "python -m benchmarks.table1_figures",
@@ -53,6 +57,8 @@ RECORDS: Mapping[str, str] = {
     "constrained_programs": f"python -m benchmarks.constrained_programs --workers 2 {_SOLVER}",
     "staged_programs": "python -m benchmarks.staged_programs --only push_bot --random 25 --seeds 2"
     " --workers 2",
+    "peer_programs": "python -m benchmarks.peer_programs --seeds 0 --workers 2 --minutes 14",
+    "loops": "python -m benchmarks.loops --count 2 --workers 2",
     "chain": "python -m benchmarks.chain --workers 2 --first-seed 100 --patience 20 --minutes 60"
     f" {_SOLVER}",
     "certificates": "python -m benchmarks.certificates",
@@ -156,6 +162,7 @@ FIGURES: Mapping[str, Figure] = {
     "floors_median": Figure("floors", rf"median {_NUMBER}, at most"),
     "floors_most": Figure("floors", rf"at most {_NUMBER}$"),
     "robots_tables": Figure("robots", r"(?s)\A(.*\S)"),
+    "robots_rigid_tables": Figure("robots_rigid", r"(?s)\A(.*\S)"),
     "robots_pendulum_tables": Figure("robots_pendulum", r"(?s)\A(.*\S)"),
     "robots_soft_tables": Figure("robots_soft", r"(?s)\A(.*\S)"),
     **_soft("06"),
@@ -185,6 +192,8 @@ FIGURES: Mapping[str, Figure] = {
     ),
     "staged_tables": Figure("staged_programs", r"(?s)^(push_bot/0\.6: .*\S)"),
     "certificates_table": Figure("certificates", r"(?s)\A[^\n]*\n(.*\S)"),
+    "peer_tables": Figure("peer_programs", r"(?s)^(payload: .*\S)"),
+    "loops_tables": Figure("loops", r"(?s)\A(.*\S)"),
     "random_tried": Figure("random_programs", rf"^{_NUMBER} of \d+ programs, each twice"),
     "random_wrong": Figure("random_programs", rf"^crashed or lied: {_NUMBER}"),
     "plan_confirmed": Figure("rigid", rf"confirmed in Drake: median {_NUMBER} s"),
