@@ -109,7 +109,8 @@ def check_bounces(world: World, trajectory: Trajectory) -> None:
     if lasting.size:
         raise _refuse(f"one that lasts, at {times[lasting[0]]:.3f} s", remedy)
     if impulses[0].any():
-        raise _refuse("a push at the very start", remedy)
+        rigid = "Track plans of the rigid transcription, whose contacts are bounces one by one."
+        raise _refuse("a push at the very start", rigid)
     several = np.flatnonzero(np.count_nonzero(impulses, axis=1) > 1)
     if several.size:
         raise _refuse(f"several at once, at {times[several[0]]:.3f} s", remedy)
