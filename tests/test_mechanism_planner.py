@@ -80,8 +80,9 @@ def test_a_hard_goal_is_met_in_both_simulations() -> None:
 
 def test_what_misses_a_hard_goal_is_no_plan(cart_pole: Planner) -> None:
     scenario = dataclasses.replace(cart_pole.scenario, hard_goal=True, control_upper=0.1)
+    options = dataclasses.replace(QUICK, renewals=0, ladder=QUICK.ladder[:2])
     with pytest.raises(PlanningError, match=r"there it breaks .*'hard goal'"):
-        Planner(scenario, dataclasses.replace(QUICK, renewals=0), cart_pole.world).plan()
+        Planner(scenario, options, cart_pole.world).plan()
 
 
 def test_forces_give_what_the_momentum_lacks(plan: Plan) -> None:
