@@ -76,6 +76,7 @@ def test_a_script_without_its_scheduler_ends_with_one_clear_error(
     assert capsys.readouterr().err.startswith(told)
 
 
+@pytest.mark.slow
 def test_benchmarks_that_measure_in_processes_of_their_own_get_answers() -> None:
     assert growth.start(50, turn=3).turn == 3
     run = wide_bands.start(wide_bands.ARROW, wide_bands.BOXES, 100, True)

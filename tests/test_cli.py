@@ -172,6 +172,7 @@ def test_replay_writes_its_own_verdict(plan_file: Path, tmp_path: Path) -> None:
     assert again.replay.event_driven == first.replay.event_driven
 
 
+@pytest.mark.slow
 def test_table1_prints_every_method_with_its_replays(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

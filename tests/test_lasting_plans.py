@@ -11,6 +11,7 @@ from drake_aigto.planning.mechanism_phases import lay_out
 from drake_aigto.transcription import Touch
 
 
+@pytest.mark.slow
 def test_carts_are_pushed_apart_one_after_the_other() -> None:
     options = MechanismOptions(renewals=0, confirm=False)
     plan = Planner(Scenario.named("three_carts/apart"), options).plan()

@@ -117,6 +117,7 @@ def test_a_wall_that_would_be_grazed_is_passed_at_a_distance() -> None:
     check_impacts(plan)
 
 
+@pytest.mark.slow
 def test_a_plan_is_that_of_any_number_of_threads(pendulum: Planner, plan: Plan) -> None:
     one = dataclasses.replace(QUICK, threads=1)
     other = Planner(pendulum.scenario, one, pendulum.world).plan()

@@ -178,6 +178,7 @@ def test_what_listed_touches_promise_is_what_the_judge_finds() -> None:
     assert judge(question, best.control).score == pytest.approx(best.promised, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_two_searches_agree_on_the_pendulum_and_with_the_judge() -> None:
     question = Question(PENDULUM, 12)
     *_, by_principle = extremals(question)
@@ -217,6 +218,7 @@ def test_what_the_gradient_peer_promises_between_rigid_walls_is_what_the_judge_f
     assert judgment.score == pytest.approx(attempt.promised, rel=2e-3)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("world", [NEAR, SWING_UP])
 def test_what_snopt_promises_on_our_transcription_is_nearly_what_the_judge_finds(
     world: str,
