@@ -195,7 +195,7 @@ def test_a_number_that_is_not_finite_is_refused(field: str, bad: float) -> None:
         ("restitution", 1.5, "restitution: got 1.5, expected at least 0 and at most 1"),
         ("restitution", -0.1, "restitution: got -0.1, expected at least 0 and at most 1"),
         ("mass", 0.0, "mass: got 0 kg, expected more than 0 kg"),
-        ("friction", 0.3, "friction: got 0.3, expected 0, which leaves it out, or None"),
+        ("friction", float("nan"), "friction: got nan, expected a finite number"),
         ("ignored_shapes", "foot", "ignored_shapes: got 'foot', expected a list of names"),
         ("ignored_shapes", ["foot", 3], "ignored_shapes: got ['foot', 3], expected a list of"),
         ("friction", -1.0, "friction: got -1, expected at least 0"),

@@ -42,7 +42,7 @@ _FIELDS = {
     "delta": "literal: δ of it [m]",
     "restitution": "speed after / before an impact, 0 to 1, where the model has none",
     "mass": "of the body that touches, in place of the model's [kg]",
-    "friction": "0 leaves out that of the model, which plans know nothing of",
+    "friction": "μ of all that slides, in place of the model's; 0 leaves it out",
     "ignored_shapes": "collision shapes that touch nothing, by name",
 }
 _CHOICES = {"angles": get_args(Angles), "contact": get_args(ContactKind)}

@@ -266,8 +266,10 @@ def track_event_driven(world: World, scenario: Scenario, controller: Controller)
 
     Raises:
         ScenarioError: the task asks for more than AIGTO's (`Scenario.is_plain`).
+        ModelError: there is friction.
     """
     scenario.check_plain(_READER)
+    world.check_frictionless(scenario)
     start = scenario.initial_position, scenario.initial_velocity
     recording = simulate_rigid_wall(world, world.restitutions(scenario), start, controller)
     return _summarize("event-driven", world, scenario, controller, recording)
@@ -280,13 +282,14 @@ def track_drake(world: World, scenario: Scenario, controller: Controller) -> Tra
 
     Raises:
         ScenarioError: the task asks for more than AIGTO's (`Scenario.is_plain`).
-        ModelError: a shape of the contact has no stiffness.
+        ModelError: a shape of the contact has no stiffness, or there is friction.
     """
     scenario.check_plain(_READER)
+    world.check_frictionless(scenario)
     start = scenario.initial_position, scenario.initial_velocity
     restitutions = world.restitutions(scenario)
-    without_friction = scenario.friction == 0
-    recording = simulate_compliant_wall(world, start, controller, restitutions, without_friction)
+    friction = scenario.friction
+    recording = simulate_compliant_wall(world, start, controller, restitutions, friction)
     error = calc_compliance_error(world, restitutions, recording)
     return _summarize("drake", world, scenario, controller, recording, error)
 

@@ -70,6 +70,7 @@ class Planner:
             )
         self.world = world or World.from_scenario(scenario)
         self.world.check(scenario)
+        self.world.check_frictionless(scenario)
         self.options = _choose_options(self.world, scenario, options)
         if self.options.confirm and scenario.contact == "rigid" and self.world.contacts:
             contact_delay(self.world)  # A wall without stiffness is refused before long work.
@@ -160,6 +161,7 @@ class Planner:
         changed: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
         scenario = dataclasses.replace(self.scenario, **changed) if changed else self.scenario
         self.world.check(scenario)
+        self.world.check_frictionless(scenario)
         if self._transcription is not None:
             self._transcription.check_frozen()
         return run_search(self._start_search(scenario), scenario, progress)

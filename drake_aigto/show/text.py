@@ -113,18 +113,19 @@ def law_items(scenario: Scenario, world: World) -> list[str]:
     return [f"{name} {_range_text(*value)}" for name, value in values.items()]
 
 
-def _range_text(values: Floats, unit: str) -> str:
+def _range_text(values: Floats, unit: str = "") -> str:
     """Returns what values are, or from what to what they go."""
     ends = dict.fromkeys(f"{value:.4g}" for value in (np.min(values), np.max(values)))
     return f"{' to '.join(ends)} {unit}"
 
 
 def friction_items(scenario: Scenario, world: World) -> list[str]:
-    """Returns what friction of the model a scenario leaves out of simulations, if there is any."""
+    """Returns which friction acts, or which of the model's a scenario leaves out, if any."""
     largest = float(max(world.frictions.values(), default=0.0))
-    if scenario.friction is None or not largest:
-        return []
-    return [f"left out of the simulation, as asked: the model's, μ = {largest:g} at the most"]
+    if scenario.friction == 0 and largest:
+        return [f"left out of the simulation, as asked: the model's, μ = {largest:g} at the most"]
+    acting = world.friction_coefficients(scenario)
+    return [f"μ = {_range_text(acting[acting > 0]).strip()}"] if acting.any() else []
 
 
 def cost_text(cost: float, digits: int = 2, scale: float = 1.0) -> str:

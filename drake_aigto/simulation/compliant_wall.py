@@ -38,7 +38,7 @@ def simulate_compliant_wall(
     state: tuple[Floats, Floats],
     controller: Controller,
     restitutions: Floats,
-    without_friction: bool = False,
+    friction: float | None = None,
 ) -> Recording:
     """Runs a controller on the world's own plant, by Radau's implicit rule.
 
@@ -53,7 +53,7 @@ def simulate_compliant_wall(
         state: the start, (q, v).
         controller: decides the control, open or closed loop.
         restitutions: e of each contact, in [0, 1], shape (m,).
-        without_friction: whether to leave the model's friction out, in the same way.
+        friction: μ of all that slides, in the same way; None: the model's.
 
     Returns:
         The states whenever the controller is asked, at the end, and where each contact begins, is
@@ -63,7 +63,7 @@ def simulate_compliant_wall(
         ModelError: a shape has no stiffness.
     """
     plant = world.plant
-    simulator = start_simulator(world, state, controller.start, without_friction)
+    simulator = start_simulator(world, state, controller.start, friction)
     root = simulator.get_mutable_context()
     context = plant.GetMyMutableContextFromRoot(root)
     contacts = ContactMonitor(world, simulator, restitutions, controller.end - controller.start)

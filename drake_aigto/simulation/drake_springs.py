@@ -30,7 +30,7 @@ def simulate_plant(
     world: World,
     state: tuple[Floats, Floats],
     controller: Controller,
-    without_friction: bool = False,
+    friction: float | None = None,
 ) -> Recording:
     """Runs a controller on the world's own plant, whose walls are as the model has them.
 
@@ -39,14 +39,14 @@ def simulate_plant(
         state: the start, (q, v), maybe inside a wall.
         controller: decides the control, open or closed loop. One that feels contact is asked again
             at its next sample.
-        without_friction: whether to leave the model's friction out, in this simulation only.
+        friction: μ of all that slides, in this simulation only; None: the model's.
 
     Returns:
         The states whenever the controller is asked, at the end, and where each contact begins and
         ends; and samples of all motion between.
     """
     span = controller.start, controller.end
-    simulator = start_soft_simulator(world, state, span, without_friction)
+    simulator = start_soft_simulator(world, state, span, friction)
     plant, root = world.plant, simulator.get_mutable_context()
     context = plant.GetMyMutableContextFromRoot(root)
     recording, control = Recording(), np.zeros(world.num_actuators)

@@ -143,7 +143,9 @@ def replay_event_driven(
 
     Raises:
         TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
+        ModelError: there is friction.
     """
+    world.check_frictionless(scenario)
     times, controls = _refine(scenario, *_check_control(world, times, controls))
     law = world.contact_law(scenario)
     if isinstance(law, CompliantLaw):
@@ -164,7 +166,9 @@ def replay_costs(world: World, scenario: Scenario, times: ArrayLike, controls: A
 
     Raises:
         TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
+        ModelError: there is friction.
     """
+    world.check_frictionless(scenario)
     u = np.asarray(controls, dtype=float)
     if u.ndim != 3:
         raise TrajectoryError("controls", got=f"shape {u.shape}", expected="(C, N, nu)")
@@ -200,11 +204,11 @@ def replay_drake(world: World, scenario: Scenario, times: ArrayLike, controls: A
     times, controls = _refine(scenario, *_check_control(world, times, controls))
     start = scenario.initial_position, scenario.initial_velocity
     restitutions = world.restitutions(scenario)
-    held, without_friction = HeldControl(times, controls), scenario.friction == 0
+    held, friction = HeldControl(times, controls), scenario.friction
     if scenario.contact == "compliant" or not world.num_contacts:
-        recording = simulate_plant(world, start, held, without_friction)
+        recording = simulate_plant(world, start, held, friction)
         return summarize("drake", world, scenario, times, controls, recording)
-    recording = simulate_compliant_wall(world, start, held, restitutions, without_friction)
+    recording = simulate_compliant_wall(world, start, held, restitutions, friction)
     if world.has_constant_inertia:
         error = calc_compliance_error(world, restitutions, recording)
         return summarize("drake", world, scenario, times, controls, recording, error)

@@ -88,7 +88,7 @@ def make_simulator(world: World, scenario: Scenario) -> Simulator:
 
     Raises:
         ScenarioError: it does not fit.
-        ModelError: a sphere can slide with friction, or a shape has no stiffness.
+        ModelError: the model does not fit, or a shape has no stiffness.
     """
     simulator, contacts = start_plant(world, scenario)
     if contacts is not None:
@@ -100,11 +100,10 @@ def start_plant(world: World, scenario: Scenario) -> tuple[Simulator, ContactMon
     """Returns the Simulator of `make_simulator`, and its monitor if walls are stiff."""
     world.check(scenario)
     start = scenario.initial_position, scenario.initial_velocity
-    without_friction = scenario.friction == 0
     if scenario.contact == "compliant" or not world.num_contacts:
         span = 0.0, scenario.duration
-        return start_soft_simulator(world, start, span, without_friction), None
-    simulator = start_simulator(world, start, without_friction=without_friction)
+        return start_soft_simulator(world, start, span, scenario.friction), None
+    simulator = start_simulator(world, start, friction=scenario.friction)
     restitutions = world.restitutions(scenario)
     return simulator, ContactMonitor(world, simulator, restitutions, scenario.duration)
 
@@ -113,7 +112,7 @@ def start_simulator(
     world: World,
     state: tuple[Floats, Floats],
     time: float = 0.0,
-    without_friction: bool = False,
+    friction: float | None = None,
     config: SimulatorConfig | None = None,
 ) -> Simulator:
     """Returns a Simulator, by Radau's rule if not told otherwise, which knows nothing of contacts.
@@ -122,12 +121,11 @@ def start_simulator(
         world: of the diagram.
         state: the start, (q, v).
         time: of the start [s].
-        without_friction: whether to leave the model's friction out, in its context.
+        friction: μ of all that slides, in its context; None: the model's.
         config: of another integrator.
     """
     root = world.create_context()
-    if without_friction:
-        world.remove_friction(root)
+    world.set_friction(root, friction)
     context = world.plant.GetMyMutableContextFromRoot(root)
     world.plant.SetPositionsAndVelocities(context, np.concatenate(state))
     simulator = Simulator(world.diagram, root)
@@ -142,7 +140,7 @@ def start_soft_simulator(
     world: World,
     state: tuple[Floats, Floats],
     span: tuple[float, float],
-    without_friction: bool = False,
+    friction: float | None = None,
 ) -> Simulator:
     """Returns a Simulator of walls that are as the model has them, by an explicit rule.
 
@@ -151,7 +149,7 @@ def start_soft_simulator(
     longest = _LONGEST * (span[1] - span[0])
     is_stiff = min(contact_delays(world), default=math.inf) < _RESOLVED * longest
     config = _STIFF if is_stiff else _SOFT
-    simulator = start_simulator(world, state, span[0], without_friction, config)
+    simulator = start_simulator(world, state, span[0], friction, config)
     simulator.get_mutable_integrator().set_maximum_step_size(longest)
     return simulator
 

@@ -131,7 +131,8 @@ class ScenarioQuestion:
 
     def _check_spreads(self) -> None:
         """Refuses ends of spreads that no scenario can have."""
-        world = World.from_scenario(self._make(_USUAL))
+        world = World.from_scenario(usual := self._make(_USUAL))
+        world.check_frictionless(usual)
         for name in FIELDS:
             spread: Spread = getattr(self, name)
             for value in spread.values:

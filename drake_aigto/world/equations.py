@@ -14,7 +14,7 @@ from pydrake.symbolic import Expression
 from drake_aigto.arrays import Bools, Floats, Ints, read_only
 from drake_aigto.world.constant import ConstantDynamics, ConstantInertia, read_constant
 from drake_aigto.world.contact import Contact
-from drake_aigto.world.sums import SumMap, is_constant, load_kernels, tidy
+from drake_aigto.world.sums import SumMap, calc_turning, is_constant, load_kernels
 
 _INERTIA_REMEDY = "Use the literal transcription."
 _BIAS_REMEDY = (
@@ -295,19 +295,11 @@ class EquationsOfMotion:
 
     @cached_property
     def _contact_bias_map(self) -> SumMap:
-        turns = []
-        for contact in self.contacts:
-            slopes = _dot(contact.jacobian, self.velocities).Jacobian(self.positions)
-            turns.append(_dot(slopes, self.velocities))
-        names = np.concatenate([self.positions, self.velocities])
-        return SumMap(tidy(np.array(turns, dtype=object)), names)
+        jacobians = [contact.jacobian for contact in self.contacts]
+        turns = calc_turning(jacobians, self.positions, self.velocities)
+        return SumMap(turns, np.concatenate([self.positions, self.velocities]))
 
     @cached_property
     def _jacobian_map(self) -> SumMap:
         jacobians = (contact.jacobian for contact in self.contacts)
         return SumMap(np.concatenate([[], *jacobians]), self.positions)
-
-
-def _dot(row: NDArray[Any], variables: NDArray[Any]) -> Expression:
-    """Returns Σ_k row_k variable_k; NumPy's product of objects warns at random."""
-    return sum((a * b for a, b in zip(row, variables, strict=True)), Expression(0.0))

@@ -40,6 +40,7 @@ class Fingerprint:
         materials: stiffness [N/m] and dissipation [s/m] of both shapes of each contact, (m, 4),
             None where the model gives none; None: a file that does not tell.
         limits: lower and upper ones of q, v and u; None: a file that does not tell.
+        friction: μ of each contact, and where spheres are stuck; None: a file that does not tell.
     """
 
     model: str | None
@@ -53,6 +54,7 @@ class Fingerprint:
     kicks: _Rows
     materials: tuple[tuple[float | None, ...], ...] | None = None
     limits: _Rows | None = None
+    friction: tuple[float, ...] | None = None
 
     @classmethod
     def of(
@@ -63,6 +65,7 @@ class Fingerprint:
         actuators: Sequence[str],
         materials: tuple[tuple[float | None, ...], ...],
         limits: Limits,
+        friction: ArrayLike,
     ) -> Fingerprint:
         """Returns that of a world: of its equations, its model, and what these lack."""
         numbers = np.arange(1.0, 1.0 + motion.num_positions)
@@ -80,6 +83,7 @@ class Fingerprint:
             kicks=_rows(motion.calc_velocity_change(q, np.eye(motion.num_contacts))),
             materials=materials,
             limits=_rows(np.hstack([limits.position, limits.velocity, limits.control])),
+            friction=tuple(np.asarray(friction).tolist()),
         )
 
     def check(self, other: Fingerprint, remedy: str) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
@@ -34,20 +32,6 @@ def check_made_for(scenario: Scenario, mass: float | None, ignored_shapes: tuple
             expected=", ".join(ignored_shapes) or "none",
             remedy=remedy,
         )
-
-
-def refuse_friction(frictions: Mapping[str, float]) -> ModelError:
-    """Returns the error of friction that would act in Drake, and in no plan."""
-    pair, friction = max(frictions.items(), key=lambda item: item[1])
-    return ModelError(
-        f"friction of {pair}",
-        got=f"μ = {friction:g} where the sphere can slide (Drake's default, if the "
-        "shapes give none)",
-        expected="0, for plans know of no friction",
-        remedy="Give one of both shapes <drake:mu_static>0</drake:mu_static> and "
-        "<drake:mu_dynamic>0</drake:mu_dynamic>; or leave friction out of simulations by the "
-        "scenario's friction: 0 (--friction 0).",
-    )
 
 
 def refuse_inside(

@@ -6,7 +6,11 @@ from typing import Any
 
 import numpy as np
 from pydrake.geometry import GeometryId, ProximityProperties, RoleAssign, SceneGraph, SourceId
-from pydrake.multibody.plant import CalcContactFrictionFromSurfaceProperties, MultibodyPlant
+from pydrake.multibody.plant import (
+    CalcContactFrictionFromSurfaceProperties,
+    CoulombFriction,
+    MultibodyPlant,
+)
 from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.systems.framework import Context
 
@@ -27,19 +31,20 @@ _ANYWHERE = 0.37
 
 def read_friction(
     plant: MultibodyPlant, scene_graph: SceneGraph, root: Context, face: SphereAndFace
-) -> float:
-    """Returns μ that acts on a sphere at a face: of its two coefficients, the larger one.
+) -> CoulombFriction:
+    """Returns the friction that acts on a sphere at a face.
 
     It is what the plant computes with, μ = 2 μ₁ μ₂ / (μ₁ + μ₂): of a shape that gives none, Drake's
     default, which is in contexts only. Where the sphere can't move along the face, as a ball on a
-    line across it, friction has nothing to act on, and this is 0.
+    line across it, friction has nothing to act on, and both coefficients are 0.
     """
     materials = [read_material(scene_graph, root, shape) for shape in face.shapes]
     # What `GetProperty` returns lives no longer than the properties.
     surfaces = [material.GetProperty(*FRICTION) for material in materials]
     friction = CalcContactFrictionFromSurfaceProperties(*surfaces)
-    largest = max(friction.static_friction(), friction.dynamic_friction())
-    return largest if largest > 0 and can_slide(plant, face) else 0.0
+    # The dynamic one is never the larger of the two.
+    acts = friction.static_friction() > 0 and can_slide(plant, face)
+    return friction if acts else CoulombFriction(0.0, 0.0)
 
 
 def can_slide(plant: MultibodyPlant, face: SphereAndFace) -> bool:
@@ -63,6 +68,21 @@ def find_anywhere(plant: MultibodyPlant) -> Floats:
     There an arm may be stretched out along the normal of a wall.
     """
     return plant.GetDefaultPositions() + _ANYWHERE * np.arange(1, plant.num_positions() + 1)
+
+
+def set_friction(
+    scene_graph: SceneGraph,
+    source: SourceId,
+    root: Context,
+    shape: GeometryId,
+    friction: float | None,
+) -> None:
+    """Gives a shape one coefficient of friction, in this context only; None: its dynamic one."""
+    if friction is None:
+        own = read_material(scene_graph, root, shape).GetProperty(*FRICTION)
+        friction = own.dynamic_friction()
+    value = CoulombFriction(friction, friction)
+    set_material(scene_graph, source, root, shape, FRICTION, value)
 
 
 def read_stiffness(scene_graph: SceneGraph, shape: GeometryId) -> float:

@@ -145,8 +145,8 @@ class Scenario(ArrayRecord):
             (`World.restitutions`). Rigid contact only.
         mass: replaces the mass of the only body with spheres that touch [kg]; None keeps the
             model's.
-        friction: 0 leaves out the friction of every pair that can slide; None keeps the model's,
-            which has to be 0 there (`World.check`), for plans know of none.
+        friction: μ of every pair that can slide, in place of the model's; 0 leaves friction out,
+            None keeps the model's (`World.friction_coefficients`).
         ignored_shapes: collision shapes that touch nothing, neither in plans nor in simulations,
             such as meshes, which can't be planned for: "shape" or "model::shape".
 
@@ -204,13 +204,6 @@ class Scenario(ArrayRecord):
         for name, choices in _CHOICES.items():
             checked[name] = as_choice(name, getattr(self, name), choices)
         self.__dict__.update(checked, hard_goal=as_flag("hard_goal", self.hard_goal))
-        if self.friction:
-            raise ScenarioError(
-                "friction",
-                got=f"{self.friction:g}",
-                expected="0, which leaves it out, or None, the model's",
-                remedy="Plans know of no friction yet.",
-            )
         self._check_steps()
         if not self.is_plain:
             self._check_task()

@@ -41,6 +41,23 @@ def tidy(expressions: NDArray[Any]) -> NDArray[Any]:
     return result.reshape(expressions.shape)
 
 
+def calc_turning(rows: Iterable[NDArray[Any]], q: NDArray[Any], v: NDArray[Any]) -> NDArray[Any]:
+    """Returns J̇ v of each row J(q), (nv,), of velocities J v: what they change by at constant v.
+
+    Args:
+        rows: m of them.
+        q: the variables of positions, shape (nq,).
+        v: the variables of velocities, shape (nv,), v = q̇.
+    """
+    turns = [_dot(_dot(row, v).Jacobian(q), v) for row in rows]
+    return tidy(np.array(turns, dtype=object))
+
+
+def _dot(row: NDArray[Any], variables: NDArray[Any]) -> Expression:
+    """Returns Σ_k row_k variable_k; NumPy's product of objects warns at random."""
+    return sum((a * b for a, b in zip(row, variables, strict=True)), Expression(0.0))
+
+
 def is_constant(expressions: Any) -> bool:
     """Returns whether expressions, one or an array of them, have no variable."""
     return all(expression.GetVariables().empty() for expression in np.ravel(expressions))

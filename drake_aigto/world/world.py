@@ -6,10 +6,12 @@ import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from pydrake.geometry import GeometryId, SceneGraph
-from pydrake.multibody.plant import CoulombFriction, MultibodyPlant
+from pydrake.multibody.plant import MultibodyPlant
 from pydrake.symbolic import MakeVectorVariable
 from pydrake.systems.framework import Context, Diagram
 
@@ -32,13 +34,12 @@ from drake_aigto.world.fit import (
     check_made_for,
     check_sizes,
     refuse_beside,
-    refuse_friction,
     refuse_inside,
     refuse_out_of_reach,
 )
 from drake_aigto.world.law import CompliantLaw, ContactLaw, RigidLaw, calc_stiffness
 from drake_aigto.world.limits import Limits
-from drake_aigto.world.material import FRICTION, read_friction, read_materials, set_material
+from drake_aigto.world.material import read_materials
 from drake_aigto.world.plant_reader import PlantReader
 from drake_aigto.world.reach import (
     ReachableFace,
@@ -46,6 +47,7 @@ from drake_aigto.world.reach import (
     find_sphere_body,
     refuse_no_contact,
 )
+from drake_aigto.world.rubbing import Rubbing
 from drake_aigto.world.scenario import ContactKind, Scenario
 from drake_aigto.world.sums import SumMap
 from drake_aigto.world.task_cost import TaskCost
@@ -159,7 +161,8 @@ class World(EquationsOfMotion):
         """What tells it from other worlds."""
         names = self.plant.GetPositionNames(), self.plant.GetActuatorNames()
         materials = tuple(read_materials(self.scene_graph, pair) for pair in self.shapes)
-        return Fingerprint.of(self, self.model, *names, materials, self.limits)
+        friction = self.rubbing.model_coefficients
+        return Fingerprint.of(self, self.model, *names, materials, self.limits, friction)
 
     def is_on_face(self, q: Floats) -> Bools:
         """Returns whether the sphere's center projects onto each face, shape (m,)."""
@@ -215,21 +218,50 @@ class World(EquationsOfMotion):
         bounds.check_task(scenario, self.is_hinge)
         return bounds
 
+    @cached_property
+    def rubbing(self) -> Rubbing:
+        """Where and how strongly contacts rub, and the velocity at which they slip."""
+        faces = [each.face for each in self._reachable]
+        return Rubbing(self.diagram, self.positions, self.velocities, faces, self._stuck)
+
     @property
     def frictions(self) -> Mapping[str, float]:
-        """μ that acts in Drake's plant, by pair of shapes: those alone in which anything can slide.
+        """The model's μ, by pair of shapes, where anything slides (`Rubbing.frictions`)."""
+        return self.rubbing.frictions
 
-        Of a shape that gives none it is Drake's default, of two shapes 2 μ₁ μ₂ / (μ₁ + μ₂). Shapes
-        that overlap wherever the joints are slide, too, though they are no contact.
+    def friction_coefficients(self, scenario: Scenario) -> Floats:
+        """Returns μ of each contact, shape (m,): the model's, or the scenario's in place of it.
+
+        Where nothing can slide it is 0.
+
+        Raises:
+            ModelError: a sphere can slide in two directions along a face where μ is not 0.
         """
-        return {face.pair: friction for face, friction in self._rubbing}
+        return self.rubbing.calc_coefficients(scenario.friction)
 
-    @cached_property
-    def _rubbing(self) -> tuple[tuple[SphereAndFace, float], ...]:
-        root = self.create_context()
-        faces = (*(each.face for each in self._reachable), *self._stuck)
-        read = ((face, read_friction(self.plant, self.scene_graph, root, face)) for face in faces)
-        return tuple((face, friction) for face, friction in read if friction)
+    @property
+    def tangents(self) -> NDArray[Any]:
+        """T(q) of each contact, shape (m, nv), Expressions: the slip velocity is s = T v [m/s].
+
+        That of the sphere's material where it touches, as the face sees it, along the one direction
+        in which it can slide (`read_tangent`). Zero where it can't, or can in two.
+        """
+        return self.rubbing.tangents
+
+    @property
+    def soft_tangents(self) -> NDArray[Any]:
+        """The same where walls yield: at the point on which the plant's contact force acts."""
+        return self.rubbing.soft_tangents
+
+    def calc_tangent_jacobian(self, q: Floats, yields: bool = False) -> Floats:
+        """Returns T(q), shape (…, m, nv), at q of shape (…, nq), where walls yield or do not."""
+        shape = self.num_contacts, self.num_velocities
+        read = self.rubbing.soft_tangent_map if yields else self.rubbing.tangent_map
+        return read(q).reshape(*q.shape[:-1], *shape)
+
+    def calc_tangent_bias(self, q: Floats, v: Floats) -> Floats:
+        """Returns Ṫ v, which makes ṡ = T v̇ + Ṫ v, (…, m) [m/s²], at q (…, nq), v (…, nv)."""
+        return self.rubbing.turning_map(np.concatenate([q, v], axis=-1))
 
     def create_context(self) -> Context:
         """Returns a new root context, at defaults, with the mass replaced and shapes ignored."""
@@ -244,11 +276,9 @@ class World(EquationsOfMotion):
             )
         return root
 
-    def remove_friction(self, root: Context) -> None:
-        """Makes friction zero wherever something can slide, in this context only."""
-        source, none = self.plant.get_source_id(), CoulombFriction(0.0, 0.0)
-        for sphere in {face.shapes[0] for face, _ in self._rubbing}:
-            set_material(self.scene_graph, source, root, sphere, FRICTION, none)
+    def set_friction(self, root: Context, friction: float | None) -> None:
+        """Gives all that slides one μ, in this context only; None: the model's dynamic ones."""
+        self.rubbing.impose(root, friction)
 
     @property
     def sphere_mass(self) -> float:
@@ -285,9 +315,10 @@ class World(EquationsOfMotion):
 
         Raises:
             ScenarioError: the task asks for more than AIGTO's (`Scenario.is_plain`); says for what.
-            ModelError: there are limits, or nothing can touch.
+            ModelError: there are limits or friction, or nothing can touch.
         """
         scenario.check_plain()
+        self.check_frictionless(scenario)
         self.limits.check_none(self.plant)
         if not self.contacts:
             raise refuse_no_contact(self.scene_graph)
@@ -299,9 +330,9 @@ class World(EquationsOfMotion):
             ScenarioError: sizes differ from the plant's, its mass is another, the cost makes no
                 sense here (`TaskCost.of`), or start or goal touches the wall, is inside or behind
                 it, or beside its face, or is beyond joint limits.
-            ModelError: a sphere can slide with friction, and the scenario does not leave it out; a
-                wall is out of reach of all spheres; or the model lacks what the scenario's law of
-                contact takes (`contact_law`).
+            ModelError: friction acts where a sphere can slide in two directions, or is stuck in a
+                shape; a wall is out of reach of all spheres; or the model lacks what the scenario's
+                law of contact takes (`contact_law`).
         """
         check_sizes(self.plant, scenario)
         TaskCost.of(self, scenario)
@@ -312,8 +343,15 @@ class World(EquationsOfMotion):
             raise refuse_out_of_reach(*self._out_of_reach)
         for name in ("initial_position", "goal_position"):
             self._check_place(name, getattr(scenario, name), scenario.contact)
-        if scenario.friction is None and self.frictions:
-            raise refuse_friction(self.frictions)
+        self.rubbing.check(scenario.friction)
+
+    def check_frictionless(self, scenario: Scenario) -> None:
+        """Refuses friction, for who plans without it, so that it is not dropped in silence.
+
+        Raises:
+            ModelError: a sphere can slide with friction, and the scenario does not leave it out.
+        """
+        self.rubbing.check_none(scenario.friction)
 
     @cached_property
     def _out_of_reach(self) -> tuple[SphereAndFace, float] | None:
