@@ -234,6 +234,50 @@ def _find_hit(law: Law, out: Tables, on: np.ndarray) -> int:
 
 
 @inner
+def _calc_rate(law: Law, out: Tables, x: np.ndarray, u: np.ndarray, wall: int) -> float:
+    """Returns how fast a wall's gap grows [m/s], and leaves the tables of that state."""
+    n, rate = out.force.size, 0.0
+    write_tables(law.number, x[:n], x[n : 2 * n], u, law.wall, out)
+    for i in range(n):
+        rate += out.normal[wall, i] * x[n + i]
+    return rate
+
+
+@inner
+def _find_bottom(
+    law: Law,
+    out: Tables,
+    x: np.ndarray,
+    u: np.ndarray,
+    on: np.ndarray,
+    step: float,
+    a: np.ndarray,
+    b: np.ndarray,
+    rates: np.ndarray,
+    y: np.ndarray,
+) -> float:
+    """Returns when a wall is deepest entered that is left again within a step, else its end."""
+    for k in range(on.size):
+        if law.stiffness > 0.0 or on[k]:
+            continue
+        rate = _calc_rate(law, out, x, u, k)
+        if out.gap[k] + step * rate >= 0.0:
+            continue
+        low, high = 0.0, step
+        for _ in range(50):
+            middle = (low + high) / 2
+            _step(law, out, x, u, on, middle, a, b, rates, y)
+            if _calc_rate(law, out, y, u, k) < 0.0:
+                low = middle
+            else:
+                high = middle
+        _step(law, out, x, u, on, low, a, b, rates, y)
+        if _find_hit(law, out, on) >= 0:
+            return low
+    return step
+
+
+@inner
 def _release(
     law: Law,
     out: Tables,
@@ -321,11 +365,12 @@ def simulate(
             left = held / steps
             while left > 0.0 and touches <= _MOST_TOUCHES:
                 _release(law, out, x, u, on, a, b, rates[0])
-                _step(law, out, x, u, on, left, a, b, rates, y)
+                bottom = _find_bottom(law, out, x, u, on, left, a, b, rates, y)
+                _step(law, out, x, u, on, bottom, a, b, rates, y)
                 if _find_hit(law, out, on) < 0:
                     x[:] = y
                     break
-                low, high = 0.0, left
+                low, high = 0.0, bottom
                 for _ in range(50):
                     middle = (low + high) / 2
                     _step(law, out, x, u, on, middle, a, b, rates, y)

@@ -54,8 +54,14 @@ _FINE = ShootingOptions(
     multiplier_updates=8,
     feasibility=1e-6,
 )
-_SETTLED = dataclasses.replace(_FINE, multiplier_updates=24, feasibility=1e-11)
 _EXACT, _MOST_SUBSTEPS = 1e-4, 16
+# What is missed by so little costs next to nothing: steps that gain less have to count, too.
+_SETTLED = ShootingOptions(
+    rungs=(Smoothing(0.0, 40, 1e-9),),
+    substeps=_MOST_SUBSTEPS,
+    multiplier_updates=24,
+    feasibility=1e-11,
+)
 # A motion whose end other steps move by less than this part of its scales is steady.
 _STEADY = 1.0
 # Who costs so many times as much after the polish was led astray.
@@ -212,8 +218,7 @@ class RigidMechanismProblem(MechanismProblem):
         if not len(phases.knots) or not np.isfinite(motion.cost):
             return motion
         problem = self._pose_phases(motion.times, phases, clearances)
-        options = dataclasses.replace(_SETTLED, substeps=motion.substeps)
-        settled = problem.solve(motion.controls, None, options, motion.prices)
+        settled = problem.solve(motion.controls, None, _SETTLED, motion.prices)
         is_better = settled.violation < motion.violation and self.price(settled) <= scaled(
             _FAR, self.price(motion)
         )
