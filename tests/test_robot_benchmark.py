@@ -95,6 +95,24 @@ def test_the_judge_agrees_with_the_event_driven_replay(world: str) -> None:
     assert judge(question, control).cost == pytest.approx(replay.cost, rel=1e-5)
 
 
+def test_the_judge_sees_a_bounce_that_is_shorter_than_its_steps() -> None:
+    """The weakest torque that touches the wall at all is the same for the replay."""
+    question = Question(PENDULUM, 2, is_tuning=True)
+
+    def push_with(torque: float) -> Control:
+        return push(question, np.full((1, 1), torque))
+
+    misses, touches = 8.0, -8.0
+    for _ in range(27):
+        middle = (misses + touches) / 2
+        is_touched = judge(question, push_with(middle)).touches > 0
+        misses, touches = (misses, middle) if is_touched else (middle, touches)
+    for torque, is_touched in (misses, False), (touches, True):
+        control = push_with(torque)
+        replay = replay_event_driven(world_of(question.world), scenario_of(question), *control)
+        assert (len(replay.bounce_times) > 0) == is_touched
+
+
 def test_the_judge_agrees_with_drake() -> None:
     question = Question(NEAR, 12)  # Three touches: unstable.
     control = load_known()[NEAR][12].control(question)

@@ -57,7 +57,7 @@ _FINE = ShootingOptions(
 _EXACT, _MOST_SUBSTEPS = 1e-4, 16
 # What is missed by so little costs next to nothing: steps that gain less have to count, too.
 _SETTLED = ShootingOptions(
-    rungs=(Smoothing(0.0, 40, 1e-9),),
+    rungs=(Smoothing(0.0, 40, 1e-12),),
     substeps=_MOST_SUBSTEPS,
     multiplier_updates=24,
     feasibility=1e-11,
