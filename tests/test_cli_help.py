@@ -123,6 +123,8 @@ def test_every_field_of_a_scenario_has_a_flag_that_changes_it() -> None:
         "restitution": 1.0,
         "mass": 3.0,
         "friction": 0.0,
+        "dry_friction": [0.5, 0.6],
+        "stiction_speed": 0.02,
         "ignored_shapes": ["foot", "3"],
     }
     scenario = Scenario(**given)

@@ -21,7 +21,7 @@ from drake_aigto.shooting import (
     Smoothing,
 )
 from drake_aigto.shooting.hold import press
-from drake_aigto.shooting.mechanism import (
+from drake_aigto.shooting.mechanics import (
     Mechanics,
     MechanicsMemory,
     copy_writable,

@@ -43,6 +43,8 @@ _FIELDS = {
     "restitution": "speed after / before an impact, 0 to 1, where the model has none",
     "mass": "of the body that touches, in place of the model's [kg]",
     "friction": "μ of all that slides, in place of the model's; 0 leaves it out",
+    "dry_friction": "of joints, the largest one a coordinate [N, N m]",
+    "stiction_speed": "below which what rubs sticks [m/s, rad/s]",
     "ignored_shapes": "collision shapes that touch nothing, by name",
 }
 _CHOICES = {"angles": get_args(Angles), "contact": get_args(ContactKind)}
@@ -52,7 +54,7 @@ _VECTORS = (
     *("initial_position", "initial_velocity", "goal_position", "goal_velocity"),
     *("control_weight", "position_weight", "velocity_weight", "reference_times"),
     *("position_lower", "position_upper", "velocity_lower", "velocity_upper"),
-    *("control_lower", "control_upper"),
+    *("control_lower", "control_upper", "dry_friction"),
 )
 _MATRICES = (
     *("goal_weight", "goal_velocity_weight", "reference_positions", "reference_velocities"),

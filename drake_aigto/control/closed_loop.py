@@ -56,7 +56,7 @@ def run_in_loop(
     end = _check_duration(duration, scenario, disturbance)
     true_world, true = disturbance.apply(world, scenario)
     diagram = _connect(true_world, controller, disturbance, end, meshcat)
-    plant_world = World.from_diagram(diagram, true_world.mass, true_world.ignored_shapes)
+    plant_world = true_world.of_diagram(diagram)
     simulator, contacts = start_plant(plant_world, true)
     disturbance.scale_masses(plant_world, simulator.get_mutable_context())
     if meshcat is not None:

@@ -22,6 +22,7 @@ from drake_aigto.planning.mechanism_boxes import (
 )
 from drake_aigto.planning.mechanism_options import MechanismOptions
 from drake_aigto.planning.origin import NO_CONTROL, Origin
+from drake_aigto.planning.steadying import steady
 from drake_aigto.shooting import (
     Mechanism,
     Phases,
@@ -264,15 +265,25 @@ class MechanismProblem:
             states = motion.states if error > _STEADY else None
             problem = problem.starting_from(motion)
             motion = problem.solve(motion.controls, states, options, motion.prices)
-            if motion.violation > _HOPELESS or motion.substeps >= _MOST_SUBSTEPS:
+            if motion.violation > _HOPELESS:
                 return motion
+            if motion.substeps >= _MOST_SUBSTEPS:
+                return self._steadied(motion)
             error = problem.estimate_error(motion)
             if error <= _EXACT:
-                return motion
+                return self._steadied(motion)
             # Where contact begins and ends, steps are of second order.
             halvings = np.ceil(np.log2(min(error / _EXACT, _MOST_SUBSTEPS)) / 2)
             substeps = min(motion.substeps * 2 ** int(halvings), _MOST_SUBSTEPS)
             options = dataclasses.replace(POLISH, rungs=POLISH.rungs[-1:], substeps=substeps)
+
+    def _steadied(self, motion: ShootingResult) -> ShootingResult:
+        """Returns the same motion; where there is friction, with controls that lead along it."""
+        if self.world.dry_friction is None or not np.isfinite(motion.exact_cost):
+            return motion
+        problem = self.shooting(self.scenario.num_steps).starting_from(motion)
+        controls = steady(self.world, self.law, problem, motion)
+        return dataclasses.replace(motion, controls=controls)
 
     def price(self, motion: ShootingResult) -> float:
         """Returns J of a motion, and a price for what it misses of bounds and a hard goal."""

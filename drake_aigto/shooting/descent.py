@@ -50,10 +50,10 @@ def _travel(
     motion, and _FOLLOW a trial that obeys the control law with a step length α, of which gaps
     shrink likewise: z_{k+1} = f(z_k, u_k) − (1 − α) gap_k.
     """
-    code, numbers, _, actuation, contacts, solids = program.mechanics
+    code, numbers, _, actuation, contacts, solids, rubs = program.mechanics
     effort, running, final, errors_of, goal, times, reference = program.task
     room, points, by_column, by_start = memory.flow
-    values, sums, factor, force, acceleration, slopes, support, by_force = room
+    values, sums, factor, force, rub, acceleration, slopes, support, by_force = room
     F, l1, l2, gaps = memory.expansion
     feedforward, gains = memory.sweep.feedforward, memory.sweep.gains
     lower, upper = program.bounds.lower_control, program.bounds.upper_control
@@ -102,6 +102,7 @@ def _travel(
                 actuation,
                 contacts,
                 solids,
+                rubs,
                 effort,
                 running,
                 errors_of,
@@ -120,6 +121,7 @@ def _travel(
                 sums,
                 factor,
                 force,
+                rub,
                 acceleration,
                 slopes,
                 support,

@@ -5,12 +5,8 @@ from __future__ import annotations
 from drake_aigto.arrays import Floats
 from drake_aigto.jit import inner
 from drake_aigto.shooting.layout import find_rows, triangle
-from drake_aigto.shooting.mechanism import (
-    Mechanics,
-    MechanicsMemory,
-    accelerate,
-    divide_by_mass,
-)
+from drake_aigto.shooting.mechanics import Mechanics, MechanicsMemory
+from drake_aigto.shooting.mechanism import accelerate, divide_by_mass
 
 
 @inner
@@ -131,14 +127,15 @@ def press(
 
     It has v̇ and ∂v̇/∂(q, v, u), too.
     """
-    code, numbers, _, actuation, contacts, solids = mechanics
-    values, sums, factor, force, acceleration, slopes, support, by_force = memory
+    code, numbers, _, actuation, contacts, solids, rubs = mechanics
+    values, sums, factor, force, rub, acceleration, slopes, support, by_force = memory
     accelerate(
         code,
         numbers,
         actuation,
         contacts,
         solids,
+        rubs,
         x,
         u,
         0.0,
@@ -147,6 +144,7 @@ def press(
         sums,
         factor,
         force,
+        rub,
         acceleration,
         slopes,
     )

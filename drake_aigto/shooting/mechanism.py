@@ -4,72 +4,35 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.jit import inner, kernel, pasted
 from drake_aigto.shooting.layout import find_rows, triangle
+from drake_aigto.shooting.mechanics import (
+    Mechanics,
+    MechanicsMemory,
+    copy_writable,
+    make_mechanics_memory,
+)
+from drake_aigto.shooting.rubbing import Row, differentiate_rubs, list_rubs, rub_all
 from drake_aigto.shooting.tape import Sum, Tape, TapeBuilder, run_tape
 from drake_aigto.world import ContactLaw, EquationsOfMotion, RigidLaw
-
-
-class Mechanics(NamedTuple):
-    """What compiled code knows of a mechanism.
-
-    Attributes:
-        code: of a `Tape` of M (upper triangle, by rows), h, φ, J; then of ∂M/∂q, ∂h/∂(q, v), ∂J/∂q
-            (upper triangle), and where walls are rigid of vᵀ (∂²J/∂q²) v, by contacts.
-        numbers: of the same.
-        constants: of the same.
-        actuation: B, shape (n, nu).
-        contacts: stiffness k [N/m], dissipation d [s/m] and restitution e of each, shape (m, 3).
-        solids: where the contacts of each solid start, shape (S + 1,).
-    """
-
-    code: Ints
-    numbers: Floats
-    constants: Floats
-    actuation: Floats
-    contacts: Floats
-    solids: Ints
-
-
-class MechanicsMemory(NamedTuple):
-    """Room for one evaluation.
-
-    Attributes:
-        values: of the tape.
-        sums: of the tape.
-        factor: Cholesky's L of M, shape (n, n).
-        force: of each contact, and its derivatives by φ and φ̇, shape (m, 3).
-        acceleration: v̇, shape (1, n).
-        slopes: ∂v̇/∂(q, v, u), transposed, shape (2n + nu, n).
-        support: M⁻¹ Jᵀ of a contact that is held, and its derivative by q below, shape (1 + n, n).
-        by_force: the derivative of its force by (q, v, u), shape (2n + nu,).
-    """
-
-    values: Floats
-    sums: Floats
-    factor: Floats
-    force: Floats
-    acceleration: Floats
-    slopes: Floats
-    support: Floats
-    by_force: Floats
 
 
 @dataclass(frozen=True, eq=False)
 class Mechanism:
     """How a mechanism moves between walls that yield, as arrays that can be pickled.
 
-        M(q) v̇ + h(q, v) = B u + Σ_i J_i(q)ᵀ f_i
+        M(q) v̇ + h(q, v) = B u + Σ_i J_i(q)ᵀ f_i − Σ_r T_r(q)ᵀ c_r N_r σ(s_r / w_r)
         f = k p(−φ) max(0, 1 − d φ̇),    p(y) = (y + √(y² + ε²)) / 2
 
     That is Hunt and Crossley's force as Drake's point contact has it, with max(0, −φ) smoothed over
     a length ε [m]; at ε = 0 it is the law itself. Of the faces of one solid only that one pushes
-    which the sphere is farthest in front of. Letters as in `EquationsOfMotion`, n = nq = nv.
+    which the sphere is farthest in front of. Friction is that of `rubbing`. Letters as in
+    `EquationsOfMotion`, n = nq = nv.
 
     Attributes:
         mechanics: the tables.
@@ -88,16 +51,17 @@ class Mechanism:
         Raises:
             UnsupportedTermError: an equation is no sum of products of powers, sin and cos.
         """
-        contacts = np.zeros((world.num_contacts, 3))
+        contacts, rubs = np.zeros((world.num_contacts, 3)), list_rubs(world)
         if isinstance(law, RigidLaw):
             contacts[:, 2] = law.restitution
         else:
             contacts[:, 0], contacts[:, 1] = law.stiffness, law.dissipation
         tables = Mechanics(
-            *_compile(world, isinstance(law, RigidLaw)),
+            *_compile(world, isinstance(law, RigidLaw), [rub.row for rub in rubs]),
             actuation=world.actuation,
             contacts=contacts,
             solids=np.cumsum([0, *map(len, world.solids)], dtype=np.int64),
+            rubs=np.array([rub.numbers for rub in rubs]).reshape(-1, 5),
         )
         return cls(copy_writable(tables))
 
@@ -142,33 +106,11 @@ class Mechanism:
         return mass + np.triu(mass, 1).T, memory.sums[half : half + n]
 
 
-def copy_writable(table: Any) -> Any:
-    """Returns a copy whose arrays are all writable: what cannot be written is of another type.
+def _compile(world: EquationsOfMotion, is_rigid: bool, rows: Sequence[Row]) -> Tape:
+    """Returns the tape of M, h, φ, J and T and of their derivatives; what holding takes if rigid.
 
-    Code would be compiled once more for it.
+    Rows T are expressions, shape (n,) each.
     """
-    if isinstance(table, tuple):
-        return type(table)(*map(copy_writable, table))
-    return np.array(table, order="C") if isinstance(table, np.ndarray) else table
-
-
-def make_mechanics_memory(mechanics: Mechanics) -> MechanicsMemory:
-    """Returns room for evaluations."""
-    (n, nu), code = mechanics.actuation.shape, mechanics.code
-    return MechanicsMemory(
-        values=np.zeros(1 + 2 * n + 2 * code[0] + code[1]),
-        sums=mechanics.constants.copy(),
-        factor=np.zeros((n, n)),
-        force=np.zeros((len(mechanics.contacts), 3)),
-        acceleration=np.zeros((1, n)),
-        slopes=np.zeros((2 * n + nu, n)),
-        support=np.zeros((1 + n, n)),
-        by_force=np.zeros(2 * n + nu),
-    )
-
-
-def _compile(world: EquationsOfMotion, is_rigid: bool) -> Tape:
-    """Returns the tape of M, h, φ and J and of their derivatives; what holding takes if rigid."""
     n = world.num_positions
     builder = TapeBuilder([*world.positions, *world.velocities])
     upper = np.triu_indices(n)
@@ -186,8 +128,10 @@ def _compile(world: EquationsOfMotion, is_rigid: bool) -> Tape:
         for first in range(0, len(bends), half):
             turns = _contract(bends[first : first + half], n)
             slopes += [differentiate(turns, c) for c in range(n)]
-    rows = [entry for row in jacobian for entry in row]
-    return builder.build([*mass, *bias, *distance, *rows], slopes)
+    tangents = [builder.read(entry) for row in rows for entry in row]
+    slopes += [differentiate(entry, c) for entry in tangents for c in range(n)]
+    normals = [entry for row in jacobian for entry in row]
+    return builder.build([*mass, *bias, *distance, *normals], slopes, tangents)
 
 
 def _contract(bends: Sequence[Sum], n: int) -> Sum:
@@ -244,6 +188,7 @@ def accelerate(
     actuation: Floats,
     contacts: Floats,
     solids: Ints,
+    rubs: Floats,
     x: Floats,
     u: Floats,
     eps: float,
@@ -252,6 +197,7 @@ def accelerate(
     sums: Floats,
     factor: Floats,
     force: Floats,
+    rub: Floats,
     acceleration: Floats,
     slopes: Floats,
 ) -> None:
@@ -266,9 +212,11 @@ def accelerate(
             total += actuation[i, j] * u[j]
         acceleration[0, i] = total
     _push(contacts, solids, x, eps, sums, force, acceleration)
+    if rubs.shape[0] > 0:
+        rub_all(rubs, x, eps, sums, force, rub, acceleration)
     divide_by_mass(n, factor, acceleration)
     if has_slopes:
-        _differentiate(actuation, x, sums, factor, force, acceleration, slopes)
+        _differentiate(actuation, rubs, x, sums, factor, force, rub, acceleration, slopes)
 
 
 @pasted
@@ -308,10 +256,12 @@ def _push(
 @pasted
 def _differentiate(
     actuation: Floats,
+    rubs: Floats,
     x: Floats,
     sums: Floats,
     factor: Floats,
     force: Floats,
+    rub: Floats,
     acceleration: Floats,
     slopes: Floats,
 ) -> None:
@@ -338,6 +288,8 @@ def _differentiate(
     for i in range(m):
         if force[i, 0] != 0.0:
             _differentiate_force(n, m, i, x, sums, force, slopes)
+    if rubs.shape[0] > 0:
+        differentiate_rubs(rubs, x, sums, force, rub, slopes)
     divide_by_mass(n, factor, slopes)
 
 
@@ -369,14 +321,15 @@ def _accelerate(
     has_slopes: bool,
     memory: MechanicsMemory,
 ) -> None:
-    code, numbers, _, actuation, contacts, solids = mechanics
-    values, sums, factor, force, acceleration, slopes, _, _ = memory
+    code, numbers, _, actuation, contacts, solids, rubs = mechanics
+    values, sums, factor, force, rub, acceleration, slopes, _, _ = memory
     accelerate(
         code,
         numbers,
         actuation,
         contacts,
         solids,
+        rubs,
         x,
         u,
         eps,
@@ -385,6 +338,7 @@ def _accelerate(
         sums,
         factor,
         force,
+        rub,
         acceleration,
         slopes,
     )

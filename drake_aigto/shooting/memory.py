@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drake_aigto.shooting.mechanism import make_mechanics_memory
+from drake_aigto.shooting.mechanics import make_mechanics_memory
 from drake_aigto.shooting.tables import Expansion, FlowMemory, Memory, Program, SweepMemory
 
 

@@ -235,9 +235,10 @@ class _Descent:
         return np.array(gains[:, :, : len(self._problem.start)])
 
     def _choose_rungs(self) -> tuple[Smoothing, ...]:
-        """Returns the rungs; without springs, one."""
+        """Returns the rungs; without springs and friction, one."""
         rungs = self._options.rungs
-        if np.any(self._program.mechanics.contacts[:, 0] > 0):
+        mechanics = self._program.mechanics
+        if np.any(mechanics.contacts[:, 0] > 0) or len(mechanics.rubs):
             return rungs
         return (rungs[-1]._replace(iterations=sum(rung.iterations for rung in rungs)),)
 

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats
-from drake_aigto.shooting.mechanism import copy_writable
+from drake_aigto.shooting.mechanics import copy_writable
 from drake_aigto.shooting.options import ShootingOptions
 from drake_aigto.shooting.phases import Layout
 from drake_aigto.shooting.question import ShootingQuestion
+from drake_aigto.shooting.rubbing import fit_to_steps
 from drake_aigto.shooting.tables import CHORDAL, EXACT, FLOW, MODULO, Bounds, Program, Task
 from drake_aigto.world import TaskCost
 
@@ -27,8 +28,10 @@ _SHORTEST = 1e-3
 
 def make_program(problem: ShootingQuestion, layout: Layout, options: ShootingOptions) -> Program:
     """Returns the tables of a problem of these stages, its multipliers zero."""
+    mechanics, step = problem.mechanism.mechanics, np.max(np.diff(problem.times))
+    rubs = fit_to_steps(mechanics.rubs, step / options.substeps, float(np.ptp(problem.times)))
     program = Program(
-        mechanics=problem.mechanism.mechanics,
+        mechanics=mechanics._replace(rubs=rubs),
         task=_make_task(problem.cost),
         bounds=_make_bounds(problem, layout),
         kinds=layout.kinds,

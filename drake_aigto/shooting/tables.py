@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from drake_aigto.arrays import Bools, Floats, Ints
-from drake_aigto.shooting.mechanism import Mechanics, MechanicsMemory
+from drake_aigto.shooting.mechanics import Mechanics, MechanicsMemory
 
 # What a stage is, in place of the contact that it is an impact at.
 FLOW, START = -1, -2

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -84,15 +84,24 @@ class TapeBuilder:
                     _add(found, tuple(sorted((*rest, other))), slope)
         return {product: c for product, c in found.items() if c != 0.0}
 
-    def build(self, values: list[Sum], slopes: list[Sum]) -> Tape:
-        """Returns the tape of sums: values first, which can be had alone."""
+    def build(self, values: list[Sum], slopes: list[Sum], more: Sequence[Sum] = ()) -> Tape:
+        """Returns the tape of sums: values and slopes, of which values can be had alone.
+
+        More values stand behind the slopes.
+        """
+        sums, first = [*values, *slopes, *more], len(values) + len(slopes)
+        order = [*range(len(values)), *range(first, len(sums)), *range(len(values), first)]
         places = _ProductPlaces(1 + len(self._variables) + 2 * len(self._waves))
         changing = [
-            (number, {places.find(product): c for product, c in sum_.items()}, len(places.factors))
-            for number, sum_ in enumerate([*values, *slopes])
-            if any(sum_)
+            (
+                number,
+                {places.find(product): c for product, c in sums[number].items()},
+                len(places.factors),
+            )
+            for number in order
+            if any(sums[number])
         ]
-        early = [row for row in changing if row[0] < len(values)]
+        early = [row for row in changing if not len(values) <= row[0] < first]
         waves = list(self._waves)
         code = [len(waves), len(places.factors), early[-1][2] if early else 0]
         code += [len(changing), len(early), *(variable for variable, _, _ in waves)]
@@ -101,7 +110,7 @@ class TapeBuilder:
         for number, summands, _ in changing:
             code += [number, len(summands), *summands]
             numbers += summands.values()
-        constants = [0.0 if any(sum_) else sum_.get((), 0.0) for sum_ in [*values, *slopes]]
+        constants = [0.0 if any(sum_) else sum_.get((), 0.0) for sum_ in sums]
         return Tape(read_only(code, np.int64), read_only(numbers), read_only(constants))
 
 

@@ -120,12 +120,18 @@ def _range_text(values: Floats, unit: str = "") -> str:
 
 
 def friction_items(scenario: Scenario, world: World) -> list[str]:
-    """Returns which friction acts, or which of the model's a scenario leaves out, if any."""
+    """Returns which friction acts, and which of the model's a scenario leaves out, if any."""
+    items = []
+    if world.dry_friction is not None:
+        forces = ", ".join(f"{force:g}" for force in world.dry_friction)
+        speed = f"below {world.stiction_speed:g} m/s it sticks"
+        items.append(f"dry, of coordinates at most {forces} N or N m, {speed}")
     largest = float(max(world.frictions.values(), default=0.0))
     if scenario.friction == 0 and largest:
-        return [f"left out of the simulation, as asked: the model's, μ = {largest:g} at the most"]
+        left_out = f"left out of the simulation, as asked: the model's, μ = {largest:g} at the most"
+        return [*items, left_out]
     acting = world.friction_coefficients(scenario)
-    return [f"μ = {_range_text(acting[acting > 0]).strip()}"] if acting.any() else []
+    return [*items, f"μ = {_range_text(acting[acting > 0]).strip()}"] if acting.any() else items
 
 
 def cost_text(cost: float, digits: int = 2, scale: float = 1.0) -> str:

@@ -5,6 +5,7 @@ from drake_aigto.world.contact import Contact
 from drake_aigto.world.equations import EquationsOfMotion
 from drake_aigto.world.files import package_map
 from drake_aigto.world.fingerprint import Fingerprint
+from drake_aigto.world.friction import add_dry_friction, calc_friction_share
 from drake_aigto.world.law import CompliantLaw, ContactLaw, RigidLaw
 from drake_aigto.world.limits import Limits
 from drake_aigto.world.scales import Scales
@@ -27,6 +28,8 @@ __all__ = [
     "Scenario",
     "TaskCost",
     "World",
+    "add_dry_friction",
+    "calc_friction_share",
     "package_map",
     "scenario_names",
 ]

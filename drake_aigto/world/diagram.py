@@ -24,6 +24,8 @@ from pydrake.systems.framework import Context, Diagram, DiagramBuilder
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
 from drake_aigto.world.files import find_model, package_map
+from drake_aigto.world.fit import check_size
+from drake_aigto.world.friction import STICTION_SPEED, add_dry_friction
 
 # What Drake says of joints that form a loop.
 _LOOP = "loops in the system graph"
@@ -37,14 +39,20 @@ _HINGES = {
 }
 
 
-def build_diagram(model: str) -> Diagram:
+def build_diagram(
+    model: str,
+    dry_friction: Floats | None = None,
+    stiction_speed: float = STICTION_SPEED,
+) -> Diagram:
     """Returns a diagram of a model's continuous plant and its scene graph.
 
     The model is a ``package://`` URI, or a path to a file that Drake parses. Ports: ``actuation``
-    in; ``state``, ``contact_results`` and ``query`` (for a visualizer) out.
+    in; ``state``, ``contact_results`` and ``query`` (for a visualizer) out. Friction in joints, of
+    shape (nv,) [N, N m], is a system besides. The stiction speed is that of all friction.
 
     Raises:
         ModelError: there is no such file, Drake can't parse it, or its joints form a loop.
+        ScenarioError: dry friction of another size.
     """
     path = find_model(model)
     builder = DiagramBuilder()
@@ -55,10 +63,14 @@ def build_diagram(model: str) -> Diagram:
     try:
         parser.AddModels(path)
         plant.Finalize()
+        plant.set_stiction_tolerance(stiction_speed)
     except RuntimeError as error:
         if _LOOP in str(error):
             raise _refuse_loop(f"a loop of joints in {path}") from error
         raise ModelError(f"Drake can't parse the model {path}", got=error) from error
+    if dry_friction is not None:
+        check_size("dry_friction", len(dry_friction), plant.num_velocities())
+        add_dry_friction(builder, plant, dry_friction, stiction_speed)
     builder.ExportInput(plant.get_actuation_input_port(), "actuation")
     builder.ExportOutput(plant.get_state_output_port(), "state")
     builder.ExportOutput(plant.get_contact_results_output_port(), "contact_results")

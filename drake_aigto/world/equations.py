@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from pydrake.symbolic import Expression
 
 from drake_aigto.arrays import Bools, Floats, Ints, read_only
+from drake_aigto.errors import ModelError
 from drake_aigto.world.constant import ConstantDynamics, ConstantInertia, read_constant
 from drake_aigto.world.contact import Contact
+from drake_aigto.world.friction import STICTION_SPEED, calc_friction_share
 from drake_aigto.world.sums import SumMap, calc_turning, is_constant, load_kernels
 
 _INERTIA_REMEDY = "Use the literal transcription."
@@ -46,9 +48,12 @@ class EquationsOfMotion:
         controls: the variables u, shape (nu,) [N, N m].
         mass_matrix: M(q), shape (nv, nv), Expressions [kg, kg m, kg m²].
         bias: h(q, v), shape (nv,), Expressions [N, N m]: Coriolis and centrifugal terms, gravity,
-            springs and dampers, on the left side of the equation above.
+            springs and dampers, on the left side of the equation above; without dry friction.
         actuation: B, shape (nv, nu).
         contacts: φ and J of each contact, those of one solid in a row.
+        dry_friction: F of each coordinate, shape (nv,) [N, N m], or None. F σ(v / v_s) belongs to
+            h(q, v), but is no such sum (`calc_friction_share`).
+        stiction_speed: v_s [m/s, rad/s].
     """
 
     is_hinge: Bools
@@ -59,6 +64,8 @@ class EquationsOfMotion:
     bias: NDArray[Any]
     actuation: Floats
     contacts: tuple[Contact, ...]
+    dry_friction: Floats | None = field(default=None, kw_only=True)
+    stiction_speed: float = field(default=STICTION_SPEED, kw_only=True)
 
     @property
     def num_positions(self) -> int:
@@ -120,7 +127,7 @@ class EquationsOfMotion:
     @cached_property
     def has_constant_dynamics(self) -> bool:
         """Whether h depends on nothing either, so that a held control flies parabolas."""
-        return self.has_constant_inertia and is_constant(self.bias)
+        return self.has_constant_inertia and is_constant(self.bias) and self.dry_friction is None
 
     @cached_property
     def constant_inertia(self) -> ConstantInertia:
@@ -140,6 +147,9 @@ class EquationsOfMotion:
         Raises:
             ModelError: one of them varies.
         """
+        if self.dry_friction is not None:
+            got = f"dry friction {self.dry_friction.tolist()}"
+            raise ModelError("the bias h(q, v)", got, expected="a constant", remedy=_BIAS_REMEDY)
         bias = read_constant("the bias h(q, v)", self.bias, _BIAS_REMEDY)
         return ConstantDynamics(*self._read_inertia(), bias)
 
@@ -159,10 +169,13 @@ class EquationsOfMotion:
 
     def calc_bias(self, q: Floats, v: Floats) -> Floats:
         """Returns h(q, v), shape (…, nv) [N], at q of shape (…, nq) [m], v of (…, nv) [m/s]."""
-        return self._bias_map(np.concatenate([q, v], axis=-1))
+        bias = self._bias_map(np.concatenate([q, v], axis=-1))
+        if self.dry_friction is None:
+            return bias
+        return bias + self.dry_friction * calc_friction_share(v, self.stiction_speed)
 
     def express_bias(self, q: NDArray[Any], v: NDArray[Any]) -> NDArray[np.object_]:
-        """Returns h at other expressions of q and v, shape (nv,)."""
+        """Returns h at other expressions of q and v, shape (nv,), without dry friction."""
         names = np.concatenate([self.positions, self.velocities])
         # A sum with an Expression makes one of variables and floats.
         values = [Expression(0.0) + each for each in (*q, *v)]

@@ -134,6 +134,18 @@ def as_bound(name: str, value: object) -> float | Floats:
     return float(bounds[0]) if bounds.size == 1 else locked(bounds)
 
 
+def as_sizes(name: str, value: object) -> Floats:
+    """Returns a read-only array (n,) of finite floats that are not below zero.
+
+    Raises:
+        ScenarioError: not numbers, or one of them is below zero, NaN or infinite.
+    """
+    sizes = as_vector(name, value)
+    for size in sizes:
+        as_number(name, size, at_least=0.0)
+    return sizes
+
+
 def as_table(name: str, value: object) -> Floats:
     """Returns a read-only array (K, n) of finite floats; of numbers, one a row.
 

@@ -11,8 +11,14 @@ from drake_aigto.world.contact import SphereAndFace
 from drake_aigto.world.scenario import Scenario
 
 
-def check_made_for(scenario: Scenario, mass: float | None, ignored_shapes: tuple[str, ...]) -> None:
-    """Refuses a scenario with another mass, or that ignores other shapes, than a world was made of.
+def check_made_for(
+    scenario: Scenario,
+    mass: float | None,
+    ignored_shapes: tuple[str, ...],
+    dry_friction: Floats | None,
+    stiction_speed: float,
+) -> None:
+    """Refuses a scenario with another mass or friction, or other ignored shapes, than a world's.
 
     Raises:
         ScenarioError: it is another one.
@@ -30,6 +36,22 @@ def check_made_for(scenario: Scenario, mass: float | None, ignored_shapes: tuple
             "ignored_shapes",
             got=", ".join(scenario.ignored_shapes),
             expected=", ".join(ignored_shapes) or "none",
+            remedy=remedy,
+        )
+    if scenario.dry_friction is not None and not np.array_equal(
+        scenario.dry_friction, 0.0 if dry_friction is None else dry_friction
+    ):
+        raise ScenarioError(
+            "dry_friction",
+            got=scenario.dry_friction.tolist(),
+            expected="none" if dry_friction is None else dry_friction.tolist(),
+            remedy=remedy,
+        )
+    if scenario.stiction_speed != stiction_speed:
+        raise ScenarioError(
+            "stiction_speed",
+            got=f"{scenario.stiction_speed:g} m/s",
+            expected=f"{stiction_speed:g} m/s",
             remedy=remedy,
         )
 
@@ -79,10 +101,14 @@ def check_sizes(plant: MultibodyPlant, scenario: Scenario) -> None:
         ("initial_velocity", plant.num_velocities()),
         ("goal_position", plant.num_positions()),
     ):
-        got = len(getattr(scenario, name))
-        if got != size:
-            raise ScenarioError(
-                name,
-                got=f"{got} value{'s' if got > 1 else ''}",
-                expected=f"{size}, one for each coordinate of the model",
-            )
+        check_size(name, len(getattr(scenario, name)), size)
+
+
+def check_size(name: str, got: int, size: int) -> None:
+    """Refuses a number of values that is not the plant's number of coordinates."""
+    if got != size:
+        raise ScenarioError(
+            name,
+            got=f"{got} value{'s' if got > 1 else ''}",
+            expected=f"{size}, one for each coordinate of the model",
+        )

@@ -22,12 +22,14 @@ from drake_aigto.world.fields import (
     as_names,
     as_number,
     as_range,
+    as_sizes,
     as_table,
     as_vector,
     as_weight,
     as_weight_matrix,
 )
 from drake_aigto.world.files import write_text
+from drake_aigto.world.friction import STICTION_SPEED
 from drake_aigto.world.scenario_files import (
     read_scenario,
     scenario_names,
@@ -54,6 +56,7 @@ _BOUNDS: dict[str, dict[str, Any]] = {
     "restitution": {"at_least": 0.0, "at_most": 1.0},
     "mass": {"above": 0.0, "unit": "kg"},
     "friction": {"at_least": 0.0},
+    "stiction_speed": {"above": 0.0, "unit": "m/s"},
 }
 # Without these something is left as it is: without bound, or as the model has it.
 _OPTIONAL = ("control_norm", "mass", "friction")
@@ -69,7 +72,8 @@ _EXTRAS = (
     *("goal_velocity_weight", "position_weight", "velocity_weight"),
     *("reference_times", "reference_positions", "reference_velocities"),
     *("position_lower", "position_upper", "velocity_lower", "velocity_upper"),
-    *("control_lower", "control_upper", "control_norm", "contact"),
+    *("control_lower", "control_upper", "control_norm", "contact", "dry_friction"),
+    "stiction_speed",
 )
 
 # Whole numbers of steps are recognized up to this relative error: 1.0 / 0.005 is not 200 exactly.
@@ -147,6 +151,9 @@ class Scenario(ArrayRecord):
             model's.
         friction: μ of every pair that can slide, in place of the model's; 0 leaves friction out,
             None keeps the model's (`World.friction_coefficients`).
+        dry_friction: F ≥ 0 of each coordinate, shape (nv,) [N, N m]: joints rub by −F σ(v / v_s),
+            see `calc_friction_share`, which belongs to h(q, v) above; None: they do not.
+        stiction_speed: v_s > 0 of all friction, Drake's stiction tolerance [m/s, rad/s].
         ignored_shapes: collision shapes that touch nothing, neither in plans nor in simulations,
             such as meshes, which can't be planned for: "shape" or "model::shape".
 
@@ -188,6 +195,8 @@ class Scenario(ArrayRecord):
     restitution: float = 1.0
     mass: float | None = None  # [kg]
     friction: float | None = None
+    dry_friction: ArrayField[Floats | None] = ArrayField(as_sizes, None)  # [N, N m]
+    stiction_speed: float = STICTION_SPEED  # [m/s, rad/s]
     ignored_shapes: ArrayField[tuple[str, ...]] = ArrayField(as_names, ())
 
     def __post_init__(self) -> None:

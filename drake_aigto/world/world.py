@@ -37,6 +37,7 @@ from drake_aigto.world.fit import (
     refuse_inside,
     refuse_out_of_reach,
 )
+from drake_aigto.world.friction import STICTION_SPEED, check_friction_acts
 from drake_aigto.world.law import CompliantLaw, ContactLaw, RigidLaw, calc_stiffness
 from drake_aigto.world.limits import Limits
 from drake_aigto.world.material import read_materials
@@ -92,19 +93,25 @@ class World(EquationsOfMotion):
             ModelError: the model can't be found, parsed, or planned for.
             ScenarioError: the scenario does not fit the model (`check`).
         """
-        diagram = build_diagram(scenario.model)
+        diagram = build_diagram(scenario.model, scenario.dry_friction, scenario.stiction_speed)
         plant, _ = find_plant(diagram)
         check_plant(plant)
         check_sizes(plant, scenario)
         plant.SetDefaultPositions(scenario.initial_position)
-        world = cls.from_diagram(diagram, scenario.mass, scenario.ignored_shapes)
+        friction = scenario.dry_friction, scenario.stiction_speed
+        world = cls.from_diagram(diagram, scenario.mass, scenario.ignored_shapes, *friction)
         world = dataclasses.replace(world, model=scenario.model)
         world.check(scenario)
         return world
 
     @classmethod
     def from_diagram(
-        cls, diagram: Diagram, mass: float | None = None, ignored_shapes: Iterable[str] = ()
+        cls,
+        diagram: Diagram,
+        mass: float | None = None,
+        ignored_shapes: Iterable[str] = (),
+        dry_friction: Floats | None = None,
+        stiction_speed: float = STICTION_SPEED,
     ) -> World:
         """Reads a diagram of your own, which holds one continuous plant and its scene graph.
 
@@ -116,6 +123,10 @@ class World(EquationsOfMotion):
             mass: replaces that of the only body with spheres that touch [kg]; None: the model's.
             ignored_shapes: collision shapes that touch nothing, such as meshes, which can't be
                 planned for: "shape" or "model::shape".
+            dry_friction: of each coordinate, shape (nv,) [N, N m], which a system of the diagram
+                makes act on its plant (`add_dry_friction`); None: no joint has any.
+            stiction_speed: v_s of friction in the plant, Drake's stiction tolerance, which can't be
+                read off it [m/s, rad/s].
 
         Raises:
             ModelError: the plant is discrete, lacks a joint or an actuator, has shapes or joints
@@ -125,6 +136,8 @@ class World(EquationsOfMotion):
         """
         plant, scene_graph = find_plant(diagram)
         check_plant(plant)
+        if dry_friction is not None:
+            check_friction_acts(plant, diagram)
         reader = PlantReader(plant)
         ignored = find_shapes(scene_graph, ignored_shapes := tuple(ignored_shapes))
         reachable, stuck = find_reach(plant, scene_graph, reader, ignored)
@@ -149,7 +162,18 @@ class World(EquationsOfMotion):
             _reachable=reachable,
             _stuck=stuck,
             ignored_shapes=ignored_shapes,
+            dry_friction=dry_friction,
+            stiction_speed=stiction_speed,
         )
+
+    def of_diagram(self, diagram: Diagram) -> World:
+        """Returns the world of another diagram with a copy of its plant, all else as it is here.
+
+        Raises:
+            ModelError: the plant there can't be planned for.
+        """
+        friction = self.dry_friction, self.stiction_speed
+        return World.from_diagram(diagram, self.mass, self.ignored_shapes, *friction)
 
     @property
     def shapes(self) -> tuple[tuple[GeometryId, GeometryId], ...]:
@@ -308,7 +332,7 @@ class World(EquationsOfMotion):
             )
         translation = distance * face.X_BF.rotation().col(2)
         moved = move_shape(self.diagram, face.shapes[1], translation)
-        return World.from_diagram(moved, self.mass, self.ignored_shapes)
+        return self.of_diagram(moved)
 
     def check_plain(self, scenario: Scenario) -> None:
         """Refuses what is not planned for where balls are, so that nothing is dropped in silence.
@@ -327,9 +351,9 @@ class World(EquationsOfMotion):
         """Checks that a scenario can be asked of this world.
 
         Raises:
-            ScenarioError: sizes differ from the plant's, its mass is another, the cost makes no
-                sense here (`TaskCost.of`), or start or goal touches the wall, is inside or behind
-                it, or beside its face, or is beyond joint limits.
+            ScenarioError: sizes differ from the plant's, its mass or dry friction is another, the
+                cost makes no sense here (`TaskCost.of`), or start or goal touches the wall, is
+                inside or behind it, or beside its face, or is beyond joint limits.
             ModelError: friction acts where a sphere can slide in two directions, or is stuck in a
                 shape; a wall is out of reach of all spheres; or the model lacks what the scenario's
                 law of contact takes (`contact_law`).
@@ -337,7 +361,8 @@ class World(EquationsOfMotion):
         check_sizes(self.plant, scenario)
         TaskCost.of(self, scenario)
         self.bounds(scenario)
-        check_made_for(scenario, self.mass, self.ignored_shapes)
+        made_with = self.mass, self.ignored_shapes, self.dry_friction, self.stiction_speed
+        check_made_for(scenario, *made_with)
         self.contact_law(scenario)
         if self._out_of_reach:
             raise refuse_out_of_reach(*self._out_of_reach)

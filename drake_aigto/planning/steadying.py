@@ -1,0 +1,60 @@
+"""Controls that lead where a plan goes under the exact law of friction, too."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from drake_aigto.arrays import Floats
+from drake_aigto.shooting import ShootingProblem, ShootingResult
+from drake_aigto.simulation.controller import Held, HeldControl
+from drake_aigto.simulation.mechanism import simulate_mechanism
+from drake_aigto.simulation.springs import Springs
+from drake_aigto.world import CompliantLaw, ContactLaw, World
+
+
+class _Correcting(HeldControl):
+    """Holds a motion's controls between knots, less what its gains answer at each.
+
+    Attributes:
+        controls: that were held, shape (N, nu).
+    """
+
+    def __init__(self, motion: ShootingResult, gains: Floats, bounds: Floats) -> None:
+        super().__init__(motion.times, motion.controls)
+        self._motion, self._gains, self._bounds = motion, gains, bounds
+        self.controls = np.array(motion.controls)
+
+    def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
+        held = super().sample(time, x, bounces)
+        k = int(np.searchsorted(self._motion.times, held.until)) - 1
+        answer = self._gains[k] @ (x - self._motion.states[k])
+        self.controls[k] = np.clip(self._motion.controls[k] + answer, *self._bounds)
+        return Held(self.controls[k], held.until)
+
+
+def steady(
+    world: World, law: ContactLaw, problem: ShootingProblem, motion: ShootingResult
+) -> Floats:
+    """Returns the controls of a motion, corrected along the exact law, shape (N, nu).
+
+    Where friction sticks and slips, Runge-Kutta steps are of low order, and what is unstable makes
+    much of their errors: of a pole that balances for 3 s 1e-8 becomes 1e-3. So the motion is
+    simulated again by the world's own equations, each control corrected at its knot by
+    the gains of the motion (`ShootingProblem.calc_gains`), and what was held is the answer.
+
+    Args:
+        world: the mechanism.
+        law: of its contacts.
+        problem: that the motion is a result of.
+        motion: near an optimum.
+    """
+    gains = problem.calc_gains(motion.controls, motion.substeps)
+    q, v = np.split(motion.states[0], 2)
+    controller = _Correcting(motion, gains, problem.control_bounds)
+    if isinstance(law, CompliantLaw):
+        Springs(world, law, (q, v), controller.start).run(controller)
+    else:
+        simulate_mechanism(world, law.restitution, (q, v), controller)
+    return controller.controls
