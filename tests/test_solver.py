@@ -14,7 +14,7 @@ from pydrake.solvers import (
     MathematicalProgram,
     SolutionResult,
 )
-from pydrake.symbolic import cos, exp, sin
+from pydrake.symbolic import cos, exp, log, sin
 
 from benchmarks.collections.random_programs import random_program
 from drake_aigto.aigo import BoxSearch
@@ -170,11 +170,12 @@ def test_constraints_that_can_not_hold_or_overflow_are_no_success(
     assert result.get_solver_details().status == status
 
 
-@pytest.mark.parametrize("unit", [1.0, 1e-7, 1e-12])
+@pytest.mark.parametrize("unit", [1e7, 1e-7, 1e-12])
 def test_rows_count_whatever_units_they_are_in(unit: float) -> None:
     prog, x = himmelblau()
     prog.AddConstraint(unit * (x[0] ** 3 - 8 * x[1] - 6) == 0)
     prog.AddConstraint(unit * (x[0] * x[1]), unit, np.inf)
+    prog.AddConstraint(unit * (log(7 + x[0]) / (x[1] + 8)) <= unit)  # what has no mean
     result = solve(prog)
     u, v = result.GetSolution(x)
     assert result.is_success()
@@ -183,6 +184,18 @@ def test_rows_count_whatever_units_they_are_in(unit: float) -> None:
     contrary.AddConstraint(unit * (x[0] ** 2 + x[1] ** 2), -np.inf, unit)
     result = solve(contrary, rounds=3)
     assert not result.is_success() and result.get_solver_details().violation > 0.1
+
+
+@pytest.mark.parametrize("size", [1e-4, 1e-8])
+def test_rows_of_small_numbers_hold_to_their_own_size(size: float) -> None:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(2, "x")
+    prog.AddBoundingBoxConstraint(-1, 1, x)
+    add_cost(prog, (x[0] - 1) ** 2 + (x[1] - 1) ** 2)
+    prog.AddConstraint(x[0] ** 2 + x[1] ** 2 <= size)
+    result = solve(prog, rounds=6)
+    assert result.is_success()
+    assert np.sum(result.get_x_val() ** 2) == pytest.approx(size, rel=3e-6)
 
 
 def test_bounds_hold_exactly() -> None:

@@ -12,6 +12,7 @@ import numpy as np
 import pydrake.symbolic as sym
 from pydrake.solvers import (
     Binding,
+    EvaluatorBase,
     ExpressionConstraint,
     ExpressionCost,
     LinearConstraint,
@@ -35,11 +36,18 @@ class Lifted:
 
     Attributes:
         prog: over (x, z).
+        rows: what each of the source's constraints became, in order.
         formulas: what each z_i is, over x and those before it.
     """
 
     prog: MathematicalProgram
+    rows: tuple[tuple[EvaluatorBase, ...], ...]
     formulas: tuple[Expression, ...] = ()
+
+    @classmethod
+    def of(cls, prog: MathematicalProgram) -> Lifted:
+        """Returns a program as it is."""
+        return cls(prog, tuple((each.evaluator(),) for each in prog.GetAllConstraints()))
 
     def extend(self, x: Floats) -> Floats:
         """Returns (x, z) of x (n,): NaN where a formula has no value."""
@@ -90,9 +98,9 @@ class _Lift:
         """Copies what has means, and lifts the rest."""
         for binding in self._source.GetAllCosts():
             self._add_cost(binding)
-        for binding in self._source.GetAllConstraints():
-            self._add_constraint(binding)
-        return Lifted(self._prog, tuple(self._formulas))
+        constraints = self._source.GetAllConstraints()
+        rows = tuple(tuple(self._add_constraint(binding)) for binding in constraints)
+        return Lifted(self._prog, rows, tuple(self._formulas))
 
     def _add_cost(self, binding: Binding) -> None:
         evaluator = binding.evaluator()
@@ -105,23 +113,26 @@ class _Lift:
         cost.set_description(evaluator_name(evaluator))
         self._prog.AddCost(cost, vars=cost.vars())
 
-    def _add_constraint(self, binding: Binding) -> None:
+    def _add_constraint(self, binding: Binding) -> Iterator[EvaluatorBase]:
+        """Adds what a constraint becomes, and yields it."""
         evaluator = binding.evaluator()
         self._label, self._is_row = evaluator_label(binding), True
         if not isinstance(evaluator, ExpressionConstraint):
             self._prog.AddConstraint(binding)
+            yield evaluator
             return
         bounds = evaluator.lower_bound(), evaluator.upper_bound()
         for given, low, high in zip(evaluator.expressions(), *bounds, strict=True):
             formula = _bind(given, evaluator.vars(), binding.variables())
             # Where only less of it, or more, breaks the row.
             sign = int(math.isinf(low)) - int(math.isinf(high))
-            self._add_row(evaluator_name(evaluator), self._lift(formula, sign), low, high)
+            yield self._add_row(evaluator_name(evaluator), self._lift(formula, sign), low, high)
 
-    def _add_row(self, name: str, formula: Expression, low: float, high: float) -> None:
+    def _add_row(self, name: str, formula: Expression, low: float, high: float) -> EvaluatorBase:
         row = ExpressionConstraint(np.array([formula]), np.array([low]), np.array([high]))
         row.set_description(name)
         self._prog.AddConstraint(row, vars=row.vars())
+        return row
 
     def _has_mean(self, e: Expression) -> bool:
         try:
@@ -156,9 +167,8 @@ class _Lift:
 
     def _lift_product(self, e: Expression, sign: int) -> Expression:
         """Returns a product whose factors have a mean, and then together, one by one alone."""
-        factors = operands(e)
-        number = math.prod(each.Evaluate() for each in factors if not each.GetVariables())
-        others = [each for each in factors if each.GetVariables()]
+        number, rest = _number(e)
+        others = operands(rest) if rest.get_kind() == ExpressionKind.Mul else [rest]
         inner = sign * int(math.copysign(1.0, number)) if len(others) == 1 else 0
         found = Expression(number)
         for each in others:
@@ -241,6 +251,9 @@ class _Lift:
 
     def _lift_quotient(self, e: Expression, _: int) -> Expression:
         above, below = operands(e)
+        number, rest = _number(above)
+        if number not in (0.0, 1.0):
+            return number * self._lift_quotient(rest / below, 0)
         if not (self._is_positive(below) or self._is_positive(-below)):
             low, high = interval(below, self._ranges)
             raise self._refusal(
@@ -322,6 +335,16 @@ _RULES: Mapping[ExpressionKind, Callable[[_Lift, Expression, int], Expression]] 
     ExpressionKind.Max: _Lift._lift_max,
     ExpressionKind.Min: _Lift._lift_min,
 }
+
+
+def _number(e: Expression) -> tuple[float, Expression]:
+    """Returns the number that an expression is a multiple of, and what is multiplied."""
+    if e.get_kind() != ExpressionKind.Mul:
+        return 1.0, e
+    factors = operands(e)
+    number = math.prod(each.Evaluate() for each in factors if not each.GetVariables())
+    others = (each for each in factors if each.GetVariables())
+    return number, math.prod(others, start=Expression(1.0))
 
 
 def _bind(e: Expression, own: Any, variables: Any) -> Expression:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.solver.question import Question
+from drake_aigto.solver.question import Question, Row
 from drake_aigto.solver.ranges import sum_range
 from drake_aigto.terms import (
     ConstraintRow,
@@ -184,7 +184,7 @@ def _join(pieces: Iterable[Piece], kept: Ints, lower: Floats, upper: Floats) -> 
         if bounds is None:
             costs.append(block)
         else:
-            question.add(label, ConstraintRow(terms, *bounds), block)
+            question.add(Row(label, ConstraintRow(terms, *bounds), block))
     question.costs = tuple(costs)
     return question
 

@@ -16,6 +16,7 @@ from drake_aigto.solver.lift import Lifted, lift
 from drake_aigto.solver.presolve import Reduced, keep_all, substitute
 from drake_aigto.solver.question import Question, Row
 from drake_aigto.solver.ranges import LARGEST
+from drake_aigto.solver.tighten import tighten
 from drake_aigto.terms import (
     ConstraintRow,
     Factor,
@@ -128,16 +129,17 @@ class AigoProgram:
     def violation(self, x: Floats) -> float:
         """Returns the largest violation of the source's constraints at x (n,); 0 without any.
 
-        It is relative to a row's largest coefficient where that is below 1.
+        It is relative to a row's size where that is below 1 (`Question.row_sizes`).
         """
         worst = 0.0
-        for binding in self.source.GetAllConstraints():
+        sizes = self.reduced.question.row_sizes
+        for binding, rows in zip(self.source.GetAllConstraints(), self.lifted.rows, strict=True):
             evaluator = binding.evaluator()
             value = self.source.EvalBinding(binding, x)
             if not np.all(np.isfinite(value)):
                 return np.inf
             excess = np.maximum(evaluator.lower_bound() - value, value - evaluator.upper_bound())
-            excess /= self.reduced.question.row_sizes.get(evaluator, 1.0)
+            excess /= np.concatenate([sizes[row] for row in rows])
             worst = max(worst, float(np.max(excess, initial=0.0)))
         return worst
 
@@ -167,13 +169,18 @@ def read_program(prog: MathematicalProgram) -> AigoProgram:
             not continuous; by name.
         ContradictionError: bounds or constants alone leave no feasible point.
     """
-    lifted = Lifted(prog)
+    lifted = Lifted.of(prog)
     try:
         question = Question.of(prog)
     except UnsupportedTermError:
         lifted = lift(prog)
         question = Question.of(lifted.prog)
-    return _Rows(prog, lifted, keep_all(question)).finish()
+    program = _Rows(prog, lifted, keep_all(question)).finish()
+    if program.num_rows:
+        bounds = (side[: question.lower.size] for side in tighten(program.nlp))
+        if question.scale_rows(*bounds):
+            return _Rows(prog, lifted, keep_all(question)).finish()
+    return program
 
 
 class _Rows:

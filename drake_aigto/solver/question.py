@@ -12,6 +12,7 @@ from drake_aigto.arrays import Floats, Ints
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.terms import (
     ConstraintRow,
+    FunctionKind,
     TermBlock,
     as_bound,
     evaluator_name,
@@ -23,6 +24,9 @@ from drake_aigto.terms import (
 
 # A row of constants may miss its bounds by this.
 _ROUNDING = 1e-9
+# Rows whose terms are all below the first of these within the bounds are divided by the largest
+# one, down to the second: what is smaller is nothing but rounding.
+_SMALL, _LEAST = 0.01, 5e-9
 
 
 class ContradictionError(Exception):
@@ -37,18 +41,21 @@ class Row:
         label: how messages call it.
         row: the terms and their bounds.
         block: the same terms, and which variables each copy is of.
+        origin: the constraint that it came from, and its number there; None after presolve.
     """
 
     label: str
     row: ConstraintRow
     block: TermBlock
+    origin: tuple[EvaluatorBase, int] | None = None
 
 
 class Question:
     """Minimize Σ costs subject to rows, lower ≤ x ≤ upper.
 
-    Rows that are affine in one variable are bounds. Those whose coefficients are all below 1 are
-    divided by the largest one: units of their own are no reason to hold them less.
+    Rows that are affine in one variable are bounds. Those whose coefficients, or whose terms within
+    the bounds, are all below 1 are divided by the largest one: units of their own are no reason to
+    hold them less.
 
     Attributes:
         costs: f.
@@ -79,21 +86,41 @@ class Question:
         question = cls(prog.num_vars())
         for label, evaluator, copies in shared_evaluators(prog, prog.GetAllConstraints()):
             sizes = []
-            for given, variables in parse_rows(label, evaluator, copies):
+            for number, (given, variables) in enumerate(parse_rows(label, evaluator, copies)):
                 row, size = _in_own_units(given)
                 sizes.append(size)
                 for block in term_blocks(evaluator_name(evaluator), row.terms, variables.tolist()):
-                    question.add(label, replace(row, terms=block.terms), block)
+                    alike = Row(label, replace(row, terms=block.terms), block, (evaluator, number))
+                    question.add(alike)
             question.row_sizes[evaluator] = np.array(sizes)
         question.costs = parse_costs(prog)
         return question
 
-    def add(self, label: str, row: ConstraintRow, block: TermBlock) -> None:
+    def scale_rows(self, lower: Floats, upper: Floats) -> bool:
+        """Divides rows by their largest term within bounds of x (n,) that hold for feasible points.
+
+        Returns:
+            Whether a row was divided.
+        """
+        sizes: dict[tuple[EvaluatorBase, int] | None, float] = {}
+        for each in self.rows:
+            largest = _largest_term(each.block, lower, upper)
+            sizes[each.origin] = max(largest, sizes.get(each.origin, 0.0))
+        small = {origin: size for origin, size in sizes.items() if _LEAST <= size < _SMALL}
+        for origin, size in small.items():
+            if origin is not None:
+                evaluator, number = origin
+                self.row_sizes[evaluator][number] *= size
+        self.rows = [_divided(each, small.get(each.origin, 1.0)) for each in self.rows]
+        return bool(small)
+
+    def add(self, copies: Row) -> None:
         """Adds the copies of a row.
 
         Raises:
             ContradictionError: it leaves no feasible point.
         """
+        row, block = copies.row, copies.block
         if row.lower > row.upper or np.isposinf(row.lower) or np.isneginf(row.upper):
             raise ContradictionError
         if np.isneginf(row.lower) and np.isposinf(row.upper):
@@ -105,7 +132,7 @@ class Question:
         elif not any(term.factors for term in row.terms):
             _check_constant(row)
         else:
-            self.rows.append(Row(label, row, block))
+            self.rows.append(copies)
 
     def _bound(self, index: Ints, low: float, high: float) -> None:
         np.maximum.at(self.lower, index, low)
@@ -127,13 +154,43 @@ def _check_variables(prog: MathematicalProgram) -> None:
 
 
 def _in_own_units(row: ConstraintRow) -> tuple[ConstraintRow, float]:
-    """Returns a row divided by its size, and the size: its largest coefficient, or 1 if larger."""
+    """Returns a row divided by a size, and it: the largest coefficient, or 1 if that is less."""
     largest = max((abs(term.coefficient) for term in row.terms if term.factors), default=1.0)
     size = min(1.0, largest) or 1.0
+    return _scaled(row, size), size
+
+
+def _scaled(row: ConstraintRow, size: float) -> ConstraintRow:
     if size == 1.0:
-        return row, size
+        return row
     terms = tuple(replace(term, coefficient=term.coefficient / size) for term in row.terms)
-    return replace(row, terms=terms, lower=row.lower / size, upper=row.upper / size), size
+    return replace(row, terms=terms, lower=row.lower / size, upper=row.upper / size)
+
+
+def _divided(copies: Row, size: float) -> Row:
+    if size == 1.0:
+        return copies
+    row, block = _scaled(copies.row, size), copies.block
+    own = block.with_coefficients([term.coefficient for term in row.terms])
+    return replace(copies, row=row, block=own)
+
+
+def _largest_term(block: TermBlock, lower: Floats, upper: Floats) -> float:
+    """Returns how large a term of any copy may be within bounds of x (n,); waves swing fully."""
+    ends = np.array([lower, upper])[:, block.variables]
+    largest = 0.0
+    with np.errstate(over="ignore", invalid="ignore"):
+        for term in block.terms:
+            size = np.full(len(block.variables), abs(term.coefficient) if term.factors else 0.0)
+            for factor in term.factors:
+                x = ends[:, :, factor.variable]
+                y = factor.scale * x + factor.offset
+                base = np.max(np.abs(y if factor.kind == FunctionKind.POWER else x), axis=0)
+                size *= base**factor.exponent
+                if factor.kind == FunctionKind.EXPONENTIAL:
+                    size *= np.exp(np.max(y, axis=0))
+            largest = max(largest, float(np.max(np.where(np.isnan(size), np.inf, size))))
+    return largest
 
 
 def _check_constant(row: ConstraintRow) -> None:
