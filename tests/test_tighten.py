@@ -41,7 +41,7 @@ def test_no_known_minimizer_is_cut_off(problem: ConstrainedProblem) -> None:
     lower, upper = tighten(program.nlp)
     assert np.all(program.nlp.lower <= lower) and np.all(upper <= program.nlp.upper)
     for x in problem.minimizers:
-        y = program.with_slacks(x)
+        y = program.with_slacks(program.reduce(x))
         assert np.all(lower - 1e-7 <= y) and np.all(y <= upper + 1e-7)
 
 

@@ -1,4 +1,4 @@
-"""Constrained polynomial programs with known global optima, from the literature and random.
+"""Constrained programs with known global optima, from the literature and random.
 
 The printed minimizers of the literature are given to full accuracy here; the tests try to beat
 every one.
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.collections.constrained_problem import ConstrainedProblem
+from benchmarks.collections.function_programs import function_programs
 from benchmarks.collections.hock_schittkowski import small_hock_schittkowski
 from benchmarks.collections.hock_schittkowski_large import large_hock_schittkowski
 
@@ -35,6 +36,7 @@ def constrained_problems() -> tuple[ConstrainedProblem, ...]:
         *large_hock_schittkowski(),
         *concave_programs(),
         *nonconvex_programs(),
+        *function_programs(),
         *planted,
     )
 

@@ -1,9 +1,9 @@
 """Hock and Schittkowski's polynomial programs of two and three variables, with global optima.
 
 Hock & Schittkowski (1981), Test Examples for Nonlinear Programming Codes, Springer LNEMS 187.
-Left out: what has sin, exp, log or quotients; 8, which has no cost; and 13, whose constraints are
-tangent, so that points feasible to 1e-8 cost 0.004 less. Variables without bounds are given ±10, or
-as much as the optimum needs.
+Left out: what has sin, exp, log or quotients (`function_programs`); 8, which has no cost; and 13,
+whose constraints are tangent, so that points feasible to 1e-8 cost 0.004 less. Variables without
+bounds are given ±10, or as much as the optimum needs.
 """
 
 from __future__ import annotations
