@@ -70,6 +70,10 @@ class TrajectoryError(AigtoError, ValueError):
     """A trajectory, or a control to replay, whose numbers do not fit together."""
 
 
+class FrictionError(TrajectoryError):
+    """A motion of rigid bodies that friction leaves no way to go on, or several."""
+
+
 class ControlError(AigtoError, ValueError):
     """A controller whose ports, period or plant do not fit."""
 

@@ -28,13 +28,16 @@ def add_shape(
     shape: Shape,
     stiffness: float,
     friction: CoulombFriction,
+    place: tuple[float, float] = (0.0, 0.0),
 ) -> None:
-    """Adds a collision shape of its body's name to a body's origin."""
+    """Adds a collision shape to a body, at (x, z) from its origin."""
     material = ProximityProperties()
     material.AddProperty("material", "coulomb_friction", friction)
     material.AddProperty("material", "point_contact_stiffness", stiffness)
     material.AddProperty("material", "hunt_crossley_dissipation", 0.0)
-    plant.RegisterCollisionGeometry(body, RigidTransform(), shape, body.name(), material)
+    pose = RigidTransform([place[0], 0.0, place[1]])
+    name = f"{body.name()}_{plant.num_collision_geometries()}"
+    plant.RegisterCollisionGeometry(body, pose, shape, name, material)
 
 
 def make_discs(
@@ -43,12 +46,16 @@ def make_discs(
     friction: CoulombFriction | None = None,
     tilts: bool = False,
     across: bool = False,
+    turns: bool = True,
+    feet: tuple[tuple[float, float], ...] = ((0.0, 0.0),),
 ) -> Diagram:
     """Returns balls that move in the plane x, z, with q = (x, z, turn about y) each.
 
     They weigh 1 kg and are solid. The ground is a half space, or one on a hinge about y at the
     origin that tilts it, whose angle comes last. A motor pushes the first along x. Where
-    they go across the plane, too, q = (x, z, y, turn) each.
+    they go across the plane, too, q = (x, z, y, turn) each. Where
+    they do not turn they are blocks, without the last. With other
+    feet, what touches are spheres of these radii at (x, z) from the center of mass.
     """
     builder = DiagramBuilder()
     plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
@@ -66,10 +73,14 @@ def make_discs(
             step = PrismaticJoint(f"y_{i}", lift.body_frame(), aside.body_frame(), [0.0, 1.0, 0.0])
             plant.AddJoint(step)
             frames = *frames[:2], aside.body_frame(), frames[3]
-        plant.AddJoint(RevoluteJoint(f"turn_{i}", *frames[2:], [0.0, 1.0, 0.0]))
+        if turns:
+            plant.AddJoint(RevoluteJoint(f"turn_{i}", *frames[2:], [0.0, 1.0, 0.0]))
+        else:
+            plant.WeldFrames(*frames[2:])
         if i == 0:
             plant.AddJointActuator("push", along)
-        add_shape(plant, ball, Sphere(radius), stiffness, rough)
+        for foot in feet:
+            add_shape(plant, ball, Sphere(radius), stiffness, rough, foot)
     ground = plant.world_body()
     if tilts:
         board = SpatialInertia(1.0, np.zeros(3), UnitInertia.SolidSphere(0.3))
@@ -78,7 +89,7 @@ def make_discs(
         plant.AddJoint(tilt)
     add_shape(plant, ground, HalfSpace(), stiffness, rough)
     plant.Finalize()
-    rest = np.zeros(1 + across)
+    rest = np.zeros(int(across) + int(turns))
     starts = [[3.0 * i * max(radii), 2 * radius, *rest] for i, radius in enumerate(radii)]
     plant.SetDefaultPositions(np.append(np.ravel(starts), np.zeros(int(tilts))))
     return builder.Build()

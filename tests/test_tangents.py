@@ -10,7 +10,7 @@ import pytest
 from pydrake.multibody.plant import CoulombFriction
 from rubbing_worlds import make_discs
 
-from drake_aigto import ModelError, Scenario, ScenarioError, World, replay_event_driven
+from drake_aigto import ModelError, Planner, Scenario, ScenarioError, World
 from drake_aigto.arrays import Floats
 from drake_aigto.paper import plan_literal
 
@@ -98,7 +98,7 @@ def test_what_counts_for_nothing_or_can_not_act_is_refused() -> None:
     with pytest.raises(ScenarioError, match=r"friction: got 0\.2, in a world where no sphere can"):
         world.check(task)
     rough = World.from_diagram(make_discs(across=True))
-    with pytest.raises(ModelError, match=r"ball_0 against world: got μ = 0\.3 .* two directions"):
+    with pytest.raises(ModelError, match=r"ball_0 against world_1: got μ = 0\.3 .* two directions"):
         rough.check(ask(num_positions=4))
     rough.check(ask(0.0, num_positions=4))
 
@@ -108,8 +108,8 @@ def test_who_plans_without_friction_refuses_it(friction: float | None) -> None:
     world = World.from_diagram(make_discs())
     world.check(task := ask(friction))
     for refused in (
-        lambda: replay_event_driven(world, task, [0.0, 1.0], [[0.0]]),
+        lambda: Planner(task, world=world),
         lambda: plan_literal(task, world=world),
     ):
-        with pytest.raises(ModelError, match=r"friction of ball_0 against world: got μ = 0\."):
+        with pytest.raises(ModelError, match=r"friction of ball_0 against world_1: got μ = 0\."):
             refused()

@@ -10,10 +10,10 @@ from drake_aigto.arrays import Floats
 from drake_aigto.simulation.compliance import INTEGRATION, LINGERING, MOST
 from drake_aigto.simulation.contact_motion import ContactMotion
 from drake_aigto.simulation.controller import HeldControl
-from drake_aigto.simulation.costs import calc_cost
+from drake_aigto.simulation.costs import calc_cost, explain_cost
 from drake_aigto.simulation.material import LEAST_RESTITUTION, calc_delays
-from drake_aigto.simulation.mechanism import simulate_mechanism
 from drake_aigto.simulation.recording import Impact, Recording, find_impacts
+from drake_aigto.simulation.rubbing_mechanism import calc_drag, simulate_rigid_walls
 from drake_aigto.world import Scenario, World
 
 
@@ -36,8 +36,8 @@ class _Control(NamedTuple):
         """Returns what the rest of the control does from a state, and what that costs."""
         first = int(np.searchsorted(self.times, start, side="right")) - 1
         times, controls = np.array([start, *self.times[first + 1 :]]), self.controls[first:]
-        restitutions, held = self.world.restitutions(self.scenario), HeldControl(times, controls)
-        recording = simulate_mechanism(self.world, restitutions, state, held)
+        held = HeldControl(times, controls)
+        recording = simulate_rigid_walls(self.world, self.scenario, state, held)
         return recording, calc_cost(self.world, self.scenario, times, controls, recording)[0]
 
 
@@ -50,6 +50,10 @@ def calc_lateness(world: World, scenario: Scenario, times: Floats, controls: Flo
     what is known less well, both away from the wall: to first order the sign does not matter. By
     how much the end and the cost differ is added up in size over all impacts. No more than three
     hundredths of the path is explained this way.
+
+    Where walls rub, so it is for the slip velocity, which a contact changes in τ and not at once,
+    to no less than the stiction speed v_s at which the plant's friction is whole. To that comes
+    what a contact creeps while it should stick, at v_s at most.
 
     Args:
         world: its stiffness and its contacts.
@@ -66,16 +70,17 @@ def calc_lateness(world: World, scenario: Scenario, times: Floats, controls: Flo
     for row, impact in zip(after, recording.impacts, strict=True):
         if impact.time < times[-1]:
             state = np.array([recording.positions[row], recording.velocities[row]])
-            runs = [
-                control.run((q, v), impact.time)
-                for q, v in (state, *_displace(world, scenario, impact, state))
-            ]
-            (rigid, price), others = runs[0], runs[1:]
-            for other, paid in others:
+            change = state[1] - recording.velocities[row - 1]
+            others = _displace(world, scenario, impact, state)
+            others += _drag(world, scenario, impact, state, change)
+            (rigid, price), *runs = (control.run((q, v), impact.time) for q, v in [state, *others])
+            for other, paid in runs:
                 error += float(np.linalg.norm(other.positions[-1] - rigid.positions[-1]))
                 cost += abs(paid - price)
     path = np.sum(np.linalg.norm(np.diff(recording.positions, axis=0), axis=1))
-    return Lateness(min(error, MOST * float(path)), cost)
+    creep = world.stiction_speed * recording.creep
+    cost += explain_cost(world, scenario, recording.positions[-1], creep) if creep else 0.0
+    return Lateness(min(error, MOST * float(path)) + creep, cost)
 
 
 def _displace(world: World, scenario: Scenario, impact: Impact, state: Floats) -> list[Floats]:
@@ -90,3 +95,18 @@ def _displace(world: World, scenario: Scenario, impact: Impact, state: Floats) -
         missed + (1 - e) * abs(impact.push) * delay,
     )
     return [state + np.outer(sizes, lift) for sizes in (known, unknown)]
+
+
+def _drag(
+    world: World, scenario: Scenario, impact: Impact, state: Floats, change: Floats
+) -> list[Floats]:
+    """Returns a state after an impact with friction that drags on, off by what that may do.
+
+    The impact changed v by so much, shape (nv,).
+    """
+    i, (q, _) = impact.contact, state
+    if not world.friction_coefficients(scenario)[i]:
+        return []
+    delay = calc_delays(ContactMotion.at(world, state.ravel()), world.stiffness)[i]
+    slip = abs(float(world.calc_tangent_jacobian(q)[i] @ change))
+    return [state + np.outer((slip * delay, world.stiction_speed), calc_drag(world, q, i))]

@@ -17,7 +17,7 @@ from drake_aigto.world import World
 # by what happens there: more than rounding, so that what falls to the wall has been above it.
 _AIR = 1e-13
 # A contact lets go when it pulls by this, relative to the largest acceleration or 1 m/s².
-_PULL = 1e-11
+PULL = 1e-11
 
 
 class RigidMechanism(HybridMotion):
@@ -93,7 +93,7 @@ class RigidMechanism(HybridMotion):
         A solid is entered only when the last of the faces falls that the sphere is in front of.
         """
         q, _ = self._split()
-        distances, clear = self.world.calc_signed_distance(q), _calc_air(q) / 2
+        distances, clear = self.world.calc_signed_distance(q), calc_air(q) / 2
         is_held = self.world.are_of_one_solid @ self._held
         ahead = ~is_held & (distances > clear)
         beside = is_held & ~self._held & (distances < -clear)
@@ -106,7 +106,7 @@ class RigidMechanism(HybridMotion):
         """
         acceleration, forces = self._support(self.x, control, resting)
         masses = self.world.inertia_at(self.x[: self.world.num_positions]).masses[resting]
-        pull = _PULL * max(1.0, float(np.max(np.abs(acceleration)))) * masses
+        pull = PULL * max(1.0, float(np.max(np.abs(acceleration)))) * masses
         pressing = np.flatnonzero(forces > -pull)
         return pressing, pull[pressing]
 
@@ -121,7 +121,7 @@ class RigidMechanism(HybridMotion):
     def _resolve(self, control: Floats) -> None:
         """Lets go of walls, or bounces off them, at this instant."""
         q, v = self._split()
-        world, air = self.world, _calc_air(q)
+        world, air = self.world, calc_air(q)
         if not self._held.any() and np.all(world.calc_clearance(q) > air):
             return
         motion, n = ContactMotion.at(world, self.x), len(q)
@@ -155,6 +155,6 @@ def simulate_mechanism(
     return RigidMechanism(world, restitutions, state, span).run(controller)
 
 
-def _calc_air(q: Floats) -> float:
+def calc_air(q: Floats) -> float:
     """Returns how near to a wall is at it [m]."""
     return _AIR * max(1.0, float(np.max(np.abs(q))))

@@ -45,6 +45,8 @@ class Recording:
         rests: in order of time, on compliant walls.
         max_penetration: the deepest −φ, at least 0 [m].
         matched_speeds: for which dissipation was set, on compliant walls [m/s].
+        creep: how far contacts with friction that stick would lead q astray, if they slipped at
+            1 m/s meanwhile, on rigid walls [m, rad].
         control_times: from when each control was held [s].
         controls: u of each of them, shape (nu,) [N].
         samples: of the motion between rows, where it is integrated, and the control meanwhile.
@@ -57,6 +59,7 @@ class Recording:
     rests: list[Rest] = field(default_factory=list)
     max_penetration: float = 0.0
     matched_speeds: list[float] = field(default_factory=list)
+    creep: float = 0.0
     control_times: Rows = field(default_factory=list)
     controls: Rows = field(default_factory=list)
     samples: list[tuple[Samples, Floats]] = field(default_factory=list)

@@ -17,10 +17,10 @@ from drake_aigto.simulation.controller import HeldControl
 from drake_aigto.simulation.costs import calc_cost, calc_plain_cost, explain_cost
 from drake_aigto.simulation.drake_springs import simulate_plant
 from drake_aigto.simulation.lateness import calc_lateness
-from drake_aigto.simulation.mechanism import simulate_mechanism
 from drake_aigto.simulation.recording import Recording
 from drake_aigto.simulation.rigid_wall import simulate_rigid_wall
 from drake_aigto.simulation.rollout import Parabolas
+from drake_aigto.simulation.rubbing_mechanism import simulate_rigid_walls
 from drake_aigto.simulation.springs import Springs
 from drake_aigto.trajectory import check_control
 from drake_aigto.world import CompliantLaw, Scales, Scenario, World
@@ -51,7 +51,8 @@ class Replay(ArrayRecord):
         compliance_error: "drake" and rigid contact only: how far the end should be, at most, from
             where rigid walls lead [m]. A contact lasts τ = π √(m/k), which delays what follows and
             loses what the control adds meanwhile: of one elastic impact, τ times the last speed.
-            All of it is in `calc_compliance_error`; where M or J depends on q, in `calc_lateness`.
+            All of it is in `calc_compliance_error`; where M or J depends on q, or walls rub, in
+            `calc_lateness`, with what contacts creep that should stick.
         compliance_cost: what of the cost this explains at most.
         matched_speeds: "drake" only, restitution < 1 only: the speeds, in the order of time, for
             which the dissipation was set to give each impact its restitution [m/s]. Impacts below a
@@ -131,9 +132,10 @@ def replay_event_driven(
     The judge of plans, for any restitution in [0, 1]. Where flight under a held control is a
     parabola (`World.constant_dynamics`) it is exact but for rounding, by roots alone (`Parabolas`);
     only hops too short to follow become rest. Where M or J depends on q it is integrated nearly to
-    rounding (`RigidMechanism` has the equations). Elsewhere Drake's Simulator integrates, and
-    touches shorter than a millionth of the duration may not be noticed. Compliant walls are springs
-    that may be entered (`Springs`), and the replay's simulator is "integrated".
+    rounding (`RigidMechanism` has the equations), and so it is with friction (`RubbingMechanism`):
+    what sticks, slips or rolls, and until when, is found by roots, too. Elsewhere Drake's Simulator
+    integrates, and touches shorter than a millionth of the duration may not be noticed. Compliant
+    walls are springs that may be entered (`Springs`), and the replay's simulator is "integrated".
 
     Args:
         world: its dynamics and its contacts.
@@ -143,12 +145,13 @@ def replay_event_driven(
 
     Raises:
         TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
-        ModelError: there is friction.
+        FrictionError: friction leaves no way to go on, or several (`RubbingMechanism`).
+        ModelError: there is friction where walls are compliant.
     """
-    world.check_frictionless(scenario)
     times, controls = _refine(scenario, *_check_control(world, times, controls))
     law = world.contact_law(scenario)
     if isinstance(law, CompliantLaw):
+        world.check_frictionless(scenario)
         start = scenario.initial_position, scenario.initial_velocity
         springs = Springs(world, law, start, float(times[0]))
         recording = springs.run(HeldControl(times, controls))
@@ -166,9 +169,7 @@ def replay_costs(world: World, scenario: Scenario, times: ArrayLike, controls: A
 
     Raises:
         TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
-        ModelError: there is friction.
     """
-    world.check_frictionless(scenario)
     u = np.asarray(controls, dtype=float)
     if u.ndim != 3:
         raise TrajectoryError("controls", got=f"shape {u.shape}", expected="(C, N, nu)")
@@ -178,7 +179,8 @@ def replay_costs(world: World, scenario: Scenario, times: ArrayLike, controls: A
     columns = u.transpose(1, 0, 2).reshape(u.shape[1], -1)
     t, _ = check_control(times, columns)
     _check_columns(world, u)
-    if not (world.has_constant_dynamics and scenario.is_plain):
+    is_smooth = not world.friction_coefficients(scenario).any()
+    if not (world.has_constant_dynamics and scenario.is_plain and is_smooth):
         return np.array([replay_event_driven(world, scenario, t, control).cost for control in u])
     ends = _roll_out(world, scenario, t).find_ends(u)
     pairs = zip(u, ends, strict=True)
@@ -209,7 +211,7 @@ def replay_drake(world: World, scenario: Scenario, times: ArrayLike, controls: A
         recording = simulate_plant(world, start, held, friction)
         return summarize("drake", world, scenario, times, controls, recording)
     recording = simulate_compliant_wall(world, start, held, restitutions, friction)
-    if world.has_constant_inertia:
+    if world.has_constant_inertia and not world.friction_coefficients(scenario).any():
         error = calc_compliance_error(world, restitutions, recording)
         return summarize("drake", world, scenario, times, controls, recording, error)
     lateness = calc_lateness(world, scenario, times, controls)
@@ -276,12 +278,16 @@ def _simulate_rigidly(
     world: World, scenario: Scenario, times: Floats, controls: Floats
 ) -> Recording:
     """Returns what a control does on exactly rigid walls, by the quickest road."""
-    if world.has_constant_dynamics:
+    is_smooth = not world.friction_coefficients(scenario).any()
+    if world.has_constant_dynamics and is_smooth:
         return _roll_out(world, scenario, times).record(controls)
-    start = scenario.initial_position, scenario.initial_velocity
-    is_wall = world.has_constant_inertia and scenario.is_plain
-    simulate = simulate_rigid_wall if is_wall else simulate_mechanism
-    return simulate(world, world.restitutions(scenario), start, HeldControl(times, controls))
+    start, held = (
+        (scenario.initial_position, scenario.initial_velocity),
+        HeldControl(times, controls),
+    )
+    if world.has_constant_inertia and scenario.is_plain and is_smooth:
+        return simulate_rigid_wall(world, world.restitutions(scenario), start, held)
+    return simulate_rigid_walls(world, scenario, start, held)
 
 
 def _refine(scenario: Scenario, times: Floats, controls: Floats) -> tuple[Floats, Floats]:

@@ -49,9 +49,12 @@ from drake_aigto.world.reach import (
     refuse_no_contact,
 )
 from drake_aigto.world.rubbing import Rubbing
-from drake_aigto.world.scenario import ContactKind, Scenario
+from drake_aigto.world.scenario import Scenario
 from drake_aigto.world.sums import SumMap
 from drake_aigto.world.task_cost import TaskCost
+
+# What is this near to a wall that rubs lies against it, however its place was rounded [m].
+_TOUCHING = 1e-9
 
 
 @dataclass(frozen=True, eq=False)
@@ -366,9 +369,9 @@ class World(EquationsOfMotion):
         self.contact_law(scenario)
         if self._out_of_reach:
             raise refuse_out_of_reach(*self._out_of_reach)
-        for name in ("initial_position", "goal_position"):
-            self._check_place(name, getattr(scenario, name), scenario.contact)
         self.rubbing.check(scenario.friction)
+        for name in ("initial_position", "goal_position"):
+            self._check_place(name, getattr(scenario, name), scenario)
 
     def check_frictionless(self, scenario: Scenario) -> None:
         """Refuses friction, for who plans without it, so that it is not dropped in silence.
@@ -392,14 +395,18 @@ class World(EquationsOfMotion):
                 return face, distance
         return None
 
-    def _check_place(self, name: str, q: Floats, contact: ContactKind) -> None:
+    def _check_place(self, name: str, q: Floats, scenario: Scenario) -> None:
         """Refuses a position inside or against a solid, or beside the one face that it has.
 
-        Compliant half spaces may be entered: they have no far side to be pushed out of.
+        Compliant half spaces may be entered: they have no far side to be pushed out of. What rubs
+        may lie against a wall, to slide along it.
         """
+        friction = self.friction_coefficients(scenario)
         for faces, distance in zip(self.solids, self.calc_clearance(q), strict=True):
             face = self._reachable[faces[0]].face
-            if distance <= 0 and not (contact == "compliant" and face.is_unbounded):
+            is_soft = scenario.contact == "compliant" and face.is_unbounded
+            lies = friction[list(faces)].any() and abs(distance) <= _TOUCHING
+            if distance <= 0 and not (is_soft or lies):
                 raise refuse_inside(name, face, distance, len(faces), self.plant)
             if len(faces) == 1 and not self.is_on_face(q)[faces[0]]:
                 off = self._lateral_map(q).reshape(-1, 2)[faces[0]]

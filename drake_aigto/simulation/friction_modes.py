@@ -1,0 +1,187 @@
+"""Contacts that last, with friction: which of them stick, slip or open, and with what forces."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import numpy as np
+import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
+
+from drake_aigto.arrays import Floats
+from drake_aigto.errors import FrictionError
+from drake_aigto.simulation.coulomb import Mode
+
+# Accelerations that differ by less than this, relative to the largest one or 1 m/s², are equal.
+_SAME = 1e-7
+# What counts as no acceleration, or as no force on the mass that a contact feels, in the same way.
+_NOTHING = 1e-12
+# Directions whose part that others lack is below this are theirs.
+RANK = 1e-9
+
+
+class Touching(NamedTuple):
+    """Contacts that are closed, k of them, and how bodies would go on without them.
+
+    At an instant, with Coulomb's law for each contact,
+
+        x = x₀ + M⁻¹ (Jᵀ f_n + Tᵀ f_t),    0 ≤ f_n ⊥ J x + j ≥ 0,    |f_t| ≤ μ f_n,
+        f_t = −μ sign(s) f_n where it slips, or begins to slip as T x + t says.
+
+    For accelerations x = v̇, j = J̇ v and t = Ṫ v; for velocities after impacts that return nothing
+    x = v⁺, j = t = 0, and forces are impulses.
+    """
+
+    kicks: Floats  # M⁻¹ [Jᵀ Tᵀ], shape (nv, 2k)
+    rows: Floats  # [J; T], shape (2k, nv)
+    rates: Floats  # [J x₀ + j; T x₀ + t], shape (2k,)
+    friction: Floats  # μ, shape (k,)
+    slips: Sequence[int]  # the sign of each slip velocity, 0 where it is none
+
+
+class Going(NamedTuple):
+    """How closed contacts go on."""
+
+    modes: tuple[Mode, ...]
+    change: Floats  # x − x₀, shape (nv,)
+    forces: Floats  # f_n and f_t, shape (2k,)
+
+
+def find_modes(touching: Touching) -> Going:
+    """Returns how closed contacts go on.
+
+    All combinations of stick, slip and opening are tried: 4ᵏ at the most.
+
+    Raises:
+        FrictionError: no combination fits, or several do that lead to different motions, as rigid
+            bodies may have it (P. Painlevé, "Sur les lois du frottement de glissement", 1895).
+    """
+    found = next(ways := list_modes(touching), None)
+    if found is None:
+        raise _refuse("none", "a jam, which no finite force explains")
+    size = max(1.0, float(np.max(np.abs(touching.rates))))
+    for other in ways:
+        if np.max(np.abs(touching.rows @ (other.change - found.change))) > _SAME * size:
+            raise _refuse("several", f"{_name(found)} or {_name(other)}")
+    return found
+
+
+def list_modes(touching: Touching) -> Iterator[Going]:
+    """Yields all ways to go on, those that stick first, then slip, then open."""
+    choices = [
+        _list_choices(slip, mu)
+        for slip, mu in zip(touching.slips, touching.friction.tolist(), strict=True)
+    ]
+    for modes in itertools.product(*choices):
+        if (going := _try_modes(touching, modes)) is not None:
+            yield going
+
+
+def calc_directions(modes: Sequence[Mode], friction: Floats) -> tuple[list[int], Floats]:
+    """Returns what vanishes in modes of k contacts, and what pushes for that.
+
+    Returns:
+        Which of [J; T] x vanish, r of them, and how much each of as many unknown forces adds to f_n
+        and f_t, shape (r, 2k): a slipping contact has f_t = −μ σ f_n.
+    """
+    k = len(modes)
+    closed = [i for i, mode in enumerate(modes) if mode != Mode.OPEN]
+    stuck = [i for i in closed if modes[i] == Mode.STICK]
+    shares = np.zeros((len(closed) + len(stuck), 2 * k))
+    for row, i in enumerate(closed):
+        shares[row, [i, k + i]] = 1.0, -friction[i] * modes[i]
+    for row, i in enumerate(stuck, len(closed)):
+        shares[row, k + i] = 1.0
+    return closed + [k + i for i in stuck], shares
+
+
+def _list_choices(slip: int, friction: float) -> tuple[Mode, ...]:
+    """Returns the modes that a contact may have, given the sign of its slip velocity."""
+    if friction == 0:  # Whichever way it slips, nothing resists.
+        return (Mode(slip or 1), Mode.OPEN)
+    if slip:
+        return (Mode(slip), Mode.OPEN)
+    return (Mode.STICK, Mode.FORWARD, Mode.BACKWARD, Mode.OPEN)
+
+
+def _try_modes(touching: Touching, modes: tuple[Mode, ...]) -> Going | None:
+    """Returns how contacts go on in these modes, or None if that contradicts the law."""
+    vanish, shares = calc_directions(modes, touching.friction)
+    delassus = touching.rows @ touching.kicks  # (2k, 2k)
+    pushes = delassus[vanish] @ shares.T
+    wanted = -touching.rates[vanish]
+    unknown, _, rank, _ = np.linalg.lstsq(pushes, wanted, rcond=RANK)
+    size = max(1.0, float(np.max(np.abs(touching.rates))))
+    if np.any(np.abs(pushes @ unknown - wanted) > 1e3 * _NOTHING * size):
+        return None
+    if rank < len(vanish) and not _are_allowed(touching, modes, shares.T @ unknown, size):
+        spread = _spread(touching, modes, shares, pushes, wanted)
+        unknown = unknown if spread is None else spread
+    forces = shares.T @ unknown
+    if not _are_allowed(touching, modes, forces, size):
+        return None
+    rates = touching.rates + delassus @ forces
+    k = len(modes)
+    for i, (mode, slip) in enumerate(zip(modes, touching.slips, strict=True)):
+        begins = mode in (Mode.FORWARD, Mode.BACKWARD) and not slip and touching.friction[i] > 0
+        if mode == Mode.OPEN and rates[i] < -_NOTHING * size:
+            return None
+        if begins and mode * rates[k + i] < -_NOTHING * size:
+            return None
+    return Going(modes, touching.kicks @ forces, forces)
+
+
+def _are_allowed(touching: Touching, modes: tuple[Mode, ...], forces: Floats, size: float) -> bool:
+    """Returns whether contacts push, and those that stick do so within the cone."""
+    normal, tangent = np.split(forces, 2)
+    weights = 1 / np.maximum(np.diag(touching.rows @ touching.kicks)[: len(modes)], _NOTHING)
+    least = -_NOTHING * size * weights
+    return bool(
+        np.all(normal >= least) and np.all(touching.friction * normal - np.abs(tangent) >= least)
+    )
+
+
+def _spread(
+    touching: Touching,
+    modes: tuple[Mode, ...],
+    shares: Floats,
+    pushes: Floats,
+    wanted: Floats,
+) -> Floats | None:
+    """Returns forces of contacts that hold each other up without need, as far inside of cones.
+
+    They are not unique, but the motion is: a block on two feet stays if any forces hold it.
+    """
+    k, (r, _) = len(modes), shares.shape
+    stuck = [i for i in range(k) if modes[i] == Mode.STICK]
+    closed = [i for i in range(k) if modes[i] != Mode.OPEN]
+    normal, tangent = shares.T[:k], shares.T[k:]
+    cones = [normal[closed]]
+    for sign in (1.0, -1.0):
+        cones.append(touching.friction[stuck, np.newaxis] * normal[stuck] + sign * tangent[stuck])
+    margins = np.vstack(cones)  # (…, r) @ unknown ≥ the margin, which is as large as it can be.
+    bounds = np.hstack([-margins, np.ones((len(margins), 1))])
+    found = scipy.optimize.linprog(
+        np.append(np.zeros(r), -1.0),
+        A_ub=bounds,
+        b_ub=np.zeros(len(margins)),
+        A_eq=np.hstack([pushes, np.zeros((len(pushes), 1))]),
+        b_eq=wanted,
+        bounds=[(None, None)] * r + [(None, 1e6)],
+    )
+    return found.x[:r] if found.success else None
+
+
+def _name(going: Going) -> str:
+    """Returns a mode of each contact, in words."""
+    return ", ".join(mode.name.lower() for mode in going.modes)
+
+
+def _refuse(count: str, which: str) -> FrictionError:
+    return FrictionError(
+        "contact with friction (Painlevé)",
+        got=f"{count} of the ways in which rigid bodies can go on: {which}",
+        expected="one",
+        remedy="Lower the friction, or ask for contact: compliant, which always has an answer.",
+    )

@@ -1,0 +1,312 @@
+"""Exactly rigid walls with Coulomb's friction, around any mechanism that moves in a plane."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from drake_aigto.arrays import Floats, Ints
+from drake_aigto.errors import FrictionError
+from drake_aigto.simulation.controller import Controller
+from drake_aigto.simulation.coulomb import Mobility, Mode, calc_impulse
+from drake_aigto.simulation.friction_modes import (
+    RANK,
+    Touching,
+    calc_directions,
+    find_modes,
+    list_modes,
+)
+from drake_aigto.simulation.impacts import MOST_IMPACTS
+from drake_aigto.simulation.mechanism import (
+    PULL,
+    RigidMechanism,
+    calc_air,
+    simulate_mechanism,
+)
+from drake_aigto.simulation.recording import Impact, Recording
+from drake_aigto.world import Scenario, World
+
+# The n-th impact at a contact becomes rest if the hop after it would last less than n times this
+# part of the simulated time, as on walls without friction.
+_HOP = 1e-6
+# Velocities of contacts below this, relative to the largest velocity or 1 m/s, are none.
+_STILL = 1e-11
+# Where what forces have to be divided by is this part of what it was, they have no answer.
+_SINGULAR = 1e-9
+
+
+class _Push(NamedTuple):
+    """How contacts push."""
+
+    acceleration: Floats  # v̇, shape (…, nv)
+    forces: Floats  # f_n and f_t, shape (…, 2k) [N]
+    size: Any  # the determinant that forces are divided by, without unit
+
+
+class RubbingMechanism(RigidMechanism):
+    """A world whose walls are exactly rigid and rub, each with its μ.
+
+        flight    M(q) v̇ + h(q, v) = B u                               while φ(q) > 0
+        impact    v⁺ = v⁻ + M⁻¹ (J_iᵀ p_n + T_iᵀ p_t)                  (`calc_impulse`)
+        contact   M v̇ + h(q, v) = B u + J_Cᵀ f_n + T_Cᵀ f_t,  J_C v̇ + J̇_C v = 0     while f_n ≥ 0
+          slip    f_t = −μ sign(s) f_n                                 while s = T v ≠ 0
+          stick   T v̇ + Ṫ v = 0                                        while |f_t| ≤ μ f_n
+
+    Motion is smooth between events, which are roots along it: contacts begin and let go, slip ends,
+    and stick gives way. Which contacts stick, slip or open from there is found by trying
+    (`find_modes`). Several impacts at once take turns in the order of the world's contacts, until
+    none is approached any more; what never ends that way, as collapse in a wedge, ends in an impact
+    of all that returns nothing.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        restitutions: Floats,
+        friction: Floats,
+        state: tuple[Floats, Floats],
+        span: tuple[float, float],
+    ) -> None:
+        """Starts with nothing known of contacts.
+
+        Args:
+            world: its dynamics and its contacts.
+            restitutions: e of each contact, in [0, 1], shape (m,).
+            friction: μ of each contact, shape (m,).
+            state: the start, (q, v).
+            span: from when to when will be simulated [s].
+        """
+        super().__init__(world, restitutions, state, span)
+        self._friction = friction
+        self._modes = np.full(world.num_contacts, Mode.OPEN, dtype=int)
+        self._last, self._stalls = -np.inf, 0
+
+    def _move(self, control: Floats, until: float) -> None:
+        """Moves on smoothly until something may happen."""
+        self._count_stalls()
+        n, held = self.world.num_positions, np.flatnonzero(self._held)
+        ahead, beside = self._find_faces()
+        edges = self._list_edges(control, held)
+        # Of contacts that hold each other up without need, some may pull all the while.
+        chosen = edges(self.x) > 0
+
+        def rates(x: Floats) -> Floats:
+            return np.concatenate([x[..., n:], self._push(x, control, held).acceleration], axis=-1)
+
+        def watched(x: Floats) -> Floats:
+            distances = self.world.calc_signed_distance(x[..., :n])
+            values = distances[..., ahead], -distances[..., beside], edges(x)[..., chosen]
+            return np.concatenate(values, axis=-1)
+
+        start, creep = self.time, self._calc_creep()
+        slid = self._follow(rates, watched, control, until) - len(ahead)
+        self.recording.creep += creep * (self.time - start)
+        if 0 <= slid < len(beside):
+            solid = self.world.contacts[beside[slid]].solid
+            self._held &= [contact.solid != solid for contact in self.world.contacts]
+
+    def _list_edges(self, control: Floats, held: Ints) -> Callable[[Floats], Floats]:
+        """Returns what is above zero while contacts go on as they do, of states (…, 2 nv)."""
+        n, signs, friction = self.world.num_positions, self._modes[held], self._friction[held]
+        stuck, slides = signs == Mode.STICK, (signs != Mode.STICK) & (friction > 0)
+        start = self._push(self.x, control, held)
+        masses = self.world.inertia_at(self.x[:n]).masses[held]
+        pull = PULL * max(1.0, float(np.max(np.abs(start.acceleration)))) * masses
+        still, is_regular = self._calc_still(), abs(start.size) > _SINGULAR
+
+        def edges(x: Floats) -> Floats:
+            push = self._push(x, control, held)
+            normal, tangent = np.split(push.forces, 2, axis=-1)
+            cone = friction * normal + pull
+            values = normal + pull, (cone - tangent)[..., stuck], (cone + tangent)[..., stuck]
+            slips = signs * self._calc_slips(x)[..., held] + still
+            answers = (push.size / start.size - _SINGULAR if is_regular else 1.0 + push.size**2,)
+            sizes = np.stack(answers, axis=-1)
+            return np.concatenate([*values, slips[..., slides], sizes], axis=-1)
+
+        return edges
+
+    def _push(self, x: Floats, control: Floats, held: Ints) -> _Push:
+        """Returns how contacts push in their modes, in states (…, 2 nv)."""
+        world, n, friction = self.world, self.world.num_positions, self._friction[held]
+        q, v = x[..., :n], x[..., n:]
+        free = world.calc_acceleration(q, v, control)
+        if not len(held):
+            return _Push(free, np.empty((*free.shape[:-1], 0)), np.ones(free.shape[:-1]))
+        rows = self._stack_rows(q, held)
+        turning = world.calc_contact_bias(q, v)[..., held], world.calc_tangent_bias(q, v)[..., held]
+        vanish, shares = calc_directions([Mode(mode) for mode in self._modes[held]], friction)
+        kicks = np.linalg.solve(world.calc_mass_matrix(q), np.swapaxes(rows, -1, -2))
+        pushes = rows[..., vanish, :] @ kicks @ shares.T
+        rates = (rows @ free[..., np.newaxis])[..., 0] + np.concatenate(turning, axis=-1)
+        unknown = -(np.linalg.pinv(pushes, RANK) @ rates[..., vanish, np.newaxis])[..., 0]
+        forces = unknown @ shares
+        sizes = np.prod(np.diagonal(rows @ kicks, axis1=-2, axis2=-1)[..., vanish], axis=-1)
+        acceleration = free + (kicks @ forces[..., np.newaxis])[..., 0]
+        return _Push(acceleration, forces, np.linalg.det(pushes) / sizes)
+
+    def _stack_rows(self, q: Floats, held: Ints) -> Floats:
+        """Returns [J; T] of contacts, shape (…, 2k, nv), at q of shape (…, nq)."""
+        J, T = self.world.calc_contact_jacobian(q), self.world.calc_tangent_jacobian(q)
+        return np.concatenate([J[..., held, :], T[..., held, :]], axis=-2)
+
+    def _calc_slips(self, x: Floats) -> Floats:
+        """Returns s = T v of all contacts, shape (…, m) [m/s]."""
+        n = self.world.num_positions
+        return (self.world.calc_tangent_jacobian(x[..., :n]) @ x[..., n:, np.newaxis])[..., 0]
+
+    def _calc_creep(self) -> float:
+        """Returns ‖q̇‖ that slips of 1 m/s of all contacts that stick add up to at most."""
+        stuck = np.flatnonzero(self._held & (self._modes == Mode.STICK))
+        q, _ = self._split()
+        return float(sum(np.linalg.norm(calc_drag(self.world, q, int(i))) for i in stuck))
+
+    def _calc_still(self) -> float:
+        """Returns below which a velocity is none [m/s]."""
+        return _STILL * max(1.0, float(np.max(np.abs(self._split()[1]))))
+
+    def _resolve(self, control: Floats) -> None:
+        """Lets go of walls, hits them, or sticks and slips, at this instant."""
+        q, _ = self._split()
+        if not self._held.any() and np.all(self.world.calc_clearance(q) > calc_air(q)):
+            return
+        held, stuck = self._held, self._held & (self._modes == Mode.STICK)
+        self._project(np.flatnonzero(held), np.flatnonzero(stuck))
+        for _ in range(MOST_IMPACTS):
+            closed = self._find_closed()
+            rates = self.world.calc_contact_rate(*self._split())[closed]
+            hit = closed[rates < -self._calc_still()]
+            if not len(hit):
+                break
+            self._hit(int(hit[0]), control)
+        else:
+            self._hold_together()
+        self._go_on(control)
+
+    def _find_closed(self) -> Ints:
+        """Returns the contacts that touch: of each solid, the face that is nearest to."""
+        q, _ = self._split()
+        distances, air = self.world.calc_signed_distance(q), calc_air(q)
+        near = np.where(self._held, np.inf, distances)
+        faces = [max(solid, key=near.__getitem__) for solid in self.world.solids]
+        return np.array([i for i in faces if self._held[i] or distances[i] <= air], dtype=int)
+
+    def _hit(self, contact: int, control: Floats) -> None:
+        """Applies an impact, and brings the contact to rest if the hop after it is too short."""
+        q, v = self._split()
+        world, M = self.world, self.world.calc_mass_matrix(q)
+        J, T = self._stack_rows(q, np.array([contact]))
+        speed, slip = -float(J @ v), float(T @ v)
+        others = np.flatnonzero(self._held & (np.arange(world.num_contacts) != contact))
+        bias = world.calc_contact_bias(q, v)[contact]
+        push = float(J @ self._push(self.x, control, others).acceleration + bias)
+        self._counts[contact] += 1
+        hop = _HOP * self._rules.duration * self._counts[contact]
+        e = float(self._rules.restitutions[contact])
+        e = 0.0 if 2 * e * speed <= -hop * push else e
+        friction = float(self._friction[contact])
+        impulse = calc_impulse(Mobility.of(J, T, M), -speed, slip, e, friction)
+        after = v + np.linalg.solve(M, J * impulse.normal + T * impulse.tangent)
+        if 2 * speed > hop * abs(push):
+            energies = (float(world.calc_kinetic_energy(q, each)) for each in (v, after))
+            self.recording.impacts.append(Impact(self.time, contact, speed, push, *energies))
+            self.recording.add(self.time, q, v)
+            self.recording.add(self.time, q, after)
+        self.x = np.concatenate([q, after])
+
+    def _hold_together(self) -> None:
+        """Ends a collapse: an impact of all that touch, which returns nothing."""
+        touching = self._describe(self._find_closed(), None)
+        going = next(list_modes(touching), None)
+        if going is not None:
+            n = self.world.num_positions
+            self.x = np.concatenate([self.x[:n], self.x[n:] + going.change])
+
+    def _describe(self, closed: Ints, control: Floats | None) -> Touching:
+        """Returns closed contacts, and how they go on without forces; None: without impulses."""
+        q, v = self._split()
+        world, rows = self.world, self._stack_rows(q, closed)
+        kicks = np.asarray(np.linalg.solve(world.calc_mass_matrix(q), rows.T), dtype=float)
+        friction = self._friction[closed]
+        if control is None:
+            return Touching(kicks, rows, rows @ v, friction, [0] * len(closed))
+        turning = world.calc_contact_bias(q, v)[closed], world.calc_tangent_bias(q, v)[closed]
+        rates = rows @ world.calc_acceleration(q, v, control) + np.concatenate(turning)
+        slips, still = self._calc_slips(self.x)[closed], self._calc_still()
+        signs = np.where(np.abs(slips) <= still, 0.0, np.sign(slips)).astype(int)
+        return Touching(kicks, rows, rates, friction, signs.tolist())
+
+    def _go_on(self, control: Floats) -> None:
+        """Decides how each contact that touches goes on."""
+        closed, still = self._find_closed(), self._calc_still()
+        rates = self.world.calc_contact_rate(*self._split())[closed]
+        leaving, closed = closed[rates > still], closed[rates <= still]
+        slips = np.abs(self._calc_slips(self.x)[closed])
+        self._project(closed, closed[(slips <= still) & (self._friction[closed] > 0)])
+        self._modes[:] = Mode.OPEN
+        if len(closed):
+            self._modes[closed] = find_modes(self._describe(closed, control)).modes
+        self._held = self._modes != Mode.OPEN
+        air = calc_air(self._split()[0])
+        opened = closed[~self._held[closed]]
+        self._place(np.concatenate([leaving, opened]).astype(int), 2 * air)
+        self._place(np.flatnonzero(self._held), air / 2)
+
+    def _place(self, contacts: Ints, distance: float) -> None:
+        """Moves to so small a distance from walls, as rounding puts what touches on any side."""
+        if len(contacts):
+            q, v = self._split()
+            J = self.world.calc_contact_jacobian(q)[contacts]
+            missing = distance - self.world.calc_signed_distance(q)[contacts]
+            self.x = np.concatenate([q + np.linalg.pinv(J) @ missing, v])
+
+    def _project(self, closed: Ints, stuck: Ints) -> None:
+        """Takes out of v what rounding moves contacts by that touch, and by which they slip."""
+        q, v = self._split()
+        both = self._stack_rows(q, np.union1d(closed, stuck).astype(int))
+        names = np.union1d(closed, stuck)
+        rows = np.vstack(
+            [both[: len(names)][np.isin(names, closed)], both[len(names) :][np.isin(names, stuck)]]
+        )
+        if len(rows):
+            kicks = np.linalg.solve(self.world.calc_mass_matrix(q), rows.T)
+            v = v - kicks @ (np.linalg.pinv(rows @ kicks, RANK) @ (rows @ v))
+            self.x = np.concatenate([q, v])
+
+    def _count_stalls(self) -> None:
+        """Refuses events without end at one instant."""
+        self._stalls = self._stalls + 1 if self.time == self._last else 0
+        self._last = self.time
+        if self._stalls > MOST_IMPACTS:
+            raise FrictionError(
+                f"contact with friction at {self.time:g} s",
+                got=f"more than {MOST_IMPACTS} changes between stick and slip at once",
+                expected="motion that goes on",
+                remedy="Ask for contact: compliant.",
+            )
+
+
+def calc_drag(world: World, q: Floats, contact: int) -> Floats:
+    """Returns M⁻¹ Tᵀ / (T M⁻¹ Tᵀ), what friction moves for a slip of 1 m, shape (nv,)."""
+    T = world.calc_tangent_jacobian(q)[contact]
+    drag = np.linalg.solve(world.calc_mass_matrix(q), T)
+    return drag / (T @ drag) if T.any() else drag
+
+
+def simulate_rigid_walls(
+    world: World, scenario: Scenario, state: tuple[Floats, Floats], controller: Controller
+) -> Recording:
+    """Runs a controller on any mechanism between exactly rigid walls, with friction or without.
+
+    Raises:
+        TrajectoryError: the motion runs away to infinity.
+        FrictionError: friction leaves no way to go on, or several (`find_modes`).
+    """
+    restitutions = world.restitutions(scenario)
+    friction = world.friction_coefficients(scenario)
+    if not friction.any():
+        return simulate_mechanism(world, restitutions, state, controller)
+    span = controller.start, controller.end
+    return RubbingMechanism(world, restitutions, friction, state, span).run(controller)

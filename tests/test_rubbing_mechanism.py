@@ -1,0 +1,118 @@
+"""Rigid walls that rub, replayed: slides, rolls and bounces in closed form, and in Drake."""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from rubbing_worlds import RADIUS, make_discs
+
+from drake_aigto import Scenario, World, replay_drake, replay_event_driven
+from drake_aigto.arrays import Floats
+from drake_aigto.errors import FrictionError
+from drake_aigto.simulation.replay import Replay
+
+G, MU = 9.81, 0.3
+
+
+@cache
+def build(**options: Any) -> World:
+    return World.from_diagram(make_discs(**options))
+
+
+def pose(world: World, q: list[float], v: list[float], **fields: Any) -> Scenario:
+    """Returns a task from a state, at 0.3 of friction."""
+    task = {"goal_position": q, "goal_weight": np.ones(len(q)), **fields}
+    return Scenario(initial_position=q, initial_velocity=v, **task)
+
+
+def replay(
+    world: World, q: list[float], v: list[float], pushes: list[float] | None = None, **fields: Any
+) -> Replay:
+    """Returns what pushes do, each for a second."""
+    controls = np.array(pushes or [0.0])[:, np.newaxis]
+    times = np.arange(len(controls) + 1.0)
+    return replay_event_driven(world, pose(world, q, v, **fields), times, controls)
+
+
+def test_a_block_decelerates_at_mu_g_and_stays_where_it_stops() -> None:
+    found = replay(build(turns=False), [0.0, RADIUS], [2.0, 0.0])
+    assert found.positions[-1] == pytest.approx([4 / (2 * MU * G), RADIUS], abs=1e-9)
+    assert found.velocities[-1] == pytest.approx([0.0, 0.0], abs=1e-9)
+
+
+def test_a_push_below_mu_m_g_moves_nothing_and_one_above_only_by_what_is_more() -> None:
+    pushes = [MU * G - 0.01, MU * G + 1.0]
+    for world, rest in ((build(turns=False), []), (build(feet=((-0.3, 0.0), (0.3, 0.0))), [0.0])):
+        found = replay(world, [0.0, RADIUS, *rest], [0.0] * (2 + len(rest)), pushes)
+        first, last = (found.positions[found.times == time][-1] for time in (1.0, 2.0))
+        assert first == pytest.approx([0.0, RADIUS, *rest], abs=1e-9)
+        assert last == pytest.approx([0.5, RADIUS, *rest], abs=1e-9)
+
+
+@pytest.mark.parametrize("spin", [0.0, -20.0, -80.0, 50.0])
+def test_a_ball_rolls_once_two_sevenths_of_its_slip_are_lost(spin: float) -> None:
+    """With enough backspin it comes back: v = 5/7 v₀ + 2/7 r ω₀, after |s₀| / (3.5 μ g)."""
+    found = replay(build(), [0.0, RADIUS, 0.0], [1.5, 0.0, spin], [0.0] * 3)
+    slip = 1.5 - RADIUS * spin
+    rolling, until = 1.5 - 2 / 7 * slip, abs(slip) / (3.5 * MU * G)
+    way = (1.5 + rolling) / 2 * until + (3.0 - until) * rolling
+    assert found.velocities[-1] == pytest.approx([rolling, 0.0, rolling / RADIUS], abs=1e-9)
+    assert found.positions[-1][0] == pytest.approx(way, abs=1e-9)
+    assert (rolling < 0) == (spin == -80.0)
+
+
+@pytest.mark.parametrize("push", [5.0, 15.0])
+def test_a_ball_that_is_pushed_rolls_or_slips(push: float) -> None:
+    """It rolls at 5/7 F/m as long as 2/7 F ≤ μ m g, and else slips at F/m − μ g."""
+    found = replay(build(), [0.0, RADIUS, 0.0], [0.0] * 3, [push])
+    rolls = 2 / 7 * push <= MU * G
+    acceleration = 5 / 7 * push if rolls else push - MU * G
+    turning = acceleration / RADIUS if rolls else MU * G / (0.4 * RADIUS)
+    assert found.velocities[-1] == pytest.approx([acceleration, 0.0, turning], abs=1e-9)
+
+
+@pytest.mark.parametrize("e", [0.6, 1.0])
+def test_a_spinning_ball_bounces_as_impulses_say_and_as_drake_does(e: float) -> None:
+    world = build()
+    task = pose(world, [0.0, 0.4, 0.0], [1.0, 0.0, -20.0], restitution=e)
+    times, controls = np.array([0.0, 0.4]), np.zeros((1, 1))
+    found = replay_event_driven(world, task, times, controls)
+    fall = np.sqrt(2 * G * 0.3)
+    lost = min(2 / 7 * 3.0, MU * (1 + e) * fall)
+    after = 1.0 - lost, e * fall, -20.0 + lost / (0.4 * RADIUS)
+    row = np.flatnonzero(np.diff(found.times) == 0)[0] + 1
+    assert found.velocities[row] == pytest.approx(after, abs=1e-9)
+    assert len(found.bounce_times) == 1
+    drake = replay_drake(world, task, times, controls)
+    off = np.linalg.norm(found.positions[-1] - drake.positions[-1])
+    assert 0 < off <= drake.compliance_error < 0.05
+
+
+def test_energy_never_grows_whatever_falls_and_rubs() -> None:
+    world = build(radii=(0.1, 0.15))
+    rng = np.random.default_rng(4)
+    for _ in range(4):
+        q = np.array([0.0, 0.4, 0.0, 0.28, 0.3, 0.0])
+        v = np.concatenate([rng.uniform(-3.0, 3.0, 6) * [1, 1, 20, 1, 1, 20]])
+        friction = float(rng.uniform(0.1, 1.0))
+        found = replay(world, q.tolist(), v.tolist(), friction=friction, restitution=0.8)
+        energy = calc_energy(world, found)
+        assert np.all(np.diff(energy) <= 1e-9 * energy[0])
+        assert found.max_penetration <= 1e-10
+
+
+def calc_energy(world: World, found: Replay) -> Floats:
+    """Returns kinetic energy and height's, at each row."""
+    kinetic = world.calc_kinetic_energy(found.positions, found.velocities)
+    return kinetic + G * found.positions[:, 1::3].sum(axis=1)
+
+
+def test_a_rod_that_jams_is_refused_by_name() -> None:
+    """Painlevé's: a long rod pushed along ground that is rougher than 4/3, tip ahead."""
+    world = build(feet=((0.5, -1.0),))
+    start = [0.0, 1.0 + RADIUS, 0.0]
+    with pytest.raises(FrictionError, match=r"Painlevé\): got (none|several) of the ways"):
+        replay(world, start, [-2.0, 0.0, 0.0], friction=3.0)
