@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import copy
 import dataclasses
 from collections.abc import Iterator
 
 import numpy as np
 
 from drake_aigto.arrays import Floats
+from drake_aigto.control.bounces_seen import SeenBounces
 from drake_aigto.control.horizon import Horizon
 from drake_aigto.control.motion import Motion
 from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
@@ -20,7 +22,7 @@ from drake_aigto.planning import (
 )
 from drake_aigto.planning.rigid import Path
 from drake_aigto.transcription import Touch, TouchSequence
-from drake_aigto.world import Scenario, World
+from drake_aigto.world import Scales, Scenario, World
 
 # Touches that are planned within so many periods of now may have happened, or not yet.
 _NEAR = 2.0
@@ -28,6 +30,12 @@ _NEAR = 2.0
 _APART = 1e-4
 # Iterations of the local solver after plain Newton steps: none, but where these lead to nothing.
 _ITERATIONS = (0, 20)
+# The same of searches, whose unlikely touches would take most of their time.
+_SEARCHED = 10
+# Walls may stand this part of the task's length from where they are thought to be; what they are
+# thought to return counts like a bounce at this part of the task's velocity; and a bounce is seen
+# between samples that are so many periods apart at most.
+_OFF, _DOUBT, _RECENT = 0.1, 0.1, 4.0
 
 
 class BallHorizon(Horizon):
@@ -57,7 +65,10 @@ class BallHorizon(Horizon):
             period: between ticks [s].
         """
         super().__init__(world, scenario, is_receding, scenario.num_steps)
-        self._problem, self._near = make_problem(world, scenario, options), _NEAR * period
+        self._problem = make_problem(world, scenario, options).in_brief(_SEARCHED)
+        self._near, self._recent = _NEAR * period, _RECENT * period
+        scales = Scales.of(world, scenario)
+        self._off, self._doubt = _OFF * scales.length, (_DOUBT * scales.velocity) ** 2
 
     @property
     def cost_scale(self) -> float:
@@ -67,6 +78,25 @@ class BallHorizon(Horizon):
     def is_inside(self, x: Floats) -> bool:
         """Returns whether a wall is touched: how fast a ball is there, no rigid wall tells."""
         return bool(np.any(self.world.calc_clearance(np.split(x, 2)[0]) <= 0))
+
+    @property
+    def restitution(self) -> float:
+        """The scenario's, or what was learned."""
+        return self.scenario.restitution
+
+    def watch(
+        self, seen: SeenBounces, samples: tuple[Floats, Floats], elapsed: float, control: Floats
+    ) -> SeenBounces:
+        """Returns what is seen of bounces by now."""
+        is_recent = elapsed <= self._recent
+        return seen.watch(self.world, samples, elapsed, control, self._off) if is_recent else seen
+
+    def knowing(self, seen: SeenBounces) -> BallHorizon:
+        """Returns the same task between walls that return what was seen."""
+        learned = copy.copy(self)
+        e = seen.find_restitution(self.restitution, self._doubt)
+        learned.scenario = dataclasses.replace(self.scenario, restitution=e)
+        return learned
 
     def _pose(self, now: float, x: Floats) -> RigidProblem:
         """Returns the task from a state on."""

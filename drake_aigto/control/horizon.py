@@ -7,6 +7,7 @@ from abc import ABC, abstractmethod
 import numpy as np
 
 from drake_aigto.arrays import Floats
+from drake_aigto.control.bounces_seen import SeenBounces
 from drake_aigto.control.motion import Motion
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scenario, World
@@ -55,6 +56,21 @@ class Horizon(ABC):
             cost=np.inf,
             touches=(),
         )
+
+    @property
+    def restitution(self) -> float | None:
+        """What walls are planned to return; None where that is no number."""
+        return None
+
+    def watch(
+        self, seen: SeenBounces, samples: tuple[Floats, Floats], elapsed: float, control: Floats
+    ) -> SeenBounces:
+        """Returns what is seen of bounces by now; the arguments are those of `SeenBounces`."""
+        return seen
+
+    def knowing(self, seen: SeenBounces) -> Horizon:
+        """Returns the same task between walls that return what was seen."""
+        return self
 
     @abstractmethod
     def is_inside(self, x: Floats) -> bool:

@@ -13,6 +13,7 @@ from pydrake.systems.framework import BasicVector, Context, EventStatus, LeafSys
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
+from drake_aigto.control.bounces_seen import SeenBounces
 from drake_aigto.control.horizon import Horizon
 from drake_aigto.control.horizons import make_horizon
 from drake_aigto.control.motion import Motion
@@ -36,6 +37,8 @@ class TickStatus:
         reason: why the plan is what it is.
         seconds: of wall time that the tick took.
         has_switched: whether another contact sequence was taken.
+        restitution: e of rigid walls, as the scenario has it or as bounces have shown it; None
+            where walls yield.
     """
 
     time: float
@@ -44,6 +47,7 @@ class TickStatus:
     reason: str
     seconds: float
     has_switched: bool = False
+    restitution: float | None = None
 
 
 class _Pending(NamedTuple):
@@ -62,6 +66,13 @@ class _Choice(NamedTuple):
     pending: _Pending | None = None
 
 
+class _Told(NamedTuple):
+    """The last state that could be planned from."""
+
+    time: float
+    x: Floats
+
+
 @dataclass(frozen=True, eq=False)
 class _Moment:
     """What a tick leaves to the next; contexts share it, as nobody changes it."""
@@ -71,6 +82,8 @@ class _Moment:
     time: float
     seconds: float
     tick: int
+    told: _Told
+    seen: SeenBounces
 
     def __deepcopy__(self, memo: object) -> _Moment:
         """Returns itself."""
@@ -90,6 +103,9 @@ class ModelPredictiveController(LeafSystem):
     one before (`surprise`), the planner *searches* for another contact sequence as well; it is
     taken if it costs less by a margin. Work is bounded by counts: runs are the same again, also
     where searches have a thread of their own.
+
+    Of what differs from a model, the restitution of rigid walls misleads plans most. It is learned
+    from bounces that are seen between one tick and the next.
 
     A state that is not finite, one inside of a rigid wall, or one from which no motion is found,
     leaves the last plan as it is, and its control goes on. So it does at the end of a horizon that
@@ -113,6 +129,7 @@ class ModelPredictiveController(LeafSystem):
         margin: float = 0.02,
         surprise: float = 0.5,
         search_ticks: int | None = None,
+        learns: bool = True,
     ) -> None:
         """Takes the planner's task; its start does not count.
 
@@ -131,6 +148,8 @@ class ModelPredictiveController(LeafSystem):
                 ones: begun at tick k, from where the plan is going to be at tick k + search_ticks,
                 it is waited for there, and what it found is led from there to the state that is
                 told. None: searches end in their tick.
+            learns: whether what rigid walls return is learned from bounces (`SeenBounces`); the
+                scenario's restitution is what is thought of it before.
 
         Raises:
             ControlError: a mechanism between rigid walls, a free duration, or something that was
@@ -152,7 +171,7 @@ class ModelPredictiveController(LeafSystem):
                 raise ControlError(name, got=share, expected="a number of at least 0")
         self.period = check_period(period)
         self._world, self._every = planner.world, search_every
-        self._margin, self._surprise = margin, surprise
+        self._margin, self._surprise, self._learns = margin, surprise, learns
         self._horizon: Horizon = make_horizon(
             planner, horizon == "receding", iterations, self.period
         )
@@ -163,7 +182,9 @@ class ModelPredictiveController(LeafSystem):
             self._thread = ThreadPoolExecutor(1, "search")
         n, nu = self._world.num_positions, self._world.num_actuators
         rest = self._horizon.rest(0.0, np.zeros(2 * n))
-        none = _Moment(_Choice(rest, ""), np.zeros(nu), 0.0, 0.0, 0)
+        none = _Moment(
+            _Choice(rest, ""), np.zeros(nu), 0.0, 0.0, 0, _Told(0.0, np.zeros(2 * n)), SeenBounces()
+        )
         self._estimate = self.DeclareVectorInputPort("estimated_state", 2 * n)
         self._moment = self.DeclareAbstractState(AbstractValue.Make(none))
         self.DeclareInitializationUnrestrictedUpdateEvent(self._start)
@@ -198,7 +219,10 @@ class ModelPredictiveController(LeafSystem):
             )
         now, begin = context.get_time(), time.perf_counter()
         choice = self._choose_first(now, x)
-        return self._keep(state, choice, now, time.perf_counter() - begin, 0)
+        seconds = time.perf_counter() - begin
+        control = choice.motion.calc_control(now)
+        moment = _Moment(choice, control, now, seconds, 0, _Told(now, np.array(x)), SeenBounces())
+        return self._keep(state, moment)
 
     def _choose_first(self, now: float, x: Floats) -> _Choice:
         if found := self._horizon.search(now, x):
@@ -211,12 +235,23 @@ class ModelPredictiveController(LeafSystem):
         """Improves the plan, or takes another one."""
         x, now, begin = self._estimate.Eval(context), context.get_time(), time.perf_counter()
         before = self._read(context)
-        choice = self._choose(before, now, x)
-        return self._keep(state, choice, now, time.perf_counter() - begin, before.tick + 1)
+        told, seen = before.told, before.seen
+        if np.all(np.isfinite(x)) and not self._horizon.is_inside(x):
+            told = _Told(now, np.array(x))
+            seen = self._watch(before, told) if self._learns else seen
+        choice = self._choose(before, seen, now, x)
+        control, seconds = choice.motion.calc_control(now), time.perf_counter() - begin
+        moment = _Moment(choice, control, now, seconds, before.tick + 1, told, seen)
+        return self._keep(state, moment)
 
-    def _choose(self, before: _Moment, now: float, x: Floats) -> _Choice:
+    def _watch(self, before: _Moment, told: _Told) -> SeenBounces:
+        samples, elapsed = (before.told.x, told.x), told.time - before.told.time
+        return self._horizon.watch(before.seen, samples, elapsed, before.control)
+
+    def _choose(self, before: _Moment, seen: SeenBounces, now: float, x: Floats) -> _Choice:
         """Returns the plan from now on, and why it is that."""
         last, pending = before.choice.motion, before.choice.pending
+        horizon = self._horizon.knowing(seen)
 
         def go_on(reason: str) -> _Choice:
             return _Choice(last, f"{reason}: the last plan goes on", pending=pending)
@@ -227,9 +262,9 @@ class ModelPredictiveController(LeafSystem):
             return go_on("the horizon ends")
         if self._horizon.is_inside(x):
             return go_on("a wall is touched")
-        motion = self._horizon.advance(last, now, x)
+        motion = horizon.advance(last, now, x)
         cost = motion.cost if motion else np.inf
-        has_searched, found, pending = self._find_other(before, now, x, motion)
+        has_searched, found, pending = self._find_other(before, seen, now, x, motion)
         if found and found.cost < (1 - self._margin) * cost:
             reason = f"switched: {found.cost:.4g} in place of {cost:.4g}"
             return _Choice(found, reason, has_switched=True, pending=pending)
@@ -239,36 +274,34 @@ class ModelPredictiveController(LeafSystem):
         return _Choice(motion, reason, pending=pending)
 
     def _find_other(
-        self, before: _Moment, now: float, x: Floats, motion: Motion | None
+        self, before: _Moment, seen: SeenBounces, now: float, x: Floats, motion: Motion | None
     ) -> tuple[bool, Motion | None, _Pending | None]:
         """Returns whether a search is done, what it found, and one that goes on."""
         last, pending, tick = before.choice.motion.cost, before.choice.pending, before.tick + 1
+        horizon = self._horizon.knowing(seen)
         if pending is not None:
             if tick < pending.due:
                 return False, None, pending
             found = pending.found.result()
-            return True, found and self._horizon.advance(found, now, x), None
+            return True, found and horizon.advance(found, now, x), None
         is_due = self._every is not None and tick % self._every == 0
         cost = motion.cost if motion else np.inf
         if not is_due and cost - last <= self._calc_surprise(last):
             return False, None, None
         if self._search_ticks is None:
-            return True, self._horizon.search(now, x), None
+            return True, horizon.search(now, x), None
         ahead = now + self._search_ticks * self.period
         x = motion.calc_state(ahead) if motion else np.array(x)
         if self._horizon.is_over(ahead) or self._horizon.is_inside(x):
             return False, None, None
-        begun = self._thread.submit(self._searching.search, ahead, x)
+        begun = self._thread.submit(self._searching.knowing(seen).search, ahead, x)
         return False, None, _Pending(tick + self._search_ticks, begun)
 
     def _calc_surprise(self, cost: float) -> float:
         """Returns by how much a plan costs more than the one before, if it met a surprise."""
         return self._surprise * cost + _NOTHING * self._horizon.cost_scale
 
-    def _keep(
-        self, state: State, choice: _Choice, now: float, seconds: float, tick: int
-    ) -> EventStatus:
-        moment = _Moment(choice, choice.motion.calc_control(now), now, seconds, tick)
+    def _keep(self, state: State, moment: _Moment) -> EventStatus:
         state.get_mutable_abstract_state(int(self._moment)).set_value(moment)
         return EventStatus.Succeeded()
 
@@ -281,7 +314,13 @@ class ModelPredictiveController(LeafSystem):
     def _write_status(self, context: Context, output: AbstractValue) -> None:
         moment = self._read(context)
         motion, reason, has_switched, _ = moment.choice
-        touches = tuple(touch.contact for touch in motion.touches)
-        output.set_value(
-            TickStatus(moment.time, motion.cost, touches, reason, moment.seconds, has_switched)
+        status = TickStatus(
+            time=moment.time,
+            cost=motion.cost,
+            touches=tuple(touch.contact for touch in motion.touches),
+            reason=reason,
+            seconds=moment.seconds,
+            has_switched=has_switched,
+            restitution=self._horizon.knowing(moment.seen).restitution,
         )
+        output.set_value(status)

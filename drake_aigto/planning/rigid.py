@@ -13,6 +13,7 @@ import numpy as np
 
 from drake_aigto.aigo import AigoResult, Algorithm, Annealing
 from drake_aigto.arrays import interpolate
+from drake_aigto.errors import TrajectoryError
 from drake_aigto.local import LocalResult, NewtonLagrange, PolynomialNlp, compile_nlp
 from drake_aigto.planning.arc_program import ArcPrograms
 from drake_aigto.planning.arcs import solve_in_arcs
@@ -35,7 +36,7 @@ from drake_aigto.transcription import (
     touches_at_once,
 )
 from drake_aigto.transcription.facings import Facing, find_facings
-from drake_aigto.transcription.guesses import straight_path
+from drake_aigto.transcription.guesses import bend, straight_path
 from drake_aigto.transcription.rows import largest_defect
 from drake_aigto.transcription.touch import joint_times
 
@@ -108,6 +109,7 @@ class RigidProblem(PlanningProblem):
         self.asked_steps = num_steps or transcription.scenario.num_steps
         self.num_steps = max(self.asked_steps, self.options.aigo_steps)
         self._arc_programs = ArcPrograms()
+        self._arc_iterations, self._is_brief = _ARC_ITERATIONS, False
         self._scenarios: dict[int, Scenario] = {}  # By their number of steps.
 
     @property
@@ -120,6 +122,16 @@ class RigidProblem(PlanningProblem):
         """Returns the same problem, whose plans are polished with so many time steps."""
         other = copy.copy(self)
         other.num_steps = num_steps
+        return other
+
+    def in_brief(self, most_iterations: int) -> RigidProblem:
+        """Returns the same problem for searches that may not take long.
+
+        Where there are arcs, a polish takes so many iterations at most, after plain Newton steps,
+        and has no general way after them: few plans are lost, and most of the time is won.
+        """
+        other = copy.copy(self)
+        other._arc_iterations, other._is_brief = most_iterations, True
         return other
 
     def make_algorithm(self, rung: Rung) -> Algorithm:
@@ -145,6 +157,7 @@ class RigidProblem(PlanningProblem):
         transcription = self.transcription.again(coarse)
         other = RigidProblem(transcription, self.options, scenario.num_steps, self._programs)
         other._arc_programs = self._arc_programs
+        other._arc_iterations, other._is_brief = self._arc_iterations, self._is_brief
         return other
 
     def find_sequences(self, result: AigoResult, rung: Rung) -> list[TouchSequence]:
@@ -274,10 +287,13 @@ class RigidProblem(PlanningProblem):
         """
         through, facings = self._look_along(path, sequence)
         if self._has_arcs:
-            most = min(_ARC_ITERATIONS, max_iterations or _ARC_ITERATIONS)
+            most = min(self._arc_iterations, max_iterations or self._arc_iterations)
             solved = self._solve_in_arcs(through, facings, sequence, most)
             if solved is not None:
                 return solved
+            if self._is_brief:
+                got = f"none that {most} iterations lead to"
+                raise TrajectoryError("a motion with these touches", got, expected="one")
             coarse = min(self.transcription.scenario.num_steps, _MOST_COARSE)
             num_steps = min(num_steps or coarse, _MOST_GENERAL)
         phases = self._phases(sequence, facings, num_steps)
@@ -313,7 +329,7 @@ class RigidProblem(PlanningProblem):
         # Box centers miss the goal, and neighbors the walls: on which side of it a block is passed
         # is to be seen on a path that does not.
         stops = straight_path(world, self.transcription.scenario, sequence, through)
-        return through, tuple(find_facings(world, *_bend(path, *stops), sequence))
+        return through, tuple(find_facings(world, *bend(path, *stops), sequence))
 
     def _solve_in_arcs(
         self,
@@ -383,16 +399,3 @@ class RigidProblem(PlanningProblem):
                 self._scenarios[steps] = scenario.in_steps(steps)
             scenario = self._scenarios[steps]
         return PhaseTranscription(coarse.world, scenario, sequence, facings, self.additions)
-
-
-def _bend(path: Path, times: npt.NDArray[np.float64], stops: npt.NDArray[np.float64]) -> Path:
-    """Returns a path moved to where it has to be at some times, and between them in proportion.
-
-    Args:
-        path: times and positions.
-        times: from the path's first to its last, shape (K,) [s].
-        stops: shape (K, nq) [m].
-    """
-    grid = np.unique([*path[0], *times])
-    at = interpolate(grid, *path)
-    return grid, at + interpolate(grid, times, stops - interpolate(times, grid, at))

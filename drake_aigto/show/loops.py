@@ -66,6 +66,9 @@ def _tell(run: ClosedLoopRun) -> Iterator[tuple[str, str]]:
     if run.ticks:
         yield "ticks", describe_ticks(run)
         yield "switches", describe_switches(run)
+        learned, known = run.ticks[-1].restitution, run.scenario.restitution
+        if learned not in (None, known):
+            yield "learned", f"walls return {learned:.3f} of a speed; the scenario says {known:g}"
 
 
 def describe_disturbance(run: ClosedLoopRun) -> str:

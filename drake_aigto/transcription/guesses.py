@@ -97,3 +97,16 @@ def _jump(
     v[inside] = w + s * (pull + (1 - s / (2 * whole)) * push)
     middles = (s[1:] + s[:-1]) / 2
     u[first : phase.last] = (1 - middles / whole) * (np.linalg.pinv(gain) @ push)
+
+
+def bend(path: tuple[Floats, Floats], times: Floats, stops: Floats) -> tuple[Floats, Floats]:
+    """Returns a path moved to where it has to be at some times, and between them in proportion.
+
+    Args:
+        path: times and positions.
+        times: from the path's first to its last, shape (K,) [s].
+        stops: shape (K, nq) [m].
+    """
+    grid = np.unique([*path[0], *times])
+    at = interpolate(grid, *path)
+    return grid, at + interpolate(grid, times, stops - interpolate(times, grid, at))

@@ -1,0 +1,77 @@
+"""Restitution that is learned from bounces: right for any wall, and nothing from what is none."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from drake_aigto import ModelPredictiveController, Planner, PlanOptions, Scenario, World
+from drake_aigto.control import Disturbance, run_in_loop
+from drake_aigto.control.bounces_seen import SeenBounces
+
+CORRIDOR = Scenario.named("corridor/three_bounces")
+OFF, WEIGHT = 0.05, 1e-9  # [m], [m²/s²]
+
+
+@cache
+def make_world() -> World:
+    return World.from_scenario(CORRIDOR)
+
+
+def fly(x: float, v: float, a: float, t: float) -> tuple[float, float]:
+    return x + t * v + t * t * a / 2, v + t * a
+
+
+def bounce(
+    rng: np.random.Generator, e: float
+) -> tuple[tuple[np.ndarray, np.ndarray], float, float]:
+    """Returns samples about a bounce off a wall that is not where it is thought to be, h and u."""
+    world = make_world()
+    u, side = rng.uniform(-1, 1, 1), rng.integers(2)
+    v = -world.calc_contact_jacobian(CORRIDOR.initial_position)[side] * rng.uniform(0.5, 2)
+    (a,) = world.calc_acceleration(CORRIDOR.initial_position, v, u)
+    before, after = rng.uniform(0.001, 0.01, 2)
+    wall = CORRIDOR.initial_position + v / np.abs(v) * (
+        world.calc_signed_distance(CORRIDOR.initial_position)[side] + rng.uniform(-0.02, 0.02)
+    )
+    early = np.array(fly(wall[0], v[0], a, -before))
+    late = np.array(fly(wall[0], -e * v[0], a, after))
+    return (early, late), before + after, u
+
+
+def test_what_a_wall_returns_is_learned_wherever_it_stands() -> None:
+    rng = np.random.default_rng(2026)
+    for e in rng.uniform(0.1, 1.0, 20):
+        seen = SeenBounces()
+        for _ in range(3):
+            samples, elapsed, control = bounce(rng, e)
+            seen = seen.watch(make_world(), samples, elapsed, control, OFF)
+        assert seen.find_restitution(0.5, WEIGHT) == pytest.approx(e, abs=1e-3)
+
+
+def test_a_kick_in_mid_air_is_no_bounce_and_a_slow_one_tells_little() -> None:
+    x = np.concatenate([CORRIDOR.initial_position, [0.7]])
+    kicked = x + 0.01 * x[1] + np.array([0.0, -1.2])
+    seen = SeenBounces().watch(make_world(), (x, kicked), 0.01, np.zeros(1), OFF)
+    assert seen == SeenBounces() and seen.find_restitution(0.8, WEIGHT) == 0.8
+    assert SeenBounces(1e-4, 0.2e-4).find_restitution(0.8, 1e-2) == pytest.approx(0.8, abs=0.01)
+    assert SeenBounces(1.0, 1.3).find_restitution(0.8, 0.0) == 1.0
+
+
+def test_a_controller_that_learns_loses_less_between_walls_that_return_less() -> None:
+    truth = Disturbance(restitution_factor=0.9, kick=np.array([0.4]), kick_time=0.3)
+    planner = Planner(CORRIDOR, PlanOptions(branches=0, finalists=1, threads=1), make_world())
+    learned, held = (
+        run_in_loop(
+            ModelPredictiveController(planner, 0.02, "shrinking", learns=learns),
+            CORRIDOR,
+            make_world(),
+            truth,
+        )
+        for learns in (True, False)
+    )
+    assert learned.cost < 0.6 * held.cost
+    e = [run.ticks[-1].restitution for run in (learned, held)]
+    assert e == pytest.approx([0.9 * CORRIDOR.restitution, CORRIDOR.restitution], abs=3e-3)
