@@ -1,6 +1,7 @@
 """Plans in the loop on plants that are not their models: five methods on the same disturbances.
 
     python -m benchmarks.in_the_loop [table1/1 corridor/three_bounces …] [--count 100] [--seed 2026]
+        [--workers 1] [--minutes 10]
 
 Masses, walls and restitution are off by up to 10 % (a wall, of how far the start is from the
 nearest), the state is told with noise every 10 ms, and what moves is kicked once, so that another
@@ -22,9 +23,10 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import argparse
 import dataclasses
 import re
-import sys
 import tempfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +35,8 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
-from benchmarks.measure import Spread
+from benchmarks.jobs import add_options, run_all, run_as
+from benchmarks.measure import Spread, machine
 from drake_aigto import (
     AigtoError,
     MechanismOptions,
@@ -150,60 +153,96 @@ def _swap(true: tuple[World, Scenario], options: Any) -> tuple[Scenario, Any, Wo
     return true[1], options, true[0]
 
 
-def report(name: str, runs: dict[str, list[ClosedLoopRun]]) -> str:
+@dataclass(frozen=True)
+class Outcome:
+    """A run of a method.
+
+    Attributes:
+        cost: of what happened.
+        switches: how often another plan was taken.
+        warm: seconds of each tick after the first that is warm only.
+        searched: of each that searches.
+    """
+
+    cost: float
+    switches: int
+    warm: tuple[float, ...]
+    searched: tuple[float, ...]
+
+    @classmethod
+    def of(cls, run: ClosedLoopRun) -> Outcome:
+        """Returns what a run comes to."""
+        ticks = run.ticks[1:]
+        searched = [each.has_switched or each.reason.startswith("warm;") for each in ticks]
+        return cls(
+            cost=run.cost,
+            switches=len(run.switches),
+            warm=tuple(each.seconds for each in ticks if each.reason == "warm"),
+            searched=tuple(
+                each.seconds for each, is_so in zip(ticks, searched, strict=True) if is_so
+            ),
+        )
+
+
+# What all methods make of one disturbance.
+Outcomes = Mapping[str, Outcome]
+
+
+def report(name: str, runs: Sequence[Outcomes]) -> str:
     """Returns a table: costs above those of the one that knows, and how long ticks take."""
-    known = np.array([each.cost for each in runs[BEST]])
+    known = np.array([each[BEST].cost for each in runs])
     lines = [
         f"{name}: {len(known)} disturbances; {BEST!r} costs {known.mean():.3g} in the mean",
-        f"{'method':<16} mean above   median (quartiles)           switches"
-        "  ms a warm tick, 99 %  a search",
+        f"{'method':<16} mean above   median (quartiles)            switches"
+        "  ms a warm tick, 99 %  a search, 90 %",
     ]
-    for method, of_method in runs.items():
-        above = np.array([each.cost for each in of_method]) - known
-        spread = Spread.of(above)
-        line = f"{method:<16} {above.mean():10.3g}  {spread.median:9.3g}"
-        line += f" ({spread.low:9.3g} … {spread.high:9.3g})"
-        ticks = [tick for each in of_method for tick in each.ticks[1:]]
-        if ticks:
-            line += f"  {sum(tick.has_switched for tick in ticks):6d}"
-            warm = [1e3 * tick.seconds for tick in ticks if tick.reason == "warm"]
-            line += "  {:12.1f} {:6.1f}".format(*np.percentile(warm, [50, 99]))
-            searched = [
-                1e3 * tick.seconds
-                for tick in ticks
-                if tick.has_switched or tick.reason.startswith("warm;")
-            ]
-            line += f"  {np.median(searched):8.1f}" if searched else ""
-        lines.append(line)
+    lines += [_describe(method, [each[method] for each in runs], known) for method in runs[0]]
     return "\n".join(lines)
 
 
-def run_all(name: str, count: int, seed: int) -> dict[str, list[ClosedLoopRun]]:
-    """Returns the runs of each method on a scenario's disturbances."""
+def _describe(method: str, outcomes: Sequence[Outcome], known: Floats) -> str:
+    """Returns a row of the table."""
+    above = np.array([each.cost for each in outcomes]) - known
+    spread = Spread.of(above)
+    line = f"{method:<16} {above.mean():10.3g}  {spread.median:9.3g}"
+    line += f" ({spread.low:9.3g} … {spread.high:9.3g})"
+    warm = [1e3 * second for each in outcomes for second in each.warm]
+    searched = [1e3 * second for each in outcomes for second in each.searched]
+    if warm:
+        line += f"  {sum(each.switches for each in outcomes):6d}"
+        line += "  {:12.1f} {:6.1f}".format(*np.percentile(warm, [50, 99]))
+    if searched:
+        line += "  {:8.1f} {:5.1f}".format(*np.percentile(searched, [50, 90]))
+    return line
+
+
+@cache
+def _prepare(name: str) -> tuple[Plan, Planner]:
+    """Returns the plan that is tracked, and the planner of controllers that plan again."""
     scenario = Scenario.named(name)
     world = World.from_scenario(scenario)
     options = MECHANISMS if needs_shooting(world, scenario) else BALLS
-    plan, planner = Planner(scenario, None, world).plan(), Planner(scenario, options, world)
-    rng = np.random.default_rng(seed)
-    runs: dict[str, list[ClosedLoopRun]] = {}
-    left_out = 0
-    while len(runs.get(BEST, ())) < count:
-        disturbance = draw(scenario, world, rng)
-        try:
-            made = [
-                (method, run_in_loop(controller, scenario, world, which))
-                for method, controller, which in make_controllers(plan, planner, disturbance)
-            ]
-        except AigtoError as error:
-            left_out += 1
-            print(f"{name}: left out, {error}", file=sys.stderr, flush=True)
-            if left_out > count:
-                raise
-            continue
-        for method, run in made:
-            runs.setdefault(method, []).append(run)
-        print(f"{name}: {len(runs[BEST])} of {count}", file=sys.stderr, flush=True)
-    return runs
+    return Planner(scenario, None, world).plan(), Planner(scenario, options, world)
+
+
+def run(job: tuple[str, int, int]) -> Outcomes | None:
+    """Returns what all methods make of a disturbance; None if it, or one of them, is refused.
+
+    Args:
+        job: the scenario, the seed of all its disturbances, and the number of this one.
+    """
+    name, *seeds = job
+    plan, planner = _prepare(name)
+    scenario, world = planner.scenario, planner.world
+    try:
+        disturbance = draw(scenario, world, np.random.default_rng(seeds))
+        return {
+            method: Outcome.of(run_in_loop(controller, scenario, world, which))
+            for method, controller, which in make_controllers(plan, planner, disturbance)
+        }
+    except AigtoError as error:
+        print(f"{name}: disturbance {seeds[1]} left out, {error}", flush=True)
+        return None
 
 
 def main() -> int:
@@ -212,11 +251,15 @@ def main() -> int:
     parser.add_argument("scenarios", nargs="*", default=SCENARIOS, help="of those shipped")
     parser.add_argument("--count", type=int, default=100, help="of disturbances of each")
     parser.add_argument("--seed", type=int, default=2026, help="of the disturbances")
+    add_options(parser)
     options = parser.parse_args()
+    print(machine(), flush=True)
     for name in options.scenarios:
-        print(report(name, run_all(name, options.count, options.seed)), flush=True)
+        jobs = [(name, options.seed, number) for number in range(options.count)]
+        if runs := [each for each in run_all(run, jobs, options) if each]:
+            print(report(name, runs), flush=True)
     return 0
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_as("benchmarks.in_the_loop")
