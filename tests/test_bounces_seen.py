@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from drake_aigto import ModelPredictiveController, Planner, PlanOptions, Scenario, World
+from drake_aigto.arrays import Floats
 from drake_aigto.control import Disturbance, run_in_loop
 from drake_aigto.control.bounces_seen import SeenBounces
 
@@ -24,9 +25,7 @@ def fly(x: float, v: float, a: float, t: float) -> tuple[float, float]:
     return x + t * v + t * t * a / 2, v + t * a
 
 
-def bounce(
-    rng: np.random.Generator, e: float
-) -> tuple[tuple[np.ndarray, np.ndarray], float, float]:
+def bounce(rng: np.random.Generator, e: float) -> tuple[tuple[Floats, Floats], float, Floats]:
     """Returns samples about a bounce off a wall that is not where it is thought to be, h and u."""
     world = make_world()
     u, side = rng.uniform(-1, 1, 1), rng.integers(2)
