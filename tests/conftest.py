@@ -21,12 +21,17 @@ from drake_aigto import Planner, PlanOptions, Scenario
 
 # No deadlines: Numba compiles in whichever example comes first, and machines stall. The same
 # examples every time: a test that fails fails again.
-settings.register_profile("drake_aigto", deadline=None, derandomize=True)
+settings.register_profile("drake_aigto", deadline=None, derandomize=True, max_examples=40)
 settings.load_profile("drake_aigto")
 
 # A shell that starts tests in the background has Ctrl-C ignored, which some of them test.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Puts first what compiles longest: one process does so while the others have other tests."""
+    items.sort(key=lambda item: item.path.stem != "test_mechanism_planner")
 
 
 @pytest.fixture

@@ -64,7 +64,9 @@ def test_options_are_checked() -> None:
         BoundedAnnealing(max_newton_steps=0)
 
 
-@pytest.mark.parametrize("row", [1, 2, 3])
+@pytest.mark.parametrize(
+    "row", [1, pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow)]
+)
 def test_the_default_search_finds_the_bounce_that_face_flow_misses(row: int) -> None:
     scenario = dataclasses.replace(Scenario.named(f"table1/{row}"), time_step=0.02)
     world = World.from_scenario(scenario)

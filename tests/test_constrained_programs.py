@@ -30,6 +30,7 @@ def scale(problem: ConstrainedProblem) -> float:
     return max(1.0, abs(problem.minimum))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["HS 18", "HS 40", "HS 106", "HS 108", "Floudas-Pardalos 2.1"])
 def test_ours_solves_those_that_once_were_missed_or_slow(name: str) -> None:
     problem = PROBLEMS[name]

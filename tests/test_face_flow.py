@@ -36,7 +36,7 @@ def random_chain(n: int, seed: int) -> BoxPolynomial:
 @pytest.mark.parametrize("degree", [4, 6, 8, 10, 12])
 def test_random_polynomials_of_one_variable_are_solved_globally(degree: int) -> None:
     rng = np.random.default_rng(degree)
-    for _ in range(60):
+    for _ in range(30):
         roots = rng.uniform(-2, 2, degree - 1)
         f = np.polynomial.Polynomial.fromroots(roots).integ()
         result = minimize(univariate(f.coef), Box(np.zeros(1), np.array([2.5])), FaceFlow())

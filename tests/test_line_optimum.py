@@ -44,7 +44,7 @@ def solve(line: Line) -> LineMotion:
     return line.optimum(most_touches=4)
 
 
-@settings(max_examples=40)
+@settings(max_examples=20)
 @given(corridors)
 def test_elastic_walls_are_mirrors_and_coasting_tells_the_touches(line: Line) -> None:
     walls = tuple(wall._replace(restitution=1.0) for wall in line.walls)
@@ -58,7 +58,7 @@ def test_elastic_walls_are_mirrors_and_coasting_tells_the_touches(line: Line) ->
         assert len(motion.bounces) == abs(math.floor(end))
 
 
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(corridors | floors)
 def test_the_optimum_is_a_motion_that_costs_as_much(line: Line) -> None:
     motion = solve(line)
@@ -66,7 +66,7 @@ def test_the_optimum_is_a_motion_that_costs_as_much(line: Line) -> None:
         assert cost_of(line, motion.bounces) == pytest.approx(motion.cost, rel=1e-7, abs=1e-12)
 
 
-@settings(max_examples=30)
+@settings(max_examples=15)
 @given(corridors | floors)
 @example(make_corridor(0.9453125, 0.9375, 0.5, 0.0, 0.01))
 def test_forces_and_energy_follow_the_maximum_principle(line: Line) -> None:
@@ -88,7 +88,8 @@ def test_forces_and_energy_follow_the_maximum_principle(line: Line) -> None:
         assert again == pytest.approx(energy, abs=1e-3 * largest + 1e-8)
 
 
-@settings(max_examples=30)
+@pytest.mark.slow
+@settings(max_examples=15)
 @given(corridors | floors, st.integers(0, 2**32 - 1))
 def test_no_motion_by_chance_is_cheaper(line: Line, seed: int) -> None:
     rng, motion = np.random.default_rng(seed), solve(line)

@@ -113,6 +113,7 @@ def cost_of_times(
     return float(scenario.control_weight * np.dot(misses, np.linalg.solve(gram, misses)))
 
 
+@pytest.mark.slow
 def test_masses_that_stay_apart_are_two_corridors() -> None:
     scenario = draw(
         "two_masses",

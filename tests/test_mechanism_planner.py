@@ -95,6 +95,7 @@ def test_forces_give_what_the_momentum_lacks(plan: Plan) -> None:
     assert momenta[-1] - momenta[0] == pytest.approx(pushed, abs=1e-4)
 
 
+@pytest.mark.slow
 def test_a_plan_is_that_of_any_number_of_threads(cart_pole: Planner, plan: Plan) -> None:
     options = MechanismOptions(threads=1)
     other = Planner(cart_pole.scenario, options, cart_pole.world).plan()

@@ -162,6 +162,7 @@ def test_a_plan_keeps_its_world_but_takes_it_nowhere(rigid: Plan) -> None:
     assert sent.find_world().fingerprint == rigid.made_in
 
 
+@pytest.mark.slow
 def test_a_plan_of_ones_own_diagram_is_shown_without_more_words(own: Plan) -> None:
     meshcat = Meshcat()
     play(own, meshcat)

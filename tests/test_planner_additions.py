@@ -197,6 +197,7 @@ def test_a_saved_plan_names_what_was_added_and_replays_without_it(
     assert "simulated and compared without" in text
 
 
+@pytest.mark.slow
 def test_a_report_names_what_was_added_and_a_gradient_solver_does_without(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

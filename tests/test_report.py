@@ -114,6 +114,7 @@ def test_nothing_that_moves_is_ever_cut_off(page: Page) -> None:
         assert min(side.min() for side in sides) > 0.9, seconds
 
 
+@pytest.mark.slow
 def test_a_slow_browser_shows_the_scene_at_the_same_size(page: Page, report: Path) -> None:
     with start_browser(report.parent / "slow") as slow:
         slow.call("Emulation.setCPUThrottlingRate", rate=4)

@@ -108,6 +108,7 @@ def test_who_starts_fast_towards_a_wall_hits_it_instead_of_braking() -> None:
     assert plan.cost < 0.1395
 
 
+@pytest.mark.slow
 def test_a_wall_that_would_be_grazed_is_passed_at_a_distance() -> None:
     scenario = Scenario.named("cart_pole/rigid_06")
     plan = Planner(dataclasses.replace(scenario, restitution=0.5), QUICK).plan()

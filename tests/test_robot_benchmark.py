@@ -44,6 +44,9 @@ from benchmarks.robots.worlds import (
 from drake_aigto.errors import OptionsError
 from drake_aigto.simulation import replay_drake, replay_event_driven
 
+# Kernels that only the benchmark has take twenty seconds to compile.
+pytestmark = pytest.mark.slow
+
 NEAR, DURATION = "cart_pole/soft_06", 1.5
 SOFT = (NEAR, "cart_pole/soft_10")
 PENDULUM, SWING_UP = "pendulum/off_the_wall", "acrobot/swing_up"
@@ -196,7 +199,6 @@ def test_what_listed_touches_promise_is_what_the_judge_finds() -> None:
     assert judge(question, best.control).score == pytest.approx(best.promised, rel=1e-3)
 
 
-@pytest.mark.slow
 def test_two_searches_agree_on_the_pendulum_and_with_the_judge() -> None:
     question = Question(PENDULUM, 12)
     *_, by_principle = extremals(question)
@@ -236,7 +238,6 @@ def test_what_the_gradient_peer_promises_between_rigid_walls_is_what_the_judge_f
     assert judgment.score == pytest.approx(attempt.promised, rel=2e-3)
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("world", [NEAR, SWING_UP])
 def test_what_snopt_promises_on_our_transcription_is_nearly_what_the_judge_finds(
     world: str,

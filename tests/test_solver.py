@@ -269,6 +269,7 @@ def test_programs_without_costs_or_variables_are_solved_too() -> None:
     assert result.is_success() and u**2 + v == pytest.approx(2) and u + v**2 == pytest.approx(2)
 
 
+@pytest.mark.slow
 def test_random_programs_never_crash_and_never_lie() -> None:
     generator = np.random.default_rng(0)
     for _ in range(5):

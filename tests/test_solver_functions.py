@@ -159,7 +159,7 @@ def test_a_constraint_or_halved_ranges_may_show_that_a_function_has_a_value() ->
     assert AigoSolver().Solve(prog).get_optimal_cost() == pytest.approx(0.2, abs=1e-6)
 
 
-@settings(max_examples=50)
+@settings(max_examples=20)
 @given(
     st.sampled_from(sorted(FORMULAS)),
     st.tuples(st.floats(0, 1), st.floats(0, 1)),

@@ -52,7 +52,7 @@ def test_one_wall_has_the_optimum_by_algebra(
 # Units and symmetries.
 
 
-@settings(max_examples=10)
+@settings(max_examples=6)
 @given(seeds, restitutions, st.sampled_from(["corridor", "floor"]))
 def test_twice_the_mass_is_four_times_the_control_weight(seed: int, e: float, name: str) -> None:
     scenario = draw(name, seed, restitution=e)
@@ -62,7 +62,7 @@ def test_twice_the_mass_is_four_times_the_control_weight(seed: int, e: float, na
     assert cost == pytest.approx(solve(name, dear).cost, rel=1e-7, abs=1e-15)
 
 
-@settings(max_examples=40)
+@settings(max_examples=15)
 @given(seeds, restitutions)
 def test_a_room_costs_what_its_two_corridors_cost(seed: int, e: float) -> None:
     scenario = draw("room", seed, restitution=e)

@@ -125,7 +125,8 @@ class Parabolas:
         accelerations = self._calc_accelerations(controls)
         ends = np.empty((len(controls), self._start.shape[1]))
         log = make_log(0, ends.shape[1])
-        knots, phase = np.ascontiguousarray(times), self._make_phase()
+        # A copy, for read-only arrays would be compiled for once more.
+        knots, phase = np.array(times, order="C"), self._make_phase()
         roll_out_many(self._walls, self._rules, phase, knots, accelerations, ends, log)
         return ends
 
