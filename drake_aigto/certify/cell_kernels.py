@@ -14,7 +14,7 @@ from drake_aigto.certify.heap import Heap, copy, copy_pairs, pop, push
 from drake_aigto.certify.intervals import down, plus, power, times, up
 from drake_aigto.certify.multipliers import Multipliers
 from drake_aigto.certify.tape import Tape
-from drake_aigto.jit import inner, kernel
+from drake_aigto.jit import inner, kernel, pasted
 
 COST = cast(int, np.int64(0))  # the formula's number, as for Numba a plain 0 is a type of its own
 # A side is not cut that is so much shorter than the first box's, beside the longest one.
@@ -86,7 +86,7 @@ def _expand_about(
     return value
 
 
-@inner
+@pasted
 def _add_row(slope: float, bend: float, t: float, end: int, work: Work) -> None:
     """Adds λ (r − t) + ½ ρ (r − t)² to gradient and Hessian over the cell."""
     values, gradients, hessians = work.scratch
@@ -166,7 +166,7 @@ def _descend(low: Floats, high: Floats, work: Work) -> None:
                 point[i] = min(max(point[i] - slope / curvature, low[i]), high[i])
 
 
-@inner
+@pasted
 def _bound(
     tape: Tape,
     rows: Rows,
@@ -255,7 +255,7 @@ def _bound(
     return best_bound, value[1]
 
 
-@inner
+@pasted
 def _row_excludes(
     tape: Tape, formula: int, least: float, most: float, low: Floats, high: Floats, work: Work
 ) -> bool:

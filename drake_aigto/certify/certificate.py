@@ -11,7 +11,7 @@ import numpy as np
 from pydrake.solvers import MathematicalProgram
 
 from drake_aigto.arrays import Floats
-from drake_aigto.certify.clique_kernels import MOST_VARIABLES
+from drake_aigto.certify.clique_cells import MOST_VARIABLES
 from drake_aigto.certify.cliques import CliqueSearch, elimination
 from drake_aigto.certify.few_variables import CellSearch
 from drake_aigto.certify.parts import cell_program, clique_program

@@ -23,21 +23,22 @@ from dataclasses import dataclass
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.certify.clique_kernels import (
+from drake_aigto.certify.clique_cells import (
     MOST_VARIABLES,
     Bins,
-    Layout,
-    bound_hull,
-    fill_slopes,
-    fill_tables,
-    make_scratches,
+    Group,
+    bins_of,
+    bound_box,
+    bound_cells,
     may_hold_minima,
+    moved_slopes,
+    slopes_of,
 )
+from drake_aigto.certify.intervals import UNIT
 from drake_aigto.certify.tape import Tape
 
 _FIRST_BINS = 16
 _SWEEPS = 2  # over all bins, before their cells are bounded
-_UNIT = 2.0**-52
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +113,8 @@ class CliqueSearch:
         self._tables: list[Floats] = []
         self._partners: list[list[Floats]] | None = None
         self._home = [min(map(self._rank.__getitem__, each)) for each in program.variables]
-        self._scratches = make_scratches(program.tape)
+        self._groups = _make_groups(program)
+        self._costs = [group for group in self._groups if group.rows is None]
         self.num_cells = 0
         self.lower_bound = -np.inf
         self.is_empty = False
@@ -177,9 +179,7 @@ class CliqueSearch:
             return
         for _ in range(_SWEEPS):
             bins = self._bins()
-            keep = may_hold_minima(
-                program.tape, self._layout(), bins, program.lower, program.upper, self._scratches
-            )
+            keep = may_hold_minima(program.tape, self._costs, bins, program.lower, program.upper)
             if np.all(keep):
                 return
             for i, kept in enumerate(np.split(keep, bins.starts[1:-1])):
@@ -214,50 +214,33 @@ class CliqueSearch:
         points = np.where((low <= best) & (best <= high), best, points)
         return Bins(starts, low, high, points)
 
-    def _layout(self) -> Layout:
-        program = self._program
-        sizes = [len(each) for each in program.variables]
-        counts = [[self._low[i].size for i in each] for each in program.variables]
-        return Layout(
-            np.cumsum([0, *sizes]),
-            np.concatenate([np.array(each, dtype=np.int64) for each in program.variables]),
-            np.cumsum([0, *(k for each in counts for k in each)]),
-            np.cumsum([0, *map(math.prod, counts)]),
-            program.is_row,
-            program.lower_rows,
-            program.upper_rows,
-        )
-
     def _fill(self, bins: Bins) -> list[Floats]:
         """Returns a table of bounds for each formula, an axis for each variable."""
-        program, layout = self._program, self._layout()
-        slopes = np.zeros(layout.first_slope[-1])
-        partners = self._partner_points(bins, layout)
-        fill_slopes(program.tape, layout, bins, partners, slopes, self._scratches)
-        flat = np.empty(layout.first_cell[-1])
-        fill_tables(program.tape, layout, bins, slopes, program.lower.size, flat, self._scratches)
-        return [
-            flat[first:last].reshape([self._low[i].size for i in variables])
-            for first, last, variables in zip(
-                layout.first_cell[:-1], layout.first_cell[1:], program.variables, strict=True
-            )
-        ]
+        tape = self._program.tape
+        slopes = {
+            group: slopes_of(tape, group, bins, self._partner_points(group, bins))
+            for group in self._costs
+            if group.variables.shape[1] > 1
+        }
+        moved = moved_slopes(list(slopes.values()), bins.low.size)
+        tables: list[Floats] = [np.empty(0)] * len(self._program.variables)
+        for group in self._groups:
+            found = bound_cells(tape, group, bins, slopes.get(group), moved)
+            for formula, table in zip(group.formulas.tolist(), found, strict=True):
+                tables[formula] = table
+        return tables
 
-    def _partner_points(self, bins: Bins, layout: Layout) -> Floats:
-        """Returns where each slope is taken: of each bin, all variables of the formula (S, 3)."""
-        found = np.zeros((layout.first_slope[-1], MOST_VARIABLES))
-        place = 0
-        for formula, variables in enumerate(self._program.variables):
-            for local, i in enumerate(variables):
-                own = bins.points[bins.starts[i] : bins.starts[i + 1]]
-                rows = found[place : place + own.size]
-                if self._partners is not None and len(variables) > 1:
-                    rows[:, : len(variables)] = self._partners[formula][local]
-                else:
-                    rows[:, : len(variables)] = self.best[list(variables)]
-                rows[:, local] = own
-                place += own.size
-        return found
+    def _partner_points(self, group: Group, bins: Bins) -> Floats:
+        """Returns where each slope is taken: of each bin, all variables of the formula (S, m)."""
+        owners, own = bins_of(group, bins)
+        of, local = np.divmod(owners, group.variables.shape[1])
+        if self._partners is None:
+            points = self.best[group.variables[of]]
+        else:
+            known = (each for k in group.formulas.tolist() for each in self._partners[k])
+            points = np.concatenate(list(known))
+        points[np.arange(own.size), local] = bins.points[own]
+        return points
 
     def _pass_up(self) -> None:
         """Adds tables up along the elimination, and sets the total."""
@@ -272,7 +255,7 @@ class CliqueSearch:
             finite = np.abs(table[np.isfinite(table)])
             size += float(np.max(finite, initial=0.0))
         # Every addition is off by half a unit of what is never more than all tables' largest.
-        self._margin = (len(self._tables) + 2 * len(order)) * _UNIT * size
+        self._margin = (len(self._tables) + 2 * len(order)) * UNIT * size
         self._messages: list[Floats] = []
         self._total = 0.0
         for number, clique in enumerate(order):
@@ -350,10 +333,24 @@ class CliqueSearch:
         high = np.array([b[k][-1] for b, k in zip(self._high, keep, strict=True)])
         if np.any(self.best < low) or np.any(self.best > high):
             return
-        bound = bound_hull(
-            self._program.tape, self._layout(), low, high, self.best, self._scratches
-        )
+        bound = bound_box(self._program.tape, self._costs, low, high, self.best)
         self.lower_bound = max(self.lower_bound, min(bound, self.least))
+
+
+def _make_groups(program: CliqueProgram) -> list[Group]:
+    """Returns the formulas by how many variables they read, rows and costs apart."""
+    found: dict[tuple[int, int], list[int]] = {}
+    for formula, variables in enumerate(program.variables):
+        found.setdefault((len(variables), int(program.is_row[formula])), []).append(formula)
+    rows = np.array([program.lower_rows, program.upper_rows])
+    return [
+        Group(
+            np.array(formulas),
+            np.array([program.variables[k] for k in formulas]),
+            rows[:, formulas] if is_row else None,
+        )
+        for (_, is_row), formulas in found.items()
+    ]
 
 
 def _spread(table: Floats, variables: Sequence[int], clique: Sequence[int]) -> Floats:

@@ -101,7 +101,7 @@ class CellSearch:
         program = self._program
         if not program.rows.lower.size or not math.isfinite(self.least):
             return no_multipliers(program.rows.lower.size)
-        values, gradients = slopes_at(program.tape, self.best, self._work.scratch)
+        values, gradients = slopes_at(program.tape, self.best)
         bounds = program.lower, program.upper
         rows = program.rows.lower, program.rows.upper
         return multipliers_at(self.best, values, gradients, rows, bounds)

@@ -16,23 +16,23 @@ from drake_aigto.jit import inner
 
 Interval = tuple[float, float]
 
-_UNIT = 2.0**-52
+UNIT = 2.0**-52
 _UNDERFLOW = 1e-300
-_LIBRARY = 4.0 * _UNIT
+_LIBRARY = 4.0 * UNIT
 # Where a wave has its top is known to so many units of the number of turns.
-_TURN_UNITS = 8.0 * _UNIT
+_TURN_UNITS = 8.0 * UNIT
 
 
 @inner
 def down(x: float) -> float:
     """Returns a number below all that round to x; 0 is exact."""
-    return x * (1.0 - _UNIT) if x > 0.0 else x * (1.0 + _UNIT)
+    return x * (1.0 - UNIT) if x > 0.0 else x * (1.0 + UNIT)
 
 
 @inner
 def up(x: float) -> float:
     """Returns a number above all that round to x; 0 is exact."""
-    return x * (1.0 + _UNIT) if x > 0.0 else x * (1.0 - _UNIT)
+    return x * (1.0 + UNIT) if x > 0.0 else x * (1.0 - UNIT)
 
 
 @inner
@@ -82,7 +82,7 @@ def _whole_power(x: float, exponent: int) -> Interval:
         return 0.0, (0.0 if x == 0.0 else _UNDERFLOW)
     if math.isinf(value):
         return (np.inf if math.isinf(x) else 1e300), np.inf
-    relative = exponent * _UNIT
+    relative = exponent * UNIT
     return value * (1.0 - relative), value * (1.0 + relative) + _UNDERFLOW
 
 

@@ -1,17 +1,78 @@
-"""Values of sums of formulas, and slopes of rows, at a point or over a box."""
+"""Enclosures of many formulas at once, and the range of a sum of formulas."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.certify.enclosures import GRADIENT, VALUE, Scratch, enclose, make_scratch
-from drake_aigto.certify.intervals import Interval, plus
+from drake_aigto.certify.intervals import UNIT, Interval
 from drake_aigto.certify.program import Summand, formula_of
 from drake_aigto.certify.tape import Tape, make_tape
 from drake_aigto.jit import kernel
+
+
+class Enclosures(NamedTuple):
+    """Of C formulas over L variables; the last axis is (low, high).
+
+    Attributes:
+        values: shape (C, 2); ∞ where a formula has no value anywhere in its cell.
+        gradients: shape (C, L, 2), 0 there.
+        hessians: shape (C, L (L + 1)/2, 2), 0 there; row i ≥ column j at i (i + 1)/2 + j.
+    """
+
+    values: Floats
+    gradients: Floats
+    hessians: Floats
+
+
+def enclose_all(tape: Tape, formulas: Ints, low: Floats, high: Floats, order: int) -> Enclosures:
+    """Returns enclosures of formulas, each over a cell of its own.
+
+    Args:
+        tape: holds them.
+        formulas: their numbers (C,).
+        low: lower ends of the cells (C, L).
+        high: upper ends.
+        order: 0 for values, 1 for gradients too, 2 for Hessians too.
+    """
+    count, size = low.shape
+    found = Enclosures(
+        np.full((count, 2), np.inf),
+        np.zeros((count, size if order > 0 else 0, 2)),
+        np.zeros((count, size * (size + 1) // 2 if order > 1 else 0, 2)),
+    )
+    scratch = make_scratch(tape, size)
+    cells = np.ascontiguousarray(low), np.ascontiguousarray(high)
+    _fill(tape, formulas, *cells, order, scratch, found)
+    return found
+
+
+@kernel
+def _fill(
+    tape: Tape,
+    formulas: Ints,
+    low: Floats,
+    high: Floats,
+    order: int,
+    scratch: Scratch,
+    found: Enclosures,
+) -> None:
+    values, gradients, hessians = found
+    for c in range(formulas.size):
+        end = enclose(tape, formulas[c], low[c], high[c], order, scratch)
+        if end < 0:
+            continue
+        for side in range(2):
+            values[c, side] = scratch.values[end, side]
+            for i in range(gradients.shape[1]):
+                gradients[c, i, side] = scratch.gradients[end, i, side]
+            for i in range(hessians.shape[1]):
+                hessians[c, i, side] = scratch.hessians[end, i, side]
 
 
 class SumOfFormulas:
@@ -23,51 +84,41 @@ class SumOfFormulas:
 
     def __init__(self, groups: dict[tuple[int, ...], list[Summand]]) -> None:
         """Makes one tape."""
-        self.tape = make_tape(formula_of(parts, read) for read, parts in groups.items())
-        self._read = np.array([i for read in groups for i in read], dtype=np.int64)
-        self._starts = np.cumsum([0, *map(len, groups)], dtype=np.int64)
-        self._most = max(map(len, groups), default=1)
-        self._scratch = make_scratch(self.tape, 1)
+        self._tape = make_tape(formula_of(parts, read) for read, parts in groups.items())
+        self._read = np.zeros((len(groups), max(1, *map(len, groups), 0)), dtype=np.int64)
+        for row, read in zip(self._read, groups, strict=True):
+            row[: len(read)] = read
 
     def range(self, low: Floats, high: Floats) -> Interval:
         """Returns bounds over low ≤ x ≤ high (n,), rounded outward."""
-        least, most = _range(
-            self.tape, self._starts, self._read, low, high, max(1, self._most), self._scratch
-        )
-        return float(least), float(most)
+        formulas = np.arange(self._read.shape[0])
+        values = enclose_all(self._tape, formulas, low[self._read], high[self._read], VALUE).values
+        if np.any(values[:, 0] == np.inf):
+            return math.inf, math.inf
+        ((least, most),) = sum_outward(values, np.zeros_like(formulas), 1).tolist()
+        return least, most
 
 
-@kernel
-def _range(
-    tape: Tape, starts: Ints, read: Ints, low: Floats, high: Floats, most: int, scratch: Scratch
-) -> Interval:
-    a, b = np.zeros(most), np.zeros(most)
-    total = 0.0, 0.0
-    for formula in range(starts.size - 1):
-        for k in range(starts[formula + 1] - starts[formula]):
-            i = read[starts[formula] + k]
-            a[k], b[k] = low[i], high[i]
-        end = enclose(tape, formula, a, b, VALUE, scratch)
-        if end < 0:
-            return np.inf, np.inf
-        total = plus(total[0], total[1], scratch.values[end, 0], scratch.values[end, 1])
-    return total
+def sum_outward(intervals: Floats, owners: Ints, count: int) -> Floats:
+    """Returns the sums (count, 2) of intervals (C, 2) by their owners (C,), rounded outward."""
+    # Each addition is off by half a unit of what is no more than the sum of sizes.
+    terms = np.bincount(owners, minlength=count)
+    found = np.empty((count, 2))
+    for side, sign in enumerate((-1.0, 1.0)):
+        own = np.ascontiguousarray(intervals[:, side])
+        sizes = np.bincount(owners, np.abs(own), count)
+        found[:, side] = np.bincount(owners, own, count) + sign * (terms + 2) * UNIT * sizes
+    return found
 
 
-@kernel
-def slopes_at(tape: Tape, x: Floats, scratch: Scratch) -> tuple[Floats, Floats]:
+def slopes_at(tape: Tape, x: Floats) -> tuple[Floats, Floats]:
     """Returns values (F,) and gradients (F, n) of all formulas at a point, unrounded."""
-    count = tape.starts.size - 1
-    values, gradients = np.full(count, np.nan), np.full((count, x.size), np.nan)
-    for formula in range(count):
-        end = enclose(tape, formula, x, x, GRADIENT, scratch)
-        if end >= 0:
-            values[formula] = 0.5 * (scratch.values[end, 0] + scratch.values[end, 1])
-            for i in range(x.size):
-                gradients[formula, i] = 0.5 * (
-                    scratch.gradients[end, i, 0] + scratch.gradients[end, i, 1]
-                )
-    return values, gradients
+    formulas = np.arange(tape.starts.size - 1)
+    points = np.tile(x, (formulas.size, 1))
+    found = enclose_all(tape, formulas, points, points, GRADIENT)
+    gradients = np.mean(found.gradients, axis=-1)
+    gradients[~np.isfinite(found.values[:, 0])] = np.nan
+    return np.mean(found.values, axis=-1), gradients
 
 
 def group(summands: Sequence[Summand]) -> dict[tuple[int, ...], list[Summand]]:
