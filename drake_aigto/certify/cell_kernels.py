@@ -45,7 +45,7 @@ class Work(NamedTuple):
     second_point: Floats
 
 
-@inner
+@pasted
 def _expand_about(
     tape: Tape,
     rows: Rows,
@@ -226,23 +226,12 @@ def _bound(
                 return np.inf, np.inf
     elif _press(low, high, outer, work):
         return np.inf, np.inf
-    value = _expand_about(tape, rows, multipliers, bends, work.point, work)
-    _set_steps(low, high, work.point, work)
-    bound, is_bowl = expansion_bound(
-        work.value[0],
-        work.at_point,
-        work.over_cell,
-        work.hessian,
-        work.low_steps,
-        work.high_steps,
-        work.square,
-    )
-    best_bound = max(natural, bound)
-    if is_bowl and best_bound <= threshold:
-        _descend(low, high, work)
-        _expand_about(tape, rows, multipliers, bends, work.second_point, work)
-        _set_steps(low, high, work.second_point, work)
-        bound, _ = expansion_bound(
+    best_bound, at_point = natural, np.inf
+    for attempt in range(2):
+        point = work.point if attempt == 0 else work.second_point
+        value = _expand_about(tape, rows, multipliers, bends, point, work)
+        _set_steps(low, high, point, work)
+        bound, is_bowl = expansion_bound(
             work.value[0],
             work.at_point,
             work.over_cell,
@@ -252,7 +241,12 @@ def _bound(
             work.square,
         )
         best_bound = max(best_bound, bound)
-    return best_bound, value[1]
+        if attempt == 0:
+            at_point = value[1]
+            if not is_bowl or best_bound > threshold:
+                break
+            _descend(low, high, work)
+    return best_bound, at_point
 
 
 @pasted

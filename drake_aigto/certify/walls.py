@@ -28,6 +28,8 @@ import pydrake.symbolic as sym
 from pydrake.solvers import ExpressionCost, MathematicalProgram
 
 from drake_aigto.certify.certificate import Certifier
+from drake_aigto.certify.lines import Line, Wall
+from drake_aigto.certify.touches import bound_line
 from drake_aigto.errors import ModelError
 from drake_aigto.world import ConstantDynamics, Scales, Scenario, World
 
@@ -68,32 +70,6 @@ class PlanBound:
         return self.lower_bound is not None and self.lower_bound <= _NO_COST * self.scale
 
 
-@dataclass(frozen=True)
-class _Wall:
-    """A wall on a line: where, on which side there is room (±1), and its restitution."""
-
-    position: float
-    side: int
-    restitution: float
-
-
-@dataclass(frozen=True)
-class _Line:
-    """One axis in unit time; a unit of cost is worth the price."""
-
-    position: float
-    velocity: float
-    goal: float
-    weight: float
-    price: float
-    walls: tuple[_Wall, ...]
-
-    @property
-    def miss(self) -> float:
-        """How far from the goal it coasts to without walls."""
-        return self.goal - self.position - self.velocity
-
-
 def bound_plans(world: World, scenario: Scenario, cost: float) -> PlanBound:
     """Returns a lower bound of the cost of all plans of a scenario.
 
@@ -124,8 +100,6 @@ def _obstacle(world: World, scenario: Scenario) -> str:
         dynamics = world.constant_dynamics
     except ModelError as error:
         return f"the dynamics vary: {error}"
-    if np.any(dynamics.drift):
-        return "a constant force, such as gravity, makes rest and bounces cost nothing"
     if len(dynamics.solids) != len(world.contacts):
         return "what is no wall but a block can be passed on several sides"
     if np.any(np.count_nonzero(dynamics.jacobian, axis=1) != 1):
@@ -141,31 +115,34 @@ def _odd_walls(dynamics: ConstantDynamics) -> str:
     return "two walls are on one side" if len(set(sides)) < len(sides) else ""
 
 
-def _make_lines(world: World, scenario: Scenario) -> Iterator[_Line]:
+def _make_lines(world: World, scenario: Scenario) -> Iterator[Line]:
     dynamics, T = world.constant_dynamics, scenario.duration
     worth = np.diag(dynamics.gain @ dynamics.gain.T)
     restitutions = world.restitutions(scenario)
     for axis in range(world.num_positions):
         walls = [
-            _Wall(float(-offset / J[axis]), 1 if J[axis] > 0.0 else -1, float(e))
+            Wall(float(-offset / J[axis]), 1 if J[axis] > 0.0 else -1, float(e))
             for J, offset, e in zip(dynamics.jacobian, dynamics.offset, restitutions, strict=True)
             if J[axis]
         ]
         price = float(scenario.control_weight / (T**3 * worth[axis]))
-        yield _Line(
+        yield Line(
             position=float(scenario.initial_position[axis]),
             velocity=float(scenario.initial_velocity[axis] * T),
             goal=float(scenario.goal_position[axis]),
             weight=float(scenario.goal_weight / price),
             price=price,
             walls=tuple(walls),
+            drift=float(dynamics.drift[axis] * T**2),
         )
 
 
-def _bound(line: _Line, most: float) -> float:
+def _bound(line: Line, most: float) -> float:
     """Returns a bound of the cost on a line, if it is no more than the most that is of interest."""
+    if line.drift and line.walls:
+        return bound_line(line, most)
     if all(wall.restitution == 1.0 for wall in line.walls):
-        coast = line.position + line.velocity
+        coast = line.goal - line.miss
         miss = min(abs(image - coast) for image in _images(line, coast))
         return _goal_price(line.weight) * miss**2
     found = [_touch_bound(line, wall, most) for wall in line.walls]
@@ -178,7 +155,7 @@ def _goal_price(weight: float) -> float:
     return 3.0 * weight / (3.0 + weight)
 
 
-def _images(line: _Line, coast: float) -> Sequence[float]:
+def _images(line: Line, coast: float) -> Sequence[float]:
     """Returns the images of the goal in elastic walls, those around a place."""
     goal, places = line.goal, [wall.position for wall in line.walls]
     if len(places) < 2:
@@ -190,7 +167,7 @@ def _images(line: _Line, coast: float) -> Sequence[float]:
     return [turn + image for turn in turns for image in (goal, 2.0 * low - goal)]
 
 
-def _passes_wall(line: _Line) -> bool:
+def _passes_wall(line: Line) -> bool:
     """Returns whether the cheapest flight goes through a wall, so that it is none.
 
     The cheapest motion that touches nothing then touches a wall, and is bounded as one that does.
@@ -205,7 +182,7 @@ def _passes_wall(line: _Line) -> bool:
     )
 
 
-def _touch_bound(line: _Line, wall: _Wall, most: float) -> float:
+def _touch_bound(line: Line, wall: Wall, most: float) -> float:
     """Returns a bound of motions whose first touch is of a wall."""
     p = wall.side * (line.position - wall.position)
     v, goal = wall.side * line.velocity, wall.side * (line.goal - wall.position)

@@ -1,0 +1,510 @@
+"""Lower bounds of motions between walls under a constant force, whatever they touch and how often.
+
+In unit time, and along y = side (x − wall), the cheapest flight from (0, v) to (Δ, v') in time h
+against the pull γ costs
+
+    (v' − v + γh)²/h + 3 (2Δ − (v + v')h)²/h³,
+
+and to the end, with the goal at y = G, 3w/(3 + wh³) (G − vh + γh²/2)². A motion is a path through
+its touches, each a point (time, speed before it) of its wall. These planes are cut into cells, and
+an edge from one cell to another is what a flight between any two of their points costs at least.
+Hence no motion is cheaper than the shortest path from the start to the end, whose edges are all it
+takes to know: times, speeds and numbers of touches are bounded at once. Cells and edges that no
+path below a known cost goes through are dropped, the others are cut into four and sixteen.
+
+So that a path gains little by leaving a cell elsewhere than it came, each cell has a slope p, near
+that of the cost that is still to come. What is paid for is f + p'(z' − c') − p (z − c), with z, z'
+the touches and c, c' the middles of their cells: along a motion these terms cancel.
+
+Where touches accumulate, their speeds go to 0. Cells that 0 speed belongs to have p = 0, and a way
+from one to a later one of the same wall, by whatever touches or at rest, costs γ² for each unit of
+time if the wall has to be held on to, else nothing. A flight whose cheapest cubic goes through a
+wall is dropped: the cheapest one that does not grazes it, and is two flights.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import pydrake.symbolic as sym
+
+from drake_aigto.arrays import Bools, Floats, Ints
+from drake_aigto.certify.clique_cells import expand_all, steps_from
+from drake_aigto.certify.enclosures import GRADIENT, HESSIAN, VALUE
+from drake_aigto.certify.intervals import UNIT
+from drake_aigto.certify.lines import Line, Wall
+from drake_aigto.certify.tape import Formula, Tape, make_tape
+from drake_aigto.certify.values import enclose_all
+
+_FIRST_BINS = 16  # of times, and of speeds
+_MOST_EDGES = 1_000_000  # of one level
+_LEVELS = 16
+_ENOUGH = 1e-3  # of what is of interest: a level that gains less is the last one
+_ROUNDING = 1e-13
+# Where along a flight it is looked whether it is through a wall, by this part of the line.
+_PLACES = (0.25, 0.5, 0.75, 1.0)
+_INSIDE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class _Flights:
+    """Flights of one kind, as functions of what they depend on.
+
+    Attributes:
+        tape: their cost, and where they are at some times.
+        low: least such place.
+        high: largest.
+        is_convex: whether the cost is known to be a convex function.
+    """
+
+    tape: Tape
+    low: float
+    high: float
+    is_convex: bool = False
+
+    def slopes(self, at: Floats) -> Floats:
+        """Returns the gradient of the cost at points (E, m), 0 where it has none."""
+        found = enclose_all(self.tape, np.zeros(len(at), dtype=np.int64), at, at, GRADIENT)
+        slopes = np.mean(found.gradients, axis=-1)
+        return np.where(np.isfinite(slopes), slopes, 0.0)
+
+    def bound(self, low: Floats, high: Floats, most: float) -> Floats:
+        """Returns bounds over cells (E,); ∞ where no flight within the walls costs up to the most.
+
+        Args:
+            low: lower ends (E, m).
+            high: upper ends.
+            most: what is of interest.
+        """
+        found = self._values(0, low, high)[:, 0]
+        keep = found <= most
+        for place in range(1, self.tape.starts.size - 1):
+            kept = np.flatnonzero(keep)
+            inside = self._values(place, low[kept], high[kept])
+            keep[kept] = (inside[:, 1] >= self.low) & (inside[:, 0] <= self.high)
+        return np.where(keep, found, np.inf)
+
+    def _values(self, formula: int, low: Floats, high: Floats) -> Floats:
+        return enclose_all(self.tape, np.full(len(low), formula), low, high, VALUE).values
+
+    def expand(self, low: Floats, high: Floats, slopes: Floats) -> Floats:
+        """Returns bounds of cost + s (x − c) over cells, about their middles c (E,).
+
+        Args:
+            low: lower ends (E, m).
+            high: upper ends.
+            slopes: s (E, m).
+        """
+        point, cost = 0.5 * low + 0.5 * high, np.zeros(len(low), dtype=np.int64)
+        steps, added = steps_from(point, low, high), np.stack([slopes, slopes], axis=-1)
+        at = enclose_all(self.tape, cost, point, point, GRADIENT)
+        if self.is_convex:
+            return _least_plane(at.values[:, 0], at.gradients, added, steps)
+        over = enclose_all(self.tape, cost, low, high, HESSIAN)
+        return expand_all(at, over, added, steps)
+
+
+def _least_plane(values: Floats, slopes: Floats, others: Floats, steps: Floats) -> Floats:
+    """Returns bounds of f + (g + s) d over steps d: f (E,), g, s and d (E, m, 2)."""
+    both = slopes + others
+    ends = both[..., :, None] * steps[..., None, :]
+    sizes = np.max(np.abs(slopes) + np.abs(others), axis=-1) * np.max(np.abs(steps), axis=-1)
+    least = values + np.sum(np.min(ends, axis=(-1, -2)), axis=-1)
+    return least - 16.0 * UNIT * (np.abs(values) + np.sum(sizes, axis=-1))
+
+
+@dataclass(frozen=True, eq=False)
+class _Cells:
+    """Touches of walls by their times and speeds.
+
+    Attributes:
+        walls: which wall each is of (N,).
+        low: least time and speed (N, 2).
+        high: largest.
+        slopes: p (N, 2).
+    """
+
+    walls: Ints
+    low: Floats
+    high: Floats
+    slopes: Floats
+
+    @property
+    def middles(self) -> Floats:
+        """C (N, 2)."""
+        return 0.5 * self.low + 0.5 * self.high
+
+    @property
+    def gains(self) -> Floats:
+        """What p (z − c) is at most (N,)."""
+        return np.sum(np.abs(self.slopes) * 0.5 * (self.high - self.low), axis=1) * (1.0 + 1e-9)
+
+    @property
+    def may_rest(self) -> Bools:
+        """Whether a speed of 0 belongs to it (N,)."""
+        return self.low[:, 1] == 0.0
+
+
+class _Costs(NamedTuple):
+    """What flights and rests cost at least.
+
+    Attributes:
+        starts: from the start to each cell (N,).
+        ends: from each cell to the end (N,).
+        edges: from one cell to another (E,).
+    """
+
+    starts: Floats
+    ends: Floats
+    edges: Floats
+
+
+class _Edges(NamedTuple):
+    """Ways from cells to cells.
+
+    Attributes:
+        sources: cells that they come from (E,).
+        targets: cells that they go to (E,).
+    """
+
+    sources: Ints
+    targets: Ints
+
+    def part(self, which: Ints | Bools) -> _Edges:
+        """Returns some of them."""
+        return _Edges(self.sources[which], self.targets[which])
+
+
+class _Paths(NamedTuple):
+    """Shortest paths through cells.
+
+    Attributes:
+        least: what the shortest one costs.
+        cells: what is cheapest by way of each cell (N,).
+        edges: what is cheapest by way of each edge (E,).
+        followers: the next cell on the shortest path from each; −1: none (N,).
+    """
+
+    least: float
+    cells: Floats
+    edges: Floats
+    followers: Ints
+
+
+class _Walls:
+    """All flights on a line, and what they cost between cells.
+
+    Args:
+        line: the question.
+        most: what is of interest.
+    """
+
+    def __init__(self, line: Line, most: float) -> None:
+        """Makes the formulas."""
+        self.most, self._walls = most, line.walls
+        self._pulls = np.array([-wall.side * line.drift for wall in line.walls])
+        self._first = [_first_flights(line, wall) for wall in line.walls]
+        self._last = [_last_flights(line, wall) for wall in line.walls]
+        self._hops = {
+            (i, j): _hops(line, one, other)
+            for i, one in enumerate(line.walls)
+            for j, other in enumerate(line.walls)
+        }
+        self._sticks = np.array([wall.restitution == 0.0 for wall in line.walls])
+
+    def flat(self, cells: _Cells, edges: _Edges) -> _Costs:
+        """Returns costs without slopes."""
+        starts, ends = np.empty(cells.walls.size), np.empty(cells.walls.size)
+        for found, kinds in ((starts, self._first), (ends, self._last)):
+            for wall, flights in enumerate(kinds):
+                own = cells.walls == wall
+                found[own] = flights.bound(cells.low[own], cells.high[own], self.most)
+        between = np.full(edges.sources.size, np.inf)
+        for own, flights in self._hops_of(cells, edges):
+            low, high = _boxes(cells, edges.part(own))
+            between[own] = flights.bound(low, high, self.most)
+        self._add_rests(cells, edges, between)
+        return _Costs(starts, ends, between)
+
+    def sloped(self, cells: _Cells, edges: _Edges, flat: _Costs) -> _Costs:
+        """Returns costs with f + p'(z' − c') − p (z − c) in place of f."""
+        starts, ends = flat.starts - cells.gains, flat.ends - cells.gains
+        for found, sign, kinds in ((starts, 1.0, self._first), (ends, -1.0, self._last)):
+            for wall, flights in enumerate(kinds):
+                own = np.flatnonzero((cells.walls == wall) & np.isfinite(found))
+                slopes = sign * cells.slopes[own]
+                bounds = flights.expand(cells.low[own], cells.high[own], slopes)
+                found[own] = np.fmax(found[own], bounds)
+        between = flat.edges - cells.gains[edges.sources] - cells.gains[edges.targets]
+        for own, flights in self._hops_of(cells, edges):
+            own = own[np.isfinite(between[own])]
+            bounds = self._expand_hops(flights, cells, edges.part(own))
+            between[own] = np.fmax(between[own], bounds)
+        return _Costs(starts, ends, between)
+
+    def _hops_of(self, cells: _Cells, edges: _Edges) -> Iterator[tuple[Ints, _Flights]]:
+        """Yields the edges from one wall to another that are no rests."""
+        first, second = cells.walls[edges.sources], cells.walls[edges.targets]
+        hops = ~self._rests(cells, edges)
+        for (i, j), flights in self._hops.items():
+            yield np.flatnonzero(hops & (first == i) & (second == j)), flights
+
+    def _rests(self, cells: _Cells, edges: _Edges) -> Bools:
+        """Returns which edges a mass may go along by resting (E,)."""
+        first, second = cells.walls[edges.sources], cells.walls[edges.targets]
+        rests = cells.may_rest[edges.sources] | self._sticks[first]
+        return rests & (first == second) & cells.may_rest[edges.targets]
+
+    def _add_rests(self, cells: _Cells, edges: _Edges, costs: Floats) -> None:
+        own = np.flatnonzero(self._rests(cells, edges))
+        sources, targets = edges.part(own)
+        time = np.maximum(cells.low[targets, 0] - cells.high[sources, 0], 0.0)
+        costs[own] = np.minimum(self._pulls[cells.walls[sources]], 0.0) ** 2 * time
+
+    def _expand_hops(self, flights: _Flights, cells: _Cells, edges: _Edges) -> Floats:
+        sources, targets = edges
+        p, q = cells.slopes[sources], cells.slopes[targets]
+        low, high = _boxes(cells, edges)
+        found = flights.expand(low, high, np.column_stack([q[:, 0], -p[:, 1], q[:, 1]]))
+        # With t' = t + h: q (t' − c') − p (t − c) = q (h − m) + q (m − c' + c) + (q − p) (t − c).
+        middles, half = cells.middles[:, 0], 0.5 * (cells.high - cells.low)[sources, 0]
+        moved = 0.5 * (low + high)[:, 0] - middles[targets] + middles[sources]
+        return found + q[:, 0] * moved - np.abs(q[:, 0] - p[:, 0]) * half
+
+    def without_gain(self, cells: _Cells, edges: _Edges, flat: _Costs) -> _Cells:
+        """Returns cells whose slopes are so small that no path gains by going round.
+
+        Only what may take no time leads back. What leads to a cell that way costs no less then than
+        its slope gains between two of its points.
+        """
+        back = cells.low[edges.targets, 0] <= cells.high[edges.sources, 0]
+        costs = np.full(cells.walls.size, np.inf)
+        np.minimum.at(costs, edges.targets[back], flat.edges[back])
+        gains = cells.gains
+        parts = np.divide(
+            0.499 * costs, gains, out=np.ones_like(gains), where=gains > 0.499 * costs
+        )
+        return replace(cells, slopes=cells.slopes * parts[:, None])
+
+    def slopes(self, cells: _Cells, walls: Ints, touches: Floats) -> Floats:
+        """Returns p: how what is to come varies with a cell's middle (N, 2).
+
+        Args:
+            cells: whose.
+            walls: of the touches that come next (N,); −1: the end comes next.
+            touches: their times and speeds (N, 2).
+        """
+        found, own = np.zeros_like(cells.low), cells.middles
+        time = touches[:, 0] - own[:, 0]
+        for wall, flights in enumerate(self._last):
+            at = np.flatnonzero((cells.walls == wall) & (walls < 0))
+            found[at] = flights.slopes(own[at])
+        for (i, j), flights in self._hops.items():
+            at = np.flatnonzero((cells.walls == i) & (walls == j) & (time > 0.0))
+            along = flights.slopes(np.column_stack([time, own[:, 1], touches[:, 1]])[at])
+            found[at] = np.column_stack([-along[:, 0], along[:, 1]])
+        found[cells.may_rest] = 0.0
+        return found
+
+
+def _boxes(cells: _Cells, edges: _Edges) -> tuple[Floats, Floats]:
+    """Returns how long flights take, and the speeds of their touches: lower and upper ends."""
+    (sources, targets), low, high = edges, cells.low, cells.high
+    least = np.nextafter(low[targets, 0] - high[sources, 0], -np.inf)
+    most = np.nextafter(high[targets, 0] - low[sources, 0], np.inf)
+    return (
+        np.column_stack([np.maximum(least, 0.0), low[sources, 1], low[targets, 1]]),
+        np.column_stack([most, high[sources, 1], high[targets, 1]]),
+    )
+
+
+def bound_line(line: Line, most: float) -> float:
+    """Returns a bound of the cost on a line, if it is no more than the most that is of interest."""
+    walls, cells = _Walls(line, most), _first_cells(line, most)
+    best, last, enough = 0.0, -math.inf, min(most, _direct_cost(line))
+    places = np.arange(cells.walls.size)
+    edges = _Edges(*(each.ravel() for each in np.meshgrid(places, places, indexing="ij")))
+    for _ in range(_LEVELS):
+        edges = edges.part(cells.high[edges.targets, 0] > cells.low[edges.sources, 0])
+        if edges.sources.size > _MOST_EDGES:
+            break
+        flat = walls.flat(cells, edges)
+        first = _find_paths(edges, flat)
+        left = np.flatnonzero(first.edges <= most)
+        edges, flat = edges.part(left), flat._replace(edges=flat.edges[left])
+        cells = walls.without_gain(cells, edges, flat)
+        paths = _find_paths(edges, walls.sloped(cells, edges, flat))
+        if first.least > paths.least:
+            paths = paths._replace(least=first.least, followers=first.followers)
+        least = min(enough, paths.least)
+        # Changes fall fourfold, so that all that are to come add up to less than the last one.
+        best, change, last = max(best, least), abs(least - last), least
+        if least >= enough or (least > 0.0 and change <= _ENOUGH * most):
+            break
+        cells, edges = _cut(walls, cells, edges, paths)
+    return best
+
+
+def _first_cells(line: Line, most: float) -> _Cells:
+    """Returns cells of all touches that cost no more than the most."""
+    # Touches take speed away, so that none is faster than this.
+    fastest = abs(line.velocity) + abs(line.drift) + math.sqrt(most)
+    times = np.linspace(0.0, 1.0, _FIRST_BINS + 1)
+    speeds = times * fastest * (1.0 + 1e-9)
+    low = np.array([(t, a) for t in times[:-1] for a in speeds[:-1]])
+    high = np.array([(t, a) for t in times[1:] for a in speeds[1:]])
+    count = len(line.walls)
+    return _Cells(
+        np.repeat(np.arange(count), len(low)),
+        np.tile(low, (count, 1)),
+        np.tile(high, (count, 1)),
+        np.zeros((count * len(low), 2)),
+    )
+
+
+def _find_paths(edges: _Edges, costs: _Costs) -> _Paths:
+    """Returns the shortest paths by way of some edges."""
+    kept = np.flatnonzero(np.isfinite(costs.edges))
+    (sources, targets), weights = edges.part(kept), costs.edges[kept]
+    before = _relax(costs.starts, sources, targets, weights)
+    after = _relax(costs.ends, targets, sources, weights)
+    followers = np.full(after.size, -1)
+    onward = weights + after[targets] <= after[sources] + _ROUNDING * np.abs(after[sources])
+    followers[sources[onward]] = targets[onward]
+    through = np.full(edges.sources.size, np.inf)
+    through[kept] = before[sources] + weights + after[targets]
+    least = float(np.min(costs.starts + after, initial=math.inf))
+    return _Paths(least, before + after, through, followers)
+
+
+def _relax(values: Floats, sources: Ints, targets: Ints, weights: Floats) -> Floats:
+    """Returns values (N,) that no edge lowers by more than rounding does."""
+    while True:
+        lower = values.copy()
+        np.minimum.at(lower, targets, values[sources] + weights)
+        known = np.isfinite(values)
+        if np.array_equal(known, np.isfinite(lower)) and np.all(
+            lower[known] >= values[known] - _ROUNDING * np.abs(values[known])
+        ):
+            return lower
+        values = lower
+
+
+def _cut(walls: _Walls, cells: _Cells, edges: _Edges, paths: _Paths) -> tuple[_Cells, _Edges]:
+    """Returns a quarter each of the cells that are left, and the edges between them."""
+    most = walls.most * (1.0 + 1e-12)
+    alive, left = np.flatnonzero(paths.cells <= most), np.flatnonzero(paths.edges <= most)
+    followers, middles = paths.followers[alive], cells.middles
+    place = np.full(cells.walls.size, -1)
+    place[alive] = 4 * np.arange(alive.size)
+    low, high, middle = cells.low[alive], cells.high[alive], middles[alive]
+    halves = [np.array(half) for half in ((0, 0), (0, 1), (1, 0), (1, 1))]
+    parts = _Cells(
+        np.repeat(cells.walls[alive], 4),
+        np.stack([np.where(half, middle, low) for half in halves], axis=1).reshape(-1, 2),
+        np.stack([np.where(half, high, middle) for half in halves], axis=1).reshape(-1, 2),
+        np.zeros((4 * alive.size, 2)),
+    )
+    next_walls = np.where(followers < 0, -1, cells.walls[followers])
+    slopes = walls.slopes(parts, np.repeat(next_walls, 4), np.repeat(middles[followers], 4, axis=0))
+    quarter, (first, second) = np.arange(4), (place[each[left]] for each in edges)
+    sources = np.broadcast_to((first[:, None] + quarter)[:, :, None], (left.size, 4, 4))
+    targets = np.broadcast_to((second[:, None] + quarter)[:, None, :], (left.size, 4, 4))
+    return replace(parts, slopes=slopes), _Edges(sources.ravel(), targets.ravel())
+
+
+def _flights(
+    variables: Sequence[sym.Variable],
+    cost: sym.Expression,
+    places: Sequence[sym.Expression],
+    ends: tuple[float, float],
+    is_convex: bool = False,
+) -> _Flights:
+    """Returns flights whose places are between the ends."""
+    index = {variable.get_id(): i for i, variable in enumerate(variables)}
+    formulas = []
+    for each in (cost, *places):
+        formula = Formula()
+        formula.join(each, index)
+        formulas.append(formula.finish())
+    return _Flights(make_tape(formulas), *ends, is_convex)
+
+
+def _room(line: Line, wall: Wall) -> tuple[float, float]:
+    """Returns how far from a wall a mass may be, less and more what is lost in rounding."""
+    others = [abs(other.position - wall.position) for other in line.walls if other is not wall]
+    slack = _INSIDE * (abs(line.goal - line.position) + abs(line.velocity) + abs(line.drift))
+    return -slack, min(others, default=math.inf) + slack
+
+
+def _effort(h: Any, way: Any, before: Any, after: Any, pull: float) -> Any:
+    """Returns ∫ (ÿ + γ)² dt of the cheapest flight."""
+    return (after - before + pull * h) ** 2 / h + 3.0 * (
+        2.0 * way - (before + after) * h
+    ) ** 2 / h**3
+
+
+def _cubic(h: Any, ends: tuple[Any, Any], speeds: tuple[Any, Any]) -> list[Any]:
+    """Returns where a cubic is at some parts of its time."""
+    return [
+        (1.0 - s) ** 2 * (ends[0] * (1.0 + 2.0 * s) + speeds[0] * h * s)
+        + s**2 * (ends[1] * (3.0 - 2.0 * s) - speeds[1] * h * (1.0 - s))
+        for s in _PLACES
+    ]
+
+
+def _first_flights(line: Line, wall: Wall) -> _Flights:
+    """Returns flights from the start to a wall, by the time and speed of the touch."""
+    h, a = sym.Variable("h"), sym.Variable("a")
+    y, v = wall.side * (line.position - wall.position), wall.side * line.velocity
+    cost = _effort(h, -y, v, -a, -wall.side * line.drift)
+    return _flights((h, a), cost, _cubic(h, (y, 0.0), (v, -a)), _room(line, wall))
+
+
+def _hops(line: Line, wall: Wall, other: Wall) -> _Flights:
+    """Returns flights from a wall to a wall, by how long they take and the speeds of touches."""
+    h, a, b = sym.Variable("h"), sym.Variable("a"), sym.Variable("b")
+    v, pull = wall.restitution * a, -wall.side * line.drift
+    if other is wall:
+        # Squares of linear functions over h are convex.
+        cost = (pull * h - v - b) ** 2 / h + 3.0 * (v - b) ** 2 / h
+        places = _cubic(h, (0.0, 0.0), (v, -b)) if len(line.walls) > 1 else []
+        return _flights((h, a, b), cost, places, _room(line, wall), is_convex=True)
+    way = abs(other.position - wall.position)
+    cost = _effort(h, way, v, b, pull)
+    return _flights((h, a, b), cost, _cubic(h, (0.0, way), (v, b)), _room(line, wall))
+
+
+def _last_flights(line: Line, wall: Wall) -> _Flights:
+    """Returns flights from a wall to the end, by the time and speed of the touch."""
+    t, a = sym.Variable("t"), sym.Variable("a")
+    pull, w, left = -wall.side * line.drift, line.weight, 1.0 - t
+    v = wall.restitution * a
+    miss = wall.side * (line.goal - wall.position) - v * left + 0.5 * pull * left**2
+    lift = w * left**3 / (3.0 + w * left**3) * miss
+    cost = 3.0 * w / (3.0 + w * left**3) * miss**2
+    places = [
+        s * left * v - 0.5 * pull * (s * left) ** 2 + 0.5 * (3.0 - s) * s**2 * lift for s in _PLACES
+    ]
+    return _flights((t, a), cost, places, _room(line, wall))
+
+
+def _direct_cost(line: Line) -> float:
+    """Returns what a flight costs that touches nothing; ∞ if it goes through a wall.
+
+    Then the cheapest one that touches nothing grazes it.
+    """
+    w = line.weight
+    lift = w / (3.0 + w) * line.miss
+    for wall in line.walls:
+        least, most = _room(line, wall)
+        for s in _PLACES:
+            x = line.position + line.velocity * s + 0.5 * line.drift * s**2
+            y = wall.side * (x + 0.5 * (3.0 - s) * s**2 * lift - wall.position)
+            if not least <= y <= most:
+                return math.inf
+    return 3.0 * w / (3.0 + w) * line.miss**2
