@@ -12,6 +12,9 @@ import pytest
 from benchmarks.world_scenarios import WORLDS
 from drake_aigto import Plan, Planner, PlanOptions, Scenario, World
 from drake_aigto.certify import PlanBound, bound_plans
+from drake_aigto.certify.lines import Line, Wall
+from drake_aigto.certify.touches import bound_line
+from drake_aigto.optima import line_optimum as optima
 from drake_aigto.optima import rigid_optimum, walls_optimum
 from drake_aigto.show.plans import format_plan
 
@@ -40,15 +43,36 @@ def test_one_wall_is_bounded_by_the_exact_optimum_for_every_restitution() -> Non
         assert gap <= 1e-3
 
 
-@pytest.mark.parametrize("name", ["corridor", "room"])
+@pytest.mark.parametrize("name", ["corridor", "room", "floor"])
 def test_several_walls_are_bounded_by_the_exact_optimum(name: str) -> None:
-    for scenario in WORLDS[name].draw(4, 3):
+    for scenario in WORLDS[name].draw(2 if name == "floor" else 4, 3):
         world = World.from_scenario(scenario)
         least = walls_optimum(world, scenario).cost
-        bound = bound_plans(world, scenario, least + 1e-3)
+        bound = bound_plans(world, scenario, 1.02 * least + 1e-6)
         low, gap = known(bound, least)
         assert low <= least * (1 + 1e-9)
         assert gap <= 1e-2
+
+
+@pytest.mark.parametrize(
+    ("name", "reason"), [("two_masses", "couple the axes"), ("room_with_block", "a block")]
+)
+def test_what_couples_the_axes_has_no_bound(name: str, reason: str) -> None:
+    scenario = next(WORLDS[name].draw(1, 0))
+    bound = bound_plans(World.from_scenario(scenario), scenario, 1.0)
+    assert bound.lower_bound is None
+    assert reason in bound.reason
+
+
+@pytest.mark.parametrize("restitution", [0.0, 1.0])
+def test_a_force_between_two_walls_is_bounded(restitution: float) -> None:
+    places, line = (0.0, 1.0), {"position": 0.4, "velocity": -2.0, "goal": 0.7, "weight": 20.0}
+    walls = [(place, side, restitution) for place, side in zip(places, (1, -1), strict=True)]
+    known = optima.Line(**line, gravity=6.0, walls=tuple(optima.Wall(*wall) for wall in walls))
+    least = known.optimum(3).cost
+    asked = Line(**line, price=1.0, drift=-6.0, walls=tuple(Wall(*wall) for wall in walls))
+    bound = bound_line(asked, 1.01 * least)
+    assert 0.98 * least <= bound <= least
 
 
 def test_controls_that_are_held_cost_no_less_than_the_bound(tmp_path: Path) -> None:
@@ -76,5 +100,3 @@ def test_where_there_is_no_bound_it_says_why(change: dict[str, Any], reason: str
     bound = bound_plans(World.from_scenario(scenario), scenario, 1.0)
     assert bound.lower_bound is None
     assert reason in bound.reason
-    floor = next(WORLDS["floor"].draw(1, 0))
-    assert "gravity" in bound_plans(World.from_scenario(floor), floor, 1.0).reason

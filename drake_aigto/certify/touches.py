@@ -41,8 +41,9 @@ from drake_aigto.certify.tape import Formula, Tape, make_tape
 from drake_aigto.certify.values import enclose_all
 
 _FIRST_BINS = 16  # of times, and of speeds
-_MOST_EDGES = 1_000_000  # of one level
+_MOST_EDGES = 200_000  # of one level
 _LEVELS = 16
+_BISECTIONS = 8
 _ENOUGH = 1e-3  # of what is of interest: a level that gains less is the last one
 _ROUNDING = 1e-13
 # Where along a flight it is looked whether it is through a wall, by this part of the line.
@@ -323,7 +324,22 @@ def _boxes(cells: _Cells, edges: _Edges) -> tuple[Floats, Floats]:
 
 
 def bound_line(line: Line, most: float) -> float:
-    """Returns a bound of the cost on a line, if it is no more than the most that is of interest."""
+    """Returns a bound of the cost on a line, if it is no more than the most that is of interest.
+
+    Fewest cells are left where the most is near the least cost, which is bisected for.
+    """
+    best, high = _search(line, most), most
+    for _ in range(_BISECTIONS):
+        if high - best <= 2.0 * _ENOUGH * high:
+            break
+        middle = 0.5 * (best + high)
+        found = _search(line, middle)
+        best, high = max(best, found), high if found >= middle else middle
+    return best
+
+
+def _search(line: Line, most: float) -> float:
+    """Returns a bound of the cost on a line, or the most if no motion costs less."""
     walls, cells = _Walls(line, most), _first_cells(line, most)
     best, last, enough = 0.0, -math.inf, min(most, _direct_cost(line))
     places = np.arange(cells.walls.size)

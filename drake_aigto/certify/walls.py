@@ -97,9 +97,10 @@ def _obstacle(world: World, scenario: Scenario) -> str:
     if world.is_hinge.any():
         return "hinges turn, so that flights are no cubics"
     try:
+        world.check_frictionless(scenario)
         dynamics = world.constant_dynamics
     except ModelError as error:
-        return f"the dynamics vary: {error}"
+        return f"friction, or dynamics that vary: {error}"
     if len(dynamics.solids) != len(world.contacts):
         return "what is no wall but a block can be passed on several sides"
     if np.any(np.count_nonzero(dynamics.jacobian, axis=1) != 1):
