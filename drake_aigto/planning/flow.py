@@ -70,7 +70,8 @@ def _find_rates(world: World, law: ContactLaw, x: Floats, controls: Floats) -> R
     def yielding(x: Floats) -> tuple[Floats, Floats]:
         q, v = x[:, :n], x[:, n:]
         forces = world.calc_pushes(law, q, v)
-        return np.hstack([v, world.calc_acceleration(q, v, controls, forces)]), forces
+        drag = world.calc_drag(law, q, v, forces)
+        return np.hstack([v, world.calc_acceleration(q, v, controls, forces, drag)]), forces
 
     if not isinstance(law, RigidLaw):
         return yielding

@@ -279,7 +279,7 @@ class MechanismProblem:
 
     def _steadied(self, motion: ShootingResult) -> ShootingResult:
         """Returns the same motion; where there is friction, with controls that lead along it."""
-        if self.world.dry_friction is None or not np.isfinite(motion.exact_cost):
+        if not (self.mechanism.rubs and np.isfinite(motion.exact_cost)):
             return motion
         problem = self.shooting(self.scenario.num_steps).starting_from(motion)
         controls = steady(self.world, self.law, problem, motion)

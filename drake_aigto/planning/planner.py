@@ -70,7 +70,7 @@ class Planner:
             )
         self.world = world or World.from_scenario(scenario)
         self.world.check(scenario)
-        self.world.check_frictionless(scenario)
+        _check_friction(self.world, scenario)
         self.options = _choose_options(self.world, scenario, options)
         if self.options.confirm and scenario.contact == "rigid" and self.world.contacts:
             contact_delay(self.world)  # A wall without stiffness is refused before long work.
@@ -161,7 +161,7 @@ class Planner:
         changed: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
         scenario = dataclasses.replace(self.scenario, **changed) if changed else self.scenario
         self.world.check(scenario)
-        self.world.check_frictionless(scenario)
+        _check_friction(self.world, scenario)
         if self._transcription is not None:
             self._transcription.check_frozen()
         return run_search(self._start_search(scenario), scenario, progress)
@@ -179,6 +179,12 @@ class Planner:
         if isinstance(problem, MechanismProblem):
             return MechanismSearch(problem, clock)
         return RigidSearch(problem, clock)
+
+
+def _check_friction(world: World, scenario: Scenario) -> None:
+    """Refuses friction of rigid walls, which no plan knows of."""
+    if scenario.contact == "rigid":
+        world.check_frictionless(scenario)
 
 
 def _choose_options(

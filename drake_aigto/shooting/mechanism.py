@@ -19,7 +19,7 @@ from drake_aigto.shooting.mechanics import (
 )
 from drake_aigto.shooting.rubbing import Row, differentiate_rubs, list_rubs, rub_all
 from drake_aigto.shooting.tape import Sum, Tape, TapeBuilder, run_tape
-from drake_aigto.world import ContactLaw, EquationsOfMotion, RigidLaw
+from drake_aigto.world import ContactLaw, EquationsOfMotion, RigidLaw, World
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,7 +43,7 @@ class Mechanism:
     @classmethod
     def of(
         cls,
-        world: EquationsOfMotion,
+        world: World,
         law: ContactLaw,
     ) -> Mechanism:
         """Returns the tables of a world with a contact law. Rigid contacts do not push in flight.
@@ -51,7 +51,7 @@ class Mechanism:
         Raises:
             UnsupportedTermError: an equation is no sum of products of powers, sin and cos.
         """
-        contacts, rubs = np.zeros((world.num_contacts, 3)), list_rubs(world)
+        contacts, rubs = np.zeros((world.num_contacts, 3)), list_rubs(world, law)
         if isinstance(law, RigidLaw):
             contacts[:, 2] = law.restitution
         else:
@@ -79,6 +79,11 @@ class Mechanism:
     def num_contacts(self) -> int:
         """The number of contacts, m."""
         return len(self.mechanics.contacts)
+
+    @property
+    def rubs(self) -> bool:
+        """Whether there is friction."""
+        return len(self.mechanics.rubs) > 0
 
     def calc_acceleration(
         self, state: Floats, control: Floats, smoothing: float = 0.0

@@ -29,7 +29,8 @@ _SHORTEST = 1e-3
 def make_program(problem: ShootingQuestion, layout: Layout, options: ShootingOptions) -> Program:
     """Returns the tables of a problem of these stages, its multipliers zero."""
     mechanics, step = problem.mechanism.mechanics, np.max(np.diff(problem.times))
-    rubs = fit_to_steps(mechanics.rubs, step / options.substeps, float(np.ptp(problem.times)))
+    T = float(np.ptp(problem.times))
+    rubs = fit_to_steps(mechanics.rubs, step / options.substeps, T, problem.length / T)
     program = Program(
         mechanics=mechanics._replace(rubs=rubs),
         task=_make_task(problem.cost),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -11,7 +12,7 @@ from pydrake.symbolic import Expression
 from drake_aigto.arrays import Floats
 from drake_aigto.jit import inner
 from drake_aigto.shooting.layout import find_rows, triangle
-from drake_aigto.world import EquationsOfMotion
+from drake_aigto.world import CompliantLaw, ContactLaw, World
 
 # Expressions of q, shape (n,).
 Row: TypeAlias = NDArray[Any]
@@ -30,31 +31,50 @@ class Rub(NamedTuple):
     Attributes:
         row: T(q).
         numbers: which contact's force N is, or −1 where N = 1; c; v_s [m/s, rad/s]; a, by which
-            friction slows s [m/s², rad/s²]; 1/T [1/s], which a program sets (`fit_to_steps`).
+            friction slows s [m/s², rad/s²], of contacts per speed of approach [1/s]; 1/T [1/s],
+            which a program sets (`fit_to_steps`).
     """
 
     row: Row
     numbers: tuple[float, ...]
 
 
-def list_rubs(world: EquationsOfMotion) -> list[Rub]:
-    """Returns the friction of a world's joints, where there is any."""
-    if world.dry_friction is None:
-        return []
-    n = world.num_positions
-    along = np.vectorize(Expression)(np.eye(n))
-    mobility = np.diag(np.linalg.inv(world.calc_mass_matrix(np.zeros(n))))
-    return [
-        Rub(along[i], (-1.0, F, world.stiction_speed, F * mobility[i], 0.0))
-        for i, F in enumerate(world.dry_friction)
-        if F > 0
-    ]
+def list_rubs(world: World, law: ContactLaw) -> list[Rub]:
+    """Returns the friction of a world's joints, and of its walls if they yield."""
+    rubs = [] if world.dry_friction is None else list(_list_dry(world, world.dry_friction))
+    if isinstance(law, CompliantLaw) and law.rubs:
+        rubs += _list_touching(world, law)
+    return rubs
 
 
-def fit_to_steps(rubs: Floats, step: float, duration: float) -> Floats:
-    """Returns the numbers of rubs, shape (R, 5), for Runge-Kutta steps of a length [s]."""
-    fitted = rubs.copy()
-    fitted[:, STICTION] = np.maximum(rubs[:, STICTION], rubs[:, BRAKE] * step)
+def _list_dry(world: World, friction: Floats) -> Iterator[Rub]:
+    along = np.vectorize(Expression)(np.eye(len(friction)))
+    mobility = np.diag(np.linalg.inv(world.calc_mass_matrix(world.plant.GetDefaultPositions())))
+    for i in np.flatnonzero(friction > 0).tolist():
+        F = friction[i]
+        yield Rub(along[i], (-1.0, F, world.stiction_speed, F * mobility[i], 0.0))
+
+
+def _list_touching(world: World, law: CompliantLaw) -> Iterator[Rub]:
+    """Yields that of contacts, whose brake is per speed of approach: that of a half swing."""
+    q = world.plant.GetDefaultPositions()
+    J, T = world.calc_contact_jacobian(q), world.calc_tangent_jacobian(q, yields=True)
+    M = world.calc_mass_matrix(q)
+    along, across = (np.einsum("ij,ji->i", A, np.linalg.solve(M, A.T)) for A in (T, J))
+    rates = law.friction * np.sqrt(law.stiffness) * along / np.sqrt(np.maximum(across, along))
+    for i in np.flatnonzero(law.friction > 0).tolist():
+        numbers = float(i), law.friction[i], world.stiction_speed, rates[i], 0.0
+        yield Rub(world.soft_tangents[i], numbers)
+
+
+def fit_to_steps(rubs: Floats, step: float, duration: float, speed: float) -> Floats:
+    """Returns the numbers of rubs, shape (R, 5), for Runge-Kutta steps of a length [s].
+
+    Contacts are approached at about the speed [m/s].
+    """
+    fitted, is_dry = rubs.copy(), rubs[:, SOURCE] < 0
+    brakes = rubs[:, BRAKE] * np.where(is_dry, 1.0, speed)
+    fitted[:, STICTION] = np.maximum(rubs[:, STICTION], brakes * step)
     fitted[:, PACE] = 1 / duration
     return fitted
 

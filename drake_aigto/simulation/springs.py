@@ -38,11 +38,12 @@ class _Phase(IntEnum):
 class Springs(HybridMotion):
     """A world whose walls push as its contact law says (`CompliantLaw`).
 
-        M v̇ + h(q, v) = B u + Jᵀ f,    f = k x max(0, 1 + d ẋ),    x = max(0, −φ)
+        M v̇ + h(q, v) = B u + Jᵀ f + d,    f = k x max(0, 1 + d ẋ),    x = max(0, −φ)
 
-    The force is smooth while each contact is in one phase, and the phase changes where φ or
-    1 − d φ̇ is zero. Each of these stretches is integrated nearly to rounding (`follow`), so that no
-    kink is stepped over. What counts as a bounce is every touch from outside.
+    Friction d is that of `World.calc_drag`. The force is smooth while each contact is in one phase,
+    and the phase changes where φ or 1 − d φ̇ is zero. Each of these stretches is integrated nearly
+    to rounding (`follow`), so that no kink is stepped over. What counts as a bounce is every touch
+    from outside.
     """
 
     def __init__(
@@ -89,11 +90,13 @@ class Springs(HybridMotion):
 
         def rates(x: Floats) -> Floats:
             q, v = x[..., :n], x[..., n:]
-            forces = None
+            forces = drag = None
             if is_pressed:
                 distances, speeds = self._measure(x)
                 forces = stiffness * distances * (1 - law.dissipation * speeds)
-            return np.concatenate([v, world.calc_acceleration(q, v, control, forces)], axis=-1)
+                drag = world.calc_drag(law, q, v, forces)
+            acceleration = world.calc_acceleration(q, v, control, forces, drag)
+            return np.concatenate([v, acceleration], axis=-1)
 
         def watched(x: Floats) -> Floats:
             distances, speeds = self._measure(x)

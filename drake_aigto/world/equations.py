@@ -252,19 +252,27 @@ class EquationsOfMotion:
         return q - inverse @ self.calc_signed_distance(q)[contacts]
 
     def calc_acceleration(
-        self, q: Floats, v: Floats, u: Floats, forces: Floats | None = None
+        self,
+        q: Floats,
+        v: Floats,
+        u: Floats,
+        forces: Floats | None = None,
+        drag: Floats | None = None,
     ) -> Floats:
-        """Returns v̇ = M⁻¹ (B u − h(q, v) + Jᵀ f), shape (…, nv) [m/s²].
+        """Returns v̇ = M⁻¹ (B u − h(q, v) + Jᵀ f + d), shape (…, nv) [m/s²].
 
         Args:
             q: shape (…, nq) [m].
             v: shape (…, nv) [m/s].
             u: shape (…, nu) [N].
             forces: f of contacts, shape (…, m) [N]; None: nothing touches.
+            drag: d of contacts that rub, shape (…, nv) [N, N m] (`World.calc_drag`); None: none do.
         """
         force = u @ self.actuation.T - self.calc_bias(q, v)
         if forces is not None:
             force = force + self._calc_push(q, forces)
+        if drag is not None:
+            force = force + drag
         if self.has_constant_inertia:  # Simulations ask this in every step.
             return force @ self.constant_inertia.inverse_mass.T
         return self._divide_by_mass(q, force)

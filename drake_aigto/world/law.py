@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -33,23 +33,27 @@ class RigidLaw(ArrayRecord):
 
 @dataclass(frozen=True, eq=False)
 class CompliantLaw(ArrayRecord):
-    """Springs with Hunt-Crossley's dissipation, as Drake's point contact has them.
+    """Springs with Hunt-Crossley's dissipation and friction, as Drake's point contact has them.
 
-        f = k x max(0, 1 + d ẋ),    x = max(0, −φ),    ẋ = −φ̇
+        f = k x max(0, 1 + d ẋ),    x = max(0, −φ),    ẋ = −φ̇,    f_t = −μ f σ(s / v_s)
 
     Of two shapes k = k₁ k₂ / (k₁ + k₂) and d = (k₂ d₁ + k₁ d₂) / (k₁ + k₂).
 
     Attributes:
         stiffness: k of each contact, shape (m,) [N/m].
         dissipation: d of each contact, shape (m,) [s/m].
+        friction: μ of each contact, shape (m,); none given: zero.
     """
 
     stiffness: Floats
     dissipation: Floats
+    friction: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         """Makes the arrays read-only."""
-        for name in ("stiffness", "dissipation"):
+        if not len(self.friction):
+            object.__setattr__(self, "friction", read_only(np.zeros_like(self.stiffness)))
+        for name in ("stiffness", "dissipation", "friction"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @classmethod
@@ -66,6 +70,11 @@ class CompliantLaw(ArrayRecord):
         shapes = [each.face.shapes for each in reachable]
         dissipation = [_combine_dissipation(scene_graph, pair) for pair in shapes]
         return cls(calc_stiffness(scene_graph, shapes), np.array(dissipation))
+
+    @property
+    def rubs(self) -> bool:
+        """Whether any contact has friction."""
+        return bool(self.friction.any())
 
     def calc_forces(self, distances: Floats, rates: Floats) -> Floats:
         """Returns f, shape (…, m) [N], given φ (…, m) [m] and φ̇ (…, m) [m/s]."""

@@ -37,7 +37,7 @@ from drake_aigto.world.fit import (
     refuse_inside,
     refuse_out_of_reach,
 )
-from drake_aigto.world.friction import STICTION_SPEED, check_friction_acts
+from drake_aigto.world.friction import STICTION_SPEED, calc_friction_share, check_friction_acts
 from drake_aigto.world.law import CompliantLaw, ContactLaw, RigidLaw, calc_stiffness
 from drake_aigto.world.limits import Limits
 from drake_aigto.world.material import read_materials
@@ -227,13 +227,32 @@ class World(EquationsOfMotion):
         """
         if scenario.contact == "rigid":
             return RigidLaw(self.restitutions(scenario))
-        return CompliantLaw.of(self.scene_graph, self._reachable)
+        law = CompliantLaw.of(self.scene_graph, self._reachable)
+        return dataclasses.replace(law, friction=self.friction_coefficients(scenario))
 
     def calc_pushes(self, law: ContactLaw, q: Floats, v: Floats) -> Floats:
         """Returns what contacts push with in states (…, n) each, shape (…, m) [N]: rigid ones 0."""
         if isinstance(law, RigidLaw):
             return np.zeros((*q.shape[:-1], self.num_contacts))
         return law.calc_forces(self.calc_signed_distance(q), self.calc_contact_rate(q, v))
+
+    def calc_drag(self, law: ContactLaw, q: Floats, v: Floats, forces: Floats) -> Floats | None:
+        """Returns friction where walls yield as forces on q, −Tᵀ μ f σ(T v / v_s), (…, nv) [N].
+
+        None where no wall yields and rubs. T is that of `soft_tangents`, σ `calc_friction_share`.
+
+        Args:
+            law: of contact.
+            q: shape (…, nq) [m].
+            v: shape (…, nv) [m/s].
+            forces: f that contacts push with, shape (…, m) [N].
+        """
+        if not (isinstance(law, CompliantLaw) and law.rubs):
+            return None
+        T = self.calc_tangent_jacobian(q, yields=True)
+        slips = (T @ v[..., np.newaxis])[..., 0]
+        shares = calc_friction_share(slips, self.stiction_speed)
+        return -((law.friction * forces * shares)[..., np.newaxis, :] @ T)[..., 0, :]
 
     def bounds(self, scenario: Scenario) -> Limits:
         """Returns within which bounds a motion has to stay: the model's and the scenario's.

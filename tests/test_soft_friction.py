@@ -1,0 +1,94 @@
+"""Friction where walls yield: its law in all simulations, in shooting, and in plans that spin."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+
+from drake_aigto import Planner, Scenario, World
+from drake_aigto.planning import MechanismOptions
+from drake_aigto.shooting import Mechanism
+from drake_aigto.simulation import replay_drake, replay_event_driven
+from drake_aigto.world import calc_friction_share
+
+
+@cache
+def ask() -> Scenario:
+    return dataclasses.replace(
+        Scenario.named("spinning_ball/off_the_wall"),
+        initial_velocity=[0.1, -1.0, 20.0],
+        initial_position=[0.4, 0.2, 0.0],
+        duration=0.5,
+        stiction_speed=0.05,
+    )
+
+
+@cache
+def read() -> World:
+    return World.from_scenario(ask())
+
+
+def test_both_replays_agree_on_a_ball_that_spins_off_a_wall() -> None:
+    times, controls = np.array([0.0, 0.2, 0.5]), np.array([[1.0, 0.05], [-1.0, 0.0]])
+    own = replay_event_driven(read(), ask(), times, controls)
+    drake = replay_drake(read(), ask(), times, controls)
+    np.testing.assert_allclose(own.velocities[-1], drake.velocities[-1], atol=1e-6)
+    assert own.velocities[-1, 0] < -0.5
+    # What friction gives along the wall, it takes from the spin at the arm at which it acts.
+    momentum, spin = own.velocities[-1, 0] - 0.1, 0.004 * (own.velocities[-1, 2] - 20.0) - 0.01
+    assert 0.05 < spin / momentum < 0.1
+    smooth = dataclasses.replace(ask(), friction=0.0)
+    without = replay_drake(read(), smooth, times, controls)
+    assert without.velocities[-1, 0] == pytest.approx(0.1, abs=1e-9)
+    assert without.velocities[-1, 2] == pytest.approx(20.0 + 0.01 / 0.004, abs=1e-6)
+
+
+def test_friction_is_mu_times_the_push_and_turns_with_the_slip() -> None:
+    world, law = read(), read().contact_law(ask())
+    q = np.array([0.8, 0.06, 0.3])
+    for v in (np.array([2.0, 0.1, 0.0]), np.array([0.0, 0.1, 0.1])):
+        forces = world.calc_pushes(law, q, v)
+        drag = world.calc_drag(law, q, v, forces)
+        assert drag is not None
+        arm = 0.1 - 0.04 / 2
+        slip = v[0] + arm * v[2]
+        share = calc_friction_share(np.array(slip), 0.05)
+        expected = -0.4 * 400.0 * 0.04 * share * np.array([1.0, 0.0, arm])
+        np.testing.assert_allclose(drag, expected, atol=1e-12)
+
+
+def test_shooting_has_the_law_and_its_derivatives() -> None:
+    world, law, rng = read(), read().contact_law(ask()), np.random.default_rng(0)
+    mechanism, step = Mechanism.of(world, law), 1e-7
+    for speed in (1.0, 0.01):
+        q = np.array([0.08, 0.06, 0.0]) + 0.02 * rng.normal(size=3)  # In two walls at once.
+        v, u = speed * rng.normal(size=3), rng.normal(size=2)
+        z = np.concatenate([q, v, u])
+        got, slopes = mechanism.calc_acceleration(z[:6], z[6:])
+        forces = world.calc_pushes(law, q, v)
+        drag = world.calc_drag(law, q, v, forces)
+        expected = world.calc_acceleration(q, v, u, forces, drag)
+        np.testing.assert_allclose(got, expected, rtol=1e-10)
+        ends = [
+            mechanism.calc_acceleration(y[:6], y[6:])[0]
+            for y in np.concatenate([z + step * np.eye(8), z - step * np.eye(8)])
+        ]
+        differences = np.subtract(ends[:8], ends[8:]).T / (2 * step)
+        largest = np.abs(slopes).max()
+        np.testing.assert_allclose(slopes, differences, rtol=1e-5, atol=1e-7 * largest)
+
+
+@pytest.mark.slow
+def test_the_ball_spins_against_a_wall_to_go_where_nothing_drives_it() -> None:
+    scenario = Scenario.named("spinning_ball/off_the_wall")
+    plan = Planner(scenario, MechanismOptions(renewals=24)).plan()
+    assert plan.holds
+    assert plan.best.contacts
+    for replay in plan.replay:
+        np.testing.assert_allclose(replay.positions[-1, :2], [1.0, 0.5], atol=0.02)
+        assert replay.cost == pytest.approx(plan.cost, rel=1e-3)
+    # Ten times as many renewals end at 0.03314.
+    assert plan.cost < 0.0335
