@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from benchmarks.world_scenarios import WORLDS
-from drake_aigto import Plan, Planner, PlanOptions, Scenario, World
-from drake_aigto.certify import PlanBound, bound_plans
+from drake_aigto import Plan, Planner, PlanningError, PlanOptions, Scenario, World
+from drake_aigto.certify import PlanBound, bound_plans, out_of_reach
 from drake_aigto.certify.lines import Line, Wall
 from drake_aigto.certify.touches import bound_line
 from drake_aigto.optima import line_optimum as optima
@@ -100,3 +100,27 @@ def test_where_there_is_no_bound_it_says_why(change: dict[str, Any], reason: str
     bound = bound_plans(World.from_scenario(scenario), scenario, 1.0)
     assert bound.lower_bound is None
     assert reason in bound.reason
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"restitution": 0.207},  # √(0.81/18.81) = 0.2075 is enough for the height, but for rounding
+        {"duration": 0.8, "goal_position": [4.0, 0.5]},  # 9 · 0.8²/2 = 2.88 m
+    ],
+)
+def test_a_throw_that_no_control_is_enough_for_is_refused_before_a_search(
+    change: dict[str, Any],
+) -> None:
+    scenario = dataclasses.replace(Scenario.named("throwing_ball/bounces"), **change)
+    with pytest.raises(PlanningError, match="proven that no motion meets the hard goal") as caught:
+        Planner(scenario).plan()
+    assert caught.value.is_proven
+
+
+def test_what_may_be_in_reach_is_not_refused() -> None:
+    scenario = Scenario.named("throwing_ball/bounces")
+    for change in ({}, {"restitution": 0.208}, {"duration": 1.0}, {"hard_goal": False}):
+        change = {**change, "goal_weight": 1.0} if "hard_goal" in change else change
+        other = dataclasses.replace(scenario, **change)
+        assert not out_of_reach(World.from_scenario(other), other)

@@ -49,9 +49,11 @@ class PlanningError(AigtoError, RuntimeError):
 
     Attributes:
         plan: the best that does not hold, if there is one.
+        is_proven: whether no motion at all can do what was asked for.
     """
 
     plan: Plan | None = None
+    is_proven: bool = False
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from typing import Any
 
 from numpy.typing import ArrayLike
 
-from drake_aigto.certify import bound_plans
+from drake_aigto.certify import bound_plans, out_of_reach
 from drake_aigto.errors import OptionsError, ProgramError
 from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.coarse import transcribe
@@ -147,8 +147,8 @@ class Planner:
             ProgramError: what was added to the program contradicts itself or the start, can't be
                 carried to other knots, or came after the first plan.
             UnsupportedTermError: what was added is of a kind that has no mean over boxes.
-            PlanningError: no candidate meets the transcription's rows, or none that does holds in
-                simulation.
+            PlanningError: it is proven that no motion meets the hard goal (`is_proven`), no
+                candidate meets the transcription's rows, or none that does holds in simulation.
         """
         given = {
             "initial_position": initial_position,
@@ -161,6 +161,7 @@ class Planner:
         changed: dict[str, Any] = {key: value for key, value in given.items() if value is not None}
         scenario = dataclasses.replace(self.scenario, **changed) if changed else self.scenario
         self.world.check(scenario)
+        _check_reach(self.world, scenario)
         _check_friction(self.world, scenario)
         if self._transcription is not None:
             self._transcription.check_frozen()
@@ -241,6 +242,22 @@ def _bounded(found: Plan, world: World) -> Plan:
         reason = "costs of your own may be of any sign"
         bound = dataclasses.replace(bound, lower_bound=None, reason=reason)
     return dataclasses.replace(found, bound=bound)
+
+
+def _check_reach(world: World, scenario: Scenario) -> None:
+    """Refuses a hard goal that is proven to be out of reach.
+
+    Raises:
+        PlanningError: it is.
+    """
+    if reason := out_of_reach(world, scenario):
+        error = PlanningError(
+            "it is proven that no motion meets the hard goal",
+            got=reason,
+            remedy="Allow more control, another duration or higher restitution, or weigh the goal.",
+        )
+        error.is_proven = True
+        raise error
 
 
 def _choose(search: RigidSearch | MechanismSearch) -> Candidate:

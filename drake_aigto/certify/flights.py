@@ -1,0 +1,183 @@
+"""Cheapest flights between walls under a constant force, and bounds of what they cost."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pydrake.symbolic as sym
+
+from drake_aigto.arrays import Floats
+from drake_aigto.certify.clique_cells import expand_all, steps_from
+from drake_aigto.certify.enclosures import GRADIENT, HESSIAN, VALUE
+from drake_aigto.certify.intervals import UNIT
+from drake_aigto.certify.lines import Line, Wall
+from drake_aigto.certify.tape import Formula, Tape, make_tape
+from drake_aigto.certify.values import enclose_all
+
+# Where along a flight it is looked whether it is through a wall, by this part of the line.
+_PLACES = (0.25, 0.5, 0.75, 1.0)
+_INSIDE = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Flights:
+    """Flights of one kind, as functions of what they depend on.
+
+    Attributes:
+        tape: their cost, and where they are at some times.
+        low: least such place.
+        high: largest.
+        is_convex: whether the cost is known to be a convex function.
+    """
+
+    tape: Tape
+    low: float
+    high: float
+    is_convex: bool = False
+
+    def slopes(self, at: Floats) -> Floats:
+        """Returns the gradient of the cost at points (E, m), 0 where it has none."""
+        found = enclose_all(self.tape, np.zeros(len(at), dtype=np.int64), at, at, GRADIENT)
+        slopes = np.mean(found.gradients, axis=-1)
+        return np.where(np.isfinite(slopes), slopes, 0.0)
+
+    def bound(self, low: Floats, high: Floats, most: float) -> Floats:
+        """Returns bounds over cells (E,); ∞ where no flight within the walls costs up to the most.
+
+        Args:
+            low: lower ends (E, m).
+            high: upper ends.
+            most: what is of interest.
+        """
+        found = self._values(0, low, high)[:, 0]
+        keep = found <= most
+        for place in range(1, self.tape.starts.size - 1):
+            kept = np.flatnonzero(keep)
+            inside = self._values(place, low[kept], high[kept])
+            keep[kept] = (inside[:, 1] >= self.low) & (inside[:, 0] <= self.high)
+        return np.where(keep, found, np.inf)
+
+    def _values(self, formula: int, low: Floats, high: Floats) -> Floats:
+        return enclose_all(self.tape, np.full(len(low), formula), low, high, VALUE).values
+
+    def expand(self, low: Floats, high: Floats, slopes: Floats) -> Floats:
+        """Returns bounds of cost + s (x − c) over cells, about their middles c (E,).
+
+        Args:
+            low: lower ends (E, m).
+            high: upper ends.
+            slopes: s (E, m).
+        """
+        point, cost = 0.5 * low + 0.5 * high, np.zeros(len(low), dtype=np.int64)
+        steps, added = steps_from(point, low, high), np.stack([slopes, slopes], axis=-1)
+        at = enclose_all(self.tape, cost, point, point, GRADIENT)
+        if self.is_convex:
+            return _least_plane(at.values[:, 0], at.gradients, added, steps)
+        over = enclose_all(self.tape, cost, low, high, HESSIAN)
+        return expand_all(at, over, added, steps)
+
+
+def _least_plane(values: Floats, slopes: Floats, others: Floats, steps: Floats) -> Floats:
+    """Returns bounds of f + (g + s) d over steps d: f (E,), g, s and d (E, m, 2)."""
+    both = slopes + others
+    ends = both[..., :, None] * steps[..., None, :]
+    sizes = np.max(np.abs(slopes) + np.abs(others), axis=-1) * np.max(np.abs(steps), axis=-1)
+    least = values + np.sum(np.min(ends, axis=(-1, -2)), axis=-1)
+    return least - 16.0 * UNIT * (np.abs(values) + np.sum(sizes, axis=-1))
+
+
+def _flights(
+    variables: Sequence[sym.Variable],
+    cost: sym.Expression,
+    places: Sequence[sym.Expression],
+    ends: tuple[float, float],
+    is_convex: bool = False,
+) -> Flights:
+    """Returns flights whose places are between the ends."""
+    index = {variable.get_id(): i for i, variable in enumerate(variables)}
+    formulas = []
+    for each in (cost, *places):
+        formula = Formula()
+        formula.join(each, index)
+        formulas.append(formula.finish())
+    return Flights(make_tape(formulas), *ends, is_convex)
+
+
+def _room(line: Line, wall: Wall) -> tuple[float, float]:
+    """Returns how far from a wall a mass may be, less and more what is lost in rounding."""
+    others = [abs(other.position - wall.position) for other in line.walls if other is not wall]
+    slack = _INSIDE * (abs(line.goal - line.position) + abs(line.velocity) + abs(line.drift))
+    return -slack, min(others, default=math.inf) + slack
+
+
+def _effort(h: Any, way: Any, before: Any, after: Any, pull: float) -> Any:
+    """Returns ∫ (ÿ + γ)² dt of the cheapest flight."""
+    return (after - before + pull * h) ** 2 / h + 3.0 * (
+        2.0 * way - (before + after) * h
+    ) ** 2 / h**3
+
+
+def _cubic(h: Any, ends: tuple[Any, Any], speeds: tuple[Any, Any]) -> list[Any]:
+    """Returns where a cubic is at some parts of its time."""
+    return [
+        (1.0 - s) ** 2 * (ends[0] * (1.0 + 2.0 * s) + speeds[0] * h * s)
+        + s**2 * (ends[1] * (3.0 - 2.0 * s) - speeds[1] * h * (1.0 - s))
+        for s in _PLACES
+    ]
+
+
+def first_flights(line: Line, wall: Wall) -> Flights:
+    """Returns flights from the start to a wall, by the time and speed of the touch."""
+    h, a = sym.Variable("h"), sym.Variable("a")
+    y, v = wall.side * (line.position - wall.position), wall.side * line.velocity
+    cost = _effort(h, -y, v, -a, -wall.side * line.drift)
+    return _flights((h, a), cost, _cubic(h, (y, 0.0), (v, -a)), _room(line, wall))
+
+
+def hops(line: Line, wall: Wall, other: Wall) -> Flights:
+    """Returns flights from a wall to a wall, by how long they take and the speeds of touches."""
+    h, a, b = sym.Variable("h"), sym.Variable("a"), sym.Variable("b")
+    v, pull = wall.restitution * a, -wall.side * line.drift
+    if other is wall:
+        # Squares of linear functions over h are convex.
+        cost = (pull * h - v - b) ** 2 / h + 3.0 * (v - b) ** 2 / h
+        places = _cubic(h, (0.0, 0.0), (v, -b)) if len(line.walls) > 1 else []
+        return _flights((h, a, b), cost, places, _room(line, wall), is_convex=True)
+    way = abs(other.position - wall.position)
+    cost = _effort(h, way, v, b, pull)
+    return _flights((h, a, b), cost, _cubic(h, (0.0, way), (v, b)), _room(line, wall))
+
+
+def last_flights(line: Line, wall: Wall) -> Flights:
+    """Returns flights from a wall to the end, by the time and speed of the touch."""
+    t, a = sym.Variable("t"), sym.Variable("a")
+    pull, w, left = -wall.side * line.drift, line.weight, 1.0 - t
+    v = wall.restitution * a
+    miss = wall.side * (line.goal - wall.position) - v * left + 0.5 * pull * left**2
+    lift = w * left**3 / (3.0 + w * left**3) * miss
+    cost = 3.0 * w / (3.0 + w * left**3) * miss**2
+    places = [
+        s * left * v - 0.5 * pull * (s * left) ** 2 + 0.5 * (3.0 - s) * s**2 * lift for s in _PLACES
+    ]
+    return _flights((t, a), cost, places, _room(line, wall))
+
+
+def direct_cost(line: Line) -> float:
+    """Returns what a flight costs that touches nothing; ∞ if it goes through a wall.
+
+    Then the cheapest one that touches nothing grazes it.
+    """
+    w = line.weight
+    lift = w / (3.0 + w) * line.miss
+    for wall in line.walls:
+        least, most = _room(line, wall)
+        for s in _PLACES:
+            x = line.position + line.velocity * s + 0.5 * line.drift * s**2
+            y = wall.side * (x + 0.5 * (3.0 - s) * s**2 * lift - wall.position)
+            if not least <= y <= most:
+                return math.inf
+    return 3.0 * w / (3.0 + w) * line.miss**2
