@@ -6,7 +6,7 @@ import heapq
 import itertools
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,21 +17,30 @@ from drake_aigto.terms import TermBlock, copy_weights, stack_terms
 _MOST_READ = 4  # variables of a term
 _MOST_ENTRIES = 4096  # of a table
 _MOST_COPIES = 200_000  # of terms, at all their variables' values
+_USES = 4  # mixes that share a plan, as finding one takes as long as a mix
 
 
-class _Table(NamedTuple):
-    """A summand: one axis for each of its variables, one entry for each of their values."""
+class _Scope(NamedTuple):
+    """Variables that a summand reads, and where its values for all of theirs are."""
 
     variables: tuple[int, ...]
-    values: Floats
+    values: slice
+
+
+class _Part(NamedTuple):
+    """A summand of a step: a table's number, and how its axes become those of the step."""
+
+    table: int
+    axes: tuple[int, ...]
+    index: tuple[Any, ...]
 
 
 class _Step(NamedTuple):
-    """A variable's best value, given those of variables that come later."""
+    """A variable, those that it depends on when it is eliminated, and what they appear in."""
 
     variable: int
     given: tuple[int, ...]
-    choice: Floats
+    parts: tuple[_Part, ...]
 
 
 class Fusion:
@@ -52,7 +61,16 @@ class Fusion:
         """Makes one copy of every term for each combination of its variables' values."""
         self._num_points, self._num_variables = num_points, f.num_variables
         blocks = list(_split(f))
-        self._scopes = [tuple(row) for block in blocks for row in block.variables.tolist()]
+        scopes = [tuple(row) for block in blocks for row in block.variables.tolist()]
+        sizes = [num_points ** len(scope) for scope in scopes]
+        lasts = itertools.accumulate(sizes)
+        self._scopes = [
+            _Scope(scope, slice(last - size, last))
+            for scope, size, last in zip(scopes, sizes, lasts, strict=True)
+        ]
+        self._steps: tuple[_Step, ...] = ()
+        self._planned: Bools | None = None
+        self._num_mixes = 0
         spread = [_spread(block, num_points, f.num_variables) for block in blocks]
         self._lanes = make_lanes(stack_terms(spread), Order.MEAN)
         self._weights = copy_weights(spread)
@@ -80,29 +98,47 @@ class Fusion:
             free: which variables may differ from the first point, shape (n,).
             rng: decides between variables of as many neighbors.
         """
-        steps, taken = [], np.zeros(self._num_variables, dtype=np.int64)
-        order = self._plan(free, rng)
-        reading: dict[int, list[_Table]] = {variable: [] for variable, _ in order}
-        place = {variable: number for number, (variable, _) in enumerate(order)}
-        tables = self._tables(np.concatenate(points), place)
-        for table in tables:
-            reading[min(table.variables, key=place.__getitem__)].append(table)
-        for variable, given in order:
-            total = np.zeros((self._num_points,) * (len(given) + 1))
-            for table in reading[variable]:
-                total = total + _aligned(table, (variable, *given))
-            steps.append(_Step(variable, given, np.argmin(total, axis=0)))
-            if given:
-                first = min(given, key=place.__getitem__)
-                reading[first].append(_Table(given, np.min(total, axis=0)))
-        for variable, given, choice in reversed(steps):
-            taken[variable] = choice[tuple(taken[list(given)])]
+        if self._num_mixes % _USES == 0 or not np.array_equal(free, self._planned):
+            self._steps, self._planned = self._arrange(self._plan(free, rng)), free.copy()
+        self._num_mixes += 1
+        tables = self._tables(np.concatenate(points))
+        choices, taken = [], np.zeros(self._num_variables, dtype=np.int64)
+        for step in self._steps:
+            total = np.zeros((self._num_points,) * (len(step.given) + 1))
+            for part in step.parts:
+                total = total + tables[part.table].transpose(part.axes)[part.index]
+            choices.append(np.argmin(total, axis=0))
+            tables.append(np.min(total, axis=0))
+        for step, choice in zip(reversed(self._steps), reversed(choices), strict=True):
+            taken[step.variable] = choice[tuple(taken[list(step.given)])]
         return np.asarray(points)[taken, np.arange(taken.size)]
+
+    def _tables(self, points: Floats) -> list[Floats]:
+        """Returns the values of all summands, an axis for each variable."""
+        values = np.empty_like(self._weights)
+        add_means(self._lanes, self._weights, points, np.zeros_like(points), values, NO_SYSTEM)
+        count = self._num_points
+        return [
+            values[each.values].reshape((count,) * len(each.variables)) for each in self._scopes
+        ]
+
+    def _arrange(self, order: Sequence[tuple[int, tuple[int, ...]]]) -> tuple[_Step, ...]:
+        """Returns the steps of an elimination; each ends in a table over what it depends on."""
+        place = {variable: number for number, (variable, _) in enumerate(order)}
+        reading: dict[int, list[tuple[int, tuple[int, ...]]]] = {variable: [] for variable in place}
+        every = [each.variables for each in self._scopes] + [given for _, given in order]
+        for number, variables in enumerate(every):
+            if free := [i for i in variables if i in place]:
+                reading[min(free, key=place.__getitem__)].append((number, variables))
+        return tuple(
+            _Step(i, given, tuple(_part(number, read, (i, *given)) for number, read in reading[i]))
+            for i, given in order
+        )
 
     def _plan(self, free: Bools, rng: np.random.Generator) -> list[tuple[int, tuple[int, ...]]]:
         """Returns the variables in the order of their elimination, with their neighbors then."""
         near: dict[int, set[int]] = {int(i): set() for i in np.flatnonzero(free)}
-        for scope in set(self._scopes):
+        for scope in {each.variables for each in self._scopes}:
             for i, j in itertools.permutations((i for i in scope if i in near), 2):
                 near[i].add(j)
         luck = rng.random(free.size)
@@ -126,19 +162,6 @@ class Fusion:
                 order.append((i, others))
         kept = {i for i, _ in order}  # Some neighbors were held later.
         return [(i, tuple(sorted(others & kept))) for i, others in order]
-
-    def _tables(self, points: Floats, place: dict[int, int]) -> Iterator[_Table]:
-        """Yields all summands that read a variable of the plan, others being at the first value."""
-        values, first = np.empty_like(self._weights), 0
-        add_means(self._lanes, self._weights, points, np.zeros_like(points), values, NO_SYSTEM)
-        for scope in self._scopes:
-            shape = (self._num_points,) * len(scope)
-            last = first + self._num_points ** len(scope)
-            kept = tuple(slice(None) if i in place else 0 for i in scope)
-            variables = tuple(i for i in scope if i in place)
-            if variables:
-                yield _Table(variables, values[first:last].reshape(shape)[kept])
-            first = last
 
 
 def _split(f: BoxPolynomial) -> Iterator[TermBlock]:
@@ -174,8 +197,9 @@ def _spread(block: TermBlock, num_points: int, num_variables: int) -> TermBlock:
     return TermBlock(block.name, block.terms, variables, block.weight)
 
 
-def _aligned(table: _Table, variables: tuple[int, ...]) -> Floats:
-    """Returns a table's values with an axis for each of these variables, in their order."""
-    axes = sorted(range(len(table.variables)), key=lambda k: variables.index(table.variables[k]))
-    values = np.transpose(table.values, axes)
-    return values[tuple(slice(None) if i in table.variables else None for i in variables)]
+def _part(table: int, read: tuple[int, ...], variables: tuple[int, ...]) -> _Part:
+    """Returns how a table over `read` is one over `variables`; others have their first value."""
+    others = [k for k, i in enumerate(read) if i not in variables]
+    axes = sorted(set(range(len(read))) - set(others), key=lambda k: variables.index(read[k]))
+    index = [slice(None) if i in read else None for i in variables]
+    return _Part(table, (*others, *axes), (*[0] * len(others), *index))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cached_property
 
 import numpy as np
@@ -46,9 +46,10 @@ _START_TIGHTENED, _RENEWED_TIGHTENED = (-2.0, 0.0), (-3.0, 0.0)
 _OTHER, _TIGHTENED_WORK = 0.25, 3
 _START_RELAXATIONS, _START_WEIGHTS = (-2.2, -0.7), (2.5, 5.0)
 _RENEWED_RELAXATIONS, _RENEWED_WEIGHTS, _SHIFTS = (-3.7, -1.2), (3.5, 6.0), (-1.5, 0.0)
-# So many times points are kept anew, as those that are renewed are of few basins; each time until
-# this part of the patience is over.
-_POPULATIONS, _PART_OF_PATIENCE = 2, 0.375
+# Points are kept anew, as those that are renewed are of few basins, until so many populations ended
+# at the best cost; each lasts until this part of the patience is over.
+_AGREEING, _PART_OF_PATIENCE = 2, 0.375
+_MOST_BENDS = 6  # of a smooth start
 _RENEWED_PART = 0.7  # of what comes after the first starts
 
 
@@ -217,6 +218,9 @@ class StagedSearch:
             staged.relaxed,
             staged.is_upper,
         )
+        box = np.array([self.first.center, self.first.half_width])
+        starts = np.flatnonzero(np.any(np.diff(box) != 0.0, axis=0)) + 1
+        self._arrays = np.split(np.arange(box.shape[1]), starts)
         self._kept: list[tuple[float, Floats]] = []
         self._rng = np.random.default_rng(options.seed)
 
@@ -235,13 +239,23 @@ class StagedSearch:
         """Goes up ladders for as long as that pays, in several populations of kept points."""
         if np.all(np.isfinite(self._guess)):
             self._climb(self._program.with_slacks(self._guess), "the guess", renewed=True)
-        for number in range(_POPULATIONS if self._staged.tightened is None else 1):
-            if number:
-                self._kept = []
-            self._evolve()
+        ends: list[float] = []
+        while not ends or self._is_in_doubt(ends):
+            self._kept = []
+            self._evolve(are_smooth=len(ends) % 2 == 1)
+            ends.append(self._kept[0][0] if self._kept else np.inf)
 
-    def _evolve(self) -> None:
-        """Starts by chance, then renews the best points, until none is better for long."""
+    def _is_in_doubt(self, ends: Sequence[float]) -> bool:
+        """Returns whether too few populations ended at the best cost, and rounds are left."""
+        if self._staged.tightened is not None or self._work >= self._options.rounds:
+            return False
+        return sum(end <= self.best + _SAME * abs(self.best) for end in ends) < _AGREEING
+
+    def _evolve(self, are_smooth: bool) -> None:
+        """Starts by chance, then renews the best points, until none is better for long.
+
+        Every second population starts at smooth points, whose shape the lowest rungs would forget.
+        """
         first, best, better = self._work, np.inf, self._work
         num_starts = max(1, self._options.starts)
         patience = max(1, int(_PART_OF_PATIENCE * self._options.patience))
@@ -250,7 +264,8 @@ class StagedSearch:
         ):
             is_start = not self._kept or self._work < first + num_starts
             if is_start or self._rng.random() > _RENEWED_PART:
-                self._climb(self._start(), "a start by chance", renewed=False)
+                start = self._smooth_start() if are_smooth else self._start()
+                self._climb(start, "a start by chance", renewed=are_smooth)
             else:
                 self._climb(self._renewed(), "a renewed stretch", renewed=True)
             now = self._kept[0][0] if self._kept else np.inf
@@ -263,6 +278,18 @@ class StagedSearch:
             return self._near
         reach = self._rng.uniform(0.0, _REACH)
         return self.first.center + reach * self._shift()
+
+    def _smooth_start(self) -> Floats:
+        """Returns a point of the box that bends a few times along each array of variables.
+
+        Those of the same bounds in a row are taken for one quantity, stage after stage.
+        """
+        shift = np.empty(self.first.center.size)
+        for array in self._arrays:
+            bends = np.linspace(0.0, 1.0, int(self._rng.integers(2, _MOST_BENDS + 1)))
+            values = self._rng.uniform(-1.0, 1.0, bends.size)
+            shift[array] = np.interp(np.linspace(0.0, 1.0, array.size), bends, values)
+        return self.first.center + self._rng.uniform() * self.first.half_width * shift
 
     def _shift(self) -> Floats:
         return self.first.half_width * self._rng.uniform(-1.0, 1.0, self.first.center.size)
