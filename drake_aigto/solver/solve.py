@@ -80,6 +80,7 @@ class Solve(LocalStarts):
             self._proof = Proof(program, options.cells, self._polish_cell)
         self._begin(ladders.first if ladders else self._make_first_box())
         self._best: Answer | None = None
+        self._best_cost: tuple[Answer, float] | None = None  # by the program's own formulas
         self._boxes = self._iterations = self._polishes = self._decades = 0
         self._widths: list[tuple[tuple[float, ...], ...]] = []
         self._box_storage: Storage | None = None
@@ -346,4 +347,9 @@ class Solve(LocalStarts):
             return violations[0] < violations[1]
         if abs(answer.cost - best.cost) > answer.rounding + best.rounding:
             return answer.cost < best.cost
-        return self._program.cost(answer.x) < self._program.cost(best.x)
+        if self._best_cost is None or self._best_cost[0] is not best:
+            self._best_cost = best, self._program.cost(best.x)
+        if (cost := self._program.cost(answer.x)) >= self._best_cost[1]:
+            return False
+        self._best_cost = answer, cost
+        return True
