@@ -32,7 +32,7 @@ class _Part(NamedTuple):
 
     table: int
     axes: tuple[int, ...]
-    index: tuple[Any, ...]
+    kept: tuple[Any, ...]
 
 
 class _Step(NamedTuple):
@@ -69,7 +69,7 @@ class Fusion:
             for scope, size, last in zip(scopes, sizes, lasts, strict=True)
         ]
         self._steps: tuple[_Step, ...] = ()
-        self._planned: Bools | None = None
+        self._planned = np.zeros(0, dtype=bool)
         self._num_mixes = 0
         spread = [_spread(block, num_points, f.num_variables) for block in blocks]
         self._lanes = make_lanes(stack_terms(spread), Order.MEAN)
@@ -106,7 +106,7 @@ class Fusion:
         for step in self._steps:
             total = np.zeros((self._num_points,) * (len(step.given) + 1))
             for part in step.parts:
-                total = total + tables[part.table].transpose(part.axes)[part.index]
+                total = total + tables[part.table].transpose(part.axes)[part.kept]
             choices.append(np.argmin(total, axis=0))
             tables.append(np.min(total, axis=0))
         for step, choice in zip(reversed(self._steps), reversed(choices), strict=True):
