@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable
 from typing import Any
 
@@ -16,7 +17,7 @@ from drake_aigto.local import InteriorPoint
 from drake_aigto.solver import AigoOptions, AigoSolver
 from drake_aigto.solver.complementarity import are_shared, find_complementarities
 from drake_aigto.solver.program import read_program
-from drake_aigto.solver.staged import StagedProgram
+from drake_aigto.solver.staged import StagedProgram, find_quantities
 
 Add = Callable[[MathematicalProgram, Any, Any, Any], object]
 
@@ -177,3 +178,18 @@ def test_a_payload_slides_to_its_goal_where_friction_alone_does_not_get_it_there
     slips = held.decision_variables()[-24:]
     held.AddBoundingBoxConstraint(0.0, 0.0, slips)
     assert result.get_optimal_cost() < 0.99 * SnoptSolver().Solve(held).get_optimal_cost()
+
+
+def test_variables_of_alike_stages_are_one_quantity() -> None:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(8, 2, "x")  # stage by stage: not array by array
+    prog.AddBoundingBoxConstraint(-1.0, 1.0, x)
+    for before, after in itertools.pairwise(x):
+        prog.AddConstraint(after[0] - before[0] - 0.1 * before[1] ** 3 == 0)
+        prog.AddQuadraticCost(before[1] ** 2)
+    staged = StagedProgram(read_program(prog), 1e-6)
+    found = find_quantities(staged.nlp, staged.tables.places)
+    inner = [members for members in found if members.size > 1]
+    by_kind = {int(members[0]) % 2: np.sort(members) // 2 for members in inner}
+    np.testing.assert_array_equal(by_kind[0], range(1, 7))
+    np.testing.assert_array_equal(by_kind[1], range(7))

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -175,6 +177,27 @@ def _block(name: str, total: Sum) -> TermBlock:
     return TermBlock(name, terms, [read])
 
 
+def find_quantities(nlp: PolynomialNlp, places: Ints) -> list[Ints]:
+    """Returns variables (k,) that are one quantity each, stage after stage, by their places (n,).
+
+    Those have the same bounds, and appear in the same terms of costs and rows.
+    """
+    roles: list[list[int]] = [[] for _ in range(nlp.num_variables)]
+    for number, block in enumerate(nlp.blocks):
+        is_cost = number < len(nlp.costs)
+        for term in block.terms:
+            for factor in term.factors:
+                form = replace(factor, variable=0)
+                role = hash((is_cost, term.coefficient, len(term.factors), form))
+                for variable in block.variables[:, factor.variable].tolist():
+                    roles[variable].append(role)
+    found: dict[tuple[Any, ...], list[int]] = {}
+    for i in np.argsort(places, kind="stable").tolist():
+        key = nlp.lower[i], nlp.upper[i], *sorted(roles[i])
+        found.setdefault(key, []).append(i)
+    return [np.array(members) for members in found.values()]
+
+
 class StagedSearch:
     """Ladders of penalties from many starts, and from renewed stretches of the best points.
 
@@ -218,9 +241,7 @@ class StagedSearch:
             staged.relaxed,
             staged.is_upper,
         )
-        box = np.array([self.first.center, self.first.half_width])
-        starts = np.flatnonzero(np.any(np.diff(box) != 0.0, axis=0)) + 1
-        self._arrays = np.split(np.arange(box.shape[1]), starts)
+        self._quantities = find_quantities(self._nlp, self._places)
         self._kept: list[tuple[float, Floats]] = []
         self._rng = np.random.default_rng(options.seed)
 
@@ -280,15 +301,12 @@ class StagedSearch:
         return self.first.center + reach * self._shift()
 
     def _smooth_start(self) -> Floats:
-        """Returns a point of the box that bends a few times along each array of variables.
-
-        Those of the same bounds in a row are taken for one quantity, stage after stage.
-        """
+        """Returns a point of the box whose quantities bend a few times along the stages."""
         shift = np.empty(self.first.center.size)
-        for array in self._arrays:
+        for members in self._quantities:
             bends = np.linspace(0.0, 1.0, int(self._rng.integers(2, _MOST_BENDS + 1)))
             values = self._rng.uniform(-1.0, 1.0, bends.size)
-            shift[array] = np.interp(np.linspace(0.0, 1.0, array.size), bends, values)
+            shift[members] = np.interp(np.linspace(0.0, 1.0, members.size), bends, values)
         return self.first.center + self._rng.uniform() * self.first.half_width * shift
 
     def _shift(self) -> Floats:
