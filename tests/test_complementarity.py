@@ -182,7 +182,7 @@ def test_a_payload_slides_to_its_goal_where_friction_alone_does_not_get_it_there
 
 def test_variables_of_alike_stages_are_one_quantity() -> None:
     prog = MathematicalProgram()
-    x = prog.NewContinuousVariables(8, 2, "x")  # stage by stage: not array by array
+    x = np.array([prog.NewContinuousVariables(2, "x") for _ in range(8)])
     prog.AddBoundingBoxConstraint(-1.0, 1.0, x)
     for before, after in itertools.pairwise(x):
         prog.AddConstraint(after[0] - before[0] - 0.1 * before[1] ** 3 == 0)
