@@ -57,6 +57,12 @@ _PRICE, _MUCH = 10.0, 1e-2
 TIGHT = ShootingOptions(rungs=(Smoothing(1e-3, 40, 1e-3),), substeps=4)
 POLISH = ShootingOptions(rungs=(Smoothing(1e-4, 40, 1e-5), Smoothing(1e-6, 40, 1e-5)), substeps=4)
 
+# Friction stiffens from stiction speeds of a whole way in the duration to a thousandth.
+COOLING = ShootingOptions(
+    rungs=tuple(Smoothing(each, 60, 1e-5) for each in (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3)),
+    substeps=4,
+)
+
 # What boxes show is closed in a few steps: from walls smoothed by more, it takes longer and ends
 # within 1 % of the best half as often (of 800 boxes around the cart-pole, `cart_pole/soft_06`).
 COARSE = ShootingOptions(
@@ -260,6 +266,7 @@ class MechanismProblem:
         """
         if motion.substeps < TIGHT.substeps:
             motion = self.tighten(motion)
+        motion = self._cooled(motion)
         problem, options, error = self.shooting(self.scenario.num_steps), POLISH, 0.0
         while True:
             states = motion.states if error > _STEADY else None
@@ -276,6 +283,16 @@ class MechanismProblem:
             halvings = np.ceil(np.log2(min(error / _EXACT, _MOST_SUBSTEPS)) / 2)
             substeps = min(motion.substeps * 2 ** int(halvings), _MOST_SUBSTEPS)
             options = dataclasses.replace(POLISH, rungs=POLISH.rungs[-1:], substeps=substeps)
+
+    def _cooled(self, motion: ShootingResult) -> ShootingResult:
+        """Returns the better of a motion and, with friction, what it becomes as that stiffens.
+
+        Where something sticks, what moves it is felt only by friction that is smoothed far more.
+        """
+        if not self.mechanism.rubs:
+            return motion
+        problem = self.shooting(self.scenario.num_steps).starting_from(motion)
+        return min(motion, problem.solve(motion.controls, None, COOLING), key=self.rank)
 
     def _steadied(self, motion: ShootingResult) -> ShootingResult:
         """Returns the same motion; where there is friction, with controls that lead along it."""
