@@ -31,6 +31,10 @@ _ACCURACY = 1e-5
 _FINE_ACCURACY = 1e-6
 # Soft walls need no implicit rule, and none is as exact as this. It does not mind the kinks.
 _SOFT = SimulatorConfig(integration_scheme="runge_kutta5", accuracy=1e-10, use_error_control=True)
+# Friction has kinks where it is whole, of which a pole that balances for 3 s makes much.
+_RUBBING = SimulatorConfig(
+    integration_scheme="runge_kutta5", accuracy=1e-12, use_error_control=True
+)
 # With a contact that lasts for fewer of the longest steps than this its trials leave all bounds.
 _RESOLVED = 10.0
 _STIFF = SimulatorConfig(integration_scheme="radau3", accuracy=1e-7, use_error_control=True)
@@ -148,7 +152,8 @@ def start_soft_simulator(
     """
     longest = _LONGEST * (span[1] - span[0])
     is_stiff = min(contact_delays(world), default=math.inf) < _RESOLVED * longest
-    config = _STIFF if is_stiff else _SOFT
+    does_rub = world.dry_friction is not None or (world.frictions and friction != 0)
+    config = _STIFF if is_stiff else _RUBBING if does_rub else _SOFT
     simulator = start_simulator(world, state, span[0], friction, config)
     simulator.get_mutable_integrator().set_maximum_step_size(longest)
     return simulator
