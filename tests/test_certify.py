@@ -3,17 +3,23 @@
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
 
+import mpmath
 import numpy as np
 import pydrake.symbolic as sym
 import pytest
 from pydrake.solvers import ExpressionCost, MathematicalProgram
 
 from drake_aigto.certify import Method, certify
+from drake_aigto.certify.enclosures import HESSIAN
 from drake_aigto.certify.intervals import cosine, exponential, plus, power, sine, times
+from drake_aigto.certify.program import formula_of, read_formulas
+from drake_aigto.certify.tape import make_tape
+from drake_aigto.certify.values import enclose_all
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.jit import kernel
 from drake_aigto.solver import AigoOptions, AigoSolver, AigoStatus
@@ -107,6 +113,41 @@ def test_a_bound_is_at_the_least_of_a_dense_grid(function: Callable[..., Any]) -
     assert found.lower_bound >= min(values) - 0.05  # what the grid misses
 
 
+NAMES = ("sin", "cos", "tanh", "exp", "log", "sqrt", "atan")
+HIGH_PRECISION = {name: getattr(mpmath, name) for name in NAMES}
+HIGH_PRECISION |= {"abs": abs, "max": max, "min": min, "pow": operator.pow}
+
+
+@pytest.mark.parametrize("function", FUNCTIONS)
+def test_enclosures_hold_derivatives_in_high_precision(function: Callable[..., Any]) -> None:
+    prog, _ = program(function, 2)
+    names = [sym.Variable(name) for name in "xy"]
+    text = str(function(*names))
+    formulas = read_formulas(prog)
+    tape = make_tape([formula_of(formulas.summands, (0, 1))])
+    rng = np.random.default_rng(4)
+    low = rng.uniform(-1.5, 1.0, (6, 2))
+    high = low + 10.0 ** rng.uniform(-9.0, -0.5, (6, 2))
+    found = enclose_all(tape, np.zeros(6, dtype=np.int64), low, high, HESSIAN)
+
+    def exact(x: Any, y: Any) -> Any:
+        return eval(text, {**HIGH_PRECISION, "x": x, "y": y})
+
+    with mpmath.workdps(40):
+        for c in range(6):
+            point = [mpmath.mpf(v) for v in rng.uniform(low[c], high[c]).tolist()]
+            assert is_within(exact(*point), found.values[c])
+            for i, order in enumerate([(1, 0), (0, 1)]):
+                assert is_within(mpmath.diff(exact, point, order), found.gradients[c, i])
+            for i, order in enumerate([(2, 0), (1, 1), (0, 2)]):
+                assert is_within(mpmath.diff(exact, point, order), found.hessians[c, i])
+
+
+def is_within(value: Any, ends: np.ndarray) -> bool:
+    low, high = ends.tolist()
+    return bool(low <= value <= high)
+
+
 def test_no_bound_of_a_random_program_is_above_the_best_value() -> None:
     rng = np.random.default_rng(2)
     for trial in range(60):
@@ -147,6 +188,15 @@ def test_a_constrained_optimum_is_proven() -> None:
     a, b = np.cos(angles), np.sin(angles)
     least = np.min((a**2 * b - a)[a * b >= -0.4])
     assert least - 1e-5 <= details.lower_bound <= least
+
+
+def test_an_optimum_that_mirrors_itself_on_a_curved_bound_is_proven() -> None:
+    """HS 29: at each of four optima, f is bent along the bound, and the multiplier is 1/√2."""
+    prog, (x, y, z) = program(lambda x, y, z: -10.0 * x * y * z, 3)
+    prog.AddConstraint(x**2 + 2.0 * y**2 + 4.0 * z**2 <= 6.0)
+    details = AigoSolver(CERTIFY).Solve(prog).get_solver_details()
+    assert details.status == AigoStatus.PROVEN
+    assert details.lower_bound == pytest.approx(-10.0, abs=1e-4)  # at x = √2, y = 1, z = 1/√2
 
 
 def test_that_there_is_no_feasible_point_is_proven() -> None:

@@ -214,7 +214,7 @@ def _bound(
         slope, t, bend = multipliers.slopes[j], multipliers.targets[j], multipliers.bends[j]
         if bend < 0.0:
             reach = max(up(scratch.values[end, 1] - t), up(t - scratch.values[end, 0]))
-            bend = 1.999 * abs(slope) / reach if 0.0 < reach < np.inf else 0.0
+            bend = min(-bend, 1.999 * abs(slope) / reach) if 0.0 < reach < np.inf else 0.0
         bends[j] = bend
         if slope != 0.0 or bend != 0.0:
             _add_row(slope, bend, t, end, work)

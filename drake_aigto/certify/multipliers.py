@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Bools, Floats
 
 
 class Multipliers(NamedTuple):
@@ -18,7 +18,7 @@ class Multipliers(NamedTuple):
     Attributes:
         targets: t (R,).
         slopes: λ (R,); 0 leaves a row out.
-        bends: ρ (R,) of equalities; below 0 of inequalities, whose cells choose it.
+        bends: ρ (R,) of equalities, −ρ of inequalities, of which a cell may allow less.
     """
 
     targets: Floats
@@ -26,9 +26,9 @@ class Multipliers(NamedTuple):
     bends: Floats
 
 
-# A row or a variable is at its bound where it is so near, relative to the bound's size.
+# A row or a variable is at its bound where it is so near, relative to its size.
 _NEAR = 1e-5
-_BEND = 10.0  # of equalities, relative to what makes up for the cost's slope in a unit's length
+_BEND = 10.0  # relative to what makes up for the cost's slope in a unit's length
 
 
 def no_multipliers(num_rows: int) -> Multipliers:
@@ -56,12 +56,11 @@ def multipliers_at(
     if not np.all(np.isfinite(gradients)):
         return found
     own, (low, high) = values[1:], rows
-    at_low = np.abs(own - low) <= _NEAR * np.maximum(1.0, np.abs(low))
-    at_high = np.abs(own - high) <= _NEAR * np.maximum(1.0, np.abs(high))
+    at_low, at_high = _is_at(own, low), _is_at(own, high)
     # Of the side that is active: λ ≥ 0 at the upper one, ≤ 0 at the lower one.
     signs = np.where(at_high, 1.0, -1.0)
     active = at_low | at_high
-    free = np.all([np.abs(x - b) > _NEAR * np.maximum(1.0, np.abs(b)) for b in bounds], axis=0)
+    free = ~np.any([_is_at(x, bound) for bound in bounds], axis=0)
     slopes = np.zeros(own.size)
     while np.any(active) and np.any(free):
         matrix = gradients[1:][np.ix_(active, free)].T
@@ -73,10 +72,14 @@ def multipliers_at(
         active &= ~wrong
         slopes[~active] = 0.0
     sizes = np.sum(gradients[1:] ** 2, axis=1)
-    equal = active & (low == high) & (sizes > 0.0)
     found.targets[:] = np.where(at_high, high, np.where(at_low, low, 0.0))
     found.slopes[:] = np.where(active, slopes, 0.0)
     largest = max(1.0, float(np.max(np.abs(gradients[0]), initial=0.0)))
-    found.bends[equal] = _BEND * largest / sizes[equal]
-    found.bends[active & (low != high)] = -1.0
+    bent = active & (sizes > 0.0)
+    found.bends[bent] = np.where(low == high, _BEND, -_BEND)[bent] * largest / sizes[bent]
     return found
+
+
+def _is_at(values: Floats, bounds: Floats) -> Bools:
+    """Returns which values are next to their bounds, none of which is infinite then."""
+    return np.abs(values - bounds) <= _NEAR * np.maximum(1.0, np.abs(values))
