@@ -61,7 +61,7 @@ def main() -> None:
     wrong += constrained()
     wrong += random_programs(arguments.programs)
     wrong += one_wall(arguments.scenarios)
-    wrong += sum(world(name, arguments.worlds) for name in ("corridor", "room"))
+    wrong += sum(world(name, arguments.worlds) for name in ("corridor", "room", "floor"))
     print(f"bounds that were wrong, in all: {wrong}")
 
 

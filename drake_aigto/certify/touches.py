@@ -38,7 +38,7 @@ from drake_aigto.certify.lines import Line
 _FIRST_BINS = 16  # of times, and of speeds
 _MOST_EDGES = 200_000  # of one level
 _LEVELS = 16
-_BISECTIONS = 8
+_BISECTIONS = 6
 _ENOUGH = 1e-3  # of what is of interest: a level that gains less is the last one
 _ROUNDING = 1e-13
 
@@ -284,7 +284,7 @@ def _search(line: Line, most: float) -> float:
         least = min(enough, paths.least)
         # Changes fall fourfold, so that all that are to come add up to less than the last one.
         best, change, last = max(best, least), abs(least - last), least
-        if least >= enough or (least > 0.0 and change <= _ENOUGH * most):
+        if least >= enough or change < _ENOUGH * least:
             break
         cells, edges = _cut(walls, cells, edges, paths)
     return best
