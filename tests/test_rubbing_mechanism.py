@@ -62,6 +62,9 @@ def test_a_ball_rolls_once_two_sevenths_of_its_slip_are_lost(spin: float) -> Non
     assert found.velocities[-1] == pytest.approx([rolling, 0.0, rolling / RADIUS], abs=1e-9)
     assert found.positions[-1][0] == pytest.approx(way, abs=1e-9)
     assert (rolling < 0) == (spin == -80.0)
+    slides, rolls = found.contact_phases
+    assert (slides.mode, rolls.mode) == ("forward" if slip > 0 else "backward", "stick")
+    assert (slides.end, rolls.end) == pytest.approx((until, 3.0), abs=1e-9)
 
 
 @pytest.mark.parametrize("push", [5.0, 15.0])
@@ -89,6 +92,18 @@ def test_a_spinning_ball_bounces_as_impulses_say_and_as_drake_does(e: float) -> 
     drake = replay_drake(world, task, times, controls)
     off = np.linalg.norm(found.positions[-1] - drake.positions[-1])
     assert 0 < off <= drake.compliance_error < 0.05
+
+
+def test_a_ball_that_slides_and_then_rolls_is_in_drake_where_it_should_be() -> None:
+    """But for what it creeps at the stiction speed as it should roll."""
+    world = build()
+    task = pose(world, [0.0, RADIUS, 0.0], [2.0, 0.0, -60.0], restitution=0.0)
+    times, controls = np.array([0.0, 0.5]), np.zeros((1, 1))
+    found = replay_event_driven(world, task, times, controls)
+    drake = replay_drake(world, task, times, controls)
+    off = np.linalg.norm(found.positions[-1] - drake.positions[-1])
+    assert off <= drake.compliance_error + 1e-3
+    assert drake.compliance_error <= 0.5 * world.stiction_speed * 5 / 7 / RADIUS * 1.1
 
 
 def test_energy_never_grows_whatever_falls_and_rubs() -> None:

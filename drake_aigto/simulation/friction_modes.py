@@ -59,11 +59,11 @@ def find_modes(touching: Touching) -> Going:
     """
     found = next(ways := list_modes(touching), None)
     if found is None:
-        raise _refuse("none", "a jam, which no finite force explains")
+        raise refuse_modes("none", "a jam, which no finite force explains")
     size = max(1.0, float(np.max(np.abs(touching.rates))))
     for other in ways:
         if np.max(np.abs(touching.rows @ (other.change - found.change))) > _SAME * size:
-            raise _refuse("several", f"{_name(found)} or {_name(other)}")
+            raise refuse_modes("several", f"{_name(found)} or {_name(other)}")
     return found
 
 
@@ -178,7 +178,8 @@ def _name(going: Going) -> str:
     return ", ".join(mode.name.lower() for mode in going.modes)
 
 
-def _refuse(count: str, which: str) -> FrictionError:
+def refuse_modes(count: str, which: str) -> FrictionError:
+    """Returns the error of contacts that go on in no way, or in several."""
     return FrictionError(
         "contact with friction (Painlevé)",
         got=f"{count} of the ways in which rigid bodies can go on: {which}",

@@ -13,7 +13,7 @@ from drake_aigto.simulation.controller import HeldControl
 from drake_aigto.simulation.costs import calc_cost, explain_cost
 from drake_aigto.simulation.material import LEAST_RESTITUTION, calc_delays
 from drake_aigto.simulation.recording import Impact, Recording, find_impacts
-from drake_aigto.simulation.rubbing_mechanism import calc_drag, simulate_rigid_walls
+from drake_aigto.simulation.rubbing_mechanism import calc_slide, simulate_rigid_walls
 from drake_aigto.world import Scenario, World
 
 
@@ -109,4 +109,4 @@ def _drag(
         return []
     delay = calc_delays(ContactMotion.at(world, state.ravel()), world.stiffness)[i]
     slip = abs(float(world.calc_tangent_jacobian(q)[i] @ change))
-    return [state + np.outer((slip * delay, world.stiction_speed), calc_drag(world, q, i))]
+    return [state + np.outer((slip * delay, world.stiction_speed), calc_slide(world, q, i))]

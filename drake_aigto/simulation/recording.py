@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
@@ -33,6 +33,24 @@ class Rest(NamedTuple):
     contact: int  # which of the world's contacts
 
 
+@dataclass(frozen=True)
+class ContactPhase:
+    """A stretch of time in which a contact with friction lasts in one mode.
+
+    Attributes:
+        contact: which of the world's contacts.
+        mode: "stick", which is rolling where something turns; or "forward" or "backward", slip with
+            s = T v above or below 0.
+        start: when it began [s].
+        end: when it ended [s].
+    """
+
+    contact: int
+    mode: str
+    start: float
+    end: float
+
+
 @dataclass
 class Recording:
     """Filled while a simulation runs; the last row is its end.
@@ -47,6 +65,7 @@ class Recording:
         matched_speeds: for which dissipation was set, on compliant walls [m/s].
         creep: how far contacts with friction that stick would lead q astray, if they slipped at
             1 m/s meanwhile, on rigid walls [m, rad].
+        phases: of contacts with friction that last, on rigid walls, in order of their starts.
         control_times: from when each control was held [s].
         controls: u of each of them, shape (nu,) [N].
         samples: of the motion between rows, where it is integrated, and the control meanwhile.
@@ -60,6 +79,7 @@ class Recording:
     max_penetration: float = 0.0
     matched_speeds: list[float] = field(default_factory=list)
     creep: float = 0.0
+    phases: list[ContactPhase] = field(default_factory=list)
     control_times: Rows = field(default_factory=list)
     controls: Rows = field(default_factory=list)
     samples: list[tuple[Samples, Floats]] = field(default_factory=list)
@@ -74,6 +94,14 @@ class Recording:
         self.times.append(time)
         self.positions.append(q)
         self.velocities.append(v)
+
+    def add_phase(self, contact: int, mode: str, start: float, end: float) -> None:
+        """Appends a stretch in which a contact lasts, or lengthens the one that it goes on with."""
+        for k, last in enumerate(self.phases):
+            if (last.contact, last.mode, last.end) == (contact, mode, start):
+                self.phases[k] = replace(last, end=end)
+                return
+        self.phases.append(ContactPhase(contact, mode, start, end))
 
     def hold(self, time: float, control: Floats) -> None:
         """Appends a control."""

@@ -17,7 +17,7 @@ from drake_aigto.simulation.controller import HeldControl
 from drake_aigto.simulation.costs import calc_cost, calc_plain_cost, explain_cost
 from drake_aigto.simulation.drake_springs import simulate_plant
 from drake_aigto.simulation.lateness import calc_lateness
-from drake_aigto.simulation.recording import Recording
+from drake_aigto.simulation.recording import ContactPhase, Recording
 from drake_aigto.simulation.rigid_wall import simulate_rigid_wall
 from drake_aigto.simulation.rollout import Parabolas
 from drake_aigto.simulation.rubbing_mechanism import simulate_rigid_walls
@@ -61,6 +61,7 @@ class Replay(ArrayRecord):
         violations: by how much the motion misses bounds and a hard goal (`calc_violations`), and
             each constraint that users added (`Additions.violations`), by name, in parts of the
             task's scales and apart from what compliance explains.
+        contact_phases: "event-driven" only: when contacts with friction stick and slip.
         times: shape (K,): the knots, and where contacts begin and end [s]. Never decreasing; a
             rigid impact has two rows of equal time.
         positions: shape (K, nq) [m, rad].
@@ -83,6 +84,7 @@ class Replay(ArrayRecord):
     velocities: Floats
     added_costs: Mapping[str, float] = field(default_factory=dict)
     violations: Mapping[str, float] = field(default_factory=dict)
+    contact_phases: tuple[ContactPhase, ...] = ()
 
     def __post_init__(self) -> None:
         """Converts lists to tuples, and makes the arrays read-only."""
@@ -337,4 +339,5 @@ def summarize(
         positions=recording.positions,
         velocities=recording.velocities,
         violations=calc_violations(world, scenario, recording.positions, recording.velocities),
+        contact_phases=tuple(recording.phases),
     )

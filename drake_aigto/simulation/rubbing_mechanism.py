@@ -17,6 +17,7 @@ from drake_aigto.simulation.friction_modes import (
     calc_directions,
     find_modes,
     list_modes,
+    refuse_modes,
 )
 from drake_aigto.simulation.impacts import MOST_IMPACTS
 from drake_aigto.simulation.mechanism import (
@@ -31,10 +32,11 @@ from drake_aigto.world import Scenario, World
 # The n-th impact at a contact becomes rest if the hop after it would last less than n times this
 # part of the simulated time, as on walls without friction.
 _HOP = 1e-6
-# Velocities of contacts below this, relative to the largest velocity or 1 m/s, are none.
+# Velocities of contacts below this, relative to the largest velocity so far or 1 m/s, are none.
 _STILL = 1e-11
-# Where what forces have to be divided by is this part of what it was, they have no answer.
-_SINGULAR = 1e-9
+# Where what forces have to be divided by is this small, relative to masses, they have no answer;
+# where it is below the second, contacts hold each other up without need.
+_SINGULAR, _NEEDLESS = 1e-6, 1e-11
 
 
 class _Push(NamedTuple):
@@ -81,7 +83,7 @@ class RubbingMechanism(RigidMechanism):
         super().__init__(world, restitutions, state, span)
         self._friction = friction
         self._modes = np.full(world.num_contacts, Mode.OPEN, dtype=int)
-        self._last, self._stalls = -np.inf, 0
+        self._last, self._stalls, self._fastest = -np.inf, 0, 1.0
 
     def _move(self, control: Floats, until: float) -> None:
         """Moves on smoothly until something may happen."""
@@ -103,6 +105,9 @@ class RubbingMechanism(RigidMechanism):
         start, creep = self.time, self._calc_creep()
         slid = self._follow(rates, watched, control, until) - len(ahead)
         self.recording.creep += creep * (self.time - start)
+        for i in held[self._friction[held] > 0] if self.time > start else ():
+            mode = Mode(self._modes[i]).name.lower()
+            self.recording.add_phase(int(i), mode, start, self.time)
         if 0 <= slid < len(beside):
             solid = self.world.contacts[beside[slid]].solid
             self._held &= [contact.solid != solid for contact in self.world.contacts]
@@ -114,17 +119,20 @@ class RubbingMechanism(RigidMechanism):
         start = self._push(self.x, control, held)
         masses = self.world.inertia_at(self.x[:n]).masses[held]
         pull = PULL * max(1.0, float(np.max(np.abs(start.acceleration)))) * masses
-        still, is_regular = self._calc_still(), abs(start.size) > _SINGULAR
+        still, size = self._calc_still(), abs(float(start.size))
+        if _NEEDLESS < size <= 2 * _SINGULAR:
+            raise refuse_modes("none", "a jam, in which forces grow without end")
+        sign = np.sign(start.size) if size > _NEEDLESS else 0.0
 
         def edges(x: Floats) -> Floats:
             push = self._push(x, control, held)
             normal, tangent = np.split(push.forces, 2, axis=-1)
             cone = friction * normal + pull
-            values = normal + pull, (cone - tangent)[..., stuck], (cone + tangent)[..., stuck]
-            slips = signs * self._calc_slips(x)[..., held] + still
-            answers = (push.size / start.size - _SINGULAR if is_regular else 1.0 + push.size**2,)
-            sizes = np.stack(answers, axis=-1)
-            return np.concatenate([*values, slips[..., slides], sizes], axis=-1)
+            cones = normal + pull, (cone - tangent)[..., stuck], (cone + tangent)[..., stuck]
+            slips = signs * self._calc_slips(x)[..., held] + still / 2
+            sizes = sign * push.size - _SINGULAR if sign else np.ones_like(push.size)
+            values = *cones, slips[..., slides], sizes[..., np.newaxis]
+            return np.concatenate(values, axis=-1)
 
         return edges
 
@@ -161,11 +169,12 @@ class RubbingMechanism(RigidMechanism):
         """Returns ‖q̇‖ that slips of 1 m/s of all contacts that stick add up to at most."""
         stuck = np.flatnonzero(self._held & (self._modes == Mode.STICK))
         q, _ = self._split()
-        return float(sum(np.linalg.norm(calc_drag(self.world, q, int(i))) for i in stuck))
+        return float(sum(np.linalg.norm(calc_slide(self.world, q, int(i))) for i in stuck))
 
     def _calc_still(self) -> float:
         """Returns below which a velocity is none [m/s]."""
-        return _STILL * max(1.0, float(np.max(np.abs(self._split()[1]))))
+        self._fastest = max(self._fastest, float(np.max(np.abs(self._split()[1]))))
+        return _STILL * self._fastest
 
     def _resolve(self, control: Floats) -> None:
         """Lets go of walls, hits them, or sticks and slips, at this instant."""
@@ -288,7 +297,7 @@ class RubbingMechanism(RigidMechanism):
             )
 
 
-def calc_drag(world: World, q: Floats, contact: int) -> Floats:
+def calc_slide(world: World, q: Floats, contact: int) -> Floats:
     """Returns M⁻¹ Tᵀ / (T M⁻¹ Tᵀ), what friction moves for a slip of 1 m, shape (nv,)."""
     T = world.calc_tangent_jacobian(q)[contact]
     drag = np.linalg.solve(world.calc_mass_matrix(q), T)

@@ -224,11 +224,22 @@ class ContactMonitor:
         motion = self._motion_at(x)
         clearances = motion.calc_clearances(x)
         delays = calc_delays(motion, self._stiffness, self._longest_delay)
-        acceleration = calc_acceleration(self._world, motion, x, control, clearances)
-        pushes = motion.calc_pushes(acceleration)
+
+        def calc_pushes(but: int | None = None) -> list[float]:
+            world = self._world
+            acceleration = calc_acceleration(world, motion, x, control, clearances, but)
+            return motion.calc_pushes(acceleration)
+
+        pushes = calc_pushes()
         blurred = _BLURRED * max(1.0, float(np.max(np.abs(x[: x.size // 2]))))
         plans = [
-            pace.plan(root, near, pushes[near.contact], blurred, delays)
+            pace.plan(
+                root,
+                near,
+                (calc_pushes(near.contact) if pace.began_pressed(near) else pushes)[near.contact],
+                blurred,
+                delays,
+            )
             for pace, near in zip(self._solids, clearances, strict=True)
         ]
         return min(stretch for stretch, _ in plans), min(step for _, step in plans)
@@ -286,6 +297,10 @@ class _SolidPace:
         self._is_matched = False
         self._held: int | None = None  # the contact that lasts
         self._fastest = 0.0  # approach so far [m/s]
+
+    def began_pressed(self, near: Clearance) -> bool:
+        """Returns whether a contact goes on that nothing approached, as what lies at the start."""
+        return near.distance <= 0 and not self._is_matched
 
     def plan(
         self, root: Context, near: Clearance, push: float, blurred: float, delays: list[float]
