@@ -129,3 +129,10 @@ def test_rows_that_contradict_each_other_by_substitution_are_told() -> None:
     prog.AddConstraint(x == y + 2)
     details = AigoSolver().Solve(prog).get_solver_details()
     assert details.status is AigoStatus.CONTRADICTORY_BOUNDS
+
+
+def test_answers_are_polished_as_they_were_asked_where_multiplied_out_costs_are_rounded() -> None:
+    (problem,) = (each for each in lifted_problems() if each.name == "Perm 1 n=5")
+    result = AigoSolver(AigoOptions(rounds=3)).Solve(lift(problem, 11))
+    assert result.is_success() and result.get_solver_details().substituted
+    assert result.get_optimal_cost() <= problem.minimum + 1e-6

@@ -168,6 +168,21 @@ class Solve(LocalStarts):
         self._polish_spread()
         self._renew_parts()
         self._search_far()
+        self._polish_as_given()
+
+    def _polish_as_given(self) -> None:
+        """Polishes the best point with all variables: what presolve multiplied out is rounded."""
+        best, whole = self._best, self._staged.program
+        if best is None or not self._program.reduced.definitions:
+            return
+        if self._options.polish != "newton" or self._staged.complementarities:
+            return
+        start = whole.with_slacks(whole.reduce(best.x))
+        if not np.all(np.isfinite(start)):
+            return
+        self._polishes += 1
+        found = InteriorPoint(max_iterations=POLISH_STEPS).solve(whole.nlp, start)
+        self._keep(whole.answer(found.x), "polish of all variables")
 
     def _offer_guess(self) -> bool:
         """Offers the guess, and returns whether there is one."""
