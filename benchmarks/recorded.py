@@ -185,8 +185,9 @@ FIGURES: Mapping[str, Figure] = {
     **{name: each for n in CHAIN_SIZES for name, each in _chain(n).items()},
     "chase_reached": Figure("chain", rf"^n = +170  dual_annealing reaches .* in {_NUMBER} of 10"),
     "chase_gap": Figure("chain", rf"^n = +170  dual_annealing reaches .*gap then {_NUMBER}%"),
-    "constrained_ours": Figure("constrained_programs", rf"^AIGO +global {_NUMBER} of 81"),
-    "constrained_snopt": Figure("constrained_programs", rf"^SNOPT.* global {_NUMBER} of 81"),
+    "constrained_count": Figure("constrained_programs", r"^AIGO +global \d+ of (\d+)"),
+    "constrained_ours": Figure("constrained_programs", rf"^AIGO +global {_NUMBER} of"),
+    "constrained_snopt": Figure("constrained_programs", rf"^SNOPT.* global {_NUMBER} of"),
     "constrained_broken": Figure(
         "constrained_programs", rf"successes of ours that are infeasible: {_NUMBER}"
     ),
