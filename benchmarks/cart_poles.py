@@ -1,6 +1,7 @@
 """Published cart-poles between soft walls, held upright for 40 s by planning again every 5 ms.
 
     python -m benchmarks.cart_poles [--only C3 MIQP Benders] [--count 100] [--seconds 40]
+        [--workers 1] [--minutes 10]
 
 Plants, walls, bounds and weights are those of the published examples:
 
@@ -25,9 +26,9 @@ import os
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import argparse
-import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -44,6 +45,8 @@ from benchmarks.collections.cart_poles import (
     make_scenario,
     make_world,
 )
+from benchmarks.jobs import add_options, run_all, run_as
+from benchmarks.measure import machine
 from drake_aigto import MechanismOptions, ModelPredictiveController, Planner
 from drake_aigto.control import TickStatus
 
@@ -198,25 +201,46 @@ class _Run:
             joint.set_translation_rate(self._context, velocities[side] - self._walls[side])
 
 
+@cache
+def _make_planner(name: str) -> Planner:
+    problem = PROBLEMS[name]
+    return Planner(make_scenario(problem), _OPTIONS, make_world(problem))
+
+
+def compare(job: tuple[str, int], seconds: float) -> dict[str, Outcome]:
+    """Returns what both controllers make of the same disturbances.
+
+    Args:
+        job: the plant's name, and the seed.
+        seconds: that each run lasts.
+    """
+    name, seed = job
+    problem = PROBLEMS[name]
+    mpc = ModelPredictiveController(_make_planner(name), PERIOD, iterations=2, surprise=np.inf)
+    controllers = {"MPC": mpc, "LQR": Regulator(problem)}
+    return {
+        method: run(problem, controller, 2 * seed, seconds)
+        for method, controller in controllers.items()
+    }
+
+
 def main() -> int:
     """Runs both controllers on the same disturbances, and prints a table."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--only", nargs="*", choices=[*PROBLEMS], default=[*PROBLEMS])
     parser.add_argument("--count", type=int, default=100, help="of runs of each")
     parser.add_argument("--seconds", type=float, default=40.0, help="that each lasts")
+    add_options(parser)
     options = parser.parse_args()
-    print("plant     controller  upright   mean angle  touches a run  ms a tick, 99 %")
+    print(machine())
+    print(
+        "plant     controller  upright     mean angle  touches a run  ms a tick, 99 %", flush=True
+    )
     for name in options.only:
-        problem = PROBLEMS[name]
-        planner = Planner(make_scenario(problem), _OPTIONS, make_world(problem))
-        found: dict[str, list[Outcome]] = {"MPC": [], "LQR": []}
-        for seed in range(options.count):
-            mpc = ModelPredictiveController(planner, PERIOD, iterations=2, surprise=np.inf)
-            for method, controller in (("MPC", mpc), ("LQR", Regulator(problem))):
-                found[method].append(run(problem, controller, 2 * seed, options.seconds))
-            print(f"{name}: {seed + 1} of {options.count}", file=sys.stderr, flush=True)
-        for method, outcomes in found.items():
-            print(f"{name:<8}  {report(method, outcomes)}", flush=True)
+        jobs = [(name, seed) for seed in range(options.count)]
+        found = run_all(partial(compare, seconds=options.seconds), jobs, options)
+        for method in found[0] if found else ():
+            print(f"{name:<8}  {report(method, [each[method] for each in found])}", flush=True)
     return 0
 
 
@@ -233,4 +257,4 @@ def report(method: str, outcomes: list[Outcome]) -> str:
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    run_as("benchmarks.cart_poles")
