@@ -25,6 +25,10 @@ def test_control_writes_a_log_and_a_page(
     html = page.read_text(encoding="utf-8")
     assert "What moves here is a simulation" in html and "data:image/svg+xml" in html
     assert sorted(path.name for path in tmp_path.iterdir()) == ["run.html", "run.json"]
+    assert main(["report", str(log), "--html", str(again := tmp_path / "again.html")]) == FINE
+    assert "masses times 1.1" in again.read_text(encoding="utf-8")
+    capsys.readouterr()
+    check_refused(["play", str(log), "--optimization"], "--optimization: got the log", capsys)
 
 
 def test_control_plans_again_where_it_can_and_shows_it_live(

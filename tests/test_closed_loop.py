@@ -25,6 +25,7 @@ from drake_aigto import (
     plan,
 )
 from drake_aigto.control import ClosedLoopRun, Disturbance, run_in_loop
+from drake_aigto.errors import ResultsFileError
 from drake_aigto.show import figures_of_run, format_run, plot_run
 
 WALL, POLE = Scenario.named("table1/1"), Scenario.named("cart_pole/soft_06")
@@ -172,3 +173,33 @@ def test_a_wall_that_stands_nearer_is_nearer_by_so_much() -> None:
     q = POLE.initial_position
     moved = world.calc_signed_distance(q) - true.calc_signed_distance(q)
     np.testing.assert_allclose(moved, 0.03, atol=1e-12)
+
+
+def test_a_log_reads_back_to_the_same_run(tmp_path: Path) -> None:
+    for run in (replan(), track(Disturbance(noise=NOISE), duration=0.1)):
+        run.save(path := tmp_path / "run.json")
+        again = ClosedLoopRun.load(path)
+        for name in ("method", "scenario", "disturbance", "replay", "plan", "ticks", "switches"):
+            assert getattr(again, name) == getattr(run, name), name
+        np.testing.assert_array_equal(again.controls, run.controls)
+        assert not again.controls.flags.writeable
+        assert format_run(again) == format_run(run)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"format": "other"}, r"run\.json is not the log of a run in the loop: expected an object"),
+        ({"version": 2}, r"^log .*run\.json: got version 2, expected version 1"),
+        ({"promised": "a lot"}, r"is damaged: got run\.promised: got 'a lot', expected a number"),
+        ({"more": 1}, "is damaged: got run: got unknown more"),
+    ],
+)
+def test_a_log_that_is_none_is_refused(
+    changes: dict[str, Any], message: str, tmp_path: Path
+) -> None:
+    replan().save(path := tmp_path / "run.json")
+    data = json.loads(path.read_text(encoding="utf-8"))
+    path.write_text(json.dumps({**data, **changes}), encoding="utf-8")
+    with pytest.raises(ResultsFileError, match=message):
+        ClosedLoopRun.load(path)

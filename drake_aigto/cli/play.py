@@ -10,6 +10,9 @@ from typing import TYPE_CHECKING, Any
 from drake_aigto.cli.flags import add_command, add_port
 from drake_aigto.cli.progress import show_progress
 from drake_aigto.cli.status import FINE
+from drake_aigto.control import ClosedLoopRun, is_run
+from drake_aigto.errors import OptionsError, PlanFileError
+from drake_aigto.plain import read_json
 from drake_aigto.planning import Plan
 from drake_aigto.world.files import check_writable, write_text
 
@@ -19,6 +22,7 @@ if TYPE_CHECKING:
     from drake_aigto.world import World
 
 _ANY_PORT = 0
+_FILE = "a plan file, or the log of a run in the loop (`drake-aigto control --json`)"
 
 _PLAY_EXAMPLES = """\
 drake-aigto play plan.json                          # in a browser, until Enter is pressed
@@ -26,17 +30,19 @@ drake-aigto play plan.json --port 7001
 drake-aigto play plan.json --html plan.html         # one page, to mail
 drake-aigto play plan.json --beside gradient        # what a gradient solver does
 drake-aigto play plan.json --optimization           # boxes that shrink
+drake-aigto play run.json                           # the log of `drake-aigto control`
 """
 _REPORT_EXAMPLES = """\
 drake-aigto report plan.json --html plan.html
+drake-aigto report run.json --html run.html         # the log of `drake-aigto control`
 """
 
 
 def add_play(commands: Any) -> None:
     """Adds the command that plays."""
-    text = "watch a plan and its simulations in Meshcat"
+    text = "watch a plan and its simulations, or a run in the loop, in Meshcat"
     play = add_command(commands, "play", _play, text, _PLAY_EXAMPLES)
-    play.add_argument("plan", metavar="PLAN.json", help="a plan file")
+    play.add_argument("plan", metavar="FILE.json", help=_FILE)
     play.add_argument("--html", metavar="FILE", help="write one self-contained page instead")
     add_port(play)
     what = play.add_mutually_exclusive_group()
@@ -47,20 +53,38 @@ def add_play(commands: Any) -> None:
 
 
 def _play(options: argparse.Namespace) -> int:
-    from drake_aigto.show import open_meshcat, save_html
+    from drake_aigto.show import open_meshcat, save_html, show_run
 
     check_writable(options.html)
-    plan = Plan.load(options.plan)
-    world = plan.find_world()
+    shown = _load(options.plan)
+    if isinstance(shown, ClosedLoopRun):
+        _check_run_flags(options)
     # A page needs Meshcat, too, but nobody looks for it at a port.
     meshcat = open_meshcat(_ANY_PORT if options.html and options.port is None else options.port)
-    _publish(options, plan, meshcat, world)
+    if isinstance(shown, Plan):
+        _publish(options, shown, meshcat, shown.find_world())
+    else:
+        show_run(shown, meshcat)
     if options.html:
         save_html(meshcat, options.html)
         print(f"wrote {options.html}")
         return FINE
     wait_at(meshcat)
     return FINE
+
+
+def _load(path: str) -> Plan | ClosedLoopRun:
+    """Returns what is in a file, which says itself what that is."""
+    return (ClosedLoopRun if is_run(read_json(path, "plan file", PlanFileError)) else Plan).load(
+        path
+    )
+
+
+def _check_run_flags(options: argparse.Namespace) -> None:
+    """Refuses flags that only plans have."""
+    for flag, is_given in (("--beside", options.beside), ("--optimization", options.optimization)):
+        if is_given:
+            raise OptionsError(flag, got="the log of a run in the loop", expected="a plan file")
 
 
 def _publish(options: argparse.Namespace, plan: Plan, meshcat: Meshcat, world: World) -> None:
@@ -89,19 +113,22 @@ def wait_at(meshcat: Meshcat) -> None:
 
 def add_report(commands: Any) -> None:
     """Adds the command that writes a page."""
-    text = "write one self-contained page about a plan, to be mailed"
+    text = "write one self-contained page about a plan or a run in the loop, to be mailed"
     report = add_command(commands, "report", _report, text, _REPORT_EXAMPLES)
-    report.add_argument("plan", metavar="PLAN.json", help="a plan file")
+    report.add_argument("plan", metavar="FILE.json", help=_FILE)
     report.add_argument("--html", metavar="FILE", required=True, help="the page")
 
 
 def _report(options: argparse.Namespace) -> int:
-    from drake_aigto.show import report_plan
+    from drake_aigto.show import report_plan, report_run
 
     check_writable(options.html)
-    plan = Plan.load(options.plan)
+    shown = _load(options.plan)
     with show_progress(options) as progress:
-        page = report_plan(plan, progress=progress)
+        if isinstance(shown, Plan):
+            page = report_plan(shown, progress=progress)
+        else:
+            page = report_run(shown, progress)
     write_text(options.html, page)
     print(f"wrote {options.html}, {len(page.encode()) / 1e6:.1f} MB")
     return FINE

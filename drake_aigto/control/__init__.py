@@ -11,7 +11,7 @@ from drake_aigto.control.feedback import (
     track_event_driven,
 )
 from drake_aigto.control.laws import make_feedback
-from drake_aigto.control.loop_run import ClosedLoopRun, PlannedPath, PlanSwitch
+from drake_aigto.control.loop_run import ClosedLoopRun, PlannedPath, PlanSwitch, is_run
 from drake_aigto.control.phase_feedback import PhaseFeedback
 from drake_aigto.control.predictive import ModelPredictiveController, TickStatus
 from drake_aigto.control.tracking import TrackingController
@@ -29,6 +29,7 @@ __all__ = [
     "TickStatus",
     "Tracked",
     "TrackingController",
+    "is_run",
     "make_feedback",
     "run_in_loop",
     "track_drake",

@@ -6,17 +6,21 @@ import dataclasses
 import json
 import os
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal, get_type_hints
+
+import numpy as np
 
 from drake_aigto.arrays import ArrayRecord, Floats, read_only
 from drake_aigto.control.disturbance import Disturbance
 from drake_aigto.control.predictive import TickStatus
-from drake_aigto.plain import LEFT_OUT, to_plain
+from drake_aigto.errors import AigtoError, DamagedDataError, ResultsFileError
+from drake_aigto.plain import LEFT_OUT, from_plain, read_json, to_plain
 from drake_aigto.simulation import Replay
 from drake_aigto.world import Scenario, World
 from drake_aigto.world.files import write_text
 
 FORMAT, FORMAT_VERSION = "drake_aigto closed loop", 1
+HEAD = {"format": FORMAT, "version": FORMAT_VERSION, "simulation": True}
 
 Method = Literal["tracking", "replanning"]
 
@@ -71,7 +75,7 @@ class ClosedLoopRun:
         ticks: what each tick of `ModelPredictiveController` said; of tracking, none.
         switches: when it changed its mind.
         is_interrupted: whether Ctrl-C ended it; then it is what happened by then.
-        world: that the controller knows, while it is in memory: files do not have it.
+        world: that the controller knows; files do not have it (`load`).
     """
 
     method: Method
@@ -108,5 +112,59 @@ class ClosedLoopRun:
         Raises:
             OutputFileError: the file can't be written.
         """
-        head = {"format": FORMAT, "version": FORMAT_VERSION, "simulation": True}
-        write_text(path, json.dumps({**head, **to_plain(self)}) + "\n")
+        write_text(path, json.dumps({**HEAD, **to_plain(self)}) + "\n")
+
+    @classmethod
+    def load(cls, path: str | os.PathLike[str], world: World | None = None) -> ClosedLoopRun:
+        """Reads a log that `save` wrote.
+
+        Args:
+            path: of the file.
+            world: that the controller knew; None: that of the scenario's model.
+
+        Raises:
+            ResultsFileError: no such file, cut short, not the log of a run, damaged, or of another
+                version.
+            ModelError: from `World.from_scenario`.
+        """
+        data = read_json(path, "log", ResultsFileError)
+        if not is_run(data):
+            raise ResultsFileError(
+                f"{path} is not the log of a run in the loop",
+                expected=f"an object with the format {FORMAT!r}",
+                remedy="Write one with `drake-aigto control SCENARIO --json FILE`.",
+            )
+        if (version := data.get("version")) != FORMAT_VERSION:
+            got, expected = f"version {version!r}", f"version {FORMAT_VERSION}"
+            raise ResultsFileError(f"log {path}", got, expected, remedy="Run it again.")
+        try:
+            values = _read_fields(cls, data)
+        except (AigtoError, AttributeError, TypeError) as error:
+            raise ResultsFileError(
+                f"log {path} is damaged", got=error, remedy="Run it again."
+            ) from error
+        return cls(**values, world=world or World.from_scenario(values["scenario"]))
+
+
+def is_run(data: object) -> bool:
+    """Returns whether data of a file say that they are the log of a run."""
+    return isinstance(data, dict) and data.get("format") == FORMAT
+
+
+def _read_fields(kind: type[ClosedLoopRun], data: dict[str, Any]) -> dict[str, Any]:
+    """Returns all fields of a run but its world, whose arrays are read-only.
+
+    Raises:
+        DamagedDataError: a field that is missing, unknown, or does not fit.
+    """
+    names = [field.name for field in dataclasses.fields(kind) if field.name != "world"]
+    if unknown := sorted(set(data) - {*names, *HEAD}):
+        raise DamagedDataError("run", f"unknown {', '.join(unknown)}", "fields of a run")
+    if missing := sorted(set(names) - set(data)):
+        raise DamagedDataError(f"run.{missing[0]}", got="nothing", expected="a value")
+    hints = get_type_hints(kind)
+    values = {name: from_plain(hints[name], data[name], f"run.{name}") for name in names}
+    return {
+        name: read_only(value) if isinstance(value, np.ndarray) else value
+        for name, value in values.items()
+    }
