@@ -82,7 +82,7 @@ PROBLEMS = {
         weights=((1.0, 1.0, 1.0, 1.0), 1.0),
         start=(0.0, 0.0, 0.8, 0.0),
         shove=0.003,
-        horizon=1.0,
+        horizon=1.5,
     ),
     "Benders": CartPole(
         masses=(1.0, 0.4),

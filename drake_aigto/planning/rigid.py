@@ -292,8 +292,9 @@ class RigidProblem(PlanningProblem):
             if solved is not None:
                 return solved
             if self._is_brief:
-                got = f"none that {most} iterations lead to"
-                raise TrajectoryError("a motion with these touches", got, expected="one")
+                raise TrajectoryError(
+                    "touches", f"no motion in {most} iterations", "one that has them"
+                )
             coarse = min(self.transcription.scenario.num_steps, _MOST_COARSE)
             num_steps = min(num_steps or coarse, _MOST_GENERAL)
         phases = self._phases(sequence, facings, num_steps)
