@@ -36,6 +36,8 @@ _SEARCHED = 10
 # thought to return counts like a bounce at this part of the task's velocity; and a bounce is seen
 # between samples that are so many periods apart at most.
 _OFF, _DOUBT, _RECENT = 0.1, 0.1, 4.0
+# Of what they return: programs are compiled for each restitution, which noise blurs by more.
+_DIGITS = 3
 
 
 class BallHorizon(Horizon):
@@ -93,8 +95,10 @@ class BallHorizon(Horizon):
 
     def knowing(self, seen: SeenBounces) -> BallHorizon:
         """Returns the same task between walls that return what was seen."""
+        if not seen.squares:
+            return self
         learned = copy.copy(self)
-        e = seen.find_restitution(self.restitution, self._doubt)
+        e = round(seen.find_restitution(self.restitution, self._doubt), _DIGITS)
         learned.scenario = dataclasses.replace(self.scenario, restitution=e)
         return learned
 
