@@ -257,7 +257,9 @@ def test_the_table_counts_what_is_near_the_best_known_and_below_it() -> None:
     rows = (row(10.0, 10.0), row(10.3, 10.0), row(9.0, 10.0), row(20.0, 10.0))
     comparison = Comparison((NEAR,), 4, ("shooting",), 1.0)
     line = format_results(Results(comparison, rows)).splitlines()[-1]
-    assert " ".join(line.split()).startswith("shooting 50 % 75 % 25 % 1.00 1.00 2.00 2.00 0.50 ")
+    assert " ".join(line.split()).startswith(
+        "shooting 50.0 % 75.0 % 25.0 % 1.00 1.00 2.00 2.00 0.50 "
+    )
 
 
 def test_figures_are_of_plans_that_are_off_the_best_known() -> None:

@@ -19,8 +19,8 @@ CPU, wall   seconds of all attempts: median, and what nine in ten stay under
 hit         CPU seconds until within 1 % of the best known, median of those that come there
 off         of its promise from the judge's cost, median and nine in ten; Drake: the same replayed
             there, from the judge's"""
-_COLUMNS = {"1 %": 7, "5 %": 7, "below": 7, "CPU": 13, "wall": 13, "hit": 7, "off": 14, "Drake": 14}
-_HEAD = " " * 18 + "".join(f"{name:>{width}}" for name, width in _COLUMNS.items())
+_COLUMNS = {"1 %": 8, "5 %": 8, "below": 8, "CPU": 13, "wall": 13, "hit": 7, "off": 14, "Drake": 14}
+_HEAD = " " * 15 + "".join(f"{name:>{width}}" for name, width in _COLUMNS.items())
 
 
 def format_results(results: Results) -> str:
@@ -43,7 +43,7 @@ def _section(title: str, rows: Sequence[Row], methods: Sequence[str]) -> Iterato
     yield f"\n{title}"
     yield _HEAD
     for number, name in enumerate(methods):
-        yield f"{name:18}" + _figures(rows, [row.outcomes[number] for row in rows])
+        yield f"{name:15}" + _figures(rows, [row.outcomes[number] for row in rows])
 
 
 def _figures(rows: Sequence[Row], outcomes: Sequence[Outcome]) -> str:
@@ -59,7 +59,7 @@ def _figures(rows: Sequence[Row], outcomes: Sequence[Outcome]) -> str:
     drake = [find_part(each.drake, each.cost) for each in outcomes if each.drake is not None]
     return "".join(
         [
-            *(f"{100 * share:5.0f} %" for share in shares),
+            *(f"{100 * share:6.1f} %" for share in shares),
             *(_pair([getattr(each, kind) for each in outcomes], 2) for kind in ("cpu", "wall")),
             f"{np.median(hits):7.2f}" if hits else f"{'-':>7}",
             *(_pair([100 * part for part in parts], 2, " %") for parts in (off, drake)),

@@ -47,6 +47,8 @@ _STEADY = 0.1
 _HOPELESS = 0.05
 # Boxes have a duration of which this is the next one, where it is free.
 _NEXT_DURATION = 1.1
+# Programs of boxes that are kept; scenarios may have ever other durations and weights.
+_MOST_PROGRAMS = 32
 # Motions whose positions are nowhere farther apart than this part of their scales have one optimum.
 _NEAR = 0.05
 # What a motion misses of its bounds, in the state's scales, costs this in the task's scale. More
@@ -76,7 +78,7 @@ class Compiled:
 
     Attributes:
         mechanism: the world as shooting has it.
-        boxes: programs of boxes, by the weights, bounds, duration and steps they were made for.
+        boxes: the last programs of boxes, by the weights, bounds, duration and steps they have.
     """
 
     mechanism: Mechanism
@@ -167,12 +169,15 @@ class MechanismProblem:
         arrays = *weights, is_hard, self.bounds.control, *springs
         key = num_steps, duration, *(each.tobytes() for each in arrays)
         programs = self._compiled.boxes
-        if key not in programs:
+        boxes = programs.get(key)
+        if boxes is None:
             program = MechanismProgram(
                 self.world, task, self._springs, duration, num_steps, is_hard
             )
-            programs[key] = MechanismBoxes(program, self.bounds.control)
-        return programs[key].start(self._ends)
+            if len(programs) >= _MOST_PROGRAMS:
+                programs.pop(next(iter(programs)), None)
+            boxes = programs[key] = MechanismBoxes(program, self.bounds.control)
+        return boxes.start(self._ends)
 
     @cached_property
     def _hard_goal(self) -> Floats:
