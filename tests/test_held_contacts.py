@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from functools import cache
 
 import numpy as np
@@ -12,6 +13,8 @@ from drake_aigto import Scenario, World
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import ProgramError
 from drake_aigto.jit import kernel
+from drake_aigto.planning.bounces import add_impulses, replay_at_knots
+from drake_aigto.planning.flow import trace
 from drake_aigto.shooting import (
     Mechanism,
     Phases,
@@ -208,3 +211,21 @@ def test_phases_that_hold_what_is_not_there_are_refused() -> None:
     with pytest.raises(ProgramError, match=r"phases: held: got .* expected 1 numbers"):
         none = np.zeros(0, dtype=np.int64)
         Phases(none, none, np.ones(1), (1.0, 1.0), np.array([0, 1]))
+
+
+def test_a_cart_that_runs_into_two_that_touch_moves_on_with_both() -> None:
+    """Impulses of all turns are summed: what each contact passes on is momentum of what follows."""
+    world = carts()
+    start = dataclasses.replace(
+        CARTS, initial_position=[-3.0, 0.0, 2.0], initial_velocity=[3.0, 0.0, 0.0], duration=1.0
+    )
+    times, controls, replay = replay_at_knots(
+        world, start, np.linspace(0.0, 1.0, 21), np.zeros((20, 1))
+    )
+    flight, gaps = trace(world, RigidLaw(np.zeros(2)), replay, times, controls)
+    trajectory, missed = add_impulses(world, start, replay, flight)
+    assert max(missed, gaps.max()) < 1e-9
+    (knot,) = np.flatnonzero(trajectory.impulses.any(axis=1))
+    # It has rolled 1 m under 3 m/s and a damping of 2/s, which leaves 1 m/s.
+    np.testing.assert_allclose(trajectory.impulses[knot], [2 / 3, 1 / 3], rtol=1e-4)
+    np.testing.assert_allclose(replay.velocities[-1], replay.velocities[-1, 0])

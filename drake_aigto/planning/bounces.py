@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.simulation.recording import find_impacts
 from drake_aigto.simulation.replay import Replay, replay_event_driven
 from drake_aigto.trajectory import Trajectory
@@ -61,23 +63,32 @@ def add_impulses(
     """Returns a trajectory with a replay's impacts, which are at its knots.
 
     Also returns by how much the velocity after an impact is off at most [m/s]: it has to be what an
-    impulse along the contact makes of that before, and the contact's speed be returned e times, or
-    nothing of it where rest begins.
+    impulse ≥ 0 along the contact makes of that before, and the contact's speed be returned e times,
+    or nothing of it where rest begins. Several contacts at one instant hit each other in turns:
+    there impulses are the sums of all turns, and no contact is approached after the last.
     """
+    impulses, missed = trajectory.impulses.copy(), 0.0
+    for time, contacts, q, before, after in _list_events(replay):
+        each = np.unique(contacts)
+        J, e = world.calc_contact_jacobian(q)[each], world.restitutions(scenario)[each]
+        kicks = np.linalg.solve(world.calc_mass_matrix(q), J.T)
+        pushes, off = scipy.optimize.nnls(kicks, after - before)
+        knot = np.abs(trajectory.times - time).argmin()
+        impulses[knot, each] += pushes
+        came, went = J @ before, J @ after
+        rebound = np.abs(went + e * came) if len(each) == 1 else np.maximum(-went, 0.0)
+        missed = max(missed, off, float(np.max(np.minimum(rebound, np.abs(went)))))
+    return replace(trajectory, impulses=impulses), missed
+
+
+def _list_events(replay: Replay) -> Iterator[tuple[float, Ints, Floats, Floats, Floats]]:
+    """Yields when impacts are, of which contacts, q then, and v before and after them all."""
     contacts = np.array(replay.bounce_contacts, dtype=np.int64)
     rows = find_impacts(replay.times, replay.velocities, len(contacts))
-    impulses = trajectory.impulses.copy()
-    if not len(rows):
-        return trajectory, 0.0
-    q, before, after = replay.positions[rows], replay.velocities[rows], replay.velocities[rows + 1]
-    each = np.arange(len(rows))
-    J = world.calc_contact_jacobian(q)[each, contacts]
-    kicks = np.linalg.solve(world.calc_mass_matrix(q), J[..., np.newaxis])[..., 0]
-    came, went = (np.einsum("bi,bi->b", J, v) for v in (before, after))
-    pushes = (went - came) / np.einsum("bi,bi->b", J, kicks)
-    misses = np.max(np.abs(after - before - kicks * pushes[:, np.newaxis]), axis=1)
-    e = world.restitutions(scenario)[contacts]
-    rebounds = np.minimum(np.abs(went + e * came), np.abs(went))
-    knots = np.abs(trajectory.times[:, np.newaxis] - replay.times[rows]).argmin(axis=0)
-    np.add.at(impulses, (knots, contacts), pushes)
-    return replace(trajectory, impulses=impulses), float(max(misses.max(), rebounds.max()))
+    for time in np.unique(replay.times[rows]):
+        at_once = replay.times[rows] == time
+        first, last = rows[at_once][0], rows[at_once][-1] + 1
+        if len(np.unique(contacts[at_once])) > 1:  # Touches too slow for impacts are among them.
+            last = np.searchsorted(replay.times, time, side="right") - 1
+        v = replay.velocities
+        yield time, contacts[at_once], replay.positions[first], v[first], v[last]

@@ -18,6 +18,9 @@ _STEPS, _MOST_STEPS, _EXACT = 32, 512, 1e-8
 # Distances and speeds below this part of the largest coordinate, or 1, are none.
 _STILL = 1e-10
 
+# What is left of a bounce as rest begins, as a part of the largest coordinate, or 1, at most.
+_SLOW = 1e-3
+
 # States (K, 2n) → their rates of change, and the forces of contacts, shape (K, m) [N].
 Rates: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
 
@@ -28,8 +31,8 @@ def trace(
     """Returns the trajectory of a replay, and how far it is off the equations of motion.
 
     From each row of the replay Runge and Kutta's method of order 4 goes on to the next. Between
-    rigid walls, what rests at a row is held there as long as it presses; what impacts do there is
-    left to `bounces.add_impulses`.
+    rigid walls, what rests at a row is held there as long as it presses, and slow hops end as rest
+    begins; what impacts do is left to `bounces.add_impulses`.
 
     Args:
         world: the mechanism.
@@ -50,6 +53,8 @@ def trace(
     sizes, steps = np.max(np.abs(x), axis=0), _STEPS
     while True:
         ends, pushes = _integrate(rates, x[:-1][is_step], h, steps)
+        if isinstance(law, RigidLaw):
+            _begin_rest(world, ends, x[1:][is_step])
         off = np.abs(ends - x[1:][is_step])
         gaps = np.max(np.where(np.isnan(off), np.inf, off), axis=0)
         if steps >= _MOST_STEPS or np.all(gaps <= _EXACT * sizes):
@@ -117,6 +122,22 @@ def _find_resting(world: World, x: Floats) -> Bools:
     distances, speeds = world.calc_signed_distance(q), world.calc_contact_rate(q, v)
     still = _STILL * (1 + np.abs(x).max(axis=1, keepdims=True))
     return (np.abs(distances) <= still) & (np.abs(speeds) <= still)
+
+
+def _begin_rest(world: World, ends: Floats, after: Floats) -> None:
+    """Takes from velocities (K, 2n) what slow contacts lose that rest in the states after them."""
+    n = world.num_positions
+    finite = np.isfinite(ends).all(axis=1)
+    speeds = np.zeros((len(ends), world.num_contacts))
+    speeds[finite] = world.calc_contact_rate(ends[finite, :n], ends[finite, n:])
+    sizes = 1 + np.abs(after).max(axis=1, keepdims=True)
+    is_slow = (np.abs(speeds) > _STILL * sizes) & (np.abs(speeds) <= _SLOW * sizes)
+    begins = _find_resting(world, after) & is_slow
+    for row in np.flatnonzero(begins.any(axis=1)):
+        q = after[row, :n]
+        J = world.calc_contact_jacobian(q)[begins[row]]
+        kicks = np.linalg.solve(world.calc_mass_matrix(q), J.T)
+        ends[row, n:] -= kicks @ np.linalg.lstsq(J @ kicks, speeds[row, begins[row]])[0]
 
 
 def _integrate(rates: Rates, x: Floats, durations: Floats, steps: int) -> tuple[Floats, Floats]:

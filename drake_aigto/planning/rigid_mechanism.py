@@ -23,7 +23,7 @@ from drake_aigto.planning.mechanism_phases import (
     read_touches,
     sample,
 )
-from drake_aigto.planning.mechanism_problem import COARSE, MechanismProblem
+from drake_aigto.planning.mechanism_problem import MechanismProblem
 from drake_aigto.shooting import (
     Mechanism,
     Phases,
@@ -82,9 +82,9 @@ class RigidMechanismProblem(MechanismProblem):
         """What moves between springs."""
         return Mechanism.of(self.world, self._springs)
 
-    def close(self, center: Center, options: ShootingOptions = COARSE) -> BouncingResult:
+    def close(self, center: Center) -> BouncingResult:
         """Returns the motion on rigid walls near a box center."""
-        soft = super().close(center, options)
+        soft = self._close_on_springs(center)
         return self.bounce(read_touches(self.world, soft, self.lasting), soft)
 
     @cached_property
