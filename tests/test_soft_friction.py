@@ -7,10 +7,13 @@ from functools import cache
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from drake_aigto import Planner, Scenario, World
 from drake_aigto.planning import MechanismOptions
 from drake_aigto.shooting import Mechanism
+from drake_aigto.show import plot_friction
+from drake_aigto.show.motion import Motion
 from drake_aigto.simulation import replay_drake, replay_event_driven
 from drake_aigto.world import calc_friction_share
 
@@ -79,6 +82,20 @@ def test_shooting_has_the_law_and_its_derivatives() -> None:
         differences = np.subtract(ends[:8], ends[8:]).T / (2 * step)
         largest = np.abs(slopes).max()
         np.testing.assert_allclose(slopes, differences, rtol=1e-5, atol=1e-7 * largest)
+
+
+def test_a_figure_tells_stick_from_slip_by_its_marks_and_has_friction_within_its_cone() -> None:
+    times, q = np.linspace(0.0, 1.0, 3), np.tile([0.8, 0.06, 0.0], (3, 1))
+    v = np.array([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0], [2.0, 0.0, 0.0]])
+    plot_friction(axes := Figure().subplots(), Motion("plan", times, q, v), read(), ask())
+    line, rings, crosses = axes.lines
+    np.testing.assert_array_equal(rings.get_xdata(), times[:2])
+    np.testing.assert_array_equal(crosses.get_xdata(), times[2:])
+    # μ k x = 0.4 · 400 N/m · 0.04 m, along a direction T that the world chose, against sliding.
+    against = -np.sign(read().calc_tangent_jacobian(q[0], yields=True)[2, 0])
+    friction = against * np.asarray(line.get_ydata())
+    assert friction[2] == pytest.approx(6.4)
+    assert 0.0 < friction[1] < 6.4
 
 
 @pytest.mark.slow

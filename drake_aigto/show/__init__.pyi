@@ -9,6 +9,7 @@ from .figures import plot_phase_portrait as plot_phase_portrait
 from .figures import plot_plan as plot_plan
 from .figures import plot_positions as plot_positions
 from .figures import plot_velocities as plot_velocities
+from .friction_figures import plot_friction as plot_friction
 from .landscapes import plot_cost_history as plot_cost_history
 from .landscapes import plot_cost_landscape as plot_cost_landscape
 from .landscapes import plot_integrated_product as plot_integrated_product
