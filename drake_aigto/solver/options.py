@@ -28,7 +28,8 @@ class AigoOptions:
             points, where complementarities share a side, counts as three.
         patience: rounds in a row without a better point that end the search; with constraints, a
             sixth of them does at each weight; with ladders, three eighths of them do, and what is
-            kept begins anew once, unless interior points climb too.
+            kept begins anew, until it led to the best cost twice, and eight ladders did, unless
+            interior points climb too.
         feasibility: the largest violation of a constraint in an answer that is called a solution.
         first_half_width: half width of the first box where a variable has no bounds, relative to
             max(1, |guess|); it doubles from there while that lowers the cost's mean.

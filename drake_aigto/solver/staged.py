@@ -48,9 +48,9 @@ _START_TIGHTENED, _RENEWED_TIGHTENED = (-2.0, 0.0), (-3.0, 0.0)
 _OTHER, _TIGHTENED_WORK = 0.25, 3
 _START_RELAXATIONS, _START_WEIGHTS = (-2.2, -0.7), (2.5, 5.0)
 _RENEWED_RELAXATIONS, _RENEWED_WEIGHTS, _SHIFTS = (-3.7, -1.2), (3.5, 6.0), (-1.5, 0.0)
-# Points are kept anew, as those that are renewed are of few basins, until so many populations ended
-# at the best cost; each lasts until this part of the patience is over.
-_AGREEING, _PART_OF_PATIENCE = 2, 0.375
+# Points are kept anew, as those that are renewed are of few basins, until so many populations, and
+# so many ladders, ended at the best cost; each lasts until this part of the patience is over.
+_AGREEING, _REPEATS, _PART_OF_PATIENCE = 2, 8, 0.375
 _MOST_BENDS = 6  # of a smooth start
 _RENEWED_PART = 0.7  # of what comes after the first starts
 
@@ -267,10 +267,11 @@ class StagedSearch:
             ends.append(self._kept[0][0] if self._kept else np.inf)
 
     def _is_in_doubt(self, ends: Sequence[float]) -> bool:
-        """Returns whether too few populations ended at the best cost, and rounds are left."""
+        """Returns whether too little ended at the best cost, and rounds are left."""
         if self._staged.tightened is not None or self._work >= self._options.rounds:
             return False
-        return sum(end <= self.best + _SAME * abs(self.best) for end in ends) < _AGREEING
+        num_agreeing = sum(end <= self.best + _SAME * abs(self.best) for end in ends)
+        return num_agreeing < _AGREEING or self.repeats < _REPEATS
 
     def _evolve(self, are_smooth: bool) -> None:
         """Starts by chance, then renews the best points, until none is better for long.
