@@ -116,7 +116,8 @@ def _try_modes(touching: Touching, modes: tuple[Mode, ...]) -> Going | None:
     if np.any(np.abs(pushes @ unknown - wanted) > 1e3 * _NOTHING * size):
         return None
     if rank < len(vanish) and not _are_allowed(touching, modes, shares.T @ unknown, size):
-        spread = _spread(touching, modes, shares, pushes, wanted)
+        most = float(np.max(np.abs(unknown)))
+        spread = _spread(touching, modes, shares, pushes, wanted, most)
         unknown = unknown if spread is None else spread
     forces = shares.T @ unknown
     if not _are_allowed(touching, modes, forces, size):
@@ -148,10 +149,12 @@ def _spread(
     shares: Floats,
     pushes: Floats,
     wanted: Floats,
+    most: float,
 ) -> Floats | None:
     """Returns forces of contacts that hold each other up without need, as far inside of cones.
 
-    They are not unique, but the motion is: a block on two feet stays if any forces hold it.
+    They are not unique, but the motion is: a block on two feet stays if any forces hold it. None
+    has to be farther inside than the most, as bodies may be wedged with any force.
     """
     k, (r, _) = len(modes), shares.shape
     stuck = [i for i in range(k) if modes[i] == Mode.STICK]
@@ -168,9 +171,12 @@ def _spread(
         b_ub=np.zeros(len(margins)),
         A_eq=np.hstack([pushes, np.zeros((len(pushes), 1))]),
         b_eq=wanted,
-        bounds=[(None, None)] * r + [(None, 1e6)],
+        bounds=[(None, None)] * r + [(None, most)],
     )
-    return found.x[:r] if found.success else None
+    if not found.success:
+        return None
+    near = found.x[:r]  # It meets its rows to 1e-7.
+    return np.asarray(near + np.linalg.lstsq(pushes, wanted - pushes @ near, rcond=RANK)[0])
 
 
 def _name(going: Going) -> str:
