@@ -11,6 +11,7 @@ import pytest
 from drake_aigto import Plan, Planner, Scenario
 from drake_aigto.planning import MechanismOptions
 from drake_aigto.planning.mechanism_phases import lay_out
+from drake_aigto.simulation import replay_event_driven
 from drake_aigto.transcription import Touch
 
 QUICK = MechanismOptions(renewals=8, finalists=2)
@@ -45,6 +46,20 @@ def check_impacts(plan: Plan) -> None:
         assert J @ t.velocities[k] < 0
         after = J @ (t.velocities[k] + jump)
         assert after == pytest.approx(-e[i] * (J @ t.velocities[k]), abs=1e-9)
+
+
+def test_a_bounce_that_leads_to_the_goal_by_itself_is_given_the_time_for_it(
+    pendulum: Planner,
+) -> None:
+    scenario = dataclasses.replace(pendulum.scenario, duration_range=(0.7, 2.5))
+    options = dataclasses.replace(QUICK, confirm=False)
+    plan = Planner(scenario, options, pendulum.world).plan()
+    assert plan.cost < 1e-9
+    assert len(plan.best.contacts) == 1
+    T = plan.trajectory.times[-1]
+    passed = replay_event_driven(pendulum.world, scenario, np.array([0.0, T]), np.zeros((1, 1)))
+    assert len(passed.bounce_times) == 1
+    np.testing.assert_allclose(passed.positions[-1], scenario.goal_position, atol=1e-5)
 
 
 def test_the_pendulum_comes_back_off_the_wall(plan: Plan) -> None:
