@@ -2,6 +2,7 @@ from .control import ModelPredictiveController as ModelPredictiveController
 from .control import TrackingController as TrackingController
 from .errors import AigtoError as AigtoError
 from .errors import ControlError as ControlError
+from .errors import FrictionError as FrictionError
 from .errors import ModelError as ModelError
 from .errors import OptionsError as OptionsError
 from .errors import OutputFileError as OutputFileError

@@ -13,7 +13,7 @@ from pydrake.multibody.plant import CoulombFriction
 from pydrake.symbolic import Expression
 from pydrake.systems.framework import Context, Diagram
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Floats, read_only
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.world.contact import SphereAndFace
 from drake_aigto.world.diagram import find_plant, hide_half_space_warning
@@ -70,6 +70,8 @@ class Rubbing:
         Raises:
             ModelError: a sphere can slide in two directions along a face where μ is not 0.
         """
+        if friction is None and not self.frictions:  # Simulations ask this again and again.
+            return self._none
         coefficients = self._calc_all(friction)[: self._num_contacts]
         for i in np.flatnonzero(coefficients):
             if self._tangents[i] is None:
@@ -163,7 +165,12 @@ class Rubbing:
     @cached_property
     def model_coefficients(self) -> Floats:
         """The model's μ of each contact, and of each face that a sphere is stuck in, (m + s,)."""
-        return np.array([each.dynamic_friction() for each in self._friction])
+        return read_only([each.dynamic_friction() for each in self._friction])
+
+    @cached_property
+    def _none(self) -> Floats:
+        """No friction of each contact, shape (m,)."""
+        return read_only(np.zeros(self._num_contacts))
 
     @cached_property
     def _slides(self) -> Floats:
