@@ -12,10 +12,11 @@ from pydrake.solvers import MathematicalProgram
 
 from drake_aigto.arrays import Floats
 from drake_aigto.certify.clique_cells import MOST_VARIABLES
-from drake_aigto.certify.cliques import CliqueSearch, elimination
-from drake_aigto.certify.few_variables import CellSearch
+from drake_aigto.certify.cliques import CliqueProgram, CliqueSearch, elimination
+from drake_aigto.certify.few_variables import CellProgram, CellSearch
 from drake_aigto.certify.parts import cell_program, clique_program
-from drake_aigto.certify.program import Formulas, read_formulas
+from drake_aigto.certify.program import Formulas, formula_of, read_formulas
+from drake_aigto.certify.tape import make_tape
 from drake_aigto.certify.values import SumOfFormulas, group
 
 # A point → a feasible one near it, if there is one.
@@ -127,27 +128,41 @@ class Certifier:
     def __init__(self, prog: MathematicalProgram, gap: float = 1e-6) -> None:
         """Chooses a method by the program's structure."""
         self._formulas = read_formulas(prog)
-        self._cost = SumOfFormulas(group(self._formulas.summands))
         self._gap = gap
+        order = self._order()
+        self.method, program = self._choose(order)
+        self._cost = _sum_of(self._formulas, program)
         least, most = self._cost.range(self._formulas.lower, self._formulas.upper)
         self._least_sum = least
         # What the cost varies by over the bounds, if that is below 1 in its own unit.
         self.scale = min(1.0, most - least) if math.isfinite(most - least) else 1.0
         self.best, self.best_cost = np.full(self._formulas.lower.size, np.nan), math.inf
-        self.method, self._search = self._choose()
+        self._search: CellSearch | CliqueSearch | None = None
+        if isinstance(program, CellProgram):
+            self._search = CellSearch(program, self.scale, _MARGIN * gap, _MOST_OPEN)
+        elif program is not None and order is not None:
+            self._search = CliqueSearch(program, order)
 
-    def _choose(self) -> tuple[Method, CellSearch | CliqueSearch | None]:
+    def _order(self) -> list[tuple[int, ...]] | None:
+        """Returns in which order variables of small cliques are eliminated; None: of others."""
         formulas = self._formulas
         size = formulas.lower.size
-        if size > _FEW and np.all(np.isfinite(formulas.upper - formulas.lower)):
-            read = [each.variables for each in formulas.summands]
-            read += [row.formula.variables for row in formulas.rows]
-            order = elimination(size, read) if max(map(len, read), default=0) <= 3 else None
-            if order is not None:
-                return Method.CLIQUES, CliqueSearch(clique_program(formulas), order)
-        if 0 < size <= _MOST_VARIABLES:
-            margin = _MARGIN * self._gap
-            return Method.CELLS, CellSearch(cell_program(formulas), self.scale, margin, _MOST_OPEN)
+        if size <= _FEW or not np.all(np.isfinite(formulas.upper - formulas.lower)):
+            return None
+        read = [each.variables for each in formulas.summands]
+        read += [row.formula.variables for row in formulas.rows]
+        if max(map(len, read), default=0) > MOST_VARIABLES:
+            return None
+        return elimination(size, read)
+
+    def _choose(
+        self, order: list[tuple[int, ...]] | None
+    ) -> tuple[Method, CellProgram | CliqueProgram | None]:
+        formulas = self._formulas
+        if order is not None:
+            return Method.CLIQUES, clique_program(formulas)
+        if 0 < formulas.lower.size <= _MOST_VARIABLES:
+            return Method.CELLS, cell_program(formulas)
         return Method.SUM, None
 
     def offer(self, x: Floats) -> None:
@@ -234,6 +249,18 @@ class Certifier:
                 f"{MOST_VARIABLES}, and cells of more than {_MOST_VARIABLES} are too many"
             )
         return "the cells allowed were used up"
+
+
+def _sum_of(formulas: Formulas, program: CellProgram | CliqueProgram | None) -> SumOfFormulas:
+    """Returns the cost as a sum of the formulas that a program has of it, or of its summands."""
+    if isinstance(program, CellProgram):
+        return SumOfFormulas(program.tape, [range(formulas.lower.size)])
+    if program is not None:
+        costs = np.flatnonzero(program.is_row == 0)
+        return SumOfFormulas(program.tape, [program.variables[k] for k in costs])
+    groups = group(formulas.summands)
+    tape = make_tape(formula_of(parts, read) for read, parts in groups.items())
+    return SumOfFormulas(tape, list(groups))
 
 
 def _missing(formulas: Formulas) -> str:

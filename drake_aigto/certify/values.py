@@ -11,8 +11,8 @@ import numpy as np
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.certify.enclosures import GRADIENT, VALUE, Scratch, enclose, make_scratch
 from drake_aigto.certify.intervals import UNIT, Interval
-from drake_aigto.certify.program import Summand, formula_of
-from drake_aigto.certify.tape import Tape, make_tape
+from drake_aigto.certify.program import Summand
+from drake_aigto.certify.tape import Tape
 from drake_aigto.jit import kernel
 
 
@@ -79,14 +79,15 @@ class SumOfFormulas:
     """Σ f_p over the program's variables.
 
     Args:
-        groups: summands by the variables that they read.
+        tape: holds them.
+        variables: those that each of its first formulas reads, which are summed up.
     """
 
-    def __init__(self, groups: dict[tuple[int, ...], list[Summand]]) -> None:
-        """Makes one tape."""
-        self._tape = make_tape(formula_of(parts, read) for read, parts in groups.items())
-        self._read = np.zeros((len(groups), max(1, *map(len, groups), 0)), dtype=np.int64)
-        for row, read in zip(self._read, groups, strict=True):
+    def __init__(self, tape: Tape, variables: Sequence[Sequence[int]]) -> None:
+        """Says which variables are read."""
+        self._tape = tape
+        self._read = np.zeros((len(variables), max(1, *map(len, variables), 0)), dtype=np.int64)
+        for row, read in zip(self._read, variables, strict=True):
             row[: len(read)] = read
 
     def range(self, low: Floats, high: Floats) -> Interval:
