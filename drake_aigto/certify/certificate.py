@@ -31,7 +31,7 @@ _FIRST_CHUNK = 500
 # Cells are settled at this part of the gap that is asked for.
 _MARGIN = 0.5
 # Dynamic programming bounds so many cells at most in one step for each that may be used in all.
-_CLIQUE_CELLS = 25
+_CLIQUE_CELLS = 40
 
 
 class Method(enum.Enum):
