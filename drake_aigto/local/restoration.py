@@ -69,4 +69,5 @@ class Restoration:
 
 
 def _half_square(point: Point) -> float:
-    return 0.5 * float(point.rows @ point.rows)
+    with np.errstate(over="ignore"):  # Infinite, which no step is taken to.
+        return 0.5 * float(point.rows @ point.rows)
