@@ -98,6 +98,15 @@ def test_the_judge_agrees_with_the_event_driven_replay(world: str) -> None:
     assert judge(question, control).cost == pytest.approx(replay.cost, rel=1e-5)
 
 
+def test_the_judge_lets_carts_push_each_other_and_part_again() -> None:
+    question = Question("three_carts/apart", 1)
+    control = push(question, np.repeat([10.0, -9.0], [7, 13]))
+    judgment = judge(question, control)
+    replay = replay_event_driven(world_of(question.world), scenario_of(question), *control)
+    assert judgment.touches == len(replay.bounce_times) == 2
+    assert judgment.cost == pytest.approx(replay.cost, rel=1e-8)
+
+
 def test_the_judge_sees_a_bounce_that_is_shorter_than_its_steps() -> None:
     """The weakest torque that touches the wall at all is the same for the replay."""
     question = Question(PENDULUM, 2, is_tuning=True)

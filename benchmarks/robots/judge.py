@@ -261,7 +261,8 @@ def _find_bottom(
         if law.stiffness > 0.0 or on[k]:
             continue
         rate = _calc_rate(law, out, x, u, k)
-        if out.gap[k] + step * rate >= 0.0:
+        # Where something lets go, it is at the wall but for rounding, and enters nothing.
+        if out.gap[k] < 0.0 or out.gap[k] + step * rate >= -_THICKNESS:
             continue
         low, high = 0.0, step
         for _ in range(50):
