@@ -44,6 +44,9 @@ RECORDS: Mapping[str, str] = {
     " cart_pole/rigid_06/e=0.5 cart_pole/rigid_10/e=1 cart_pole/rigid_10/e=0.5 paddle/bat"
     " acrobot/swing_up acrobot/beside_a_wall --count 40 --methods plan listed IPOPT"
     " --minutes 17 --workers 2 --json docs/results/robots_rigid.json",
+    "robots_contacts": "python -m benchmarks.robots compare acrobot/beside_a_wall two_discs/swap"
+    " three_carts/apart --count 40 --methods plan listed IPOPT --seconds 10 --minutes 10"
+    " --workers 2",
     "robots_soft": "python -m benchmarks.robots compare cart_pole/soft_06 cart_pole/soft_10"
     " --methods plan --workers 2",
     "table1": "python -m benchmarks.table1_figures",
@@ -62,6 +65,11 @@ RECORDS: Mapping[str, str] = {
     "chain": "python -m benchmarks.chain --workers 2 --first-seed 100 --patience 20 --minutes 60"
     f" {_SOLVER}",
     "certificates": "python -m benchmarks.certificates",
+    "in_the_loop": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --workers 2",
+    "in_more_loops": "python -m benchmarks.in_the_loop room/bank_shot floor/rebound"
+    " cart_pole/soft_06 --count 40 --workers 2 --minutes 3",
+    "cart_poles": "python -m benchmarks.cart_poles --count 24 --workers 2 --minutes 3",
+    "soak": "python -m benchmarks.soak --count 100000",
     "random_programs": "python -m benchmarks.random_programs --count 500 --seed 4 --workers 2",
 }
 
@@ -163,6 +171,7 @@ FIGURES: Mapping[str, Figure] = {
     "floors_most": Figure("floors", rf"at most {_NUMBER}$"),
     "robots_tables": Figure("robots", r"(?s)\A(.*\S)"),
     "robots_rigid_tables": Figure("robots_rigid", r"(?s)\A(.*\S)"),
+    "robots_contacts_tables": Figure("robots_contacts", r"(?s)\A(.*\S)"),
     "robots_pendulum_tables": Figure("robots_pendulum", r"(?s)\A(.*\S)"),
     "robots_soft_tables": Figure("robots_soft", r"(?s)\A(.*\S)"),
     **_soft("06"),
@@ -192,6 +201,10 @@ FIGURES: Mapping[str, Figure] = {
         "constrained_programs", rf"successes of ours that are infeasible: {_NUMBER}"
     ),
     "staged_tables": Figure("staged_programs", r"(?s)^(push_bot/0\.6: .*\S)"),
+    "in_the_loop_tables": Figure("in_the_loop", r"(?s)\A[^\n]*\n(.*\S)"),
+    "in_more_loops_tables": Figure("in_more_loops", r"(?s)\A[^\n]*\n(.*\S)"),
+    "cart_poles_table": Figure("cart_poles", r"(?s)\A[^\n]*\n(.*\S)"),
+    "soak_lines": Figure("soak", r"(?s)\A(.*\S)"),
     "certificates_table": Figure("certificates", r"(?s)\A[^\n]*\n(.*\S)"),
     "peer_tables": Figure("peer_programs", r"(?s)^(payload: .*\S)"),
     "loops_tables": Figure("loops", r"(?s)\A(.*\S)"),
