@@ -67,13 +67,13 @@ COOLING = ShootingOptions(
 
 # What boxes show is closed in a few steps: from walls smoothed by more, it takes longer and ends
 # within 1 % of the best half as often (of 800 boxes around the cart-pole, `cart_pole/soft_06`).
-_COARSE = ShootingOptions(
+COARSE = ShootingOptions(
     rungs=(Smoothing(1e-2, 8, 5e-2), Smoothing(1e-3, 15, 1e-2)), order=2, multiplier_updates=0
 )
 
 # Hard goals take more: closed as above, no motion that was kept led to the goal in four of 16
 # questions about the cart-pole between soft walls; in none so.
-_AIMED = dataclasses.replace(_COARSE, multiplier_updates=2)
+_AIMED = dataclasses.replace(COARSE, multiplier_updates=2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,10 +251,10 @@ class MechanismProblem:
 
     def close(self, center: Center) -> ShootingResult:
         """Returns the motion near a box center, as far as a few steps lead."""
-        return self._close_on_springs(center, _AIMED if self.scenario.hard_goal else _COARSE)
+        return self._close_on_springs(center, _AIMED if self.scenario.hard_goal else COARSE)
 
     def _close_on_springs(
-        self, center: Center, options: ShootingOptions = _COARSE
+        self, center: Center, options: ShootingOptions = COARSE
     ) -> ShootingResult:
         problem = self.shooting(self.search_steps).lasting(float(center.times[-1]))
         states, controls = center.sample(problem.knot_times)
