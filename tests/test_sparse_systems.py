@@ -92,7 +92,9 @@ def test_sparse_hessians_are_the_banded_ones(centers_only: bool) -> None:
 
 
 @pytest.mark.parametrize("make", [lambda: shared_variable(250), lambda: on_grid(45)])
-@pytest.mark.parametrize("algorithm", [Annealing(), BoundedAnnealing()])
+@pytest.mark.parametrize(
+    "algorithm", [Annealing(), pytest.param(BoundedAnnealing(), marks=pytest.mark.slow)]
+)
 def test_boxes_end_where_banded_systems_lead(make, algorithm) -> None:  # type: ignore[no-untyped-def]
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(storage, "_SPARSE_UNIT", 0.0)  # A small grid would stay a band.

@@ -27,7 +27,7 @@ def make_scenario(distance: float, **fields: Any) -> Scenario:
     return Scenario(initial_position=distance, **ends, restitution=0.8, **fields)
 
 
-@pytest.mark.parametrize("distance", [1e-12, 1e-10, 1e-8, 1e-7, 1e-5, 1e-3])
+@pytest.mark.parametrize("distance", [1e-12, 1e-8, 1e-5])
 @pytest.mark.parametrize("fields", [{}, {"model": CORRIDOR}], ids=["wall", "corridor"])
 def test_a_plan_is_the_optimum_however_near_to_a_wall_it_starts(
     distance: float, fields: dict[str, str]
