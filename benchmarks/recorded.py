@@ -64,11 +64,11 @@ RECORDS: Mapping[str, str] = {
     "loops": "python -m benchmarks.loops --count 2 --workers 2",
     "chain": "python -m benchmarks.chain --workers 2 --first-seed 100 --patience 20 --minutes 60"
     f" {_SOLVER}",
-    "certificates": "python -m benchmarks.certificates",
+    "certificates": "python -m benchmarks.certificates --worlds 50",
     "in_the_loop": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --workers 2",
     "in_more_loops": "python -m benchmarks.in_the_loop room/bank_shot floor/rebound"
-    " cart_pole/soft_06 --count 40 --workers 2 --minutes 3",
-    "cart_poles": "python -m benchmarks.cart_poles --count 24 --workers 2 --minutes 3",
+    " cart_pole/soft_06 --count 40 --workers 2 --minutes 2",
+    "cart_poles": "python -m benchmarks.cart_poles --count 24 --workers 1 --minutes 3",
     "soak": "python -m benchmarks.soak --count 100000",
     "random_programs": "python -m benchmarks.random_programs --count 500 --seed 4 --workers 2",
 }

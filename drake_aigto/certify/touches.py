@@ -36,7 +36,7 @@ from drake_aigto.certify.flights import Flights, direct_cost, first_flights, hop
 from drake_aigto.certify.lines import Line
 
 _FIRST_BINS = 16  # of times, and of speeds
-_MOST_EDGES = 200_000  # of one level
+_MOST = 200_000  # edges of one level, and cells
 _LEVELS = 16
 _BISECTIONS = 6
 _ENOUGH = 1e-3  # of what is of interest: a level that gains less is the last one
@@ -271,7 +271,7 @@ def _search(line: Line, most: float) -> float:
     edges = _Edges(*(each.ravel() for each in np.meshgrid(places, places, indexing="ij")))
     for _ in range(_LEVELS):
         edges = edges.part(cells.high[edges.targets, 0] > cells.low[edges.sources, 0])
-        if edges.sources.size > _MOST_EDGES:
+        if max(edges.sources.size, cells.walls.size) > _MOST:
             break
         flat = walls.flat(cells, edges)
         first = _find_paths(edges, flat)
