@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
@@ -18,6 +20,8 @@ from drake_aigto.world import World
 _AIR = 1e-13
 # A contact lets go when it pulls by this, relative to the largest acceleration or 1 m/s².
 PULL = 1e-11
+
+OfStates = Callable[[Floats], Floats]
 
 
 class RigidMechanism(HybridMotion):
@@ -65,27 +69,37 @@ class RigidMechanism(HybridMotion):
 
     def _move(self, control: Floats, until: float) -> None:
         """Moves on smoothly until something may happen."""
-        n, resting = self.world.num_positions, np.flatnonzero(self._held)
+        n = self.world.num_positions
         ahead, beside = self._find_faces()
-        pressing, pull = self._find_pressing(control, resting)
+        accelerate, lasting = self._describe_contact(control, np.flatnonzero(self._held))
 
         def rates(x: Floats) -> Floats:
-            return np.concatenate([x[..., n:], self._support(x, control, resting)[0]], axis=-1)
+            return np.concatenate([x[..., n:], accelerate(x)], axis=-1)
 
         def watched(x: Floats) -> Floats:
             distances = self.world.calc_signed_distance(x[..., :n])
-            forces = self._support(x, control, resting)[1]
-            values = (
-                distances[..., ahead],
-                -distances[..., beside],
-                forces[..., pressing] + pull,
-            )
+            values = distances[..., ahead], -distances[..., beside], lasting(x)
             return np.concatenate(values, axis=-1)
 
         slid = self._follow(rates, watched, control, until) - len(ahead)
         if 0 <= slid < len(beside):
             solid = self.world.contacts[beside[slid]].solid
             self._held &= [contact.solid != solid for contact in self.world.contacts]
+
+    def _describe_contact(self, control: Floats, held: Ints) -> tuple[OfStates, OfStates]:
+        """Returns v̇, shape (…, nv), and what is above zero while contacts go on as they do.
+
+        Both are of states (…, 2 nv).
+        """
+        pressing, pull = self._find_pressing(control, held)
+
+        def accelerate(x: Floats) -> Floats:
+            return self._support(x, control, held)[0]
+
+        def lasting(x: Floats) -> Floats:
+            return self._support(x, control, held)[1][..., pressing] + pull
+
+        return accelerate, lasting
 
     def _find_faces(self) -> tuple[Ints, Ints]:
         """Returns the faces that may be touched, and those behind of solids that are rested on.

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -22,6 +21,7 @@ from drake_aigto.simulation.friction_modes import (
 from drake_aigto.simulation.impacts import MOST_IMPACTS
 from drake_aigto.simulation.mechanism import (
     PULL,
+    OfStates,
     RigidMechanism,
     calc_air,
     simulate_mechanism,
@@ -86,33 +86,28 @@ class RubbingMechanism(RigidMechanism):
         self._last, self._stalls, self._fastest = -np.inf, 0, 1.0
 
     def _move(self, control: Floats, until: float) -> None:
-        """Moves on smoothly until something may happen."""
         self._count_stalls()
-        n, held = self.world.num_positions, np.flatnonzero(self._held)
-        ahead, beside = self._find_faces()
+        start, creep, rubs = self.time, self._calc_creep(), self._held & (self._friction > 0)
+        super()._move(control, until)
+        self.recording.creep += creep * (self.time - start)
+        for i in np.flatnonzero(rubs) if self.time > start else ():
+            mode = Mode(self._modes[i]).name.lower()
+            self.recording.add_phase(int(i), mode, start, self.time)
+
+    def _describe_contact(self, control: Floats, held: Ints) -> tuple[OfStates, OfStates]:
         edges = self._list_edges(control, held)
         # Of contacts that hold each other up without need, some may pull all the while.
         chosen = edges(self.x) > 0
 
-        def rates(x: Floats) -> Floats:
-            return np.concatenate([x[..., n:], self._push(x, control, held).acceleration], axis=-1)
+        def accelerate(x: Floats) -> Floats:
+            return self._push(x, control, held).acceleration
 
-        def watched(x: Floats) -> Floats:
-            distances = self.world.calc_signed_distance(x[..., :n])
-            values = distances[..., ahead], -distances[..., beside], edges(x)[..., chosen]
-            return np.concatenate(values, axis=-1)
+        def lasting(x: Floats) -> Floats:
+            return edges(x)[..., chosen]
 
-        start, creep = self.time, self._calc_creep()
-        slid = self._follow(rates, watched, control, until) - len(ahead)
-        self.recording.creep += creep * (self.time - start)
-        for i in held[self._friction[held] > 0] if self.time > start else ():
-            mode = Mode(self._modes[i]).name.lower()
-            self.recording.add_phase(int(i), mode, start, self.time)
-        if 0 <= slid < len(beside):
-            solid = self.world.contacts[beside[slid]].solid
-            self._held &= [contact.solid != solid for contact in self.world.contacts]
+        return accelerate, lasting
 
-    def _list_edges(self, control: Floats, held: Ints) -> Callable[[Floats], Floats]:
+    def _list_edges(self, control: Floats, held: Ints) -> OfStates:
         """Returns what is above zero while contacts go on as they do, of states (…, 2 nv)."""
         n, signs, friction = self.world.num_positions, self._modes[held], self._friction[held]
         stuck, slides = signs == Mode.STICK, (signs != Mode.STICK) & (friction > 0)
@@ -274,11 +269,9 @@ class RubbingMechanism(RigidMechanism):
     def _project(self, closed: Ints, stuck: Ints) -> None:
         """Takes out of v what rounding moves contacts by that touch, and by which they slip."""
         q, v = self._split()
-        both = self._stack_rows(q, np.union1d(closed, stuck).astype(int))
-        names = np.union1d(closed, stuck)
-        rows = np.vstack(
-            [both[: len(names)][np.isin(names, closed)], both[len(names) :][np.isin(names, stuck)]]
-        )
+        names = np.union1d(closed, stuck).astype(int)
+        J, T = np.split(self._stack_rows(q, names), 2)
+        rows = np.vstack([J[np.isin(names, closed)], T[np.isin(names, stuck)]])
         if len(rows):
             kicks = np.linalg.solve(self.world.calc_mass_matrix(q), rows.T)
             v = v - kicks @ (np.linalg.pinv(rows @ kicks, RANK) @ (rows @ v))
