@@ -54,7 +54,7 @@ def test_friction_is_mu_times_the_push_and_turns_with_the_slip() -> None:
     q = np.array([0.8, 0.06, 0.3])
     for v in (np.array([2.0, 0.1, 0.0]), np.array([0.0, 0.1, 0.1])):
         forces = world.calc_pushes(law, q, v)
-        drag = world.calc_drag(law, q, v, forces)
+        drag = world.rubbing.calc_drag(law, q, v, forces)
         assert drag is not None
         arm = 0.1 - 0.04 / 2
         slip = v[0] + arm * v[2]
@@ -72,7 +72,7 @@ def test_shooting_has_the_law_and_its_derivatives() -> None:
         z = np.concatenate([q, v, u])
         got, slopes = mechanism.calc_acceleration(z[:6], z[6:])
         forces = world.calc_pushes(law, q, v)
-        drag = world.calc_drag(law, q, v, forces)
+        drag = world.rubbing.calc_drag(law, q, v, forces)
         expected = world.calc_acceleration(q, v, u, forces, drag)
         np.testing.assert_allclose(got, expected, rtol=1e-10)
         ends = [
@@ -92,7 +92,7 @@ def test_a_figure_tells_stick_from_slip_by_its_marks_and_has_friction_within_its
     np.testing.assert_array_equal(rings.get_xdata(), times[:2])
     np.testing.assert_array_equal(crosses.get_xdata(), times[2:])
     # μ k x = 0.4 · 400 N/m · 0.04 m, along a direction T that the world chose, against sliding.
-    against = -np.sign(read().calc_tangent_jacobian(q[0], yields=True)[2, 0])
+    against = -np.sign(read().rubbing.calc_tangent_jacobian(q[0], yields=True)[2, 0])
     friction = against * np.asarray(line.get_ydata())
     assert friction[2] == pytest.approx(6.4)
     assert 0.0 < friction[1] < 6.4

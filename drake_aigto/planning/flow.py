@@ -75,7 +75,7 @@ def _find_rates(world: World, law: ContactLaw, x: Floats, controls: Floats) -> R
     def yielding(x: Floats) -> tuple[Floats, Floats]:
         q, v = x[:, :n], x[:, n:]
         forces = world.calc_pushes(law, q, v)
-        drag = world.calc_drag(law, q, v, forces)
+        drag = world.rubbing.calc_drag(law, q, v, forces)
         return np.hstack([v, world.calc_acceleration(q, v, controls, forces, drag)]), forces
 
     if not isinstance(law, RigidLaw):

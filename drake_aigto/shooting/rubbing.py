@@ -58,13 +58,13 @@ def _list_dry(world: World, friction: Floats) -> Iterator[Rub]:
 def _list_touching(world: World, law: CompliantLaw) -> Iterator[Rub]:
     """Yields that of contacts, whose brake is per speed of approach: that of a half swing."""
     q = world.plant.GetDefaultPositions()
-    J, T = world.calc_contact_jacobian(q), world.calc_tangent_jacobian(q, yields=True)
+    J, T = world.calc_contact_jacobian(q), world.rubbing.calc_tangent_jacobian(q, yields=True)
     M = world.calc_mass_matrix(q)
     along, across = (np.einsum("ij,ji->i", A, np.linalg.solve(M, A.T)) for A in (T, J))
     rates = law.friction * np.sqrt(law.stiffness) * along / np.sqrt(np.maximum(across, along))
     for i in np.flatnonzero(law.friction > 0).tolist():
         numbers = float(i), law.friction[i], world.stiction_speed, rates[i], 0.0
-        yield Rub(world.soft_tangents[i], numbers)
+        yield Rub(world.rubbing.soft_tangents[i], numbers)
 
 
 def fit_to_steps(rubs: Floats, step: float, duration: float, speed: float) -> Floats:

@@ -24,12 +24,11 @@ class Friction(NamedTuple):
 
 def calc_friction(motion: Motion, world: World, scenario: Scenario) -> Friction:
     """Returns what walls that yield rub with, −μ f σ(s / v_s); nothing where they are rigid."""
-    law, v = world.contact_law(scenario), motion.velocities
+    law = world.contact_law(scenario)
     largest = np.zeros((len(motion.times), world.num_contacts))
     if isinstance(law, CompliantLaw):
         largest = law.friction * calc_contact_forces(motion, world, scenario)
-    T = world.calc_tangent_jacobian(motion.positions, yields=True)
-    slips = np.einsum("kij,kj->ki", T, v)
+    slips = world.rubbing.calc_slips(motion.positions, motion.velocities, yields=True)
     return Friction(-largest * calc_friction_share(slips, world.stiction_speed), largest, slips)
 
 

@@ -108,5 +108,5 @@ def _drag(
     if not world.friction_coefficients(scenario)[i]:
         return []
     delay = calc_delays(ContactMotion.at(world, state.ravel()), world.stiffness)[i]
-    slip = abs(float(world.calc_tangent_jacobian(q)[i] @ change))
+    slip = abs(float(world.rubbing.calc_tangent_jacobian(q)[i] @ change))
     return [state + np.outer((slip * delay, world.stiction_speed), calc_slide(world, q, i))]

@@ -124,9 +124,10 @@ class RubbingMechanism(RigidMechanism):
             normal, tangent = np.split(push.forces, 2, axis=-1)
             cone = friction * normal + pull
             cones = normal + pull, (cone - tangent)[..., stuck], (cone + tangent)[..., stuck]
-            slips = signs * self._calc_slips(x)[..., held] + still / 2
+            slips = self.world.rubbing.calc_slips(x[..., :n], x[..., n:])[..., held]
             sizes = sign * push.size - _SINGULAR if sign else np.ones_like(push.size)
-            values = *cones, slips[..., slides], sizes[..., np.newaxis]
+            moving = (signs * slips + still / 2)[..., slides]
+            values = *cones, moving, sizes[..., np.newaxis]
             return np.concatenate(values, axis=-1)
 
         return edges
@@ -139,11 +140,11 @@ class RubbingMechanism(RigidMechanism):
         if not len(held):
             return _Push(free, np.empty((*free.shape[:-1], 0)), np.ones(free.shape[:-1]))
         rows = self._stack_rows(q, held)
-        turning = world.calc_contact_bias(q, v)[..., held], world.calc_tangent_bias(q, v)[..., held]
+        turning = self._calc_turning(q, v, held)
         vanish, shares = calc_directions([Mode(mode) for mode in self._modes[held]], friction)
         kicks = np.linalg.solve(world.calc_mass_matrix(q), np.swapaxes(rows, -1, -2))
         pushes = rows[..., vanish, :] @ kicks @ shares.T
-        rates = (rows @ free[..., np.newaxis])[..., 0] + np.concatenate(turning, axis=-1)
+        rates = (rows @ free[..., np.newaxis])[..., 0] + turning
         unknown = -(np.linalg.pinv(pushes, RANK) @ rates[..., vanish, np.newaxis])[..., 0]
         forces = unknown @ shares
         sizes = np.prod(np.diagonal(rows @ kicks, axis1=-2, axis2=-1)[..., vanish], axis=-1)
@@ -152,13 +153,13 @@ class RubbingMechanism(RigidMechanism):
 
     def _stack_rows(self, q: Floats, held: Ints) -> Floats:
         """Returns [J; T] of contacts, shape (…, 2k, nv), at q of shape (…, nq)."""
-        J, T = self.world.calc_contact_jacobian(q), self.world.calc_tangent_jacobian(q)
+        J, T = self.world.calc_contact_jacobian(q), self.world.rubbing.calc_tangent_jacobian(q)
         return np.concatenate([J[..., held, :], T[..., held, :]], axis=-2)
 
-    def _calc_slips(self, x: Floats) -> Floats:
-        """Returns s = T v of all contacts, shape (…, m) [m/s]."""
-        n = self.world.num_positions
-        return (self.world.calc_tangent_jacobian(x[..., :n]) @ x[..., n:, np.newaxis])[..., 0]
+    def _calc_turning(self, q: Floats, v: Floats, held: Ints) -> Floats:
+        """Returns [J̇ v; Ṫ v] of contacts, shape (…, 2k) [m/s²]."""
+        turning = self.world.calc_contact_bias(q, v), self.world.rubbing.calc_tangent_bias(q, v)
+        return np.concatenate([each[..., held] for each in turning], axis=-1)
 
     def _calc_creep(self) -> float:
         """Returns ‖q̇‖ that slips of 1 m/s of all contacts that stick add up to at most."""
@@ -236,9 +237,8 @@ class RubbingMechanism(RigidMechanism):
         friction = self._friction[closed]
         if control is None:
             return Touching(kicks, rows, rows @ v, friction, [0] * len(closed))
-        turning = world.calc_contact_bias(q, v)[closed], world.calc_tangent_bias(q, v)[closed]
-        rates = rows @ world.calc_acceleration(q, v, control) + np.concatenate(turning)
-        slips, still = self._calc_slips(self.x)[closed], self._calc_still()
+        rates = rows @ world.calc_acceleration(q, v, control) + self._calc_turning(q, v, closed)
+        slips, still = world.rubbing.calc_slips(q, v)[closed], self._calc_still()
         signs = np.where(np.abs(slips) <= still, 0.0, np.sign(slips)).astype(int)
         return Touching(kicks, rows, rates, friction, signs.tolist())
 
@@ -247,7 +247,7 @@ class RubbingMechanism(RigidMechanism):
         closed, still = self._find_closed(), self._calc_still()
         rates = self.world.calc_contact_rate(*self._split())[closed]
         leaving, closed = closed[rates > still], closed[rates <= still]
-        slips = np.abs(self._calc_slips(self.x)[closed])
+        slips = np.abs(self.world.rubbing.calc_slips(*self._split())[closed])
         self._project(closed, closed[(slips <= still) & (self._friction[closed] > 0)])
         self._modes[:] = Mode.OPEN
         if len(closed):
@@ -292,7 +292,7 @@ class RubbingMechanism(RigidMechanism):
 
 def calc_slide(world: World, q: Floats, contact: int) -> Floats:
     """Returns M⁻¹ Tᵀ / (T M⁻¹ Tᵀ), what friction moves for a slip of 1 m, shape (nv,)."""
-    T = world.calc_tangent_jacobian(q)[contact]
+    T = world.rubbing.calc_tangent_jacobian(q)[contact]
     drag = np.linalg.solve(world.calc_mass_matrix(q), T)
     return drag / (T @ drag) if T.any() else drag
 

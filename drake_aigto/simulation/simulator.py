@@ -129,7 +129,7 @@ def start_simulator(
         config: of another integrator.
     """
     root = world.create_context()
-    world.set_friction(root, friction)
+    world.rubbing.impose(root, friction)
     context = world.plant.GetMyMutableContextFromRoot(root)
     world.plant.SetPositionsAndVelocities(context, np.concatenate(state))
     simulator = Simulator(world.diagram, root)

@@ -40,10 +40,10 @@ class Springs(HybridMotion):
 
         M v̇ + h(q, v) = B u + Jᵀ f + d,    f = k x max(0, 1 + d ẋ),    x = max(0, −φ)
 
-    Friction d is that of `World.calc_drag`. The force is smooth while each contact is in one phase,
-    and the phase changes where φ or 1 − d φ̇ is zero. Each of these stretches is integrated nearly
-    to rounding (`follow`), so that no kink is stepped over. What counts as a bounce is every touch
-    from outside.
+    Friction d is that of `Rubbing.calc_drag`. The force is smooth while each contact is in one
+    phase, and the phase changes where φ or 1 − d φ̇ is zero. Each of these stretches is integrated
+    nearly to rounding (`follow`), so that no kink is stepped over. What counts as a bounce is every
+    touch from outside.
     """
 
     def __init__(
@@ -94,7 +94,7 @@ class Springs(HybridMotion):
             if is_pressed:
                 distances, speeds = self._measure(x)
                 forces = stiffness * distances * (1 - law.dissipation * speeds)
-                drag = world.calc_drag(law, q, v, forces)
+                drag = world.rubbing.calc_drag(law, q, v, forces)
             acceleration = world.calc_acceleration(q, v, control, forces, drag)
             return np.concatenate([v, acceleration], axis=-1)
 

@@ -266,7 +266,7 @@ class EquationsOfMotion:
             v: shape (…, nv) [m/s].
             u: shape (…, nu) [N].
             forces: f of contacts, shape (…, m) [N]; None: nothing touches.
-            drag: d of contacts that rub, shape (…, nv) [N, N m] (`World.calc_drag`); None: none do.
+            drag: d of contacts that rub, shape (…, nv) [N, N m] (`Rubbing.calc_drag`); None: none.
         """
         force = u @ self.actuation.T - self.calc_bias(q, v)
         if forces is not None:

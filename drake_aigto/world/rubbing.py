@@ -17,6 +17,8 @@ from drake_aigto.arrays import Floats, read_only
 from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.world.contact import SphereAndFace
 from drake_aigto.world.diagram import find_plant, hide_half_space_warning
+from drake_aigto.world.friction import calc_friction_share
+from drake_aigto.world.law import CompliantLaw, ContactLaw
 from drake_aigto.world.material import can_slide, read_friction, set_friction
 from drake_aigto.world.sums import SumMap, calc_turning
 from drake_aigto.world.tangent import read_tangent
@@ -37,6 +39,7 @@ class Rubbing:
         v: NDArray[Any],
         faces: Sequence[SphereAndFace],
         stuck: Sequence[SphereAndFace],
+        stiction_speed: float,
     ) -> None:
         """Reads nothing yet.
 
@@ -46,10 +49,12 @@ class Rubbing:
             v: the variables of velocities, shape (n,).
             faces: of the contacts, m.
             stuck: faces that spheres are stuck in, s.
+            stiction_speed: v_s of friction in the plant [m/s].
         """
         self._diagram, self._q, self._v = diagram, q, v
         self._plant, self._scene_graph = find_plant(diagram)
         self._faces, self._num_contacts = (*faces, *stuck), len(faces)
+        self._stiction_speed = stiction_speed
 
     @cached_property
     def frictions(self) -> Mapping[str, float]:
@@ -80,13 +85,48 @@ class Rubbing:
 
     @cached_property
     def tangents(self) -> NDArray[Any]:
-        """T(q) of each contact, shape (m, n), Expressions (`World.tangents`)."""
+        """T(q) of each contact, shape (m, n), Expressions: the slip velocity is s = T v [m/s].
+
+        That of the sphere's material where it touches, as the face sees it, along the one direction
+        in which it can slide (`read_tangent`). Zero where it can't, or can in two.
+        """
         return self._stack(self._tangents)
 
     @cached_property
     def soft_tangents(self) -> NDArray[Any]:
-        """The same of walls that yield, shape (m, n)."""
+        """The same where walls yield: at the point on which the plant's contact force acts."""
         return self._stack(self._read_tangents(yields=True))
+
+    def calc_tangent_jacobian(self, q: Floats, yields: bool = False) -> Floats:
+        """Returns T(q), shape (…, m, n), at q of shape (…, nq), where walls yield or do not."""
+        read = self._soft_tangent_map if yields else self._tangent_map
+        return read(q).reshape(*q.shape[:-1], self._num_contacts, self._v.size)
+
+    def calc_slips(self, q: Floats, v: Floats, yields: bool = False) -> Floats:
+        """Returns s = T v, shape (…, m) [m/s], where walls yield or do not."""
+        return (self.calc_tangent_jacobian(q, yields) @ v[..., np.newaxis])[..., 0]
+
+    def calc_tangent_bias(self, q: Floats, v: Floats) -> Floats:
+        """Returns Ṫ v, which makes ṡ = T v̇ + Ṫ v, (…, m) [m/s²], at q (…, nq), v (…, n)."""
+        return self._turning_map(np.concatenate([q, v], axis=-1))
+
+    def calc_drag(self, law: ContactLaw, q: Floats, v: Floats, forces: Floats) -> Floats | None:
+        """Returns friction where walls yield as forces on q, −Tᵀ μ f σ(T v / v_s), (…, n) [N].
+
+        None where no wall yields and rubs. T is that of `soft_tangents`, σ `calc_friction_share`.
+
+        Args:
+            law: of contact.
+            q: shape (…, nq) [m].
+            v: shape (…, n) [m/s].
+            forces: f that contacts push with, shape (…, m) [N].
+        """
+        if not (isinstance(law, CompliantLaw) and law.rubs):
+            return None
+        T = self.calc_tangent_jacobian(q, yields=True)
+        slips = (T @ v[..., np.newaxis])[..., 0]
+        shares = calc_friction_share(slips, self._stiction_speed)
+        return -((law.friction * forces * shares)[..., np.newaxis, :] @ T)[..., 0, :]
 
     def _stack(self, rows: Sequence[NDArray[Any] | None]) -> NDArray[Any]:
         """Returns rows as an array, zero where there is none."""
@@ -95,17 +135,17 @@ class Rubbing:
         return np.array(stacked, dtype=object).reshape(self._num_contacts, nothing.size)
 
     @cached_property
-    def tangent_map(self) -> SumMap:
+    def _tangent_map(self) -> SumMap:
         """T(q), row by row, shape (m n,)."""
         return SumMap(self.tangents.ravel(), self._q)
 
     @cached_property
-    def soft_tangent_map(self) -> SumMap:
+    def _soft_tangent_map(self) -> SumMap:
         """The same of walls that yield."""
         return SumMap(self.soft_tangents.ravel(), self._q)
 
     @cached_property
-    def turning_map(self) -> SumMap:
+    def _turning_map(self) -> SumMap:
         """Ṫ v of q and v, shape (m,)."""
         turns = calc_turning(self.tangents, self._q, self._v)
         return SumMap(turns, np.concatenate([self._q, self._v]))

@@ -6,10 +6,8 @@ import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydrake.geometry import GeometryId, SceneGraph
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.symbolic import MakeVectorVariable
@@ -37,7 +35,7 @@ from drake_aigto.world.fit import (
     refuse_inside,
     refuse_out_of_reach,
 )
-from drake_aigto.world.friction import STICTION_SPEED, calc_friction_share, check_friction_acts
+from drake_aigto.world.friction import STICTION_SPEED, check_friction_acts
 from drake_aigto.world.law import CompliantLaw, ContactLaw, RigidLaw, calc_stiffness
 from drake_aigto.world.limits import Limits
 from drake_aigto.world.material import read_materials
@@ -236,24 +234,6 @@ class World(EquationsOfMotion):
             return np.zeros((*q.shape[:-1], self.num_contacts))
         return law.calc_forces(self.calc_signed_distance(q), self.calc_contact_rate(q, v))
 
-    def calc_drag(self, law: ContactLaw, q: Floats, v: Floats, forces: Floats) -> Floats | None:
-        """Returns friction where walls yield as forces on q, −Tᵀ μ f σ(T v / v_s), (…, nv) [N].
-
-        None where no wall yields and rubs. T is that of `soft_tangents`, σ `calc_friction_share`.
-
-        Args:
-            law: of contact.
-            q: shape (…, nq) [m].
-            v: shape (…, nv) [m/s].
-            forces: f that contacts push with, shape (…, m) [N].
-        """
-        if not (isinstance(law, CompliantLaw) and law.rubs):
-            return None
-        T = self.calc_tangent_jacobian(q, yields=True)
-        slips = (T @ v[..., np.newaxis])[..., 0]
-        shares = calc_friction_share(slips, self.stiction_speed)
-        return -((law.friction * forces * shares)[..., np.newaxis, :] @ T)[..., 0, :]
-
     def bounds(self, scenario: Scenario) -> Limits:
         """Returns within which bounds a motion has to stay: the model's and the scenario's.
 
@@ -268,7 +248,8 @@ class World(EquationsOfMotion):
     def rubbing(self) -> Rubbing:
         """Where and how strongly contacts rub, and the velocity at which they slip."""
         faces = [each.face for each in self._reachable]
-        return Rubbing(self.diagram, self.positions, self.velocities, faces, self._stuck)
+        q, v = self.positions, self.velocities
+        return Rubbing(self.diagram, q, v, faces, self._stuck, self.stiction_speed)
 
     @property
     def frictions(self) -> Mapping[str, float]:
@@ -285,30 +266,6 @@ class World(EquationsOfMotion):
         """
         return self.rubbing.calc_coefficients(scenario.friction)
 
-    @property
-    def tangents(self) -> NDArray[Any]:
-        """T(q) of each contact, shape (m, nv), Expressions: the slip velocity is s = T v [m/s].
-
-        That of the sphere's material where it touches, as the face sees it, along the one direction
-        in which it can slide (`read_tangent`). Zero where it can't, or can in two.
-        """
-        return self.rubbing.tangents
-
-    @property
-    def soft_tangents(self) -> NDArray[Any]:
-        """The same where walls yield: at the point on which the plant's contact force acts."""
-        return self.rubbing.soft_tangents
-
-    def calc_tangent_jacobian(self, q: Floats, yields: bool = False) -> Floats:
-        """Returns T(q), shape (…, m, nv), at q of shape (…, nq), where walls yield or do not."""
-        shape = self.num_contacts, self.num_velocities
-        read = self.rubbing.soft_tangent_map if yields else self.rubbing.tangent_map
-        return read(q).reshape(*q.shape[:-1], *shape)
-
-    def calc_tangent_bias(self, q: Floats, v: Floats) -> Floats:
-        """Returns Ṫ v, which makes ṡ = T v̇ + Ṫ v, (…, m) [m/s²], at q (…, nq), v (…, nv)."""
-        return self.rubbing.turning_map(np.concatenate([q, v], axis=-1))
-
     def create_context(self) -> Context:
         """Returns a new root context, at defaults, with the mass replaced and shapes ignored."""
         with hide_half_space_warning():
@@ -321,10 +278,6 @@ class World(EquationsOfMotion):
                 self.scene_graph, root, find_shapes(self.scene_graph, self.ignored_shapes)
             )
         return root
-
-    def set_friction(self, root: Context, friction: float | None) -> None:
-        """Gives all that slides one μ, in this context only; None: the model's dynamic ones."""
-        self.rubbing.impose(root, friction)
 
     @property
     def sphere_mass(self) -> float:
