@@ -36,6 +36,7 @@ import numpy.typing as npt
 
 from benchmarks.local_peers import Solver, casadi, casadi_ipopt, drake_solver
 from benchmarks.measure import Spread, clock, is_met, write_csv
+from drake_aigto.arrays import Floats
 from drake_aigto.local import compile_nlp
 from drake_aigto.paper import ROWS, LiteralTranscription, random_guess
 from drake_aigto.planning import Planner, PlanOptions
@@ -131,7 +132,7 @@ def run_scenario(name: str, scenario: Scenario, arguments: argparse.Namespace) -
         found = planners.pop().plan(**ends)
         return Answer(found.cost, found.trajectory.times, found.trajectory.controls)
 
-    def solve(solver: Solver, guess: npt.NDArray[np.float64]) -> Answer:
+    def solve(solver: Solver, guess: Floats) -> Answer:
         x, _, _ = solver(guess, False)
         return Answer(literal.scenario_cost(x), literal.GetSampleTimes(), literal.split(x)[2])
 

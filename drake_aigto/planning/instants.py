@@ -4,23 +4,18 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Iterator
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from drake_aigto.arrays import Floats
 from drake_aigto.transcription import PhaseTranscription, Touch, TouchSequence
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 # Parts of the duration: touches start no nearer to an instant than this, and are held up by it if
 # the polish leaves them within that.
 _APART, _HELD = 1e-3, 1e-5
 
 
-def keep_apart(
-    sequence: TouchSequence, instants: npt.NDArray[np.float64], duration: float
-) -> TouchSequence:
+def keep_apart(sequence: TouchSequence, instants: Floats, duration: float) -> TouchSequence:
     """Returns a sequence off the instants, shape (I,), I > 0 [s]: what is at one comes after it."""
     gap = min([_APART * duration, *(np.diff(instants) / 4)])
 
@@ -32,7 +27,7 @@ def keep_apart(
     return _in_order([_with_joints(touch, *map(move, touch.joints)) for touch in sequence])
 
 
-def moved_past(phases: PhaseTranscription, x: npt.NDArray[np.float64]) -> Iterator[TouchSequence]:
+def moved_past(phases: PhaseTranscription, x: Floats) -> Iterator[TouchSequence]:
     """Yields the sequence with each touch that an instant holds up on its other side.
 
     Args:

@@ -11,6 +11,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats, interpolate
 from drake_aigto.planning.candidate import Candidate, Replays
+from drake_aigto.planning.closing import AIMED, COARSE, COOLING, POLISH, TIGHT
 from drake_aigto.planning.flow import trace
 from drake_aigto.planning.mechanism_boxes import (
     Center,
@@ -29,7 +30,6 @@ from drake_aigto.shooting import (
     ShootingOptions,
     ShootingProblem,
     ShootingResult,
-    Smoothing,
 )
 from drake_aigto.simulation.bounds import BOUNDS, calc_excess, state_scales
 from drake_aigto.simulation.contacts import find_contacts, max_penetration
@@ -54,26 +54,6 @@ _NEAR = 0.05
 # What a motion misses of its bounds, in the state's scales, costs this in the task's scale. More
 # may be won by it: what misses more than so much comes after all that does not.
 _PRICE, _MUCH = 10.0, 1e-2
-# What a motion costs in short time steps, and then what walls that are hardly smoothed make of it:
-# more smoothed, they push otherwise by as much as hard goals allow.
-TIGHT = ShootingOptions(rungs=(Smoothing(1e-3, 40, 1e-3),), substeps=4)
-POLISH = ShootingOptions(rungs=(Smoothing(1e-4, 40, 1e-5), Smoothing(1e-6, 40, 1e-5)), substeps=4)
-
-# Friction stiffens from stiction speeds of a whole way in the duration to a thousandth.
-COOLING = ShootingOptions(
-    rungs=tuple(Smoothing(each, 60, 1e-5) for each in (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3)),
-    substeps=4,
-)
-
-# What boxes show is closed in a few steps: from walls smoothed by more, it takes longer and ends
-# within 1 % of the best half as often (of 800 boxes around the cart-pole, `cart_pole/soft_06`).
-COARSE = ShootingOptions(
-    rungs=(Smoothing(1e-2, 8, 5e-2), Smoothing(1e-3, 15, 1e-2)), order=2, multiplier_updates=0
-)
-
-# Hard goals take more: closed as above, no motion that was kept led to the goal in four of 16
-# questions about the cart-pole between soft walls; in none so.
-_AIMED = dataclasses.replace(COARSE, multiplier_updates=2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -251,7 +231,7 @@ class MechanismProblem:
 
     def close(self, center: Center) -> ShootingResult:
         """Returns the motion near a box center, as far as a few steps lead."""
-        return self._close_on_springs(center, _AIMED if self.scenario.hard_goal else COARSE)
+        return self._close_on_springs(center, AIMED if self.scenario.hard_goal else COARSE)
 
     def _close_on_springs(
         self, center: Center, options: ShootingOptions = COARSE

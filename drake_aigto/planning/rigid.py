@@ -9,10 +9,8 @@ from collections.abc import Iterable
 from functools import cached_property
 from typing import TYPE_CHECKING
 
-import numpy as np
-
 from drake_aigto.aigo import AigoResult, Algorithm, Annealing
-from drake_aigto.arrays import interpolate
+from drake_aigto.arrays import Floats, interpolate
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.local import LocalResult, NewtonLagrange, PolynomialNlp, compile_nlp
 from drake_aigto.planning.arc_program import ArcPrograms
@@ -41,14 +39,12 @@ from drake_aigto.transcription.rows import largest_defect
 from drake_aigto.transcription.touch import joint_times
 
 if TYPE_CHECKING:
-    import numpy.typing as npt
-
     from drake_aigto.world import ConstantDynamics, Scenario, World
 
 # Times (K,) [s] and positions (K, nq) [m].
-Path = tuple["npt.NDArray[np.float64]", "npt.NDArray[np.float64]"]
+Path = tuple[Floats, Floats]
 # A multi-phase problem, and its decision variables.
-Solved = tuple[PhaseTranscription, "npt.NDArray[np.float64]"]
+Solved = tuple[PhaseTranscription, Floats]
 
 # A touch this near to the start or the end, as a part of the duration, is none.
 _MARGIN = 1e-6
@@ -109,7 +105,7 @@ class RigidProblem(PlanningProblem):
         self.asked_steps = num_steps or transcription.scenario.num_steps
         self.num_steps = max(self.asked_steps, self.options.aigo_steps)
         self._arc_programs = ArcPrograms()
-        self._arc_iterations, self._is_brief = _ARC_ITERATIONS, False
+        self._brief: int | None = None
         self._scenarios: dict[int, Scenario] = {}  # By their number of steps.
 
     @property
@@ -131,7 +127,7 @@ class RigidProblem(PlanningProblem):
         and has no general way after them: few plans are lost, and most of the time is won.
         """
         other = copy.copy(self)
-        other._arc_iterations, other._is_brief = most_iterations, True
+        other._brief = most_iterations
         return other
 
     def make_algorithm(self, rung: Rung) -> Algorithm:
@@ -157,7 +153,7 @@ class RigidProblem(PlanningProblem):
         transcription = self.transcription.again(coarse)
         other = RigidProblem(transcription, self.options, scenario.num_steps, self._programs)
         other._arc_programs = self._arc_programs
-        other._arc_iterations, other._is_brief = self._arc_iterations, self._is_brief
+        other._brief = self._brief
         return other
 
     def find_sequences(self, result: AigoResult, rung: Rung) -> list[TouchSequence]:
@@ -179,7 +175,7 @@ class RigidProblem(PlanningProblem):
     def _at_once(self) -> TouchSequence:
         return touches_at_once(self.transcription.world, self.transcription.scenario)
 
-    def _transcribe_around(self, positions: npt.NDArray[np.float64]) -> RigidTranscription:
+    def _transcribe_around(self, positions: Floats) -> RigidTranscription:
         """Returns the transcription with those faces of boxes in force that a path goes along."""
         first = self.transcription
         if first.world.num_solids == first.world.num_contacts:
@@ -193,9 +189,7 @@ class RigidProblem(PlanningProblem):
         joints = (t for touch in sequence for t in touch.joints)
         return all(first < t < (1 - _MARGIN) * T for t in joints)
 
-    def polish(
-        self, center: npt.NDArray[np.float64], sequence: TouchSequence
-    ) -> tuple[PhaseTranscription, npt.NDArray[np.float64]]:
+    def polish(self, center: Floats, sequence: TouchSequence) -> tuple[PhaseTranscription, Floats]:
         """Returns the multi-phase problem of a contact sequence, and its local optimum.
 
         Of AIGO's box center only the sequence, where the walls are touched, and on which side
@@ -210,7 +204,7 @@ class RigidProblem(PlanningProblem):
         sequence: TouchSequence,
         num_steps: int | None = None,
         max_iterations: int | None = None,
-    ) -> tuple[PhaseTranscription, npt.NDArray[np.float64]]:
+    ) -> tuple[PhaseTranscription, Floats]:
         """Returns the same, for a contact sequence along another path than a box center's.
 
         A touch that is held up by a time that users bound something to is tried on its other side.
@@ -244,9 +238,9 @@ class RigidProblem(PlanningProblem):
     def judge(
         self,
         origin: Origin,
-        start: npt.NDArray[np.float64],
+        start: Floats,
         solved: Transcription,
-        x: npt.NDArray[np.float64],
+        x: Floats,
     ) -> Candidate:
         """Returns the candidate of a solution; hops that lead to rest are as they are simulated.
 
@@ -268,7 +262,7 @@ class RigidProblem(PlanningProblem):
             contacts=find_contacts(world, motion),
         )
 
-    def _merit(self, phases: PhaseTranscription, x: npt.NDArray[np.float64]) -> tuple[float, float]:
+    def _merit(self, phases: PhaseTranscription, x: Floats) -> tuple[float, float]:
         """Returns what is less for a better solution: by how much it misses rows, then its cost."""
         defect = largest_defect(self.defects(phases, x), self.scales)
         return max(defect, LARGEST_DEFECT), self.cost(phases, x)
@@ -287,11 +281,11 @@ class RigidProblem(PlanningProblem):
         """
         through, facings = self._look_along(path, sequence)
         if self._has_arcs:
-            most = min(self._arc_iterations, max_iterations or self._arc_iterations)
+            most = min(self._brief or _ARC_ITERATIONS, max_iterations or _ARC_ITERATIONS)
             solved = self._solve_in_arcs(through, facings, sequence, most)
             if solved is not None:
                 return solved
-            if self._is_brief:
+            if self._brief is not None:
                 raise TrajectoryError(
                     "touches", f"no motion in {most} iterations", "one that has them"
                 )
@@ -319,9 +313,7 @@ class RigidProblem(PlanningProblem):
         missed = largest_defect(self.defects(*solved), self.scales)
         return solved if missed <= LARGEST_DEFECT else None
 
-    def _look_along(
-        self, path: Path, sequence: TouchSequence
-    ) -> tuple[npt.NDArray[np.float64], tuple[Facing, ...]]:
+    def _look_along(self, path: Path, sequence: TouchSequence) -> tuple[Floats, tuple[Facing, ...]]:
         """Returns where touches are on a path, and on which sides of boxes it goes."""
         world, (times, positions) = self.transcription.world, path
         through = interpolate(joint_times(sequence), times, positions)
@@ -334,7 +326,7 @@ class RigidProblem(PlanningProblem):
 
     def _solve_in_arcs(
         self,
-        through: npt.NDArray[np.float64],
+        through: Floats,
         facings: Iterable[Facing],
         sequence: TouchSequence,
         most: int,
@@ -349,9 +341,7 @@ class RigidProblem(PlanningProblem):
         )
         return None if x is None else (phases, x)
 
-    def _settle(
-        self, nlp: PolynomialNlp, guess: npt.NDArray[np.float64], max_iterations: int
-    ) -> LocalResult:
+    def _settle(self, nlp: PolynomialNlp, guess: Floats, max_iterations: int) -> LocalResult:
         """Returns what plain Newton steps lead to, or else one run of our local solver.
 
         Of most sequences no bound is active in the optimum: phases have some length.
@@ -372,7 +362,7 @@ class RigidProblem(PlanningProblem):
         return bool(dynamics and unfolds(dynamics, world, self.transcription.scenario))
 
     @cached_property
-    def _instants(self) -> npt.NDArray[np.float64]:
+    def _instants(self) -> Floats:
         """The times besides the ends that users bound something to, shape (I,) [s]."""
         return self.additions.times[list(self.additions.instants)]
 

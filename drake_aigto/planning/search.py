@@ -7,11 +7,10 @@ import threading
 from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import Any
 
 from drake_aigto.aigo import AigoResult, Iterate, Status
+from drake_aigto.arrays import Floats
 from drake_aigto.jit import tell_compilation
 from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.idle import idle_candidate
@@ -19,9 +18,6 @@ from drake_aigto.planning.options import Rung
 from drake_aigto.planning.origin import Origin
 from drake_aigto.planning.pool import CandidatePool, Progress, Stopwatch
 from drake_aigto.planning.problem import ContactSequence, PlanningProblem
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 _LOG = logging.getLogger(__name__)
 
@@ -46,8 +42,8 @@ class Search(CandidatePool):
         """Starts with no candidate."""
         super().__init__(problem, clock)
         self.by_sequence: dict[ContactSequence, Candidate] = {}
-        self.centers: dict[ContactSequence, npt.NDArray[np.float64]] = {}
-        self.solved: dict[ContactSequence, tuple[Any, npt.NDArray[np.float64]]] = {}
+        self.centers: dict[ContactSequence, Floats] = {}
+        self.solved: dict[ContactSequence, tuple[Any, Floats]] = {}
         self.shown: list[tuple[Rung, list[ContactSequence]]] = []
 
     @property
@@ -160,16 +156,14 @@ class Search(CandidatePool):
             if not self.is_known(sequence):
                 self.add(origin, result.box.center, sequence)
 
-    def add(
-        self, origin: Origin, center: npt.NDArray[np.float64], sequence: ContactSequence
-    ) -> None:
+    def add(self, origin: Origin, center: Floats, sequence: ContactSequence) -> None:
         """Adds the candidate of a sequence that was read off a box center."""
         self.solve(origin, center, sequence, self.problem.polish)
 
     def solve(
         self,
         origin: Origin,
-        center: npt.NDArray[np.float64],
+        center: Floats,
         sequence: ContactSequence,
         polish: Polish,
     ) -> None:

@@ -4,14 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Container, Iterable, Iterator
 from itertools import pairwise
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
+from drake_aigto.arrays import Floats
 from drake_aigto.transcription import Touch, TouchSequence, Transcription
-
-if TYPE_CHECKING:
-    import numpy.typing as npt
 
 # An impulse in a box belongs to a contact if it changes the velocity by this part of the largest
 # one: with ε > 0 the wall pushes a little at every knot.
@@ -32,8 +30,8 @@ class _Pushes(NamedTuple):
     """The impulses of one contact that count."""
 
     contact: int
-    times: npt.NDArray[np.float64]  # [s]
-    sizes: npt.NDArray[np.float64]  # [N s]
+    times: Floats  # [s]
+    sizes: Floats  # [N s]
 
     def bounce(self) -> Touch:
         """Returns a bounce at the mean time of the impulses."""
@@ -48,7 +46,7 @@ class _Pushes(NamedTuple):
             yield _Pushes(self.contact, times, sizes)
 
 
-def read_sequences(transcription: Transcription, x: npt.NDArray[np.float64]) -> list[TouchSequence]:
+def read_sequences(transcription: Transcription, x: Floats) -> list[TouchSequence]:
     """Returns the contact sequences that a box center may stand for, the most literal first.
 
     A contact is a cluster of one wall's impulses. Boxes also split one contact in several, and do
@@ -172,7 +170,7 @@ def _in_order(touches: list[Touch], least: float) -> TouchSequence:
     return tuple(found)
 
 
-def _read_impulses(transcription: Transcription, x: npt.NDArray[np.float64]) -> list[_Pushes]:
+def _read_impulses(transcription: Transcription, x: Floats) -> list[_Pushes]:
     """Returns the impulses that belong to contacts, after the start, of every wall that has any."""
     world, q0 = transcription.world, transcription.scenario.initial_position
     motion = transcription.trajectory(x)
