@@ -125,7 +125,7 @@ def differentiate_rubs(
                 slopes[c, j] += rub[r, 0] * sums[turn + j * n + c]
             if source >= 0:
                 normal, bends = find_rows(n, m, source)
-                by_normal, by_speed = force[source, 1] * sums[normal + c], 0.0
+                by_normal = force[source, 1] * sums[normal + c]
                 for j in range(n):
                     by_normal += force[source, 2] * sums[bends + triangle(n, j, c)] * x[n + j]
                 by_speed = force[source, 2] * sums[normal + c]

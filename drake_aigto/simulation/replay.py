@@ -179,8 +179,7 @@ def replay_costs(world: World, scenario: Scenario, times: ArrayLike, controls: A
     columns = u.transpose(1, 0, 2).reshape(u.shape[1], -1)
     t, _ = check_control(times, columns)
     _check_columns(world, u)
-    is_smooth = not world.friction_coefficients(scenario).any()
-    if not (world.has_constant_dynamics and scenario.is_plain and is_smooth):
+    if not (world.has_constant_dynamics and scenario.is_plain and _is_smooth(world, scenario)):
         return np.array([replay_event_driven(world, scenario, t, control).cost for control in u])
     ends = _roll_out(world, scenario, t).find_ends(u)
     pairs = zip(u, ends, strict=True)
@@ -211,7 +210,7 @@ def replay_drake(world: World, scenario: Scenario, times: ArrayLike, controls: A
         recording = simulate_plant(world, start, held, friction)
         return summarize("drake", world, scenario, times, controls, recording)
     recording = simulate_compliant_wall(world, start, held, restitutions, friction)
-    if world.has_constant_inertia and not world.friction_coefficients(scenario).any():
+    if world.has_constant_inertia and _is_smooth(world, scenario):
         error = calc_compliance_error(world, restitutions, recording)
         return summarize("drake", world, scenario, times, controls, recording, error)
     lateness = calc_lateness(world, scenario, times, controls)
@@ -278,7 +277,7 @@ def _simulate_rigidly(
     world: World, scenario: Scenario, times: Floats, controls: Floats
 ) -> Recording:
     """Returns what a control does on exactly rigid walls, by the quickest road."""
-    is_smooth = not world.friction_coefficients(scenario).any()
+    is_smooth = _is_smooth(world, scenario)
     if world.has_constant_dynamics and is_smooth:
         return _roll_out(world, scenario, times).record(controls)
     start, held = (
@@ -288,6 +287,11 @@ def _simulate_rigidly(
     if world.has_constant_inertia and scenario.is_plain and is_smooth:
         return simulate_rigid_wall(world, world.restitutions(scenario), start, held)
     return simulate_rigid_walls(world, scenario, start, held)
+
+
+def _is_smooth(world: World, scenario: Scenario) -> bool:
+    """Returns whether no contact rubs."""
+    return not world.friction_coefficients(scenario).any()
 
 
 def _refine(scenario: Scenario, times: Floats, controls: Floats) -> tuple[Floats, Floats]:
