@@ -186,7 +186,7 @@ def test_rows_count_whatever_units_they_are_in(unit: float) -> None:
     assert not result.is_success() and result.get_solver_details().violation > 0.1
 
 
-@pytest.mark.parametrize("size", [1e-4, 1e-8])
+@pytest.mark.parametrize("size", [1e-4, 1e-12])
 def test_rows_of_small_numbers_hold_to_their_own_size(size: float) -> None:
     prog = MathematicalProgram()
     x = prog.NewContinuousVariables(2, "x")
@@ -196,6 +196,25 @@ def test_rows_of_small_numbers_hold_to_their_own_size(size: float) -> None:
     result = solve(prog, rounds=6)
     assert result.is_success()
     assert np.sum(result.get_x_val() ** 2) == pytest.approx(size, rel=3e-6)
+
+
+@pytest.mark.parametrize("unit", [1e10, 1.1e13])
+def test_rows_of_huge_numbers_hold_to_rounding(
+    unit: float, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def least(unit: float) -> float:
+        prog = constrained(
+            2,
+            lambda x: x[1] ** 2 - x[0],
+            lambda x: [unit * (x[0] - np.pi * x[1] ** 2) == 0, x[0] * x[1] <= 2],
+            5.0,
+        )
+        result = solve(prog, rounds=3)
+        assert result.is_success()
+        return result.get_optimal_cost()
+
+    assert least(unit) == pytest.approx(least(1.0), abs=1e-6)
+    assert not capfd.readouterr().out  # SNOPT finds such rows singular, and would print so.
 
 
 def test_bounds_hold_exactly() -> None:

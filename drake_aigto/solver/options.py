@@ -30,7 +30,8 @@ class AigoOptions:
             sixth of them does at each weight; with ladders, three eighths of them do, and what is
             kept begins anew, until it led to the best cost twice, and eight ladders did, unless
             interior points climb too.
-        feasibility: the largest violation of a constraint in an answer that is called a solution.
+        feasibility: the largest violation of a constraint in an answer that is called a solution
+            (`AigoDetails.violation`).
         first_half_width: half width of the first box where a variable has no bounds, relative to
             max(1, |guess|); it doubles from there while that lowers the cost's mean.
         max_doublings: how often it does so at most.

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from pydrake.solvers import MathematicalProgram
+from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
+from pydrake.solvers import EvaluatorBase, MathematicalProgram
 
 from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial
@@ -30,6 +31,9 @@ from drake_aigto.terms import (
     power,
     to_terms,
 )
+
+# What a row misses by less is far below what an answer may.
+_NOTICED = 1e-9
 
 
 @dataclass(frozen=True)
@@ -105,6 +109,12 @@ class AigoProgram:
         """
         return BoxPolynomial(self.nlp.num_variables, tuple(row.square() for row in self.rows))
 
+    @cached_property
+    def largest_coefficient(self) -> float:
+        """The largest one of all rows, in absolute value; 0 without rows."""
+        terms = (term for row in self.rows for term in row.row.terms)
+        return max((abs(term.coefficient) for term in terms), default=0.0)
+
     def presolved(self) -> AigoProgram:
         """Returns the program without variables that rows define.
 
@@ -129,7 +139,8 @@ class AigoProgram:
     def violation(self, x: Floats) -> float:
         """Returns the largest violation of the source's constraints at x (n,); 0 without any.
 
-        It is relative to a row's size where that is below 1 (`Question.row_sizes`).
+        It is relative to a row's size where that is below 1 (`Question.row_sizes`), and what
+        rounding of x alone may change a row by is none.
         """
         worst = 0.0
         sizes = self.reduced.question.row_sizes
@@ -139,6 +150,9 @@ class AigoProgram:
             if not np.all(np.isfinite(value)):
                 return np.inf
             excess = np.maximum(evaluator.lower_bound() - value, value - evaluator.upper_bound())
+            if np.any(excess > _NOTICED):
+                read = x[self.source.FindDecisionVariableIndices(binding.variables())]
+                excess -= _rounding(evaluator, read)
             excess /= np.concatenate([sizes[row] for row in rows])
             worst = max(worst, float(np.max(excess, initial=0.0)))
         return worst
@@ -181,6 +195,13 @@ def read_program(prog: MathematicalProgram) -> AigoProgram:
         if question.scale_rows(*bounds):
             return _Rows(prog, lifted, keep_all(question)).finish()
     return program
+
+
+def _rounding(evaluator: EvaluatorBase, x: Floats) -> Floats:
+    """Returns what rounding of x (n,) may change rows g (m,) by: 4 ε Σ_j |∂g/∂x_j x_j|."""
+    slopes = ExtractGradient(evaluator.Eval(InitializeAutoDiff(x)))
+    changes = 4 * np.finfo(float).eps * np.sum(np.abs(slopes * x), axis=1)
+    return np.where(np.isfinite(changes), changes, 0.0)
 
 
 class _Rows:

@@ -25,8 +25,9 @@ from drake_aigto.terms import (
 # A row of constants may miss its bounds by this.
 _ROUNDING = 1e-9
 # Rows whose terms are all below the first of these within the bounds are divided by the largest
-# one, down to the second: what is smaller is nothing but rounding.
-_SMALL, _LEAST = 0.01, 5e-9
+# one, down to the second, and equalities to the third: what is smaller is nothing but rounding, and
+# an equality that leaves next to nothing, as x² + y² = 0, is met the slower the closer.
+_SMALL, _LEAST, _LEAST_EQUALITY = 0.01, 1e-18, 5e-9
 
 
 class ContradictionError(Exception):
@@ -105,8 +106,10 @@ class Question:
         sizes: dict[tuple[EvaluatorBase, int] | None, float] = {}
         for each in self.rows:
             largest = _largest_term(each.block, lower, upper)
-            sizes[each.origin] = max(largest, sizes.get(each.origin, 0.0))
-        small = {origin: size for origin, size in sizes.items() if _LEAST <= size < _SMALL}
+            least = _LEAST_EQUALITY if each.row.lower == each.row.upper else _LEAST
+            size = largest if largest >= least else 1.0
+            sizes[each.origin] = max(size, sizes.get(each.origin, 0.0))
+        small = {origin: size for origin, size in sizes.items() if size < _SMALL}
         for origin, size in small.items():
             if origin is not None:
                 evaluator, number = origin

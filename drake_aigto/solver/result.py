@@ -66,7 +66,8 @@ class AigoDetails:
     Attributes:
         status: why the solve ended.
         violation: the largest violation of a constraint at the answer, relative to the row's
-            largest coefficient, or largest term within the bounds, where that is below 1.
+            largest coefficient, or largest term within the bounds, where that is below 1, and
+            beyond what rounding of the variables alone may make of it.
         boxes: how many boxes were shrunk.
         iterations: inner iterations of AIGO, all boxes.
         polishes: how many points were polished.

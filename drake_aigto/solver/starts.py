@@ -15,6 +15,7 @@ from drake_aigto.solver.far import Outside
 from drake_aigto.solver.first_box import make_first_box
 from drake_aigto.solver.options import AigoOptions
 from drake_aigto.solver.program import AigoProgram
+from drake_aigto.solver.staged import StagedProgram
 
 POLISH_STEPS = 200
 # So many times `starts` parts of the best point are moved at most, and this is a gain.
@@ -24,6 +25,8 @@ _FEW = 30
 # A point farther out than this, in a variable without bounds, is where a cost falls without end;
 # and one that is lower than this, which exponentials are well before they are far out.
 _FAR, _LOW = 1e8, -1e20
+# Rows of such coefficients are singular to SNOPT, which prints so, and ends anywhere.
+_SINGULAR = 1e12
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,6 +44,7 @@ class LocalStarts(ABC):
     """What a solve does beside its boxes and ladders."""
 
     _program: AigoProgram
+    _staged: StagedProgram
     _options: AigoOptions
     _first: Box
     _outside: Outside
@@ -111,7 +115,8 @@ class LocalStarts(ABC):
         best = self._best
         is_feasible = best is not None and best.violation <= self._options.feasibility
         is_closed = not np.any(self._outside.is_open)
-        return is_feasible and is_closed and bool(self._program.num_rows)
+        is_regular = self._staged.program.largest_coefficient < _SINGULAR
+        return is_feasible and is_closed and is_regular and bool(self._program.num_rows)
 
     def _is_gain(self, answer: Answer, before: Answer) -> bool:
         """Whether a feasible answer is better by more than what local solvers leave."""
