@@ -69,7 +69,7 @@ RECORDS: Mapping[str, str] = {
     "in_more_loops": "python -m benchmarks.in_the_loop room/bank_shot floor/rebound"
     " cart_pole/soft_06 --count 40 --workers 2 --minutes 2",
     "cart_poles": "python -m benchmarks.cart_poles --count 24 --workers 1 --minutes 3",
-    "soak": "python -m benchmarks.soak --count 100000",
+    "soak": "python -m benchmarks.soak --count 1000000",
     "random_programs": "python -m benchmarks.random_programs --count 500 --seed 4 --workers 2",
 }
 
