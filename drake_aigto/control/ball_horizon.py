@@ -35,9 +35,12 @@ _SEARCHED = 10
 # Walls may stand this part of the task's length from where they are thought to be; what they are
 # thought to return counts like a bounce at this part of the task's velocity; and a bounce is seen
 # between samples that are so many periods apart at most.
-_OFF, _DOUBT, _RECENT = 0.1, 0.1, 4.0
-# Of what they return: programs are compiled for each restitution, which noise blurs by more.
+_OFF, _DOUBT, _RECENT = 0.2, 0.1, 4.0
+# Of what they return, and of where they stand in the task's length: programs are compiled for each,
+# and noise blurs them by more.
 _DIGITS = 3
+# So many places of walls are kept compiled.
+_MOST_KEPT = 8
 
 
 class BallHorizon(Horizon):
@@ -45,8 +48,9 @@ class BallHorizon(Horizon):
 
     Each tick polishes the multi-phase problem of those that are still to come, from the last
     plan's times. Which these are, a state does not tell for sure: a bounce may come sooner or later
-    than it was planned. So near a touch both are polished, with it and without it, and the cheaper
-    motion is taken; to have a bounce again that has been is dear, and so is to do without one.
+    than it was planned. So near a touch, or where one was just seen, both are polished, with it and
+    without it, and the cheaper motion is taken; to have a bounce again that has been is dear, and
+    so is to do without one.
     """
 
     def __init__(
@@ -70,7 +74,9 @@ class BallHorizon(Horizon):
         self._problem = make_problem(world, scenario, options).in_brief(_SEARCHED)
         self._near, self._recent = _NEAR * period, _RECENT * period
         scales = Scales.of(world, scenario)
-        self._off, self._doubt = _OFF * scales.length, (_DOUBT * scales.velocity) ** 2
+        self._length, self._doubt = scales.length, (_DOUBT * scales.velocity) ** 2
+        self._bounced: int | None = None
+        self._kept: dict[tuple[float, ...], RigidProblem] = {}
 
     @property
     def cost_scale(self) -> float:
@@ -90,17 +96,43 @@ class BallHorizon(Horizon):
         self, seen: SeenBounces, samples: tuple[Floats, Floats], elapsed: float, control: Floats
     ) -> SeenBounces:
         """Returns what is seen of bounces by now."""
-        is_recent = elapsed <= self._recent
-        return seen.watch(self.world, samples, elapsed, control, self._off) if is_recent else seen
+        off = _OFF * self._length
+        if elapsed <= self._recent:
+            seen = seen.watch(self.world, samples, elapsed, control, off)
+        else:
+            seen = dataclasses.replace(seen, latest=None)
+        return seen.pass_walls(self.world, np.split(samples[1], 2)[0], off)
 
     def knowing(self, seen: SeenBounces) -> BallHorizon:
-        """Returns the same task between walls that return what was seen."""
-        if not seen.squares:
+        """Returns the same task between walls that return what was seen, and stand there."""
+        if seen == SeenBounces():
             return self
         learned = copy.copy(self)
-        e = round(seen.find_restitution(self.restitution, self._doubt), _DIGITS)
-        learned.scenario = dataclasses.replace(self.scenario, restitution=e)
+        learned._bounced = seen.latest
+        if seen.squares:
+            e = round(seen.find_restitution(self.restitution, self._doubt), _DIGITS)
+            learned.scenario = dataclasses.replace(self.scenario, restitution=e)
+        places = tuple(round(each / self._length, _DIGITS) for each in seen.nearer)
+        if any(places):
+            learned._problem = self._move_walls(places)
+            learned.world = learned._problem.world
         return learned
+
+    def _move_walls(self, places: tuple[float, ...]) -> RigidProblem:
+        """Returns the problem with walls nearer by these parts of the task's length."""
+        if places not in self._kept:
+            contacts = tuple(
+                dataclasses.replace(
+                    contact, signed_distance=contact.signed_distance - place * self._length
+                )
+                for contact, place in zip(self.world.contacts, places, strict=True)
+            )
+            if len(self._kept) >= _MOST_KEPT:
+                del self._kept[next(iter(self._kept))]
+            # Nobody simulates its diagram, where walls are as they were.
+            moved = dataclasses.replace(self.world, contacts=contacts)
+            self._kept[places] = self._problem.in_world(moved)
+        return self._kept[places]
 
     def _pose(self, now: float, x: Floats) -> RigidProblem:
         """Returns the task from a state on."""
@@ -138,7 +170,8 @@ class BallHorizon(Horizon):
         coming = [touch for touch in motion.touches if touch.end > now]
         late = [touch for touch in motion.touches if now - self._near < touch.end <= now]
         yield _fit(coming, now, left)
-        if coming and coming[0].start < now + self._near:
+        is_next = bool(coming) and coming[0].contact == self._bounced
+        if coming and (is_next or coming[0].start < now + self._near):
             yield _fit(coming[1:], now, left)
         if late and self._comes_to(late[-1].contact, x):
             yield _fit([late[-1], *coming], now, left)

@@ -39,6 +39,8 @@ class TickStatus:
         has_switched: whether another contact sequence was taken.
         restitution: e of rigid walls, as the scenario has it or as bounces have shown it; None
             where walls yield.
+        nearer: by how much nearer the wall of each contact was found to stand than the model has
+            it, shape (m,) [m]; empty: nothing was found.
     """
 
     time: float
@@ -48,6 +50,7 @@ class TickStatus:
     seconds: float
     has_switched: bool = False
     restitution: float | None = None
+    nearer: tuple[float, ...] = ()
 
 
 class _Pending(NamedTuple):
@@ -71,6 +74,15 @@ class _Told(NamedTuple):
 
     time: float
     x: Floats
+
+
+class _Question(NamedTuple):
+    """What a tick asks."""
+
+    now: float
+    x: Floats
+    seen: SeenBounces
+    horizon: Horizon  # that knows what was seen
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,8 +116,9 @@ class ModelPredictiveController(LeafSystem):
     taken if it costs less by a margin. Work is bounded by counts: runs are the same again, also
     where searches have a thread of their own.
 
-    Of what differs from a model, the restitution of rigid walls misleads plans most. It is learned
-    from bounces that are seen between one tick and the next.
+    Of what differs from a model, rigid walls mislead plans most: where they stand, and what they
+    return. Both are learned from bounces that are seen between one tick and the next; and a wall
+    that a ball is well inside of stands farther away.
 
     A state that is not finite, one inside of a rigid wall, or one from which no motion is found,
     leaves the last plan as it is, and its control goes on. So it does at the end of a horizon that
@@ -148,8 +161,8 @@ class ModelPredictiveController(LeafSystem):
                 ones: begun at tick k, from where the plan is going to be at tick k + search_ticks,
                 it is waited for there, and what it found is led from there to the state that is
                 told. None: searches end in their tick.
-            learns: whether what rigid walls return is learned from bounces (`SeenBounces`); the
-                scenario's restitution is what is thought of it before.
+            learns: whether what rigid walls return, and where they stand, is learned
+                (`SeenBounces`); the scenario and the model are what is thought of it before.
 
         Raises:
             ControlError: a mechanism between rigid walls, a free duration, or something that was
@@ -235,36 +248,38 @@ class ModelPredictiveController(LeafSystem):
         """Improves the plan, or takes another one."""
         x, now, begin = self._estimate.Eval(context), context.get_time(), time.perf_counter()
         before = self._read(context)
-        told, seen = before.told, before.seen
-        if np.all(np.isfinite(x)) and not self._horizon.is_inside(x):
-            told = _Told(now, np.array(x))
-            seen = self._watch(before, told) if self._learns else seen
-        choice = self._choose(before, seen, now, x)
+        seen = self._watch(before, now, x)
+        question = _Question(now, x, seen, self._horizon.knowing(seen))
+        told = _Told(now, np.array(x)) if _is_usable(question) else before.told
+        choice = self._choose(before, question)
         control, seconds = choice.motion.calc_control(now), time.perf_counter() - begin
         moment = _Moment(choice, control, now, seconds, before.tick + 1, told, seen)
         return self._keep(state, moment)
 
-    def _watch(self, before: _Moment, told: _Told) -> SeenBounces:
-        samples, elapsed = (before.told.x, told.x), told.time - before.told.time
-        return self._horizon.watch(before.seen, samples, elapsed, before.control)
+    def _watch(self, before: _Moment, now: float, x: Floats) -> SeenBounces:
+        """Returns what is seen of walls by now."""
+        if not (self._learns and np.all(np.isfinite(x))):
+            return before.seen
+        elapsed = now - before.told.time
+        return self._horizon.watch(before.seen, (before.told.x, x), elapsed, before.control)
 
-    def _choose(self, before: _Moment, seen: SeenBounces, now: float, x: Floats) -> _Choice:
+    def _choose(self, before: _Moment, question: _Question) -> _Choice:
         """Returns the plan from now on, and why it is that."""
         last, pending = before.choice.motion, before.choice.pending
-        horizon = self._horizon.knowing(seen)
+        now, x, _, horizon = question
 
         def go_on(reason: str) -> _Choice:
             return _Choice(last, f"{reason}: the last plan goes on", pending=pending)
 
         if not np.all(np.isfinite(x)):
             return go_on("the estimated state is not finite")
-        if self._horizon.is_over(now):
+        if horizon.is_over(now):
             return go_on("the horizon ends")
-        if self._horizon.is_inside(x):
+        if horizon.is_inside(x):
             return go_on("a wall is touched")
         motion = horizon.advance(last, now, x)
         cost = motion.cost if motion else np.inf
-        has_searched, found, pending = self._find_other(before, seen, now, x, motion)
+        has_searched, found, pending = self._find_other(before, question, motion)
         if found and found.cost < (1 - self._margin) * cost:
             reason = f"switched: {found.cost:.4g} in place of {cost:.4g}"
             return _Choice(found, reason, has_switched=True, pending=pending)
@@ -274,11 +289,11 @@ class ModelPredictiveController(LeafSystem):
         return _Choice(motion, reason, pending=pending)
 
     def _find_other(
-        self, before: _Moment, seen: SeenBounces, now: float, x: Floats, motion: Motion | None
+        self, before: _Moment, question: _Question, motion: Motion | None
     ) -> tuple[bool, Motion | None, _Pending | None]:
         """Returns whether a search is done, what it found, and one that goes on."""
         last, pending, tick = before.choice.motion.cost, before.choice.pending, before.tick + 1
-        horizon = self._horizon.knowing(seen)
+        now, x, seen, horizon = question
         if pending is not None:
             if tick < pending.due:
                 return False, None, pending
@@ -292,7 +307,7 @@ class ModelPredictiveController(LeafSystem):
             return True, horizon.search(now, x), None
         ahead = now + self._search_ticks * self.period
         x = motion.calc_state(ahead) if motion else np.array(x)
-        if self._horizon.is_over(ahead) or self._horizon.is_inside(x):
+        if horizon.is_over(ahead) or horizon.is_inside(x):
             return False, None, None
         begun = self._thread.submit(self._searching.knowing(seen).search, ahead, x)
         return False, None, _Pending(tick + self._search_ticks, begun)
@@ -322,5 +337,11 @@ class ModelPredictiveController(LeafSystem):
             seconds=moment.seconds,
             has_switched=has_switched,
             restitution=self._horizon.knowing(moment.seen).restitution,
+            nearer=moment.seen.nearer,
         )
         output.set_value(status)
+
+
+def _is_usable(question: _Question) -> bool:
+    """Returns whether a state can be planned from."""
+    return bool(np.all(np.isfinite(question.x))) and not question.horizon.is_inside(question.x)

@@ -130,6 +130,14 @@ class RigidProblem(PlanningProblem):
         other._brief = most_iterations
         return other
 
+    def in_world(self, world: World) -> RigidProblem:
+        """Returns the same problem in another world of the same contacts; compiles as needed."""
+        first = self.transcription
+        transcription = RigidTranscription(world, first.scenario, first.relaxation)
+        other = RigidProblem(transcription, self.options, self.asked_steps, CompiledPrograms())
+        other._brief = self._brief
+        return other
+
     def make_algorithm(self, rung: Rung) -> Algorithm:
         """Returns an annealing that ends as soon as boxes show contacts."""
         start = rung.temperature * self._cost_scale
