@@ -63,16 +63,23 @@ def add_impulses(
     """Returns a trajectory with a replay's impacts, which are at its knots.
 
     Also returns by how much the velocity after an impact is off at most [m/s]: it has to be what an
-    impulse ≥ 0 along the contact makes of that before, and the contact's speed be returned e times,
-    or nothing of it where rest begins. Several contacts at one instant hit each other in turns:
-    there impulses are the sums of all turns, and no contact is approached after the last.
+    impulse ≥ 0 along the contact, and one of at most μ times it along its tangent, make of that
+    before, and the contact's speed be returned e times, or nothing of it where rest begins. Several
+    contacts at one instant hit each other in turns: there impulses are the sums of all turns, and
+    no contact is approached after the last.
     """
     impulses, missed = trajectory.impulses.copy(), 0.0
     for time, contacts, q, before, after in _list_events(replay):
         each = np.unique(contacts)
         J, e = world.calc_contact_jacobian(q)[each], world.restitutions(scenario)[each]
-        kicks = np.linalg.solve(world.calc_mass_matrix(q), J.T)
+        friction, T = world.friction_coefficients(scenario)[each], J[:0]
+        if friction.any():
+            T = friction[:, np.newaxis] * world.calc_tangent_jacobian(q)[each]
+        # Along a cone's edges: impulses within it are sums of both.
+        rows = np.vstack([J + T, J - T]) if len(T) else J
+        kicks = np.linalg.solve(world.calc_mass_matrix(q), rows.T)
         pushes, off = scipy.optimize.nnls(kicks, after - before)
+        pushes = pushes.reshape(-1, len(each)).sum(axis=0)
         knot = np.abs(trajectory.times - time).argmin()
         impulses[knot, each] += pushes
         came, went = J @ before, J @ after

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints, read_only
+from drake_aigto.planning.impact_modes import find_other_mode, read_mode
 from drake_aigto.shooting import Phases, ShootingResult
 from drake_aigto.transcription import Touch, TouchSequence
-from drake_aigto.world import World
+from drake_aigto.world import RigidLaw, World
 
 # No phase starts out shorter than this part of the duration.
 _SHORTEST = 1e-2
@@ -28,26 +29,35 @@ class BouncingResult(ShootingResult):
             lets go, shape (P − 1,).
         knots: where that is, shape (P − 1,).
         held: which contact is held in each phase, or −1, shape (P,).
+        modes: how impacts end at contacts that rub (`Touch`), shape (P − 1,).
     """
 
     contacts: Ints
     knots: Ints
     held: Ints
+    modes: Ints
 
     def __post_init__(self) -> None:
         """Makes the arrays read-only."""
         super().__post_init__()
-        for name in ("contacts", "knots", "held"):
+        for name in ("contacts", "knots", "held", "modes"):
             object.__setattr__(self, name, read_only(getattr(self, name), np.int64))
 
     @property
     def touches(self) -> TouchSequence:
         """What is touched, and when."""
-        times = self.times[[*self.knots, -1]].tolist()
+        times, modes = self.times[[*self.knots, -1]].tolist(), self.modes.tolist()
+        ends = [times[i + 1] if self.held[i + 1] >= 0 else times[i] for i in range(len(modes))]
         return tuple(
-            Touch(times[i], times[i + 1] if self.held[i + 1] >= 0 else times[i], contact)
+            Touch(times[i], ends[i], contact, modes[i])
             for i, contact in enumerate(self.contacts.tolist())
             if contact >= 0
+        )
+
+    def phases(self, total: tuple[float, float]) -> Phases:
+        """Returns its phases, whose sum may become the least and the most of a total [s]."""
+        return Phases(
+            self.contacts, self.knots, self.durations, total, held=self.held, modes=self.modes
         )
 
     @property
@@ -64,12 +74,19 @@ class Dip(NamedTuple):
     start: float  # the first time that it is inside [s]
     end: float  # the last one [s]
 
-    def as_touch(self, lasting: Floats) -> Touch:
-        """Returns a touch, which lasts if the dip lasts longer than its contact's number says."""
-        contact = self.touch.contact
-        if self.end - self.start > lasting[contact]:
-            return Touch(self.start, self.end, contact)
-        return self.touch
+    def as_touch(
+        self, world: World, law: RigidLaw, lasting: Floats, motion: ShootingResult
+    ) -> Touch:
+        """Returns the touch of a motion's dip, in the mode that its state before it leads to.
+
+        It lasts if the dip lasts longer than its contact's number says.
+        """
+        n, contact = world.num_positions, self.touch.contact
+        before = motion.states[max(0, int(np.searchsorted(motion.times, self.start)) - 1)]
+        mode = read_mode(world, law, contact, before[:n], before[n:])
+        lasts = self.end - self.start > lasting[contact]
+        ends = (self.start, self.end) if lasts else (self.touch.start, self.touch.end)
+        return Touch(*ends, contact, mode)
 
 
 def lay_out(
@@ -87,7 +104,7 @@ def lay_out(
         total: the least and the most that it may become [s].
     """
     joints = list(_find_joints(touches, duration))[: num_steps - 1]
-    ends = np.clip([time for time, _, _ in joints], 0.0, duration)
+    ends = np.clip([joint.time for joint in joints], 0.0, duration)
     durations = np.maximum(np.diff(ends, prepend=0.0, append=duration), _SHORTEST * duration)
     durations *= duration / durations.sum()
     knots = np.rint(np.cumsum(durations[:-1]) / duration * num_steps).astype(np.int64)
@@ -97,30 +114,43 @@ def lay_out(
     elapsed = np.concatenate([[0.0], np.cumsum(durations)])
     elapsed[-1] = duration
     times = np.interp(np.arange(num_steps + 1), [0, *knots, num_steps], elapsed)
-    contacts = np.array([contact for _, contact, _ in joints], dtype=np.int64)
-    held = np.array([-1, *(held for _, _, held in joints)])
-    return times, Phases(contacts, knots, durations, total, held)
+    contacts = np.array([joint.contact for joint in joints], dtype=np.int64)
+    modes = np.array([joint.mode for joint in joints], dtype=np.int64)
+    held = np.array([-1, *(joint.held for joint in joints)])
+    return times, Phases(contacts, knots, durations, total, held, modes)
 
 
-def _find_joints(touches: TouchSequence, duration: float) -> Iterator[tuple[float, int, int]]:
-    """Yields when phases meet, what is touched then or −1, and what is held from then on or −1."""
+class _Joint(NamedTuple):
+    """Where phases meet."""
+
+    time: float  # [s]
+    contact: int  # what is touched then, or −1
+    held: int  # what is held from then on, or −1
+    mode: int  # how the impact ends
+
+
+def _find_joints(touches: TouchSequence, duration: float) -> Iterator[_Joint]:
     nexts = [*(touch.start for touch in touches), duration][1:]
     for touch, until in zip(touches, nexts, strict=True):
-        yield touch.start, touch.contact, touch.contact if touch.lasts else -1
+        yield _Joint(touch.start, touch.contact, touch.contact if touch.lasts else -1, touch.mode)
         if touch.lasts and touch.end < until:
-            yield touch.end, -1, -1
+            yield _Joint(touch.end, -1, -1, 0)
 
 
-def read_touches(world: World, motion: ShootingResult, lasting: Floats) -> TouchSequence:
+def read_touches(
+    world: World, law: RigidLaw, motion: ShootingResult, lasting: Floats
+) -> TouchSequence:
     """Returns where a motion between walls that yield is inside, by time.
 
     Args:
         world: the mechanism.
+        law: of the rigid walls that these stand for.
         motion: its motion.
         lasting: from how long on a touch of each contact lasts, shape (m,) [s].
     """
     q = motion.states[:, : world.num_positions]
-    touches = (dip.as_touch(lasting) for dip in _find_dips(world, motion.times, q))
+    dips = _find_dips(world, motion.times, q)
+    touches = (dip.as_touch(world, law, lasting, motion) for dip in dips)
     return tuple(sorted(touches, key=lambda touch: touch.start))
 
 
@@ -140,6 +170,23 @@ def find_grazes(world: World, motion: BouncingResult, speed: float) -> list[int]
     _, before = _find_slopes(world, motion)
     is_slow = np.einsum("bi,bi->b", J, before[knots - 1]) > -speed
     return [i for i in np.flatnonzero(is_slow).tolist() if not touches[i].lasts]
+
+
+def switch_modes(world: World, law: RigidLaw, motion: BouncingResult) -> TouchSequence | None:
+    """Returns the touches of a motion, impacts at the edge of their mode beyond it; None: no one.
+
+    Beyond an edge the cost may fall on, as stick becomes slip there, or slip ends.
+    """
+    n, knots, touches = world.num_positions, motion.hits, motion.touches
+    _, before = _find_slopes(world, motion)
+    others = [
+        find_other_mode(world, law, touch, motion.states[knot, :n], before[knot - 1])
+        for touch, knot in zip(touches, knots.tolist(), strict=True)
+    ]
+    if all(other is None for other in others):
+        return None
+    pairs = zip(touches, others, strict=True)
+    return tuple(one if mode is None else replace(one, mode=mode) for one, mode in pairs)
 
 
 def find_lacks(world: World, motion: BouncingResult, margin: float) -> Floats:

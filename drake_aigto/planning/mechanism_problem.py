@@ -389,9 +389,10 @@ class MechanismProblem:
 def needs_shooting(world: World, scenario: Scenario) -> bool:
     """Returns whether a task is more than one of balls between rigid walls.
 
-    Where something turns, M or J depends on q, something has limits, contact is compliant, or the
-    task is not AIGTO's (`Scenario.is_plain`). Balls that nothing can touch stay theirs, for whoever
-    asks for AIGTO's task has forgotten a wall.
+    Where something turns, M or J depends on q, something has limits or rubs, contact is compliant,
+    or the task is not AIGTO's (`Scenario.is_plain`). Balls that nothing can touch stay theirs, for
+    whoever asks for AIGTO's task has forgotten a wall.
     """
-    is_of_balls = world.has_constant_inertia and not (world.limits.are_any or world.is_hinge.any())
-    return not (is_of_balls and scenario.is_plain)
+    is_free = world.has_constant_inertia and not (world.limits.are_any or world.is_hinge.any())
+    rubs = scenario.contact == "rigid" and world.friction_coefficients(scenario).any()
+    return not (is_free and not rubs and scenario.is_plain)

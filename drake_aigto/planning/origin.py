@@ -10,7 +10,7 @@ from drake_aigto.planning.mechanism_boxes import MechanismRung
 from drake_aigto.planning.options import Rung
 from drake_aigto.transcription import TouchSequence
 
-ChangeName = Literal["seen", "dropped", "added", "swapped", "moved", "left out"]
+ChangeName = Literal["seen", "dropped", "added", "swapped", "moved", "mode", "left out"]
 
 _WORDS: dict[ChangeName, str] = {
     "seen": "with a bounce seen in its replay",
@@ -18,6 +18,7 @@ _WORDS: dict[ChangeName, str] = {
     "added": "a touch added",
     "swapped": "touches swapped",
     "moved": "contacts moved",
+    "mode": "an impact ended in another mode",
     "left out": "left out at first",
 }
 
@@ -32,7 +33,8 @@ class Change:
     Attributes:
         kind: "seen", a bounce added that the replay has and the plan lacks; "dropped" or "added", a
             touch less or more; "swapped", bounces at one moment in the other order; "moved",
-            contacts at other knots; "left out", a flight that was not expected to win, and is
+            contacts at other knots; "mode", an impact with friction that sticks or slips instead;
+            "left out", a flight that was not expected to win, and is
             tried as nothing that was holds.
         of: the contact sequence that was changed.
     """

@@ -6,10 +6,11 @@ import dataclasses
 from functools import cached_property
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from drake_aigto.certify import bound_plans, out_of_reach
-from drake_aigto.errors import OptionsError, ProgramError
+from drake_aigto.errors import ModelError, OptionsError, ProgramError
 from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.coarse import transcribe
 from drake_aigto.planning.mechanism_options import MechanismOptions
@@ -183,9 +184,18 @@ class Planner:
 
 
 def _check_friction(world: World, scenario: Scenario) -> None:
-    """Refuses friction of rigid walls, which no plan knows of."""
-    if scenario.contact == "rigid":
-        world.check_frictionless(scenario)
+    """Refuses friction of rigid walls that return nothing, on which contact would last."""
+    if scenario.contact != "rigid":
+        return
+    friction, returned = world.friction_coefficients(scenario), world.restitutions(scenario)
+    for contact in np.flatnonzero((friction > 0) & (returned == 0)).tolist():
+        raise ModelError(
+            f"contact {world.contacts[contact].name}",
+            got=f"friction {friction[contact]:g} and restitution 0 of rigid walls",
+            expected="restitution above 0: plans bounce off walls that rub, and are not held there",
+            remedy="Ask for contact: compliant, raise restitution, or leave friction out by the "
+            "scenario's friction: 0 (--friction 0).",
+        )
 
 
 def _choose_options(

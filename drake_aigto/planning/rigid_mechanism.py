@@ -12,6 +12,7 @@ from drake_aigto.planning.bounces import add_impulses, replay_at_knots
 from drake_aigto.planning.branching import scaled
 from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.flow import trace
+from drake_aigto.planning.impact_modes import read_mode
 from drake_aigto.planning.mechanism_boxes import Center
 from drake_aigto.planning.mechanism_options import MechanismOptions
 from drake_aigto.planning.mechanism_phases import (
@@ -22,6 +23,7 @@ from drake_aigto.planning.mechanism_phases import (
     lay_out,
     read_touches,
     sample,
+    switch_modes,
 )
 from drake_aigto.planning.mechanism_problem import MechanismProblem
 from drake_aigto.shooting import (
@@ -32,11 +34,12 @@ from drake_aigto.shooting import (
     ShootingResult,
     Smoothing,
 )
+from drake_aigto.simulation.recording import find_impacts
 from drake_aigto.simulation.replay import Replay, replay_event_driven
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.transcription.rows import INTEGRATION, RESTITUTION
-from drake_aigto.world import Scenario, World
+from drake_aigto.world import RigidLaw, Scenario, World
 
 # A motion that is this deep inside of a wall between knots, as a part of the task's length, has a
 # bounce added there, so often at most.
@@ -45,6 +48,8 @@ _DEEP, _MOST_ADDED = 1e-2, 4
 # touches slower than this part of its speed are passed, too, and what lasts begins no slower: any
 # error would miss the wall.
 _MARGIN, _MOST_LIFTS, _SLOW = 1e-4, 6, 1e-2
+# Modes of impacts with friction are changed at their edges so often at most.
+_MOST_SWITCHED = 3
 # Near a wall that is grazed, speeds change with the square root of distances: a finalist has to
 # meet its walls closely.
 _FINE = ShootingOptions(
@@ -85,23 +90,32 @@ class RigidMechanismProblem(MechanismProblem):
     def close(self, center: Center) -> BouncingResult:
         """Returns the motion on rigid walls near a box center."""
         soft = self._close_on_springs(center)
-        return self.bounce(read_touches(self.world, soft, self.lasting), soft)
+        touches = read_touches(self.world, self.rigid_law, soft, self.lasting)
+        return self.bounce(touches, soft)
+
+    @property
+    def rigid_law(self) -> RigidLaw:
+        """What the walls do."""
+        assert isinstance(self.law, RigidLaw)
+        return self.law
 
     @cached_property
     def lasting(self) -> Floats:
         """From how long on [s] a touch of a spring is one that lasts on a wall, shape (m,).
 
         Where nothing is returned, any is: what is let go at once was a bounce. Elsewhere it is
-        twice what a spring takes to turn a speed round.
+        twice what a spring takes to turn a speed round. What rubs is never held.
         """
         time_step = self.scenario.duration / self.search_steps
-        returned = self.world.restitutions(self.scenario)
-        return np.where(returned == 0, 0.0, 2 * np.pi * time_step)
+        law = self.rigid_law
+        lasting = np.where(law.restitution == 0, 0.0, 2 * np.pi * time_step)
+        return np.where(law.friction > 0, np.inf, lasting)
 
     def bounce(self, touches: TouchSequence, guess: ShootingResult) -> BouncingResult:
         """Returns a motion with these touches near another, as far as a few steps lead.
 
-        If it dips deep into a wall between knots, with a bounce there as well.
+        If it dips deep into a wall between knots, with a bounce there as well; and where an impact
+        with friction is at the edge of its mode, beyond it if that is better.
         """
         tried = []
         for _ in range(1 + _MOST_ADDED):
@@ -112,9 +126,21 @@ class RigidMechanismProblem(MechanismProblem):
             if dip is None or dip.depth < _DEEP * self.scales.length or is_full:
                 break
             guess = motion
-            added = dip.as_touch(self.lasting)
+            added = dip.as_touch(self.world, self.rigid_law, self.lasting, motion)
             touches = tuple(sorted((*motion.touches, added), key=lambda touch: touch.start))
-        return min(tried, key=self.rank)
+        return self._switch(min(tried, key=self.rank))
+
+    def _switch(self, motion: BouncingResult) -> BouncingResult:
+        """Returns the best motion that is found by leading impacts beyond edges of their modes."""
+        for _ in range(_MOST_SWITCHED if self.rigid_law.rubs and np.isfinite(motion.cost) else 0):
+            touches = switch_modes(self.world, self.rigid_law, motion)
+            if touches is None:
+                break
+            other = self._told(self._shoot(touches, motion, self.search_steps, _COARSE))
+            if not self.rank(other) < self.rank(motion):
+                break
+            motion = other
+        return motion
 
     @cached_property
     def coasting(self) -> TouchSequence:
@@ -122,11 +148,19 @@ class RigidMechanismProblem(MechanismProblem):
         idle = self.idle_motion
         times = self._end_exactly(idle.times)
         replay = replay_event_driven(self.world, self.scenario, times, idle.controls)
-        ends = [*replay.bounce_times, float(times[-1])][1:]
+        contacts, starts = np.array(replay.bounce_contacts, dtype=np.int64), replay.bounce_times
+        rows = find_impacts(replay.times, replay.velocities, len(starts))
+        before = zip(replay.positions[rows], replay.velocities[rows], strict=True)
+        ends = [*starts, float(times[-1])][1:]
         return tuple(
-            Touch(start, start if self.lasting[contact] else end, contact)
-            for start, end, contact in zip(
-                replay.bounce_times, ends, replay.bounce_contacts, strict=True
+            Touch(
+                start,
+                start if self.lasting[contact] else end,
+                contact,
+                read_mode(self.world, self.rigid_law, contact, *state),
+            )
+            for start, end, contact, state in zip(
+                starts, ends, contacts.tolist(), before, strict=True
             )
         )
 
@@ -195,7 +229,7 @@ class RigidMechanismProblem(MechanismProblem):
         As what is unstable goes elsewhere under other steps, states are kept, and gaps closed. What
         is steady is followed from its controls, by steps that never raise the cost.
         """
-        phases = Phases(motion.contacts, motion.knots, motion.durations, self._total, motion.held)
+        phases = motion.phases(self._total)
         problem = self._pose_phases(motion.times, phases, clearances)
         found: ShootingResult = motion
         error = problem.estimate_error(found)
@@ -214,7 +248,7 @@ class RigidMechanismProblem(MechanismProblem):
         A slow bounce is late by what it is off the wall over its speed, and what is unstable leaves
         the promised motion exponentially from there.
         """
-        phases = Phases(motion.contacts, motion.knots, motion.durations, self._total, motion.held)
+        phases = motion.phases(self._total)
         if not len(phases.knots) or not np.isfinite(motion.cost):
             return motion
         problem = self._pose_phases(motion.times, phases, clearances)
@@ -262,7 +296,8 @@ def _join(found: ShootingResult, phases: Phases) -> BouncingResult:
     fields = {
         field.name: getattr(found, field.name) for field in dataclasses.fields(ShootingResult)
     }
-    return BouncingResult(**fields, contacts=phases.contacts, knots=phases.knots, held=phases.held)
+    places = {name: getattr(phases, name) for name in ("contacts", "knots", "held", "modes")}
+    return BouncingResult(**fields, **places)
 
 
 def make_mechanism_problem(

@@ -10,6 +10,7 @@ from typing import ClassVar, TypeAlias
 import numpy as np
 
 from drake_aigto.planning.branching import scaled
+from drake_aigto.planning.impact_modes import list_mode_changes, read_mode
 from drake_aigto.planning.mechanism_phases import BouncingResult
 from drake_aigto.planning.mechanism_search import Closed, MechanismSearch, Motion, Proposal
 from drake_aigto.planning.origin import COASTING, ChangeName, Origin
@@ -28,15 +29,15 @@ _MOST_COASTED = 3
 # Touches that are this near, as a part of the duration, are one and the same, and may be swapped.
 _NEAR = 0.05
 
-# Which contacts are touched, and roughly when and for how long.
-_Key: TypeAlias = tuple[tuple[int, int, int], ...]
+# Which contacts are touched, how the impacts end, and roughly when and for how long.
+_Key: TypeAlias = tuple[tuple[int, int, int, int], ...]
 
 
 class RigidMechanismSearch(MechanismSearch):
     """The search on springs and in phases, and neighbors of the best sequences of touches.
 
-    After each wave of proposals a touch is dropped, added, or swapped with the next in the best
-    motions, until none of these leads to a better one.
+    After each wave of proposals a touch is dropped, added, swapped with the next, or, with friction,
+    ended in another mode in the best motions, until none of these leads to a better one.
     """
 
     problem: RigidMechanismProblem
@@ -98,7 +99,7 @@ class RigidMechanismSearch(MechanismSearch):
         return 0, self.problem.bounce(touches, guess)
 
     def _find_neighbors(self, motion: BouncingResult) -> Iterator[tuple[ChangeName, TouchSequence]]:
-        """Yields sequences with a touch less, two swapped, and one more."""
+        """Yields sequences with a touch less, two swapped, one more, and another mode."""
         touches = motion.touches
         for place in range(len(touches)):
             yield "dropped", (*touches[:place], *touches[place + 1 :])
@@ -106,26 +107,35 @@ class RigidMechanismSearch(MechanismSearch):
             yield "swapped", other
         for place, added in self._find_additions(motion):
             yield "added", (*touches[:place], added, *touches[place:])
+        for other in list_mode_changes(self.problem.rigid_law, touches):
+            yield "mode", other
 
     def _find_additions(self, motion: BouncingResult) -> Iterator[tuple[int, Touch]]:
         """Yields a touch of each contact in each phase: where it is nearest, and in the middle."""
-        world, times = self.problem.world, motion.times
+        world, times, law = self.problem.world, motion.times, self.problem.rigid_law
+        n = world.num_positions
         distances = world.calc_signed_distance(motion.states[:, : world.num_positions])
         ends = [0, *motion.knots.tolist(), len(times) - 1]
         lasting = self.problem.lasting
         places = np.cumsum([0, *(motion.contacts >= 0)]).tolist()
         for place, (first, last) in zip(places, pairwise(ends), strict=True):
             for contact in range(world.num_contacts if last - first > 1 else 0):
-                inside = distances[first + 1 : last, contact]
-                nearest = times[first + 1 + int(np.argmin(inside))]
-                for time in (nearest, (times[first] + times[last]) / 2):
+                nearest = first + 1 + int(np.argmin(distances[first + 1 : last, contact]))
+                state = motion.states[nearest]
+                mode = read_mode(world, law, contact, state[:n], state[n:])
+                for time in (times[nearest], (times[first] + times[last]) / 2):
                     end = time if lasting[contact] else (time + times[last]) / 2
-                    yield place, Touch(float(time), float(end), contact)
+                    yield place, Touch(float(time), float(end), contact, mode)
 
     def _find_key(self, touches: TouchSequence) -> _Key:
         near = _NEAR * self.problem.scenario.duration
         return tuple(
-            (touch.contact, round(touch.start / near), round((touch.end - touch.start) / near))
+            (
+                touch.contact,
+                touch.mode,
+                round(touch.start / near),
+                round((touch.end - touch.start) / near),
+            )
             for touch in touches
         )
 

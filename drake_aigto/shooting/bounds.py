@@ -8,7 +8,8 @@ from drake_aigto.arrays import Floats
 from drake_aigto.jit import inner, kernel
 from drake_aigto.shooting.hold import press
 from drake_aigto.shooting.layout import triangle
-from drake_aigto.shooting.mechanism import find_foremost
+from drake_aigto.shooting.mechanism import factor_mass, find_foremost
+from drake_aigto.shooting.strike import find_rub, strike
 from drake_aigto.shooting.tables import FLOW, Bounds, Memory, Program
 from drake_aigto.shooting.tape import run_tape
 
@@ -54,6 +55,7 @@ def add_bounds(
             cost += _add_distances(program, k, states[k], penalty, has_slopes, memory)
         if k < program.kinds.size and program.kinds[k] >= 0:
             cost += _add_approach(program, k, states[k], penalty, has_slopes, memory)
+            cost += _add_cone(program, k, states[k], penalty, has_slopes, memory)
         if k < program.held.size and program.kinds[k] == FLOW and program.held[k] >= 0:
             cost += _add_force(program, k, states[k], controls[k], penalty, has_slopes, memory)
     return cost
@@ -102,6 +104,54 @@ def _add_approach(
             for c in range(nx):
                 l2[k, j, c] += weight * slope[j] * slope[c]
     return weight * off * off / 2
+
+
+@inner
+def _measure_cone(
+    program: Program, k: int, z: Floats, has_slopes: bool, memory: Memory
+) -> bool:
+    """Computes what the impact at knot k asks for in its mode; returns whether anything."""
+    mechanics, contact, room = program.mechanics, program.kinds[k], memory.flow.mechanics
+    rub = find_rub(mechanics.rubs, contact)
+    if rub < 0:
+        return False
+    measure_distances(program, z, has_slopes, memory)
+    factor_mass(mechanics.actuation.shape[0], room.sums, room.factor)
+    restitution = 0.0 if program.held[k] == contact else mechanics.contacts[contact, 2]
+    strike(
+        contact,
+        mechanics.contacts.shape[0],
+        mechanics.rubs,
+        rub,
+        program.modes[k],
+        restitution,
+        z,
+        has_slopes,
+        room.sums,
+        room.factor,
+        memory.strike,
+    )
+    return True
+
+
+@inner
+def _add_cone(
+    program: Program, k: int, z: Floats, penalty: float, has_slopes: bool, memory: Memory
+) -> float:
+    """Returns what Coulomb's cone adds at the impact at knot k; adds to derivatives if asked."""
+    bounds, cone, cost = program.bounds, memory.strike.cone, 0.0
+    weight, l1, l2 = penalty * bounds.approach_weight, memory.expansion.l1, memory.expansion.l2
+    if not _measure_cone(program, k, z, has_slopes, memory):
+        return cost
+    for side in range(2):
+        off = min(cone[side, 0] + bounds.cone_multipliers[k, side] / weight, 0.0)
+        cost += weight * off * off / 2
+        if has_slopes and off < 0.0:
+            for j in range(cone.shape[1] - 1):
+                l1[k, j] += weight * off * cone[side, 1 + j]
+                for c in range(cone.shape[1] - 1):
+                    l2[k, j, c] += weight * cone[side, 1 + j] * cone[side, 1 + c]
+    return cost
 
 
 @inner
@@ -215,6 +265,13 @@ def measure_bounds(
             if updates:
                 multiplier = bounds.approach_multipliers[k] + weight * off
                 bounds.approach_multipliers[k] = max(multiplier, 0.0)
+            if _measure_cone(program, k, states[k], False, memory):
+                for side in range(2):
+                    speed = memory.strike.cone[side, 0]
+                    worst = max(worst, -np.sqrt(bounds.approach_weight) * speed)
+                    if updates:
+                        multiplier = bounds.cone_multipliers[k, side] + weight * speed
+                        bounds.cone_multipliers[k, side] = min(multiplier, 0.0)
         if k < program.held.size and program.kinds[k] == FLOW and program.held[k] >= 0:
             weight, nx = penalty * bounds.force_weight, memory.flow.points.shape[1]
             mechanics, room = program.mechanics, memory.flow.mechanics

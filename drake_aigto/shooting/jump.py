@@ -7,6 +7,7 @@ from drake_aigto.jit import inner
 from drake_aigto.shooting.flow import clear
 from drake_aigto.shooting.layout import triangle
 from drake_aigto.shooting.mechanism import divide_by_mass, factor_mass
+from drake_aigto.shooting.strike import StrikeMemory, differentiate_strike, find_rub, strike
 from drake_aigto.shooting.tape import run_tape
 
 
@@ -15,8 +16,10 @@ def jump(
     code: Ints,
     numbers: Floats,
     contacts: Floats,
+    rubs: Floats,
     contact: int,
     is_held: bool,
+    mode: int,
     nx: int,
     z: Floats,
     duration: float,
@@ -26,6 +29,7 @@ def jump(
     factor: Floats,
     kick: Floats,
     slopes: Floats,
+    room: StrikeMemory,
     after: Floats,
     F: Floats,
     l1: Floats,
@@ -34,7 +38,8 @@ def jump(
     """Computes the state (q, v⁺, τ, t) after the start of a phase; with derivatives if asked.
 
     The contact is that which is hit, or negative; what is held from then on loses all of its speed,
-    whatever its restitution; the duration, a control, becomes τ.
+    whatever its restitution; what rubs ends the impact in a mode (`strike`); the duration, a
+    control, becomes τ.
     """
     nz = z.size
     for i in range(nz):
@@ -51,6 +56,17 @@ def jump(
     n, m = nx // 2, contacts.shape[0]
     run_tape(code, numbers, z[:nx], has_slopes, values, sums)
     factor_mass(n, sums, factor)
+    restitution, rub = 0.0 if is_held else contacts[contact, 2], find_rub(rubs, contact)
+    if rub >= 0:
+        strike(contact, m, rubs, rub, mode, restitution, z, has_slopes, sums, factor, room)
+        for i in range(n):
+            for way in range(2):
+                after[n + i] += room.kicks[way, i] * room.impulse[way, 0]
+        if has_slopes:
+            count = rubs.shape[0]
+            differentiate_strike(contact, m, count, rub, sums, factor, room, slopes)
+            _add_slopes(n, slopes, F)
+        return
     row = n * (n + 1) // 2 + n + m + contact * n
     for i in range(n):
         kick[0, i] = sums[row + i]
@@ -59,14 +75,20 @@ def jump(
     for i in range(n):
         inverse_mass += sums[row + i] * kick[0, i]
         rate += sums[row + i] * z[n + i]
-    gain = -(1.0 if is_held else 1 + contacts[contact, 2]) / inverse_mass
+    gain = -(1 + restitution) / inverse_mass
     for i in range(n):
         after[n + i] += kick[0, i] * gain * rate
     if has_slopes:
         _differentiate(n, m, contact, row, z, gain, rate, inverse_mass, sums, factor, kick, slopes)
-        for i in range(n):
-            for c in range(nx):
-                F[n + i, c] += slopes[c, i]
+        _add_slopes(n, slopes, F)
+
+
+@inner
+def _add_slopes(n: int, slopes: Floats, F: Floats) -> None:
+    """Adds the derivative of the velocity's change by (q, v)."""
+    for i in range(n):
+        for c in range(2 * n):
+            F[n + i, c] += slopes[c, i]
 
 
 @inner

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.shooting.mechanics import make_mechanics_memory
+from drake_aigto.shooting.strike import make_strike_memory
 from drake_aigto.shooting.tables import Expansion, FlowMemory, Memory, Program, SweepMemory
 
 
@@ -13,6 +14,7 @@ def make_memory(program: Program, num_stages: int, nz: int) -> Memory:
     nu = program.task.control.size
     return Memory(
         flow=_make_flow_memory(program, nz + nu),
+        strike=make_strike_memory(program.mechanics.actuation.shape[0]),
         expansion=Expansion(
             F=np.zeros((num_stages, nz, nz + nu)),
             l1=np.zeros((num_stages + 1, nz + nu)),

@@ -10,7 +10,13 @@ from drake_aigto.arrays import ArrayRecord, Floats, Ints, read_only
 from drake_aigto.errors import ProgramError
 from drake_aigto.shooting.tables import FLOW, START
 
-_FIELDS = {"contacts": np.int64, "knots": np.int64, "durations": float, "held": np.int64}
+_FIELDS = {
+    "contacts": np.int64,
+    "knots": np.int64,
+    "durations": float,
+    "held": np.int64,
+    "modes": np.int64,
+}
 
 
 @dataclass(frozen=True, eq=False)
@@ -18,6 +24,7 @@ class Phases(ArrayRecord):
     """Which contact is hit at which knot, with free durations between; P phases.
 
         φ_i(q) = 0,   v⁺ = v⁻ − M⁻¹ Jᵀ (J M⁻¹ Jᵀ)⁻¹ (1 + e) J v⁻     where contact i is hit
+        φ_i(q) = 0,   v⁺ = v⁻ + M⁻¹ (Jᵀ p_n + Tᵀ p_t)                where it rubs (`strike`)
         J v̇ + J̇ v = 0,   M v̇ + h = B u + Jᵀ λ,   λ ≥ 0               while contact i is held
 
     What is held has been hit before, and e is 0 then, whatever the contact's is: so ends what
@@ -30,6 +37,8 @@ class Phases(ArrayRecord):
         durations: of the phases, to start from, shape (P,) [s].
         total: the least and the most of their sum [s].
         held: which contact is held in each phase, −1 if none is, shape (P,); empty: never any.
+        modes: how impacts end at contacts that rub, 0 if they stick, else the sign of the slip
+            (`strike`), shape (P − 1,); empty: all stick.
     """
 
     contacts: Ints
@@ -37,6 +46,7 @@ class Phases(ArrayRecord):
     durations: Floats
     total: tuple[float, float]
     held: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    modes: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
         """Makes arrays read-only.
@@ -49,8 +59,12 @@ class Phases(ArrayRecord):
         touches = len(self.contacts)
         if not len(self.held):
             object.__setattr__(self, "held", read_only(np.full(touches + 1, -1), np.int64))
+        if not len(self.modes):
+            object.__setattr__(self, "modes", read_only(np.zeros(touches), np.int64))
         checks = (
             ("held", f"{touches + 1} numbers", len(self.held) == touches + 1),
+            ("modes", f"{touches} signs or 0", len(self.modes) == touches),
+            ("modes", "−1, 0 or 1", bool(np.all(np.abs(self.modes) <= 1))),
             ("knots", f"{touches}, rising", len(self.knots) == touches),
             ("knots", "rising numbers", bool(np.all(np.diff(self.knots) > 0))),
             ("durations", f"{touches + 1} numbers", len(self.durations) == touches + 1),
@@ -80,12 +94,14 @@ class Layout:
     Attributes:
         kinds: FLOW, START or a contact, of each of K stages, shape (K,).
         held: which contact is held in each, or −1, shape (K,).
+        modes: how the impact ends that starts each, 0 where none does, shape (K,).
         flights: which stages are flights, shape (N,).
         shares: how long each lasts [s]; of phases, as a share of its phase; shape (K,).
     """
 
     kinds: Ints
     held: Ints
+    modes: Ints
     flights: Ints
     shares: Floats
 
@@ -94,8 +110,8 @@ class Layout:
         """Returns the stages of knots at these times, shape (N + 1,)."""
         steps = np.diff(times)
         if phases is None:
-            never = np.full(len(steps), -1)
-            return cls(np.full(len(steps), FLOW), never, np.arange(len(steps)), steps)
+            never, none = np.full(len(steps), -1), np.zeros(len(steps), dtype=np.int64)
+            return cls(np.full(len(steps), FLOW), never, none, np.arange(len(steps)), steps)
         kinds: list[int] = []
         held: list[int] = []
         shares: list[float] = []
@@ -109,7 +125,9 @@ class Layout:
             held += [contact] * (1 + len(of_phase))
             shares += [0.0, *(of_phase / of_phase.sum())]
         flights = np.flatnonzero(np.equal(kinds, FLOW))
-        return cls(np.array(kinds), np.array(held), flights, np.array(shares))
+        modes = np.zeros(len(kinds), dtype=np.int64)
+        modes[np.flatnonzero(np.not_equal(kinds, FLOW))[1:]] = phases.modes
+        return cls(np.array(kinds), np.array(held), modes, flights, np.array(shares))
 
     def calc_times(self, durations: Floats) -> Floats:
         """Returns when knots are [s], shape (N + 1,), where phases last so long, shape (P,)."""

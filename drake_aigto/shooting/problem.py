@@ -174,7 +174,7 @@ class _Descent:
     def _multipliers(self) -> tuple[Floats, ...]:
         """Those of all bounds at knots."""
         of = self._program.bounds
-        forces = of.approach_multipliers, of.force_multipliers
+        forces = of.approach_multipliers, of.cone_multipliers, of.force_multipliers
         return of.multipliers, of.distance_multipliers, *forces
 
     def _take_prices(self, prices: Floats) -> None:

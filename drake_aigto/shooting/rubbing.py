@@ -40,10 +40,14 @@ class Rub(NamedTuple):
 
 
 def list_rubs(world: World, law: ContactLaw) -> list[Rub]:
-    """Returns the friction of a world's joints, and of its walls if they yield."""
+    """Returns the friction of a world's joints and of its walls, which, rigid, rub in impacts."""
     rubs = [] if world.dry_friction is None else list(_list_dry(world, world.dry_friction))
     if isinstance(law, CompliantLaw) and law.rubs:
         rubs += _list_touching(world, law)
+    elif law.rubs:
+        for i in np.flatnonzero(law.friction).tolist():
+            numbers = float(i), law.friction[i], world.stiction_speed, 0.0, 0.0
+            rubs.append(Rub(world.tangents[i], numbers))
     return rubs
 
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.shooting.mechanics import Mechanics, MechanicsMemory
+from drake_aigto.shooting.strike import StrikeMemory
 
 # What a stage is, in place of the contact that it is an impact at.
 FLOW, START = -1, -2
@@ -57,6 +58,8 @@ class Bounds(NamedTuple):
         slowest: −φ̇ at least before an impact [m/s].
         approach_weight: w of that.
         approach_multipliers: y of that, shape (K,).
+        cone_multipliers: y of what an impact with friction asks for in its mode, which has the same
+            weight, shape (K, 2).
         force_weight: w of the force of what is held, which is at least 0; its unit is the control
             that costs as much as all else.
         force_multipliers: y of that, shape (K,).
@@ -81,6 +84,7 @@ class Bounds(NamedTuple):
     slowest: float
     approach_weight: float
     approach_multipliers: Floats
+    cone_multipliers: Floats
     force_weight: float
     force_multipliers: Floats
     lower_control: Floats
@@ -98,6 +102,7 @@ class Program(NamedTuple):
         bounds: the constraints.
         kinds: FLOW, START or a contact, of each stage, shape (K,).
         held: which contact is held in each stage, from its start, or −1, shape (K,).
+        modes: how an impact with friction ends, shape (K,); see `strike`.
         steps: how long each stage lasts [s]; of phases, as a share of τ; shape (K,).
         times: when each stage starts, without phases, shape (K + 1,) [s].
         substeps: Runge-Kutta steps of a stage.
@@ -109,6 +114,7 @@ class Program(NamedTuple):
     bounds: Bounds
     kinds: Ints
     held: Ints
+    modes: Ints
     steps: Floats
     times: Floats
     substeps: int
@@ -185,6 +191,7 @@ class Memory(NamedTuple):
 
     Attributes:
         flow: of one stage.
+        strike: of one impact with friction.
         expansion: of all stages.
         sweep: of the backward pass.
         states: of a trial, shape (K + 1, nz).
@@ -192,6 +199,7 @@ class Memory(NamedTuple):
     """
 
     flow: FlowMemory
+    strike: StrikeMemory
     expansion: Expansion
     sweep: SweepMemory
     states: Floats

@@ -32,14 +32,14 @@ def soften(world: World, law: RigidLaw, time_step: float, speed: float) -> Compl
 
     Args:
         world: has M and J.
-        law: has e; below 0.2 it counts as that, as springs that return less pull.
+        law: has μ, and e; below 0.2 it counts as that, as springs that return less pull.
         time_step: dt [s].
         speed: φ̇ of an impact that returns e of it [m/s].
     """
     mobility = _calc_mobility(world)
     e = np.maximum(law.restitution, _LEAST_RESTITUTION)
     dissipation = np.array([calc_dissipation(each, speed) for each in e])
-    return CompliantLaw(1 / (time_step**2 * mobility), dissipation)
+    return CompliantLaw(1 / (time_step**2 * mobility), dissipation, law.friction)
 
 
 class Ends(NamedTuple):

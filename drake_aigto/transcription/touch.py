@@ -23,11 +23,13 @@ class Touch:
         start: when the wall is touched [s].
         end: when it is left [s]; equal to `start` for a bounce, later for a contact that lasts.
         contact: which of the world's contacts.
+        mode: how the impact ends where the contact rubs, 0 if it sticks, else the sign of the slip.
     """
 
     start: float
     end: float
     contact: int = 0
+    mode: int = 0
 
     @classmethod
     def bounce(cls, time: float, contact: int = 0) -> Touch:

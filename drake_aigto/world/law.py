@@ -18,17 +18,27 @@ from drake_aigto.world.sums import is_constant
 
 @dataclass(frozen=True, eq=False)
 class RigidLaw(ArrayRecord):
-    """Walls that nothing enters, and impacts that last no time: φ̇⁺ = −e φ̇⁻.
+    """Walls that nothing enters, and impacts that last no time: φ̇⁺ = −e φ̇⁻, |p_t| ≤ μ p_n.
 
     Attributes:
         restitution: e of each contact, shape (m,), in [0, 1].
+        friction: μ of each contact, shape (m,); none given: zero.
     """
 
     restitution: Floats
+    friction: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
-        """Makes the array read-only."""
-        object.__setattr__(self, "restitution", read_only(self.restitution))
+        """Makes the arrays read-only."""
+        if not len(self.friction):
+            object.__setattr__(self, "friction", read_only(np.zeros_like(self.restitution)))
+        for name in ("restitution", "friction"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    @property
+    def rubs(self) -> bool:
+        """Whether any contact has friction."""
+        return bool(self.friction.any())
 
 
 @dataclass(frozen=True, eq=False)

@@ -224,7 +224,8 @@ class World(EquationsOfMotion):
                 plant would have another force there.
         """
         if scenario.contact == "rigid":
-            return RigidLaw(self.restitutions(scenario))
+            friction = self.friction_coefficients(scenario)
+            return RigidLaw(self.restitutions(scenario), friction)
         law = CompliantLaw.of(self.scene_graph, self._reachable)
         return dataclasses.replace(law, friction=self.friction_coefficients(scenario))
 
