@@ -60,6 +60,9 @@ _FINE = ShootingOptions(
     feasibility=1e-6,
 )
 _EXACT, _MOST_SUBSTEPS = 1e-4, 16
+# The best impact with friction is often at the edge of its mode, which steps toward it pass: where
+# that costs a lot at once, none of them is good enough.
+_GENTLE = 1e2
 # What is missed by so little costs next to nothing: steps that gain less have to count, too.
 _SETTLED = ShootingOptions(
     rungs=(Smoothing(0.0, 40, 1e-12),),
@@ -234,7 +237,8 @@ class RigidMechanismProblem(MechanismProblem):
         found: ShootingResult = motion
         error = problem.estimate_error(found)
         while True:
-            options = dataclasses.replace(_FINE, substeps=found.substeps)
+            penalty = _GENTLE if self.rigid_law.rubs else _FINE.penalty
+            options = dataclasses.replace(_FINE, substeps=found.substeps, penalty=penalty)
             states = found.states if error > _STEADY else None
             found = problem.starting_from(found).solve(found.controls, states, options)
             error = problem.starting_from(found).estimate_error(found)
