@@ -15,7 +15,16 @@ from pydrake.multibody.tree import PrismaticJoint, RevoluteJoint, SpatialInertia
 from pydrake.systems.framework import Diagram, DiagramBuilder
 from refusals import refuse_work
 
-from drake_aigto import ModelError, Planner, Scenario, World, plan, replay_drake
+from drake_aigto import (
+    ModelError,
+    OptionsError,
+    Planner,
+    PlanOptions,
+    Scenario,
+    World,
+    plan,
+    replay_drake,
+)
 from drake_aigto.planning import planner
 from drake_aigto.show.plans import format_plan
 from drake_aigto.world.files import models_directory
@@ -88,13 +97,15 @@ def rough_room(tmp_path: Path) -> Path:
     return path
 
 
-def test_friction_that_acts_is_refused_before_any_work(
+def test_friction_of_walls_that_return_nothing_is_refused_before_any_work(
     rough_room: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    scenario = dataclasses.replace(Scenario.named("room/bank_shot"), model=str(rough_room))
+    rough = dataclasses.replace(Scenario.named("room/bank_shot"), model=str(rough_room))
     monkeypatch.setattr(planner, "RigidProblem", refuse_work)
-    with pytest.raises(ModelError, match=r"friction of ball against left_wall: got μ = 1 where .*"):
-        Planner(scenario)
+    with pytest.raises(ModelError, match=r"left_wall: got friction 1 and restitution 0 of rigid"):
+        Planner(dataclasses.replace(rough, restitution=0.0))
+    with pytest.raises(OptionsError, match=r"expected MechanismOptions"):
+        Planner(rough, PlanOptions())
 
 
 def test_friction_that_is_left_out_as_asked_changes_nothing_and_is_told(rough_room: Path) -> None:

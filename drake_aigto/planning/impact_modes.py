@@ -30,9 +30,7 @@ def read_mode(world: World, law: RigidLaw, contact: int, q: Floats, v: Floats) -
     return int(calc_impulse(mobility, -speed, slip, law.restitution[contact], friction).mode)
 
 
-def find_other_mode(
-    world: World, law: RigidLaw, touch: Touch, q: Floats, v: Floats
-) -> int | None:
+def find_other_mode(world: World, law: RigidLaw, touch: Touch, q: Floats, v: Floats) -> int | None:
     """Returns which mode a touch is at the edge to, if at any, given the state before it."""
     contact, mode = touch.contact, touch.mode
     friction = float(law.friction[contact])

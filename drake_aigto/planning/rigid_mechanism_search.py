@@ -36,7 +36,7 @@ _Key: TypeAlias = tuple[tuple[int, int, int, int], ...]
 class RigidMechanismSearch(MechanismSearch):
     """The search on springs and in phases, and neighbors of the best sequences of touches.
 
-    After each wave of proposals a touch is dropped, added, swapped with the next, or, with friction,
+    After each wave of proposals a touch is dropped, added, swapped with the next, or, if it rubs,
     ended in another mode in the best motions, until none of these leads to a better one.
     """
 

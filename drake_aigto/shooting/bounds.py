@@ -107,9 +107,7 @@ def _add_approach(
 
 
 @inner
-def _measure_cone(
-    program: Program, k: int, z: Floats, has_slopes: bool, memory: Memory
-) -> bool:
+def _measure_cone(program: Program, k: int, z: Floats, has_slopes: bool, memory: Memory) -> bool:
     """Computes what the impact at knot k asks for in its mode; returns whether anything."""
     mechanics, contact, room = program.mechanics, program.kinds[k], memory.flow.mechanics
     rub = find_rub(mechanics.rubs, contact)
