@@ -74,7 +74,7 @@ def add_impulses(
         J, e = world.calc_contact_jacobian(q)[each], world.restitutions(scenario)[each]
         friction, T = world.friction_coefficients(scenario)[each], J[:0]
         if friction.any():
-            T = friction[:, np.newaxis] * world.calc_tangent_jacobian(q)[each]
+            T = friction[:, np.newaxis] * world.rubbing.calc_tangent_jacobian(q)[each]
         # Along a cone's edges: impulses within it are sums of both.
         rows = np.vstack([J + T, J - T]) if len(T) else J
         kicks = np.linalg.solve(world.calc_mass_matrix(q), rows.T)

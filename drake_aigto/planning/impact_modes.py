@@ -52,7 +52,7 @@ def find_other_mode(world: World, law: RigidLaw, touch: Touch, q: Floats, v: Flo
 def _measure(world: World, contact: int, q: Floats, v: Floats) -> tuple[Mobility, float, float]:
     """Returns what impulses change, φ̇ and s."""
     J = world.calc_contact_jacobian(q)[contact]
-    T = world.calc_tangent_jacobian(q)[contact]
+    T = world.rubbing.calc_tangent_jacobian(q)[contact]
     return Mobility.of(J, T, world.calc_mass_matrix(q)), float(J @ v), float(T @ v)
 
 

@@ -47,7 +47,7 @@ def list_rubs(world: World, law: ContactLaw) -> list[Rub]:
     elif law.rubs:
         for i in np.flatnonzero(law.friction).tolist():
             numbers = float(i), law.friction[i], world.stiction_speed, 0.0, 0.0
-            rubs.append(Rub(world.tangents[i], numbers))
+            rubs.append(Rub(world.rubbing.tangents[i], numbers))
     return rubs
 
 
