@@ -94,10 +94,10 @@ def test_impacts_of_phases_are_rouths_in_the_mode_that_they_end_in_and_in_no_oth
         after = state[n:] + np.linalg.solve(M, J * p.normal + T * p.tangent)
         none = np.zeros((2, world.num_actuators))
         motions = {mode: hit(state, mode).simulate(none, 1) for mode in (-1, 0, 1)}
-        np.testing.assert_allclose(motions[int(p.mode)].states[1, n:], after, atol=1e-4)
+        np.testing.assert_allclose(motions[int(p.mode)].states[1, n:], after, atol=1e-3)
         # Elsewhere Coulomb's cone is left, or slip turns round.
         assert min(motions, key=lambda mode: motions[mode].violation) == p.mode
-        assert motions[int(p.mode)].violation < 1e-4
+        assert motions[int(p.mode)].violation < 1e-3
         seen.add(int(p.mode))
     assert seen == {-1, 0, 1}
 
