@@ -1,12 +1,14 @@
 """Plans in the loop on plants that are not their models: five methods on the same disturbances.
 
     python -m benchmarks.in_the_loop [table1/1 corridor/three_bounces …] [--count 100] [--seed 2026]
-        [--workers 1] [--minutes 10]
+        [--changing] [--workers 1] [--minutes 10]
 
 Masses, walls and restitution are off by up to 10 % (a wall, of how far the start is from the
-nearest), the state is told with noise every 10 ms, and what moves is kicked once, so that another
-contact sequence may become the best. Plants run in Drake's Simulator, with Drake's own contact,
-until the scenario ends; costs are those of what happened.
+nearest), the state is told with noise every 10 ms, and what moves is kicked once. After most kicks
+the plan's contact sequence is still the best; with `--changing` only such kicks are drawn, harder
+and harder, after which another one is better by what a controller switches for. Plants run in
+Drake's Simulator, with Drake's own contact, until the scenario ends; costs are those of what
+happened.
 
 Methods: the plan's control alone; `TrackingController`, LQR between bounces; and
 `ModelPredictiveController`, warm without searches, warm with one every 100 ms and after surprises,
@@ -28,7 +30,7 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.multibody.parsing import Parser
@@ -50,6 +52,9 @@ from drake_aigto import (
 )
 from drake_aigto.arrays import Floats
 from drake_aigto.control import ClosedLoopRun, Disturbance, run_in_loop
+from drake_aigto.control.horizon import Horizon
+from drake_aigto.control.horizons import make_horizon
+from drake_aigto.control.motion import Motion
 from drake_aigto.planning import needs_shooting
 from drake_aigto.simulation.controller import Held
 from drake_aigto.world import Scales, package_map
@@ -67,6 +72,9 @@ OFF = 0.1  # Masses, walls and restitution are off by up to this part.
 # Standard deviations of what is told, and of the kick, in the task's lengths and velocities.
 NOISE, KICK = 1e-3, 0.5
 SEARCH_EVERY = 10  # ticks
+MARGIN = 0.02  # By which another sequence is better; that of controllers.
+# So many kicks are drawn at most, each harder than the last by KICK over HARDER.
+MOST_KICKS, HARDER = 60, 20
 BALLS = PlanOptions(branches=0, finalists=1, threads=1)
 MECHANISMS = MechanismOptions(renewals=24, search_steps=30)
 BEST = "knows the truth"
@@ -86,15 +94,56 @@ class _Blind(TrackingController):
         return Held(self._control.value(time)[:, 0], np.inf)
 
 
-def draw(scenario: Scenario, world: World, rng: np.random.Generator) -> Disturbance:
-    """Returns a disturbance by chance."""
+class Task(NamedTuple):
+    """A scenario, as all methods are asked it.
+
+    Attributes:
+        plan: what is tracked.
+        planner: of controllers that plan again.
+        horizon: asks the task from anywhere.
+        motion: the plan, as that has it.
+    """
+
+    plan: Plan
+    planner: Planner
+    horizon: Horizon
+    motion: Motion
+
+    def has_better(self, time: float, kick: Floats) -> bool:
+        """Returns whether another contact sequence is better after a kick, by the usual margin."""
+        x = self.motion.calc_state(time)
+        x[len(kick) :] += kick
+        warm, found = self.horizon.advance(self.motion, time, x), self.horizon.search(time, x)
+        if found is None:
+            return False
+        contacts = [touch.contact for touch in found.touches]
+        left = [touch.contact for touch in self.motion.touches if touch.start > time]
+        return contacts != left and (warm is None or found.cost < (1 - MARGIN) * warm.cost)
+
+
+def draw(task: Task, rng: np.random.Generator, changing: bool = False) -> Disturbance | None:
+    """Returns a disturbance by chance; None if no kick changes which contact sequence is best."""
+    scenario, world = task.planner.scenario, task.planner.world
+    disturbance, speed = _draw_one(scenario, world, rng)
+    for number in range(MOST_KICKS):
+        if not changing or task.has_better(disturbance.kick_time, disturbance.kick):
+            return disturbance
+        harder = KICK * (1 + number / HARDER) * speed * rng.normal(size=world.num_positions)
+        disturbance = dataclasses.replace(disturbance, kick=harder)
+    return None
+
+
+def _draw_one(
+    scenario: Scenario, world: World, rng: np.random.Generator
+) -> tuple[Disturbance, float]:
+    """Returns a disturbance with any kick, and what counts as a speed [m/s]."""
     n, scales = world.num_positions, Scales.of(world, scenario)
     speed = max(scales.velocity, float(np.linalg.norm(scenario.initial_velocity)))
     is_rigid = scenario.contact == "rigid"
     most = min(1 + OFF, 1 / scenario.restitution) if is_rigid else 1.0
     nearest = float(np.min(world.calc_clearance(scenario.initial_position)))
     lengths = np.repeat([scales.length, speed], n)
-    return Disturbance(
+    disturbance = Disturbance(
         mass_factor=rng.uniform(1 - OFF, 1 + OFF),
         wall_shift=OFF * nearest * rng.uniform(-1, 1),
         restitution_factor=rng.uniform(1 - OFF, most) if is_rigid else 1.0,
@@ -103,6 +152,7 @@ def draw(scenario: Scenario, world: World, rng: np.random.Generator) -> Disturba
         noise=NOISE * lengths,
         seed=int(rng.integers(2**31)),
     )
+    return disturbance, speed
 
 
 def make_true_world(scenario: Scenario, factor: float) -> World:
@@ -217,31 +267,40 @@ def _describe(method: str, outcomes: Sequence[Outcome], known: Floats) -> str:
 
 
 @cache
-def _prepare(name: str) -> tuple[Plan, Planner]:
-    """Returns the plan that is tracked, and the planner of controllers that plan again."""
+def prepare(name: str) -> Task:
+    """Returns a scenario's task."""
     scenario = Scenario.named(name)
     world = World.from_scenario(scenario)
     options = MECHANISMS if needs_shooting(world, scenario) else BALLS
-    return Planner(scenario, None, world).plan(), Planner(scenario, options, world)
+    planner = Planner(scenario, options, world)
+    horizon = make_horizon(planner, is_receding=False, iterations=5, period=PERIOD)
+    x = np.concatenate([scenario.initial_position, scenario.initial_velocity])
+    motion = horizon.search(0.0, x)
+    assert motion is not None
+    return Task(Planner(scenario, None, world).plan(), planner, horizon, motion)
 
 
-def run(job: tuple[str, int, int]) -> Outcomes | None:
+def run(job: tuple[str, int, int, bool]) -> Outcomes | None:
     """Returns what all methods make of a disturbance; None if it, or one of them, is refused.
 
     Args:
-        job: the scenario, the seed of all its disturbances, and the number of this one.
+        job: the scenario, the seed of all its disturbances, the number of this one, and whether the
+            best contact sequence has to change.
     """
-    name, *seeds = job
-    plan, planner = _prepare(name)
-    scenario, world = planner.scenario, planner.world
+    name, seed, number, changing = job
+    task = prepare(name)
+    scenario, world = task.planner.scenario, task.planner.world
     try:
-        disturbance = draw(scenario, world, np.random.default_rng(seeds))
+        disturbance = draw(task, np.random.default_rng((seed, number)), changing)
+        if disturbance is None:
+            print(f"{name}: disturbance {number} left out, no kick changes its mind", flush=True)
+            return None
         return {
             method: Outcome.of(run_in_loop(controller, scenario, world, which))
-            for method, controller, which in make_controllers(plan, planner, disturbance)
+            for method, controller, which in make_controllers(task.plan, task.planner, disturbance)
         }
     except AigtoError as error:
-        print(f"{name}: disturbance {seeds[1]} left out, {error}", flush=True)
+        print(f"{name}: disturbance {number} left out, {error}", flush=True)
         return None
 
 
@@ -251,13 +310,17 @@ def main() -> int:
     parser.add_argument("scenarios", nargs="*", default=SCENARIOS, help="of those shipped")
     parser.add_argument("--count", type=int, default=100, help="of disturbances of each")
     parser.add_argument("--seed", type=int, default=2026, help="of the disturbances")
+    parser.add_argument(
+        "--changing", action="store_true", help="only kicks that change the best contact sequence"
+    )
     add_options(parser)
     options = parser.parse_args()
     print(machine(), flush=True)
     for name in options.scenarios:
-        jobs = [(name, options.seed, number) for number in range(options.count)]
+        jobs = [(name, options.seed, k, options.changing) for k in range(options.count)]
         if runs := [each for each in run_all(run, jobs, options) if each]:
-            print(report(name, runs), flush=True)
+            title = f"{name}, kicks that change the best sequence" if options.changing else name
+            print(report(title, runs), flush=True)
     return 0
 
 

@@ -26,6 +26,8 @@ from drake_aigto.world import Scales, Scenario, World
 
 # Touches that are planned within so many periods of now may have happened, or not yet.
 _NEAR = 2.0
+# What costs so much more than the last plan, as a share of that, is dearer: noise makes less of it.
+_DEARER = 0.05
 # Touches are kept this part of the time that is left apart, and away from both ends.
 _APART = 1e-4
 # Iterations of the local solver after plain Newton steps: none, but where these lead to nothing.
@@ -48,9 +50,9 @@ class BallHorizon(Horizon):
 
     Each tick polishes the multi-phase problem of those that are still to come, from the last
     plan's times. Which these are, a state does not tell for sure: a bounce may come sooner or later
-    than it was planned. So near a touch, or where one was just seen, both are polished, with it and
-    without it, and the cheaper motion is taken; to have a bounce again that has been is dear, and
-    so is to do without one.
+    than it was planned. So near a touch, or where one was just seen, the motion with it and that
+    without it are polished, the likelier first, and the other where that is dearer than the last
+    plan was: to have a bounce again that has been is dear, and so is to do without one.
     """
 
     def __init__(
@@ -150,9 +152,14 @@ class BallHorizon(Horizon):
         """Returns the best polished motion of the touches that may be left; None if none is."""
         problem, path = self._pose(now, x), self._find_path(motion, now, x)
         sequences = [each for each in self._find_left(motion, now, x) if problem.fits(each)]
+        dear = (1 + _DEARER) * motion.cost
         for most in _ITERATIONS:
-            tried = [_polish(problem, path, touches, most) for touches in sequences]
-            if found := [each for each in tried if each]:
+            found: list[Motion] = []
+            for touches in sequences:
+                found += filter(None, [_polish(problem, path, touches, most)])
+                if found and found[-1].cost <= dear:
+                    break
+            if found:
                 return _move(min(found, key=lambda each: each.cost), now)
         return None
 
@@ -165,16 +172,19 @@ class BallHorizon(Horizon):
         return times, np.vstack([x[: x.size // 2], last.positions[is_later]])
 
     def _find_left(self, motion: Motion, now: float, x: Floats) -> Iterator[TouchSequence]:
-        """Yields the touches that may be left, as times from now on."""
+        """Yields the touches that may be left, as times from now on, the likelier ones first."""
         left = self.end(now) - now
         coming = [touch for touch in motion.touches if touch.end > now]
         late = [touch for touch in motion.touches if now - self._near < touch.end <= now]
-        yield _fit(coming, now, left)
-        is_next = bool(coming) and coming[0].contact == self._bounced
-        if coming and (is_next or coming[0].start < now + self._near):
-            yield _fit(coming[1:], now, left)
         if late and self._comes_to(late[-1].contact, x):
             yield _fit([late[-1], *coming], now, left)
+        is_next = bool(coming) and coming[0].contact == self._bounced
+        if coming and (is_next or coming[0].start < now + self._near):
+            fewer = _fit(coming[1:], now, left)
+            both = fewer, _fit(coming, now, left)
+            yield from reversed(both) if self._comes_to(coming[0].contact, x) else both
+        else:
+            yield _fit(coming, now, left)
 
     def _comes_to(self, contact: int, x: Floats) -> bool:
         return bool(self.world.calc_contact_rate(*np.split(x, 2))[contact] < 0)

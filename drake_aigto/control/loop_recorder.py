@@ -22,6 +22,7 @@ from drake_aigto.simulation.drake_springs import StepEnd, read_steps
 from drake_aigto.simulation.recording import Recording
 from drake_aigto.simulation.replay import summarize
 from drake_aigto.simulation.simulator import ContactMonitor
+from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scenario, World
 
 LoopController: TypeAlias = TrackingController | ModelPredictiveController
@@ -64,9 +65,9 @@ class LoopRecorder:
         """Notes the end of a step; between stiff walls it plans the next ones."""
         self._add(root)
         if isinstance(self._controller, ModelPredictiveController):
-            self._look(self._controller.GetMyContextFromRoot(root))
+            self._look(self._controller, self._controller.GetMyContextFromRoot(root))
         elif not self._plans:
-            self._plans.append(_read_plan(self._controller))
+            self._plans.append(_read_path(self._controller.plan.trajectory))
         if self._contacts is not None:
             self._contacts(root)
         return EventStatus.DidNothing()
@@ -89,15 +90,12 @@ class LoopRecorder:
         self._rows.append(StepEnd(root.get_time(), np.array(x), u))
         self._say(f"simulating, {root.get_time():.2f} of {self._end:.2f} s")
 
-    def _look(self, context: Context) -> None:
+    def _look(self, controller: ModelPredictiveController, context: Context) -> None:
         """Notes a tick that is new, and a plan that took the place of another."""
-        controller = self._controller
         status: TickStatus = controller.GetOutputPort("status").Eval(context)
         if self._ticks and status.time == self._ticks[-1].time:
             return
-        path = controller.GetOutputPort("planned_state").Eval(context)
-        times = np.array(path.get_segment_times())
-        planned = PlannedPath(times, path.vector_values(times).T)
+        planned = _read_path(controller.read_plan(context))
         if self._ticks and status.has_switched:
             self._switches.append(PlanSwitch(status.time, self._plans[-1], planned))
         self._ticks.append(status)
@@ -186,9 +184,8 @@ class LoopRecorder:
         return holds
 
 
-def _read_plan(controller: TrackingController) -> PlannedPath:
-    """Returns the plan that is tracked."""
-    trajectory = controller.plan.trajectory
+def _read_path(trajectory: Trajectory) -> PlannedPath:
+    """Returns a plan's knots."""
     return PlannedPath(trajectory.times, np.hstack([trajectory.positions, trajectory.velocities]))
 
 

@@ -20,6 +20,7 @@ from drake_aigto.control.motion import Motion
 from drake_aigto.control.ports import check_period, read_start
 from drake_aigto.errors import ControlError
 from drake_aigto.planning import Planner
+from drake_aigto.trajectory import Trajectory
 
 # A plan that costs more than the one before met no surprise if that is less than this part of the
 # task's scale.
@@ -217,6 +218,10 @@ class ModelPredictiveController(LeafSystem):
             held,
         )
 
+    def read_plan(self, context: Context) -> Trajectory:
+        """Returns the plan in its own context, in the context's time."""
+        return self._read(context).choice.motion.trajectory
+
     def _read(self, context: Context) -> _Moment:
         moment: _Moment = context.get_abstract_state(int(self._moment)).get_value()
         return moment
@@ -324,7 +329,7 @@ class ModelPredictiveController(LeafSystem):
         output.SetFromVector(self._read(context).control)
 
     def _write_path(self, context: Context, output: AbstractValue) -> None:
-        output.set_value(self._read(context).choice.motion.trajectory.to_piecewise()[0])
+        output.set_value(self.read_plan(context).to_piecewise()[0])
 
     def _write_status(self, context: Context, output: AbstractValue) -> None:
         moment = self._read(context)
