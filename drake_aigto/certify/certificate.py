@@ -16,6 +16,7 @@ from drake_aigto.certify.cliques import CliqueProgram, CliqueSearch, elimination
 from drake_aigto.certify.few_variables import CellProgram, CellSearch
 from drake_aigto.certify.parts import cell_program, clique_program
 from drake_aigto.certify.program import Formulas, formula_of, read_formulas
+from drake_aigto.certify.squares import SquaresBound, bound_by_squares
 from drake_aigto.certify.tape import make_tape
 from drake_aigto.certify.values import SumOfFormulas, group
 
@@ -28,6 +29,8 @@ _MOST_VARIABLES = 10
 _FEW = 4
 _MOST_OPEN = 400_000
 _FIRST_CHUNK = 500
+# Polynomials of more variables are too many to multiply out.
+_MOST_OF_SQUARES = 1000
 # Cells are settled at this part of the gap that is asked for.
 _MARGIN = 0.5
 # Dynamic programming bounds so many cells at most in one step for each that may be used in all.
@@ -39,6 +42,7 @@ class Method(enum.Enum):
 
     CELLS = "branch and bound over cells of all variables"
     CLIQUES = "dynamic programming over bins of a tree of small cliques"
+    SQUARES = "sums of squares over cliques of variables"
     SUM = "the sum of what each summand is at least"
     NONE = "no bound"
 
@@ -137,6 +141,7 @@ class Certifier:
         # What the cost varies by over the bounds, if that is below 1 in its own unit.
         self.scale = min(1.0, most - least) if math.isfinite(most - least) else 1.0
         self.best, self.best_cost = np.full(self._formulas.lower.size, np.nan), math.inf
+        self._squares: SquaresBound | None = None
         self._search: CellSearch | CliqueSearch | None = None
         if isinstance(program, CellProgram):
             self._search = CellSearch(program, self.scale, _MARGIN * gap, _MOST_OPEN)
@@ -185,7 +190,31 @@ class Certifier:
             self._run_cells(self._search, cells, improve)
         elif isinstance(self._search, CliqueSearch):
             self._run_cliques(self._search, cells, improve)
+        if self._squares is None and self._gap_of(self._cells_bound) > self._gap:
+            self._run_squares(improve)
         return self._certificate()
+
+    @property
+    def _cells_bound(self) -> float:
+        """What is known without sums of squares."""
+        if self._search is None:
+            return self._least_sum
+        return math.inf if self._search.is_empty else self._search.lower_bound
+
+    def _gap_of(self, bound: float) -> float:
+        """Returns how far the best cost is above a bound; 0 if there is no feasible point."""
+        return 0.0 if bound == math.inf else relative_gap(self.best_cost, bound, self.scale)
+
+    def _run_squares(self, improve: Improve) -> None:
+        size = self._formulas.lower.size
+        if size > _MOST_OF_SQUARES:
+            self._squares = SquaresBound(-math.inf, reason=f"{size} variables are too many")
+            return
+        x = np.where(np.isfinite(self.best), self.best, 0.0)
+        self._squares = bound_by_squares(self._formulas, x)
+        better = None if self._squares.start is None else improve(self._squares.start)
+        if better is not None:
+            self.offer(better)
 
     def _run_cells(self, search: CellSearch, cells: int, improve: Improve) -> None:
         end, chunk, last = search.num_cells + cells, _FIRST_CHUNK, math.inf
@@ -217,38 +246,41 @@ class Certifier:
             if search.is_empty:
                 return
             search.drop()
-            if relative_gap(self.best_cost, search.lower_bound, self.scale) <= self._gap:
+            if self._gap_of(search.lower_bound) <= self._gap:
                 return
 
     def _certificate(self) -> Certificate:
-        search = self._search
-        bound = self._least_sum
-        if search is not None:
-            bound = math.inf if search.is_empty else search.lower_bound
+        search, bound, method = self._search, self._cells_bound, self.method
+        if self._squares is not None and self._squares.lower_bound > bound:
+            bound, method = self._squares.lower_bound, Method.SQUARES
         hull = getattr(search, "hull", None)
         return Certificate(
             lower_bound=bound,
             best_cost=self.best_cost,
             scale=self.scale,
-            method=self.method,
+            method=method,
             cells=0 if search is None else search.num_cells,
-            reason=self._reason(bound),
+            reason=self._reason(bound, method),
             best=self.best,
             hull=np.array([self._formulas.lower, self._formulas.upper] if hull is None else hull),
         )
 
-    def _reason(self, bound: float) -> str:
+    def _reason(self, bound: float, method: Method) -> str:
         formulas = self._formulas
-        if relative_gap(self.best_cost, bound, self.scale) <= self._gap or bound == math.inf:
+        if self._gap_of(bound) <= self._gap:
             return ""
         if bound == -math.inf:
             return _missing(formulas) or "the cost falls without end in some cell"
-        if self._search is None:
-            return (
-                f"{formulas.lower.size} variables are coupled in more than trees of cliques of "
-                f"{MOST_VARIABLES}, and cells of more than {_MOST_VARIABLES} are too many"
-            )
-        return "the cells allowed were used up"
+        if self._search is not None:
+            return "the cells allowed were used up"
+        coupled = (
+            f"{formulas.lower.size} variables are coupled in more than trees of cliques of "
+            f"{MOST_VARIABLES}, and cells of more than {_MOST_VARIABLES} are too many"
+        )
+        if method is Method.SQUARES:
+            return f"{coupled}; sums of squares leave this gap"
+        squares = self._squares.reason if self._squares else ""
+        return f"{coupled}; no sums of squares: {squares}" if squares else coupled
 
 
 def _sum_of(formulas: Formulas, program: CellProgram | CliqueProgram | None) -> SumOfFormulas:

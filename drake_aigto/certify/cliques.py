@@ -65,11 +65,11 @@ class CliqueProgram:
 
 
 def elimination(
-    num_variables: int, cliques: Sequence[tuple[int, ...]]
+    num_variables: int, cliques: Sequence[tuple[int, ...]], most: int = MOST_VARIABLES
 ) -> list[tuple[int, ...]] | None:
     """Returns every variable, in the order of elimination, with its neighbors then.
 
-    The next one is one of the fewest neighbors. None if one has more than two.
+    The next one is one of the fewest neighbors. None if these are more than the most, with it.
     """
     beside: list[set[int]] = [set() for _ in range(num_variables)]
     for clique in cliques:
@@ -84,7 +84,7 @@ def elimination(
         degree, i = heapq.heappop(queue)
         if is_gone[i] or degree != len(beside[i]):
             continue
-        if degree >= MOST_VARIABLES:
+        if degree >= most:
             return None
         is_gone[i] = True
         order.append((i, *sorted(beside[i])))
