@@ -75,13 +75,49 @@ def test_shooting_has_the_law_and_its_derivatives() -> None:
         drag = world.rubbing.calc_drag(law, q, v, forces)
         expected = world.calc_acceleration(q, v, u, forces, drag)
         np.testing.assert_allclose(got, expected, rtol=1e-10)
-        ends = [
-            mechanism.calc_acceleration(y[:6], y[6:])[0]
-            for y in np.concatenate([z + step * np.eye(8), z - step * np.eye(8)])
-        ]
-        differences = np.subtract(ends[:8], ends[8:]).T / (2 * step)
+        differences = differ(mechanism, z, 3, step)
         largest = np.abs(slopes).max()
         np.testing.assert_allclose(slopes, differences, rtol=1e-5, atol=1e-7 * largest)
+
+
+def differ(mechanism: Mechanism, z: np.ndarray, n: int, step: float) -> np.ndarray:
+    """Returns ∂v̇/∂(q, v, u) by central differences."""
+    nudges = step * np.eye(len(z))
+    ends = [
+        mechanism.calc_acceleration(y[: 2 * n], y[2 * n :])[0] for y in (*z + nudges, *z - nudges)
+    ]
+    return np.subtract(ends[: len(z)], ends[len(z) :]).T / (2 * step)
+
+
+def test_spheres_that_move_about_each_other_rub_as_in_drakes_plant_and_in_shooting() -> None:
+    scenario = Scenario.named("spinner/two_radians")
+    world, rng = World.from_scenario(scenario), np.random.default_rng(0)
+    law = world.contact_law(scenario)
+    mechanism = Mechanism.of(world, law)
+    root = world.create_context()
+    context = world.plant.GetMyMutableContextFromRoot(root)
+    world.plant.get_actuation_input_port().FixValue(context, np.zeros(2))
+    touched = 0
+    for _ in range(400):
+        q = scenario.initial_position + rng.uniform(-0.6, 0.6, 3)
+        if not -0.02 < world.calc_signed_distance(q)[0] < 0:
+            continue
+        touched += 1
+        v = 10 ** rng.uniform(-2, 0) * rng.uniform(-1.0, 1.0, 3)
+        z = np.concatenate([q, v, np.zeros(2)])
+        got, slopes = mechanism.calc_acceleration(z[:6], z[6:])
+        forces = world.calc_pushes(law, q, v)
+        drag = world.rubbing.calc_drag(law, q, v, forces)
+        own = world.calc_acceleration(q, v, np.zeros(2), forces, drag)
+        np.testing.assert_allclose(got, own, rtol=1e-10)
+        world.plant.SetPositions(context, q)
+        world.plant.SetVelocities(context, v)
+        drake = world.plant.EvalTimeDerivatives(context).CopyToVector()[3:]
+        # The arm at which friction acts is off by (r − R/2)/2 (φ/R)³, of an arm of r = 0.05 m.
+        assert np.abs(own - drake).max() <= 1e-4 * np.abs(drake).max()
+        differences = differ(mechanism, z, 3, 1e-7)
+        np.testing.assert_allclose(slopes, differences, atol=1e-6 * np.abs(slopes).max())
+    assert touched >= 4
 
 
 def test_a_figure_tells_stick_from_slip_by_its_marks_and_has_friction_within_its_cone() -> None:
@@ -109,3 +145,22 @@ def test_the_ball_spins_against_a_wall_to_go_where_nothing_drives_it() -> None:
         assert replay.cost == pytest.approx(plan.cost, rel=1e-3)
     # Ten times as many renewals end at 0.03314.
     assert plan.cost < 0.0335
+
+
+@pytest.mark.slow
+def test_a_pusher_goes_round_a_disc_to_push_it_to_where_it_started() -> None:
+    plan = Planner(Scenario.named("push_circle/round_it"), MechanismOptions(renewals=24)).plan()
+    assert plan.holds
+    # Standing still costs 225, and so does all that local solvers find from there.
+    assert plan.cost < 0.6
+    for replay in plan.replay:
+        np.testing.assert_allclose(replay.positions[-1, 2:], -1.5 / np.sqrt(2), atol=0.01)
+
+
+@pytest.mark.slow
+def test_a_finger_turns_a_spinner_that_nothing_else_drives() -> None:
+    plan = Planner(Scenario.named("spinner/two_radians"), MechanismOptions(renewals=24)).plan()
+    assert plan.holds
+    assert plan.cost < 3.2
+    for replay in plan.replay:
+        assert 1.8 < replay.positions[-1, 2] < 2.2

@@ -4,7 +4,11 @@ from __future__ import annotations
 
 import dataclasses
 
+import numpy as np
+
+from drake_aigto.arrays import Floats
 from drake_aigto.shooting import ShootingOptions, Smoothing
+from drake_aigto.world import CompliantLaw, World
 
 # What boxes show is closed in a few steps: from walls smoothed by more, it takes longer and ends
 # within 1 % of the best half as often (of 800 boxes around the cart-pole, `cart_pole/soft_06`).
@@ -20,9 +24,38 @@ AIMED = dataclasses.replace(COARSE, multiplier_updates=2)
 # more smoothed, they push otherwise by as much as hard goals allow.
 TIGHT = ShootingOptions(rungs=(Smoothing(1e-3, 40, 1e-3),), substeps=4)
 POLISH = ShootingOptions(rungs=(Smoothing(1e-4, 40, 1e-5), Smoothing(1e-6, 40, 1e-5)), substeps=4)
+RUBBED = dataclasses.replace(POLISH, rungs=(Smoothing(1e-6, 150, 1e-5),))
 
 # Friction stiffens from stiction speeds of a whole way in the duration to a thousandth.
 COOLING = ShootingOptions(
     rungs=tuple(Smoothing(each, 60, 1e-5) for each in (1.0, 0.3, 0.1, 0.03, 0.01, 3e-3, 1e-3)),
     substeps=4,
 )
+
+# Of a Runge-Kutta step of second order, in the time in which the fastest motion turns by 1 rad.
+_LONGEST_STEP = 1.5
+# Walls that rub push from as far as the task is long, then from ever nearer.
+_FROM_AFAR = tuple(Smoothing(each, 15, 1e-2) for each in (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3))
+
+
+def from_afar(options: ShootingOptions, turn: float) -> ShootingOptions:
+    """Returns the same, by walls that push from afar first, in Runge-Kutta steps that are stable.
+
+    What is pushed and held by friction is felt only so, as is the way round it: of 96 renewals on
+    `push_circle/round_it` none led anywhere otherwise.
+
+    Args:
+        options: whose rungs and substeps are replaced.
+        turn: by how much the fastest motion turns in a stage [rad].
+    """
+    substeps = max(options.substeps, int(np.ceil(turn / _LONGEST_STEP)))
+    return dataclasses.replace(options, rungs=_FROM_AFAR, substeps=substeps)
+
+
+def calc_pace(world: World, law: CompliantLaw, q: Floats) -> float:
+    """Returns how fast what touches at q would swing on its springs, at most [rad/s]."""
+    J, M = world.calc_contact_jacobian(q), world.calc_mass_matrix(q)
+    distances = world.calc_signed_distance(q)
+    _, _, levers = law.find_gaps(distances, np.zeros_like(distances))
+    mobility = np.einsum("ij,ji->i", J, np.linalg.solve(M, J.T)) * levers**2
+    return float(np.sqrt(np.max(law.stiffness * mobility, initial=0.0)))

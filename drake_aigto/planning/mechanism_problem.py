@@ -11,7 +11,16 @@ import numpy as np
 
 from drake_aigto.arrays import Floats, interpolate
 from drake_aigto.planning.candidate import Candidate, Replays
-from drake_aigto.planning.closing import AIMED, COARSE, COOLING, POLISH, TIGHT
+from drake_aigto.planning.closing import (
+    AIMED,
+    COARSE,
+    COOLING,
+    POLISH,
+    RUBBED,
+    TIGHT,
+    calc_pace,
+    from_afar,
+)
 from drake_aigto.planning.flow import trace
 from drake_aigto.planning.mechanism_boxes import (
     Center,
@@ -231,7 +240,12 @@ class MechanismProblem:
 
     def close(self, center: Center) -> ShootingResult:
         """Returns the motion near a box center, as far as a few steps lead."""
-        return self._close_on_springs(center, AIMED if self.scenario.hard_goal else COARSE)
+        options = AIMED if self.scenario.hard_goal else COARSE
+        if isinstance(self.law, CompliantLaw) and self.law.rubs:
+            step = self.scenario.duration / self.search_steps
+            pace = calc_pace(self.world, self.law, self._ends.position)
+            options = from_afar(options, step * pace)
+        return self._close_on_springs(center, options)
 
     def _close_on_springs(
         self, center: Center, options: ShootingOptions = COARSE
@@ -275,15 +289,21 @@ class MechanismProblem:
                 return self._steadied(motion)
             # Where contact begins and ends, steps are of second order.
             halvings = np.ceil(np.log2(min(error / _EXACT, _MOST_SUBSTEPS)) / 2)
+            if self.mechanism.rubs:  # What sticks in long steps slips in much shorter ones.
+                halvings = 1
             substeps = min(motion.substeps * 2 ** int(halvings), _MOST_SUBSTEPS)
-            options = dataclasses.replace(POLISH, rungs=POLISH.rungs[-1:], substeps=substeps)
+            options = dataclasses.replace(
+                POLISH,
+                rungs=((RUBBED if self.mechanism.rubs else POLISH).rungs[-1:]),
+                substeps=substeps,
+            )
 
     def _cooled(self, motion: ShootingResult) -> ShootingResult:
-        """Returns the better of a motion and, with friction, what it becomes as that stiffens.
+        """Returns the better of a motion and, where joints rub, what it becomes as that stiffens.
 
         Where something sticks, what moves it is felt only by friction that is smoothed far more.
         """
-        if not self.mechanism.rubs:
+        if self.world.dry_friction is None:
             return motion
         problem = self.shooting(self.scenario.num_steps).starting_from(motion)
         return min(motion, problem.solve(motion.controls, None, COOLING), key=self.rank)

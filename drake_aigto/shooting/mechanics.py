@@ -19,7 +19,8 @@ class Mechanics(NamedTuple):
         numbers: of the same.
         constants: of the same.
         actuation: B, shape (n, nu).
-        contacts: stiffness k [N/m], dissipation d [s/m] and restitution e of each, shape (m, 3).
+        contacts: stiffness k [N/m], dissipation d [s/m], restitution e and reach R [m] (see
+            `CompliantLaw`) of each, shape (m, 4).
         solids: where the contacts of each solid start, shape (S + 1,).
         rubs: friction, shape (R, 5), see `rubbing`.
     """
@@ -40,7 +41,8 @@ class MechanicsMemory(NamedTuple):
         values: of the tape.
         sums: of the tape.
         factor: Cholesky's L of M, shape (n, n).
-        force: of each contact, and its derivatives by φ and φ̇, shape (m, 3).
+        force: of each contact, its derivatives by φ and φ̇, ∂l/∂φ (see `CompliantLaw`) and its
+            derivative by φ, shape (m, 5).
         rub: of each friction, and its derivatives by s and N, shape (R, 3).
         acceleration: v̇, shape (1, n).
         slopes: ∂v̇/∂(q, v, u), transposed, shape (2n + nu, n).
@@ -76,7 +78,7 @@ def make_mechanics_memory(mechanics: Mechanics) -> MechanicsMemory:
         values=np.zeros(1 + 2 * n + 2 * code[0] + code[1]),
         sums=mechanics.constants.copy(),
         factor=np.zeros((n, n)),
-        force=np.zeros((len(mechanics.contacts), 3)),
+        force=np.zeros((len(mechanics.contacts), 5)),
         rub=np.zeros((len(mechanics.rubs), 3)),
         acceleration=np.zeros((1, n)),
         slopes=np.zeros((2 * n + nu, n)),

@@ -51,11 +51,12 @@ class Mechanism:
         Raises:
             UnsupportedTermError: an equation is no sum of products of powers, sin and cos.
         """
-        contacts, rubs = np.zeros((world.num_contacts, 3)), list_rubs(world, law)
+        contacts, rubs = np.zeros((world.num_contacts, 4)), list_rubs(world, law)
         if isinstance(law, RigidLaw):
             contacts[:, 2] = law.restitution
         else:
             contacts[:, 0], contacts[:, 1] = law.stiffness, law.dissipation
+            contacts[:, 3] = law.reaches
         tables = Mechanics(
             *_compile(world, isinstance(law, RigidLaw), [rub.row for rub in rubs]),
             actuation=world.actuation,
@@ -239,12 +240,17 @@ def _push(
     phi = n * (n + 1) // 2 + n
     for s in range(solids.size - 1):
         for i in range(solids[s], solids[s + 1]):
-            force[i, 0] = force[i, 1] = force[i, 2] = 0.0
+            force[i, 0] = force[i, 1] = force[i, 2] = force[i, 4] = 0.0
+            force[i, 3] = 1.0
         i = find_foremost(solids[s], solids[s + 1], phi, sums)
-        row, rate, distance = phi + m + i * n, 0.0, sums[phi + i]
-        root = np.sqrt(distance * distance + eps * eps)
+        row, rate, distance, lever = phi + m + i * n, 0.0, sums[phi + i], 1.0
         for j in range(n):
             rate += sums[row + j] * x[n + j]
+        if contacts[i, 3] > 0.0:
+            apart = np.sqrt(max(contacts[i, 3] ** 2 + 2 * contacts[i, 3] * distance, 1e-12))
+            lever = contacts[i, 3] / apart
+            distance, rate = apart - contacts[i, 3], lever * rate
+        root = np.sqrt(distance * distance + eps * eps)
         stiffness, brake = contacts[i, 0], 1.0 - contacts[i, 1] * rate
         if stiffness == 0.0 or brake <= 0.0 or root == 0.0:
             continue
@@ -254,6 +260,12 @@ def _push(
         force[i, 0] = stiffness * depth * brake
         force[i, 1] = -stiffness * depth / root * brake
         force[i, 2] = -stiffness * depth * contacts[i, 1]
+        if contacts[i, 3] > 0.0:
+            bend = -(lever**3) / contacts[i, 3]
+            force[i, 3], force[i, 4] = lever, bend
+            force[i, 1] = lever**2 * force[i, 1] + bend * (force[i, 0] + force[i, 2] * rate)
+            force[i, 0] *= lever
+            force[i, 2] *= lever**2
         for j in range(n):
             total[0, j] += force[i, 0] * sums[row + j]
 

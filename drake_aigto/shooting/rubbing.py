@@ -24,6 +24,8 @@ SOURCE, COEFFICIENT, STICTION, BRAKE, PACE = range(5)
 class Rub(NamedTuple):
     """One friction, −Tᵀ c N σ(s / w), with s = T(q) v and σ of `calc_friction_share`.
 
+    Of two spheres that move about each other, s is T v R/l (see `CompliantLaw`).
+
     Its stiction speed w is that of the world, smoothed over a length ε as contact forces are, and
     no slower than what it takes from s in one Runge-Kutta step h, for steps not to swing about
     rest: w² = max(v_s, a h)² + (ε/T)², with T the duration.
@@ -91,14 +93,14 @@ def rub_all(
     n = total.shape[1]
     row = sums.size - rubs.shape[0] * n
     for r in range(rubs.shape[0]):
-        slip, normal = 0.0, 1.0
+        slip, normal, lever = 0.0, 1.0, 1.0
         for j in range(n):
             slip += sums[row + j] * x[n + j]
         source = int(rubs[r, SOURCE])
         if source >= 0:
-            normal = force[source, 0]
+            normal, lever = force[source, 0], force[source, 3]
         speed = np.sqrt(rubs[r, STICTION] ** 2 + (eps * rubs[r, PACE]) ** 2)
-        y = slip / speed
+        y = lever * slip / speed
         size = abs(y)
         share, slope = np.sign(y), 0.0
         if size < 1.0:
@@ -106,7 +108,7 @@ def rub_all(
             slope = 30.0 * y * y * (1.0 - size) ** 2
         rub[r, 2] = -rubs[r, COEFFICIENT] * share
         rub[r, 0] = rub[r, 2] * normal
-        rub[r, 1] = -rubs[r, COEFFICIENT] * normal * slope / speed
+        rub[r, 1] = -rubs[r, COEFFICIENT] * normal * slope * lever / speed
         for j in range(n):
             total[0, j] += rub[r, 0] * sums[row + j]
         row += n
@@ -123,9 +125,10 @@ def differentiate_rubs(
     for r in range(count):
         source = int(rubs[r, SOURCE])
         for c in range(n):
-            rate, by_normal, by_speed = 0.0, 0.0, 0.0
+            rate, slip, by_normal, by_speed = 0.0, 0.0, 0.0, 0.0
             for j in range(n):
                 rate += sums[turn + j * n + c] * x[n + j]
+                slip += sums[row + j] * x[n + j]
                 slopes[c, j] += rub[r, 0] * sums[turn + j * n + c]
             if source >= 0:
                 normal, bends = find_rows(n, m, source)
@@ -133,6 +136,7 @@ def differentiate_rubs(
                 for j in range(n):
                     by_normal += force[source, 2] * sums[bends + triangle(n, j, c)] * x[n + j]
                 by_speed = force[source, 2] * sums[normal + c]
+                rate += slip * force[source, 4] / force[source, 3] * sums[normal + c]
             by_position = rub[r, 1] * rate + rub[r, 2] * by_normal
             by_velocity = rub[r, 1] * sums[row + c] + rub[r, 2] * by_speed
             for j in range(n):

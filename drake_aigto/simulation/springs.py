@@ -92,14 +92,14 @@ class Springs(HybridMotion):
             q, v = x[..., :n], x[..., n:]
             forces = drag = None
             if is_pressed:
-                distances, speeds = self._measure(x)
-                forces = stiffness * distances * (1 - law.dissipation * speeds)
+                distances, speeds, levers = self._measure(x)
+                forces = stiffness * distances * (1 - law.dissipation * speeds) * levers
                 drag = world.rubbing.calc_drag(law, q, v, forces)
             acceleration = world.calc_acceleration(q, v, control, forces, drag)
             return np.concatenate([v, acceleration], axis=-1)
 
         def watched(x: Floats) -> Floats:
-            distances, speeds = self._measure(x)
+            distances, speeds, _ = self._measure(x)
             values = np.where(
                 is_rate,
                 (1 - law.dissipation * speeds)[..., contacts],
@@ -124,11 +124,11 @@ class Springs(HybridMotion):
                 ends.append(_End(i, _Phase.SLACK, 1.0, True))
         return ends
 
-    def _measure(self, x: Floats) -> tuple[Floats, Floats]:
-        """Returns φ [m] and φ̇ [m/s] of states (…, 2 nv), shape (…, m) each."""
-        n = self.world.num_positions
+    def _measure(self, x: Floats) -> tuple[Floats, Floats, Floats]:
+        """Returns `CompliantLaw.find_gaps` of states (…, 2 nv), shape (…, m) each."""
+        n, world = self.world.num_positions, self.world
         q, v = x[..., :n], x[..., n:]
-        return self.world.calc_signed_distance(q), self.world.calc_contact_rate(q, v)
+        return self._law.find_gaps(world.calc_signed_distance(q), world.calc_contact_rate(q, v))
 
     def _touch(self, contact: int, control: Floats) -> None:
         """Notes that a contact begins."""
@@ -146,7 +146,7 @@ class Springs(HybridMotion):
     def _find_depth(self) -> float:
         states = np.concatenate([samples.states for samples, _ in self.recording.samples])
         times = np.concatenate([samples.times for samples, _ in self.recording.samples])
-        distances, rates = self._measure(states)
+        distances, rates, _ = self._measure(states)
         rows = self.world.calc_signed_distance(np.array(self.recording.positions))
         return max(find_depth(times, distances, rates), -float(np.min(rows, initial=0.0)))
 

@@ -13,7 +13,9 @@ from drake_aigto.arrays import ArrayRecord, Floats, read_only
 from drake_aigto.errors import ModelError
 from drake_aigto.world.material import COMPLIANCE, read_dissipation, read_stiffness
 from drake_aigto.world.reach import ReachableFace
-from drake_aigto.world.sums import is_constant
+
+# Centers of spheres that rounding has brought nearer than a micron count as that far apart [m²].
+_NO_ROOM = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,23 +49,30 @@ class CompliantLaw(ArrayRecord):
 
         f = k x max(0, 1 + d ẋ),    x = max(0, −φ),    ẋ = −φ̇,    f_t = −μ f σ(s / v_s)
 
-    Of two shapes k = k₁ k₂ / (k₁ + k₂) and d = (k₂ d₁ + k₁ d₂) / (k₁ + k₂).
+    Of two shapes k = k₁ k₂ / (k₁ + k₂) and d = (k₂ d₁ + k₁ d₂) / (k₁ + k₂). Of two spheres that
+    move about each other, whose φ = (l² − R²) / 2R is not the distance l − R of their surfaces
+    (l from center to center, R the sum of radii), that distance takes the place of φ above, and f
+    is the force times R/l = ∂l/∂φ, so that Jᵀ f is what acts.
 
     Attributes:
         stiffness: k of each contact, shape (m,) [N/m].
         dissipation: d of each contact, shape (m,) [s/m].
         friction: μ of each contact, shape (m,); none given: zero.
+        reaches: R of two spheres that move about each other, else 0, shape (m,) [m]; none given:
+            zero.
     """
 
     stiffness: Floats
     dissipation: Floats
     friction: Floats = field(default_factory=lambda: np.zeros(0))
+    reaches: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         """Makes the arrays read-only."""
-        if not len(self.friction):
-            object.__setattr__(self, "friction", read_only(np.zeros_like(self.stiffness)))
-        for name in ("stiffness", "dissipation", "friction"):
+        for name in ("friction", "reaches"):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, np.zeros_like(self.stiffness))
+        for name in ("stiffness", "dissipation", "friction", "reaches"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
     @classmethod
@@ -72,14 +81,15 @@ class CompliantLaw(ArrayRecord):
 
         Raises:
             ModelError: a shape lacks stiffness or dissipation; or f is not what Drake simulates: of
-                several faces of one box, of spheres that are not on one line, and where both shapes
-                are hydroelastic.
+                several faces of one box, and where both shapes are hydroelastic.
         """
         for each in reachable:
             _check_simulated(scene_graph, each)
         shapes = [each.face.shapes for each in reachable]
         dissipation = [_combine_dissipation(scene_graph, pair) for pair in shapes]
-        return cls(calc_stiffness(scene_graph, shapes), np.array(dissipation))
+        reaches = np.array([each.reach for each in reachable])
+        stiffness = calc_stiffness(scene_graph, shapes)
+        return cls(stiffness, np.array(dissipation), reaches=reaches)
 
     @property
     def rubs(self) -> bool:
@@ -88,8 +98,34 @@ class CompliantLaw(ArrayRecord):
 
     def calc_forces(self, distances: Floats, rates: Floats) -> Floats:
         """Returns f, shape (…, m) [N], given φ (…, m) [m] and φ̇ (…, m) [m/s]."""
-        depths = np.maximum(0.0, -distances)
-        return self.stiffness * depths * np.maximum(0.0, 1.0 - self.dissipation * rates)
+        gaps, speeds, levers = self.find_gaps(distances, rates)
+        depths = np.maximum(0.0, -gaps)
+        return self.stiffness * depths * np.maximum(0.0, 1.0 - self.dissipation * speeds) * levers
+
+    def find_gaps(self, distances: Floats, rates: Floats) -> tuple[Floats, Floats, Floats]:
+        """Returns distances of surfaces [m], their rates [m/s] and ∂l/∂φ, shape (…, m) each.
+
+        Args:
+            distances: φ, shape (…, m) [m].
+            rates: φ̇, shape (…, m) [m/s].
+        """
+        levers = calc_levers(self.reaches, distances)
+        if not self.reaches.any():
+            return distances, rates, levers
+        gaps = np.where(self.reaches > 0, self.reaches / levers - self.reaches, distances)
+        return gaps, rates * levers, levers
+
+
+def calc_levers(reaches: Floats, distances: Floats) -> Floats:
+    """Returns R/l = ∂l/∂φ of two spheres that move about each other, else 1, shape (…, m).
+
+    Args:
+        reaches: see `CompliantLaw`, shape (m,) [m].
+        distances: φ, shape (…, m) [m].
+    """
+    R, levers = reaches, np.ones_like(distances)
+    apart = np.sqrt(np.maximum(R**2 + 2 * R * distances, _NO_ROOM))
+    return np.divide(R, apart, out=levers, where=np.broadcast_to(R > 0, levers.shape))
 
 
 ContactLaw: TypeAlias = RigidLaw | CompliantLaw
@@ -121,8 +157,6 @@ def _check_simulated(scene_graph: SceneGraph, reachable: ReachableFace) -> None:
     of_shapes = (inspector.GetProximityProperties(shape) for shape in face.shapes)
     if contact.name != face.pair:
         got, remedy = "a box of which several faces can be reached", "Make it of half spaces."
-    elif face.is_ball and not is_constant(contact.jacobian):
-        got, remedy = "two spheres that move off one line", "Give them rigid contact."
     elif all(each.HasProperty(*COMPLIANCE) for each in of_shapes):
         got = "hydroelastic shapes, whose force is that of a pressure field"
         remedy = "Leave <drake:compliant_hydroelastic> or <drake:rigid_hydroelastic> out of one."

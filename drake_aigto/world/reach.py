@@ -29,11 +29,13 @@ class ReachableFace(NamedTuple):
         face: its geometry.
         lateral: the sphere's center along the face's edges, shape (2,) Expressions [m].
         contact: φ and J.
+        reach: R, the sum of radii of two spheres that move about each other; 0 of all else [m].
     """
 
     face: SphereAndFace
     lateral: NDArray[Any]
     contact: Contact
+    reach: float = 0.0
 
 
 class Reach(NamedTuple):
@@ -78,7 +80,8 @@ def find_reach(
             name = f"{face.pair}, {face.face} face" if len(chosen) > 1 else face.pair
             jacobian = tidy(distance.Jacobian(reader.q))
             contact = Contact(name, distance, jacobian, solid, face.restitution)
-            found.append(ReachableFace(face, places[i][:2], contact))
+            reach = 0.0 if is_constant(jacobian) else _sum_radii(scene_graph, face)
+            found.append(ReachableFace(face, places[i][:2], contact, reach))
         solid += bool(chosen)
     if pairs and not found:
         raise _refuse_apart(pairs)
@@ -165,13 +168,18 @@ def _is_on_line(place: NDArray[Any], q: NDArray[Any]) -> bool:
 def _read_place(reader: PlantReader, scene_graph: SceneGraph, face: SphereAndFace) -> NDArray[Any]:
     """Returns where a sphere is before a face, (x, y, φ), shape (3,) [m]."""
     place = reader.calc_place(face)
+    return _round(place, _sum_radii(scene_graph, face)) if face.is_ball else place
+
+
+def _sum_radii(scene_graph: SceneGraph, face: SphereAndFace) -> float:
+    """Returns R of two spheres, 0 of a sphere and a wall [m]."""
     if not face.is_ball:
-        return place
+        return 0.0
     wall: Any = scene_graph.model_inspector().GetShape(face.shapes[1])
-    return _round(place, (face.radius, wall.radius()))
+    return float(face.radius + wall.radius())
 
 
-def _round(place: NDArray[Any], radii: tuple[float, float]) -> NDArray[Any]:
+def _round(place: NDArray[Any], R: float) -> NDArray[Any]:
     """Returns a sphere's place before another sphere, as that is no wall but on one line.
 
     φ = (|d|² − R²)/2R, with d from one center to the other and R the sum of radii: zero where they
@@ -179,7 +187,6 @@ def _round(place: NDArray[Any], radii: tuple[float, float]) -> NDArray[Any]:
     (|d| + R)/2R.
     """
     x, y, height = place
-    R = sum(radii)
     if x.EqualTo(Expression(0.0)) and y.EqualTo(Expression(0.0)):
         return place
     distance = (x**2 + y**2 + (height + R) ** 2 - R**2) / (2 * R)

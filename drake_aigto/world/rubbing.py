@@ -18,8 +18,9 @@ from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.world.contact import SphereAndFace
 from drake_aigto.world.diagram import find_plant, hide_half_space_warning
 from drake_aigto.world.friction import calc_friction_share
-from drake_aigto.world.law import CompliantLaw, ContactLaw
+from drake_aigto.world.law import CompliantLaw, ContactLaw, calc_levers
 from drake_aigto.world.material import can_slide, read_friction, set_friction
+from drake_aigto.world.reach import ReachableFace
 from drake_aigto.world.sums import SumMap, calc_turning
 from drake_aigto.world.tangent import read_tangent
 
@@ -37,7 +38,7 @@ class Rubbing:
         diagram: Diagram,
         q: NDArray[Any],
         v: NDArray[Any],
-        faces: Sequence[SphereAndFace],
+        reachable: Sequence[ReachableFace],
         stuck: Sequence[SphereAndFace],
         stiction_speed: float,
     ) -> None:
@@ -47,14 +48,22 @@ class Rubbing:
             diagram: of the plant and its scene graph.
             q: the variables of positions, shape (nq,).
             v: the variables of velocities, shape (n,).
-            faces: of the contacts, m.
+            reachable: the contacts, m.
             stuck: faces that spheres are stuck in, s.
             stiction_speed: v_s of friction in the plant [m/s].
         """
         self._diagram, self._q, self._v = diagram, q, v
         self._plant, self._scene_graph = find_plant(diagram)
-        self._faces, self._num_contacts = (*faces, *stuck), len(faces)
+        self._faces = *(each.face for each in reachable), *stuck
+        self._num_contacts = len(reachable)
+        self._distances = np.array([each.contact.signed_distance for each in reachable])
+        self._reaches = np.array([each.reach for each in reachable])
         self._stiction_speed = stiction_speed
+
+    @cached_property
+    def _distance_map(self) -> SumMap:
+        """φ(q), shape (m,)."""
+        return SumMap(self._distances, self._q)
 
     @cached_property
     def frictions(self) -> Mapping[str, float]:
@@ -103,17 +112,25 @@ class Rubbing:
         return read(q).reshape(*q.shape[:-1], self._num_contacts, self._v.size)
 
     def calc_slips(self, q: Floats, v: Floats, yields: bool = False) -> Floats:
-        """Returns s = T v, shape (…, m) [m/s], where walls yield or do not."""
-        return (self.calc_tangent_jacobian(q, yields) @ v[..., np.newaxis])[..., 0]
+        """Returns s, shape (…, m) [m/s], where walls yield or do not.
+
+        That is T v, and T v R/l of two spheres that move about each other and yield (see
+        `CompliantLaw`).
+        """
+        slips = (self.calc_tangent_jacobian(q, yields) @ v[..., np.newaxis])[..., 0]
+        if yields and self._reaches.any():
+            slips *= calc_levers(self._reaches, self._distance_map(q))
+        return slips
 
     def calc_tangent_bias(self, q: Floats, v: Floats) -> Floats:
         """Returns Ṫ v, which makes ṡ = T v̇ + Ṫ v, (…, m) [m/s²], at q (…, nq), v (…, n)."""
         return self._turning_map(np.concatenate([q, v], axis=-1))
 
     def calc_drag(self, law: ContactLaw, q: Floats, v: Floats, forces: Floats) -> Floats | None:
-        """Returns friction where walls yield as forces on q, −Tᵀ μ f σ(T v / v_s), (…, n) [N].
+        """Returns friction where walls yield as forces on q, −Tᵀ μ f σ(s / v_s), shape (…, n) [N].
 
-        None where no wall yields and rubs. T is that of `soft_tangents`, σ `calc_friction_share`.
+        None where no wall yields and rubs. T is that of `soft_tangents`, s of
+        `calc_slips`, σ of `calc_friction_share`.
 
         Args:
             law: of contact.
@@ -124,8 +141,7 @@ class Rubbing:
         if not (isinstance(law, CompliantLaw) and law.rubs):
             return None
         T = self.calc_tangent_jacobian(q, yields=True)
-        slips = (T @ v[..., np.newaxis])[..., 0]
-        shares = calc_friction_share(slips, self._stiction_speed)
+        shares = calc_friction_share(self.calc_slips(q, v, yields=True), self._stiction_speed)
         return -((law.friction * forces * shares)[..., np.newaxis, :] @ T)[..., 0, :]
 
     def _stack(self, rows: Sequence[NDArray[Any] | None]) -> NDArray[Any]:

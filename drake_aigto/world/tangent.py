@@ -42,7 +42,10 @@ def read_tangent(
     middle of the overlap. Two spheres that move about each other have n = p/R, with p from center
     to center and R the sum of radii, and d = e × n about the normal e of the plane of motion:
 
-        s = d · v_C − r e · ω.
+        s = d · v_C − l e · ω,    l = r,    or r + R x + (r − R/2)(x − x²/2) if shapes yield,
+
+    x = φ/R, which is (R + ψ)/R (r + ψ/2) up to terms of third order in the distance ψ of their
+    surfaces. Those that yield slip by s R/(R + ψ).
 
     Args:
         plant: whose joints move both.
@@ -60,12 +63,12 @@ def read_tangent(
     motion = _Motion(plant, face)
     if motion.is_off_line:
         wall: Any = scene_graph.model_inspector().GetShape(face.shapes[1])
-        rates = motion.find_turning(wall.radius())
+        rates = motion.find_turning(wall.radius(), yields)
     else:
         rates = motion.find_sliding(0.5 if yields else 0.0)
     if rates is None:
         return None
-    degree = 2 if motion.is_off_line else 1
+    degree = (4 if yields else 2) if motion.is_off_line else 1
     try:
         tangent = tidy(interpolate(rates, q, find_hinges(plant), degree))
     except TooManySamples as error:
@@ -112,7 +115,7 @@ class _Motion:
         direction = _point(directions[:, 0])
         return None if sizes[1] > _ROUNDING * sizes[0] else lambda q: direction @ calc_slip(q)
 
-    def find_turning(self, wall_radius: float) -> Callable[[Floats], Floats] | None:
+    def find_turning(self, wall_radius: float, yields: bool) -> Callable[[Floats], Floats] | None:
         """Returns q → T of two spheres that move about each other; None if not in one plane."""
         face = self._face
         middle = np.array([0.0, 0.0, -wall_radius])
@@ -127,8 +130,12 @@ class _Motion:
 
         def calc_slip(q: Floats) -> Floats:
             turning, moving = self._calc_rates(q)
-            d = np.cross(e, self._calc_center(q) - middle) / R
-            return np.asarray(d @ moving - face.radius * (e @ turning))
+            arm = self._calc_center(q) - middle
+            d, lever = np.cross(e, arm) / R, face.radius
+            if yields:
+                x, share = (arm @ arm / R**2 - 1) / 2, face.radius - R / 2
+                lever += R * x + share * (x - x**2 / 2)
+            return np.asarray(d @ moving - lever * (e @ turning))
 
         return calc_slip
 

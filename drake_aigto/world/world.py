@@ -248,9 +248,8 @@ class World(EquationsOfMotion):
     @cached_property
     def rubbing(self) -> Rubbing:
         """Where and how strongly contacts rub, and the velocity at which they slip."""
-        faces = [each.face for each in self._reachable]
         q, v = self.positions, self.velocities
-        return Rubbing(self.diagram, q, v, faces, self._stuck, self.stiction_speed)
+        return Rubbing(self.diagram, q, v, self._reachable, self._stuck, self.stiction_speed)
 
     @property
     def frictions(self) -> Mapping[str, float]:
