@@ -23,7 +23,7 @@ from drake_aigto import (
     Scenario,
     World,
 )
-from drake_aigto.control import TickStatus
+from drake_aigto.control import ClosedLoopRun, Disturbance, TickStatus, run_in_loop
 from drake_aigto.simulation import make_simulator
 from drake_aigto.world import TaskCost
 
@@ -31,6 +31,7 @@ SCENARIO = Scenario.named("cart_pole/soft_06")
 OPTIONS = MechanismOptions(renewals=16)
 BALL = Scenario.named("table1/1")
 QUICK = PlanOptions(branches=0, finalists=1, confirm=False)
+PENDULUM = Scenario.named("pendulum/off_the_wall")
 
 
 @cache
@@ -162,8 +163,12 @@ def test_arguments_out_of_range_are_refused(options: dict[str, Any], message: st
 
 
 def test_what_it_can_not_plan_from_is_refused() -> None:
-    with pytest.raises(ControlError, match="a mechanism between rigid walls, expected balls"):
-        ModelPredictiveController(Planner(Scenario.named("cart_pole/rigid_06")), 0.1)
+    free = dataclasses.replace(PENDULUM, duration_range=(1.0, 2.0))
+    with pytest.raises(ControlError, match="a task whose duration is free"):
+        ModelPredictiveController(Planner(free), 0.1)
+    rubs = dataclasses.replace(PENDULUM, friction=0.3)
+    with pytest.raises(ControlError, match="got friction at rigid walls, expected none"):
+        ModelPredictiveController(Planner(rubs), 0.1)
     planner = Planner(BALL)
     planner.transcription.AddFinalCost(planner.transcription.state()[0])
     with pytest.raises(ControlError, match="got costs or constraints that were added"):
@@ -252,3 +257,46 @@ def start_at(x: list[float]) -> None:
     controller = builder.AddSystem(ModelPredictiveController(Planner(BALL, QUICK), period=0.1))
     builder.Connect(source.get_output_port(), controller.get_input_port(0))
     Simulator(builder.Build()).Initialize()
+
+
+def swing(scenario: Scenario, truth: Disturbance, renewals: int) -> ClosedLoopRun:
+    """Returns a run of a mechanism between rigid walls."""
+    world = World.from_scenario(scenario)
+    options = MechanismOptions(renewals=renewals, search_steps=30, threads=1)
+    planner = Planner(scenario, options, world)
+    controller = ModelPredictiveController(planner, 0.02, "shrinking")
+    return run_in_loop(controller, scenario, world, truth)
+
+
+def test_a_pendulum_is_brought_to_its_goal_off_a_rigid_wall() -> None:
+    truth = Disturbance(kick=np.array([0.3]), kick_time=0.4, noise=np.full(2, 1e-3))
+    run = swing(PENDULUM, truth, renewals=0)
+    np.testing.assert_allclose(run.replay.positions[-1], PENDULUM.goal_position, atol=5e-3)
+    assert np.all(np.isfinite(run.controls))
+    (bounce,) = run.replay.bounce_times
+    assert {tick.touches for tick in run.ticks if tick.time < bounce} == {(0,)}
+    assert {tick.touches for tick in run.ticks if tick.time > bounce + 0.02} == {()}
+    # But for the kick and the touch, the last plan led on.
+    assert sum(tick.reason != "warm" for tick in run.ticks) < 6
+
+
+@pytest.mark.slow
+def test_a_pole_that_is_kicked_bounces_off_a_rigid_wall_as_it_promises_then() -> None:
+    truth = Disturbance(kick=np.array([0.3, 0.5]), kick_time=0.4, noise=np.full(4, 1e-3))
+    run = swing(Scenario.named("cart_pole/rigid_06"), truth, renewals=8)
+    assert run.replay.bounce_contacts
+    before = [tick.cost for tick in run.ticks if tick.time < truth.kick_time][-1]
+    after = next(tick.cost for tick in run.ticks if tick.time >= truth.kick_time)
+    assert run.cost < 1.05 * (run.promised - before + after)
+
+
+def test_a_mechanism_is_not_planned_for_from_inside_of_a_rigid_wall() -> None:
+    planner = Planner(PENDULUM, MechanismOptions(renewals=0))
+    inside = np.array([-0.7, 0.0])
+    assert planner.world.calc_signed_distance(inside[:1])[0] < 0
+    builder = DiagramBuilder()
+    source = builder.AddSystem(ConstantVectorSource(inside))
+    controller = builder.AddSystem(ModelPredictiveController(planner, period=0.1))
+    builder.Connect(source.get_output_port(), controller.get_input_port(0))
+    with pytest.raises(ControlError, match="inside of a wall, expected one outside"):
+        Simulator(builder.Build()).Initialize()

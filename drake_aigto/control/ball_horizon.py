@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Iterator
 
 import numpy as np
 
@@ -12,6 +11,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.control.bounces_seen import SeenBounces
 from drake_aigto.control.horizon import Horizon
 from drake_aigto.control.motion import Motion
+from drake_aigto.control.touches_left import choose, find_left
 from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
 from drake_aigto.planning import (
     PlanningError,
@@ -24,12 +24,6 @@ from drake_aigto.planning.rigid import Path
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import Scales, Scenario, World
 
-# Touches that are planned within so many periods of now may have happened, or not yet.
-_NEAR = 2.0
-# What costs so much more than the last plan, as a share of that, is dearer: noise makes less of it.
-_DEARER = 0.05
-# Touches are kept this part of the time that is left apart, and away from both ends.
-_APART = 1e-4
 # Iterations of the local solver after plain Newton steps: none, but where these lead to nothing.
 _ITERATIONS = (0, 20)
 # The same of searches, whose unlikely touches would take most of their time.
@@ -74,7 +68,7 @@ class BallHorizon(Horizon):
         """
         super().__init__(world, scenario, is_receding, scenario.num_steps)
         self._problem = make_problem(world, scenario, options).in_brief(_SEARCHED)
-        self._near, self._recent = _NEAR * period, _RECENT * period
+        self._period = period
         scales = Scales.of(world, scenario)
         self._length, self._doubt = scales.length, (_DOUBT * scales.velocity) ** 2
         self._bounced: int | None = None
@@ -99,7 +93,7 @@ class BallHorizon(Horizon):
     ) -> SeenBounces:
         """Returns what is seen of bounces by now."""
         off = _OFF * self._length
-        if elapsed <= self._recent:
+        if elapsed <= _RECENT * self._period:
             seen = seen.watch(self.world, samples, elapsed, control, off)
         else:
             seen = dataclasses.replace(seen, latest=None)
@@ -151,16 +145,13 @@ class BallHorizon(Horizon):
     def advance(self, motion: Motion, now: float, x: Floats) -> Motion | None:
         """Returns the best polished motion of the touches that may be left; None if none is."""
         problem, path = self._pose(now, x), self._find_path(motion, now, x)
-        sequences = [each for each in self._find_left(motion, now, x) if problem.fits(each)]
-        dear = (1 + _DEARER) * motion.cost
+        rates, left = self.world.calc_contact_rate(*np.split(x, 2)), self.end(now) - now
+        left_over = find_left(motion.touches, now, left, self._period, rates, self._bounced)
+        sequences = [each for each in left_over if problem.fits(each)]
         for most in _ITERATIONS:
-            found: list[Motion] = []
-            for touches in sequences:
-                found += filter(None, [_polish(problem, path, touches, most)])
-                if found and found[-1].cost <= dear:
-                    break
-            if found:
-                return _move(min(found, key=lambda each: each.cost), now)
+            tried = (_polish(problem, path, touches, most) for touches in sequences)
+            if found := choose(tried, motion.cost):
+                return _move(found, now)
         return None
 
     @staticmethod
@@ -170,24 +161,6 @@ class BallHorizon(Horizon):
         is_later = last.times > now
         times = np.append(0.0, last.times[is_later] - now)
         return times, np.vstack([x[: x.size // 2], last.positions[is_later]])
-
-    def _find_left(self, motion: Motion, now: float, x: Floats) -> Iterator[TouchSequence]:
-        """Yields the touches that may be left, as times from now on, the likelier ones first."""
-        left = self.end(now) - now
-        coming = [touch for touch in motion.touches if touch.end > now]
-        late = [touch for touch in motion.touches if now - self._near < touch.end <= now]
-        if late and self._comes_to(late[-1].contact, x):
-            yield _fit([late[-1], *coming], now, left)
-        is_next = bool(coming) and coming[0].contact == self._bounced
-        if coming and (is_next or coming[0].start < now + self._near):
-            fewer = _fit(coming[1:], now, left)
-            both = fewer, _fit(coming, now, left)
-            yield from reversed(both) if self._comes_to(coming[0].contact, x) else both
-        else:
-            yield _fit(coming, now, left)
-
-    def _comes_to(self, contact: int, x: Floats) -> bool:
-        return bool(self.world.calc_contact_rate(*np.split(x, 2))[contact] < 0)
 
     def search(self, now: float, x: Floats) -> Motion | None:
         """Returns the best motion that boxes, neighbors and polishes lead to; None if none."""
@@ -203,18 +176,6 @@ class BallHorizon(Horizon):
             return None
         touches = tuple(Touch(each.time, each.last_time, each.index) for each in best.contacts)
         return _move(Motion(best.trajectory, best.cost, touches), now)
-
-
-def _fit(touches: list[Touch], now: float, left: float) -> TouchSequence:
-    """Returns touches as times from now on, in order and apart, of what is left [s]."""
-    least = _APART * left
-    found: list[Touch] = []
-    for touch in touches:
-        start = max(touch.start - now, least + (found[-1].end if found else 0.0))
-        end = max(touch.end - now, start + least) if touch.lasts else start
-        if end < left - least:
-            found.append(Touch(start, end, touch.contact))
-    return tuple(found)
 
 
 def _polish(

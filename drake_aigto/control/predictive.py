@@ -117,9 +117,9 @@ class ModelPredictiveController(LeafSystem):
     taken if it costs less by a margin. Work is bounded by counts: runs are the same again, also
     where searches have a thread of their own.
 
-    Of what differs from a model, rigid walls mislead plans most: where they stand, and what they
-    return. Both are learned from bounces that are seen between one tick and the next; and a wall
-    that a ball is well inside of stands farther away.
+    Of what differs from a model, rigid walls mislead plans of balls most: where they stand, and
+    what they return. Both are learned from bounces that are seen between one tick and the next; and
+    a wall that a ball is well inside of stands farther away. Mechanisms learn nothing of walls.
 
     A state that is not finite, one inside of a rigid wall, or one from which no motion is found,
     leaves the last plan as it is, and its control goes on. So it does at the end of a horizon that
@@ -148,11 +148,13 @@ class ModelPredictiveController(LeafSystem):
         """Takes the planner's task; its start does not count.
 
         Args:
-            planner: of balls between rigid walls, or of a mechanism between walls that yield, or
-                that touches nothing; its task and options are compiled once more.
+            planner: of balls between rigid walls, or of a mechanism; its task and options are
+                compiled once more.
             period: between ticks [s].
             horizon: whether it always lasts as long as the scenario's duration, or ends with it.
-            iterations: of the descent in a tick, at most; balls between rigid walls have none.
+            iterations: of the descent in a tick, at most; balls between rigid walls have none, and
+                mechanisms there up to five times as many, or a fixed number where these lead to
+                nothing.
             search_every: ticks from one search to the next; None: only at the start, and after a
                 surprise. What a search takes is in the planner's options.
             margin: what another sequence has to be better by, as a share of the cost.
@@ -166,8 +168,8 @@ class ModelPredictiveController(LeafSystem):
                 (`SeenBounces`); the scenario and the model are what is thought of it before.
 
         Raises:
-            ControlError: a mechanism between rigid walls, a free duration, or something that was
-                added to the planner's transcription; or an argument is out of its range.
+            ControlError: a free duration, friction at rigid walls, or something that was added to
+                the planner's transcription; or an argument is out of its range.
         """
         super().__init__()
         counts = {

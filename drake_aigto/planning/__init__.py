@@ -10,6 +10,7 @@ from drake_aigto.planning.mechanism_boxes import (
     StartedBoxes,
 )
 from drake_aigto.planning.mechanism_options import MechanismOptions
+from drake_aigto.planning.mechanism_phases import BouncingResult, lay_onto
 from drake_aigto.planning.mechanism_problem import MechanismProblem, needs_shooting
 from drake_aigto.planning.mechanism_search import MechanismSearch
 from drake_aigto.planning.options import LadderOptions, PlanOptions, Rung, SearchOptions
@@ -19,10 +20,13 @@ from drake_aigto.planning.planner import Planner, plan, run_search
 from drake_aigto.planning.pool import Stopwatch
 from drake_aigto.planning.problem import PlanningProblem
 from drake_aigto.planning.rigid import RigidProblem, make_problem
+from drake_aigto.planning.rigid_mechanism import RigidMechanismProblem
+from drake_aigto.planning.rigid_mechanism_search import RigidMechanismSearch
 from drake_aigto.planning.rigid_search import RigidSearch
 from drake_aigto.planning.search import Search
 
 __all__ = [
+    "BouncingResult",
     "Candidate",
     "Center",
     "LadderOptions",
@@ -40,6 +44,8 @@ __all__ = [
     "PlanningProblem",
     "Renewal",
     "Replays",
+    "RigidMechanismProblem",
+    "RigidMechanismSearch",
     "RigidProblem",
     "RigidSearch",
     "Rung",
@@ -49,6 +55,7 @@ __all__ = [
     "Stopwatch",
     "Veto",
     "coarsen",
+    "lay_onto",
     "make_problem",
     "needs_shooting",
     "plan",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -11,11 +11,14 @@ import numpy as np
 from drake_aigto.arrays import Floats, Ints, read_only
 from drake_aigto.planning.impact_modes import find_other_mode, read_mode
 from drake_aigto.shooting import Phases, ShootingResult
+from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import RigidLaw, World
 
 # No phase starts out shorter than this part of the duration.
 _SHORTEST = 1e-2
+# Knots that are this part of the duration apart are one and the same.
+_SAME = 1e-6
 # Where walls are looked at between two knots, as parts of the time between them.
 _LOOKS = np.linspace(0.0, 1.0, 9)[1:-1]
 
@@ -43,6 +46,14 @@ class BouncingResult(ShootingResult):
         for name in ("contacts", "knots", "held", "modes"):
             object.__setattr__(self, name, read_only(getattr(self, name), np.int64))
 
+    @classmethod
+    def of(cls, found: ShootingResult, phases: Phases) -> BouncingResult:
+        """Returns what shooting found in phases."""
+        names = (field.name for field in fields(ShootingResult))
+        values = {name: getattr(found, name) for name in names}
+        places = {name: getattr(phases, name) for name in ("contacts", "knots", "held", "modes")}
+        return cls(**values, **places)
+
     @property
     def touches(self) -> TouchSequence:
         """What is touched, and when."""
@@ -64,6 +75,25 @@ class BouncingResult(ShootingResult):
     def hits(self) -> Ints:
         """The knots at which something is hit."""
         return self.knots[self.contacts >= 0]
+
+    def as_trajectory(self, world: World) -> Trajectory:
+        """Returns the motion with velocities before impacts, and their impulses.
+
+        Before an impact, that is the slope of a parabola, but for what the impulse changes.
+        """
+        n, m = world.num_positions, world.num_contacts
+        q, v = np.split(self.states, [n], axis=1)
+        v, impulses = v.copy(), np.zeros((len(q), m))
+        _, slopes = _find_slopes(world, self)
+        for knot, i in zip(self.hits, self.contacts[self.contacts >= 0], strict=True):
+            kick, J = (
+                world.calc_velocity_change(q[knot], np.eye(m)[i]),
+                world.calc_contact_jacobian(q[knot])[i],
+            )
+            impulses[knot, i] = J @ (v[knot] - slopes[knot - 1]) / (J @ kick)
+            v[knot] -= impulses[knot, i] * kick
+        forces = np.zeros((len(self.controls), m))
+        return Trajectory(self.times, q, v, self.controls, impulses, forces)
 
 
 class Dip(NamedTuple):
@@ -127,6 +157,30 @@ class _Joint(NamedTuple):
     contact: int  # what is touched then, or −1
     held: int  # what is held from then on, or −1
     mode: int  # how the impact ends
+
+
+def lay_onto(touches: TouchSequence, times: Floats) -> tuple[Floats, Phases]:
+    """Returns knots, those given and one at each touch and release, and the phases between.
+
+    Args:
+        touches: by time.
+        times: of knots, from 0 on [s]; those that nearly are at a touch are left out.
+    """
+    duration = float(times[-1])
+    joints = list(_find_joints(touches, duration))
+    ends = np.array([joint.time for joint in joints])
+    off = np.abs(times[1:-1, np.newaxis] - ends).min(axis=1, initial=np.inf)
+    inside = times[1:-1][off > _SAME * duration]
+    knots = np.sort(np.concatenate([[0.0], inside, ends, [duration]]))
+    phases = Phases(
+        contacts=np.array([joint.contact for joint in joints], dtype=np.int64),
+        knots=np.searchsorted(knots, ends),
+        durations=np.diff(ends, prepend=0.0, append=duration),
+        total=(duration, duration),
+        held=np.array([-1, *(joint.held for joint in joints)]),
+        modes=np.array([joint.mode for joint in joints], dtype=np.int64),
+    )
+    return knots, phases
 
 
 def _find_joints(touches: TouchSequence, duration: float) -> Iterator[_Joint]:

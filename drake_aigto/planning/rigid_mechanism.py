@@ -223,8 +223,8 @@ class RigidMechanismProblem(MechanismProblem):
         middles = (times[1:] + times[:-1]) / 2
         row = np.clip(np.searchsorted(guess.times, middles) - 1, 0, len(guess.controls) - 1)
         states = sample(self.world, guess, times)
-        problem = self._pose_phases(times, phases)
-        return _join(problem.solve(guess.controls[row], states, options), phases)
+        problem = self.pose_phases(times, phases)
+        return BouncingResult.of(problem.solve(guess.controls[row], states, options), phases)
 
     def _refine(self, motion: BouncingResult, clearances: Floats | None = None) -> BouncingResult:
         """Returns the optimum near a motion with as many substeps as its accuracy takes.
@@ -233,7 +233,7 @@ class RigidMechanismProblem(MechanismProblem):
         is steady is followed from its controls, by steps that never raise the cost.
         """
         phases = motion.phases(self._total)
-        problem = self._pose_phases(motion.times, phases, clearances)
+        problem = self.pose_phases(motion.times, phases, clearances)
         found: ShootingResult = motion
         error = problem.estimate_error(found)
         while True:
@@ -243,7 +243,7 @@ class RigidMechanismProblem(MechanismProblem):
             found = problem.starting_from(found).solve(found.controls, states, options)
             error = problem.starting_from(found).estimate_error(found)
             if error <= _EXACT or found.substeps >= _MOST_SUBSTEPS:
-                return _join(found, phases)
+                return BouncingResult.of(found, phases)
             found = dataclasses.replace(found, substeps=2 * found.substeps)
 
     def _settle(self, motion: BouncingResult, clearances: Floats) -> BouncingResult:
@@ -255,14 +255,14 @@ class RigidMechanismProblem(MechanismProblem):
         phases = motion.phases(self._total)
         if not len(phases.knots) or not np.isfinite(motion.cost):
             return motion
-        problem = self._pose_phases(motion.times, phases, clearances)
+        problem = self.pose_phases(motion.times, phases, clearances)
         settled = problem.solve(motion.controls, None, _SETTLED, motion.prices)
         is_better = settled.violation < motion.violation and self.price(settled) <= scaled(
             _FAR, self.price(motion)
         )
-        return _join(settled, phases) if is_better else motion
+        return BouncingResult.of(settled, phases) if is_better else motion
 
-    def _pose_phases(
+    def pose_phases(
         self, times: Floats, phases: Phases, clearances: Floats | None = None
     ) -> ShootingProblem:
         """Returns the task on rigid walls, in these phases."""
@@ -294,14 +294,6 @@ class RigidMechanismProblem(MechanismProblem):
     def _end_exactly(self, times: Floats) -> Floats:
         """Returns times that end when the scenario says: phases may be off a little."""
         return times * (np.clip(times[-1], *self._total) / times[-1])
-
-
-def _join(found: ShootingResult, phases: Phases) -> BouncingResult:
-    fields = {
-        field.name: getattr(found, field.name) for field in dataclasses.fields(ShootingResult)
-    }
-    places = {name: getattr(phases, name) for name in ("contacts", "knots", "held", "modes")}
-    return BouncingResult(**fields, **places)
 
 
 def make_mechanism_problem(

@@ -1,0 +1,171 @@
+"""The best motion from where a mechanism is, between rigid walls."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from drake_aigto.arrays import Floats, interpolate
+from drake_aigto.control.horizon import OVER, Horizon
+from drake_aigto.control.motion import Motion
+from drake_aigto.control.touches_left import choose, find_left
+from drake_aigto.planning import (
+    BouncingResult,
+    MechanismOptions,
+    RigidMechanismProblem,
+    RigidMechanismSearch,
+    lay_onto,
+)
+from drake_aigto.shooting import ShootingOptions, Smoothing
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription import TouchSequence
+from drake_aigto.world import Scenario, World
+
+# What misses its walls, bounds or hard goal by more than this part of the scales is no motion.
+_MUCH = 1e-2
+# Where nothing promises more than this part of the cost, a tick ends before its iterations do.
+_TOLERANCE = 1e-4
+# A tick's iterations are run so often more, until walls are met.
+_UPDATES = 4
+# What is tried where these lead to nothing, and leads on from what a search finds.
+_MORE = ShootingOptions(
+    rungs=(Smoothing(0.0, 20, _TOLERANCE),), substeps=4, order=2, multiplier_updates=8
+)
+
+
+class RigidMechanismHorizon(Horizon):
+    """A task of a mechanism between rigid walls: a plan is its touches, and its motion.
+
+    A few iterations of the descent, in the phases between the touches that are still to come, lead
+    from the last plan to the next (`Phases`). Which touches these are is asked as for balls.
+    """
+
+    def __init__(
+        self,
+        world: World,
+        scenario: Scenario,
+        options: MechanismOptions,
+        is_receding: bool,
+        iterations: int,
+        period: float,
+    ) -> None:
+        """Takes the planner's world, task and options.
+
+        Args:
+            world: the mechanism.
+            scenario: the task.
+            options: of searches.
+            is_receding: whether the horizon always lasts as long as the scenario, or ends with it.
+            iterations: of a descent in a tick, at most.
+            period: between ticks [s].
+        """
+        self._problem = RigidMechanismProblem(world, scenario, options)
+        super().__init__(world, scenario, is_receding, self._problem.search_steps)
+        self._period = period
+        rungs = (Smoothing(0.0, iterations, _TOLERANCE),)
+        self._options = dataclasses.replace(_MORE, rungs=rungs, multiplier_updates=_UPDATES)
+
+    @property
+    def cost_scale(self) -> float:
+        """What the task costs where all is off by its scale."""
+        return self._problem.scales.cost
+
+    @property
+    def restitution(self) -> float:
+        """The scenario's."""
+        return self.scenario.restitution
+
+    def is_inside(self, x: Floats) -> bool:
+        """Returns whether a wall is touched: how fast it is there, no rigid wall tells."""
+        return bool(np.any(self.world.calc_clearance(np.split(x, 2)[0]) <= 0))
+
+    def advance(self, motion: Motion, now: float, x: Floats) -> Motion | None:
+        """Returns what a few iterations make of what is left of a motion; None if that is none.
+
+        Its knots stay where they are, so that the motion stays what it was. Where the horizon
+        recedes, as many as are over come at its end, with the last control and state.
+        """
+        if now >= motion.trajectory.times[-1]:  # Nobody was told for that long.
+            motion = self.rest(now, x)
+        left = self._shift(motion.trajectory, now, x)
+        rates = self.world.calc_contact_rate(*np.split(x, 2))
+        duration = float(left.times[-1]) - now
+        sequences = list(find_left(motion.touches, now, duration, self._period, rates))
+        for options in (self._options, _MORE):
+            tried = (self._descend(left, touches, options) for touches in sequences)
+            if found := choose(tried, motion.cost):
+                return found
+        return None
+
+    def _shift(self, last: Trajectory, now: float, x: Floats) -> Trajectory:
+        """Returns what is left of a trajectory, from a state on, and what comes after it."""
+        k = int(np.searchsorted(last.times, now + OVER * self._step, side="right")) - 1
+        added = k if self.is_receding else 0
+        ahead = last.times[-1] + self._step * np.arange(1, added + 1)
+        q, v = np.split(x, 2)
+
+        def go_on(first: Floats, rows: Floats) -> Floats:
+            return np.vstack([first, rows[k + 1 :], *[rows[-1:]] * added])
+
+        controls = np.vstack([last.controls[k:], *[last.controls[-1:]] * added])
+        none = np.zeros(self.world.num_contacts)
+        return Trajectory(
+            times=np.concatenate([[now], last.times[k + 1 :], ahead]),
+            positions=go_on(q, last.positions),
+            velocities=go_on(v, last.velocities),
+            controls=controls,
+            impulses=np.vstack([none, last.impulses[k + 1 :], np.zeros((added, len(none)))]),
+            forces=np.zeros((len(controls), len(none))),
+        )
+
+    def _descend(
+        self, left: Trajectory, touches: TouchSequence, options: ShootingOptions
+    ) -> Motion | None:
+        """Returns the best motion near a trajectory, with touches as times after its start."""
+        now, (q, v) = float(left.times[0]), (left.positions, left.velocities)
+        elapsed = left.times - now
+        times, phases = lay_onto(touches, elapsed)
+        after = np.hstack([q, v + self.world.calc_velocity_change(q, left.impulses)])
+        middles = (times[1:] + times[:-1]) / 2
+        problem = dataclasses.replace(self._problem.pose_phases(times, phases), start=after[0])
+        controls = left.controls[np.searchsorted(elapsed, middles) - 1]
+        found = problem.solve(controls, interpolate(times, elapsed, after), options)
+        return self._read(BouncingResult.of(found, phases), now)
+
+    def _read(self, found: BouncingResult, now: float) -> Motion | None:
+        """Returns a result as a motion from now on; None if it leads nowhere, or misses walls."""
+        is_finite = np.isfinite(found.cost) and np.all(np.isfinite(found.states))
+        if not is_finite or found.violation > _MUCH:
+            return None
+        touches = (
+            dataclasses.replace(each, start=each.start + now, end=each.end + now)
+            for each in found.touches
+        )
+        motion = found.as_trajectory(self.world)
+        moved = dataclasses.replace(motion, times=motion.times + now)
+        return Motion(moved, self._problem.price(found), tuple(touches))
+
+    def search(self, now: float, x: Floats) -> Motion | None:
+        """Returns the best motion that boxes, renewals and neighbors lead to; None if none."""
+        # No plan may start beyond its bounds, where an estimate may be.
+        bounds, (q, v) = self._problem.bounds, np.split(x, 2)
+        left = self.end(now) - now
+        scenario = dataclasses.replace(
+            self.scenario,
+            initial_position=np.clip(q, *bounds.position),
+            initial_velocity=np.clip(v, *bounds.velocity),
+            duration=left,
+            time_step=left / self.scenario.num_steps,
+        )
+        problem = self._problem.again(scenario)
+        assert isinstance(problem, RigidMechanismProblem)
+        search = RigidMechanismSearch(problem)
+        search.explore()
+        if not search.motions:
+            return None
+        found = search.motions[0].result
+        assert isinstance(found, BouncingResult)
+        motion = found.as_trajectory(self.world)
+        moved = dataclasses.replace(motion, times=motion.times + now)
+        return self._descend(self._shift(moved, now, x), found.touches, _MORE)

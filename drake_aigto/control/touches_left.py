@@ -1,0 +1,82 @@
+"""Which touches of a plan may still come, and which motion is taken of several."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
+
+from drake_aigto.arrays import Floats
+from drake_aigto.control.motion import Motion
+from drake_aigto.transcription import Touch, TouchSequence
+
+# Touches that are planned within so many periods of now may have happened, or not yet.
+_NEAR = 2.0
+# What costs so much more than the last plan, as a share of that, is dearer: noise makes less of it.
+_DEARER = 0.05
+# Touches are kept this part of the time that is left apart, and away from both ends.
+_APART = 1e-4
+
+
+def find_left(
+    touches: Sequence[Touch],
+    now: float,
+    left: float,
+    period: float,
+    rates: Floats,
+    bounced: int | None = None,
+) -> Iterator[TouchSequence]:
+    """Yields the touches of a plan that may be left, as times from now on, the likelier ones first.
+
+    Which these are, a state does not tell for sure: a bounce may come sooner or later than it was
+    planned. What leaves a wall may have been there; what comes to it has not.
+
+    Args:
+        touches: of the plan.
+        now: the time [s].
+        left: how long it goes on [s].
+        period: between ticks [s].
+        rates: φ̇ of each contact, shape (m,) [m/s].
+        bounced: the contact that was just seen to bounce, if one was.
+    """
+    near = _NEAR * period
+    coming = [touch for touch in touches if touch.end > now]
+    late = [touch for touch in touches if now - near < touch.end <= now]
+    if late and rates[late[-1].contact] < 0:
+        yield _fit([late[-1], *coming], now, left)
+    whole, fewer = _fit(coming, now, left), _fit(coming[1:], now, left)
+    if not coming:
+        yield whole
+        return
+    comes = rates[coming[0].contact] < 0
+    is_near = coming[0].start < now + near or coming[0].contact == bounced
+    if is_near and not comes:
+        yield from (fewer, whole)
+    else:
+        yield from (whole, fewer) if is_near or not comes else (whole,)
+
+
+def choose(tried: Iterable[Motion | None], last: float) -> Motion | None:
+    """Returns the first motion that is no dearer than the last plan, or else the cheapest one.
+
+    Args:
+        tried: motions, the likelier ones first.
+        last: what the last plan costs.
+    """
+    found: list[Motion] = []
+    for motion in tried:
+        found += [motion] if motion else []
+        if motion and motion.cost <= (1 + _DEARER) * last:
+            break
+    return min(found, key=lambda each: each.cost, default=None)
+
+
+def _fit(touches: Sequence[Touch], now: float, left: float) -> TouchSequence:
+    """Returns touches as times from now on, in order and apart, of what is left [s]."""
+    least = _APART * left
+    found: list[Touch] = []
+    for touch in touches:
+        start = max(touch.start - now, least + (found[-1].end if found else 0.0))
+        end = max(touch.end - now, start + least) if touch.lasts else start
+        if end < left - least:
+            found.append(replace(touch, start=start, end=end))
+    return tuple(found)
