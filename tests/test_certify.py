@@ -199,6 +199,20 @@ def test_an_optimum_that_mirrors_itself_on_a_curved_bound_is_proven() -> None:
     assert details.lower_bound == pytest.approx(-10.0, abs=1e-4)  # at x = √2, y = 1, z = 1/√2
 
 
+def test_what_only_rows_vary_along_is_cut_too() -> None:
+    """HS 66: the cost has no y."""
+    prog = MathematicalProgram()
+    x, y, z = prog.NewContinuousVariables(3, "x")
+    prog.AddBoundingBoxConstraint(0.0, 10.0, [x, y, z])
+    prog.AddCost(0.2 * z - 0.8 * x)
+    prog.AddConstraint(y - sym.exp(x) >= 0.0)
+    prog.AddConstraint(z - sym.exp(y) >= 0.0)
+    details = AigoSolver(CERTIFY).Solve(prog).get_solver_details()
+    assert details.status == AigoStatus.PROVEN
+    assert details.certificate.cells < 10_000
+    assert details.lower_bound == pytest.approx(0.5181632741, abs=1e-6)
+
+
 def test_that_there_is_no_feasible_point_is_proven() -> None:
     prog, (x, y) = program(lambda x, y: x, 2)
     prog.AddConstraint((x - y) ** 2 + (x * y - 3.0) ** 2 <= -0.01)

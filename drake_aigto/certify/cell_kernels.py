@@ -288,7 +288,10 @@ def _press(low: Floats, high: Floats, outer: Floats, work: Work) -> bool:
 
 @inner
 def _widest(low: Floats, high: Floats, sides: Floats, work: Work) -> int:
-    """Returns the variable along which f varies the most, as the gradients of its cell tell."""
+    """Returns the variable with the largest part in what formulas vary by, of those not too short.
+
+    Its parts are in `work.low_steps`.
+    """
     longest = 0.0
     for i in range(low.size):
         longest = max(longest, (high[i] - low[i]) / sides[i])
@@ -297,14 +300,29 @@ def _widest(low: Floats, high: Floats, sides: Floats, work: Work) -> int:
         length = high[i] - low[i]
         if length / sides[i] < _LEAST_SIDE * longest or length == 0.0:
             continue
-        a, b = work.over_cell[i, 0], work.over_cell[i, 1]
-        change = max(-a, b) * length
-        change = change if math.isfinite(change) else 1e200 * (length / sides[i])
-        if math.isinf(length):
-            change = np.inf
+        change = np.inf if math.isinf(length) else work.low_steps[i]
         if change > most:
             best, most = i, change
     return best
+
+
+@pasted
+def _add_parts(
+    tape: Tape, formula: int, least: float, most: float, low: Floats, high: Floats, work: Work
+) -> None:
+    """Adds each variable's part in what a formula varies by, unless it is within bounds anyway."""
+    scratch, changes = work.scratch, work.high_steps
+    end = enclose(tape, formula, low, high, GRADIENT, scratch)
+    if end < 0 or (scratch.values[end, 0] >= least and scratch.values[end, 1] <= most):
+        return
+    total = 0.0
+    for i in range(low.size):
+        a, b = scratch.gradients[end, i, 0], scratch.gradients[end, i, 1]
+        changes[i] = max(-a, b) * (high[i] - low[i]) if high[i] > low[i] else 0.0
+        changes[i] = min(changes[i], 1e200) if changes[i] >= 0.0 else 1e200
+        total += changes[i]
+    for i in range(low.size):
+        work.low_steps[i] += changes[i] / total if total > 0.0 else 0.0
 
 
 @kernel
@@ -341,9 +359,11 @@ def explore(
         copy(heap.low[place], low)
         copy(heap.high[place], high)
         # What its gradients were is not kept.
-        end = enclose(tape, COST, low, high, GRADIENT, work.scratch)
-        if end >= 0:
-            copy_pairs(work.scratch.gradients[end], work.over_cell)
+        for i in range(low.size):
+            work.low_steps[i] = 0.0
+        _add_parts(tape, COST, np.inf, -np.inf, low, high, work)
+        for j in range(rows.lower.size):
+            _add_parts(tape, 1 + j, rows.lower[j], rows.upper[j], low, high, work)
         i = _widest(low, high, sides, work)
         middle = _middle(low[i], high[i]) if i >= 0 else 0.0
         if i < 0 or not low[i] < middle < high[i]:
