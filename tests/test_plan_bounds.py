@@ -13,9 +13,10 @@ from benchmarks.world_scenarios import WORLDS
 from drake_aigto import Plan, Planner, PlanningError, PlanOptions, Scenario, World
 from drake_aigto.certify import PlanBound, bound_plans, out_of_reach
 from drake_aigto.certify.lines import Line, Wall
+from drake_aigto.certify.mirrors import fold
 from drake_aigto.certify.touches import bound_line
 from drake_aigto.optima import line_optimum as optima
-from drake_aigto.optima import rigid_optimum, walls_optimum
+from drake_aigto.optima import masses_optimum, rigid_optimum, walls_optimum
 from drake_aigto.show.plans import format_plan
 
 
@@ -54,14 +55,41 @@ def test_several_walls_are_bounded_by_the_exact_optimum(name: str) -> None:
         assert gap <= 1e-2
 
 
+def test_like_masses_that_touch_are_bounded_by_the_exact_optimum() -> None:
+    for scenario in WORLDS["two_masses"].draw(40, 0):
+        world = World.from_scenario(scenario)
+        least = masses_optimum(world, scenario).cost
+        low, gap = known(bound_plans(world, scenario, 1.5 * least + 1e-6), least)
+        assert low <= least * (1 + 1e-9)
+        assert gap <= 1e-6
+
+
 @pytest.mark.parametrize(
-    ("name", "reason"), [("two_masses", "couple the axes"), ("room_with_block", "a block")]
+    ("name", "restitution", "reason"),
+    [("two_masses", 0.8, "touches take energy away"), ("room_with_block", 1.0, "a block")],
 )
-def test_what_couples_the_axes_has_no_bound(name: str, reason: str) -> None:
-    scenario = next(WORLDS[name].draw(1, 0))
+def test_what_couples_the_axes_may_have_no_bound(
+    name: str, restitution: float, reason: str
+) -> None:
+    scenario = dataclasses.replace(next(WORLDS[name].draw(1, 0)), restitution=restitution)
     bound = bound_plans(World.from_scenario(scenario), scenario, 1.0)
     assert bound.lower_bound is None
     assert reason in bound.reason
+
+
+def test_a_place_is_folded_into_a_room_of_mirrors() -> None:
+    """Any triangle of 45°, 45° and 90°: what two of its images have in common is folded alike."""
+    normals, offsets = np.array([[1.0, 0.0], [-1.0, 1.0], [0.0, -1.0]]), np.array([0.0, 0.0, 1.0])
+    rng = np.random.default_rng(1)
+    for _ in range(30):
+        place = np.sort(rng.uniform(size=2))
+        image = place
+        for turn in rng.integers(0, 3, 20):
+            n, d = normals[turn], offsets[turn]
+            image = image - 2.0 * (n @ image + d) / (n @ n) * n
+        folded = fold(image, normals, offsets)
+        assert folded is not None
+        assert np.allclose(folded, place, atol=1e-12)
 
 
 @pytest.mark.parametrize("restitution", [0.0, 1.0])

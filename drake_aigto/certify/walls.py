@@ -5,7 +5,7 @@ unit time, with ∫ ẍ² priced at 1, the goal at w, and k(τ) = 3w/(3 + wτ³)
 
 - Without walls, the cost is k(1) D² at least, D how far from the goal it coasts to.
 - Elastic walls are mirrors: any motion is a flight without walls to one of the goal's images, so
-  that D is the distance to the nearest image.
+  that D is the distance to the nearest image (`mirrors`, where touches couple the axes, too).
 - Else it touches nothing, which is a flight; or it touches a wall first, at time s and speed a. Up
   to there, a cubic is the cheapest motion:
 
@@ -20,7 +20,7 @@ unit time, with ∫ ẍ² priced at 1, the goal at w, and k(τ) = 3w/(3 + wτ³)
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -29,6 +29,7 @@ from pydrake.solvers import ExpressionCost, MathematicalProgram
 
 from drake_aigto.certify.certificate import Certifier
 from drake_aigto.certify.lines import Line, Wall
+from drake_aigto.certify.mirrors import fold, obstacle_to_mirrors
 from drake_aigto.certify.touches import bound_line
 from drake_aigto.errors import ModelError
 from drake_aigto.world import ConstantDynamics, Scales, Scenario, World
@@ -82,8 +83,11 @@ def bound_plans(world: World, scenario: Scenario, cost: float) -> PlanBound:
     reason = _obstacle(world, scenario)
     if reason:
         return PlanBound(None, reason, scale)
-    lines = _make_lines(world, scenario)
-    total = sum(line.price * _bound(line, cost / line.price) for line in lines)
+    if _is_coupled(world.constant_dynamics):
+        total = _mirrored(world, scenario)
+    else:
+        lines = _make_lines(world, scenario)
+        total = sum(line.price * _bound(line, cost / line.price) for line in lines)
     least = max(0.0, total * (1.0 - _ROUNDING) - _ROUNDING * 1e-3 * scale)
     return PlanBound(min(least, cost), "", scale)
 
@@ -103,12 +107,31 @@ def _obstacle(world: World, scenario: Scenario) -> str:
         return f"friction, or dynamics that vary: {error}"
     if len(dynamics.solids) != len(world.contacts):
         return "what is no wall but a block can be passed on several sides"
-    if np.any(np.count_nonzero(dynamics.jacobian, axis=1) != 1):
-        return "a wall askew, or two masses that touch, couple the axes"
+    if _is_coupled(dynamics):
+        why = obstacle_to_mirrors(dynamics, world.restitutions(scenario))
+        return f"a wall askew, or two masses that touch, couple the axes; {why}" if why else ""
     worth = dynamics.gain @ dynamics.gain.T
     if np.any(np.abs(worth - np.diag(np.diag(worth))) > 0.0) or np.any(np.diag(worth) <= 0.0):
         return "controls act on several axes at once, or not on all"
     return _odd_walls(dynamics)
+
+
+def _is_coupled(dynamics: ConstantDynamics) -> bool:
+    """Returns whether a touch changes speed along several axes."""
+    return bool(np.any(np.count_nonzero(dynamics.jacobian, axis=1) != 1))
+
+
+def _mirrored(world: World, scenario: Scenario) -> float:
+    """Returns the cost of a flight to the nearest image of the goal."""
+    dynamics, T = world.constant_dynamics, scenario.duration
+    coast = scenario.initial_position + T * scenario.initial_velocity
+    folded = fold(coast, dynamics.jacobian, dynamics.offset)
+    if folded is None:
+        return 0.0
+    worth = float((dynamics.gain @ dynamics.gain.T)[0, 0])
+    price = float(scenario.control_weight / (T**3 * worth))
+    miss = float(np.sum((scenario.goal_position - folded) ** 2))
+    return price * _goal_price(float(scenario.goal_weight / price)) * miss
 
 
 def _odd_walls(dynamics: ConstantDynamics) -> str:
@@ -143,8 +166,10 @@ def _bound(line: Line, most: float) -> float:
     if line.drift and line.walls:
         return bound_line(line, most)
     if all(wall.restitution == 1.0 for wall in line.walls):
-        coast = line.goal - line.miss
-        miss = min(abs(image - coast) for image in _images(line, coast))
+        sides = np.array([[float(wall.side)] for wall in line.walls]).reshape(-1, 1)
+        offsets = np.array([-wall.side * wall.position for wall in line.walls])
+        folded = fold(np.array([line.goal - line.miss]), sides, offsets)
+        miss = 0.0 if folded is None else line.goal - float(folded[0])
         return _goal_price(line.weight) * miss**2
     found = [_touch_bound(line, wall, most) for wall in line.walls]
     if not _passes_wall(line):
@@ -154,18 +179,6 @@ def _bound(line: Line, most: float) -> float:
 
 def _goal_price(weight: float) -> float:
     return 3.0 * weight / (3.0 + weight)
-
-
-def _images(line: Line, coast: float) -> Sequence[float]:
-    """Returns the images of the goal in elastic walls, those around a place."""
-    goal, places = line.goal, [wall.position for wall in line.walls]
-    if len(places) < 2:
-        return (goal, *(2.0 * place - goal for place in places))
-    low, high = sorted(places)
-    period = 2.0 * (high - low)
-    first = math.floor((coast - goal) / period) - 1
-    turns = [period * number for number in range(first, first + 4)]
-    return [turn + image for turn in turns for image in (goal, 2.0 * low - goal)]
 
 
 def _passes_wall(line: Line) -> bool:
