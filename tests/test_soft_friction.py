@@ -164,3 +164,24 @@ def test_a_finger_turns_a_spinner_that_nothing_else_drives() -> None:
     assert plan.cost < 3.2
     for replay in plan.replay:
         assert 1.8 < replay.positions[-1, 2] < 2.2
+
+
+@pytest.mark.slow
+def test_a_block_is_pushed_up_to_a_stop_and_slides_on_to_its_goal() -> None:
+    scenario = Scenario.named("pushed_block/slide")
+    plan = Planner(scenario, MechanismOptions(renewals=16)).plan()
+    assert plan.holds
+    for replay in plan.replay:
+        assert replay.positions[-1, 1] == pytest.approx(1.0, abs=0.01)
+        slides = (replay.times > 1.0) & (replay.velocities[:, 1] > 0.1)
+        times, speeds = replay.times[slides], replay.velocities[slides, 1]
+        # It slows down at μ g.
+        assert (speeds[0] - speeds[-1]) / (times[-1] - times[0]) == pytest.approx(2.943, rel=1e-3)
+
+
+@pytest.mark.slow
+def test_a_hopper_hops_to_its_goal() -> None:
+    plan = Planner(Scenario.named("hopper/hop"), MechanismOptions(renewals=8, finalists=1)).plan()
+    assert plan.holds
+    for replay in plan.replay:
+        np.testing.assert_allclose(replay.positions[-1, :2], [0.7, 0.5], atol=0.05)
