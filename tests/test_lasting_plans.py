@@ -28,11 +28,21 @@ def test_carts_are_pushed_apart_one_after_the_other() -> None:
 
 def test_touches_that_last_are_held_until_they_end_or_another_one_begins() -> None:
     touches = (Touch(0.2, 0.5, 1), Touch.bounce(0.4, 0), Touch(0.6, 0.7, 1), Touch(0.8, 1.0, 0))
-    times, phases = lay_out(touches, 20, 1.0, (1.0, 1.0))
+    times, phases = lay_out(touches, 20, 1.0, (1.0, 1.0), 2)
     np.testing.assert_array_equal(phases.contacts, [1, 0, 1, -1, 0])
-    np.testing.assert_array_equal(phases.held, [-1, 1, -1, 1, -1, 0])
+    np.testing.assert_array_equal(phases.held[:, 0], [False] * 5 + [True])
+    np.testing.assert_array_equal(phases.held[:, 1], [False, True, False, True, False, False])
     np.testing.assert_allclose(times[phases.knots], [0.2, 0.4, 0.6, 0.7, 0.8])
     assert times[-1] == pytest.approx(1.0)
-    few, short = lay_out(touches, 3, 1.0, (1.0, 1.0))
+    few, short = lay_out(touches, 3, 1.0, (1.0, 1.0), 2)
     assert len(short.contacts) == 2
     assert len(few) == 4
+
+
+def test_touches_that_last_may_overlap_and_those_that_end_together_do_so_at_once() -> None:
+    touches = (Touch(0.1, 0.8, 0), Touch(0.2, 0.4, 1), Touch(0.5, 0.805, 1))
+    times, phases = lay_out(touches, 20, 1.0, (1.0, 1.0), 2)
+    np.testing.assert_array_equal(phases.contacts, [0, 1, -1, 1, -1])
+    np.testing.assert_array_equal(phases.held[:, 0], [False, True, True, True, True, False])
+    np.testing.assert_array_equal(phases.held[:, 1], [False, False, True, False, True, False])
+    np.testing.assert_allclose(times[phases.knots], [0.1, 0.2, 0.4, 0.5, 0.8])

@@ -150,7 +150,7 @@ def test_a_file_keeps_the_plan(throw: Plan, tmp_path: Path) -> None:
 @pytest.mark.parametrize("times", [[], [0.0, 0.0, 0.0], [1.0, 1.0], [0.1, 0.5, 0.50001, 0.99]])
 def test_knots_are_at_touches_and_rise_however_crowded_these_are(times: list[float]) -> None:
     touches = tuple(Touch.bounce(time) for time in times)
-    knots, phases = lay_out(touches, 6, 1.0, (1.0, 1.0))
+    knots, phases = lay_out(touches, 6, 1.0, (1.0, 1.0), 1)
     assert knots[0] == 0.0
     assert knots[-1] == 1.0
     assert np.all(np.diff(knots) > 0)

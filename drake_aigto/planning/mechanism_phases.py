@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from drake_aigto.arrays import Floats, Ints, read_only
+from drake_aigto.arrays import Bools, Floats, Ints, read_only
 from drake_aigto.planning.impact_modes import find_other_mode, read_mode
 from drake_aigto.shooting import Phases, ShootingResult
 from drake_aigto.trajectory import Trajectory
@@ -31,20 +31,21 @@ class BouncingResult(ShootingResult):
         contacts: what is touched at the end of each phase but the last, −1 where what was held
             lets go, shape (P − 1,).
         knots: where that is, shape (P − 1,).
-        held: which contact is held in each phase, or −1, shape (P,).
+        held: which contacts are held in each phase, shape (P, m).
         modes: how impacts end at contacts that rub (`Touch`), shape (P − 1,).
     """
 
     contacts: Ints
     knots: Ints
-    held: Ints
+    held: Bools
     modes: Ints
 
     def __post_init__(self) -> None:
         """Makes the arrays read-only."""
         super().__post_init__()
-        for name in ("contacts", "knots", "held", "modes"):
+        for name in ("contacts", "knots", "modes"):
             object.__setattr__(self, name, read_only(getattr(self, name), np.int64))
+        object.__setattr__(self, "held", read_only(self.held, np.bool_))
 
     @classmethod
     def of(cls, found: ShootingResult, phases: Phases) -> BouncingResult:
@@ -58,9 +59,8 @@ class BouncingResult(ShootingResult):
     def touches(self) -> TouchSequence:
         """What is touched, and when."""
         times, modes = self.times[[*self.knots, -1]].tolist(), self.modes.tolist()
-        ends = [times[i + 1] if self.held[i + 1] >= 0 else times[i] for i in range(len(modes))]
         return tuple(
-            Touch(times[i], ends[i], contact, modes[i])
+            Touch(times[i], times[self._find_end(i, contact)], contact, modes[i])
             for i, contact in enumerate(self.contacts.tolist())
             if contact >= 0
         )
@@ -70,6 +70,15 @@ class BouncingResult(ShootingResult):
         return Phases(
             self.contacts, self.knots, self.durations, total, held=self.held, modes=self.modes
         )
+
+    def _find_end(self, joint: int, contact: int) -> int:
+        """Returns where what is hit at a joint of phases is let go, or hit again."""
+        end, last = joint, len(self.contacts)
+        while end < last and self.held[end + 1, contact]:
+            end += 1
+            if end < last and self.contacts[end] == contact:
+                break
+        return end
 
     @property
     def hits(self) -> Ints:
@@ -120,18 +129,23 @@ class Dip(NamedTuple):
 
 
 def lay_out(
-    touches: TouchSequence, num_steps: int, duration: float, total: tuple[float, float]
+    touches: TouchSequence,
+    num_steps: int,
+    duration: float,
+    total: tuple[float, float],
+    num_contacts: int,
 ) -> tuple[Floats, Phases]:
     """Returns knots of which one is at each touch and release, and the phases between.
 
-    What a touch holds lets go where the next touch is, at the latest. Where there are not enough
-    steps, the last touches are left out.
+    What a touch holds lets go where the next bounce is, at the latest: touches that last may
+    overlap. Where there are not enough steps, the last touches are left out.
 
     Args:
         touches: by time.
         num_steps: N.
         duration: of the motion [s].
         total: the least and the most that it may become [s].
+        num_contacts: m.
     """
     joints = list(_find_joints(touches, duration))[: num_steps - 1]
     ends = np.clip([joint.time for joint in joints], 0.0, duration)
@@ -146,7 +160,9 @@ def lay_out(
     times = np.interp(np.arange(num_steps + 1), [0, *knots, num_steps], elapsed)
     contacts = np.array([joint.contact for joint in joints], dtype=np.int64)
     modes = np.array([joint.mode for joint in joints], dtype=np.int64)
-    held = np.array([-1, *(joint.held for joint in joints)])
+    held = np.zeros((1 + len(joints), num_contacts), dtype=np.bool_)
+    for phase, joint in enumerate(joints, start=1):
+        held[phase, joint.held] = True
     return times, Phases(contacts, knots, durations, total, held, modes)
 
 
@@ -155,7 +171,7 @@ class _Joint(NamedTuple):
 
     time: float  # [s]
     contact: int  # what is touched then, or −1
-    held: int  # what is held from then on, or −1
+    held: list[int]  # what is held from then on
     mode: int  # how the impact ends
 
 
@@ -184,11 +200,16 @@ def lay_onto(touches: TouchSequence, times: Floats) -> tuple[Floats, Phases]:
 
 
 def _find_joints(touches: TouchSequence, duration: float) -> Iterator[_Joint]:
+    ends: dict[int, float] = {}  # Of what is held.
     nexts = [*(touch.start for touch in touches), duration][1:]
     for touch, until in zip(touches, nexts, strict=True):
-        yield _Joint(touch.start, touch.contact, touch.contact if touch.lasts else -1, touch.mode)
-        if touch.lasts and touch.end < until:
-            yield _Joint(touch.end, -1, -1, 0)
+        ends = {**ends, touch.contact: touch.end} if touch.lasts else {}
+        yield _Joint(touch.start, touch.contact, list(ends), touch.mode)
+        while ends and (end := min(ends.values())) < until:
+            # What lets go at about the same time does so at once.
+            ends = {i: each for i, each in ends.items() if each > end + _SHORTEST * duration}
+            yield _Joint(end, -1, list(ends), 0)
+        ends = {i: end for i, end in ends.items() if end > until}
 
 
 def read_touches(
@@ -264,7 +285,7 @@ def find_lacks(world: World, motion: BouncingResult, margin: float) -> Floats:
         lacks[np.arange(N), np.array(faces)[foremost]] = margin - there.max(axis=1)
         touched = motion.knots[np.isin(motion.contacts, faces)]
         is_touched[touched[:, np.newaxis], faces] = True
-        along = np.flatnonzero(np.isin(motion.held, faces))
+        along = np.flatnonzero(motion.held[:, faces].any(axis=1))
         ends = [0, *motion.knots.tolist(), N]
         for phase in along.tolist():
             is_touched[ends[phase] : ends[phase + 1] + 1, faces] = True

@@ -219,7 +219,7 @@ class RigidMechanismProblem(MechanismProblem):
     ) -> BouncingResult:
         """Returns the motion with these touches near another one."""
         T = float(guess.times[-1])
-        times, phases = lay_out(touches, num_steps, T, self._total)
+        times, phases = lay_out(touches, num_steps, T, self._total, self.world.num_contacts)
         middles = (times[1:] + times[:-1]) / 2
         row = np.clip(np.searchsorted(guess.times, middles) - 1, 0, len(guess.controls) - 1)
         states = sample(self.world, guess, times)

@@ -118,8 +118,8 @@ class RigidMechanismSearch(MechanismSearch):
         ends = [0, *motion.knots.tolist(), len(times) - 1]
         lasting = self.problem.lasting
         places = np.cumsum([0, *(motion.contacts >= 0)]).tolist()
-        for place, (first, last) in zip(places, pairwise(ends), strict=True):
-            for contact in range(world.num_contacts if last - first > 1 else 0):
+        for place, (first, last), held in zip(places, pairwise(ends), motion.held, strict=True):
+            for contact in np.flatnonzero(~held).tolist() if last - first > 1 else []:
                 nearest = first + 1 + int(np.argmin(distances[first + 1 : last, contact]))
                 state = motion.states[nearest]
                 mode = read_mode(world, law, contact, state[:n], state[n:])

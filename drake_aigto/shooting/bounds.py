@@ -56,8 +56,8 @@ def add_bounds(
         if k < program.kinds.size and program.kinds[k] >= 0:
             cost += _add_approach(program, k, states[k], penalty, has_slopes, memory)
             cost += _add_cone(program, k, states[k], penalty, has_slopes, memory)
-        if k < program.held.size and program.kinds[k] == FLOW and program.held[k] >= 0:
-            cost += _add_force(program, k, states[k], controls[k], penalty, has_slopes, memory)
+        if k < program.kinds.size and program.kinds[k] == FLOW and program.held[k].any():
+            cost += _add_forces(program, k, states[k], controls[k], penalty, has_slopes, memory)
     return cost
 
 
@@ -115,14 +115,13 @@ def _measure_cone(program: Program, k: int, z: Floats, has_slopes: bool, memory:
         return False
     measure_distances(program, z, has_slopes, memory)
     factor_mass(mechanics.actuation.shape[0], room.sums, room.factor)
-    restitution = 0.0 if program.held[k] == contact else mechanics.contacts[contact, 2]
     strike(
         contact,
         mechanics.contacts.shape[0],
         mechanics.rubs,
         rub,
         program.modes[k],
-        restitution,
+        program.restitutions[k],
         z,
         has_slopes,
         room.sums,
@@ -153,7 +152,7 @@ def _add_cone(
 
 
 @inner
-def _add_force(
+def _add_forces(
     program: Program,
     k: int,
     z: Floats,
@@ -163,20 +162,22 @@ def _add_force(
     memory: Memory,
 ) -> float:
     """Returns what λ ≥ 0 adds where stage k starts; adds to derivatives by (z, u) if asked."""
-    bounds, nz, nx = program.bounds, z.size, memory.flow.points.shape[1]
+    bounds, nz, nx, held = program.bounds, z.size, memory.flow.points.shape[1], program.held[k]
     l1, l2, by_force = memory.expansion.l1, memory.expansion.l2, memory.flow.mechanics.by_force
-    weight = penalty * bounds.force_weight
-    mechanics, room = program.mechanics, memory.flow.mechanics
-    force = press(mechanics, program.held[k], z[:nx], u, has_slopes, room)
-    off = min(force + bounds.force_multipliers[k] / weight, 0.0)
-    if has_slopes and off < 0.0:
-        for i in range(by_force.size):
-            row = i if i < nx else nz + i - nx
-            l1[k, row] += weight * off * by_force[i]
-            for j in range(i, by_force.size):
-                column = j if j < nx else nz + j - nx
-                l2[k, row, column] += weight * by_force[i] * by_force[j]
-    return weight * off * off / 2
+    weight, cost = penalty * bounds.force_weight, 0.0
+    press(program.mechanics, held, z[:nx], u, has_slopes, memory.flow.mechanics)
+    for i in range(held.size):
+        force = memory.flow.mechanics.grip[held.size, i]
+        off = min(force + bounds.force_multipliers[k, i] / weight, 0.0)
+        cost += weight * off * off / 2
+        if has_slopes and off < 0.0:
+            for c in range(by_force.shape[0]):
+                row = c if c < nx else nz + c - nx
+                l1[k, row] += weight * off * by_force[c, i]
+                for d in range(c, by_force.shape[0]):
+                    column = d if d < nx else nz + d - nx
+                    l2[k, row, column] += weight * by_force[c, i] * by_force[d, i]
+    return cost
 
 
 @inner
@@ -270,12 +271,14 @@ def measure_bounds(
                     if updates:
                         multiplier = bounds.cone_multipliers[k, side] + weight * speed
                         bounds.cone_multipliers[k, side] = min(multiplier, 0.0)
-        if k < program.held.size and program.kinds[k] == FLOW and program.held[k] >= 0:
+        if k < program.kinds.size and program.kinds[k] == FLOW and program.held[k].any():
             weight, nx = penalty * bounds.force_weight, memory.flow.points.shape[1]
             mechanics, room = program.mechanics, memory.flow.mechanics
-            force = press(mechanics, program.held[k], states[k, :nx], controls[k], False, room)
-            worst = max(worst, -np.sqrt(bounds.force_weight) * force)
-            if updates:
-                multiplier = bounds.force_multipliers[k] + weight * force
-                bounds.force_multipliers[k] = min(multiplier, 0.0)
+            press(mechanics, program.held[k], states[k, :nx], controls[k], False, room)
+            for i in range(program.held.shape[1]):
+                force = room.grip[program.held.shape[1], i]
+                worst = max(worst, -np.sqrt(bounds.force_weight) * force)
+                if updates:
+                    multiplier = bounds.force_multipliers[k, i] + weight * force
+                    bounds.force_multipliers[k, i] = min(multiplier, 0.0)
     return worst

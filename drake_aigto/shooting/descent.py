@@ -53,7 +53,7 @@ def _travel(
     code, numbers, _, actuation, contacts, solids, rubs = program.mechanics
     effort, running, final, errors_of, goal, times, reference = program.task
     room, points, by_column, by_start = memory.flow
-    values, sums, factor, force, rub, acceleration, slopes, support, by_force = room
+    values, sums, factor, force, rub, acceleration, slopes, support, grip, by_force = room
     F, l1, l2, gaps = memory.expansion
     feedforward, gains = memory.sweep.feedforward, memory.sweep.gains
     lower, upper = program.bounds.lower_control, program.bounds.upper_control
@@ -78,11 +78,11 @@ def _travel(
             jump(
                 code,
                 numbers,
-                contacts,
                 rubs,
                 kinds[k],
-                program.held[k] == kinds[k],
                 program.modes[k],
+                program.struck[k],
+                program.restitutions[k],
                 points.shape[1],
                 z,
                 u[0],
@@ -90,8 +90,10 @@ def _travel(
                 values,
                 sums,
                 factor,
-                acceleration,
                 slopes,
+                support,
+                grip,
+                by_force,
                 memory.strike,
                 after,
                 F[k],
@@ -128,6 +130,7 @@ def _travel(
                 acceleration,
                 slopes,
                 support,
+                grip,
                 by_force,
                 points,
                 by_column,

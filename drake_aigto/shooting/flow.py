@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from drake_aigto.arrays import Floats, Ints
+from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.jit import inner
 from drake_aigto.shooting.hold import hold
 from drake_aigto.shooting.mechanism import accelerate
@@ -100,7 +100,7 @@ def flow(
     share: float,
     substeps: int,
     method: Floats,
-    held: int,
+    held: Bools,
     z: Floats,
     u: Floats,
     eps: float,
@@ -113,6 +113,7 @@ def flow(
     acceleration: Floats,
     slopes: Floats,
     support: Floats,
+    grip: Floats,
     by_force: Floats,
     points: Floats,
     by_column: Floats,
@@ -126,7 +127,7 @@ def flow(
 
     It takes what `Mechanics` and `Task` hold, when the stage starts [s] (of phases the state says
     it), how long it lasts [s] (of phases, as a share of τ), its Runge-Kutta steps and their method,
-    the contact that is held or a negative number, its state z and control u, the smoothing ε [m],
+    which contacts are held, its state z and control u, the smoothing ε [m],
     whether derivatives are asked for, and what the memories hold. Results are the state after it,
     shape (nz,); F, its derivative by (z, u), shape (nz, nc); l1, the gradient of the cost, shape
     (nc,); and l2, the upper triangle of its Gauss-Newton Hessian.
@@ -134,7 +135,7 @@ def flow(
     nx, nz, n, columns = points.shape[1], z.size, actuation.shape[0], by_column.size
     x, y, slope, total, errors = points[0], points[1], points[2], points[3], points[4:]
     X, Y, K, sum_K = by_start[0], by_start[1], by_start[2], by_start[3]
-    duration, has_phases = share, nz > nx
+    duration, has_phases, holds = share, nz > nx, bool(held.any())
     if has_phases:
         duration, start = share * float(z[nx]), float(z[nx + 1])
     delta, unit, cost = duration / substeps, share / substeps, 0.0
@@ -167,7 +168,7 @@ def flow(
                 y,
                 u,
                 eps,
-                has_slopes or held >= 0,
+                has_slopes or holds,
                 values,
                 sums,
                 factor,
@@ -176,15 +177,15 @@ def flow(
                 acceleration,
                 slopes,
             )
-            if held >= 0:
+            if holds:
                 hold(
                     held,
-                    contacts.shape[0],
                     y,
                     has_slopes,
                     sums,
                     factor,
                     support,
+                    grip,
                     by_force,
                     acceleration,
                     slopes,

@@ -1,12 +1,14 @@
-"""Where a phase starts: an impact on a rigid wall, and the phase's duration."""
+"""Where a phase starts: an impact on rigid walls, and the phase's duration."""
 
 from __future__ import annotations
 
-from drake_aigto.arrays import Floats, Ints
+from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.jit import inner
+from drake_aigto.linear import solve_factored
 from drake_aigto.shooting.flow import clear
-from drake_aigto.shooting.layout import triangle
-from drake_aigto.shooting.mechanism import divide_by_mass, factor_mass
+from drake_aigto.shooting.hold import clasp, turn
+from drake_aigto.shooting.layout import find_rows, triangle
+from drake_aigto.shooting.mechanism import factor_mass
 from drake_aigto.shooting.strike import StrikeMemory, differentiate_strike, find_rub, strike
 from drake_aigto.shooting.tape import run_tape
 
@@ -15,11 +17,11 @@ from drake_aigto.shooting.tape import run_tape
 def jump(
     code: Ints,
     numbers: Floats,
-    contacts: Floats,
     rubs: Floats,
     contact: int,
-    is_held: bool,
     mode: int,
+    struck: Bools,
+    restitution: float,
     nx: int,
     z: Floats,
     duration: float,
@@ -27,8 +29,10 @@ def jump(
     values: Floats,
     sums: Floats,
     factor: Floats,
-    kick: Floats,
     slopes: Floats,
+    support: Floats,
+    grip: Floats,
+    by_force: Floats,
     room: StrikeMemory,
     after: Floats,
     F: Floats,
@@ -37,9 +41,10 @@ def jump(
 ) -> None:
     """Computes the state (q, v⁺, τ, t) after the start of a phase; with derivatives if asked.
 
-    The contact is that which is hit, or negative; what is held from then on loses all of its speed,
-    whatever its restitution; what rubs ends the impact in a mode (`strike`); the duration, a
-    control, becomes τ.
+        v⁺ = v + M⁻¹ Jᵀ p,   J v⁺ = −e J v,   p = −(1 + e) (J M⁻¹ Jᵀ)⁻¹ J v
+
+    J has the contacts that are struck: the one that is hit, if any, and all that are held from then
+    on. What rubs ends the impact in a mode instead (`strike`). The duration, a control, becomes τ.
     """
     nz = z.size
     for i in range(nz):
@@ -51,12 +56,12 @@ def jump(
         for i in range(nz):
             F[i, i] = 1.0
         F[nx, nx], F[nx, nz] = 0.0, 1.0
-    if contact < 0:
+    if not struck.any():
         return
-    n, m = nx // 2, contacts.shape[0]
+    n, m = nx // 2, struck.size
     run_tape(code, numbers, z[:nx], has_slopes, values, sums)
     factor_mass(n, sums, factor)
-    restitution, rub = 0.0 if is_held else contacts[contact, 2], find_rub(rubs, contact)
+    rub = find_rub(rubs, contact)
     if rub >= 0:
         strike(contact, m, rubs, rub, mode, restitution, z, has_slopes, sums, factor, room)
         for i in range(n):
@@ -67,19 +72,20 @@ def jump(
             differentiate_strike(contact, m, count, rub, sums, factor, room, slopes)
             _add_slopes(n, slopes, F)
         return
-    row = n * (n + 1) // 2 + n + m + contact * n
-    for i in range(n):
-        kick[0, i] = sums[row + i]
-    divide_by_mass(n, factor, kick)
-    inverse_mass, rate = 0.0, 0.0
-    for i in range(n):
-        inverse_mass += sums[row + i] * kick[0, i]
-        rate += sums[row + i] * z[n + i]
-    gain = -(1 + restitution) / inverse_mass
-    for i in range(n):
-        after[n + i] += kick[0, i] * gain * rate
+    clasp(struck, n, sums, factor, support, grip)
+    impulses = grip[m]
+    for k in range(m):
+        impulses[k] = 0.0
+        row, _ = find_rows(n, m, k)
+        for i in range(n if struck[k] else 0):
+            impulses[k] -= (1 + restitution) * sums[row + i] * z[n + i]
+    solve_factored(m, grip, impulses)
+    for k in range(m):
+        for i in range(n):
+            after[n + i] += support[k, i] * impulses[k]
     if has_slopes:
-        _differentiate(n, m, contact, row, z, gain, rate, inverse_mass, sums, factor, kick, slopes)
+        turn(struck, n, sums, factor, support, grip)
+        _differentiate(n, struck, restitution, z, after, sums, support, grip, by_force, slopes)
         _add_slopes(n, slopes, F)
 
 
@@ -94,43 +100,34 @@ def _add_slopes(n: int, slopes: Floats, F: Floats) -> None:
 @inner
 def _differentiate(
     n: int,
-    m: int,
-    contact: int,
-    row: int,
+    struck: Bools,
+    e: float,
     z: Floats,
-    gain: float,
-    rate: float,
-    inverse_mass: float,
+    after: Floats,
     sums: Floats,
-    factor: Floats,
-    kick: Floats,
+    support: Floats,
+    grip: Floats,
+    by_force: Floats,
     slopes: Floats,
 ) -> None:
-    """Computes the derivative of M⁻¹ Jᵀ p by (q, v), transposed, with p = gain·J v."""
-    half = n * (n + 1) // 2
-    mass = half + n + m + m * n
-    bends = mass + half * n + 2 * n * n + contact * half
-    impulse = gain * rate
-    for c in range(n):
-        turn, bend_kick, at = 0.0, 0.0, mass + c
+    """Computes the derivative of M⁻¹ Jᵀ p by (q, v), transposed."""
+    m = struck.size
+    for c in range(2 * n):
         for i in range(n):
-            bend = sums[bends + triangle(n, i, c)]
-            turn += bend * z[n + i]
-            bend_kick += 2 * bend * kick[0, i]
-            slopes[c, i] = bend * impulse
-        for i in range(n):
-            for j in range(i, n):
-                slope, twice = sums[at], 1.0 if i == j else 2.0
-                at += n
-                slopes[c, i] -= slope * kick[0, j] * impulse
-                if j != i:
-                    slopes[c, j] -= slope * kick[0, i] * impulse
-                bend_kick -= twice * slope * kick[0, i] * kick[0, j]
-        slopes[n + c, 0] = gain * (turn - rate * bend_kick / inverse_mass)
-    # The changes of p by q, kept above while the rows by q are divided.
-    divide_by_mass(n, factor, slopes[:n])
-    for c in range(n):
-        change = slopes[n + c, 0]
-        for i in range(n):
-            slopes[c, i] += kick[0, i] * change
-            slopes[n + c, i] = kick[0, i] * gain * sums[row + c]
+            slopes[c, i] = support[m + 1 + c, i] if c < n else 0.0
+        for k in range(m):
+            by_force[c, k] = 0.0
+            if not struck[k]:
+                continue
+            row, bends = find_rows(n, m, k)
+            if c >= n:
+                by_force[c, k] = -(1 + e) * sums[row + c - n]
+                continue
+            for i in range(n):
+                bend = sums[bends + triangle(n, i, c)]
+                by_force[c, k] -= bend * (after[n + i] + e * z[n + i])
+                by_force[c, k] -= sums[row + i] * slopes[c, i]
+        solve_factored(m, grip, by_force[c])
+        for k in range(m):
+            for i in range(n):
+                slopes[c, i] += support[k, i] * by_force[c, k]

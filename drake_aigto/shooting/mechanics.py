@@ -46,8 +46,10 @@ class MechanicsMemory(NamedTuple):
         rub: of each friction, and its derivatives by s and N, shape (R, 3).
         acceleration: v̇, shape (1, n).
         slopes: ∂v̇/∂(q, v, u), transposed, shape (2n + nu, n).
-        support: M⁻¹ Jᵀ of a contact that is held, and its derivative by q below, shape (1 + n, n).
-        by_force: the derivative of its force by (q, v, u), shape (2n + nu,).
+        support: M⁻¹ J_iᵀ of contacts that are held, M⁻¹ Jᵀ λ, and its derivative by q at constant
+            λ, transposed, shape (m + 1 + n, n).
+        grip: Cholesky's L of J M⁻¹ Jᵀ, and the forces λ below, shape (m + 1, m).
+        by_force: the derivative of λ by (q, v, u), transposed, shape (2n + nu, m).
     """
 
     values: Floats
@@ -58,6 +60,7 @@ class MechanicsMemory(NamedTuple):
     acceleration: Floats
     slopes: Floats
     support: Floats
+    grip: Floats
     by_force: Floats
 
 
@@ -73,15 +76,16 @@ def copy_writable(table: Any) -> Any:
 
 def make_mechanics_memory(mechanics: Mechanics) -> MechanicsMemory:
     """Returns room for evaluations."""
-    (n, nu), code = mechanics.actuation.shape, mechanics.code
+    (n, nu), code, m = mechanics.actuation.shape, mechanics.code, len(mechanics.contacts)
     return MechanicsMemory(
         values=np.zeros(1 + 2 * n + 2 * code[0] + code[1]),
         sums=mechanics.constants.copy(),
         factor=np.zeros((n, n)),
-        force=np.zeros((len(mechanics.contacts), 5)),
+        force=np.zeros((m, 5)),
         rub=np.zeros((len(mechanics.rubs), 3)),
         acceleration=np.zeros((1, n)),
         slopes=np.zeros((2 * n + nu, n)),
-        support=np.zeros((1 + n, n)),
-        by_force=np.zeros(2 * n + nu),
+        support=np.zeros((m + 1 + n, n)),
+        grip=np.zeros((m + 1, m)),
+        by_force=np.zeros((2 * n + nu, m)),
     )

@@ -339,7 +339,7 @@ def _accelerate(
     memory: MechanicsMemory,
 ) -> None:
     code, numbers, _, actuation, contacts, solids, rubs = mechanics
-    values, sums, factor, force, rub, acceleration, slopes, _, _ = memory
+    values, sums, factor, force, rub, acceleration, slopes, _, _, _ = memory
     accelerate(
         code,
         numbers,

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from drake_aigto.arrays import ArrayRecord, Floats, Ints, read_only
+from drake_aigto.arrays import ArrayRecord, Bools, Floats, Ints, read_only
 from drake_aigto.errors import ProgramError
 from drake_aigto.shooting.tables import FLOW, START
 
@@ -14,29 +14,28 @@ _FIELDS = {
     "contacts": np.int64,
     "knots": np.int64,
     "durations": float,
-    "held": np.int64,
+    "held": np.bool_,
     "modes": np.int64,
 }
 
 
 @dataclass(frozen=True, eq=False)
 class Phases(ArrayRecord):
-    """Which contact is hit at which knot, with free durations between; P phases.
+    """Which contact is hit at which knot, with free durations between; P phases, m contacts.
 
         φ_i(q) = 0,   v⁺ = v⁻ − M⁻¹ Jᵀ (J M⁻¹ Jᵀ)⁻¹ (1 + e) J v⁻     where contact i is hit
         φ_i(q) = 0,   v⁺ = v⁻ + M⁻¹ (Jᵀ p_n + Tᵀ p_t)                where it rubs (`strike`)
-        J v̇ + J̇ v = 0,   M v̇ + h = B u + Jᵀ λ,   λ ≥ 0               while contact i is held
+        J v̇ + J̇ v = 0,   M v̇ + h = B u + Jᵀ λ,   λ ≥ 0               while contacts are held
 
-    What is held has been hit before, and e is 0 then, whatever the contact's is: so ends what
-    bounces ever faster, or does not bounce at all. A phase holds one contact at most, and lets it
-    go where it ends, unless the next one holds it too.
+    J has the rows of what is held from then on, too. What is held has been hit before, and e is 0
+    then, whatever the contact's is: so ends what bounces ever faster, or does not bounce at all.
 
     Attributes:
         contacts: what ends each phase but the last, −1 if nothing is hit; shape (P − 1,).
         knots: where it does, rising, inside of 0 … N, shape (P − 1,).
         durations: of the phases, to start from, shape (P,) [s].
         total: the least and the most of their sum [s].
-        held: which contact is held in each phase, −1 if none is, shape (P,); empty: never any.
+        held: which contacts are held in each phase, shape (P, m); empty: never any.
         modes: how impacts end at contacts that rub, 0 if they stick, else the sign of the slip
             (`strike`), shape (P − 1,); empty: all stick.
     """
@@ -45,7 +44,7 @@ class Phases(ArrayRecord):
     knots: Ints
     durations: Floats
     total: tuple[float, float]
-    held: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    held: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
     modes: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
 
     def __post_init__(self) -> None:
@@ -58,11 +57,11 @@ class Phases(ArrayRecord):
             object.__setattr__(self, name, read_only(getattr(self, name), dtype))
         touches = len(self.contacts)
         if not len(self.held):
-            object.__setattr__(self, "held", read_only(np.full(touches + 1, -1), np.int64))
+            object.__setattr__(self, "held", read_only(np.zeros((touches + 1, 0)), np.bool_))
         if not len(self.modes):
             object.__setattr__(self, "modes", read_only(np.zeros(touches), np.int64))
         checks = (
-            ("held", f"{touches + 1} numbers", len(self.held) == touches + 1),
+            ("held", f"{touches + 1} rows", len(self.held) == touches + 1 and self.held.ndim == 2),
             ("modes", f"{touches} signs or 0", len(self.modes) == touches),
             ("modes", "−1, 0 or 1", bool(np.all(np.abs(self.modes) <= 1))),
             ("knots", f"{touches}, rising", len(self.knots) == touches),
@@ -76,10 +75,10 @@ class Phases(ArrayRecord):
                 raise ProgramError(f"phases: {name}", got=getattr(self, name), expected=expected)
 
     @classmethod
-    def free(cls, duration: float, total: tuple[float, float], held: int = -1) -> Phases:
+    def free(cls, duration: float, total: tuple[float, float]) -> Phases:
         """Returns one phase, which ends where nothing is hit, of free duration [s]."""
         none = np.zeros(0, dtype=np.int64)
-        return cls(none, none, np.array([duration]), total, np.array([held]))
+        return cls(none, none, np.array([duration]), total)
 
     @property
     def is_many(self) -> bool:
@@ -93,41 +92,41 @@ class Layout:
 
     Attributes:
         kinds: FLOW, START or a contact, of each of K stages, shape (K,).
-        held: which contact is held in each, or −1, shape (K,).
+        held: which contacts are held in each, shape (K, m).
         modes: how the impact ends that starts each, 0 where none does, shape (K,).
         flights: which stages are flights, shape (N,).
         shares: how long each lasts [s]; of phases, as a share of its phase; shape (K,).
     """
 
     kinds: Ints
-    held: Ints
+    held: Bools
     modes: Ints
     flights: Ints
     shares: Floats
 
     @classmethod
-    def of(cls, times: Floats, phases: Phases | None) -> Layout:
+    def of(cls, times: Floats, phases: Phases | None, num_contacts: int) -> Layout:
         """Returns the stages of knots at these times, shape (N + 1,)."""
         steps = np.diff(times)
         if phases is None:
-            never, none = np.full(len(steps), -1), np.zeros(len(steps), dtype=np.int64)
+            never = np.zeros((len(steps), num_contacts), dtype=np.bool_)
+            none = np.zeros(len(steps), dtype=np.int64)
             return cls(np.full(len(steps), FLOW), never, none, np.arange(len(steps)), steps)
         kinds: list[int] = []
-        held: list[int] = []
         shares: list[float] = []
         ends = [*phases.knots.tolist(), len(steps)]
         contacts = np.where(phases.contacts < 0, START, phases.contacts).tolist()
-        for kind, contact, first, last in zip(
-            [START, *contacts], phases.held.tolist(), [0, *ends[:-1]], ends, strict=True
-        ):
+        for kind, first, last in zip([START, *contacts], [0, *ends[:-1]], ends, strict=True):
             of_phase = steps[first:last]
             kinds += [kind, *[FLOW] * len(of_phase)]
-            held += [contact] * (1 + len(of_phase))
             shares += [0.0, *(of_phase / of_phase.sum())]
-        flights = np.flatnonzero(np.equal(kinds, FLOW))
+        is_flight = np.equal(kinds, FLOW)
         modes = np.zeros(len(kinds), dtype=np.int64)
-        modes[np.flatnonzero(np.not_equal(kinds, FLOW))[1:]] = phases.modes
-        return cls(np.array(kinds), np.array(held), modes, flights, np.array(shares))
+        modes[np.flatnonzero(~is_flight)[1:]] = phases.modes
+        held = np.zeros((len(phases.held), num_contacts), dtype=np.bool_)
+        held[:, : phases.held.shape[1]] = phases.held
+        of_stage = held[np.cumsum(~is_flight) - 1]
+        return cls(np.array(kinds), of_stage, modes, np.flatnonzero(is_flight), np.array(shares))
 
     def calc_times(self, durations: Floats) -> Floats:
         """Returns when knots are [s], shape (N + 1,), where phases last so long, shape (P,)."""

@@ -130,7 +130,8 @@ class ShootingProblem(ShootingQuestion):
         """When knots are [s], shape (N + 1,), where phases last as long as at first."""
         if self.phases is None:
             return self.times
-        return Layout.of(self.times, self.phases).calc_times(self.phases.durations)
+        layout = Layout.of(self.times, self.phases, self.mechanism.num_contacts)
+        return layout.calc_times(self.phases.durations)
 
     def lasting(self, duration: float) -> ShootingProblem:
         """Returns the same problem, whose phases, if any, last so long in sum at first [s]."""
@@ -159,7 +160,8 @@ class _Descent:
     ) -> None:
         """Takes the motion's shape from the problem."""
         self._problem, self._options, self._has_gaps = problem, options, states is not None
-        self._layout = Layout.of(problem.times, problem.phases)
+        m = problem.mechanism.num_contacts
+        self._layout = Layout.of(problem.times, problem.phases, m)
         self._program = make_program(problem, self._layout, options)
         self._controls = self._lay_out_controls(controls)
         self._states = self._lay_out_states(states)

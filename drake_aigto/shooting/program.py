@@ -31,6 +31,7 @@ def make_program(problem: ShootingQuestion, layout: Layout, options: ShootingOpt
     mechanics, step = problem.mechanism.mechanics, np.max(np.diff(problem.times))
     T = float(np.ptp(problem.times))
     rubs = fit_to_steps(mechanics.rubs, step / options.substeps, T, problem.length / T)
+    struck, restitutions = _find_struck(layout, mechanics.contacts[:, 2])
     program = Program(
         mechanics=mechanics._replace(rubs=rubs),
         task=_make_task(problem.cost),
@@ -38,12 +39,25 @@ def make_program(problem: ShootingQuestion, layout: Layout, options: ShootingOpt
         kinds=layout.kinds,
         held=layout.held,
         modes=layout.modes,
+        struck=struck,
+        restitutions=restitutions,
         steps=layout.shares,
         times=problem.times if problem.phases is None else np.zeros(len(layout.kinds) + 1),
         substeps=options.substeps,
         method=_METHODS[options.order],
     )
     return copy_writable(program)
+
+
+def _find_struck(layout: Layout, restitutions: Floats) -> tuple[Bools, Floats]:
+    """Returns what is struck as each stage starts, (K, m), and what e is there, (K,)."""
+    struck, e = np.zeros_like(layout.held), np.zeros(len(layout.kinds))
+    hits = np.flatnonzero(layout.kinds >= 0)
+    contacts = layout.kinds[hits]
+    struck[hits] = layout.held[hits]
+    struck[hits, contacts] = True
+    e[hits] = np.where(layout.held[hits, contacts], 0.0, restitutions[contacts])
+    return struck, e
 
 
 def _make_task(cost: TaskCost) -> Task:
@@ -94,7 +108,7 @@ def _make_bounds(problem: ShootingQuestion, layout: Layout) -> Bounds:
         approach_multipliers=np.zeros(len(layout.kinds)),
         cone_multipliers=np.zeros((len(layout.kinds), 2)),
         force_weight=float(T * np.max(problem.cost.R)) / problem.cost_scale,
-        force_multipliers=np.zeros(len(layout.kinds)),
+        force_multipliers=np.zeros(layout.held.shape),
         lower_control=low_control,
         upper_control=high_control,
         norm=float(problem.control_norm),
@@ -135,8 +149,7 @@ def _bound_distances(problem: ShootingQuestion, layout: Layout) -> Floats:
         if problem.clearances is not None:
             knots = np.concatenate([[0], np.cumsum(layout.kinds == FLOW)])
             bounds[0][:, is_rigid] = problem.clearances[knots][:, is_rigid]
-        along = np.flatnonzero(layout.held >= 0)
-        bounds[0, along, layout.held[along]] = -np.inf
+        bounds[0, :-1][layout.held] = -np.inf
         hit = np.flatnonzero(layout.kinds >= 0)
         bounds[:, hit, layout.kinds[hit]] = 0.0
     return bounds

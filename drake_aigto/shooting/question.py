@@ -79,7 +79,7 @@ class ShootingQuestion:
         is_possible = phases is None or (
             np.all((phases.knots > 0) & (phases.knots < N))
             and np.all((phases.contacts >= -1) & (phases.contacts < m))
-            and np.all((phases.held >= -1) & (phases.held < m))
+            and phases.held.shape[1] in (0, m)
         )
         checks = (
             (

@@ -60,9 +60,9 @@ class Bounds(NamedTuple):
         approach_multipliers: y of that, shape (K,).
         cone_multipliers: y of what an impact with friction asks for in its mode, which has the same
             weight, shape (K, 2).
-        force_weight: w of the force of what is held, which is at least 0; its unit is the control
+        force_weight: w of each force of what is held, which is at least 0; its unit is the control
             that costs as much as all else.
-        force_multipliers: y of that, shape (K,).
+        force_multipliers: y of that, shape (K, m).
         lower_control: shape (K, controls of a stage).
         upper_control: the same.
         norm: of a control, at most.
@@ -101,8 +101,10 @@ class Program(NamedTuple):
         task: the cost.
         bounds: the constraints.
         kinds: FLOW, START or a contact, of each stage, shape (K,).
-        held: which contact is held in each stage, from its start, or −1, shape (K,).
+        held: which contacts are held in each stage, from its start, shape (K, m).
         modes: how an impact with friction ends, shape (K,); see `strike`.
+        struck: which contacts an impact at its start changes the speeds of, shape (K, m).
+        restitutions: the part −e of these speeds that is left, shape (K,).
         steps: how long each stage lasts [s]; of phases, as a share of τ; shape (K,).
         times: when each stage starts, without phases, shape (K + 1,) [s].
         substeps: Runge-Kutta steps of a stage.
@@ -113,8 +115,10 @@ class Program(NamedTuple):
     task: Task
     bounds: Bounds
     kinds: Ints
-    held: Ints
+    held: Bools
     modes: Ints
+    struck: Bools
+    restitutions: Floats
     steps: Floats
     times: Floats
     substeps: int
