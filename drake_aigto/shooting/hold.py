@@ -9,8 +9,8 @@ from drake_aigto.shooting.layout import find_rows, triangle
 from drake_aigto.shooting.mechanics import Mechanics, MechanicsMemory
 from drake_aigto.shooting.mechanism import accelerate, divide_by_mass
 
-# Pivots of J M⁻¹ Jᵀ are at least this part of its diagonal: some contacts hold each other up without
-# need.
+# Pivots of J M⁻¹ Jᵀ are at least this part of its diagonal: contacts may hold without need what
+# others hold.
 _RIDGE = 1e-12
 
 
