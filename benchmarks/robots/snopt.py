@@ -31,7 +31,7 @@ class Transcription:
 
     def __init__(self, problem: ShootingProblem) -> None:
         """Makes Drake's program of a problem between walls that yield, or without any."""
-        layout = Layout.of(problem.times, problem.phases)
+        layout = Layout.of(problem.times, problem.phases, problem.mechanism.num_contacts)
         self._problem, self._tables = problem, make_program(problem, layout, _OPTIONS)
         bounds, (K, nu) = self._tables.bounds, self._tables.bounds.lower_control.shape
         self._stages, self._nz, self._nu = K, len(problem.start), nu
