@@ -246,3 +246,17 @@ def test_a_cart_that_runs_into_two_that_touch_moves_on_with_both() -> None:
     # It has rolled 1 m under 3 m/s and a damping of 2/s, which leaves 1 m/s.
     np.testing.assert_allclose(trajectory.impulses[knot], [2 / 3, 1 / 3], rtol=1e-4)
     np.testing.assert_allclose(replay.velocities[-1], replay.velocities[-1, 0])
+
+
+def test_touches_too_slow_for_impacts_are_part_of_the_last_one_before() -> None:
+    """The middle cart leans on the left one when both run into the right one."""
+    world = carts()
+    start = dataclasses.replace(
+        CARTS, initial_position=[-2.5, -0.5, 2.0], initial_velocity=[3.0, 3.0, 0.0], duration=0.5
+    )
+    controls = np.full((10, 1), -10.0)
+    times, controls, replay = replay_at_knots(world, start, np.linspace(0.0, 0.5, 11), controls)
+    assert set(replay.bounce_contacts) == {0, 1}
+    flight, gaps = trace(world, RigidLaw(np.zeros(2)), replay, times, controls)
+    _, missed = add_impulses(world, start, replay, flight)
+    assert max(missed, gaps.max()) < 1e-9

@@ -146,6 +146,7 @@ class RigidMechanism(HybridMotion):
         count = impacts.run_again(walls, rules, phase, free, free, self.time, 0.0, -1, log)
         states = log[:count, STATE:].reshape(-1, 3, n + 1)[..., :n].reshape(-1, 3 * n)
         rows = np.hstack([log[:count, :STATE], states])
+        rows[-1:, -n:] = phase.v[:n]  # What follows is too slow for impacts, and part of the last.
         self.recording.add_impacts(rows, world.calc_mass_matrix(q))
         self.x = np.concatenate([phase.q[:n], phase.v[:n]])
 
