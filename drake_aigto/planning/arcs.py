@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
+from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -162,12 +163,12 @@ class Arcs:
             x[tilt] = np.add.reduceat(s * held, K[:-1]) / scale
         return p.complete(x)
 
-    @property
+    @cached_property
     def _arc(self) -> Ints:
         """The arc that each step is part of, shape (N,)."""
         return np.repeat(np.arange(self._counts.size), self._counts)
 
-    @property
+    @cached_property
     def _sigma(self) -> Floats:
         """σ of each step, shape (N,)."""
         n = self._counts[self._arc]

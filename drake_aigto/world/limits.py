@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields
+from functools import cached_property
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
@@ -86,7 +87,7 @@ class Limits:
                     "scenario's bounds",
                 )
 
-    @property
+    @cached_property
     def are_any(self) -> bool:
         """Whether anything is bounded."""
         return any(np.isfinite(each).any() for each in (self.position, self.velocity, self.control))
@@ -97,7 +98,8 @@ class Limits:
         Raises:
             ModelError: there is one; names it.
         """
-        for what, name, bounds in self._find(plant):
+        # Asked at every tick of a controller, and a plant is slow to be looked through.
+        for what, name, bounds in self._find(plant) if self.are_any else ():
             raise ModelError(
                 what,
                 got=f"{name} limits from {bounds[0]:g} to {bounds[1]:g}",
