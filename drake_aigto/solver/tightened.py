@@ -11,7 +11,7 @@ from drake_aigto.local import InteriorPoint, LocalResult, PolynomialNlp
 from drake_aigto.solver.complementarity import Complementarity
 from drake_aigto.terms import FunctionKind, Part, Sum, TermBlock, add, with_own_variables
 
-_TIGHTENED, _LAST, _STEPS = 0.1, 1e-5, 50  # how ε falls, where to, and steps on each
+_TIGHTENED, _LAST, _STEPS = 0.01, 1e-5, 100  # how ε falls, where to, and steps on each
 _BARRIER, _PUSH = 1e-4, 1e-6  # from a point of a larger ε
 
 
