@@ -89,7 +89,9 @@ def _is_possible(start: tuple[float, ...], wall: float) -> bool:
     return bool(_STIFFNESS * (abs(tip) - wall) < 0.99 * _FORCE and abs(a + _DT * v) <= 1.0)
 
 
-def push_bot(start: tuple[float, ...], wall: float, form: Form) -> MathematicalProgram:
+def push_bot(
+    start: tuple[float, ...], wall: float, form: Form, steps: int = _STEPS
+) -> MathematicalProgram:
     """Returns SPOT's push-bot: a cart-pole swings up between soft walls, in its discrete mechanics.
 
     With a, θ of knots 0 … N + 1, control u and the walls' forces λ₁, λ₂ of steps 1 … N:
@@ -102,10 +104,11 @@ def push_bot(start: tuple[float, ...], wall: float, form: Form) -> MathematicalP
         start: a [m], its speed [m/s], θ [rad] (0 hangs down) and its rate [rad/s].
         wall: d [m].
         form: complementarities as λ s = 0, as λ s ≤ 0, or with a variable for s.
+        steps: N.
     """
     prog = MathematicalProgram()
-    a, angle = (prog.NewContinuousVariables(_STEPS + 2, name) for name in ("a", "angle"))
-    u, left, right = (prog.NewContinuousVariables(_STEPS, name) for name in ("u", "left", "right"))
+    a, angle = (prog.NewContinuousVariables(steps + 2, name) for name in ("a", "angle"))
+    u, left, right = (prog.NewContinuousVariables(steps, name) for name in ("u", "left", "right"))
     position, speed, first, rate = start
     knots = np.array([[position, position + _DT * speed], [first, first + _DT * rate]])
     for variables, values in zip((a, angle), knots, strict=True):
@@ -113,7 +116,7 @@ def push_bot(start: tuple[float, ...], wall: float, form: Form) -> MathematicalP
     prog.AddBoundingBoxConstraint(-1.0, 1.0, a[2:])
     prog.AddBoundingBoxConstraint(-_CONTROL, _CONTROL, u)
     prog.AddBoundingBoxConstraint(0.0, _FORCE, np.concatenate([left, right]))
-    for k in range(1, _STEPS + 1):
+    for k in range(1, steps + 1):
         force = left[k - 1] - right[k - 1]
         acc = (a[k - 1] - 2 * a[k] + a[k + 1]) / _DT**2
         sines = (sin(angle[k - 1]) - 2 * sin(angle[k]) + sin(angle[k + 1])) / _DT**2
@@ -126,7 +129,7 @@ def push_bot(start: tuple[float, ...], wall: float, form: Form) -> MathematicalP
             _add_complementarity(prog, push, push / _STIFFNESS + gap, form)
         turn = angle[k + 1] - angle[k]
         prog.AddLinearConstraint(turn, -_LARGEST_TURN, _LARGEST_TURN)
-        weight = 10.0 if k == _STEPS else 1.0
+        weight = 10.0 if k == steps else 1.0
         upright = (cos(angle[k]) + 1) ** 2 + sin(angle[k + 1]) ** 2
         prog.AddCost(weight * (a[k + 1] ** 2 + upright + 2 - 2 * cos(turn)))
         prog.AddQuadraticCost((u[k - 1] / _CONTROL) ** 2)

@@ -125,6 +125,13 @@ class Certifier:
         prog: as in `certify`.
         gap: as in `certify`.
 
+    Attributes:
+        method: of the cells, or the sum.
+        least_sum: the sum of what each summand is at least.
+        scale: the gap is relative to the best cost, or to this where that is less in size.
+        best: the best point (n,), nan before there is one.
+        best_cost: its cost; ∞ before.
+
     Raises:
         UnsupportedTermError: as in `certify`.
     """
@@ -137,7 +144,7 @@ class Certifier:
         self.method, program = self._choose(order)
         self._cost = _sum_of(self._formulas, program)
         least, most = self._cost.range(self._formulas.lower, self._formulas.upper)
-        self._least_sum = least
+        self.least_sum = least
         # What the cost varies by over the bounds, if that is below 1 in its own unit.
         self.scale = min(1.0, most - least) if math.isfinite(most - least) else 1.0
         self.best, self.best_cost = np.full(self._formulas.lower.size, np.nan), math.inf
@@ -198,7 +205,7 @@ class Certifier:
     def _cells_bound(self) -> float:
         """What is known without sums of squares."""
         if self._search is None:
-            return self._least_sum
+            return self.least_sum
         return math.inf if self._search.is_empty else self._search.lower_bound
 
     def _gap_of(self, bound: float) -> float:
