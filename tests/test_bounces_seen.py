@@ -61,6 +61,16 @@ def test_a_kick_in_mid_air_is_no_bounce_and_a_slow_one_tells_little() -> None:
     kicked = x + 0.01 * x[1] + np.array([0.0, -1.2])
     seen = SeenBounces().watch(make_world(), (x, kicked), 0.01, np.zeros(1), OFF)
     assert seen == SeenBounces() and seen.find_restitution(0.8, WEIGHT) == 0.8
+    # Nor is one beside a wall that leaves it faster than it came.
+    x[0] -= (
+        make_world().calc_signed_distance(x[:1])[1]
+        * make_world().calc_contact_jacobian(x[:1])[1, 0]
+    )
+    for faster, latest in ((-1.6, None), (-1.2, 1)):
+        kicked = x + np.array([0.0, faster])
+        assert (
+            SeenBounces().watch(make_world(), (x, kicked), 0.01, np.zeros(1), OFF).latest == latest
+        )
     assert SeenBounces(1e-4, 0.2e-4).find_restitution(0.8, 1e-2) == pytest.approx(0.8, abs=0.01)
     assert SeenBounces(1.0, 1.3).find_restitution(0.8, 0.0) == 1.0
 

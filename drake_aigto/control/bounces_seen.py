@@ -14,6 +14,8 @@ from drake_aigto.world import World
 # A ball that is deeper in a wall than this part of how far off walls may be shows that it stands
 # elsewhere; then it is thought of as farther away in steps of that part.
 _DEEP, _STEP = 0.025, 0.1
+# No wall returns more than it is hit with, but for noise; a kick may.
+_MOST_RETURNED = 1.2
 
 
 class _Bounce(NamedTuple):
@@ -70,7 +72,7 @@ class SeenBounces:
             t = (φ⁺ − φ⁻ − φ̇⁺ h) / (φ̇⁻ − φ̇⁺)
 
         after the first of two samples that are h apart. That is no kick in mid-air if φ_i is near 0
-        there. Of several at once nothing is told.
+        there, and no more is returned than came. Of several at once nothing is told.
 
         Args:
             world: balls, whose J does not change, as the model has it.
@@ -136,7 +138,8 @@ def _find_bounce(
     time = np.clip((phi_later - phi - rate_later * elapsed) / span, 0.0, elapsed)
     comes, leaves = rate + time * push, rate_later - (elapsed - time) * push
     place = phi + time * (rate + comes) / 2
-    turns &= (np.abs(place) <= off) & (comes < 0) & (leaves > 0)
+    turns &= (np.abs(place) <= off) & (comes < 0)
+    turns &= (leaves > 0) & (leaves <= -_MOST_RETURNED * comes)
     if np.count_nonzero(turns) != 1:
         return None
     (i,) = np.flatnonzero(turns).tolist()
