@@ -87,6 +87,19 @@ def test_however_bad_the_multipliers_are_the_bound_holds() -> None:
         assert identity.bound() <= np.min(y[0] ** 2 * y[1] - y[1] / 3 + 2.0)
 
 
+def test_that_coupled_rows_contradict_each_other_is_proven() -> None:
+    """Σ_{i<j} x_i x_j ≥ −½ Σ x_i² is −6 at least where |x| ≤ 1."""
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(12, "x")
+    prog.AddBoundingBoxConstraint(-1.0, 1.0, x)
+    pairs = sum(a * b for a, b in itertools.combinations(x, 2))
+    prog.AddCost(pairs)
+    prog.AddConstraint(pairs <= -5.9)
+    assert not certify(prog).is_infeasible
+    prog.AddConstraint(pairs <= -6.1)
+    assert certify(prog).is_infeasible
+
+
 def test_what_stands_in_the_way_is_said() -> None:
     prog, x = coupled(6)
     (free,) = prog.NewContinuousVariables(1, "free")

@@ -38,7 +38,7 @@ class SquaresBound:
     """What sums of squares say.
 
     Attributes:
-        lower_bound: of the cost; −∞ if there is none.
+        lower_bound: of the cost; −∞ if there is none, ∞ if there is no feasible point.
         start: near a minimizer, perhaps (n,); None if there is none.
         reason: why there is no bound, or an empty string.
     """
@@ -62,14 +62,9 @@ def bound_by_squares(formulas: Formulas, x: Floats) -> SquaresBound:
         return SquaresBound(-math.inf, reason=str(error))
     moments = _Moments(program, relaxation)
     result = moments.solve()
-    identity = Identity(program.cost)
-    for block, binding in moments.blocks:
-        identity.take_squares(block, _matrix(result, binding, len(block.basis)))
-    for row, binding in moments.rows:
-        identity.take(row, max(0.0, _dual(result, binding)))
-    for row, binding in moments.equalities:
-        identity.take(row, _dual(result, binding))
-    bound = identity.bound() * program.scale
+    if not result.is_success() and moments.identity({}, result).bound() > 0.0:
+        return SquaresBound(math.inf)
+    bound = moments.identity(program.cost, result).bound() * program.scale
     if not math.isfinite(bound):
         return SquaresBound(-math.inf, reason=f"Clarabel: {result.get_solution_result().name}")
     return SquaresBound(bound, program.start(moments.means(result), x))
@@ -98,6 +93,17 @@ class _Moments:
 
     def solve(self) -> MathematicalProgramResult:
         return ClarabelSolver().Solve(self._prog)
+
+    def identity(self, cost: Polynomial, result: MathematicalProgramResult) -> Identity:
+        """Returns a cost less all that is 0 or more, with the multipliers of an answer."""
+        identity = Identity(cost)
+        for block, binding in self.blocks:
+            identity.take_squares(block, _matrix(result, binding, len(block.basis)))
+        for row, binding in self.rows:
+            identity.take(row, max(0.0, _dual(result, binding)))
+        for row, binding in self.equalities:
+            identity.take(row, _dual(result, binding))
+        return identity
 
     def means(self, result: MathematicalProgramResult) -> dict[int, float]:
         return {m[0]: result.GetSolution(y) for m, y in self._moments.items() if len(m) == 1}
