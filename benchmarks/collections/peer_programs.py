@@ -115,6 +115,45 @@ def _add_goal(prog: MathematicalProgram, x: Any, goal: Any, weights: Any) -> Non
         prog.AddQuadraticCost(weight * (variable - value) ** 2)
 
 
+def push_circle(num_steps: int = 120) -> MathematicalProgram:
+    """Returns IMPACT's disc that a pusher has to go round, as we read it, quasistatic.
+
+    Li, Gong & Chalvatzaki (RSS 2026, arXiv:2605.09127), push_circle. With disc q and pusher s, R =
+    0.3 m, n = (q − s)/R, t across it, and Euler's method:
+
+        q⁺ = q + Δt (f n + p t) / (μ m g),    s⁺ = s + Δt v,    |p| ≤ 0.1 f
+        0 ≤ f ⊥ |q − s|² − R² ≥ 0,    minimize   10⁻² Σ (f² + p² + |v|²) + 100 |q_N − s_0|²
+
+    Of |p| no more is asked. The start is a pusher that stands still.
+    """
+    radius, grip, dt, cone = 0.3, 0.1 * _GRAVITY, 0.05, 0.1
+    begin = np.full(2, -1.5 / np.sqrt(2))
+    prog = MathematicalProgram()
+    q, s = (prog.NewContinuousVariables(num_steps + 1, 2, name) for name in "qs")
+    v, f = (prog.NewContinuousVariables(num_steps, 2, name) for name in "vf")
+    prog.AddBoundingBoxConstraint(0.0, 0.0, q[0])
+    prog.AddBoundingBoxConstraint(begin, begin, s[0])
+    prog.AddBoundingBoxConstraint(0.0, np.inf, f[:, 0])
+    for k in range(num_steps):
+        n = (q[k] - s[k]) / radius
+        force = f[k, 0] * n + f[k, 1] * np.array([-n[1], n[0]])
+        for i in range(2):
+            prog.AddConstraint(q[k + 1, i] == q[k, i] + dt / grip * force[i])
+            prog.AddConstraint(s[k + 1, i] == s[k, i] + dt * v[k, i])
+        prog.AddLinearConstraint(f[k, 1] <= cone * f[k, 0])
+        prog.AddLinearConstraint(f[k, 1] >= -cone * f[k, 0])
+        prog.AddQuadraticCost(1e-2 * (f[k] @ f[k] + v[k] @ v[k]))
+    for k in range(num_steps + 1):
+        apart = (q[k] - s[k]) @ (q[k] - s[k]) - radius**2
+        prog.AddConstraint(apart >= 0)
+        if k < num_steps:
+            prog.AddConstraint(f[k, 0] * apart <= 0)
+    _add_goal(prog, q[-1], begin, (100.0, 100.0))
+    prog.SetInitialGuess(q, np.zeros_like(q, dtype=float))
+    prog.SetInitialGuess(s, np.tile(begin, (num_steps + 1, 1)))
+    return prog
+
+
 def waiter(num_knots: int = 100) -> MathematicalProgram:
     """Returns CRISP's waiter: a finger pulls a plate off a table by friction, and it must not tip.
 

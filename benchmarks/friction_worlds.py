@@ -1,0 +1,179 @@
+"""Plans with friction: what simulations make of them, and their cost as their authors count it.
+
+    python -m benchmarks.friction_worlds [--only payload] [--renewals 24] [--workers 1]
+        [--minutes 30]
+
+Worlds are planned from the question alone, and both replays tell whether the plan holds. CRISP's
+payload in its 27 starts and goals, and IMPACT's disc that a pusher has to go round, are discrete
+programs by their authors, in other schemes than ours: Euler's steps, Coulomb's law as
+complementarities, and the disc is quasistatic. There IPOPT runs twice, through CasADi, on the same
+rows with complementarities λ s ≤ ε that are relaxed and tightened alike: from the plan's states,
+controls and forces, and from the start that the authors give. The payload's best known is of the
+record of `peer_programs`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from pydrake.solvers import MathematicalProgram
+
+from benchmarks.collections.peer_programs import payload, payload_tasks, push_circle
+from benchmarks.jobs import add_options, run_all, run_as
+from benchmarks.measure import machine
+from benchmarks.recorded import read_output
+from benchmarks.staged_programs import FEASIBLE, GLOBAL, Ipopt, cost_of
+from drake_aigto import Plan, Planner, Scenario
+from drake_aigto.arrays import Floats
+from drake_aigto.planning import MechanismOptions
+from drake_aigto.solver.program import read_program
+from drake_aigto.solver.staged import StagedProgram
+
+WORLDS = (
+    "push_circle/round_it",
+    "pushed_block/slide",
+    "spinner/two_radians",
+    "hopper/hop",
+    "spinning_ball/off_the_wall",
+    "cart_pole/dry",
+)
+_WEIGHT = 1.962  # of the payload's cargo times μ [N]
+_GRIP = 0.981  # of the disc on the ground [N s/m]
+
+
+@dataclass(frozen=True)
+class Run:
+    """What came of one question.
+
+    Attributes:
+        name: of it.
+        cost: J of the plan.
+        holds: whether both replays confirm it.
+        seconds: of the processor, machine code compiled.
+        ours: the cost that authors count, from our plan; NaN where no authors count.
+        peer: the same of IPOPT from the authors' start.
+        known: the best that is known of it.
+    """
+
+    name: str
+    cost: float
+    holds: bool
+    seconds: float
+    ours: float = np.nan
+    peer: float = np.nan
+    known: float = np.nan
+
+    def __str__(self) -> str:
+        """Returns a line of a table."""
+        theirs = f"{self.ours:12.6g} {self.peer:12.6g} {self.known:12.6g}"
+        mark = "holds" if self.holds else "does not"
+        return f"{self.name:28} {self.cost:12.6g} {mark:9} {self.seconds:7.2f} {theirs}"
+
+
+def main() -> None:
+    """Plans all, and prints a table and shares."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--only", default="", help="questions whose name has this in it")
+    parser.add_argument("--renewals", type=int, default=24, help="of each plan")
+    add_options(parser)
+    arguments = parser.parse_args()
+    print(machine())
+    columns = "ours, theirs", "IPOPT", "best known"
+    print(f"{'':28} {'plan':>12} {'':9} {'seconds':>7} " + " ".join(f"{c:>12}" for c in columns))
+    names = [*WORLDS, *(f"payload/{i}" for i in range(len(list(payload_tasks()))))]
+    names = [each for each in names if arguments.only in each]
+    runs = run_all(partial(run, renewals=arguments.renewals), names, arguments)
+    counted = [each for each in runs if np.isfinite(each.known)]
+    near = [each.ours <= each.known + GLOBAL * abs(each.known) for each in counted]
+    print(
+        f"{sum(each.holds for each in runs)} of {len(runs)} hold in both simulations; as authors "
+        f"count, {sum(near)} of {len(counted)} within 1 % of the best known"
+    )
+
+
+def run(name: str, *, renewals: int) -> Run:
+    """Plans for one question, once more if code was compiled, and counts as its authors do."""
+    family, _, number = name.partition("/")
+    scenario = ask_payload(int(number)) if family == "payload" else Scenario.named(name)
+    planner = Planner(scenario, MechanismOptions(renewals=renewals, threads=1))
+    if family != "payload" or not number.strip("0"):
+        planner.plan()
+    begin = time.process_time()
+    plan = planner.plan()
+    found = Run(name, plan.cost, plan.holds, time.process_time() - begin)
+    if family == "payload":
+        task = list(payload_tasks())[int(number)]
+        found = _count(found, payload(*task), list_payload(plan), _read_known(name))
+    elif family == "push_circle":
+        found = _count(found, push_circle(), list_circle(plan), 0.51128)
+    print(found, flush=True)
+    return found
+
+
+def ask_payload(number: int) -> Scenario:
+    """Returns CRISP's payload from one of its starts to one of its goals."""
+    start, goal = list(payload_tasks())[number]
+    return replace(
+        Scenario.named("payload/transport"),
+        initial_position=[start[1], start[0] - start[1]],
+        initial_velocity=[start[3], start[2] - start[3]],
+        goal_position=[goal[1], goal[0] - goal[1]],
+        goal_velocity=[goal[3], goal[2] - goal[3]],
+    )
+
+
+def list_payload(plan: Plan) -> Floats:
+    """Returns a plan as the variables of `payload`: states, u, f, v, w."""
+    motion, dt = plan.best.trajectory, plan.scenario.time_step
+    q, v = motion.positions[:-1], motion.velocities[:-1]
+    states = np.column_stack([q.sum(axis=1), q[:, 0], v.sum(axis=1), v[:, 0]])
+    grip = np.diff(motion.velocities.sum(axis=1)) / dt
+    slip = v[:, 1]
+    forces = np.clip(grip, -_WEIGHT, _WEIGHT)
+    parts = motion.controls[:, 0], forces, np.maximum(slip, 0.0), np.maximum(-slip, 0.0)
+    return np.concatenate([states.ravel(), *parts])
+
+
+def list_circle(plan: Plan) -> Floats:
+    """Returns a plan as the variables of `push_circle`: disc, pusher, its velocity, forces."""
+    motion, dt = plan.best.trajectory, plan.scenario.time_step
+    pusher, disc = np.split(motion.positions, 2, axis=1)
+    force = _GRIP * np.diff(disc, axis=0) / dt
+    normal = (disc - pusher)[:-1]
+    normal /= np.linalg.norm(normal, axis=1)[:, np.newaxis]
+    along = np.column_stack([-normal[:, 1], normal[:, 0]])
+    pushes = np.column_stack([np.sum(force * normal, axis=1), np.sum(force * along, axis=1)])
+    speeds = np.diff(pusher, axis=0) / dt
+    return np.concatenate([each.ravel() for each in (disc, pusher, speeds, pushes)])
+
+
+def _count(found: Run, prog: MathematicalProgram, x: Floats, known: float) -> Run:
+    """Returns the same with what authors count."""
+    program = read_program(prog)
+    ipopt = Ipopt(StagedProgram(program, FEASIBLE))
+    ours, peer = (cost_of(program, each) for each in (ipopt.solve(x), ipopt.solve(_start(prog))))
+    return replace(found, ours=ours, peer=peer, known=min(ours, peer, known))
+
+
+def _start(prog: MathematicalProgram) -> Floats:
+    """Returns the authors' start: zeros, but where the program has a guess."""
+    guess = prog.initial_guess()
+    return np.where(np.isnan(guess), 0.0, guess)
+
+
+def _read_known(name: str) -> float:
+    """Returns the best that the record of `peer_programs` knows of a payload."""
+    found: Iterator[re.Match[str]] = re.finditer(
+        rf"^{name} +[*-] +([\d.e+-]+)", read_output("peer_programs"), re.MULTILINE
+    )
+    return min(float(each[1]) for each in found)
+
+
+if __name__ == "__main__":
+    run_as("benchmarks.friction_worlds")
