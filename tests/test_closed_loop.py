@@ -124,6 +124,16 @@ def test_what_is_true_is_what_was_asked_for() -> None:
     assert "noise of [0.001, 0.01] (seed 0)" in told and max(map(len, told.splitlines())) <= 100
 
 
+def test_true_friction_is_that_of_contacts_and_joints() -> None:
+    for name, field in (("hopper/hop", "friction"), ("cart_pole/dry", "dry_friction")):
+        scenario = Scenario.named(name)
+        world = World.from_scenario(scenario)
+        true_world, true = Disturbance(friction_factor=0.5).apply(world, scenario)
+        given = {"friction": 0.45, "dry_friction": scenario.dry_friction}[field]
+        np.testing.assert_allclose(getattr(true, field), 0.5 * np.asarray(given))
+        true_world.check(true)
+
+
 def test_ctrl_c_keeps_what_is_there(tmp_path: Path) -> None:
     def press(line: str) -> None:
         if "simulating, 0.3" in line:
@@ -146,6 +156,7 @@ def test_ctrl_c_keeps_what_is_there(tmp_path: Path) -> None:
         ({"start_offset": [np.nan]}, "^start_offset: got .*, expected a row of finite numbers"),
         ({"kick": [1.0], "kick_time": 9.0}, r"^kick_time: got 9\.0, expected before the run ends"),
         ({"restitution_factor": 1.2}, "^restitution_factor: got 1.2 times 1, expected"),
+        ({"friction_factor": 1.2}, "^friction_factor: got nothing that rubs, expected friction in"),
     ],
 )
 def test_disturbances_that_make_no_sense_are_refused(changes: dict[str, Any], message: str) -> None:

@@ -45,6 +45,7 @@ drake-aigto control table1/1 --wall-shift 0.01 --live                 # in Meshc
 _DISTURBANCES = {
     "start_offset": "added to q(0), one number a coordinate [m, rad]",
     "mass_factor": "of the masses of all that moves",
+    "friction_factor": "of all friction",
     "wall_shift": "how much nearer all walls stand [m]",
     "restitution_factor": "of the scenario's restitution",
     "kick": "by how much v jumps, one number a coordinate [m/s, rad/s]",

@@ -33,6 +33,7 @@ class Disturbance(ArrayRecord):
         mass_factor: of the masses of all links that move, and of their inertias.
         wall_shift: how much nearer each wall stands, along its normal [m].
         restitution_factor: of the scenario's restitution.
+        friction_factor: of all friction, where contacts have one μ, and of that in joints.
         kick: by how much v jumps, shape (n,) [m/s, rad/s].
         kick_time: when it does, before the run ends [s].
         noise: standard deviations of what the controller is told of q and v, shape (2n,), drawn
@@ -44,6 +45,7 @@ class Disturbance(ArrayRecord):
     mass_factor: float = 1.0
     wall_shift: float = 0.0
     restitution_factor: float = 1.0
+    friction_factor: float = 1.0
     kick: Floats = field(default_factory=lambda: np.empty(0))
     kick_time: float = 0.0
     noise: Floats = field(default_factory=lambda: np.empty(0))
@@ -57,9 +59,9 @@ class Disturbance(ArrayRecord):
         """
         for name in ("start_offset", "kick", "noise"):
             object.__setattr__(self, name, _as_row(name, getattr(self, name)))
-        for name, least in (("mass_factor", 0.0), ("restitution_factor", 0.0), ("kick_time", 0.0)):
+        for name in ("mass_factor", "restitution_factor", "friction_factor", "kick_time"):
             value = getattr(self, name)
-            is_above = value > least if name == "mass_factor" else value >= least
+            is_above = value > 0 if name == "mass_factor" else value >= 0
             if not (is_above and np.isfinite(value)):
                 expected = "a number above 0" if name == "mass_factor" else "a number of at least 0"
                 raise ControlError(name, got=value, expected=expected)
@@ -73,7 +75,8 @@ class Disturbance(ArrayRecord):
 
         Raises:
             ControlError: sizes that are not the world's, a restitution that is not the scenario's
-                or would be above 1, or walls that can't stand nearer.
+                or would be above 1, contacts that rub differently, or walls that can't stand
+                nearer.
             ModelError: a wall moves (`World.with_wall_moved`).
         """
         self._check_sizes(world)
@@ -82,7 +85,11 @@ class Disturbance(ArrayRecord):
             changes["initial_position"] = scenario.initial_position + self.start_offset
         if self.restitution_factor != 1:
             changes["restitution"] = self._find_restitution(world, scenario)
+        if self.friction_factor != 1:
+            changes |= self._find_friction(world, scenario)
         true = dataclasses.replace(scenario, **changes)  # type: ignore[arg-type]
+        if "dry_friction" in changes:
+            world = World.from_scenario(true)
         return (self._move_walls(world) if self.wall_shift else world), true
 
     def _check_sizes(self, world: World) -> None:
@@ -109,6 +116,22 @@ class Disturbance(ArrayRecord):
             got=got or f"{self.restitution_factor:g} times {scenario.restitution:g}",
             expected="rigid walls with the scenario's restitution, and no more than 1 in the end",
         )
+
+    def _find_friction(self, world: World, scenario: Scenario) -> dict[str, object]:
+        """Returns what the true scenario has in place of its friction."""
+        coefficients = world.friction_coefficients(scenario)
+        known, found = np.unique(coefficients[coefficients > 0]), dict[str, object]()
+        if len(known) == 1:
+            found["friction"] = self.friction_factor * float(known[0])
+        if world.dry_friction is not None:
+            found["dry_friction"] = self.friction_factor * world.dry_friction
+        if len(known) > 1 or not found:
+            raise ControlError(
+                "friction_factor",
+                got=" and ".join(f"μ = {mu:g}" for mu in known) or "nothing that rubs",
+                expected="friction in joints, or contacts with one μ",
+            )
+        return found
 
     def _move_walls(self, world: World) -> World:
         """Returns a world whose walls stand nearer."""

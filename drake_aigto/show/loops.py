@@ -78,6 +78,8 @@ def describe_disturbance(run: ClosedLoopRun) -> str:
         items.append(f"start off by {weight_text(d.start_offset)}")
     if d.mass_factor != 1:
         items.append(f"masses times {d.mass_factor:g}")
+    if d.friction_factor != 1:
+        items.append(f"friction times {d.friction_factor:g}")
     if d.wall_shift:
         items.append(f"walls {1e3 * d.wall_shift:g} mm nearer")
     if d.restitution_factor != 1:
