@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 from drake_aigto import Planner, Scenario
 from drake_aigto.planning import MechanismOptions
+from drake_aigto.planning.mechanism_options import MECHANISM_LADDER
 from drake_aigto.planning.mechanism_phases import lay_out
 from drake_aigto.transcription import Touch
+
+MODELS = Path(__file__).parents[1] / "models"
 
 
 @pytest.mark.slow
@@ -24,6 +29,34 @@ def test_carts_are_pushed_apart_one_after_the_other() -> None:
     assert forces is not None
     assert np.all(forces > -1e-6)
     assert np.max(forces) > 1.0
+
+
+@pytest.mark.slow
+def test_carts_in_a_row_press_both_contacts_at_once(tmp_path: Path) -> None:
+    """The first one is driven: one cart at a time, plans cost 155."""
+    model = (MODELS / "three_carts.sdf").read_text()
+    driven, passive = "<effort>20</effort>", "<effort>0</effort>"
+    (tmp_path / "row.sdf").write_text(model.replace(driven, passive).replace(passive, driven, 1))
+    scenario = Scenario(
+        model=str(tmp_path / "row.sdf"),
+        initial_position=[-3.0, 0.0, 2.5],
+        initial_velocity=[0.0, 0.0, 0.0],
+        goal_position=[-1.0, 2.0, 4.5],
+        duration=3.0,
+        time_step=0.05,
+        restitution=0.0,
+        control_weight=0.1,
+        velocity_weight=[0.1, 0.1, 0.1],
+        goal_weight=[100.0, 100.0, 100.0],
+        goal_velocity_weight=[10.0, 10.0, 10.0],
+    )
+    options = MechanismOptions(renewals=0, ladder=MECHANISM_LADDER[:6], confirm=False)
+    plan = Planner(scenario, options).plan()
+    assert plan.holds
+    assert plan.cost < 40.0
+    forces = plan.trajectory.forces
+    assert forces is not None
+    assert np.any((forces > 0.1).all(axis=1))
 
 
 def test_touches_that_last_are_held_until_they_end_or_another_one_begins() -> None:

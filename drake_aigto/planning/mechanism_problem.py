@@ -11,16 +11,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats, interpolate
 from drake_aigto.planning.candidate import Candidate, Replays
-from drake_aigto.planning.closing import (
-    AIMED,
-    COARSE,
-    COOLING,
-    POLISH,
-    RUBBED,
-    TIGHT,
-    calc_pace,
-    from_afar,
-)
+from drake_aigto.planning.closing import COARSE, COOLING, POLISH, RUBBED, TIGHT, find_closing
 from drake_aigto.planning.flow import trace
 from drake_aigto.planning.mechanism_boxes import (
     Center,
@@ -240,12 +231,13 @@ class MechanismProblem:
 
     def close(self, center: Center) -> ShootingResult:
         """Returns the motion near a box center, as far as a few steps lead."""
-        options = AIMED if self.scenario.hard_goal else COARSE
-        if isinstance(self.law, CompliantLaw) and self.law.rubs:
-            step = self.scenario.duration / self.search_steps
-            pace = calc_pace(self.world, self.law, self._ends.position)
-            options = from_afar(options, step * pace)
-        return self._close_on_springs(center, options)
+        return self._close_on_springs(center, self._closing)
+
+    @cached_property
+    def _closing(self) -> ShootingOptions:
+        """How what boxes show is closed."""
+        time_step, is_aimed = self.scenario.duration / self.search_steps, self.scenario.hard_goal
+        return find_closing(self.world, self.law, self._ends.position, time_step, is_aimed)
 
     def _close_on_springs(
         self, center: Center, options: ShootingOptions = COARSE
