@@ -14,7 +14,7 @@ from pydrake.solvers import (
     MathematicalProgram,
     SolutionResult,
 )
-from pydrake.symbolic import cos, exp, log, sin
+from pydrake.symbolic import cos, exp, log, sin, sqrt
 
 from benchmarks.collections.random_programs import random_program
 from drake_aigto.aigo import BoxSearch
@@ -215,6 +215,15 @@ def test_rows_of_huge_numbers_hold_to_rounding(
 
     assert least(unit) == pytest.approx(least(1.0), abs=1e-6)
     assert not capfd.readouterr().out  # SNOPT finds such rows singular, and would print so.
+
+
+def test_points_where_a_row_has_no_slope_may_be_passed() -> None:
+    def row(x: Any) -> Any:
+        return [sqrt(x[0] ** 2 + x[1] ** 2) >= 1]  # not met in the middle, where it has none
+
+    result = solve(constrained(2, lambda x: x[0] ** 2 + x[1] ** 2 + x[0], row, 2.0), rounds=3)
+    assert result.is_success()
+    assert result.get_optimal_cost() == pytest.approx(0.0, abs=1e-6)
 
 
 def test_bounds_hold_exactly() -> None:

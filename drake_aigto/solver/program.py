@@ -199,7 +199,10 @@ def read_program(prog: MathematicalProgram) -> AigoProgram:
 
 def _rounding(evaluator: EvaluatorBase, x: Floats) -> Floats:
     """Returns what rounding of x (n,) may change rows g (m,) by: 4 ε Σ_j |∂g/∂x_j x_j|."""
-    slopes = ExtractGradient(evaluator.Eval(InitializeAutoDiff(x)))
+    try:
+        slopes = ExtractGradient(evaluator.Eval(InitializeAutoDiff(x)))
+    except (RuntimeError, ValueError):  # A slope has no value there, as that of √x at 0.
+        return np.zeros(evaluator.num_constraints())
     changes = 4 * np.finfo(float).eps * np.sum(np.abs(slopes * x), axis=1)
     return np.where(np.isfinite(changes), changes, 0.0)
 
