@@ -72,8 +72,18 @@ class Motion:
     def from_trajectory(
         cls, trajectory: Trajectory, world: World, label: str = PLAN_LABEL
     ) -> Motion:
-        """Returns a planned motion: v_k before each knot's impulse, v_k + M⁻¹ Jᵀ p_k after it."""
+        """Returns a planned motion: v_k before each knot's impulse, what that makes of it after.
+
+        Without friction, that is v_k + M⁻¹ Jᵀ p_k; with it, the slope of the parabola to the next
+        knot, as in `Trajectory.to_piecewise`.
+        """
         jumps = world.calc_velocity_change(trajectory.positions, trajectory.impulses)
+        if world.frictions:
+            struck = np.flatnonzero(np.any(trajectory.impulses[:-1] > 0, axis=1))
+            slopes = trajectory.to_piecewise()[0]
+            after = [slopes.value(t)[world.num_positions :, 0] for t in trajectory.times[struck]]
+            jumps[struck] = np.reshape(after, (-1, world.num_velocities))
+            jumps[struck] -= trajectory.velocities[struck]
         touches = tuple(
             Touch(c.time, c.last_time, c.index) for c in find_contacts(world, trajectory)
         )

@@ -25,8 +25,8 @@ class Trajectory(ArrayRecord):
         positions: q_k, shape (N+1, nq) [m, rad]. They never jump.
         velocities: v_k, shape (N+1, nv) [m/s, rad/s], just *before* an impulse at t_k.
         controls: u_k, shape (N, nu) [N, N m], held over [t_k, t_{k+1}).
-        impulses: p_k ≥ 0 of the contacts, shape (N+1, m) [N s]. The velocity just after t_k is
-            v_k + M⁻¹ Jᵀ p_k.
+        impulses: p_k ≥ 0 of the contacts along their normals, shape (N+1, m) [N s]. The velocity
+            just after t_k is v_k + M⁻¹ Jᵀ p_k, and what friction adds.
         forces: λ_k ≥ 0 of contacts that last, held over [t_k, t_{k+1}), shape (N, m) [N].
 
     Raises:
