@@ -7,6 +7,8 @@ from functools import cache
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
+from matplotlib.patches import Rectangle
 from rubbing_worlds import make_discs
 from test_shooting_phases import weigh
 
@@ -19,6 +21,7 @@ from drake_aigto.shooting import (
     Phases,
     ShootingProblem,
 )
+from drake_aigto.show import motions_of_plan, plot_friction
 from drake_aigto.simulation.coulomb import Mobility, calc_impulse
 from drake_aigto.transcription import Touch
 from drake_aigto.world import RigidLaw
@@ -108,7 +111,7 @@ def test_modes_that_are_no_signs_are_refused() -> None:
         Phases(0 * one, one, np.ones(2), (1.0, 1.0), modes=2 * one)
 
 
-BRIEF = MechanismOptions(renewals=0)
+BRIEF = MechanismOptions(ladder=MechanismOptions().ladder[:2], renewals=0)
 
 
 @cache
@@ -135,6 +138,18 @@ def problem() -> RigidMechanismProblem:
     found = make_mechanism_problem(World.from_scenario(scenario), scenario, BRIEF)
     assert isinstance(found, RigidMechanismProblem)
     return found
+
+
+def test_a_figure_has_the_impulse_of_an_impact_that_sticks_at_the_edge_of_its_cone() -> None:
+    rough = shot()
+    world, motion = rough.find_world(), motions_of_plan(rough)[0]
+    plot_friction(axes := Figure().subplots(), motion, world, rough.scenario)
+    (bar,) = axes.patches
+    (mark,) = (line for line in axes.lines if line.get_marker() == "o")
+    assert isinstance(bar, Rectangle)
+    most = 0.3 * np.max(rough.trajectory.impulses)
+    assert bar.get_height() == pytest.approx(2 * most, rel=1e-6)
+    assert 2 * abs(np.asarray(mark.get_ydata())[0]) == pytest.approx(bar.get_height(), rel=1e-3)
 
 
 def test_an_impact_at_the_edge_of_its_mode_is_led_to_the_best_from_every_mode() -> None:
