@@ -38,6 +38,7 @@ RECORDS: Mapping[str, str] = {
     " --workers 2",
     "robots": "python -m benchmarks.robots compare --count 12 --minutes 10"
     " --methods plan 'plan, points' shooting listed bounces SNOPT IPOPT --workers 2",
+    "friction": "python -m benchmarks.friction --shots 100 --workers 2 --minutes 18",
     "robots_pendulum": "python -m benchmarks.robots compare pendulum/off_the_wall"
     " --methods plan bounces --seconds 1.5 --workers 2",
     "robots_rigid": "python -m benchmarks.robots compare cart_pole/rigid_06/e=1"
@@ -173,6 +174,16 @@ FIGURES: Mapping[str, Figure] = {
     "robots_tables": Figure("robots", r"(?s)\A(.*\S)"),
     "robots_rigid_tables": Figure("robots_rigid", r"(?s)\A(.*\S)"),
     "robots_contacts_tables": Figure("robots_contacts", r"(?s)\A(.*\S)"),
+    "friction_forms": Figure("friction", r"(?s)\A((?:[^\n]* off by \S+\n)+)"),
+    "friction_shots": Figure("friction", r"(?m)^with friction: .* of (\d+),"),
+    "friction_near": Figure("friction", r"(?m)^with friction: within 1 % of the list (\d+) of"),
+    "friction_better": Figure("friction", r"(?m)^with friction: .*by more than 1 % (\d+);"),
+    "friction_worst": Figure("friction", r"(?m)^with friction: .*worst (-?[\d.]+) %"),
+    "smooth_shots": Figure("friction", r"(?m)^without friction: .* of (\d+),"),
+    "smooth_near": Figure("friction", r"(?m)^without friction: within 1 % of the list (\d+) of"),
+    "friction_pays": Figure("friction", r"more than 1 % in (\d+) of \d+$"),
+    "friction_drake": Figure("friction", r"Drake's cost within 1 % of the plan's: (\d+) of"),
+    "friction_seconds": Figure("friction", r"CPU seconds a plan, median: ([\d.]+)"),
     "robots_pendulum_tables": Figure("robots_pendulum", r"(?s)\A(.*\S)"),
     "robots_soft_tables": Figure("robots_soft", r"(?s)\A(.*\S)"),
     **_soft("06"),
