@@ -15,6 +15,9 @@ from drake_aigto.world import RigidLaw, World
 # An impact is at the edge of its mode where it sticks with this part of the friction there is, or
 # where what slips has this part of the approach's speed left.
 _EDGE = 0.02
+# Where a c − b² is this part of a c, nothing moves along the wall that does not leave it, too: what
+# has one coordinate never sticks.
+_STIFF = 1e-9
 
 
 def read_mode(world: World, law: RigidLaw, contact: int, q: Floats, v: Floats) -> int:
@@ -43,8 +46,12 @@ def find_other_mode(world: World, law: RigidLaw, touch: Touch, q: Floats, v: Flo
         p = -(1 + e) * rate / (mobility.a + along * mobility.b)
         after = slip + (mobility.b + along * mobility.c) * p
         return int(Mode.STICK) if mode * after <= _EDGE * abs(rate) else None
-    rows = np.array([[mobility.a, mobility.b], [mobility.b, mobility.c]])
-    normal, tangent = np.linalg.solve(rows, [-(1 + e) * rate, -slip]).tolist()
+    a, b, c = mobility
+    room = a * c - b**2
+    if room <= _STIFF * a * c:
+        return -1 if slip < 0 else 1
+    normal = ((1 + e) * -rate * c + b * slip) / room
+    tangent = (b * (1 + e) * rate - a * slip) / room
     is_at_edge = abs(tangent) >= (1 - _EDGE) * friction * normal
     return -int(np.sign(tangent)) if is_at_edge else None
 
