@@ -122,12 +122,12 @@ def test_the_properties_that_are_shown_in_sdf_are_read(tmp_path: Path) -> None:
     }
     model = tmp_path / "room.sdf"
     model.write_text(element.sub("", shipped), encoding="utf-8")
-    with pytest.raises(ModelError, match="friction of"):
-        Planner(Scenario(model=str(model), **start))
+    scenario = Scenario(model=str(model), **start)
+    assert set(World.from_scenario(scenario).frictions.values()) == {1.0}
     with pytest.raises(ModelError, match="no stiffness"):
-        Planner(Scenario(model=str(model), friction=0, **start))
+        Planner(scenario)
     model.write_text(element.sub(properties, shipped), encoding="utf-8")
-    Planner(Scenario(model=str(model), **start))
+    assert Planner(scenario).world.frictions == {}
 
 
 def test_the_page_of_tasks_has_every_field_and_what_it_shows_is_understood() -> None:
