@@ -120,6 +120,13 @@ def test_spheres_that_move_about_each_other_rub_as_in_drakes_plant_and_in_shooti
     assert touched >= 4
 
 
+def test_a_clone_of_a_diagram_has_its_spheres_where_they_were() -> None:
+    world = World.from_scenario(Scenario.named("push_circle/round_it"))
+    clone = world.of_diagram(world.diagram.Clone())
+    q = np.array([-0.2, 0.1, 0.05, -0.1])
+    np.testing.assert_array_equal(clone.calc_signed_distance(q), world.calc_signed_distance(q))
+
+
 def test_a_figure_tells_stick_from_slip_by_its_marks_and_has_friction_within_its_cone() -> None:
     times, q = np.linspace(0.0, 1.0, 3), np.tile([0.8, 0.06, 0.0], (3, 1))
     v = np.array([[0.0, 0.0, 0.0], [0.02, 0.0, 0.0], [2.0, 0.0, 0.0]])

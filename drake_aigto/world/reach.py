@@ -70,7 +70,9 @@ def find_reach(
     """
     found, stuck = list[ReachableFace](), list[SphereAndFace]()
     solid = 0
-    pairs = find_pairs(plant, scene_graph, plant.CreateDefaultContext(), ignored)
+    context = plant.CreateDefaultContext()
+    plant.SetPositions(context, plant.GetDefaultPositions())  # A clone's context forgets them.
+    pairs = find_pairs(plant, scene_graph, context, ignored)
     for pair in pairs:
         places = [_read_place(reader, scene_graph, face) for face in pair]
         chosen, fixed = _choose(pair, places, reader.q, plant.GetDefaultPositions())
