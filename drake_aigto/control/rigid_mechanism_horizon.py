@@ -125,7 +125,7 @@ class RigidMechanismHorizon(Horizon):
         """Returns the best motion near a trajectory, with touches as times after its start."""
         now, (q, v) = float(left.times[0]), (left.positions, left.velocities)
         elapsed = left.times - now
-        times, phases = lay_onto(touches, elapsed)
+        times, phases = lay_onto(touches, elapsed, self.world.num_contacts)
         after = np.hstack([q, v + self.world.calc_velocity_change(q, left.impulses)])
         middles = (times[1:] + times[:-1]) / 2
         problem = dataclasses.replace(self._problem.pose_phases(times, phases), start=after[0])

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, fields, replace
 from typing import NamedTuple
 
@@ -160,9 +160,7 @@ def lay_out(
     times = np.interp(np.arange(num_steps + 1), [0, *knots, num_steps], elapsed)
     contacts = np.array([joint.contact for joint in joints], dtype=np.int64)
     modes = np.array([joint.mode for joint in joints], dtype=np.int64)
-    held = np.zeros((1 + len(joints), num_contacts), dtype=np.bool_)
-    for phase, joint in enumerate(joints, start=1):
-        held[phase, joint.held] = True
+    held = _find_held(joints, num_contacts)
     return times, Phases(contacts, knots, durations, total, held, modes)
 
 
@@ -175,12 +173,21 @@ class _Joint(NamedTuple):
     mode: int  # how the impact ends
 
 
-def lay_onto(touches: TouchSequence, times: Floats) -> tuple[Floats, Phases]:
+def _find_held(joints: Sequence[_Joint], num_contacts: int) -> Bools:
+    """Returns which contacts are held in each of the phases that meet at joints, shape (P, m)."""
+    held = np.zeros((1 + len(joints), num_contacts), dtype=np.bool_)
+    for phase, joint in enumerate(joints, start=1):
+        held[phase, joint.held] = True
+    return held
+
+
+def lay_onto(touches: TouchSequence, times: Floats, num_contacts: int) -> tuple[Floats, Phases]:
     """Returns knots, those given and one at each touch and release, and the phases between.
 
     Args:
         touches: by time.
         times: of knots, from 0 on [s]; those that nearly are at a touch are left out.
+        num_contacts: m.
     """
     duration = float(times[-1])
     joints = list(_find_joints(touches, duration))
@@ -193,7 +200,7 @@ def lay_onto(touches: TouchSequence, times: Floats) -> tuple[Floats, Phases]:
         knots=np.searchsorted(knots, ends),
         durations=np.diff(ends, prepend=0.0, append=duration),
         total=(duration, duration),
-        held=np.array([-1, *(joint.held for joint in joints)]),
+        held=_find_held(joints, num_contacts),
         modes=np.array([joint.mode for joint in joints], dtype=np.int64),
     )
     return knots, phases
