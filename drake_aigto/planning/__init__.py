@@ -9,9 +9,9 @@ from drake_aigto.planning.mechanism_boxes import (
     Renewal,
     StartedBoxes,
 )
-from drake_aigto.planning.mechanism_options import MechanismOptions
+from drake_aigto.planning.mechanism_options import MechanismOptions, needs_shooting
 from drake_aigto.planning.mechanism_phases import BouncingResult, lay_onto
-from drake_aigto.planning.mechanism_problem import MechanismProblem, needs_shooting
+from drake_aigto.planning.mechanism_problem import MechanismProblem
 from drake_aigto.planning.mechanism_search import MechanismSearch
 from drake_aigto.planning.options import LadderOptions, PlanOptions, Rung, SearchOptions
 from drake_aigto.planning.origin import Origin

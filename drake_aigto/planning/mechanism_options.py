@@ -1,4 +1,4 @@
-"""How to plan for mechanisms: numerics only. Physics and task are the Scenario's."""
+"""How to plan for mechanisms, numerics only; and which tasks are planned for in that way."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from typing import ClassVar
 from drake_aigto.errors import OptionsError
 from drake_aigto.planning.mechanism_boxes import MechanismRung, MechanismStart
 from drake_aigto.planning.options import SearchOptions
+from drake_aigto.world import Scenario, World
 
 
 def _rung(
@@ -71,3 +72,15 @@ class MechanismOptions(SearchOptions):
         self._check_count("seed", 0)
         if not self.ladder:
             raise OptionsError("ladder", got="no rung", expected="at least one")
+
+
+def needs_shooting(world: World, scenario: Scenario) -> bool:
+    """Returns whether a task is more than one of balls between rigid walls.
+
+    Where something turns, M or J depends on q, something has limits or rubs, contact is compliant,
+    or the task is not AIGTO's (`Scenario.is_plain`). Balls that nothing can touch stay theirs, for
+    whoever asks for AIGTO's task has forgotten a wall.
+    """
+    is_free = world.has_constant_inertia and not (world.limits.are_any or world.is_hinge.any())
+    rubs = scenario.contact == "rigid" and world.friction_coefficients(scenario).any()
+    return not (is_free and not rubs and scenario.is_plain)

@@ -396,15 +396,3 @@ class MechanismProblem:
     def again(self, scenario: Scenario) -> MechanismProblem:
         """Returns the same for a changed scenario; boxes are compiled anew for other weights."""
         return type(self)(self.world, scenario, self.options, self._compiled)
-
-
-def needs_shooting(world: World, scenario: Scenario) -> bool:
-    """Returns whether a task is more than one of balls between rigid walls.
-
-    Where something turns, M or J depends on q, something has limits or rubs, contact is compliant,
-    or the task is not AIGTO's (`Scenario.is_plain`). Balls that nothing can touch stay theirs, for
-    whoever asks for AIGTO's task has forgotten a wall.
-    """
-    is_free = world.has_constant_inertia and not (world.limits.are_any or world.is_hinge.any())
-    rubs = scenario.contact == "rigid" and world.friction_coefficients(scenario).any()
-    return not (is_free and not rubs and scenario.is_plain)

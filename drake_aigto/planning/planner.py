@@ -13,11 +13,8 @@ from drake_aigto.certify import bound_plans, out_of_reach
 from drake_aigto.errors import ModelError, OptionsError, ProgramError
 from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.coarse import transcribe
-from drake_aigto.planning.mechanism_options import MechanismOptions
-from drake_aigto.planning.mechanism_problem import (
-    MechanismProblem,
-    needs_shooting,
-)
+from drake_aigto.planning.mechanism_options import MechanismOptions, needs_shooting
+from drake_aigto.planning.mechanism_problem import MechanismProblem
 from drake_aigto.planning.mechanism_search import MechanismSearch
 from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.plan import Plan, PlanningError
