@@ -64,7 +64,7 @@ def test_control_says_that_it_was_interrupted(
         (["table1/1", "--method", "tracking", "--search-every", "3"], "--search-every: got"),
         (["table1/1", "--kick", "1", "2"], "kick: got 2 numbers, expected 1"),
         (
-            ["pendulum/off_the_wall", "--method", "replanning", "--friction", "0.3"],
+            ["billiard/spin_shot", "--method", "replanning"],
             "friction at rigid walls",
         ),
     ],

@@ -166,9 +166,8 @@ def test_what_it_can_not_plan_from_is_refused() -> None:
     free = dataclasses.replace(PENDULUM, duration_range=(1.0, 2.0))
     with pytest.raises(ControlError, match="a task whose duration is free"):
         ModelPredictiveController(Planner(free), 0.1)
-    rubs = dataclasses.replace(PENDULUM, friction=0.3)
     with pytest.raises(ControlError, match="got friction at rigid walls, expected none"):
-        ModelPredictiveController(Planner(rubs), 0.1)
+        ModelPredictiveController(Planner(Scenario.named("billiard/spin_shot")), 0.1)
     planner = Planner(BALL)
     planner.transcription.AddFinalCost(planner.transcription.state()[0])
     with pytest.raises(ControlError, match="got costs or constraints that were added"):

@@ -57,8 +57,9 @@ def check_end(replay: Replay, coordinate: int, exact: exact_wall.ExactRun) -> No
 @settings(max_examples=100)
 @given(places, st.floats(-30, 30))
 def test_elastic_walls_fold_a_free_flight(q: float, v: float) -> None:
-    replay = run(shipped("corridor"), q, v, *hold_still(shipped("corridor")))
     unfolded = q + v
+    assume(abs(unfolded - round(unfolded)) > 1e-9)  # At the very end a bounce counts, or does not.
+    replay = run(shipped("corridor"), q, v, *hold_still(shipped("corridor")))
     assert replay.positions[-1, 0] == pytest.approx(1 - abs(1 - unfolded % 2), abs=1e-12)
     assert len(replay.bounce_times) == abs(math.floor(unfolded))
     first = int(v > 0)
