@@ -47,6 +47,7 @@ def njit(**options: Any) -> Callable[[_Function], _Function]:
 
     def compile_later(function: _Function) -> _Function:
         compiled = numba.njit(**options)(function)
+        _forget_literals(compiled)
         try:
             compiled._cache = _SourceCache(function)  # As njit(cache=True) does with its own.
         except RuntimeError as error:
@@ -56,6 +57,19 @@ def njit(**options: Any) -> Callable[[_Function], _Function]:
         return compiled
 
     return compile_later
+
+
+def _forget_literals(compiled: Any) -> None:
+    """Lets calls with a constant share the code of those with any value: it is compiled once.
+
+    Of Python's own constants, Numba would compile a function anew for each.
+    """
+    find_template = compiled.get_call_template
+
+    def find_shared_template(args: Any, kws: Any) -> Any:
+        return find_template(tuple(map(types.unliteral, args)), kws)
+
+    compiled.get_call_template = find_shared_template
 
 
 # What Python calls.

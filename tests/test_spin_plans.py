@@ -121,6 +121,7 @@ def shot(friction: float | None = None) -> Plan:
     return plan(scenario, BRIEF)
 
 
+@pytest.mark.slow
 def test_a_shot_with_spin_costs_less_than_any_without_friction_and_holds_in_both_replays() -> None:
     rough, smooth = shot(), shot(0.0)
     drake = rough.replay.drake

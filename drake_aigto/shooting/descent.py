@@ -27,10 +27,8 @@ _LENGTHS = 5
 _PATIENCE = 3
 
 
-# What `_travel` does besides going through the stages, and whether derivatives are asked for.
-# They are NumPy's, as Numba compiles a function anew for each of Python's own constants.
-_FOLLOW, _EXPAND, _ROLL = np.array([0, 1, 2])
-_YES, _NO = np.array([True, False])
+# What `_travel` does besides going through the stages.
+_FOLLOW, _EXPAND, _ROLL = range(3)
 
 
 @inner
@@ -176,7 +174,7 @@ def _expand(
 ) -> float:
     """Computes the problem to second order about a motion, and returns its cost."""
     cost = _travel(program, states, controls, _EXPAND, 0.0, eps, np.inf, memory)
-    return cost + add_bounds(program, states, controls, penalty, _YES, memory)
+    return cost + add_bounds(program, states, controls, penalty, True, memory)
 
 
 @pasted
@@ -193,7 +191,7 @@ def _march(
     """Follows the control law with a step length; returns the cost, infinite above `most`."""
     cost = _travel(program, states, controls, _FOLLOW, length, eps, most, memory)
     if cost < np.inf:
-        cost += add_bounds(program, memory.states, memory.controls, penalty, _NO, memory)
+        cost += add_bounds(program, memory.states, memory.controls, penalty, False, memory)
     return cost if cost <= most else np.inf
 
 
