@@ -43,11 +43,16 @@ def _press(
     press(mechanics, held, x, u, True, memory)
 
 
+@cache
+def compile_mechanics(world: World) -> Mechanics:
+    return Mechanism.of(world, RigidLaw(np.zeros(world.num_contacts))).mechanics
+
+
 def run(
     world: World, contacts: list[int], x: Floats, u: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Returns λ, v̇ and their derivatives by (q, v, u)."""
-    mechanics = Mechanism.of(world, RigidLaw(np.zeros(world.num_contacts))).mechanics
+    mechanics = compile_mechanics(world)
     memory = copy_writable(make_mechanics_memory(mechanics))
     _press(mechanics, hold(world, contacts), x, u, memory)
     forces, by_force = memory.grip[-1, contacts], memory.by_force[:, contacts].T
