@@ -23,8 +23,8 @@ from drake_aigto.count import Notice
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _Borrowed = TypeVar("_Borrowed")
 
-# `python -m benchmarks.start_time` measures 10 to 15 s on idle cores of servers; shooting takes 40.
-_COMPILES = "compiling machine code, up to a minute; "
+# `python -m benchmarks.start_time` measures 10 to 15 s on idle cores of servers; shooting takes 60.
+_COMPILES = "compiling machine code, up to a minute or so; "
 _KEPT = "it is kept for next time"
 _LOST = "it can be kept nowhere: NUMBA_CACHE_DIR may name a folder"
 

@@ -21,7 +21,7 @@ from drake_aigto import Planner, PlanOptions, Scenario
 
 # No deadlines: Numba compiles in whichever example comes first, and machines stall. The same
 # examples every time: a test that fails fails again.
-settings.register_profile("drake_aigto", deadline=None, derandomize=True, max_examples=40)
+settings.register_profile("drake_aigto", deadline=None, derandomize=True, max_examples=30)
 settings.load_profile("drake_aigto")
 
 # A shell that starts tests in the background has Ctrl-C ignored, which some of them test.

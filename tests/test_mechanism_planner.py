@@ -78,6 +78,7 @@ def test_a_hard_goal_is_met_in_both_simulations() -> None:
         np.testing.assert_allclose(replay.positions[-1], [np.pi, 0.0], atol=1e-3)
 
 
+@pytest.mark.slow
 def test_what_misses_a_hard_goal_is_no_plan(cart_pole: Planner) -> None:
     scenario = dataclasses.replace(cart_pole.scenario, hard_goal=True, control_upper=0.1)
     options = dataclasses.replace(QUICK, renewals=0, ladder=QUICK.ladder[:2])

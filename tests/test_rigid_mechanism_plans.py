@@ -88,6 +88,7 @@ def test_a_thrown_ball_bounces_six_times(throw: Plan) -> None:
     check_impacts(throw)
 
 
+@pytest.mark.slow
 def test_no_motion_that_misses_much_of_a_hard_goal_is_taken_for_a_cheap_one() -> None:
     """By continuation from the shipped throw, six bounces cost 9.313."""
     scenario = dataclasses.replace(
