@@ -281,11 +281,13 @@ def test_a_pendulum_is_brought_to_its_goal_off_a_rigid_wall() -> None:
 
 @pytest.mark.slow
 def test_a_pole_that_is_kicked_bounces_off_a_rigid_wall_as_it_promises_then() -> None:
-    truth = Disturbance(kick=np.array([0.3, 0.5]), kick_time=0.4, noise=np.full(4, 1e-3))
+    truth = Disturbance(kick=np.array([0.3, 0.5]), kick_time=0.4)
     run = swing(Scenario.named("cart_pole/rigid_06"), truth, renewals=8)
     assert run.replay.bounce_contacts
     before = [tick.cost for tick in run.ticks if tick.time < truth.kick_time][-1]
-    after = next(tick.cost for tick in run.ticks if tick.time >= truth.kick_time)
+    # The last plan goes on until another one is found.
+    planned = (tick for tick in run.ticks if "goes on" not in tick.reason)
+    after = next(tick.cost for tick in planned if tick.time >= truth.kick_time)
     assert run.cost < 1.05 * (run.promised - before + after)
 
 
