@@ -123,7 +123,7 @@ def _soft(wall: str) -> dict[str, Figure]:
     head = rf"(?s)^cart_pole/soft_{wall}: (?:\d+) questions\n[^\n]*\nplan +"
     return {
         f"soft_{wall}_near": Figure("robots_soft", rf"{head}{_NUMBER} %"),
-        f"soft_{wall}_seconds": Figure("robots_soft", rf"{head}(?:\d+ % +){{3}}{_NUMBER}"),
+        f"soft_{wall}_seconds": Figure("robots_soft", rf"{head}(?:[\d.]+ % +){{3}}{_NUMBER}"),
     }
 
 
@@ -174,7 +174,7 @@ FIGURES: Mapping[str, Figure] = {
     "robots_tables": Figure("robots", r"(?s)\A(.*\S)"),
     "robots_rigid_tables": Figure("robots_rigid", r"(?s)\A(.*\S)"),
     "robots_contacts_tables": Figure("robots_contacts", r"(?s)\A(.*\S)"),
-    "friction_forms": Figure("friction", r"(?s)\A((?:[^\n]* off by \S+\n)+)"),
+    "friction_forms": Figure("friction", r"(?s)\A((?:[^\n]* off by \S+\n)*[^\n]* off by \S+)"),
     "friction_shots": Figure("friction", r"(?m)^with friction: .* of (\d+),"),
     "friction_near": Figure("friction", r"(?m)^with friction: within 1 % of the list (\d+) of"),
     "friction_better": Figure("friction", r"(?m)^with friction: .*by more than 1 % (\d+);"),
