@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.control.horizon import OVER, Horizon
 from drake_aigto.control.motion import Motion
+from drake_aigto.control.shooting_horizon import ShootingHorizon
 from drake_aigto.planning import MechanismOptions, MechanismProblem, MechanismSearch
 from drake_aigto.shooting import ShootingOptions, ShootingResult, Smoothing
 from drake_aigto.trajectory import Trajectory
@@ -25,7 +25,7 @@ _SUBSTEPS = 4
 _FOUND = Smoothing(_SMOOTHING, 60, _TOLERANCE)
 
 
-class MechanismHorizon(Horizon):
+class MechanismHorizon(ShootingHorizon):
     """A task of a mechanism between walls that yield, or of one that touches nothing.
 
     There a motion is all that has to be known of a plan, and a few iterations of the descent lead
@@ -49,40 +49,20 @@ class MechanismHorizon(Horizon):
             is_receding: whether the horizon always lasts as long as the scenario, or ends with it.
             iterations: of the descent in a tick, at most.
         """
-        self._problem = MechanismProblem(world, scenario, options)
-        super().__init__(world, scenario, is_receding, self._problem.search_steps)
+        super().__init__(MechanismProblem(world, scenario, options), is_receding)
         self._task = self._problem.shooting(self._num_steps)
         rungs = (Smoothing(_SMOOTHING, iterations, _TOLERANCE),)
         self._options = ShootingOptions(rungs, _SUBSTEPS, order=2, multiplier_updates=1)
-
-    @property
-    def cost_scale(self) -> float:
-        """What the task costs where all is off by its scale."""
-        return self._problem.scales.cost
 
     def is_inside(self, x: Floats) -> bool:
         """Returns False: walls that yield may be planned in."""
         return False
 
     def advance(self, motion: Motion, now: float, x: Floats) -> Motion | None:
-        """Returns what a few iterations make of what is left of a motion, whose gaps they close.
-
-        Its knots stay where they are, so that the motion stays what it was. Where the horizon
-        recedes, as many as are over come at its end, with the last control and state.
-        """
-        if now >= motion.trajectory.times[-1]:  # Nobody was told for that long.
-            motion = self.rest(now, x)
-        last = motion.trajectory
-        k = int(np.searchsorted(last.times, now + OVER * self._step, side="right")) - 1
-        added = k if self.is_receding else 0
-        ahead = last.times[-1] + self._step * np.arange(1, added + 1)
-        states = np.hstack([last.positions, last.velocities])
-        return self._descend(
-            times=np.concatenate([[now], last.times[k + 1 :], ahead]),
-            states=np.vstack([x, states[k + 1 :], *[states[-1:]] * added]),
-            controls=np.vstack([last.controls[k:], *[last.controls[-1:]] * added]),
-            options=self._options,
-        )
+        """Returns what a few iterations make of what is left of a motion, whose gaps they close."""
+        left = self._shift(self._renew(motion, now, x).trajectory, now, x)
+        states = np.hstack([left.positions, left.velocities])
+        return self._descend(left.times, states, left.controls, self._options)
 
     def _descend(
         self, times: Floats, states: Floats, controls: Floats, options: ShootingOptions
@@ -104,17 +84,7 @@ class MechanismHorizon(Horizon):
 
     def search(self, now: float, x: Floats) -> Motion | None:
         """Returns the best motion that boxes and renewals find from a state; None if none."""
-        # No plan may start beyond its bounds, where an estimate may be.
-        bounds, (q, v) = self._problem.bounds, np.split(x, 2)
-        left = self.end(now) - now
-        scenario = dataclasses.replace(
-            self.scenario,
-            initial_position=np.clip(q, *bounds.position),
-            initial_velocity=np.clip(v, *bounds.velocity),
-            duration=left,
-            time_step=left / self.scenario.num_steps,
-        )
-        search = MechanismSearch(self._problem.again(scenario))
+        search = MechanismSearch(self._problem.again(self._ask(now, x)))
         search.explore()
         if not search.motions:
             return None

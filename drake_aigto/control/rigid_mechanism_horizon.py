@@ -7,8 +7,8 @@ import dataclasses
 import numpy as np
 
 from drake_aigto.arrays import Floats, interpolate
-from drake_aigto.control.horizon import OVER, Horizon
 from drake_aigto.control.motion import Motion
+from drake_aigto.control.shooting_horizon import ShootingHorizon
 from drake_aigto.control.touches_left import choose, find_left
 from drake_aigto.planning import (
     BouncingResult,
@@ -34,12 +34,14 @@ _MORE = ShootingOptions(
 )
 
 
-class RigidMechanismHorizon(Horizon):
+class RigidMechanismHorizon(ShootingHorizon):
     """A task of a mechanism between rigid walls: a plan is its touches, and its motion.
 
     A few iterations of the descent, in the phases between the touches that are still to come, lead
     from the last plan to the next (`Phases`). Which touches these are is asked as for balls.
     """
+
+    _problem: RigidMechanismProblem
 
     def __init__(
         self,
@@ -60,16 +62,10 @@ class RigidMechanismHorizon(Horizon):
             iterations: of a descent in a tick, at most.
             period: between ticks [s].
         """
-        self._problem = RigidMechanismProblem(world, scenario, options)
-        super().__init__(world, scenario, is_receding, self._problem.search_steps)
+        super().__init__(RigidMechanismProblem(world, scenario, options), is_receding)
         self._period = period
         rungs = (Smoothing(0.0, iterations, _TOLERANCE),)
         self._options = dataclasses.replace(_MORE, rungs=rungs, multiplier_updates=_UPDATES)
-
-    @property
-    def cost_scale(self) -> float:
-        """What the task costs where all is off by its scale."""
-        return self._problem.scales.cost
 
     @property
     def restitution(self) -> float:
@@ -81,13 +77,8 @@ class RigidMechanismHorizon(Horizon):
         return bool(np.any(self.world.calc_clearance(np.split(x, 2)[0]) <= 0))
 
     def advance(self, motion: Motion, now: float, x: Floats) -> Motion | None:
-        """Returns what a few iterations make of what is left of a motion; None if that is none.
-
-        Its knots stay where they are, so that the motion stays what it was. Where the horizon
-        recedes, as many as are over come at its end, with the last control and state.
-        """
-        if now >= motion.trajectory.times[-1]:  # Nobody was told for that long.
-            motion = self.rest(now, x)
+        """Returns what a few iterations make of what is left of a motion; None if that is none."""
+        motion = self._renew(motion, now, x)
         left = self._shift(motion.trajectory, now, x)
         rates = self.world.calc_contact_rate(*np.split(x, 2))
         duration = float(left.times[-1]) - now
@@ -97,27 +88,6 @@ class RigidMechanismHorizon(Horizon):
             if found := choose(tried, motion.cost):
                 return found
         return None
-
-    def _shift(self, last: Trajectory, now: float, x: Floats) -> Trajectory:
-        """Returns what is left of a trajectory, from a state on, and what comes after it."""
-        k = int(np.searchsorted(last.times, now + OVER * self._step, side="right")) - 1
-        added = k if self.is_receding else 0
-        ahead = last.times[-1] + self._step * np.arange(1, added + 1)
-        q, v = np.split(x, 2)
-
-        def go_on(first: Floats, rows: Floats) -> Floats:
-            return np.vstack([first, rows[k + 1 :], *[rows[-1:]] * added])
-
-        controls = np.vstack([last.controls[k:], *[last.controls[-1:]] * added])
-        none = np.zeros(self.world.num_contacts)
-        return Trajectory(
-            times=np.concatenate([[now], last.times[k + 1 :], ahead]),
-            positions=go_on(q, last.positions),
-            velocities=go_on(v, last.velocities),
-            controls=controls,
-            impulses=np.vstack([none, last.impulses[k + 1 :], np.zeros((added, len(none)))]),
-            forces=np.zeros((len(controls), len(none))),
-        )
 
     def _descend(
         self, left: Trajectory, touches: TouchSequence, options: ShootingOptions
@@ -148,17 +118,7 @@ class RigidMechanismHorizon(Horizon):
 
     def search(self, now: float, x: Floats) -> Motion | None:
         """Returns the best motion that boxes, renewals and neighbors lead to; None if none."""
-        # No plan may start beyond its bounds, where an estimate may be.
-        bounds, (q, v) = self._problem.bounds, np.split(x, 2)
-        left = self.end(now) - now
-        scenario = dataclasses.replace(
-            self.scenario,
-            initial_position=np.clip(q, *bounds.position),
-            initial_velocity=np.clip(v, *bounds.velocity),
-            duration=left,
-            time_step=left / self.scenario.num_steps,
-        )
-        problem = self._problem.again(scenario)
+        problem = self._problem.again(self._ask(now, x))
         assert isinstance(problem, RigidMechanismProblem)
         search = RigidMechanismSearch(problem)
         search.explore()
