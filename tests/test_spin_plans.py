@@ -131,6 +131,7 @@ def test_a_shot_with_spin_costs_less_than_any_without_friction_and_holds_in_both
     assert rough.replay.event_driven.cost == pytest.approx(rough.cost, rel=1e-6)
     assert rough.cost < 0.9 * smooth.cost
     assert max(rough.best.defects.values()) < 1e-9
+    assert rough.best.energy_ratio == pytest.approx(rough.replay.event_driven.energy_ratio)
 
 
 @cache

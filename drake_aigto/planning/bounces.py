@@ -9,6 +9,7 @@ import numpy as np
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 
 from drake_aigto.arrays import Floats, Ints
+from drake_aigto.simulation.contacts import PlannedContact
 from drake_aigto.simulation.recording import find_impacts
 from drake_aigto.simulation.replay import Replay, replay_event_driven
 from drake_aigto.trajectory import Trajectory
@@ -86,6 +87,22 @@ def add_impulses(
         rebound = np.abs(went + e * came) if len(each) == 1 else np.maximum(-went, 0.0)
         missed = max(missed, off, float(np.max(np.minimum(rebound, np.abs(went)))))
     return replace(trajectory, impulses=impulses), missed
+
+
+def with_losses(contacts: tuple[PlannedContact, ...], replay: Replay) -> tuple[PlannedContact, ...]:
+    """Returns contacts with the energy ratios of a replay's impacts, which are at their knots.
+
+    A trajectory holds no impulses of friction, which take or give kinetic energy, too.
+    """
+    times, indices = np.array(replay.bounce_times), np.array(replay.bounce_contacts)
+    away = [
+        np.where(indices == contact.index, np.abs(times - contact.time), np.inf)
+        for contact in contacts
+    ]
+    return tuple(
+        replace(contact, energy_ratio=replay.energy_ratios[np.argmin(each)])
+        for contact, each in zip(contacts, away, strict=True)
+    )
 
 
 def _list_events(replay: Replay) -> Iterator[tuple[float, Ints, Floats, Floats, Floats]]:

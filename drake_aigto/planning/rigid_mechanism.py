@@ -8,7 +8,7 @@ from functools import cached_property
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.planning.bounces import add_impulses, replay_at_knots
+from drake_aigto.planning.bounces import add_impulses, replay_at_knots, with_losses
 from drake_aigto.planning.branching import scaled
 from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.flow import trace
@@ -26,6 +26,7 @@ from drake_aigto.planning.mechanism_phases import (
     switch_modes,
 )
 from drake_aigto.planning.mechanism_problem import MechanismProblem
+from drake_aigto.planning.origin import Origin
 from drake_aigto.shooting import (
     Mechanism,
     Phases,
@@ -280,6 +281,13 @@ class RigidMechanismProblem(MechanismProblem):
         """The least and the most that a motion may last [s]."""
         duration = self.scenario.duration
         return self.scenario.duration_range or (duration, duration)
+
+    def judge(self, origin: Origin, start: ShootingResult, found: ShootingResult) -> Candidate:
+        """Returns the candidate that shooting made of a start (`MechanismProblem.judge`)."""
+        judged = super().judge(origin, start, found)
+        if not self.rigid_law.rubs:
+            return judged
+        return dataclasses.replace(judged, contacts=with_losses(judged.contacts, judged.replay))
 
     def _simulate(self, found: ShootingResult) -> tuple[Replay, Trajectory, dict[str, float]]:
         """Returns what controls do, as a trajectory whose knots are where it bounces."""
