@@ -29,8 +29,10 @@ class NlpBuilder:
         self._bounds: list[tuple[Ints | int, ArrayLike, ArrayLike]] = []
         self._costs: list[TermBlock] = []
         self._rows: list[TermBlock] = []
-        # Variables that stand for an affine sum: variable, coefficients, variables, offset.
+        # Variables that stand for an affine sum: variable, coefficients, variables, offset; and for
+        # a sum of products: variable, and the two variables of each product.
         self._sums: list[tuple[int, Floats, Ints, float]] = []
+        self._products: list[tuple[int, Ints, Ints]] = []
 
     def new(self, *shape: int) -> Ints:
         """Returns new variables without bounds: their indices, of this shape."""
@@ -77,9 +79,24 @@ class NlpBuilder:
         self.add_row(name, row, np.append(variables, total))
         return int(total)
 
+    def new_product(self, name: str, factors: Ints, variables: Ints) -> int:
+        """Returns a new variable that equals Σ factor · variable, where factors are variables."""
+        (total,) = self.new(1).tolist()
+        self._products.append((total, factors, variables))
+        L = factors.size
+        row: list[Monomial] = [(1.0, (i, L + i)) for i in range(L)]
+        copy = np.concatenate([factors, variables, [total]])
+        self.add_row(name, [*row, (-1.0, (2 * L,))], copy)
+        return int(total)
+
     def complete(self, x: Floats) -> Floats:
-        """Returns a point (n,): the variables given, and the sums that have a variable."""
+        """Returns a point (n,): the variables given, and the sums that have a variable.
+
+        Those that are not given are 0.
+        """
         complete = np.append(x, np.zeros(self._size - x.size))
+        for total, factors, variables in self._products:
+            complete[total] = complete[factors] @ complete[variables]
         for total, coefficients, variables, offset in self._sums:
             complete[total] = coefficients @ complete[variables] + offset
         return complete

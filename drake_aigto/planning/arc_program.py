@@ -40,7 +40,8 @@ class ArcShape:
         held: likewise.
         apart: likewise.
         beside: likewise.
-        restitutions: of the contacts, shape (m,).
+        restitutions: of contacts that last, or are struck with others that feel each other, shape
+            (m,); 0 for others, whose impacts are held.
         weights: w_u and w_f.
     """
 
@@ -64,6 +65,9 @@ class ArcShape:
         if counts.size == len(line.phases) and not np.any(rests):
             counts = np.minimum(counts, 2)
         ends = [phase.last for phase in line.phases]
+        stays = np.any(line.lands, axis=0)
+        for knot, impact in phases.impacts.items():
+            stays |= line.struck[knot] & np.any(impact.coupled)
         return cls(
             counts=counts,
             phases=np.searchsorted(ends, knots[:-1], side="right"),
@@ -74,7 +78,7 @@ class ArcShape:
             held=line.held[knots],
             apart=line.apart[knots],
             beside=line.beside[knots],
-            restitutions=phases.restitutions,
+            restitutions=np.where(stays, phases.restitutions, 0.0),
             weights=np.array([scenario.control_weight, scenario.goal_weight]),
         )
 
@@ -108,11 +112,42 @@ class ArcPrograms:
         return self._kept[key]
 
 
+@dataclass(frozen=True, eq=False)
+class Walls:
+    """Bounds of φ = J q + φ(0), W of them, that each are bounds of one position.
+
+    Attributes:
+        positions: the unknowns, shape (W,).
+        contacts: shape (W,).
+        slopes: the entry of J that is not 0, shape (W,).
+        limits: lower and upper bounds of φ, shape (2, W).
+    """
+
+    positions: Ints
+    contacts: Ints
+    slopes: Floats
+    limits: Floats
+
+    @classmethod
+    def of(cls, rows: list[tuple[int, int, float, float, float]]) -> Walls:
+        """Returns those of these unknowns, contacts, slopes, and lower and upper bounds."""
+        table = np.array(rows, dtype=float).reshape(-1, 5).T
+        return cls(table[0].astype(np.int64), table[1].astype(np.int64), table[2], table[3:])
+
+    def bound(self, lower: Floats, upper: Floats, offset: Floats) -> None:
+        """Writes the bounds of the positions, given φ(0), shape (m,), into those of all unknowns."""
+        lower[self.positions], upper[self.positions] = -np.inf, np.inf
+        low, high = np.sort((self.limits - offset[self.contacts]) / self.slopes, axis=0)
+        np.maximum.at(lower, self.positions, low)
+        np.minimum.at(upper, self.positions, high)
+
+
 class ArcProgram:
     """The problem of arcs of one shape (`Arcs` has its equations).
 
-    What else differs between problems (the start, the goal, durations, and √ρ/2) are unknowns that
-    bounds hold, so that tables and the order of unknowns are made once.
+    What else differs between problems (the start, the goal, durations, √ρ/2, where walls stand, and
+    what they return) are unknowns that bounds hold, so that tables and the order of unknowns are
+    made once.
 
     Attributes:
         nlp: the problem, whose `held` unknowns, and h, are to be given their bounds.
@@ -127,6 +162,10 @@ class ArcProgram:
         g: tilts of the forces.
         half_root: √ρ/2, shape (J,).
         goal: shape (nq,).
+        offset: φ(0) of the contacts, shape (m,).
+        impacts: joint → the coordinates whose speed an impact changes there, and their rows of R
+            (`JointImpact`), shapes (c,) and (c, nv).
+        walls: bounds of φ that are bounds of one position.
         phases: which phase each arc is a part of, shape (J,).
         end_forces: λ at both ends of arcs, where contacts last.
     """
@@ -156,12 +195,14 @@ class ArcProgram:
         self.a, self.b, self.h = new(J, nu), new(J, nu), new(J)
         self.f, self.g = new(J, m), new(J, m)
         # Held unknowns also make all arcs copies of one sum.
-        self.half_root, self.goal = new(J), new(nq)
+        self.half_root, self.goal, self.offset = new(J), new(nq), new(m)
         is_short = (self._shape.counts == 1)[:, np.newaxis]
         no_forces = self.f[~rests], self.g[~rests | is_short]
-        for held in (self.q[0], self.v[0], self.t[[0, -1]], self.half_root, self.goal, *no_forces):
+        ends = self.q[0], self.v[0], self.t[[0, -1]]
+        for held in (*ends, self.half_root, self.goal, self.offset, *no_forces):
             self._builder.bound(held, 0.0, 0.0)
         self.w = self.v[:-1].copy()
+        self.impacts: dict[int, tuple[Ints, Ints]] = {}
         for j in np.flatnonzero(np.any(self._shape.struck[:-1], axis=1)).tolist():
             self._add_impact(j, self._impact(j).velocities)
 
@@ -173,8 +214,12 @@ class ArcProgram:
 
     def _add_impact(self, j: int, velocities: Floats) -> None:
         """Adds w = R v at a joint, for the speeds that an impact changes."""
-        for i in np.flatnonzero(np.any(velocities != np.eye(len(velocities)), axis=1)):
-            self.w[j, i] = self._builder.new_sum(RESTITUTION, velocities[i], self.v[j])
+        changed = np.flatnonzero(np.any(velocities != np.eye(len(velocities)), axis=1))
+        rows = self._builder.new(changed.size, len(velocities))
+        self._builder.bound(rows, 0.0, 0.0)
+        self.impacts[j] = changed, rows
+        for i, row in zip(changed.tolist(), rows, strict=True):
+            self.w[j, i] = self._builder.new_product(RESTITUTION, row, self.v[j])
 
     def _add_motion(self, rests: NDArray[np.bool_]) -> None:
         """Adds flight and dynamics of the arcs during which these contacts last."""
@@ -222,14 +267,23 @@ class ArcProgram:
 
     def _add_distances(self) -> None:
         shape = self._shape
+        alone: list[tuple[int, int, float, float, float]] = []
         for name, mask, lower, upper in (
             (NONPENETRATION, shape.apart, 0.0, np.inf),
             (NONPENETRATION, shape.beside, -np.inf, 0.0),
             (CONTACT, shape.held, 0.0, 0.0),
         ):
             for j, i in np.argwhere(mask[1:]).tolist():
-                J, offset = self._dynamics.jacobian[i], self._dynamics.offset[i]
-                self._builder.bound_sum(name, J, self.q[j + 1], lower, upper, offset)
+                J, q = self._dynamics.jacobian[i], self.q[j + 1]
+                used = np.flatnonzero(J)
+                if used.size == 1:
+                    alone.append((q[used[0]], i, J[used[0]], lower, upper))
+                    if lower == upper:
+                        self._builder.bound(q[used], 0.0, 0.0)
+                else:
+                    both = np.append(J, 1.0), np.append(q, self.offset[i])
+                    self._builder.bound_sum(name, *both, lower, upper)
+        self.walls = Walls.of(alone)
 
     def _add_touches(self) -> None:
         """Adds how the ball comes to walls, and that no wall pulls in an impact."""

@@ -119,6 +119,10 @@ class Arcs:
         self._roots = calc_root(self._counts)
         self._dynamics = phases.world.constant_dynamics
         self._program = (programs or ArcPrograms()).of(phases, self._knots)
+        self._impacts = [
+            (rows, phases.impacts[int(self._knots[j])].velocities[changed])
+            for j, (changed, rows) in self._program.impacts.items()
+        ]
         self.nlp = self._program.nlp.with_bounds(*self._bounds())
 
     def _bounds(self) -> tuple[Floats, Floats]:
@@ -131,8 +135,11 @@ class Arcs:
             (p.t[[0, -1]], [0.0, scenario.duration]),
             (p.half_root, self._roots / 2),
             (p.goal, scenario.goal_position),
+            (p.offset, self._dynamics.offset),
+            *self._impacts,
         ):
             lower[held] = upper[held] = value
+        p.walls.bound(lower, upper, self._dynamics.offset)
         least = [phases.least_step(phase) for phase in phases.timeline.phases]
         lower[p.h] = self._counts * np.array(least)[p.phases]
         upper[p.h] = scenario.duration
@@ -150,7 +157,7 @@ class Arcs:
     def vector(self, motion: Trajectory) -> Floats:
         """Returns the unknowns of arcs through a motion's joints, with its mean control."""
         p, K, s = self._program, self._knots, self._sigma[:, np.newaxis]
-        x = np.zeros(p.goal[-1] + 1)
+        x = np.zeros(p.nlp.num_variables)
         x[p.q], x[p.v] = motion.positions[K], motion.velocities[K]
         x[p.t], x[p.h] = motion.times[K], np.diff(motion.times[K])
         n = self._counts[:, np.newaxis]
@@ -161,6 +168,9 @@ class Arcs:
         ):
             x[mean] = np.add.reduceat(held, K[:-1]) / n
             x[tilt] = np.add.reduceat(s * held, K[:-1]) / scale
+        x[p.offset] = self._dynamics.offset
+        for rows, values in self._impacts:
+            x[rows] = values
         return p.complete(x)
 
     @cached_property
