@@ -117,16 +117,10 @@ class BallHorizon(Horizon):
     def _move_walls(self, places: tuple[float, ...]) -> RigidProblem:
         """Returns the problem with walls nearer by these parts of the task's length."""
         if places not in self._kept:
-            contacts = tuple(
-                dataclasses.replace(
-                    contact, signed_distance=contact.signed_distance - place * self._length
-                )
-                for contact, place in zip(self.world.contacts, places, strict=True)
-            )
             if len(self._kept) >= _MOST_KEPT:
                 del self._kept[next(iter(self._kept))]
             # Nobody simulates its diagram, where walls are as they were.
-            moved = dataclasses.replace(self.world, contacts=contacts)
+            moved = self.world.with_walls_nearer(self._length * np.array(places))
             self._kept[places] = self._problem.in_world(moved)
         return self._kept[places]
 

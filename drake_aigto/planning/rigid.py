@@ -99,7 +99,7 @@ class RigidProblem(PlanningProblem):
             transcription: for AIGO.
             options: numerics.
             num_steps: time steps that plans are to have; the transcription's if None.
-            programs: those of the same world, and the same additions.
+            programs: those of the same world, wherever its walls stand, and the same additions.
         """
         super().__init__(transcription, options or PlanOptions(), programs)
         self.asked_steps = num_steps or transcription.scenario.num_steps
@@ -131,12 +131,12 @@ class RigidProblem(PlanningProblem):
         return other
 
     def in_world(self, world: World) -> RigidProblem:
-        """Returns the same problem in another world of the same contacts; compiles as needed."""
-        first = self.transcription
-        transcription = RigidTranscription(world, first.scenario, first.relaxation)
-        other = RigidProblem(transcription, self.options, self.asked_steps, CompiledPrograms())
-        other._brief = self._brief
-        return other
+        """Returns the same problem, as nothing was added, where walls stand elsewhere.
+
+        Args:
+            world: see `EquationsOfMotion.with_walls_nearer`.
+        """
+        return self._with(self.transcription.in_world(world), self.asked_steps)
 
     def make_algorithm(self, rung: Rung) -> Algorithm:
         """Returns an annealing that ends as soon as boxes show contacts."""
@@ -159,7 +159,11 @@ class RigidProblem(PlanningProblem):
         if self.additions:
             coarse = scenario.in_steps(self.transcription.scenario.num_steps)
         transcription = self.transcription.again(coarse)
-        other = RigidProblem(transcription, self.options, scenario.num_steps, self._programs)
+        return self._with(transcription, scenario.num_steps)
+
+    def _with(self, transcription: RigidTranscription, num_steps: int) -> RigidProblem:
+        """Returns the problem of another transcription, with the programs that are compiled."""
+        other = RigidProblem(transcription, self.options, num_steps, self._programs)
         other._arc_programs = self._arc_programs
         other._brief = self._brief
         return other

@@ -65,7 +65,8 @@ class KnotProgram(Knots):
     @cached_property
     def parameters(self) -> Parameters:
         """The numbers of the scenario that rows and costs read; the start is a bound."""
-        return Parameters.of(self.scenario, self.length_scale())
+        returned = self.world.restitutions(self.scenario)
+        return Parameters.of(self.scenario, self.length_scale(), returned)
 
     @property
     def _given(self) -> Parameters:
@@ -90,7 +91,7 @@ class KnotProgram(Knots):
         """
         twin = copy.copy(self)
         twin._forget_program()
-        twin._symbols = Parameters.symbols(self.world.num_positions)
+        twin._symbols = Parameters.symbols(self.world.num_positions, self.world.num_contacts)
         return twin
 
     @property

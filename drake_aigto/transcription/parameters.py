@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.symbolic import MakeVectorVariable
 
+from drake_aigto.arrays import Floats
 from drake_aigto.world import Scenario
 
 
@@ -23,6 +24,7 @@ class Parameters(NamedTuple):
         time_step: dt [s].
         rate: 1/dt [1/s].
         per_length: 1/L, of the length scale [1/m].
+        restitutions: e of each contact, shape (m,).
     """
 
     goal: NDArray[Any]
@@ -31,9 +33,10 @@ class Parameters(NamedTuple):
     time_step: Any
     rate: Any
     per_length: Any
+    restitutions: NDArray[Any]
 
     @classmethod
-    def of(cls, scenario: Scenario, length_scale: float) -> Parameters:
+    def of(cls, scenario: Scenario, length_scale: float, restitutions: Floats) -> Parameters:
         """Returns a scenario's numbers."""
         return cls(
             goal=scenario.goal_position,
@@ -42,15 +45,17 @@ class Parameters(NamedTuple):
             time_step=scenario.time_step,
             rate=1 / scenario.time_step,
             per_length=1 / length_scale,
+            restitutions=restitutions,
         )
 
     @classmethod
-    def symbols(cls, num_positions: int) -> Parameters:
+    def symbols(cls, num_positions: int, num_contacts: int) -> Parameters:
         """Returns new symbols."""
-        others = cls._fields[1:]
-        found = MakeVectorVariable(num_positions + len(others), "p")
-        return cls(found[:num_positions], *found[num_positions:])
+        scalars = cls._fields[1:-1]
+        found = MakeVectorVariable(num_positions + len(scalars) + num_contacts, "p")
+        goal, others = np.split(found, [num_positions])
+        return cls(goal, *others[: len(scalars)], others[len(scalars) :])
 
     def vector(self) -> NDArray[Any]:
-        """Returns all of them, shape (nq + 5,)."""
-        return np.array([*self.goal, *self[1:]])
+        """Returns all of them, shape (nq + 5 + m,)."""
+        return np.array([*self.goal, *self[1:-1], *self.restitutions])

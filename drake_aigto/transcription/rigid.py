@@ -90,10 +90,21 @@ class RigidTranscription(ImpactTranscription):
             return other.with_additions(additions) if additions else other
         return self._of(scenario)
 
+    def in_world(self, world: World) -> RigidTranscription:
+        """Returns the same, as nothing was added, where walls stand elsewhere.
+
+        Args:
+            world: see `EquationsOfMotion.with_walls_nearer`.
+        """
+        other = self._of(self.scenario)
+        other.world, other._inertia, other._bounds = world, world.constant_inertia, None
+        other._fronts = _find_fronts(world, self.scenario, None)
+        return other
+
     @property
     def structure(self) -> Hashable:
-        """What rows and costs depend on besides the world, users, and `parameters`."""
-        return super().structure, self._fronts.tobytes()
+        """What rows and costs depend on besides users, and `parameters`, in worlds of these walls."""
+        return super().structure, self._fronts.tobytes(), self._inertia.offset.tobytes()
 
     def _is_bounded(self) -> Bools:
         return np.any(self._fronts[1:], axis=0)
@@ -170,12 +181,12 @@ class RigidTranscription(ImpactTranscription):
         self, jumps: NDArray[Any], impulse: NDArray[Any], after: NDArray[Any]
     ) -> list[Any]:
         """Returns jump times missed speed, of each direction if they are independent [m²/s²]."""
-        ways, e = self.impulse_directions, self.world.restitutions(self.scenario)
+        ways, e = self.impulse_directions, self._given.restitutions
         before = self.world.velocities
         if not ways.are_independent:
-            missed = after + float(np.mean(e)) * before
+            missed = after + np.mean(e) * before
             return [impulse @ missed / np.max(ways.masses)]
-        means = [float(np.mean(e[share != 0])) for share in ways.shares]
+        means = [np.mean(e[share != 0]) for share in ways.shares]
         return [
             jump * (d @ after + mean * (d @ before))
             for jump, d, mean in zip(jumps, ways.directions, means, strict=True)

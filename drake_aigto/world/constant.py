@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +13,8 @@ from numpy.typing import NDArray
 from drake_aigto.arrays import Floats, read_only
 from drake_aigto.errors import ModelError
 from drake_aigto.world.sums import evaluate, is_constant
+
+_Self = TypeVar("_Self", bound="ConstantInertia")
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +41,12 @@ class ConstantInertia:
     jacobian: Floats
     offset: Floats
     solids: tuple[tuple[int, ...], ...]
+
+    def with_offset(self: _Self, offset: Floats) -> _Self:
+        """Returns the same with another φ(0), on which nothing else depends that is derived."""
+        other = copy.copy(self)
+        vars(other)["offset"] = read_only(offset)
+        return other
 
     @cached_property
     def inverse_mass(self) -> Floats:

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +23,14 @@ _BIAS_REMEDY = (
     "Exact optima and sampling over controls need flight in parabolas; plans, replays and gradient "
     "solvers do not."
 )
+
+# What is derived once, here and of a `World`, and does not depend on where walls stand.
+_PLACELESS = (
+    *("solids", "has_constant_inertia", "has_constant_dynamics"),
+    *("_mass_map", "_bias_map", "_jacobian_map", "rubbing"),
+)
+
+_Self = TypeVar("_Self", bound="EquationsOfMotion")
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,6 +147,25 @@ class EquationsOfMotion:
         if self.has_constant_dynamics:
             return self.constant_dynamics
         return ConstantInertia(*self._read_inertia())
+
+    def with_walls_nearer(self: _Self, distances: Floats) -> _Self:
+        """Returns the same with φ_i less by distances, shape (m,) [m], for who plans many times.
+
+        Its diagram is as it was: what Drake simulates, and what is drawn (`World.with_wall_moved`).
+
+        Raises:
+            ModelError: M or J varies.
+        """
+        inertia = self.constant_inertia
+        contacts = tuple(
+            replace(contact, signed_distance=contact.signed_distance - distance)
+            for contact, distance in zip(self.contacts, distances.tolist(), strict=True)
+        )
+        moved = replace(self, contacts=contacts)
+        vars(moved).update((name, vars(self)[name]) for name in _PLACELESS if name in vars(self))
+        name = "constant_dynamics" if self.has_constant_dynamics else "constant_inertia"
+        vars(moved)[name] = inertia.with_offset(inertia.offset - distances)
+        return moved
 
     @cached_property
     def constant_dynamics(self) -> ConstantDynamics:
