@@ -13,6 +13,7 @@ from several_walls import make_task, shipped
 
 from drake_aigto import ModelError, Scenario, UnsupportedTermError, World
 from drake_aigto.local import InteriorPoint, LocalResult, PolynomialNlp
+from drake_aigto.planning.arc_program import ArcPrograms
 from drake_aigto.planning.arcs import Arcs, solve_in_arcs
 from drake_aigto.transcription import Facing, PhaseTranscription, Touch, TouchSequence
 
@@ -81,6 +82,19 @@ def test_it_does_not_matter_where_arcs_are_cut(name: str) -> None:
         assert result.is_success
         costs.append(result.cost)
     np.testing.assert_allclose(costs, costs[0], rtol=1e-8)
+
+
+@pytest.mark.parametrize("name", ["bounce", "room", "askew", "two masses"])
+def test_one_program_serves_walls_elsewhere_that_return_something_else(name: str) -> None:
+    world, scenario, sequence = TASKS[name]
+    programs = ArcPrograms()
+    first = Arcs(PhaseTranscription(world, scenario, sequence), (), programs).nlp
+    moved = world.with_walls_nearer(np.linspace(0.02, -0.03, world.num_contacts))
+    phases = PhaseTranscription(moved, dataclasses.replace(scenario, restitution=0.6), sequence)
+    arcs = Arcs(phases, (), programs)
+    assert arcs.nlp.terms is first.terms
+    found = solve_nlp(arcs.nlp, arcs.vector(phases.guess()))
+    assert found.cost == pytest.approx(phases.scenario_cost(check_same(phases)), rel=1e-9)
 
 
 def test_arcs_keep_out_of_walls_between_their_ends() -> None:

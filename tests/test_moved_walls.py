@@ -55,6 +55,27 @@ def test_a_moved_shape_is_where_drakes_geometry_sees_it(name: str) -> None:
         assert seen == pytest.approx(max(after[beside]), abs=1e-12)
 
 
+@pytest.mark.parametrize("name", ["corridor/lossy", "two_masses/apart"])
+def test_a_world_that_is_only_planned_for_has_the_numbers_of_one_that_is_moved(name: str) -> None:
+    scenario = Scenario.named(name)
+    world = World.from_scenario(scenario)
+    distances = np.zeros(world.num_contacts)
+    distances[0] = 0.03
+    moved, nearer = world.with_wall_moved(0, 0.03), world.with_walls_nearer(distances)
+    for read in (moved, nearer):
+        read.check(scenario)
+    q, inertia = scenario.initial_position, world.constant_inertia
+    np.testing.assert_allclose(
+        nearer.calc_signed_distance(q), moved.calc_signed_distance(q), rtol=0, atol=1e-15
+    )
+    for field in dataclasses.fields(inertia):
+        mine, true = (getattr(each.constant_inertia, field.name) for each in (nearer, moved))
+        np.testing.assert_allclose(mine, true, rtol=0, atol=1e-15)
+    assert world.constant_inertia.offset[0] == pytest.approx(
+        nearer.constant_inertia.offset[0] + 0.03
+    )
+
+
 def test_the_world_itself_stays() -> None:
     world = shipped_world(2.0)
     before = world.calc_signed_distance(np.ones(1))

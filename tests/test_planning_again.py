@@ -14,7 +14,7 @@ from replay_worlds import make_diagram, shipped_world
 from benchmarks.world_scenarios import WORLDS
 from drake_aigto import Scenario, World
 from drake_aigto.errors import ScenarioError
-from drake_aigto.planning import Plan, Planner, PlanOptions, compiled
+from drake_aigto.planning import Plan, Planner, PlanOptions, compiled, make_problem
 from drake_aigto.study import ScenarioQuestion
 from drake_aigto.terms import TermBlock, parse_costs
 from drake_aigto.transcription import RigidTranscription
@@ -144,6 +144,21 @@ def test_programs_are_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
     planner.plan(**near)
     planner.plan(**near, goal_position=0.7)
     assert len(parsed) == len(set(parsed)) >= 2
+
+
+@pytest.mark.parametrize("world", ["corridor", "room"])
+def test_boxes_know_what_walls_return_and_where_they_stand(world: str) -> None:
+    scenario = draw(world, 1, seed=5)[0]
+    here = World.from_scenario(scenario)
+    problem = make_problem(here, scenario, UNCONFIRMED)
+    there = here.with_walls_nearer(np.linspace(0.02, -0.01, here.num_contacts))
+    after = dataclasses.replace(scenario, restitution=0.7)
+    again, new = problem.in_world(there).again(after), make_problem(there, after, UNCONFIRMED)
+    rng = np.random.default_rng(3)
+    box = rng.normal(size=problem.box.center.size), rng.uniform(size=problem.box.center.size)
+    assert again.polynomial.mean(*box) == pytest.approx(new.polynomial.mean(*box), rel=1e-12)
+    assert problem.polynomial.mean(*box) != pytest.approx(new.polynomial.mean(*box), rel=1e-3)
+    np.testing.assert_array_equal(again.box.half_width, new.box.half_width)
 
 
 def test_what_does_not_fit_is_refused_by_name() -> None:

@@ -135,7 +135,7 @@ class Walls:
         return cls(table[0].astype(np.int64), table[1].astype(np.int64), table[2], table[3:])
 
     def bound(self, lower: Floats, upper: Floats, offset: Floats) -> None:
-        """Writes the bounds of the positions, given φ(0), shape (m,), into those of all unknowns."""
+        """Writes the positions' bounds, given φ(0), shape (m,), into those of all unknowns."""
         lower[self.positions], upper[self.positions] = -np.inf, np.inf
         low, high = np.sort((self.limits - offset[self.contacts]) / self.slopes, axis=0)
         np.maximum.at(lower, self.positions, low)

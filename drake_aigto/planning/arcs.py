@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.local import LocalResult, PolynomialNlp
@@ -129,7 +130,7 @@ class Arcs:
         """Returns the program's bounds with this problem's numbers."""
         p, phases, scenario = self._program, self._phases, self._phases.scenario
         lower, upper = p.nlp.lower.copy(), p.nlp.upper.copy()
-        for held, value in (
+        given: list[tuple[Ints, ArrayLike]] = [
             (p.q[0], scenario.initial_position),
             (p.v[0], scenario.initial_velocity),
             (p.t[[0, -1]], [0.0, scenario.duration]),
@@ -137,7 +138,8 @@ class Arcs:
             (p.goal, scenario.goal_position),
             (p.offset, self._dynamics.offset),
             *self._impacts,
-        ):
+        ]
+        for held, value in given:
             lower[held] = upper[held] = value
         p.walls.bound(lower, upper, self._dynamics.offset)
         least = [phases.least_step(phase) for phase in phases.timeline.phases]

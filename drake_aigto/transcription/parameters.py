@@ -51,10 +51,11 @@ class Parameters(NamedTuple):
     @classmethod
     def symbols(cls, num_positions: int, num_contacts: int) -> Parameters:
         """Returns new symbols."""
-        scalars = cls._fields[1:-1]
-        found = MakeVectorVariable(num_positions + len(scalars) + num_contacts, "p")
-        goal, others = np.split(found, [num_positions])
-        return cls(goal, *others[: len(scalars)], others[len(scalars) :])
+        names = cls._fields[1:-1]
+        found = MakeVectorVariable(num_positions + len(names) + num_contacts, "p")
+        goal, scalars, returned = np.split(found, [num_positions, num_positions + len(names)])
+        given = dict(zip(names, scalars.tolist(), strict=True))
+        return cls(goal=goal, **given, restitutions=returned)
 
     def vector(self) -> NDArray[Any]:
         """Returns all of them, shape (nq + 5 + m,)."""

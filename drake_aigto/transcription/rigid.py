@@ -103,7 +103,7 @@ class RigidTranscription(ImpactTranscription):
 
     @property
     def structure(self) -> Hashable:
-        """What rows and costs depend on besides users, and `parameters`, in worlds of these walls."""
+        """What rows and costs depend on besides users, `parameters`, and the world's M, B and J."""
         return super().structure, self._fronts.tobytes(), self._inertia.offset.tobytes()
 
     def _is_bounded(self) -> Bools:
