@@ -105,7 +105,8 @@ class RigidProblem(PlanningProblem):
         self.asked_steps = num_steps or transcription.scenario.num_steps
         self.num_steps = max(self.asked_steps, self.options.aigo_steps)
         self._arc_programs = ArcPrograms()
-        self._brief: int | None = None
+        # Iterations of polishes after plain Newton steps, in turn; (): as many as it takes.
+        self._brief: tuple[int, ...] = ()
         self._scenarios: dict[int, Scenario] = {}  # By their number of steps.
 
     @property
@@ -123,11 +124,21 @@ class RigidProblem(PlanningProblem):
     def in_brief(self, most_iterations: int) -> RigidProblem:
         """Returns the same problem for searches that may not take long.
 
-        Where there are arcs, a polish takes so many iterations at most, after plain Newton steps,
-        and has no general way after them: few plans are lost, and most of the time is won.
+        Where there are arcs, a polish takes plain Newton steps alone, and has no general way after
+        them: few plans are lost, and most of the time is won. So many iterations at most come after
+        these steps where a search has found no plan otherwise (`patient`).
         """
         other = copy.copy(self)
-        other._brief = most_iterations
+        other._brief = (0, most_iterations)
+        return other
+
+    @property
+    def patient(self) -> RigidProblem | None:
+        """The same problem for searches that have found nothing yet; None: there is no more."""
+        if len(self._brief) < 2:
+            return None
+        other = copy.copy(self)
+        other._brief = self._brief[1:]
         return other
 
     def in_world(self, world: World) -> RigidProblem:
@@ -293,11 +304,12 @@ class RigidProblem(PlanningProblem):
         """
         through, facings = self._look_along(path, sequence)
         if self._has_arcs:
-            most = min(self._brief or _ARC_ITERATIONS, max_iterations or _ARC_ITERATIONS)
+            allowed = self._brief[0] if self._brief else _ARC_ITERATIONS
+            most = min(allowed, max_iterations or _ARC_ITERATIONS)
             solved = self._solve_in_arcs(through, facings, sequence, most)
             if solved is not None:
                 return solved
-            if self._brief is not None:
+            if self._brief:
                 raise TrajectoryError(
                     "touches", f"no motion in {most} iterations", "one that has them"
                 )

@@ -56,6 +56,8 @@ class RigidSearch(BranchingSearch):
         self._num_steps = problem.num_steps
         self._least_flight_cost = problem.least_flight_cost
         self._left_out: tuple[Origin, Floats] | None = None  # A flight's.
+        # What had no polish, as `add` was given it.
+        self._given_up: list[tuple[Origin, Floats, TouchSequence, Path | None]] = []
         self._is_open = False  # Whether what costs too much to win is improved, too.
 
     def rungs(self) -> Iterator[tuple[Rung, ...]]:
@@ -149,6 +151,7 @@ class RigidSearch(BranchingSearch):
         except (OptionsError, TrajectoryError, UnsupportedTermError):
             # Boxes may see touches that no motion has, such as of opposite walls at once.
             self._refused.append(sequence)
+            self._given_up.append((origin, center, sequence, path))
             return
         candidate = self.by_sequence[sequence]
         if not self._is_promising(candidate) or self._chatters(sequence):
@@ -226,10 +229,20 @@ class RigidSearch(BranchingSearch):
 
     def refine(self) -> None:
         """Adds neighbors of the best candidates, then improves the best of all."""
+        self._try_longer()
         self.tell(f"{len(self.by_sequence)} candidates; looking for others near the best")
         self._add_coast()
         self.branch()
         super().refine()
+
+    def _try_longer(self) -> None:
+        """Polishes what was given up again, more patiently, if there is no plan yet."""
+        has_plan = any(each.is_feasible and each.is_confirmed for each in self.by_sequence.values())
+        patient = self.problem.patient
+        if patient is not None and not has_plan:
+            self.problem, given_up, self._given_up = patient, self._given_up, []
+            for each in given_up:
+                self.add(*each)
 
     def _add_coast(self) -> None:
         """Adds the contacts of the motion without control, if that may lead to another plan.
