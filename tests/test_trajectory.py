@@ -148,3 +148,12 @@ def test_the_control_curve_is_held_on_each_interval_and_at_the_end(trajectory: T
             if start <= t < end:
                 assert control.value(t)[:, 0].tolist() == u.tolist()
     assert control.value(trajectory.times[-1])[:, 0].tolist() == trajectory.controls[-1].tolist()
+
+
+def test_a_motion_goes_on_later_as_it_was() -> None:
+    trajectory = Trajectory(**make_fields())
+    later = trajectory.later(0.25)
+    np.testing.assert_array_equal(later.times, trajectory.times + 0.25)
+    assert later.later(-0.25) == trajectory
+    with pytest.raises(TrajectoryError, match="strictly increasing"):
+        trajectory.later(1e17)

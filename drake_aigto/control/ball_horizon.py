@@ -188,6 +188,5 @@ def _polish(
 
 def _move(motion: Motion, now: float) -> Motion:
     """Returns a motion from time 0 on as one from now on."""
-    moved = dataclasses.replace(motion.trajectory, times=motion.trajectory.times + now)
     touches = (Touch(each.start + now, each.end + now, each.contact) for each in motion.touches)
-    return Motion(moved, motion.cost, tuple(touches))
+    return Motion(motion.trajectory.later(now), motion.cost, tuple(touches))

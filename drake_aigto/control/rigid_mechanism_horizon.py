@@ -112,9 +112,8 @@ class RigidMechanismHorizon(ShootingHorizon):
             dataclasses.replace(each, start=each.start + now, end=each.end + now)
             for each in found.touches
         )
-        motion = found.as_trajectory(self.world)
-        moved = dataclasses.replace(motion, times=motion.times + now)
-        return Motion(moved, self._problem.price(found), tuple(touches))
+        motion = found.as_trajectory(self.world).later(now)
+        return Motion(motion, self._problem.price(found), tuple(touches))
 
     def search(self, now: float, x: Floats) -> Motion | None:
         """Returns the best motion that boxes, renewals and neighbors lead to; None if none."""
@@ -126,6 +125,5 @@ class RigidMechanismHorizon(ShootingHorizon):
             return None
         found = search.motions[0].result
         assert isinstance(found, BouncingResult)
-        motion = found.as_trajectory(self.world)
-        moved = dataclasses.replace(motion, times=motion.times + now)
-        return self._descend(self._shift(moved, now, x), found.touches, _MORE)
+        left = self._shift(found.as_trajectory(self.world).later(now), now, x)
+        return self._descend(left, found.touches, _MORE)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass
 
 import numpy as np
@@ -57,6 +58,16 @@ class Trajectory(ArrayRecord):
                 expected=f"that of positions, {self.positions.shape}",
             )
 
+    def later(self, by: float) -> Trajectory:
+        """Returns the same motion, so much later [s].
+
+        Raises:
+            TrajectoryError: times that no longer increase, by rounding, or are not finite.
+        """
+        other = copy.copy(self)
+        object.__setattr__(other, "times", _check_times(self.times + by))
+        return other
+
     def to_piecewise(self) -> tuple[PiecewisePolynomial, PiecewisePolynomial]:
         """Returns the state (q, v)(t), shape (nq + nv, 1), and the control u(t), shape (nu, 1).
 
@@ -94,6 +105,12 @@ def check_control(times: ArrayLike, controls: ArrayLike) -> tuple[Floats, Floats
     Raises:
         TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
     """
+    t = _check_times(times)
+    return t, _check_rows("controls", controls, len(t) - 1, "one for each interval")
+
+
+def _check_times(times: ArrayLike) -> Floats:
+    """Returns finite, increasing times, read-only."""
     t = _check_finite("times", times)
     if t.ndim != 1 or len(t) < 2:
         raise TrajectoryError("times", got=f"shape {t.shape}", expected="(N+1,) with N ≥ 1")
@@ -104,7 +121,7 @@ def check_control(times: ArrayLike, controls: ArrayLike) -> tuple[Floats, Floats
             got=f"{t[k]:.17g} s, then {t[k + 1]:.17g} s (knots {k} and {k + 1})",
             expected="strictly increasing times",
         )
-    return t, _check_rows("controls", controls, len(t) - 1, "one for each interval")
+    return t
 
 
 def _check_rows(name: str, values: ArrayLike, count: int, what: str) -> Floats:

@@ -1,0 +1,116 @@
+"""How long the ticks of a controller that plans again take, where 50 time steps are asked for.
+
+    python -m benchmarks.loop_speed [--count 20] [--seed 2027]
+
+The runs are those of `benchmarks.in_the_loop`: masses, walls and restitution off by up to 10 %,
+noise and a kick, in Drake's Simulator, under `ModelPredictiveController`, which searches every
+100 ms and after surprises. The first run of a scenario compiles, and does not count.
+
+What is asked for is of CPU time, which is that of a clock where nothing else goes on. Exits with 1
+if a figure that is asked for is missed.
+"""
+
+from __future__ import annotations
+
+import os
+
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+import argparse
+import dataclasses
+import sys
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydrake.systems.framework import Context, EventStatus, State
+
+from benchmarks.in_the_loop import PERIOD, SEARCH_EVERY, Outcome, draw, prepare
+from benchmarks.measure import is_met, machine
+from drake_aigto import AigtoError, ModelPredictiveController
+from drake_aigto.control import run_in_loop
+
+NUM_STEPS = 50
+# Scenario → what is asked for [ms]: a warm tick's median and 99th percentile, a search's median.
+ASKED: Mapping[str, Mapping[str, float]] = {
+    "table1/1": {"a warm tick": 2.0, "a warm tick, 99 %": 5.0, "a search": 15.0},
+    "corridor/three_bounces": {"a warm tick, 99 %": 5.0, "a search": 60.0},
+}
+
+
+class _Clocked(ModelPredictiveController):
+    """One that also keeps what CPU time each tick took, in `cpu` [s]."""
+
+    def __init__(self, *args: Any, **options: Any) -> None:
+        super().__init__(*args, **options)
+        self.cpu: list[float] = []
+
+    def _tick(self, context: Context, state: State) -> EventStatus:
+        begin = time.thread_time()
+        status = super()._tick(context, state)
+        self.cpu.append(time.thread_time() - begin)
+        return status
+
+
+class Times(NamedTuple):
+    """What ticks of disturbed runs took, by the clock and of CPU [s]."""
+
+    clock: Outcome
+    cpu: Outcome
+
+
+def run(name: str, count: int, seed: int) -> Iterator[Times]:
+    """Yields what ticks took in so many disturbed runs."""
+    task = prepare(name, NUM_STEPS)
+    scenario, world = task.planner.scenario, task.planner.world
+    for number in range(count):
+        disturbance = draw(task, np.random.default_rng((seed, number)))
+        assert disturbance is not None
+        controller = _Clocked(task.planner, PERIOD, "shrinking", search_every=SEARCH_EVERY)
+        try:
+            found = run_in_loop(controller, scenario, world, disturbance)
+        except AigtoError as error:
+            print(f"{name}: disturbance {number} left out, {error}", flush=True)
+            continue
+        pairs = zip(found.ticks[1:], controller.cpu, strict=True)
+        ticks = [dataclasses.replace(tick, seconds=seconds) for tick, seconds in pairs]
+        used = dataclasses.replace(found, ticks=(found.ticks[0], *ticks))
+        yield Times(Outcome.of(found), Outcome.of(used))
+
+
+def report(name: str, count: int, seed: int) -> bool:
+    """Prints a scenario's times; returns whether what is asked for is met."""
+    runs = list(run(name, count + 1, seed))[1:]
+    print(f"{name}, {NUM_STEPS} time steps, {len(runs)} runs; ms of CPU (by the clock)")
+    warm = _describe("warm ticks, 99 %", [(t.cpu.warm, t.clock.warm) for t in runs], 99)
+    searched = _describe("searches, 90 %", [(t.cpu.searched, t.clock.searched) for t in runs], 90)
+    found = {"a warm tick": warm[0], "a warm tick, 99 %": warm[1], "a search": searched[0]}
+    met = [is_met(f"{what} [ms]", found[what], most) for what, most in ASKED[name].items()]
+    return all(met)
+
+
+def _describe(
+    what: str, runs: Sequence[tuple[Sequence[float], Sequence[float]]], late: int
+) -> tuple[float, float]:
+    """Prints how long ticks of some kind took; returns the CPU times' median and a percentile."""
+    cpu, wall = (1e3 * np.concatenate(times) for times in zip(*runs, strict=True))
+    (middle, slow), walls = (np.percentile(each, [50, late]).tolist() for each in (cpu, wall))
+    line = "{:6d} {:<17} {:6.2f}, {:6.2f}  ({:.2f}, {:.2f})"
+    print(line.format(cpu.size, what, middle, slow, *walls), flush=True)
+    return middle, slow
+
+
+def main() -> int:
+    """Prints the times of all scenarios; returns 1 if a figure is missed."""
+    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
+    parser.add_argument("--count", type=int, default=20, help="of disturbances of each")
+    parser.add_argument("--seed", type=int, default=2027, help="of the disturbances")
+    options = parser.parse_args()
+    print(machine(), flush=True)
+    met = [report(name, options.count, options.seed) for name in ASKED]
+    return int(not all(met))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
