@@ -9,12 +9,13 @@ import numpy as np
 from drake_aigto.arrays import Floats, interpolate
 from drake_aigto.control.motion import Motion
 from drake_aigto.control.shooting_horizon import ShootingHorizon
-from drake_aigto.control.touches_left import choose, find_left
+from drake_aigto.control.touches_left import choose, find_left, keep_apart
 from drake_aigto.planning import (
     BouncingResult,
     MechanismOptions,
     RigidMechanismProblem,
     RigidMechanismSearch,
+    find_deepest,
     lay_onto,
 )
 from drake_aigto.shooting import ShootingOptions, Smoothing
@@ -38,7 +39,8 @@ class RigidMechanismHorizon(ShootingHorizon):
     """A task of a mechanism between rigid walls: a plan is its touches, and its motion.
 
     A few iterations of the descent, in the phases between the touches that are still to come, lead
-    from the last plan to the next (`Phases`). Which touches these are is asked as for balls.
+    from the last plan to the next (`Phases`). Which touches these are is asked as for balls. Where
+    they lead into a wall, as after a kick, a bounce is added there.
     """
 
     _problem: RigidMechanismProblem
@@ -83,15 +85,40 @@ class RigidMechanismHorizon(ShootingHorizon):
         rates = self.world.calc_contact_rate(*np.split(x, 2))
         duration = float(left.times[-1]) - now
         sequences = list(find_left(motion.touches, now, duration, self._period, rates))
+        missed = list[BouncingResult]()
         for options in (self._options, _MORE):
-            tried = (self._descend(left, touches, options) for touches in sequences)
+            tried = (self._lead(left, touches, options, missed) for touches in sequences)
             if found := choose(tried, motion.cost):
                 return found
-        return None
+        last = missed[len(sequences) :]
+        return choose((self._with_bounce(each, now) for each in last), motion.cost)
+
+    def _lead(
+        self,
+        left: Trajectory,
+        touches: TouchSequence,
+        options: ShootingOptions,
+        tried: list[BouncingResult],
+    ) -> Motion | None:
+        """Returns the motion of a descent, and appends what it led to, which may be none."""
+        tried.append(self._descend(left, touches, options))
+        return self._read(tried[-1], float(left.times[0]))
+
+    def _with_bounce(self, missed: BouncingResult, now: float) -> Motion | None:
+        """Returns the best motion near one that misses walls, with a bounce where it is deepest."""
+        dip = find_deepest(self.world, missed) if np.isfinite(missed.cost) else None
+        if dip is None:
+            return None
+        problem = self._problem
+        added = dip.as_touch(self.world, problem.rigid_law, problem.lasting, missed)
+        touches = sorted((*missed.touches, added), key=lambda touch: touch.start)
+        motion = missed.as_trajectory(self.world)
+        apart = keep_apart(touches, 0.0, float(motion.times[-1]))
+        return self._read(self._descend(motion.later(now), apart, _MORE), now)
 
     def _descend(
         self, left: Trajectory, touches: TouchSequence, options: ShootingOptions
-    ) -> Motion | None:
+    ) -> BouncingResult:
         """Returns the best motion near a trajectory, with touches as times after its start."""
         now, (q, v) = float(left.times[0]), (left.positions, left.velocities)
         elapsed = left.times - now
@@ -101,7 +128,7 @@ class RigidMechanismHorizon(ShootingHorizon):
         problem = dataclasses.replace(self._problem.pose_phases(times, phases), start=after[0])
         controls = left.controls[np.searchsorted(elapsed, middles) - 1]
         found = problem.solve(controls, interpolate(times, elapsed, after), options)
-        return self._read(BouncingResult.of(found, phases), now)
+        return BouncingResult.of(found, phases)
 
     def _read(self, found: BouncingResult, now: float) -> Motion | None:
         """Returns a result as a motion from now on; None if it leads nowhere, or misses walls."""
@@ -126,4 +153,4 @@ class RigidMechanismHorizon(ShootingHorizon):
         found = search.motions[0].result
         assert isinstance(found, BouncingResult)
         left = self._shift(found.as_trajectory(self.world).later(now), now, x)
-        return self._descend(left, found.touches, _MORE)
+        return self._read(self._descend(left, found.touches, _MORE), now)

@@ -42,8 +42,8 @@ def find_left(
     coming = [touch for touch in touches if touch.end > now]
     late = [touch for touch in touches if now - near < touch.end <= now]
     if late and rates[late[-1].contact] < 0:
-        yield _fit([late[-1], *coming], now, left)
-    whole, fewer = _fit(coming, now, left), _fit(coming[1:], now, left)
+        yield keep_apart([late[-1], *coming], now, left)
+    whole, fewer = keep_apart(coming, now, left), keep_apart(coming[1:], now, left)
     if not coming:
         yield whole
         return
@@ -70,7 +70,7 @@ def choose(tried: Iterable[Motion | None], last: float) -> Motion | None:
     return min(found, key=lambda each: each.cost, default=None)
 
 
-def _fit(touches: Sequence[Touch], now: float, left: float) -> TouchSequence:
+def keep_apart(touches: Sequence[Touch], now: float, left: float) -> TouchSequence:
     """Returns touches as times from now on, in order and apart, of what is left [s]."""
     least = _APART * left
     found: list[Touch] = []

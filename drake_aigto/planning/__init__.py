@@ -10,7 +10,7 @@ from drake_aigto.planning.mechanism_boxes import (
     StartedBoxes,
 )
 from drake_aigto.planning.mechanism_options import MechanismOptions, needs_shooting
-from drake_aigto.planning.mechanism_phases import BouncingResult, lay_onto
+from drake_aigto.planning.mechanism_phases import BouncingResult, find_deepest, lay_onto
 from drake_aigto.planning.mechanism_problem import MechanismProblem
 from drake_aigto.planning.mechanism_search import MechanismSearch
 from drake_aigto.planning.options import LadderOptions, PlanOptions, Rung, SearchOptions
@@ -55,6 +55,7 @@ __all__ = [
     "Stopwatch",
     "Veto",
     "coarsen",
+    "find_deepest",
     "lay_onto",
     "make_problem",
     "needs_shooting",
