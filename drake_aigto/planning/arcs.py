@@ -29,7 +29,7 @@ _PULL = 1e-6
 def solve_in_arcs(
     phases: PhaseTranscription,
     guess: Trajectory,
-    solve: Callable[[PolynomialNlp, Floats], LocalResult],
+    solve: Callable[[PolynomialNlp, Floats], LocalResult | None],
     programs: ArcPrograms | None = None,
 ) -> Floats | None:
     """Returns a local optimum of a multi-phase problem where the world's h is constant.
@@ -39,7 +39,7 @@ def solve_in_arcs(
     Args:
         phases: the problem, as made: what users added would not count.
         guess: a motion at its knots.
-        solve: the local solver.
+        solve: the local solver; None where it leads to nothing.
         programs: those of the same world that were built so far.
 
     Returns:
@@ -49,7 +49,7 @@ def solve_in_arcs(
     for _ in range(_MOST_ROUNDS):
         arcs = Arcs(phases, cuts, programs)
         result = solve(arcs.nlp, arcs.vector(motion))
-        if not result.is_success or arcs.would_pull(result):
+        if result is None or not result.is_success or arcs.would_pull(result):
             return None
         motion = arcs.trajectory(result.x)
         x = phases.vector(motion)

@@ -365,13 +365,16 @@ class RigidProblem(PlanningProblem):
         )
         return None if x is None else (phases, x)
 
-    def _settle(self, nlp: PolynomialNlp, guess: Floats, max_iterations: int) -> LocalResult:
-        """Returns what plain Newton steps lead to, or else one run of our local solver.
+    def _settle(self, nlp: PolynomialNlp, guess: Floats, max_iterations: int) -> LocalResult | None:
+        """Returns what plain Newton steps lead to, or else one run of our local solver, if any.
 
         Of most sequences no bound is active in the optimum: phases have some length.
         """
         quick = NewtonLagrange(cost_unit=self._cost_scale)
-        return quick.solve(nlp, guess) or self._minimize(nlp, guess, max_iterations)
+        found = quick.solve(nlp, guess)
+        if found is None and max_iterations:
+            return self._minimize(nlp, guess, max_iterations)
+        return found
 
     @cached_property
     def least_flight_cost(self) -> float:

@@ -62,16 +62,17 @@ def penalize(
     read = [np.array(list(factor.GetVariables())) for factor in factors.values()]
     themselves = substitutions(read, read)
     # Keyed by the evaluators themselves: ids repeat once an evaluator's Python object is gone.
-    penalties: dict[Constraint, tuple[NDArray[Any], SharedEvaluator | None]] = {}
+    penalties: dict[Constraint, tuple[list[int], SharedEvaluator | None]] = {}
     for binding in prog.GetAllConstraints():
         evaluator, variables = binding.evaluator(), binding.variables()
         if evaluator not in penalties:
             x = MakeVectorVariable(len(variables), "x")
             factor = factors.get(evaluator.get_description(), Expression(1.0))
-            penalties[evaluator] = x, _penalty(evaluator, x, inequality, scale, factor)
-        x, penalty = penalties[evaluator]
+            penalty = _penalty(evaluator, x, inequality, scale, factor)
+            penalties[evaluator] = [each.get_id() for each in x], penalty
+        placeholders, penalty = penalties[evaluator]
         if penalty is not None:
-            penalty.bind(penalized, themselves | substitutions([x], [variables]))
+            penalty.bind(penalized, themselves | dict(zip(placeholders, variables, strict=True)))
     lower, upper = read_bounds(prog)
     fixed = np.flatnonzero(lower == upper)
     if fixed.size:
