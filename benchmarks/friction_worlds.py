@@ -6,10 +6,11 @@
 Worlds are planned from the question alone, and both replays tell whether the plan holds. CRISP's
 payload in its 27 starts and goals, and IMPACT's disc that a pusher has to go round, are discrete
 programs by their authors, in other schemes than ours: Euler's steps, Coulomb's law as
-complementarities, and the disc is quasistatic. There IPOPT runs twice, through CasADi, on the same
-rows with complementarities λ s ≤ ε that are relaxed and tightened alike: from the plan's states,
-controls and forces, and from the start that the authors give. The payload's best known is of the
-record of `peer_programs`.
+complementarities, and the disc is quasistatic. There IPOPT runs through CasADi on the same rows,
+complementarities as λ s ≤ ε, that are relaxed and tightened alike, by much and by little: from the
+plan's states, controls and forces, and from the start that the authors give. A plan that itself
+costs more than twice the best known counts for nothing, whatever IPOPT makes of it. The payload's
+best known is of the record of `peer_programs`, or of many starts.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from functools import partial
 import numpy as np
 from pydrake.solvers import MathematicalProgram
 
-from benchmarks.collections.peer_programs import payload, payload_tasks, push_circle
+from benchmarks.collections.peer_programs import KNOWN, payload, payload_tasks, push_circle
 from benchmarks.jobs import add_options, run_all, run_as
 from benchmarks.measure import machine
 from benchmarks.recorded import read_output
@@ -43,6 +44,9 @@ WORLDS = (
     "spinning_ball/off_the_wall",
     "cart_pole/dry",
 )
+# ε, relative to what IPOPT's λ s varies by: relaxed by much, modes may change, by little they stay.
+_LADDERS = ((1e-2, 1e-4, 1e-7), (1e-4, 1e-5, 1e-6, 1e-7))
+_OWN = 2.0  # times the best known, at most, costs a plan that counts
 _WEIGHT = 1.962  # of the payload's cargo times μ [N]
 _GRIP = 0.981  # of the disc on the ground [N s/m]
 
@@ -73,7 +77,18 @@ class Run:
         """Returns a line of a table."""
         theirs = f"{self.ours:12.6g} {self.peer:12.6g} {self.known:12.6g}"
         mark = "holds" if self.holds else "does not"
-        return f"{self.name:28} {self.cost:12.6g} {mark:9} {self.seconds:7.2f} {theirs}"
+        gap = f"{100 * self.gap:8.3f} %" if np.isfinite(self.known) else ""
+        return f"{self.name:28} {self.cost:12.6g} {mark:9} {self.seconds:7.2f} {theirs} {gap}"
+
+    @property
+    def is_near(self) -> bool:
+        """Whether the plan holds, within 1 % of the best known as authors count."""
+        return self.holds and self.cost <= _OWN * self.known and self.gap <= GLOBAL
+
+    @property
+    def gap(self) -> float:
+        """How far our cost, as authors count, is above the best known, as a part of it."""
+        return (self.ours - self.known) / abs(self.known)
 
 
 def main() -> None:
@@ -85,15 +100,16 @@ def main() -> None:
     arguments = parser.parse_args()
     print(machine())
     columns = "ours, theirs", "IPOPT", "best known"
-    print(f"{'':28} {'plan':>12} {'':9} {'seconds':>7} " + " ".join(f"{c:>12}" for c in columns))
+    heads = " ".join(f"{each:>12}" for each in columns)
+    print(f"{'':28} {'plan':>12} {'':9} {'seconds':>7} {heads} {'gap':>8}")
     names = [*WORLDS, *(f"payload/{i}" for i in range(len(list(payload_tasks()))))]
     names = [each for each in names if arguments.only in each]
     runs = run_all(partial(run, renewals=arguments.renewals), names, arguments)
     counted = [each for each in runs if np.isfinite(each.known)]
-    near = [each.ours <= each.known + GLOBAL * abs(each.known) for each in counted]
+    near = [each.is_near for each in counted]
     print(
         f"{sum(each.holds for each in runs)} of {len(runs)} hold in both simulations; as authors "
-        f"count, {sum(near)} of {len(counted)} within 1 % of the best known"
+        f"count, {sum(near)} of {len(counted)} hold within 1 % of the best known"
     )
 
 
@@ -137,7 +153,7 @@ def list_payload(plan: Plan) -> Floats:
     slip = v[:, 1]
     forces = np.clip(grip, -_WEIGHT, _WEIGHT)
     parts = motion.controls[:, 0], forces, np.maximum(slip, 0.0), np.maximum(-slip, 0.0)
-    return np.concatenate([states.ravel(), *parts])
+    return np.concatenate([states.T.ravel(), *parts])
 
 
 def list_circle(plan: Plan) -> Floats:
@@ -150,14 +166,17 @@ def list_circle(plan: Plan) -> Floats:
     along = np.column_stack([-normal[:, 1], normal[:, 0]])
     pushes = np.column_stack([np.sum(force * normal, axis=1), np.sum(force * along, axis=1)])
     speeds = np.diff(pusher, axis=0) / dt
-    return np.concatenate([each.ravel() for each in (disc, pusher, speeds, pushes)])
+    return np.concatenate([each.T.ravel() for each in (disc, pusher, speeds, pushes)])
 
 
 def _count(found: Run, prog: MathematicalProgram, x: Floats, known: float) -> Run:
     """Returns the same with what authors count."""
     program = read_program(prog)
     ipopt = Ipopt(StagedProgram(program, FEASIBLE))
-    ours, peer = (cost_of(program, each) for each in (ipopt.solve(x), ipopt.solve(_start(prog))))
+    ours, peer = (
+        min(cost_of(program, ipopt.solve(start, ladder)) for ladder in _LADDERS)
+        for start in (x, _start(prog))
+    )
     return replace(found, ours=ours, peer=peer, known=min(ours, peer, known))
 
 
@@ -168,11 +187,11 @@ def _start(prog: MathematicalProgram) -> Floats:
 
 
 def _read_known(name: str) -> float:
-    """Returns the best that the record of `peer_programs` knows of a payload."""
+    """Returns the best known of a payload, of the record of `peer_programs` or many starts."""
     found: Iterator[re.Match[str]] = re.finditer(
         rf"^{name} +[*-] +([\d.e+-]+)", read_output("peer_programs"), re.MULTILINE
     )
-    return min(float(each[1]) for each in found)
+    return min([float(each[1]) for each in found] + [KNOWN.get(name, np.inf)])
 
 
 if __name__ == "__main__":

@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import argparse
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 from typing import Any
@@ -183,12 +183,17 @@ class Ipopt:
             casadi.nlpsol("peer", "ipopt", problem, options) for options in (COLD, WARM)
         ]
 
-    def solve(self, x: Floats) -> Floats:
-        """Returns where IPOPT ends from x (n,), relaxed and tightened."""
+    def solve(self, x: Floats, ladder: Sequence[float] = _LADDER) -> Floats:
+        """Returns where IPOPT ends from x (n,), relaxed and tightened.
+
+        Args:
+            x: where it starts.
+            ladder: ε, one after the other.
+        """
         program = self._staged.program
         y = program.with_slacks(x)
         multipliers: dict[str, Any] = {}
-        for number, relaxation in enumerate(_LADDER):
+        for number, relaxation in enumerate(ladder):
             y, multipliers = self._solve(min(number, 1), y, relaxation, multipliers)
         return program.answer(y)
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats, interpolate
 from drake_aigto.planning.candidate import Candidate, Replays
-from drake_aigto.planning.closing import COARSE, COOLING, POLISH, RUBBED, TIGHT, find_closing
+from drake_aigto.planning.closing import COARSE, COOLING, POLISH, RUBBED, find_closing, find_tight
 from drake_aigto.planning.flow import trace
 from drake_aigto.planning.mechanism_boxes import (
     Center,
@@ -257,14 +257,16 @@ class MechanismProblem:
         times = problem.knot_times
         controls = motion.controls[np.searchsorted(motion.times, (times[1:] + times[:-1]) / 2) - 1]
         q, v = motion.states[:, :n], motion.states[:, n:]
-        return problem.solve(controls, sample_cubic(motion.times, q, v, times), TIGHT)
+        states = sample_cubic(motion.times, q, v, times)
+        return problem.solve(controls, states, find_tight(self.world))
 
     def polish(self, motion: ShootingResult) -> ShootingResult:
         """Returns the local optimum near a motion, its time steps halved until they agree.
 
         What is steady is followed from its controls, by steps that never raise the cost.
         """
-        if motion.substeps < TIGHT.substeps:
+        is_coarse = len(motion.controls) < self.scenario.num_steps
+        if is_coarse or motion.substeps < POLISH.substeps:
             motion = self.tighten(motion)
         motion = self._cooled(motion)
         problem, options, error = self.shooting(self.scenario.num_steps), POLISH, 0.0
