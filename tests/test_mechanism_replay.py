@@ -20,6 +20,7 @@ from drake_aigto import Scenario, TrajectoryError, World
 from drake_aigto.planning.flow import _find_rates, _integrate
 from drake_aigto.simulation import Replay, replay_costs, replay_event_driven
 from drake_aigto.simulation.controller import HeldControl
+from drake_aigto.simulation.coulomb import Mode
 from drake_aigto.simulation.mechanism import simulate_mechanism
 from drake_aigto.world import RigidLaw
 
@@ -290,6 +291,6 @@ def test_a_trace_in_steps_that_are_too_long_runs_away_without_an_error() -> None
     world, law = build("pendulum"), RigidLaw(np.ones(1))
     x = np.array([[np.arcsin(-(0.6 - 0.05) / 0.8), 0.0]])  # The tip rests at the wall.
     x[0, 0] = world.move_onto(x[0, :1], [0])[0]
-    rates = _find_rates(world, law, x, np.array([[-1e150]]))
+    rates = _find_rates(world, law, x, np.array([[-1e150]]), np.full((1, 1), Mode.OPEN))
     end, _ = _integrate(rates, x, np.array([1e150]), 1)
     assert not np.all(np.isfinite(end))

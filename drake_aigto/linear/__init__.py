@@ -10,7 +10,7 @@ from drake_aigto.linear.storage import (
     narrow_band,
     spread,
 )
-from drake_aigto.linear.triangular import solve_factored
+from drake_aigto.linear.triangular import factor_in_place, solve_factored, solve_factors
 
 __all__ = [
     "Factorization",
@@ -19,11 +19,13 @@ __all__ = [
     "Storage",
     "as_order",
     "choose_storage",
+    "factor_in_place",
     "factorize",
     "find_entry",
     "make_pattern",
     "multiply",
     "narrow_band",
     "solve_factored",
+    "solve_factors",
     "spread",
 ]

@@ -92,17 +92,20 @@ def add_impulses(
 def with_losses(contacts: tuple[PlannedContact, ...], replay: Replay) -> tuple[PlannedContact, ...]:
     """Returns contacts with the energy ratios of a replay's impacts, which are at their knots.
 
-    A trajectory holds no impulses of friction, which take or give kinetic energy, too.
+    A trajectory holds no impulses of friction, which take or give kinetic energy, too. What lasts
+    from the start on has no impact.
     """
-    times, indices = np.array(replay.bounce_times), np.array(replay.bounce_contacts)
-    away = [
-        np.where(indices == contact.index, np.abs(times - contact.time), np.inf)
-        for contact in contacts
-    ]
-    return tuple(
-        replace(contact, energy_ratio=replay.energy_ratios[np.argmin(each)])
-        for contact, each in zip(contacts, away, strict=True)
-    )
+    seen = list(zip(replay.bounce_times, replay.bounce_contacts, strict=True))
+    found = []
+    for contact in contacts:
+        away = [
+            abs(time - contact.time) if index == contact.index else np.inf for time, index in seen
+        ]
+        nearest = int(np.argmin(away)) if away else 0
+        is_hit = bool(away) and away[nearest] <= _AT_KNOT * replay.times[-1]
+        ratio = replay.energy_ratios[nearest] if is_hit else contact.energy_ratio
+        found.append(replace(contact, energy_ratio=ratio))
+    return tuple(found)
 
 
 def _list_events(replay: Replay) -> Iterator[tuple[float, Ints, Floats, Floats, Floats]]:

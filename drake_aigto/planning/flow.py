@@ -8,6 +8,8 @@ from typing import TypeAlias
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
+from drake_aigto.simulation.coulomb import Mode
+from drake_aigto.simulation.pushes import calc_push
 from drake_aigto.simulation.replay import Replay
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import ContactLaw, RigidLaw, World
@@ -31,8 +33,9 @@ def trace(
     """Returns the trajectory of a replay, and how far it is off the equations of motion.
 
     From each row of the replay Runge and Kutta's method of order 4 goes on to the next. Between
-    rigid walls, what rests at a row is held there as long as it presses, and slow hops end as rest
-    begins; what impacts do is left to `bounces.add_impulses`.
+    rigid walls, what rests at a row is held there as long as it presses, what rubs in the mode that
+    the replay has, and slow hops end as rest begins; what impacts do is left to
+    `bounces.add_impulses`.
 
     Args:
         world: the mechanism.
@@ -49,7 +52,8 @@ def trace(
     starts, h = replay.times[:-1][is_step], np.diff(replay.times)[is_step]
     knots = np.clip(np.searchsorted(times, starts + h / 2) - 1, 0, len(controls) - 1)
     x = np.hstack([replay.positions, replay.velocities])
-    rates = _find_rates(world, law, x[:-1][is_step], controls[knots])
+    modes = _read_modes(world, replay, starts + h / 2)
+    rates = _find_rates(world, law, x[:-1][is_step], controls[knots], modes)
     sizes, steps = np.max(np.abs(x), axis=0), _STEPS
     while True:
         ends, pushes = _integrate(rates, x[:-1][is_step], h, steps)
@@ -68,8 +72,20 @@ def trace(
     return Trajectory(times, q, v, controls, none, forces), gaps
 
 
-def _find_rates(world: World, law: ContactLaw, x: Floats, controls: Floats) -> Rates:
-    """Returns the equations of motion of states (K, 2n), each under its control (K, nu)."""
+def _read_modes(world: World, replay: Replay, times: Floats) -> Ints:
+    """Returns in which modes a replay's contacts with friction last at times, shape (K, m)."""
+    modes = np.full((len(times), world.num_contacts), Mode.OPEN, dtype=np.int64)
+    for phase in replay.contact_phases:
+        lasts = (phase.start <= times) & (times <= phase.end)
+        modes[lasts, phase.contact] = Mode[phase.mode.upper()]
+    return modes
+
+
+def _find_rates(world: World, law: ContactLaw, x: Floats, controls: Floats, modes: Ints) -> Rates:
+    """Returns the equations of motion of states (K, 2n), each under its control (K, nu).
+
+    What rubs on a rigid wall is held in modes, shape (K, m).
+    """
     n = world.num_positions
 
     def yielding(x: Floats) -> tuple[Floats, Floats]:
@@ -80,14 +96,16 @@ def _find_rates(world: World, law: ContactLaw, x: Floats, controls: Floats) -> R
 
     if not isinstance(law, RigidLaw):
         return yielding
-    resting = _find_resting(world, x)
-    held_sets = np.unique(resting, axis=0)
+    is_smooth = law.friction == 0
+    slides = _find_resting(world, x) & is_smooth
+    modes = np.where(is_smooth, np.where(slides, Mode.FORWARD, Mode.OPEN), modes)
+    kinds = np.unique(modes, axis=0)
 
     def rigid(x: Floats) -> tuple[Floats, Floats]:
         rates, forces = yielding(x)
-        for held in held_sets[held_sets.any(axis=1)]:
-            rows = np.flatnonzero((resting == held).all(axis=1) & np.isfinite(x).all(axis=1))
-            _hold(world, np.flatnonzero(held), x, controls, rows, rates, forces)
+        for kind in kinds[(kinds != Mode.OPEN).any(axis=1)]:
+            rows = np.flatnonzero((modes == kind).all(axis=1) & np.isfinite(x).all(axis=1))
+            _hold(world, law.friction, kind, x, controls, rows, rates, forces)
         return rates, forces
 
     return rigid
@@ -95,24 +113,28 @@ def _find_rates(world: World, law: ContactLaw, x: Floats, controls: Floats) -> R
 
 def _hold(
     world: World,
-    contacts: Ints,
+    friction: Floats,
+    modes: Ints,
     x: Floats,
     controls: Floats,
     rows: Ints,
     rates: Floats,
     forces: Floats,
 ) -> None:
-    """Lets some of the states rest on contacts, of these on those alone that press."""
-    n = world.num_positions
-    q, v = x[rows, :n], x[rows, n:]
-    supported, pushes = world.calc_supported_acceleration(q, v, controls[rows], contacts)
-    presses = pushes >= 0
+    """Lets some of the states rest on contacts in modes, of these on those alone that press."""
+    n, contacts = world.num_positions, np.flatnonzero(modes != Mode.OPEN)
+    kinds = [Mode(mode) for mode in modes[contacts]]
+    push = calc_push(world, x[rows], controls[rows], contacts, kinds, friction[contacts])
+    pushes = push.forces[:, : len(contacts)]
+    presses = (pushes >= 0) | (friction[contacts] > 0)
     is_held = presses.all(axis=1)
-    rates[rows[is_held], n:] = supported[is_held]
+    rates[rows[is_held], n:] = push.acceleration[is_held]
     forces[rows[is_held][:, np.newaxis], contacts] = pushes[is_held]
     for row, pressing in zip(rows[~is_held], presses[~is_held], strict=True):
         if pressing.any():
-            _hold(world, contacts[pressing], x, controls, np.array([row]), rates, forces)
+            left = modes.copy()
+            left[contacts[~pressing]] = Mode.OPEN
+            _hold(world, friction, left, x, controls, np.array([row]), rates, forces)
 
 
 def _find_resting(world: World, x: Floats) -> Bools:

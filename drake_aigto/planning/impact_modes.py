@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from drake_aigto.arrays import Floats
+from drake_aigto.planning.held_modes import in_order
 from drake_aigto.simulation.coulomb import Mobility, Mode, calc_impulse
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import RigidLaw, World
@@ -64,9 +65,9 @@ def _measure(world: World, contact: int, q: Floats, v: Floats) -> tuple[Mobility
 
 
 def list_mode_changes(law: RigidLaw, touches: TouchSequence) -> Iterator[TouchSequence]:
-    """Yields sequences in which one impact with friction ends in another mode."""
+    """Yields sequences in which one touch with friction is in another mode."""
     for place, touch in enumerate(touches):
         for mode in (-1, 0, 1) if law.friction[touch.contact] else ():
             if mode != touch.mode:
                 changed = replace(touch, mode=mode)
-                yield (*touches[:place], changed, *touches[place + 1 :])
+                yield in_order((*touches[:place], changed, *touches[place + 1 :]))

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints, read_only
+from drake_aigto.planning.held_modes import is_closed, read_hold
 from drake_aigto.planning.impact_modes import find_other_mode, read_mode
 from drake_aigto.shooting import Phases, ShootingResult
 from drake_aigto.trajectory import Trajectory
@@ -32,7 +33,7 @@ class BouncingResult(ShootingResult):
             lets go, shape (P − 1,).
         knots: where that is, shape (P − 1,).
         held: which contacts are held in each phase, shape (P, m).
-        modes: how impacts end at contacts that rub (`Touch`), shape (P − 1,).
+        modes: in which mode they are, or are hit where it starts (`Phases`), shape (P, m).
     """
 
     contacts: Ints
@@ -58,27 +59,37 @@ class BouncingResult(ShootingResult):
     @property
     def touches(self) -> TouchSequence:
         """What is touched, and when."""
-        times, modes = self.times[[*self.knots, -1]].tolist(), self.modes.tolist()
-        return tuple(
-            Touch(times[i], times[self._find_end(i, contact)], contact, modes[i])
-            for i, contact in enumerate(self.contacts.tolist())
-            if contact >= 0
-        )
+        return tuple(touch for touch, _ in self.starts)
+
+    @property
+    def starts(self) -> list[tuple[Touch, int | None]]:
+        """What is touched, by time, and where it is hit; None where it has been touched before."""
+        times, P = self.times[[0, *self.knots, -1]].tolist(), len(self.held)
+        found: list[tuple[Touch, int | None]] = []
+        for phase, held in enumerate(self.held):
+            hit = int(self.contacts[phase - 1]) if phase else -1
+            for contact in sorted({*np.flatnonzero(held).tolist(), hit} - {-1}):
+                if contact != hit and phase and self._goes_on(phase, contact):
+                    continue
+                end = phase + 1 if held[contact] else phase
+                while end < P and self.held[end, contact] and self._goes_on(end, contact):
+                    end += 1
+                mode = int(self.modes[phase, contact])
+                knot = int(self.knots[phase - 1]) if contact == hit else None
+                found.append((Touch(times[phase], times[end], contact, mode), knot))
+        return sorted(found, key=lambda each: (each[0].start, each[1] is not None))
+
+    def _goes_on(self, phase: int, contact: int) -> bool:
+        """Returns whether what is held in a phase was so before, in the same mode."""
+        is_hit = self.contacts[phase - 1] == contact
+        same = self.modes[phase - 1, contact] == self.modes[phase, contact]
+        return bool(self.held[phase - 1, contact] and same and not is_hit)
 
     def phases(self, total: tuple[float, float]) -> Phases:
         """Returns its phases, whose sum may become the least and the most of a total [s]."""
         return Phases(
             self.contacts, self.knots, self.durations, total, held=self.held, modes=self.modes
         )
-
-    def _find_end(self, joint: int, contact: int) -> int:
-        """Returns where what is hit at a joint of phases is let go, or hit again."""
-        end, last = joint, len(self.contacts)
-        while end < last and self.held[end + 1, contact]:
-            end += 1
-            if end < last and self.contacts[end] == contact:
-                break
-        return end
 
     @property
     def hits(self) -> Ints:
@@ -113,19 +124,26 @@ class Dip(NamedTuple):
     start: float  # the first time that it is inside [s]
     end: float  # the last one [s]
 
-    def as_touch(
+    def as_touches(
         self, world: World, law: RigidLaw, lasting: Floats, motion: ShootingResult
-    ) -> Touch:
-        """Returns the touch of a motion's dip, in the mode that its state before it leads to.
+    ) -> Iterator[Touch]:
+        """Yields the touch of a motion's dip, in the mode that its state before it leads to.
 
-        It lasts if the dip lasts longer than its contact's number says.
+        It lasts if the dip lasts longer than its contact's number says; then, one for each mode
+        that the motion is in meanwhile.
         """
         n, contact = world.num_positions, self.touch.contact
-        before = motion.states[max(0, int(np.searchsorted(motion.times, self.start)) - 1)]
-        mode = read_mode(world, law, contact, before[:n], before[n:])
-        lasts = self.end - self.start > lasting[contact]
-        ends = (self.start, self.end) if lasts else (self.touch.start, self.touch.end)
-        return Touch(*ends, contact, mode)
+        first = max(0, int(np.searchsorted(motion.times, self.start)) - 1)
+        if self.end - self.start > lasting[contact]:
+            times = motion.times
+            inside = np.flatnonzero((times >= self.start) & (times <= self.end))
+            start = self.start
+            if first == 0 and is_closed(world, motion.states[0, :n], motion.states[0, n:])[contact]:
+                start = 0.0
+            yield from read_hold(world, law, motion, contact, (start, self.end), inside)
+            return
+        mode = read_mode(world, law, contact, *np.split(motion.states[first], [n]))
+        yield Touch(self.touch.start, self.touch.end, contact, mode)
 
 
 def lay_out(
@@ -147,7 +165,7 @@ def lay_out(
         total: the least and the most that it may become [s].
         num_contacts: m.
     """
-    joints = list(_find_joints(touches, duration))[: num_steps - 1]
+    first, *joints = list(_find_joints(touches, duration))[:num_steps]
     ends = np.clip([joint.time for joint in joints], 0.0, duration)
     durations = np.maximum(np.diff(ends, prepend=0.0, append=duration), _SHORTEST * duration)
     durations *= duration / durations.sum()
@@ -159,26 +177,30 @@ def lay_out(
     elapsed[-1] = duration
     times = np.interp(np.arange(num_steps + 1), [0, *knots, num_steps], elapsed)
     contacts = np.array([joint.contact for joint in joints], dtype=np.int64)
-    modes = np.array([joint.mode for joint in joints], dtype=np.int64)
-    held = _find_held(joints, num_contacts)
-    return times, Phases(contacts, knots, durations, total, held, modes)
+    closed = _find_closed([first, *joints], num_contacts)
+    return times, Phases(contacts, knots, durations, total, *closed)
 
 
 class _Joint(NamedTuple):
-    """Where phases meet."""
+    """Where phases meet, or the first one starts."""
 
     time: float  # [s]
     contact: int  # what is touched then, or −1
     held: list[int]  # what is held from then on
-    mode: int  # how the impact ends
+    modes: dict[int, int]  # in which mode that is, and what is touched
 
 
-def _find_held(joints: Sequence[_Joint], num_contacts: int) -> Bools:
-    """Returns which contacts are held in each of the phases that meet at joints, shape (P, m)."""
-    held = np.zeros((1 + len(joints), num_contacts), dtype=np.bool_)
-    for phase, joint in enumerate(joints, start=1):
+def _find_closed(joints: Sequence[_Joint], num_contacts: int) -> tuple[Bools, Ints]:
+    """Returns which contacts are held in each of the phases that start at joints, and the modes.
+
+    Both have the shape (P, m).
+    """
+    held = np.zeros((len(joints), num_contacts), dtype=np.bool_)
+    modes = np.zeros(held.shape, dtype=np.int64)
+    for phase, joint in enumerate(joints):
         held[phase, joint.held] = True
-    return held
+        modes[phase, list(joint.modes)] = list(joint.modes.values())
+    return held, modes
 
 
 def lay_onto(touches: TouchSequence, times: Floats, num_contacts: int) -> tuple[Floats, Phases]:
@@ -190,33 +212,52 @@ def lay_onto(touches: TouchSequence, times: Floats, num_contacts: int) -> tuple[
         num_contacts: m.
     """
     duration = float(times[-1])
-    joints = list(_find_joints(touches, duration))
+    first, *joints = _find_joints(touches, duration)
     ends = np.array([joint.time for joint in joints])
     off = np.abs(times[1:-1, np.newaxis] - ends).min(axis=1, initial=np.inf)
     inside = times[1:-1][off > _SAME * duration]
     knots = np.sort(np.concatenate([[0.0], inside, ends, [duration]]))
+    held, modes = _find_closed([first, *joints], num_contacts)
     phases = Phases(
         contacts=np.array([joint.contact for joint in joints], dtype=np.int64),
         knots=np.searchsorted(knots, ends),
         durations=np.diff(ends, prepend=0.0, append=duration),
         total=(duration, duration),
-        held=_find_held(joints, num_contacts),
-        modes=np.array([joint.mode for joint in joints], dtype=np.int64),
+        held=held,
+        modes=modes,
     )
     return knots, phases
 
 
 def _find_joints(touches: TouchSequence, duration: float) -> Iterator[_Joint]:
-    ends: dict[int, float] = {}  # Of what is held.
-    nexts = [*(touch.start for touch in touches), duration][1:]
-    for touch, until in zip(touches, nexts, strict=True):
-        ends = {**ends, touch.contact: touch.end} if touch.lasts else {}
-        yield _Joint(touch.start, touch.contact, list(ends), touch.mode)
+    """Yields the start, and where phases meet."""
+    of_start = [touch for touch in touches if touch.lasts and touch.start <= 0]
+    ends = {touch.contact: _find_end(touch, touches) for touch in of_start}
+    modes = {touch.contact: touch.mode for touch in of_start}
+    yield _Joint(0.0, -1, list(ends), dict(modes))
+    later = [touch for touch in touches if touch not in of_start]
+    for touch, until in zip([None, *later], [*(t.start for t in later), duration], strict=True):
+        if touch is not None:
+            goes_on = ends.get(touch.contact) == np.inf and touch.lasts
+            ends = {**ends, touch.contact: _find_end(touch, touches)} if touch.lasts else {}
+            modes = {**{i: modes[i] for i in ends if i in modes}, touch.contact: touch.mode}
+            if not (goes_on and touch.start == until):  # That is part of what is hit then.
+                yield _Joint(touch.start, -1 if goes_on else touch.contact, list(ends), modes)
         while ends and (end := min(ends.values())) < until:
             # What lets go at about the same time does so at once.
             ends = {i: each for i, each in ends.items() if each > end + _SHORTEST * duration}
-            yield _Joint(end, -1, list(ends), 0)
+            modes = {i: modes[i] for i in ends}
+            yield _Joint(end, -1, list(ends), modes)
         ends = {i: end for i, end in ends.items() if end > until}
+
+
+def _find_end(touch: Touch, touches: TouchSequence) -> float:
+    """Returns when what lasts is let go [s]; infinite if it goes on in another mode."""
+    goes_on = any(
+        other.contact == touch.contact and other.lasts and other.start == touch.end
+        for other in touches
+    )
+    return np.inf if goes_on else touch.end
 
 
 def read_touches(
@@ -231,8 +272,11 @@ def read_touches(
         lasting: from how long on a touch of each contact lasts, shape (m,) [s].
     """
     q = motion.states[:, : world.num_positions]
-    dips = _find_dips(world, motion.times, q)
-    touches = (dip.as_touch(world, law, lasting, motion) for dip in dips)
+    touches = (
+        touch
+        for dip in _find_dips(world, motion.times, q)
+        for touch in dip.as_touches(world, law, lasting, motion)
+    )
     return tuple(sorted(touches, key=lambda touch: touch.start))
 
 
@@ -246,29 +290,30 @@ def find_deepest(world: World, motion: BouncingResult) -> Dip | None:
 
 def find_grazes(world: World, motion: BouncingResult, speed: float) -> list[int]:
     """Returns which bounces among the touches of a motion are slower than a speed [m/s]."""
-    n, knots, touches = world.num_positions, motion.hits, motion.touches
-    contacts = [touch.contact for touch in touches]
-    J = world.calc_contact_jacobian(motion.states[knots, :n])[np.arange(len(knots)), contacts]
-    _, before = _find_slopes(world, motion)
-    is_slow = np.einsum("bi,bi->b", J, before[knots - 1]) > -speed
-    return [i for i in np.flatnonzero(is_slow).tolist() if not touches[i].lasts]
+    n, (_, before) = world.num_positions, _find_slopes(world, motion)
+    found = []
+    for place, (touch, knot) in enumerate(motion.starts):
+        if knot is not None and not touch.lasts:
+            J = world.calc_contact_jacobian(motion.states[knot, :n])[touch.contact]
+            if J @ before[knot - 1] > -speed:
+                found.append(place)
+    return found
 
 
 def switch_modes(world: World, law: RigidLaw, motion: BouncingResult) -> TouchSequence | None:
-    """Returns the touches of a motion, impacts at the edge of their mode beyond it; None: no one.
+    """Returns the touches of a motion, bounces at the edge of their mode beyond it; None: no one.
 
     Beyond an edge the cost may fall on, as stick becomes slip there, or slip ends.
     """
-    n, knots, touches = world.num_positions, motion.hits, motion.touches
-    _, before = _find_slopes(world, motion)
-    others = [
-        find_other_mode(world, law, touch, motion.states[knot, :n], before[knot - 1])
-        for touch, knot in zip(touches, knots.tolist(), strict=True)
-    ]
-    if all(other is None for other in others):
-        return None
-    pairs = zip(touches, others, strict=True)
-    return tuple(one if mode is None else replace(one, mode=mode) for one, mode in pairs)
+    n, (_, before) = world.num_positions, _find_slopes(world, motion)
+    touches = []
+    for touch, knot in motion.starts:
+        other = None
+        if knot is not None and not touch.lasts:
+            state = motion.states[knot, :n], before[knot - 1]
+            other = find_other_mode(world, law, touch, *state)
+        touches.append(touch if other is None else replace(touch, mode=other))
+    return tuple(touches) if tuple(touches) != motion.touches else None
 
 
 def find_lacks(world: World, motion: BouncingResult, margin: float) -> Floats:

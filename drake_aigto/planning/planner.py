@@ -184,18 +184,16 @@ def _check_friction(world: World, scenario: Scenario) -> None:
     """Refuses friction of rigid walls where no impact would end in a mode that is planned for.
 
     Raises:
-        ModelError: walls that rub return nothing, so that contact would last; or what hits them has
-            one coordinate, so that slip turns round whenever it bounces.
+        ModelError: what hits walls that rub has one coordinate, so that slip turns round whenever
+            it bounces.
     """
-    if scenario.contact != "rigid":
+    if scenario.contact != "rigid" or world.num_velocities > 1:
         return
-    friction, returned = world.friction_coefficients(scenario), world.restitutions(scenario)
-    is_single = world.num_velocities == 1
-    for contact in np.flatnonzero((friction > 0) & (is_single | (returned == 0))).tolist():
-        what = "a mechanism of one coordinate" if is_single else "restitution 0 of rigid walls"
+    friction = world.friction_coefficients(scenario)
+    for contact in np.flatnonzero(friction > 0).tolist():
         raise ModelError(
             f"contact {world.contacts[contact].name}",
-            got=f"friction {friction[contact]:g} and {what}",
+            got=f"friction {friction[contact]:g} and a mechanism of one coordinate",
             expected="bounces off rigid walls that rub in which slip ends or goes on",
             remedy="Ask for contact: compliant, or leave friction out by the scenario's "
             "friction: 0 (--friction 0).",

@@ -12,6 +12,7 @@ from drake_aigto.planning.bounces import add_impulses, replay_at_knots, with_los
 from drake_aigto.planning.branching import scaled
 from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.flow import trace
+from drake_aigto.planning.held_modes import in_order
 from drake_aigto.planning.impact_modes import read_mode
 from drake_aigto.planning.mechanism_boxes import Center
 from drake_aigto.planning.mechanism_options import MechanismOptions
@@ -35,6 +36,7 @@ from drake_aigto.shooting import (
     ShootingResult,
     Smoothing,
 )
+from drake_aigto.simulation.coulomb import Mode
 from drake_aigto.simulation.recording import find_impacts
 from drake_aigto.simulation.replay import Replay, replay_event_driven
 from drake_aigto.trajectory import Trajectory
@@ -95,7 +97,13 @@ class RigidMechanismProblem(MechanismProblem):
         """Returns the motion on rigid walls near a box center."""
         soft = self._close_on_springs(center)
         touches = read_touches(self.world, self.rigid_law, soft, self.lasting)
-        return self.bounce(touches, soft)
+        found = [self.bounce(touches, soft)]
+        if self.rigid_law.rubs:
+            states, controls = center.sample(soft.times)
+            shown = dataclasses.replace(soft, states=states, controls=controls)
+            touches = read_touches(self.world, self.rigid_law, shown, self.lasting)
+            found.append(self.bounce(touches, shown))
+        return min(found, key=self.rank)
 
     @property
     def rigid_law(self) -> RigidLaw:
@@ -108,12 +116,10 @@ class RigidMechanismProblem(MechanismProblem):
         """From how long on [s] a touch of a spring is one that lasts on a wall, shape (m,).
 
         Where nothing is returned, any is: what is let go at once was a bounce. Elsewhere it is
-        twice what a spring takes to turn a speed round. What rubs is never held.
+        twice what a spring takes to turn a speed round.
         """
         time_step = self.scenario.duration / self.search_steps
-        law = self.rigid_law
-        lasting = np.where(law.restitution == 0, 0.0, 2 * np.pi * time_step)
-        return np.where(law.friction > 0, np.inf, lasting)
+        return np.where(self.rigid_law.restitution == 0, 0.0, 2 * np.pi * time_step)
 
     def bounce(self, touches: TouchSequence, guess: ShootingResult) -> BouncingResult:
         """Returns a motion with these touches near another, as far as a few steps lead.
@@ -130,8 +136,8 @@ class RigidMechanismProblem(MechanismProblem):
             if dip is None or dip.depth < _DEEP * self.scales.length or is_full:
                 break
             guess = motion
-            added = dip.as_touch(self.world, self.rigid_law, self.lasting, motion)
-            touches = tuple(sorted((*motion.touches, added), key=lambda touch: touch.start))
+            added = dip.as_touches(self.world, self.rigid_law, self.lasting, motion)
+            touches = in_order((*motion.touches, *added))
         return self._switch(min(tried, key=self.rank))
 
     def _switch(self, motion: BouncingResult) -> BouncingResult:
@@ -152,21 +158,32 @@ class RigidMechanismProblem(MechanismProblem):
         idle = self.idle_motion
         times = self._end_exactly(idle.times)
         replay = replay_event_driven(self.world, self.scenario, times, idle.controls)
+        return self._read_replay(replay)
+
+    def _read_replay(self, replay: Replay) -> TouchSequence:
+        """Returns what a replay touches; what lasts without friction does till the next touch."""
         contacts, starts = np.array(replay.bounce_contacts, dtype=np.int64), replay.bounce_times
         rows = find_impacts(replay.times, replay.velocities, len(starts))
         before = zip(replay.positions[rows], replay.velocities[rows], strict=True)
-        ends = [*starts, float(times[-1])][1:]
-        return tuple(
+        ends = [*starts, float(replay.times[-1])][1:]
+        held = [
+            Touch(phase.start, phase.end, phase.contact, int(Mode[phase.mode.upper()]))
+            for phase in replay.contact_phases
+        ]
+        begins = {(touch.start, touch.contact) for touch in held}
+        bounces = [
             Touch(
                 start,
-                start if self.lasting[contact] else end,
+                start if self.lasting[contact] or self.rigid_law.friction[contact] else end,
                 contact,
                 read_mode(self.world, self.rigid_law, contact, *state),
             )
             for start, end, contact, state in zip(
                 starts, ends, contacts.tolist(), before, strict=True
             )
-        )
+            if (start, contact) not in begins
+        ]
+        return in_order([*bounces, *held])
 
     def tighten(self, motion: ShootingResult) -> ShootingResult:
         """Returns a motion as it is: in phases, few steps err little."""

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from functools import partial
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import ClassVar, TypeAlias
 
 import numpy as np
 
 from drake_aigto.planning.branching import scaled
+from drake_aigto.planning.held_modes import drop, is_closed, list_hold_changes
 from drake_aigto.planning.impact_modes import list_mode_changes, read_mode
 from drake_aigto.planning.mechanism_phases import BouncingResult
 from drake_aigto.planning.mechanism_search import Closed, MechanismSearch, Motion, Proposal
@@ -102,12 +103,13 @@ class RigidMechanismSearch(MechanismSearch):
         """Yields sequences with a touch less, two swapped, one more, and another mode."""
         touches = motion.touches
         for place in range(len(touches)):
-            yield "dropped", (*touches[:place], *touches[place + 1 :])
+            yield "dropped", drop(touches, place)
         for other in swapped(touches, _NEAR * self.problem.scenario.duration):
             yield "swapped", other
         for place, added in self._find_additions(motion):
             yield "added", (*touches[:place], added, *touches[place:])
-        for other in list_mode_changes(self.problem.rigid_law, touches):
+        law = self.problem.rigid_law
+        for other in chain(list_mode_changes(law, touches), list_hold_changes(law, touches)):
             yield "mode", other
 
     def _find_additions(self, motion: BouncingResult) -> Iterator[tuple[int, Touch]]:
@@ -116,10 +118,13 @@ class RigidMechanismSearch(MechanismSearch):
         n = world.num_positions
         distances = world.calc_signed_distance(motion.states[:, : world.num_positions])
         ends = [0, *motion.knots.tolist(), len(times) - 1]
-        lasting = self.problem.lasting
-        places = np.cumsum([0, *(motion.contacts >= 0)]).tolist()
-        for place, (first, last), held in zip(places, pairwise(ends), motion.held, strict=True):
+        lasting, closed = self.problem.lasting, is_closed(world, *np.split(motion.states[0], [n]))
+        starts = [touch.start for touch in motion.touches]
+        for (first, last), held in zip(pairwise(ends), motion.held, strict=True):
+            place = int(np.searchsorted(starts, times[first], side="right"))
             for contact in np.flatnonzero(~held).tolist() if last - first > 1 else []:
+                if first == 0 and closed[contact]:
+                    yield 0, Touch(0.0, float(times[last]), contact)
                 nearest = first + 1 + int(np.argmin(distances[first + 1 : last, contact]))
                 state = motion.states[nearest]
                 mode = read_mode(world, law, contact, state[:n], state[n:])

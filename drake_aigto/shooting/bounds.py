@@ -6,10 +6,9 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.jit import inner, kernel
-from drake_aigto.shooting.hold import press
+from drake_aigto.shooting.cones import measure_modes
 from drake_aigto.shooting.layout import triangle
-from drake_aigto.shooting.mechanism import factor_mass, find_foremost
-from drake_aigto.shooting.strike import find_rub, strike
+from drake_aigto.shooting.mechanism import find_foremost
 from drake_aigto.shooting.tables import FLOW, Bounds, Memory, Program
 from drake_aigto.shooting.tape import run_tape
 
@@ -55,9 +54,8 @@ def add_bounds(
             cost += _add_distances(program, k, states[k], penalty, has_slopes, memory)
         if k < program.kinds.size and program.kinds[k] >= 0:
             cost += _add_approach(program, k, states[k], penalty, has_slopes, memory)
-            cost += _add_cone(program, k, states[k], penalty, has_slopes, memory)
-        if k < program.kinds.size and program.kinds[k] == FLOW and program.held[k].any():
-            cost += _add_forces(program, k, states[k], controls[k], penalty, has_slopes, memory)
+        u = controls[min(k, controls.shape[0] - 1)]
+        cost += _add_modes(program, k, states[k], u, penalty, has_slopes, memory)
     return cost
 
 
@@ -107,52 +105,7 @@ def _add_approach(
 
 
 @inner
-def _measure_cone(program: Program, k: int, z: Floats, has_slopes: bool, memory: Memory) -> bool:
-    """Computes what the impact at knot k asks for in its mode; returns whether anything."""
-    mechanics, contact, room = program.mechanics, program.kinds[k], memory.flow.mechanics
-    rub = find_rub(mechanics.rubs, contact)
-    if rub < 0:
-        return False
-    measure_distances(program, z, has_slopes, memory)
-    factor_mass(mechanics.actuation.shape[0], room.sums, room.factor)
-    strike(
-        contact,
-        mechanics.contacts.shape[0],
-        mechanics.rubs,
-        rub,
-        program.modes[k],
-        program.restitutions[k],
-        z,
-        has_slopes,
-        room.sums,
-        room.factor,
-        memory.strike,
-    )
-    return True
-
-
-@inner
-def _add_cone(
-    program: Program, k: int, z: Floats, penalty: float, has_slopes: bool, memory: Memory
-) -> float:
-    """Returns what Coulomb's cone adds at the impact at knot k; adds to derivatives if asked."""
-    bounds, cone, cost = program.bounds, memory.strike.cone, 0.0
-    weight, l1, l2 = penalty * bounds.approach_weight, memory.expansion.l1, memory.expansion.l2
-    if not _measure_cone(program, k, z, has_slopes, memory):
-        return cost
-    for side in range(2):
-        off = min(cone[side, 0] + bounds.cone_multipliers[k, side] / weight, 0.0)
-        cost += weight * off * off / 2
-        if has_slopes and off < 0.0:
-            for j in range(cone.shape[1] - 1):
-                l1[k, j] += weight * off * cone[side, 1 + j]
-                for c in range(cone.shape[1] - 1):
-                    l2[k, j, c] += weight * cone[side, 1 + j] * cone[side, 1 + c]
-    return cost
-
-
-@inner
-def _add_forces(
+def _add_modes(
     program: Program,
     k: int,
     z: Floats,
@@ -161,22 +114,30 @@ def _add_forces(
     has_slopes: bool,
     memory: Memory,
 ) -> float:
-    """Returns what λ ≥ 0 adds where stage k starts; adds to derivatives by (z, u) if asked."""
-    bounds, nz, nx, held = program.bounds, z.size, memory.flow.points.shape[1], program.held[k]
-    l1, l2, by_force = memory.expansion.l1, memory.expansion.l2, memory.flow.mechanics.by_force
-    weight, cost = penalty * bounds.force_weight, 0.0
-    press(program.mechanics, held, z[:nx], u, has_slopes, memory.flow.mechanics)
-    for i in range(held.size):
-        force = memory.flow.mechanics.grip[held.size, i]
-        off = min(force + bounds.force_multipliers[k, i] / weight, 0.0)
-        cost += weight * off * off / 2
-        if has_slopes and off < 0.0:
-            for c in range(by_force.shape[0]):
-                row = c if c < nx else nz + c - nx
-                l1[k, row] += weight * off * by_force[c, i]
-                for d in range(c, by_force.shape[0]):
-                    column = d if d < nx else nz + d - nx
-                    l2[k, row, column] += weight * by_force[c, i] * by_force[d, i]
+    """Returns what modes ask for at knot k adds; adds to derivatives by (q, v, u) if asked."""
+    if not measure_modes(program, k, z, u, has_slopes, memory):
+        return 0.0
+    values, slopes, weights, _ = memory.modes
+    l1, l2, multipliers = memory.expansion.l1, memory.expansion.l2, program.bounds.mode_multipliers
+    nz, nx, cost = z.size, memory.flow.points.shape[1], 0.0
+    columns = slopes.shape[2]
+    if k == program.kinds.size or program.kinds[k] != FLOW:
+        columns = nx  # What a phase's start chooses is its duration.
+    for i in range(values.shape[0]):
+        for side in range(values.shape[1]):
+            weight = penalty * weights[i, side]
+            if weight == 0.0:
+                continue
+            off = min(values[i, side] + multipliers[k, i, side] / weight, 0.0)
+            cost += weight * off * off / 2
+            if has_slopes and off < 0.0:
+                slope = slopes[i, side]
+                for c in range(columns):
+                    row = c if c < nx else nz + c - nx
+                    l1[k, row] += weight * off * slope[c]
+                    for d in range(c, columns):
+                        column = d if d < nx else nz + d - nx
+                        l2[k, row, column] += weight * slope[c] * slope[d]
     return cost
 
 
@@ -264,21 +225,15 @@ def measure_bounds(
             if updates:
                 multiplier = bounds.approach_multipliers[k] + weight * off
                 bounds.approach_multipliers[k] = max(multiplier, 0.0)
-            if _measure_cone(program, k, states[k], False, memory):
-                for side in range(2):
-                    speed = memory.strike.cone[side, 0]
-                    worst = max(worst, -np.sqrt(bounds.approach_weight) * speed)
-                    if updates:
-                        multiplier = bounds.cone_multipliers[k, side] + weight * speed
-                        bounds.cone_multipliers[k, side] = min(multiplier, 0.0)
-        if k < program.kinds.size and program.kinds[k] == FLOW and program.held[k].any():
-            weight, nx = penalty * bounds.force_weight, memory.flow.points.shape[1]
-            mechanics, room = program.mechanics, memory.flow.mechanics
-            press(mechanics, program.held[k], states[k, :nx], controls[k], False, room)
-            for i in range(program.held.shape[1]):
-                force = room.grip[program.held.shape[1], i]
-                worst = max(worst, -np.sqrt(bounds.force_weight) * force)
-                if updates:
-                    multiplier = bounds.force_multipliers[k, i] + weight * force
-                    bounds.force_multipliers[k, i] = min(multiplier, 0.0)
+        u = controls[min(k, controls.shape[0] - 1)]
+        if not measure_modes(program, k, states[k], u, False, memory):
+            continue
+        values, _, weights, _ = memory.modes
+        for i in range(values.shape[0]):
+            for side in range(values.shape[1]):
+                weight, value = penalty * weights[i, side], values[i, side]
+                worst = max(worst, -np.sqrt(weights[i, side]) * value)
+                if updates and weight > 0.0:
+                    multiplier = bounds.mode_multipliers[k, i, side] + weight * value
+                    bounds.mode_multipliers[k, i, side] = min(multiplier, 0.0)
     return worst

@@ -100,7 +100,8 @@ def flow(
     share: float,
     substeps: int,
     method: Floats,
-    held: Bools,
+    closed: Bools,
+    leans: Floats,
     z: Floats,
     u: Floats,
     eps: float,
@@ -127,15 +128,15 @@ def flow(
 
     It takes what `Mechanics` and `Task` hold, when the stage starts [s] (of phases the state says
     it), how long it lasts [s] (of phases, as a share of τ), its Runge-Kutta steps and their method,
-    which contacts are held, its state z and control u, the smoothing ε [m],
-    whether derivatives are asked for, and what the memories hold. Results are the state after it,
-    shape (nz,); F, its derivative by (z, u), shape (nz, nc); l1, the gradient of the cost, shape
-    (nc,); and l2, the upper triangle of its Gauss-Newton Hessian.
+    which rows of contacts are held and how these lean (`hold`), its state z and control u, the
+    smoothing ε [m], whether derivatives are asked for, and what the memories hold. Results are the
+    state after it, shape (nz,); F, its derivative by (z, u), shape (nz, nc); l1, the gradient of
+    the cost, shape (nc,); and l2, the upper triangle of its Gauss-Newton Hessian.
     """
     nx, nz, n, columns = points.shape[1], z.size, actuation.shape[0], by_column.size
     x, y, slope, total, errors = points[0], points[1], points[2], points[3], points[4:]
     X, Y, K, sum_K = by_start[0], by_start[1], by_start[2], by_start[3]
-    duration, has_phases, holds = share, nz > nx, bool(held.any())
+    duration, has_phases, holds = share, nz > nx, bool(closed.any())
     if has_phases:
         duration, start = share * float(z[nx]), float(z[nx + 1])
     delta, unit, cost = duration / substeps, share / substeps, 0.0
@@ -179,9 +180,11 @@ def flow(
             )
             if holds:
                 hold(
-                    held,
+                    closed,
+                    leans,
                     y,
                     has_slopes,
+                    rubs,
                     sums,
                     factor,
                     support,

@@ -1,82 +1,116 @@
-"""Rigid contacts that are closed at once: what their forces or impulses do to a motion."""
+"""Rigid contacts that are closed at once: what their forces or impulses do to a motion.
+
+Rows k of C are what vanishes: J_k of contacts k < m, and T of what sticks behind them, one for each
+friction. Columns of Dᵀ are what pushes for that: Jᵀ and Tᵀ, or, of a contact that slips along σ,
+Jᵀ − μ σ Tᵀ. `closed` says which rows count, shape (w,), w = m + R, and `leans` has −μ σ of each
+contact, shape (m,), 0 where it sticks or does not rub.
+"""
 
 from __future__ import annotations
 
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.jit import inner
-from drake_aigto.linear import solve_factored
-from drake_aigto.shooting.layout import find_rows, triangle
+from drake_aigto.linear import factor_in_place, solve_factors
+from drake_aigto.shooting.layout import find_row, find_rows, find_slope
 from drake_aigto.shooting.mechanics import Mechanics, MechanicsMemory
 from drake_aigto.shooting.mechanism import accelerate, divide_by_mass
+from drake_aigto.shooting.rubbing import find_rub
 
-# Pivots of J M⁻¹ Jᵀ are at least this part of its diagonal: contacts may hold without need what
+# Pivots of C M⁻¹ Dᵀ are at least this part of its diagonal: contacts may hold without need what
 # others hold.
 _RIDGE = 1e-12
 
 
 @inner
-def clasp(held: Bools, n: int, sums: Floats, factor: Floats, support: Floats, grip: Floats) -> None:
-    """Computes M⁻¹ J_iᵀ of contacts that are held, and factors J M⁻¹ Jᵀ = L Lᵀ.
+def clasp(
+    closed: Bools,
+    leans: Floats,
+    n: int,
+    rubs: Floats,
+    sums: Floats,
+    factor: Floats,
+    support: Floats,
+    grip: Floats,
+) -> None:
+    """Computes M⁻¹ D_kᵀ of rows that are closed, and factors C M⁻¹ Dᵀ.
 
-    Rows of `support`, shape (m + 1 + n, n), and of `grip`, shape (m + 1, m). What is not held has
+    Rows of `support`, shape (w + 1 + n, n), and of `grip`, shape (w + 1, w). What is not closed has
     zeros in the one, and a row of the identity in the other.
     """
-    m = held.size
-    for i in range(m):
-        row, _ = find_rows(n, m, i)
+    m, w, count = leans.size, closed.size, rubs.shape[0]
+    for k in range(w):
+        row, along = find_row(n, m, sums.size, count, k), 0
+        leans_over = k < m and leans[k] != 0.0
+        if leans_over:
+            along = find_row(n, m, sums.size, count, m + find_rub(rubs, k))
         for j in range(n):
-            support[i, j] = sums[row + j] if held[i] else 0.0
-    divide_by_mass(n, factor, support[:m])
-    for i in range(m):
-        row, _ = find_rows(n, m, i)
-        for j in range(i + 1):
-            total = 1.0 if i == j else 0.0
-            if held[i] and held[j]:
+            support[k, j] = sums[row + j] if closed[k] else 0.0
+            if closed[k] and leans_over:
+                support[k, j] += leans[k] * sums[along + j]
+    divide_by_mass(n, factor, support[:w])
+    for k in range(w):
+        row = find_row(n, m, sums.size, count, k)
+        for j in range(w):
+            total = 1.0 if k == j else 0.0
+            if closed[k] and closed[j]:
                 total = 0.0
-                for k in range(n):
-                    total += sums[row + k] * support[j, k]
-            least = _RIDGE * total
-            for k in range(j):
-                total -= grip[i, k] * grip[j, k]
-            grip[i, j] = max(total, least) ** 0.5 if i == j else total / grip[j, j]
+                for i in range(n):
+                    total += sums[row + i] * support[j, i]
+            grip[k, j] = total
+    factor_in_place(w, _RIDGE, grip)
 
 
 @inner
-def turn(held: Bools, n: int, sums: Floats, factor: Floats, support: Floats, grip: Floats) -> None:
-    """Computes the derivative of M⁻¹ Jᵀ λ by q at constant λ, transposed, after `clasp`.
+def turn(
+    closed: Bools,
+    leans: Floats,
+    n: int,
+    rubs: Floats,
+    sums: Floats,
+    factor: Floats,
+    support: Floats,
+    grip: Floats,
+) -> None:
+    """Computes the derivative of M⁻¹ Dᵀ λ by q at constant λ, transposed, after `clasp`.
 
     λ is the last row of `grip`, the derivative fills the last n rows of `support`.
     """
-    m = held.size
+    m, w, count = leans.size, closed.size, rubs.shape[0]
     mass, _ = find_rows(n, m, m)  # Behind the rows of all contacts.
-    total = support[m]
+    total = support[w]
     for j in range(n):
         total[j] = 0.0
-        for i in range(m):
-            total[j] += grip[m, i] * support[i, j]
+        for k in range(w):
+            total[j] += grip[w, k] * support[k, j]
     for c in range(n):
-        slope, at = support[m + 1 + c], mass + c
+        slope, at = support[w + 1 + c], mass + c
         for i in range(n):
             slope[i] = 0.0
-        for k in range(m):
-            if held[k]:
-                _, bends = find_rows(n, m, k)
+        for k in range(w):
+            if not closed[k]:
+                continue
+            for i in range(n):
+                slope[i] += grip[w, k] * sums[find_slope(n, m, sums.size, count, k, i, c)]
+            if k < m and leans[k] != 0.0:
+                row, pull = m + find_rub(rubs, k), leans[k] * grip[w, k]
                 for i in range(n):
-                    slope[i] += grip[m, k] * sums[bends + triangle(n, i, c)]
+                    slope[i] += pull * sums[find_slope(n, m, sums.size, count, row, i, c)]
         for i in range(n):
             for j in range(i, n):
                 slope[i] -= sums[at] * total[j]
                 if j != i:
                     slope[j] -= sums[at] * total[i]
                 at += n
-    divide_by_mass(n, factor, support[m + 1 :])
+    divide_by_mass(n, factor, support[w + 1 :])
 
 
 @inner
 def hold(
-    held: Bools,
+    closed: Bools,
+    leans: Floats,
     x: Floats,
     has_slopes: bool,
+    rubs: Floats,
     sums: Floats,
     factor: Floats,
     support: Floats,
@@ -87,36 +121,40 @@ def hold(
 ) -> None:
     """Adds to the acceleration what the forces of contacts do that are held.
 
-        v̇ = a + M⁻¹ Jᵀ λ,   J v̇ + J̇ v = 0,   λ = −(J M⁻¹ Jᵀ)⁻¹ (J a + J̇ v)
+        v̇ = a + M⁻¹ Dᵀ λ,   C v̇ + Ċ v = 0,   λ = −(C M⁻¹ Dᵀ)⁻¹ (C a + Ċ v)
 
-    Gauss's principle of least constraint. It takes the acceleration a without them, as `accelerate`
-    leaves it with the sums of all slopes, and a's derivative by (q, v, u) if asked; then that of λ
-    is computed, too, shape (2n + nu, m). λ becomes the last row of `grip`.
+    Without friction, that is Gauss's principle of least constraint. It takes the acceleration a
+    without them, as `accelerate` leaves it with the sums of all slopes, and a's derivative by
+    (q, v, u) if asked; then that of λ is computed, too, shape (2n + nu, w). λ becomes the last row
+    of `grip`.
     """
-    n, m = acceleration.shape[1], held.size
-    clasp(held, n, sums, factor, support, grip)
-    forces = grip[m]
-    for k in range(m):
+    n, m, w, count = acceleration.shape[1], leans.size, closed.size, rubs.shape[0]
+    clasp(closed, leans, n, rubs, sums, factor, support, grip)
+    forces = grip[w]
+    for k in range(w):
         forces[k] = 0.0
-        if held[k]:
-            row, bends = find_rows(n, m, k)
+        if closed[k]:
+            row = find_row(n, m, sums.size, count, k)
             for i in range(n):
                 forces[k] -= sums[row + i] * acceleration[0, i]
                 for j in range(n):
-                    forces[k] -= sums[bends + triangle(n, i, j)] * x[n + i] * x[n + j]
-    solve_factored(m, grip, forces)
-    for k in range(m):
+                    bend = sums[find_slope(n, m, sums.size, count, k, i, j)]
+                    forces[k] -= bend * x[n + i] * x[n + j]
+    solve_factors(w, grip, forces)
+    for k in range(w):
         for i in range(n):
             acceleration[0, i] += support[k, i] * forces[k]
     if has_slopes:
-        turn(held, n, sums, factor, support, grip)
-        _differentiate(held, x, sums, support, grip, by_force, acceleration, slopes)
+        turn(closed, leans, n, rubs, sums, factor, support, grip)
+        _differentiate(closed, m, x, count, sums, support, grip, by_force, acceleration, slopes)
 
 
 @inner
 def _differentiate(
-    held: Bools,
+    closed: Bools,
+    m: int,
     x: Floats,
+    count: int,
     sums: Floats,
     support: Floats,
     grip: Floats,
@@ -124,28 +162,31 @@ def _differentiate(
     acceleration: Floats,
     slopes: Floats,
 ) -> None:
-    """Computes the derivatives of λ, and adds those of M⁻¹ Jᵀ λ to the acceleration's."""
-    n, m = acceleration.shape[1], held.size
+    """Computes the derivatives of λ, and adds those of M⁻¹ Dᵀ λ to the acceleration's."""
+    n, w = acceleration.shape[1], closed.size
     _, behind = find_rows(n, m, m)
     for c in range(slopes.shape[0]):
         if c < n:
             for i in range(n):
-                slopes[c, i] += support[m + 1 + c, i]
-        for k in range(m):
+                slopes[c, i] += support[w + 1 + c, i]
+        for k in range(w):
             by_force[c, k] = 0.0
-            if not held[k]:
+            if not closed[k]:
                 continue
-            row, bends = find_rows(n, m, k)
+            row = find_row(n, m, sums.size, count, k)
             for i in range(n):
                 by_force[c, k] -= sums[row + i] * slopes[c, i]
                 if c < n:
-                    by_force[c, k] -= sums[bends + triangle(n, i, c)] * acceleration[0, i]
+                    bend = sums[find_slope(n, m, sums.size, count, k, i, c)]
+                    by_force[c, k] -= bend * acceleration[0, i]
                 elif c < 2 * n:
-                    by_force[c, k] -= 2 * sums[bends + triangle(n, i, c - n)] * x[n + i]
+                    bend = sums[find_slope(n, m, sums.size, count, k, i, c - n)]
+                    bend += sums[find_slope(n, m, sums.size, count, k, c - n, i)]
+                    by_force[c, k] -= bend * x[n + i]
             if c < n:
                 by_force[c, k] -= sums[behind + k * n + c]
-        solve_factored(m, grip, by_force[c])
-        for k in range(m):
+        solve_factors(w, grip, by_force[c])
+        for k in range(w):
             for i in range(n):
                 slopes[c, i] += support[k, i] * by_force[c, k]
 
@@ -153,7 +194,8 @@ def _differentiate(
 @inner
 def press(
     mechanics: Mechanics,
-    held: Bools,
+    closed: Bools,
+    leans: Floats,
     x: Floats,
     u: Floats,
     has_slopes: bool,
@@ -184,4 +226,17 @@ def press(
         acceleration,
         slopes,
     )
-    hold(held, x, has_slopes, sums, factor, support, grip, by_force, acceleration, slopes)
+    hold(
+        closed,
+        leans,
+        x,
+        has_slopes,
+        rubs,
+        sums,
+        factor,
+        support,
+        grip,
+        by_force,
+        acceleration,
+        slopes,
+    )

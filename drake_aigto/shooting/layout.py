@@ -17,3 +17,23 @@ def find_rows(n: int, m: int, i: int) -> tuple[int, int]:
     """Returns where J_i, and the second derivatives of φ_i, begin in the sums of all slopes."""
     half = n * (n + 1) // 2
     return half + n + m + i * n, half + n + m + m * n + half * n + 2 * n * n + i * half
+
+
+@inner
+def find_tangent(n: int, size: int, count: int, rub: int) -> tuple[int, int]:
+    """Returns where T of a friction, of so many, and ∂T/∂q begin in sums of so many."""
+    return size - (count - rub) * n, size - count * n - (count - rub) * n * n
+
+
+@inner
+def find_row(n: int, m: int, size: int, count: int, k: int) -> int:
+    """Returns where row k begins: J_k of a contact, or T of friction k − m."""
+    return find_rows(n, m, k)[0] if k < m else find_tangent(n, size, count, k - m)[0]
+
+
+@inner
+def find_slope(n: int, m: int, size: int, count: int, k: int, i: int, c: int) -> int:
+    """Returns where the derivative of entry i of row k by q_c is."""
+    if k < m:
+        return find_rows(n, m, k)[1] + triangle(n, i, c)
+    return find_tangent(n, size, count, k - m)[1] + i * n + c

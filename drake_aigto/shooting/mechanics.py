@@ -14,8 +14,8 @@ class Mechanics(NamedTuple):
 
     Attributes:
         code: of a `Tape` of M (upper triangle, by rows), h, φ, J; then of ∂M/∂q, ∂h/∂(q, v), ∂J/∂q
-            (upper triangle), and where walls are rigid of vᵀ (∂²J/∂q²) v, by contacts; then of
-            ∂T/∂q, and of T, the rows of what rubs.
+            (upper triangle), and where walls are rigid of vᵀ (∂²J/∂q²) v, by contacts, and of
+            vᵀ ∂(∂T/∂q)/∂q v; then of ∂T/∂q, and of T, the rows of what rubs.
         numbers: of the same.
         constants: of the same.
         actuation: B, shape (n, nu).
@@ -46,10 +46,10 @@ class MechanicsMemory(NamedTuple):
         rub: of each friction, and its derivatives by s and N, shape (R, 3).
         acceleration: v̇, shape (1, n).
         slopes: ∂v̇/∂(q, v, u), transposed, shape (2n + nu, n).
-        support: M⁻¹ J_iᵀ of contacts that are held, M⁻¹ Jᵀ λ, and its derivative by q at constant
-            λ, transposed, shape (m + 1 + n, n).
-        grip: Cholesky's L of J M⁻¹ Jᵀ, and the forces λ below, shape (m + 1, m).
-        by_force: the derivative of λ by (q, v, u), transposed, shape (2n + nu, m).
+        support: M⁻¹ D_kᵀ of what is held (`hold`, w = m + R rows), M⁻¹ Dᵀ λ, and its derivative by
+            q at constant λ, transposed, shape (w + 1 + n, n).
+        grip: the factors of C M⁻¹ Dᵀ, and the forces λ below, shape (w + 1, w).
+        by_force: the derivative of λ by (q, v, u), transposed, shape (2n + nu, w).
     """
 
     values: Floats
@@ -77,6 +77,7 @@ def copy_writable(table: Any) -> Any:
 def make_mechanics_memory(mechanics: Mechanics) -> MechanicsMemory:
     """Returns room for evaluations."""
     (n, nu), code, m = mechanics.actuation.shape, mechanics.code, len(mechanics.contacts)
+    w = m + len(mechanics.rubs)
     return MechanicsMemory(
         values=np.zeros(1 + 2 * n + 2 * code[0] + code[1]),
         sums=mechanics.constants.copy(),
@@ -85,7 +86,7 @@ def make_mechanics_memory(mechanics: Mechanics) -> MechanicsMemory:
         rub=np.zeros((len(mechanics.rubs), 3)),
         acceleration=np.zeros((1, n)),
         slopes=np.zeros((2 * n + nu, n)),
-        support=np.zeros((m + 1 + n, n)),
-        grip=np.zeros((m + 1, m)),
-        by_force=np.zeros((2 * n + nu, m)),
+        support=np.zeros((w + 1 + n, n)),
+        grip=np.zeros((w + 1, w)),
+        by_force=np.zeros((2 * n + nu, w)),
     )

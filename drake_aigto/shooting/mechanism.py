@@ -103,13 +103,18 @@ class Mechanism:
 
     def calc_inertia(self, q: Floats) -> tuple[Floats, Floats]:
         """Returns M(q), shape (n, n), and h(q, 0), shape (n,)."""
+        n, sums = len(q), self.calc_sums(q)
+        half = n * (n + 1) // 2
+        mass = np.zeros((n, n))
+        mass[np.triu_indices(n)] = sums[:half]
+        return mass + np.triu(mass, 1).T, sums[half : half + n]
+
+    def calc_sums(self, q: Floats) -> Floats:
+        """Returns the sums of the tape at rest, but for those of slopes that change."""
         n, memory = len(q), make_mechanics_memory(self.mechanics)
         rest, no_control = np.concatenate([q, np.zeros(n)]), np.zeros(self.num_controls)
         _accelerate(self.mechanics, rest, no_control, 0.0, False, memory)
-        half = n * (n + 1) // 2
-        mass = np.zeros((n, n))
-        mass[np.triu_indices(n)] = memory.sums[:half]
-        return mass + np.triu(mass, 1).T, memory.sums[half : half + n]
+        return memory.sums
 
 
 def _compile(world: EquationsOfMotion, is_rigid: bool, rows: Sequence[Row]) -> Tape:
@@ -132,21 +137,28 @@ def _compile(world: EquationsOfMotion, is_rigid: bool, rows: Sequence[Row]) -> T
     if is_rigid:
         half = len(upper[0])
         for first in range(0, len(bends), half):
-            turns = _contract(bends[first : first + half], n)
+            pairs = list(zip(*(each.tolist() for each in upper), strict=True))
+            turns = _contract(bends[first : first + half], pairs, n)
             slopes += [differentiate(turns, c) for c in range(n)]
     tangents = [builder.read(entry) for row in rows for entry in row]
-    slopes += [differentiate(entry, c) for entry in tangents for c in range(n)]
+    spins = [differentiate(entry, c) for entry in tangents for c in range(n)]
+    if is_rigid:
+        for first in range(0, len(spins), n * n):
+            turns = _contract(spins[first : first + n * n], list(np.ndindex(n, n)), n)
+            slopes += [differentiate(turns, c) for c in range(n)]
+    slopes += spins
     normals = [entry for row in jacobian for entry in row]
     return builder.build([*mass, *bias, *distance, *normals], slopes, tangents)
 
 
-def _contract(bends: Sequence[Sum], n: int) -> Sum:
-    """Returns vᵀ S v of a symmetric matrix's upper triangle, by rows."""
+def _contract(bends: Sequence[Sum], places: Sequence[tuple[int, int]], n: int) -> Sum:
+    """Returns vᵀ S v of the entries of a matrix: all, or a symmetric one's upper triangle."""
     found: Sum = {}
-    for bend, i, j in zip(bends, *np.triu_indices(n), strict=True):
+    for bend, (i, j) in zip(bends, places, strict=True):
         for product, coefficient in bend.items():
             whole = tuple(sorted((*product, 1 + n + int(i), 1 + n + int(j))))
-            found[whole] = found.get(whole, 0.0) + (1 if i == j else 2) * coefficient
+            twice = len(bends) < n * n and i != j
+            found[whole] = found.get(whole, 0.0) + (2 if twice else 1) * coefficient
     return found
 
 

@@ -5,8 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.shooting.mechanics import make_mechanics_memory
-from drake_aigto.shooting.strike import make_strike_memory
-from drake_aigto.shooting.tables import Expansion, FlowMemory, Memory, Program, SweepMemory
+from drake_aigto.shooting.tables import (
+    Expansion,
+    FlowMemory,
+    Memory,
+    ModeMemory,
+    Program,
+    SweepMemory,
+)
 
 
 def make_memory(program: Program, num_stages: int, nz: int) -> Memory:
@@ -14,7 +20,7 @@ def make_memory(program: Program, num_stages: int, nz: int) -> Memory:
     nu = program.task.control.size
     return Memory(
         flow=_make_flow_memory(program, nz + nu),
-        strike=make_strike_memory(program.mechanics.actuation.shape[0]),
+        modes=_make_mode_memory(program),
         expansion=Expansion(
             F=np.zeros((num_stages, nz, nz + nu)),
             l1=np.zeros((num_stages + 1, nz + nu)),
@@ -34,6 +40,17 @@ def _make_flow_memory(program: Program, columns: int) -> FlowMemory:
         points=np.zeros((7, nx)),
         by_column=np.zeros(columns),
         slopes=np.zeros((4, nx, columns)),
+    )
+
+
+def _make_mode_memory(program: Program) -> ModeMemory:
+    n, nu = program.mechanics.actuation.shape
+    m = len(program.mechanics.contacts)
+    return ModeMemory(
+        values=np.zeros((m, 3)),
+        slopes=np.zeros((m, 3, 2 * n + nu)),
+        weights=np.zeros((m, 3)),
+        after=np.zeros(2 * n),
     )
 
 

@@ -24,11 +24,15 @@ class Phases(ArrayRecord):
     """Which contact is hit at which knot, with free durations between; P phases, m contacts.
 
         φ_i(q) = 0,   v⁺ = v⁻ − M⁻¹ Jᵀ (J M⁻¹ Jᵀ)⁻¹ (1 + e) J v⁻     where contact i is hit
-        φ_i(q) = 0,   v⁺ = v⁻ + M⁻¹ (Jᵀ p_n + Tᵀ p_t)                where it rubs (`strike`)
         J v̇ + J̇ v = 0,   M v̇ + h = B u + Jᵀ λ,   λ ≥ 0               while contacts are held
 
     J has the rows of what is held from then on, too. What is held has been hit before, and e is 0
-    then, whatever the contact's is: so ends what bounces ever faster, or does not bounce at all.
+    then, whatever the contact's is: so ends what bounces ever faster, or does not bounce at all. Or
+    it has been held from the start on. What rubs does so in a mode, as it is hit and while it is
+    held, and of these the last is λ_t, for impulses likewise:
+
+        T v̇ + Ṫ v = 0,   |λ_t| ≤ μ λ_n                                stick, mode 0
+        λ_t = −σ μ λ_n,   σ T v ≥ 0                                   slip, mode σ = ±1
 
     Attributes:
         contacts: what ends each phase but the last, −1 if nothing is hit; shape (P − 1,).
@@ -36,8 +40,8 @@ class Phases(ArrayRecord):
         durations: of the phases, to start from, shape (P,) [s].
         total: the least and the most of their sum [s].
         held: which contacts are held in each phase, shape (P, m); empty: never any.
-        modes: how impacts end at contacts that rub, 0 if they stick, else the sign of the slip
-            (`strike`), shape (P − 1,); empty: all stick.
+        modes: of contacts that rub, in which they are held in each phase, and hit where it starts:
+            0 if they stick, else the sign of the slip, shape (P, m); empty: all stick.
     """
 
     contacts: Ints
@@ -45,7 +49,7 @@ class Phases(ArrayRecord):
     durations: Floats
     total: tuple[float, float]
     held: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
-    modes: Ints = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    modes: Ints = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int64))
 
     def __post_init__(self) -> None:
         """Makes arrays read-only.
@@ -56,13 +60,14 @@ class Phases(ArrayRecord):
         for name, dtype in _FIELDS.items():
             object.__setattr__(self, name, read_only(getattr(self, name), dtype))
         touches = len(self.contacts)
-        if not len(self.held):
-            object.__setattr__(self, "held", read_only(np.zeros((touches + 1, 0)), np.bool_))
-        if not len(self.modes):
-            object.__setattr__(self, "modes", read_only(np.zeros(touches), np.int64))
+        for name in ("held", "modes"):
+            if not len(getattr(self, name)):
+                none = read_only(np.zeros((touches + 1, 0)), _FIELDS[name])
+                object.__setattr__(self, name, none)
+        rows = f"{touches + 1} rows"
         checks = (
-            ("held", f"{touches + 1} rows", len(self.held) == touches + 1 and self.held.ndim == 2),
-            ("modes", f"{touches} signs or 0", len(self.modes) == touches),
+            ("held", rows, len(self.held) == touches + 1 and self.held.ndim == 2),
+            ("modes", rows, len(self.modes) == touches + 1 and self.modes.ndim == 2),
             ("modes", "−1, 0 or 1", bool(np.all(np.abs(self.modes) <= 1))),
             ("knots", f"{touches}, rising", len(self.knots) == touches),
             ("knots", "rising numbers", bool(np.all(np.diff(self.knots) > 0))),
@@ -93,7 +98,7 @@ class Layout:
     Attributes:
         kinds: FLOW, START or a contact, of each of K stages, shape (K,).
         held: which contacts are held in each, shape (K, m).
-        modes: how the impact ends that starts each, 0 where none does, shape (K,).
+        modes: in which mode each contact is held in each, or hit, shape (K, m).
         flights: which stages are flights, shape (N,).
         shares: how long each lasts [s]; of phases, as a share of its phase; shape (K,).
     """
@@ -110,7 +115,7 @@ class Layout:
         steps = np.diff(times)
         if phases is None:
             never = np.zeros((len(steps), num_contacts), dtype=np.bool_)
-            none = np.zeros(len(steps), dtype=np.int64)
+            none = never.astype(np.int64)
             return cls(np.full(len(steps), FLOW), never, none, np.arange(len(steps)), steps)
         kinds: list[int] = []
         shares: list[float] = []
@@ -121,12 +126,12 @@ class Layout:
             kinds += [kind, *[FLOW] * len(of_phase)]
             shares += [0.0, *(of_phase / of_phase.sum())]
         is_flight = np.equal(kinds, FLOW)
-        modes = np.zeros(len(kinds), dtype=np.int64)
-        modes[np.flatnonzero(~is_flight)[1:]] = phases.modes
-        held = np.zeros((len(phases.held), num_contacts), dtype=np.bool_)
-        held[:, : phases.held.shape[1]] = phases.held
-        of_stage = held[np.cumsum(~is_flight) - 1]
-        return cls(np.array(kinds), of_stage, modes, np.flatnonzero(is_flight), np.array(shares))
+        phase = np.cumsum(~is_flight) - 1
+        held = np.zeros((len(kinds), num_contacts), dtype=np.bool_)
+        modes = np.zeros(held.shape, dtype=np.int64)
+        held[:, : phases.held.shape[1]] = phases.held[phase]
+        modes[:, : phases.modes.shape[1]] = phases.modes[phase]
+        return cls(np.array(kinds), held, modes, np.flatnonzero(is_flight), np.array(shares))
 
     def calc_times(self, durations: Floats) -> Floats:
         """Returns when knots are [s], shape (N + 1,), where phases last so long, shape (P,)."""

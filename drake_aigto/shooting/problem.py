@@ -176,8 +176,8 @@ class _Descent:
     def _multipliers(self) -> tuple[Floats, ...]:
         """Those of all bounds at knots."""
         of = self._program.bounds
-        forces = of.approach_multipliers, of.cone_multipliers, of.force_multipliers
-        return of.multipliers, of.distance_multipliers, *forces
+        contacts = of.approach_multipliers, of.mode_multipliers
+        return of.multipliers, of.distance_multipliers, *contacts
 
     def _take_prices(self, prices: Floats) -> None:
         ends = np.cumsum([1, *(own.size for own in self._multipliers)])

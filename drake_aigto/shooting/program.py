@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats
+from drake_aigto.shooting.loads import calc_mobilities
 from drake_aigto.shooting.mechanics import copy_writable
 from drake_aigto.shooting.options import ShootingOptions
 from drake_aigto.shooting.phases import Layout
 from drake_aigto.shooting.question import ShootingQuestion
-from drake_aigto.shooting.rubbing import fit_to_steps
+from drake_aigto.shooting.rubbing import COEFFICIENT, SOURCE, fit_to_steps
 from drake_aigto.shooting.tables import CHORDAL, EXACT, FLOW, MODULO, Bounds, Program, Task
 from drake_aigto.world import TaskCost
 
@@ -32,6 +33,7 @@ def make_program(problem: ShootingQuestion, layout: Layout, options: ShootingOpt
     T = float(np.ptp(problem.times))
     rubs = fit_to_steps(mechanics.rubs, step / options.substeps, T, problem.length / T)
     struck, restitutions = _find_struck(layout, mechanics.contacts[:, 2])
+    closed, leans = _find_closed(layout, struck, mechanics.rubs)
     program = Program(
         mechanics=mechanics._replace(rubs=rubs),
         task=_make_task(problem.cost),
@@ -39,7 +41,8 @@ def make_program(problem: ShootingQuestion, layout: Layout, options: ShootingOpt
         kinds=layout.kinds,
         held=layout.held,
         modes=layout.modes,
-        struck=struck,
+        closed=closed,
+        leans=leans,
         restitutions=restitutions,
         steps=layout.shares,
         times=problem.times if problem.phases is None else np.zeros(len(layout.kinds) + 1),
@@ -58,6 +61,18 @@ def _find_struck(layout: Layout, restitutions: Floats) -> tuple[Bools, Floats]:
     struck[hits, contacts] = True
     e[hits] = np.where(layout.held[hits, contacts], 0.0, restitutions[contacts])
     return struck, e
+
+
+def _find_closed(layout: Layout, struck: Bools, rubs: Floats) -> tuple[Bools, Floats]:
+    """Returns which rows vanish in each stage, shape (K, m + R), and how contacts lean, (K, m)."""
+    touching = np.where((layout.kinds == FLOW)[:, np.newaxis], layout.held, struck)
+    sticks, leans = np.zeros((len(touching), len(rubs)), dtype=bool), np.zeros(touching.shape)
+    for r in np.flatnonzero(rubs[:, SOURCE] >= 0).tolist():
+        contact, friction = int(rubs[r, SOURCE]), rubs[r, COEFFICIENT]
+        modes = layout.modes[:, contact]
+        sticks[:, r] = touching[:, contact] & (modes == 0)
+        leans[:, contact] = np.where(touching[:, contact], -friction * modes, 0.0)
+    return np.hstack([touching, sticks]), leans
 
 
 def _make_task(cost: TaskCost) -> Task:
@@ -106,9 +121,9 @@ def _make_bounds(problem: ShootingQuestion, layout: Layout) -> Bounds:
         slowest=float(problem.slowest),
         approach_weight=float(T / problem.length) ** 2,
         approach_multipliers=np.zeros(len(layout.kinds)),
-        cone_multipliers=np.zeros((len(layout.kinds), 2)),
         force_weight=float(T * np.max(problem.cost.R)) / problem.cost_scale,
-        force_multipliers=np.zeros(layout.held.shape),
+        mobilities=calc_mobilities(problem.mechanism, problem.start[: nx // 2]),
+        mode_multipliers=np.zeros((1 + len(layout.kinds), layout.held.shape[1], 3)),
         lower_control=low_control,
         upper_control=high_control,
         norm=float(problem.control_norm),

@@ -9,6 +9,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats, read_only
 from drake_aigto.errors import ProgramError
+from drake_aigto.shooting.loads import calc_drag
 from drake_aigto.shooting.mechanism import Mechanism
 from drake_aigto.shooting.phases import Phases
 from drake_aigto.world import TaskCost
@@ -79,7 +80,7 @@ class ShootingQuestion:
         is_possible = phases is None or (
             np.all((phases.knots > 0) & (phases.knots < N))
             and np.all((phases.contacts >= -1) & (phases.contacts < m))
-            and phases.held.shape[1] in (0, m)
+            and {phases.held.shape[1], phases.modes.shape[1]} <= {0, m}
         )
         checks = (
             (
@@ -115,9 +116,13 @@ class ShootingQuestion:
 
     @cached_property
     def control_scales(self) -> Floats:
-        """The control that moves by the scales in time, and holds the start, shape (nu,)."""
+        """The control that moves by the scales in time, against friction, and holds the start.
+
+        Its shape is (nu,).
+        """
         n, T = self.mechanism.num_positions, np.ptp(self.times)
         mass, bias = self.mechanism.calc_inertia(self.start[:n])
         inverse = np.abs(np.linalg.pinv(self.mechanism.mechanics.actuation))
         force = np.abs(mass) @ self.scales[:n] / T**2 + np.abs(bias)
+        force += calc_drag(self.mechanism, self.start[:n])
         return inverse @ force + np.finfo(float).tiny

@@ -86,6 +86,15 @@ def fit_to_steps(rubs: Floats, step: float, duration: float, speed: float) -> Fl
 
 
 @inner
+def find_rub(rubs: Floats, contact: int) -> int:
+    """Returns which friction is that of a contact, or −1 if it does not rub."""
+    for r in range(rubs.shape[0]):
+        if rubs[r, SOURCE] == contact:
+            return r
+    return -1
+
+
+@inner
 def rub_all(
     rubs: Floats, x: Floats, eps: float, sums: Floats, force: Floats, rub: Floats, total: Floats
 ) -> None:

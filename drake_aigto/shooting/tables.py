@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.shooting.mechanics import Mechanics, MechanicsMemory
-from drake_aigto.shooting.strike import StrikeMemory
 
 # What a stage is, in place of the contact that it is an impact at.
 FLOW, START = -1, -2
@@ -58,11 +57,10 @@ class Bounds(NamedTuple):
         slowest: −φ̇ at least before an impact [m/s].
         approach_weight: w of that.
         approach_multipliers: y of that, shape (K,).
-        cone_multipliers: y of what an impact with friction asks for in its mode, which has the same
-            weight, shape (K, 2).
-        force_weight: w of each force of what is held, which is at least 0; its unit is the control
-            that costs as much as all else.
-        force_multipliers: y of that, shape (K, m).
+        force_weight: w of forces of what is held; their unit is the control that costs as much as
+            all else.
+        mobilities: T M⁻¹ Tᵀ of what rubs at the start, which makes speeds of impulses, (m,) [1/kg].
+        mode_multipliers: y of what modes ask for (`cones`), shape (K + 1, m, 3).
         lower_control: shape (K, controls of a stage).
         upper_control: the same.
         norm: of a control, at most.
@@ -84,9 +82,9 @@ class Bounds(NamedTuple):
     slowest: float
     approach_weight: float
     approach_multipliers: Floats
-    cone_multipliers: Floats
     force_weight: float
-    force_multipliers: Floats
+    mobilities: Floats
+    mode_multipliers: Floats
     lower_control: Floats
     upper_control: Floats
     norm: float
@@ -102,9 +100,11 @@ class Program(NamedTuple):
         bounds: the constraints.
         kinds: FLOW, START or a contact, of each stage, shape (K,).
         held: which contacts are held in each stage, from its start, shape (K, m).
-        modes: how an impact with friction ends, shape (K,); see `strike`.
-        struck: which contacts an impact at its start changes the speeds of, shape (K, m).
-        restitutions: the part −e of these speeds that is left, shape (K,).
+        modes: in which mode they are, or are hit, shape (K, m); see `Phases`.
+        closed: which rows of contacts vanish in each flight, or are struck at the start of a phase,
+            shape (K, m + R); see `hold`.
+        leans: the part −μ σ of their forces that acts along these contacts, shape (K, m).
+        restitutions: the part −e of speeds that is left as a phase starts, shape (K,).
         steps: how long each stage lasts [s]; of phases, as a share of τ; shape (K,).
         times: when each stage starts, without phases, shape (K + 1,) [s].
         substeps: Runge-Kutta steps of a stage.
@@ -117,7 +117,8 @@ class Program(NamedTuple):
     kinds: Ints
     held: Bools
     modes: Ints
-    struck: Bools
+    closed: Bools
+    leans: Floats
     restitutions: Floats
     steps: Floats
     times: Floats
@@ -140,6 +141,22 @@ class FlowMemory(NamedTuple):
     points: Floats
     by_column: Floats
     slopes: Floats
+
+
+class ModeMemory(NamedTuple):
+    """What the modes of contacts ask for at a knot (`cones`).
+
+    Attributes:
+        values: at least 0, shape (m, 3).
+        slopes: of the same by (q, v, u), shape (m, 3, 2n + nu).
+        weights: w of each, 0 where nothing is asked for, shape (m, 3).
+        after: v⁺ of an impact in its entries n … 2n − 1, shape (2n,).
+    """
+
+    values: Floats
+    slopes: Floats
+    weights: Floats
+    after: Floats
 
 
 class Expansion(NamedTuple):
@@ -195,7 +212,7 @@ class Memory(NamedTuple):
 
     Attributes:
         flow: of one stage.
-        strike: of one impact with friction.
+        modes: of one knot.
         expansion: of all stages.
         sweep: of the backward pass.
         states: of a trial, shape (K + 1, nz).
@@ -203,7 +220,7 @@ class Memory(NamedTuple):
     """
 
     flow: FlowMemory
-    strike: StrikeMemory
+    modes: ModeMemory
     expansion: Expansion
     sweep: SweepMemory
     states: Floats

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any, NamedTuple
-
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
@@ -13,7 +11,6 @@ from drake_aigto.simulation.coulomb import Mobility, Mode, calc_impulse
 from drake_aigto.simulation.friction_modes import (
     RANK,
     Touching,
-    calc_directions,
     find_modes,
     list_modes,
     refuse_modes,
@@ -26,6 +23,7 @@ from drake_aigto.simulation.mechanism import (
     calc_air,
     simulate_mechanism,
 )
+from drake_aigto.simulation.pushes import Push, calc_contact_turning, calc_push, stack_rows
 from drake_aigto.simulation.recording import Impact, Recording
 from drake_aigto.world import Scenario, World
 
@@ -37,14 +35,6 @@ _STILL = 1e-11
 # Where what forces have to be divided by is this small, relative to masses, they have no answer;
 # where it is below the second, contacts hold each other up without need.
 _SINGULAR, _NEEDLESS = 1e-6, 1e-11
-
-
-class _Push(NamedTuple):
-    """How contacts push."""
-
-    acceleration: Floats  # v̇, shape (…, nv)
-    forces: Floats  # f_n and f_t, shape (…, 2k) [N]
-    size: Any  # the determinant that forces are divided by, without unit
 
 
 class RubbingMechanism(RigidMechanism):
@@ -132,34 +122,10 @@ class RubbingMechanism(RigidMechanism):
 
         return edges
 
-    def _push(self, x: Floats, control: Floats, held: Ints) -> _Push:
+    def _push(self, x: Floats, control: Floats, held: Ints) -> Push:
         """Returns how contacts push in their modes, in states (…, 2 nv)."""
-        world, n, friction = self.world, self.world.num_positions, self._friction[held]
-        q, v = x[..., :n], x[..., n:]
-        free = world.calc_acceleration(q, v, control)
-        if not len(held):
-            return _Push(free, np.empty((*free.shape[:-1], 0)), np.ones(free.shape[:-1]))
-        rows = self._stack_rows(q, held)
-        turning = self._calc_turning(q, v, held)
-        vanish, shares = calc_directions([Mode(mode) for mode in self._modes[held]], friction)
-        kicks = np.linalg.solve(world.calc_mass_matrix(q), np.swapaxes(rows, -1, -2))
-        pushes = rows[..., vanish, :] @ kicks @ shares.T
-        rates = (rows @ free[..., np.newaxis])[..., 0] + turning
-        unknown = -(np.linalg.pinv(pushes, RANK) @ rates[..., vanish, np.newaxis])[..., 0]
-        forces = unknown @ shares
-        sizes = np.prod(np.diagonal(rows @ kicks, axis1=-2, axis2=-1)[..., vanish], axis=-1)
-        acceleration = free + (kicks @ forces[..., np.newaxis])[..., 0]
-        return _Push(acceleration, forces, np.linalg.det(pushes) / sizes)
-
-    def _stack_rows(self, q: Floats, held: Ints) -> Floats:
-        """Returns [J; T] of contacts, shape (…, 2k, nv), at q of shape (…, nq)."""
-        J, T = self.world.calc_contact_jacobian(q), self.world.rubbing.calc_tangent_jacobian(q)
-        return np.concatenate([J[..., held, :], T[..., held, :]], axis=-2)
-
-    def _calc_turning(self, q: Floats, v: Floats, held: Ints) -> Floats:
-        """Returns [J̇ v; Ṫ v] of contacts, shape (…, 2k) [m/s²]."""
-        turning = self.world.calc_contact_bias(q, v), self.world.rubbing.calc_tangent_bias(q, v)
-        return np.concatenate([each[..., held] for each in turning], axis=-1)
+        modes = [Mode(mode) for mode in self._modes[held]]
+        return calc_push(self.world, x, control, held, modes, self._friction[held])
 
     def _calc_creep(self) -> float:
         """Returns ‖q̇‖ that slips of 1 m/s of all contacts that stick add up to at most."""
@@ -202,7 +168,7 @@ class RubbingMechanism(RigidMechanism):
         """Applies an impact, and brings the contact to rest if the hop after it is too short."""
         q, v = self._split()
         world, M = self.world, self.world.calc_mass_matrix(q)
-        J, T = self._stack_rows(q, np.array([contact]))
+        J, T = stack_rows(self.world, q, np.array([contact]))
         speed, slip = -float(J @ v), float(T @ v)
         others = np.flatnonzero(self._held & (np.arange(world.num_contacts) != contact))
         bias = world.calc_contact_bias(q, v)[contact]
@@ -232,12 +198,14 @@ class RubbingMechanism(RigidMechanism):
     def _describe(self, closed: Ints, control: Floats | None) -> Touching:
         """Returns closed contacts, and how they go on without forces; None: without impulses."""
         q, v = self._split()
-        world, rows = self.world, self._stack_rows(q, closed)
+        world, rows = self.world, stack_rows(self.world, q, closed)
         kicks = np.asarray(np.linalg.solve(world.calc_mass_matrix(q), rows.T), dtype=float)
         friction = self._friction[closed]
         if control is None:
             return Touching(kicks, rows, rows @ v, friction, [0] * len(closed))
-        rates = rows @ world.calc_acceleration(q, v, control) + self._calc_turning(q, v, closed)
+        rates = rows @ world.calc_acceleration(q, v, control) + calc_contact_turning(
+            self.world, q, v, closed
+        )
         slips, still = world.rubbing.calc_slips(q, v)[closed], self._calc_still()
         signs = np.where(np.abs(slips) <= still, 0.0, np.sign(slips)).astype(int)
         return Touching(kicks, rows, rates, friction, signs.tolist())
@@ -249,9 +217,12 @@ class RubbingMechanism(RigidMechanism):
         leaving, closed = closed[rates > still], closed[rates <= still]
         slips = np.abs(self.world.rubbing.calc_slips(*self._split())[closed])
         self._project(closed, closed[(slips <= still) & (self._friction[closed] > 0)])
+        before = self._modes.copy()
         self._modes[:] = Mode.OPEN
         if len(closed):
             self._modes[closed] = find_modes(self._describe(closed, control)).modes
+        if np.any(self._modes != before):
+            self.recording.add(self.time, *self._split())
         self._held = self._modes != Mode.OPEN
         air = calc_air(self._split()[0])
         opened = closed[~self._held[closed]]
@@ -270,7 +241,7 @@ class RubbingMechanism(RigidMechanism):
         """Takes out of v what rounding moves contacts by that touch, and by which they slip."""
         q, v = self._split()
         names = np.union1d(closed, stuck).astype(int)
-        J, T = np.split(self._stack_rows(q, names), 2)
+        J, T = np.split(stack_rows(self.world, q, names), 2)
         rows = np.vstack([J[np.isin(names, closed)], T[np.isin(names, stuck)]])
         if len(rows):
             kicks = np.linalg.solve(self.world.calc_mass_matrix(q), rows.T)

@@ -20,10 +20,12 @@ class Touch:
     """One contact of a sequence.
 
     Attributes:
-        start: when the wall is touched [s].
+        start: when the wall is touched [s]; 0 for a contact that lasts and is there from the start.
         end: when it is left [s]; equal to `start` for a bounce, later for a contact that lasts.
         contact: which of the world's contacts.
-        mode: how the impact ends where the contact rubs, 0 if it sticks, else the sign of the slip.
+        mode: how the impact ends where the contact rubs, and how it goes on as it lasts: 0 if it
+            sticks, else the sign of the slip. A contact that lasts on in another mode is another
+            touch, which starts when the one before ends.
     """
 
     start: float

@@ -1,0 +1,110 @@
+"""How contacts with friction last: the modes that a motion is in, and what else may be best."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from drake_aigto.arrays import Bools, Floats, Ints
+from drake_aigto.shooting import ShootingResult
+from drake_aigto.transcription import Touch, TouchSequence
+from drake_aigto.world import RigidLaw, World
+
+# Slip below this part of the fastest one there is may be none: what sticks on springs creeps.
+_CREEP = 0.05
+# A stretch of less than this part of a touch that lasts is part of the one before.
+_SHORT = 0.1
+# Distances and speeds below this part of the largest coordinate, or 1, are none.
+_STILL = 1e-9
+
+
+def is_closed(world: World, q: Floats, v: Floats) -> Bools:
+    """Returns which contacts touch and are neither approached nor left, shape (m,)."""
+    still = _STILL * (1 + max(np.max(np.abs(q)), np.max(np.abs(v))))
+    distances, rates = world.calc_signed_distance(q), world.calc_contact_rate(q, v)
+    return np.asarray((np.abs(distances) <= still) & (np.abs(rates) <= still))
+
+
+def read_hold(
+    world: World,
+    law: RigidLaw,
+    motion: ShootingResult,
+    contact: int,
+    ends: tuple[float, float],
+    knots: Ints,
+) -> Iterator[Touch]:
+    """Yields a touch of a contact that lasts, one for each mode that a motion is in.
+
+    Args:
+        world: the mechanism.
+        law: of the walls.
+        motion: where these touch, or yield.
+        contact: which one does.
+        ends: from when to when [s].
+        knots: those between.
+    """
+    if not law.friction[contact]:
+        yield Touch(*ends, contact)
+        return
+    n, (start, end) = world.num_positions, ends
+    q, v = np.split(motion.states, [n], axis=1)
+    slips = world.rubbing.calc_slips(q, v)[:, contact]
+    modes = np.where(np.abs(slips) <= _CREEP * np.max(np.abs(slips)), 0, np.sign(slips))[knots]
+    begins = np.flatnonzero(np.diff(modes, prepend=np.inf))
+    times = np.append(motion.times[knots][begins], end)
+    times[0] = start
+    found: list[Touch] = []
+    for first, begin, until in zip(begins, times, times[1:], strict=False):
+        mode = int(modes[first])
+        is_short = until - begin < _SHORT * (end - start)
+        if found and (is_short or found[-1].mode == mode):
+            found[-1] = replace(found[-1], end=float(until))
+        else:
+            found.append(Touch(float(begin), float(until), contact, mode))
+    yield from found
+
+
+def list_hold_changes(law: RigidLaw, touches: TouchSequence) -> Iterator[TouchSequence]:
+    """Yields sequences in which a contact with friction goes on in another mode at half time.
+
+    Before half time, or after it.
+    """
+    for place, touch in enumerate(touches):
+        middle = (touch.start + touch.end) / 2
+        for mode in (-1, 0, 1) if touch.lasts and law.friction[touch.contact] else ():
+            if mode == touch.mode:
+                continue
+            one, other = replace(touch, end=middle), replace(touch, start=middle)
+            for pair in ((one, replace(other, mode=mode)), (replace(one, mode=mode), other)):
+                yield in_order((*touches[:place], *pair, *touches[place + 1 :]))
+
+
+def drop(touches: TouchSequence, place: int) -> TouchSequence:
+    """Returns a sequence without a touch; what went on as it from another mode goes on in that."""
+    touch, rest = touches[place], [*touches[:place], *touches[place + 1 :]]
+    for i, other in enumerate(rest if touch.lasts else ()):
+        if other.contact == touch.contact and other.lasts:
+            if other.end == touch.start:
+                rest[i] = replace(other, end=touch.end)
+                break
+            if other.start == touch.end:
+                rest[i] = replace(other, start=touch.start)
+                break
+    return in_order(rest)
+
+
+def in_order(touches: Sequence[Touch]) -> TouchSequence:
+    """Returns touches by their starts; of one contact, those are one that go on in one mode."""
+    found: list[Touch] = []
+    for touch in sorted(touches, key=lambda each: each.start):
+        known = (i for i, each in enumerate(found) if each.contact == touch.contact)
+        last = max(known, default=None)
+        if last is not None and touch.lasts and found[last].lasts:
+            before = found[last]
+            if before.end == touch.start and before.mode == touch.mode:
+                found[last] = replace(before, end=touch.end)
+                continue
+        found.append(touch)
+    return tuple(found)

@@ -1,0 +1,192 @@
+"""What the modes of contacts ask for, at knots where these are held or hit."""
+
+from __future__ import annotations
+
+from drake_aigto.arrays import Floats
+from drake_aigto.jit import inner
+from drake_aigto.shooting.hold import press
+from drake_aigto.shooting.layout import find_tangent
+from drake_aigto.shooting.mechanism import factor_mass
+from drake_aigto.shooting.rubbing import COEFFICIENT, find_rub
+from drake_aigto.shooting.strike import strike
+from drake_aigto.shooting.tables import FLOW, Memory, Program
+from drake_aigto.shooting.tape import run_tape
+
+# What the columns of `ModeMemory.values` are: both sides of a cone or an equation, or a slip before
+# and after an impact; and a contact's push.
+_ONE, _OTHER, _PUSH = range(3)
+
+
+@inner
+def measure_modes(
+    program: Program, k: int, z: Floats, u: Floats, has_slopes: bool, memory: Memory
+) -> bool:
+    """Computes what has to be at least 0 at knot k, and its derivatives by (q, v, u) if asked.
+
+        λ_n,  μ λ_n ± λ_t of what sticks,  σ s of what slips           where a flight starts
+        c (μ p_n ± p_t) of what sticks,  σ s and σ s⁺ of what slips    where something is hit
+        σ s of what slipped,  ±s of what sticks from then on           elsewhere
+
+    with c = T M⁻¹ Tᵀ at the start. The memory has it, and which of these count. Knot K is the end.
+
+    Returns:
+        Whether there is anything.
+    """
+    weights, found = memory.modes.weights, False
+    for i in range(weights.shape[0]):
+        for side in range(3):
+            weights[i, side] = 0.0
+    if k < program.kinds.size and program.kinds[k] == FLOW:
+        if program.held[k].any():
+            _measure_hold(program, k, z, u, has_slopes, memory)
+            found = True
+    elif k < program.kinds.size and program.kinds[k] >= 0:
+        if program.mechanics.rubs.shape[0] > 0:
+            _measure_impact(program, k, z, has_slopes, memory)
+            found = True
+    elif program.mechanics.rubs.shape[0] > 0 and _changes(program, k):
+        _measure_change(program, k, z, has_slopes, memory)
+        found = True
+    return found
+
+
+@inner
+def _changes(program: Program, k: int) -> bool:
+    """Tells whether anything is held before or after a knot at which nothing is hit."""
+    after = k < program.kinds.size and program.held[k].any()
+    return after or (k > 0 and program.held[k - 1].any())
+
+
+@inner
+def _measure_hold(
+    program: Program, k: int, z: Floats, u: Floats, has_slopes: bool, memory: Memory
+) -> None:
+    """Measures forces and slips where a flight starts."""
+    mechanics, bounds, room = program.mechanics, program.bounds, memory.flow.mechanics
+    values, slopes, weights, _ = memory.modes
+    nx, m, rubs = memory.flow.points.shape[1], values.shape[0], mechanics.rubs
+    press(mechanics, program.closed[k], program.leans[k], z[:nx], u, has_slopes, room)
+    w = room.grip.shape[1]
+    for i in range(m):
+        if not program.held[k, i]:
+            continue
+        weights[i, _PUSH], values[i, _PUSH] = bounds.force_weight, room.grip[w, i]
+        for c in range(slopes.shape[2] if has_slopes else 0):
+            slopes[i, _PUSH, c] = room.by_force[c, i]
+        rub = find_rub(rubs, i)
+        if rub < 0:
+            continue
+        if program.modes[k, i] == 0:
+            columns = slopes.shape[2] if has_slopes else 0
+            _measure_cone(i, rub, rubs[rub, COEFFICIENT], 1.0, columns, memory)
+            weights[i, _ONE] = weights[i, _OTHER] = bounds.force_weight
+        else:
+            _measure_slip(program, rub, i, _ONE, program.modes[k, i], z, has_slopes, memory)
+
+
+@inner
+def _measure_impact(program: Program, k: int, z: Floats, has_slopes: bool, memory: Memory) -> None:
+    """Measures impulses and slips where something is hit."""
+    mechanics, bounds, room = program.mechanics, program.bounds, memory.flow.mechanics
+    values, slopes, weights, after = memory.modes
+    nx, m, rubs = memory.flow.points.shape[1], values.shape[0], mechanics.rubs
+    run_tape(mechanics.code, mechanics.numbers, z[:nx], has_slopes, room.values, room.sums)
+    factor_mass(nx // 2, room.sums, room.factor)
+    strike(
+        program.closed[k],
+        program.leans[k],
+        program.restitutions[k],
+        z,
+        has_slopes,
+        rubs,
+        room.sums,
+        room.factor,
+        room.support,
+        room.grip,
+        room.by_force,
+        after,
+        room.slopes,
+    )
+    for i in range(m):
+        rub = find_rub(rubs, i)
+        if rub < 0 or not program.closed[k, i]:
+            continue
+        if program.modes[k, i] == 0:
+            columns = nx if has_slopes else 0
+            _measure_cone(i, rub, rubs[rub, COEFFICIENT], bounds.mobilities[i], columns, memory)
+            weights[i, _ONE] = weights[i, _OTHER] = bounds.approach_weight
+            continue
+        before = program.modes[k, i] if program.kinds[k] == i else 0
+        if program.held[k - 1, i]:
+            before = program.modes[k - 1, i]
+        if before != 0:
+            _measure_slip(program, rub, i, _ONE, before, z, has_slopes, memory)
+        _measure_slip(program, rub, i, _OTHER, program.modes[k, i], after, has_slopes, memory)
+        if has_slopes:
+            row, _ = find_tangent(nx // 2, room.sums.size, rubs.shape[0], rub)
+            for c in range(nx):
+                for j in range(nx // 2):
+                    gain = program.modes[k, i] * room.sums[row + j]
+                    slopes[i, _OTHER, c] += gain * room.slopes[c, j]
+
+
+@inner
+def _measure_change(program: Program, k: int, z: Floats, has_slopes: bool, memory: Memory) -> None:
+    """Measures slips where modes may change, and nothing is hit."""
+    mechanics, room, rubs = program.mechanics, memory.flow.mechanics, program.mechanics.rubs
+    nx, is_end = memory.flow.points.shape[1], k == program.kinds.size
+    run_tape(mechanics.code, mechanics.numbers, z[:nx], has_slopes, room.values, room.sums)
+    for i in range(memory.modes.values.shape[0]):
+        rub = find_rub(rubs, i)
+        was_held = k > 0 and bool(program.held[k - 1, i])
+        before = program.modes[k - 1, i] if was_held else 0
+        sticks = not is_end and program.held[k, i] and program.modes[k, i] == 0
+        if rub < 0 or (before == 0 and (was_held or not sticks)):
+            continue
+        sign = before if before != 0 else 1
+        _measure_slip(program, rub, i, _ONE, sign, z, has_slopes, memory)
+        if sticks:
+            _measure_slip(program, rub, i, _OTHER, -sign, z, has_slopes, memory)
+
+
+@inner
+def _measure_cone(
+    i: int, rub: int, friction: float, unit: float, columns: int, memory: Memory
+) -> None:
+    """Computes how far inside its cone a force or impulse is, on both sides, and derivatives."""
+    values, slopes, room = memory.modes.values, memory.modes.slopes, memory.flow.mechanics
+    m, w = values.shape[0], room.grip.shape[1]
+    for side in range(2):
+        along = unit * (2 * side - 1)
+        values[i, side] = unit * friction * room.grip[w, i] + along * room.grip[w, m + rub]
+        for c in range(slopes.shape[2]):
+            slopes[i, side, c] = 0.0
+        for c in range(columns):
+            push, drag = room.by_force[c, i], room.by_force[c, m + rub]
+            slopes[i, side, c] = unit * friction * push + along * drag
+
+
+@inner
+def _measure_slip(
+    program: Program,
+    rub: int,
+    i: int,
+    side: int,
+    sign: int,
+    z: Floats,
+    has_slopes: bool,
+    memory: Memory,
+) -> None:
+    """Computes a slip velocity with a sign, and its derivatives by (q, v) at constant q and v."""
+    values, slopes, weights, _ = memory.modes
+    n, sums = memory.flow.points.shape[1] // 2, memory.flow.mechanics.sums
+    row, turns = find_tangent(n, sums.size, program.mechanics.rubs.shape[0], rub)
+    weights[i, side], values[i, side] = program.bounds.approach_weight, 0.0
+    for j in range(n):
+        values[i, side] += sign * sums[row + j] * z[n + j]
+    for c in range(slopes.shape[2] if has_slopes else 0):
+        slopes[i, side, c] = 0.0
+    for c in range(n if has_slopes else 0):
+        slopes[i, side, n + c] = sign * sums[row + c]
+        for j in range(n):
+            slopes[i, side, c] += sign * sums[turns + j * n + c] * z[n + j]
