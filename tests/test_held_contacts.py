@@ -37,7 +37,7 @@ from drake_aigto.world.material import STIFFNESS, read_material
 
 
 @kernel
-def _press(
+def press_all(
     mechanics: Mechanics,
     closed: Bools,
     leans: Floats,
@@ -59,7 +59,7 @@ def run(
     """Returns λ, v̇ and their derivatives by (q, v, u)."""
     mechanics = compile_mechanics(world)
     memory = copy_writable(make_mechanics_memory(mechanics))
-    _press(mechanics, hold(world, contacts), np.zeros(world.num_contacts), x, u, memory)
+    press_all(mechanics, hold(world, contacts), np.zeros(world.num_contacts), x, u, memory)
     forces, by_force = memory.grip[-1, contacts], memory.by_force[:, contacts].T
     return forces, memory.acceleration[0], by_force, memory.slopes.T
 

@@ -1,0 +1,224 @@
+"""Contact that lasts on rigid walls with friction, in plans: modes, forces and their edges."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+
+import numpy as np
+import pytest
+from rubbing_worlds import RADIUS, make_discs
+from test_held_contacts import press_all
+from test_shooting_phases import weigh
+
+from drake_aigto import MechanismOptions, Plan, Scenario, World, plan
+from drake_aigto.arrays import Floats
+from drake_aigto.planning.held_modes import drop, in_order, is_closed, list_hold_changes
+from drake_aigto.planning.mechanism_phases import BouncingResult, lay_out
+from drake_aigto.shooting import (
+    Mechanism,
+    Phases,
+    ShootingOptions,
+    ShootingProblem,
+    Smoothing,
+)
+from drake_aigto.shooting.mechanics import Mechanics, copy_writable, make_mechanics_memory
+from drake_aigto.simulation import replay_event_driven
+from drake_aigto.simulation.coulomb import Mode
+from drake_aigto.simulation.pushes import calc_push
+from drake_aigto.transcription import Touch
+from drake_aigto.world import RigidLaw
+
+MU, G = 0.3, 9.81
+FEET = ((-0.3, 0.0), (0.3, 0.0))
+BLOCK = Scenario.named("sliding_block/to_rest")
+
+
+@cache
+def build(tilts: bool = False, turns: bool = True, has_feet: bool = False) -> World:
+    """Returns a ball on the ground, or on a board on a hinge, where M, J and T depend on q."""
+    feet = FEET if has_feet else ((0.0, 0.0),)
+    return World.from_diagram(make_discs(tilts=tilts, turns=turns, feet=feet))
+
+
+def mechanize(world: World) -> Mechanism:
+    m = world.num_contacts
+    return Mechanism.of(world, RigidLaw(np.zeros(m), np.full(m, MU)))
+
+
+def press(
+    mechanics: Mechanics, modes: list[int], x: Floats, u: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Returns f_n and f_t of all contacts in modes, v̇, and the derivatives of λ and v̇."""
+    m, signs = len(modes), np.array(modes)
+    closed = np.concatenate([np.ones(m, dtype=np.bool_), signs == 0])
+    memory = copy_writable(make_mechanics_memory(mechanics))
+    press_all(mechanics, closed, -MU * signs, x, u, memory)
+    normal, stuck = np.split(memory.grip[-1], 2)
+    tangent = np.where(signs == 0, stuck, -MU * signs * normal)
+    forces = np.concatenate([normal, tangent])
+    return forces, memory.acceleration[0], memory.by_force.T, memory.slopes.T
+
+
+@pytest.mark.parametrize("modes", [[0], [1], [-1], [1, 1], [0, -1]])
+def test_what_sticks_or_slips_moves_as_coulomb_says_and_its_derivatives_are_those_of_differences(
+    modes: list[int],
+) -> None:
+    world, rng = build(tilts=True, has_feet=len(modes) == 2), np.random.default_rng(5)
+    mechanics, n = mechanize(world).mechanics, world.num_positions
+    x, u = rng.uniform(0.2, 0.9, 2 * n), rng.normal(size=world.num_actuators)
+    forces, acceleration, by_force, slopes = press(mechanics, modes, x, u)
+    kinds, held = [Mode(mode) for mode in modes], np.arange(len(modes))
+    wanted = calc_push(world, x, u, held, kinds, np.full(len(modes), MU))
+    np.testing.assert_allclose(acceleration, wanted.acceleration, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(forces, wanted.forces, rtol=1e-8, atol=1e-9)
+    for c in range(2 * n + len(u)):
+        step = np.zeros(2 * n + len(u))
+        step[c] = 1e-6
+        ends = [
+            press(mechanics, modes, x + s * step[: 2 * n], u + s * step[2 * n :]) for s in (1, -1)
+        ]
+        slope = (ends[0][1] - ends[1][1]) / 2e-6
+        np.testing.assert_allclose(slopes[:, c], slope, rtol=1e-4, atol=1e-5)
+        by = (ends[0][0] - ends[1][0])[: len(modes)] / 2e-6
+        np.testing.assert_allclose(by_force[: len(modes), c], by, rtol=1e-4, atol=1e-5)
+
+
+def pose(world: World, state: list[float], phases: Phases, N: int) -> ShootingProblem:
+    n, nu = world.num_positions, world.num_actuators
+    free = np.array([[-np.inf], [np.inf]])
+    return ShootingProblem(
+        mechanize(world),
+        weigh(n, nu, np.zeros(n)),
+        times=np.linspace(0.0, phases.total[1], N + 1),
+        start=np.array(state),
+        scales=np.ones(2 * n),
+        state_bounds=np.tile(free, 2 * n),
+        control_bounds=np.zeros((2, nu)),
+        hard_goal=np.full(2 * n, np.nan),
+        phases=phases,
+    )
+
+
+def hold(modes: list[int], T: float) -> Phases:
+    """Returns one contact that is held in modes, one after the other."""
+    P = len(modes)
+    return Phases(
+        contacts=np.full(P - 1, -1),
+        knots=np.arange(1, P),
+        durations=np.full(P, T / P),
+        total=(T, T),
+        held=np.ones((P, 1), dtype=np.bool_),
+        modes=np.array(modes)[:, np.newaxis],
+    )
+
+
+@pytest.mark.parametrize("push", [0.0, MU * G - 0.5, MU * G + 1.0])
+def test_of_all_modes_only_coulombs_meets_its_bounds(push: float) -> None:
+    """A block sticks until the push is μ m g, and then slips at F/m − μ g."""
+    world, meets = build(turns=False), []
+    for mode in (-1, 0, 1):
+        problem = pose(world, [0.0, RADIUS, 0.0, 0.0], hold([mode], 1.0), 4)
+        driven = np.full((2, 1), push)
+        problem = dataclasses.replace(problem, control_bounds=driven)
+        found = problem.simulate(np.full((4, 1), push), 1)
+        if found.violation < 1e-9:
+            meets.append(mode)
+            gain = max(0.0, push - MU * G)
+            np.testing.assert_allclose(found.states[-1], [gain / 2, RADIUS, gain, 0.0], atol=1e-12)
+    assert meets == [int(push > MU * G)]
+
+
+@pytest.mark.parametrize("spin", [0.0, -80.0, 50.0])
+def test_a_ball_in_phases_of_slip_and_stick_rolls_once_two_sevenths_of_its_slip_are_lost(
+    spin: float,
+) -> None:
+    slip = 1.5 - RADIUS * spin
+    phases = hold([int(np.sign(slip)), 0], 3.0)
+    problem = pose(build(), [0.0, RADIUS, 0.0, 1.5, 0.0, spin], phases, 2)
+    options = ShootingOptions((Smoothing(0.0, 40, 1e-12),), multiplier_updates=20)
+    found = problem.solve(np.zeros((2, 1)), options=dataclasses.replace(options, feasibility=1e-10))
+    rolling = 1.5 - 2 / 7 * slip
+    assert found.violation < 1e-9
+    assert found.durations[0] == pytest.approx(abs(slip) / (3.5 * MU * G), abs=1e-8)
+    assert found.states[-1][3:] == pytest.approx([rolling, 0.0, rolling / RADIUS], abs=1e-8)
+
+
+def test_a_block_that_lands_and_slides_to_rest_is_the_one_of_a_simulation() -> None:
+    world, N = build(turns=False), 12
+    state = [0.0, 2 * RADIUS, 1.0, 0.0]
+    touches = (Touch(0.15, 0.4, 0, 1), Touch(0.4, 1.0, 0, 0))
+    times, phases = lay_out(touches, N, 1.0, (1.0, 1.0), 1)
+    np.testing.assert_array_equal(phases.contacts, [0, -1])
+    np.testing.assert_array_equal(phases.modes[:, 0], [0, 1, 0])
+    problem = dataclasses.replace(pose(world, state, phases, N), times=times)
+    options = ShootingOptions((Smoothing(0.0, 40, 1e-12),), multiplier_updates=20)
+    found = problem.solve(np.zeros((N, 1)), options=dataclasses.replace(options, feasibility=1e-10))
+    scenario = dataclasses.replace(
+        BLOCK,
+        initial_position=state[:2],
+        initial_velocity=state[2:],
+        duration=1.0,
+        time_step=0.1,
+    )
+    replay = replay_event_driven(world, scenario, found.times, found.controls)
+    slips, sticks = replay.contact_phases
+    ends = [touch.end for touch in BouncingResult.of(found, phases).touches]
+    assert [slips.end, sticks.end] == pytest.approx(ends, abs=1e-8)
+    end = np.hstack(replay.states_at(found.times[-1:]))[0]
+    np.testing.assert_allclose(end, found.states[-1], atol=1e-9)
+
+
+def test_touches_are_held_from_the_start_and_go_on_in_other_modes_without_an_impact() -> None:
+    touches = (Touch(0.0, 0.3, 1, 1), Touch(0.2, 0.6, 0), Touch(0.3, 0.8, 1, 0), Touch(0.9, 1.0, 1))
+    times, phases = lay_out(touches, 20, 1.0, (1.0, 1.0), 2)
+    np.testing.assert_array_equal(phases.contacts, [0, -1, -1, -1, 1])
+    np.testing.assert_allclose(times[phases.knots], [0.2, 0.3, 0.6, 0.8, 0.9])
+    np.testing.assert_array_equal(phases.held[:, 1], [True, True, True, True, False, True])
+    np.testing.assert_array_equal(phases.held[:, 0], [False, True, True, False, False, False])
+    np.testing.assert_array_equal(phases.modes[:4, 1], [1, 1, 0, 0])
+
+
+def test_a_touch_that_is_dropped_leaves_its_time_to_the_one_that_it_went_on_from() -> None:
+    touches = (Touch(0.0, 0.3, 0, 1), Touch(0.3, 0.8, 0, 0), Touch(0.8, 1.0, 0, 1))
+    assert drop(touches, 0) == (Touch(0.0, 0.8, 0, 0), touches[2])
+    assert drop(touches, 1) == (Touch(0.0, 1.0, 0, 1),)
+    apart = (Touch(0.0, 0.2, 0, 1), Touch(0.3, 0.8, 0, 0))
+    assert drop(apart, 0) == apart[1:]
+    assert in_order(apart[::-1]) == apart
+    law = RigidLaw(np.zeros(1), np.full(1, MU))
+    changes = list(list_hold_changes(law, (Touch(0.0, 1.0, 0, 1),)))
+    assert (Touch(0.0, 0.5, 0, 1), Touch(0.5, 1.0, 0, 0)) in changes
+    assert len(set(changes)) == 4
+    assert not list(list_hold_changes(RigidLaw(np.zeros(1)), (Touch(0.0, 1.0, 0),)))
+
+
+def test_what_leaves_or_is_apart_is_not_closed() -> None:
+    world = build(turns=False)
+    for state, closed in (([0.0, 0.0], True), ([0.0, 0.1], False), ([1e-3, 0.0], False)):
+        q, v = np.array([0.0, RADIUS + state[0]]), np.array([1.0, state[1]])
+        assert is_closed(world, q, v).tolist() == [closed]
+
+
+@cache
+def push_block() -> Plan:
+    """Returns the plan of the shipped block, which begins on its floor."""
+    return plan(BLOCK, MechanismOptions(ladder=MechanismOptions().ladder[:1], renewals=0))
+
+
+def test_the_cheapest_push_to_rest_lets_the_floor_brake_and_both_replays_agree() -> None:
+    """J = 4/3 (μ m g)² τ with τ² = 6 d/(μ g): F = 2 μ m g (1 − t/τ), and nothing from there on."""
+    found, until = push_block(), np.sqrt(6 / (MU * G))
+    drake = found.replay.drake
+    assert found.holds
+    assert found.cost == pytest.approx(4 / 3 * (MU * G) ** 2 * until, rel=2e-4)
+    assert found.replay.event_driven.cost == pytest.approx(found.cost, rel=1e-9)
+    slips, sticks = found.replay.event_driven.contact_phases
+    assert (slips.mode, sticks.mode) == ("backward", "stick")
+    assert slips.end == pytest.approx(until, rel=1e-3)
+    assert drake is not None
+    assert drake.cost == pytest.approx(found.cost, rel=1e-6)
+    assert drake.goal_error < 1e-4
+    assert max(found.best.defects.values()) < 1e-9
+    (contact,) = found.best.contacts
+    assert (contact.time, contact.last_time) == pytest.approx((0.0, 2.0))
