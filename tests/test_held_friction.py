@@ -11,10 +11,13 @@ from rubbing_worlds import RADIUS, make_discs
 from test_held_contacts import press_all
 from test_shooting_phases import weigh
 
-from drake_aigto import MechanismOptions, Plan, Scenario, World, plan
+from drake_aigto import MechanismOptions, Scenario, World, plan
 from drake_aigto.arrays import Floats
 from drake_aigto.planning.held_modes import drop, in_order, is_closed, list_hold_changes
 from drake_aigto.planning.mechanism_phases import BouncingResult, lay_out
+from drake_aigto.planning.mode_edges import lead_over_edges
+from drake_aigto.planning.origin import COASTING, Origin
+from drake_aigto.planning.rigid_mechanism import RigidMechanismProblem, make_mechanism_problem
 from drake_aigto.shooting import (
     Mechanism,
     Phases,
@@ -200,25 +203,58 @@ def test_what_leaves_or_is_apart_is_not_closed() -> None:
         assert is_closed(world, q, v).tolist() == [closed]
 
 
-@cache
-def push_block() -> Plan:
-    """Returns the plan of the shipped block, which begins on its floor."""
-    return plan(BLOCK, MechanismOptions(ladder=MechanismOptions().ladder[:1], renewals=0))
+def test_what_sticks_with_all_friction_is_led_to_slip_and_what_hardly_slips_to_stick() -> None:
+    world, N = build(turns=False), 8
+    law = RigidLaw(np.zeros(1), np.full(1, MU))
+
+    def drive(speed: float, mode: int, controls: list[float]) -> BouncingResult:
+        phases = hold([mode], 1.0)
+        problem = pose(world, [0.0, RADIUS, speed, 0.0], phases, N)
+        driven = dataclasses.replace(problem, control_bounds=np.array([[-9.0], [9.0]]))
+        return BouncingResult.of(driven.simulate(np.array(controls)[:, None], 1), phases)
+
+    edge = MU * G
+    pulled = drive(0.0, 0, [0.0] * 4 + [edge] * 4)
+    assert lead_over_edges(world, law, pulled) == (Touch(0.0, 0.5, 0, 0), Touch(0.5, 1.0, 0, 1))
+    # It is braked from 1 m/s to 0.01 m/s, and kept there.
+    slow = drive(1.0, 1, [edge - 0.99 / 0.5] * 4 + [edge] * 4)
+    assert lead_over_edges(world, law, slow) == (Touch(0.0, 0.5, 0, 1), Touch(0.5, 1.0, 0, 0))
+    for mode, control in ((0, 0.9 * edge), (1, 2 * edge)):
+        inside = drive(float(mode), mode, [control] * N)
+        assert lead_over_edges(world, law, inside) is None
 
 
-def test_the_cheapest_push_to_rest_lets_the_floor_brake_and_both_replays_agree() -> None:
-    """J = 4/3 (μ m g)² τ with τ² = 6 d/(μ g): F = 2 μ m g (1 − t/τ), and nothing from there on."""
-    found, until = push_block(), np.sqrt(6 / (MU * G))
+# The cheapest push to rest: J = 4/3 (μ m g)² τ with τ² = 6 d/(μ g), F = 2 μ m g (1 − t/τ).
+UNTIL = np.sqrt(6 / (MU * G))
+LEAST = 4 / 3 * (MU * G) ** 2 * UNTIL
+
+
+def test_the_cheapest_push_to_rest_lets_the_floor_brake() -> None:
+    problem = make_mechanism_problem(World.from_scenario(BLOCK), BLOCK, MechanismOptions())
+    assert isinstance(problem, RigidMechanismProblem)
+    assert [(touch.start, touch.mode) for touch in problem.coasting] == [(0.0, 0)]
+    near = problem.bounce((Touch(0.0, 1.0, 0, -1), Touch(1.0, 2.0, 0, 0)), problem.idle_motion)
+    found = problem.polish(near)
+    candidate = problem.judge(Origin(COASTING), near, found)
+    assert found.cost == pytest.approx(LEAST, rel=5e-4)
+    assert candidate.replay.cost == pytest.approx(found.cost, rel=1e-9)
+    assert candidate.is_confirmed
+    assert max(candidate.defects.values()) < 1e-9
+    slips, sticks = candidate.replay.contact_phases
+    assert (slips.mode, sticks.mode) == ("backward", "stick")
+    assert slips.end == pytest.approx(UNTIL, rel=1e-3)
+    assert found.touches[0].end == pytest.approx(slips.end, abs=1e-8)
+    (contact,) = candidate.contacts
+    assert (contact.time, contact.last_time) == pytest.approx((0.0, 2.0))
+
+
+@pytest.mark.slow
+def test_a_plan_finds_that_push_and_both_replays_agree() -> None:
+    options = MechanismOptions(ladder=MechanismOptions().ladder[:2], renewals=0)
+    found = plan(BLOCK, options)
     drake = found.replay.drake
     assert found.holds
-    assert found.cost == pytest.approx(4 / 3 * (MU * G) ** 2 * until, rel=2e-4)
-    assert found.replay.event_driven.cost == pytest.approx(found.cost, rel=1e-9)
-    slips, sticks = found.replay.event_driven.contact_phases
-    assert (slips.mode, sticks.mode) == ("backward", "stick")
-    assert slips.end == pytest.approx(until, rel=1e-3)
+    assert found.cost == pytest.approx(LEAST, rel=2e-4)
     assert drake is not None
     assert drake.cost == pytest.approx(found.cost, rel=1e-6)
     assert drake.goal_error < 1e-4
-    assert max(found.best.defects.values()) < 1e-9
-    (contact,) = found.best.contacts
-    assert (contact.time, contact.last_time) == pytest.approx((0.0, 2.0))

@@ -13,7 +13,7 @@ from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import RigidLaw, World
 
 # Slip below this part of the fastest one there is may be none: what sticks on springs creeps.
-_CREEP = 0.05
+CREEP = 0.05
 # A stretch of less than this part of a touch that lasts is part of the one before.
 _SHORT = 0.1
 # Distances and speeds below this part of the largest coordinate, or 1, are none.
@@ -51,19 +51,29 @@ def read_hold(
     n, (start, end) = world.num_positions, ends
     q, v = np.split(motion.states, [n], axis=1)
     slips = world.rubbing.calc_slips(q, v)[:, contact]
-    modes = np.where(np.abs(slips) <= _CREEP * np.max(np.abs(slips)), 0, np.sign(slips))[knots]
-    begins = np.flatnonzero(np.diff(modes, prepend=np.inf))
-    times = np.append(motion.times[knots][begins], end)
-    times[0] = start
+    modes = np.where(np.abs(slips) <= CREEP * np.max(np.abs(slips)), 0, np.sign(slips))[knots]
+    yield from split_hold(Touch(start, end, contact), motion.times[knots], modes.astype(np.int64))
+
+
+def split_hold(touch: Touch, times: Floats, modes: Ints) -> list[Touch]:
+    """Returns a touch that lasts as one for each mode; what lasts too short is of the one before.
+
+    Args:
+        touch: in any mode.
+        times: of knots in it, shape (K,) [s].
+        modes: from these on, shape (K,).
+    """
+    begins = np.flatnonzero(np.diff(modes, prepend=np.iinfo(np.int64).max))
+    ends = np.append(times[begins], touch.end)
+    ends[0] = touch.start
     found: list[Touch] = []
-    for first, begin, until in zip(begins, times, times[1:], strict=False):
-        mode = int(modes[first])
-        is_short = until - begin < _SHORT * (end - start)
+    for first, begin, until in zip(begins, ends, ends[1:], strict=False):
+        mode, is_short = int(modes[first]), until - begin < _SHORT * (touch.end - touch.start)
         if found and (is_short or found[-1].mode == mode):
             found[-1] = replace(found[-1], end=float(until))
         else:
-            found.append(Touch(float(begin), float(until), contact, mode))
-    yield from found
+            found.append(Touch(float(begin), float(until), touch.contact, mode))
+    return found
 
 
 def list_hold_changes(law: RigidLaw, touches: TouchSequence) -> Iterator[TouchSequence]:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import NamedTuple
 
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints, read_only
 from drake_aigto.planning.held_modes import is_closed, read_hold
-from drake_aigto.planning.impact_modes import find_other_mode, read_mode
+from drake_aigto.planning.impact_modes import read_mode
 from drake_aigto.shooting import Phases, ShootingResult
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch, TouchSequence
@@ -104,7 +104,7 @@ class BouncingResult(ShootingResult):
         n, m = world.num_positions, world.num_contacts
         q, v = np.split(self.states, [n], axis=1)
         v, impulses = v.copy(), np.zeros((len(q), m))
-        _, slopes = _find_slopes(world, self)
+        _, slopes = find_slopes(world, self)
         for knot, i in zip(self.hits, self.contacts[self.contacts >= 0], strict=True):
             kick, J = (
                 world.calc_velocity_change(q[knot], np.eye(m)[i]),
@@ -290,7 +290,7 @@ def find_deepest(world: World, motion: BouncingResult) -> Dip | None:
 
 def find_grazes(world: World, motion: BouncingResult, speed: float) -> list[int]:
     """Returns which bounces among the touches of a motion are slower than a speed [m/s]."""
-    n, (_, before) = world.num_positions, _find_slopes(world, motion)
+    n, (_, before) = world.num_positions, find_slopes(world, motion)
     found = []
     for place, (touch, knot) in enumerate(motion.starts):
         if knot is not None and not touch.lasts:
@@ -298,22 +298,6 @@ def find_grazes(world: World, motion: BouncingResult, speed: float) -> list[int]
             if J @ before[knot - 1] > -speed:
                 found.append(place)
     return found
-
-
-def switch_modes(world: World, law: RigidLaw, motion: BouncingResult) -> TouchSequence | None:
-    """Returns the touches of a motion, bounces at the edge of their mode beyond it; None: no one.
-
-    Beyond an edge the cost may fall on, as stick becomes slip there, or slip ends.
-    """
-    n, (_, before) = world.num_positions, _find_slopes(world, motion)
-    touches = []
-    for touch, knot in motion.starts:
-        other = None
-        if knot is not None and not touch.lasts:
-            state = motion.states[knot, :n], before[knot - 1]
-            other = find_other_mode(world, law, touch, *state)
-        touches.append(touch if other is None else replace(touch, mode=other))
-    return tuple(touches) if tuple(touches) != motion.touches else None
 
 
 def find_lacks(world: World, motion: BouncingResult, margin: float) -> Floats:
@@ -387,12 +371,12 @@ def _find_cubics(world: World, motion: ShootingResult) -> tuple[Floats, Floats, 
     """Returns positions as coefficients of powers of the part of a step, shape (N, n) each."""
     n, h = world.num_positions, np.diff(motion.times)[:, np.newaxis]
     q = motion.states[:, :n]
-    start, end = (h * slopes for slopes in _find_slopes(world, motion))
+    start, end = (h * slopes for slopes in find_slopes(world, motion))
     way = np.diff(q, axis=0)
     return q[:-1], start, 3 * way - 2 * start - end, start + end - 2 * way
 
 
-def _find_slopes(world: World, motion: ShootingResult) -> tuple[Floats, Floats]:
+def find_slopes(world: World, motion: ShootingResult) -> tuple[Floats, Floats]:
     """Returns the velocities at the start and the end of each step, shape (N, n) each.
 
     Before a bounce, that is the slope of a parabola.

@@ -24,9 +24,9 @@ from drake_aigto.planning.mechanism_phases import (
     lay_out,
     read_touches,
     sample,
-    switch_modes,
 )
 from drake_aigto.planning.mechanism_problem import MechanismProblem
+from drake_aigto.planning.mode_edges import lead_over_edges, switch_modes
 from drake_aigto.planning.origin import Origin
 from drake_aigto.shooting import (
     Mechanism,
@@ -51,7 +51,7 @@ _DEEP, _MOST_ADDED = 1e-2, 4
 # touches slower than this part of its speed are passed, too, and what lasts begins no slower: any
 # error would miss the wall.
 _MARGIN, _MOST_LIFTS, _SLOW = 1e-4, 6, 1e-2
-# Modes of impacts with friction are changed at their edges so often at most.
+# Modes of touches with friction are changed at their edges so often at most.
 _MOST_SWITCHED = 3
 # Near a wall that is grazed, speeds change with the square root of distances: a finalist has to
 # meet its walls closely.
@@ -124,7 +124,7 @@ class RigidMechanismProblem(MechanismProblem):
     def bounce(self, touches: TouchSequence, guess: ShootingResult) -> BouncingResult:
         """Returns a motion with these touches near another, as far as a few steps lead.
 
-        If it dips deep into a wall between knots, with a bounce there as well; and where an impact
+        If it dips deep into a wall between knots, with a bounce there as well; and where a touch
         with friction is at the edge of its mode, beyond it if that is better.
         """
         tried = []
@@ -141,9 +141,10 @@ class RigidMechanismProblem(MechanismProblem):
         return self._switch(min(tried, key=self.rank))
 
     def _switch(self, motion: BouncingResult) -> BouncingResult:
-        """Returns the best motion that is found by leading impacts beyond edges of their modes."""
+        """Returns the best motion that is found by leading touches beyond edges of their modes."""
         for _ in range(_MOST_SWITCHED if self.rigid_law.rubs and np.isfinite(motion.cost) else 0):
-            touches = switch_modes(self.world, self.rigid_law, motion)
+            world, law = self.world, self.rigid_law
+            touches = switch_modes(world, law, motion) or lead_over_edges(world, law, motion)
             if touches is None:
                 break
             other = self._told(self._shoot(touches, motion, self.search_steps, _COARSE))

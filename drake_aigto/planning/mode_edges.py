@@ -1,0 +1,85 @@
+"""Touches with friction at an edge of their mode: beyond it the cost may fall on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+
+from drake_aigto.arrays import Floats, Ints
+from drake_aigto.planning.held_modes import CREEP, in_order, split_hold
+from drake_aigto.planning.impact_modes import find_other_mode
+from drake_aigto.planning.mechanism_phases import BouncingResult, find_slopes
+from drake_aigto.simulation.coulomb import Mode
+from drake_aigto.simulation.pushes import calc_push
+from drake_aigto.transcription import Touch, TouchSequence
+from drake_aigto.world import RigidLaw, World
+
+# What sticks is at the edge where it takes this part of the friction there is.
+_EDGE = 0.98
+
+
+def switch_modes(world: World, law: RigidLaw, motion: BouncingResult) -> TouchSequence | None:
+    """Returns the touches of a motion, bounces at the edge of their mode beyond it; None: no one.
+
+    Beyond an edge the cost may fall on, as stick becomes slip there, or slip ends.
+    """
+    n, (_, before) = world.num_positions, find_slopes(world, motion)
+    touches = []
+    for touch, knot in motion.starts:
+        other = None
+        if knot is not None and not touch.lasts:
+            state = motion.states[knot, :n], before[knot - 1]
+            other = find_other_mode(world, law, touch, *state)
+        touches.append(touch if other is None else replace(touch, mode=other))
+    return tuple(touches) if tuple(touches) != motion.touches else None
+
+
+def lead_over_edges(world: World, law: RigidLaw, motion: BouncingResult) -> TouchSequence | None:
+    """Returns the touches of a motion, what lasts at an edge of its mode beyond it; None: no one.
+
+    What sticks with all the friction there is slips as that pulls it, and what hardly slips sticks.
+    """
+    touches = in_order(
+        [part for touch in motion.touches for part in _split(world, law, motion, touch)]
+    )
+    return touches if touches != motion.touches else None
+
+
+def _split(world: World, law: RigidLaw, motion: BouncingResult, touch: Touch) -> Iterator[Touch]:
+    """Yields a touch in the modes that it is at the edge to."""
+    starts = motion.times[:-1]
+    knots = np.flatnonzero((starts >= touch.start) & (starts < touch.end))
+    if not (touch.lasts and law.friction[touch.contact] and len(knots)):
+        yield touch
+        return
+    modes = np.full(len(knots), touch.mode, dtype=np.int64)
+    if touch.mode:
+        q, v = np.split(motion.states, 2, axis=1)
+        slips = world.rubbing.calc_slips(q, v)[:, touch.contact]
+        modes[np.abs(slips[knots]) <= CREEP * np.max(np.abs(slips))] = 0
+        modes[0] = touch.mode  # It may begin at rest.
+    else:
+        normal, tangent = _calc_forces(world, law, motion, touch.contact, knots)
+        is_at_edge = np.abs(tangent) >= _EDGE * law.friction[touch.contact] * normal
+        modes[is_at_edge & (normal > 0)] = -np.sign(tangent[is_at_edge & (normal > 0)])
+    yield from split_hold(touch, starts[knots], modes)
+
+
+def _calc_forces(
+    world: World, law: RigidLaw, motion: BouncingResult, contact: int, knots: Ints
+) -> tuple[Floats, Floats]:
+    """Returns f_n and f_t of a contact that is held from knots on, shape (K,) each [N]."""
+    found = np.zeros((2, len(knots)))
+    for row, knot in enumerate(knots.tolist()):
+        phase = int(np.searchsorted(motion.knots, knot, side="right"))
+        held = np.flatnonzero(motion.held[phase])
+        modes = [
+            Mode(int(motion.modes[phase, i]) if law.friction[i] else Mode.FORWARD) for i in held
+        ]
+        state, control = motion.states[knot], motion.controls[knot]
+        push = calc_push(world, state, control, held, modes, law.friction[held])
+        normal, tangent = np.split(push.forces, 2)
+        found[:, row] = normal[held == contact][0], tangent[held == contact][0]
+    return found[0], found[1]
