@@ -110,8 +110,8 @@ class RigidMechanismHorizon(ShootingHorizon):
         if dip is None:
             return None
         problem = self._problem
-        added = dip.as_touch(self.world, problem.rigid_law, problem.lasting, missed)
-        touches = sorted((*missed.touches, added), key=lambda touch: touch.start)
+        added = dip.as_touches(self.world, problem.rigid_law, problem.lasting, missed)
+        touches = sorted((*missed.touches, *added), key=lambda touch: touch.start)
         motion = missed.as_trajectory(self.world)
         apart = keep_apart(touches, 0.0, float(motion.times[-1]))
         return self._read(self._descend(motion.later(now), apart, _MORE), now)

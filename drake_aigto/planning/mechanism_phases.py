@@ -137,10 +137,11 @@ class Dip(NamedTuple):
         if self.end - self.start > lasting[contact]:
             times = motion.times
             inside = np.flatnonzero((times >= self.start) & (times <= self.end))
-            start = self.start
+            start = max(self.start, _SAME * float(times[-1]))
             if first == 0 and is_closed(world, motion.states[0, :n], motion.states[0, n:])[contact]:
                 start = 0.0
-            yield from read_hold(world, law, motion, contact, (start, self.end), inside)
+            knots = inside if len(inside) else np.array([first])
+            yield from read_hold(world, law, motion, contact, (start, self.end), knots)
             return
         mode = read_mode(world, law, contact, *np.split(motion.states[first], [n]))
         yield Touch(self.touch.start, self.touch.end, contact, mode)

@@ -12,7 +12,7 @@ from drake_aigto.planning.bounces import add_impulses, replay_at_knots, with_los
 from drake_aigto.planning.branching import scaled
 from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.flow import trace
-from drake_aigto.planning.held_modes import in_order
+from drake_aigto.planning.held_modes import in_order, is_closed
 from drake_aigto.planning.impact_modes import read_mode
 from drake_aigto.planning.mechanism_boxes import Center
 from drake_aigto.planning.mechanism_options import MechanismOptions
@@ -94,16 +94,26 @@ class RigidMechanismProblem(MechanismProblem):
         return Mechanism.of(self.world, self._springs)
 
     def close(self, center: Center) -> BouncingResult:
-        """Returns the motion on rigid walls near a box center."""
+        """Returns the motion on rigid walls near a box center, closed on springs or as it is."""
         soft = self._close_on_springs(center)
         touches = read_touches(self.world, self.rigid_law, soft, self.lasting)
         found = [self.bounce(touches, soft)]
-        if self.rigid_law.rubs:
+        if self._sinks_in:
             states, controls = center.sample(soft.times)
             shown = dataclasses.replace(soft, states=states, controls=controls)
             touches = read_touches(self.world, self.rigid_law, shown, self.lasting)
             found.append(self.bounce(touches, shown))
         return min(found, key=self.rank)
+
+    @cached_property
+    def _sinks_in(self) -> bool:
+        """Whether something that rubs may rest from early on: on springs it sinks in, and creeps.
+
+        Boxes hold it up.
+        """
+        start = self.scenario.initial_position, self.scenario.initial_velocity
+        rests = (self.rigid_law.restitution == 0) | is_closed(self.world, *start)
+        return bool(np.any(rests & (self.rigid_law.friction > 0)))
 
     @property
     def rigid_law(self) -> RigidLaw:
