@@ -248,8 +248,29 @@ def test_the_cheapest_push_to_rest_lets_the_floor_brake() -> None:
     assert (contact.time, contact.last_time) == pytest.approx((0.0, 2.0))
 
 
+def test_a_ball_that_is_pushed_and_rolls_is_as_dear_as_seven_fifths_of_its_mass() -> None:
+    """J = 12 (7/5 m d)²/T³ from rest to rest, while 2/7 F stays below μ m g."""
+    world = build()
+    scenario = dataclasses.replace(
+        BLOCK,
+        initial_position=[0.0, RADIUS, 0.0],
+        initial_velocity=[0.0] * 3,
+        goal_position=[1.0, RADIUS, 1 / RADIUS],
+        goal_velocity=[0.0] * 3,
+    )
+    problem = make_mechanism_problem(world, scenario, MechanismOptions())
+    assert isinstance(problem, RigidMechanismProblem)
+    assert [(touch.start, touch.mode) for touch in problem.coasting] == [(0.0, 0)]
+    near = problem.bounce(problem.coasting, problem.idle_motion)
+    found = problem.polish(near)
+    assert found.cost == pytest.approx(12 * 1.4**2 / 2**3, rel=5e-4)
+    candidate = problem.judge(Origin(COASTING), near, found)
+    assert candidate.is_confirmed
+    assert [phase.mode for phase in candidate.replay.contact_phases] == ["stick"]
+
+
 @pytest.mark.slow
-def test_a_plan_finds_that_push_and_both_replays_agree() -> None:
+def test_a_plan_finds_the_cheapest_push_and_both_replays_agree() -> None:
     options = MechanismOptions(ladder=MechanismOptions().ladder[:2], renewals=0)
     found = plan(BLOCK, options)
     drake = found.replay.drake

@@ -18,7 +18,7 @@ _WORDS: dict[ChangeName, str] = {
     "added": "a touch added",
     "swapped": "touches swapped",
     "moved": "contacts moved",
-    "mode": "an impact ended in another mode",
+    "mode": "a touch in another mode",
     "left out": "left out at first",
 }
 
@@ -33,7 +33,7 @@ class Change:
     Attributes:
         kind: "seen", a bounce added that the replay has and the plan lacks; "dropped" or "added", a
             touch less or more; "swapped", bounces at one moment in the other order; "moved",
-            contacts at other knots; "mode", an impact with friction that sticks or slips instead;
+            contacts at other knots; "mode", a touch with friction that sticks or slips instead;
             "left out", a flight that was not expected to win, and is
             tried as nothing that was holds.
         of: the contact sequence that was changed.

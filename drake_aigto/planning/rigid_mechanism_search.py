@@ -38,7 +38,8 @@ class RigidMechanismSearch(MechanismSearch):
     """The search on springs and in phases, and neighbors of the best sequences of touches.
 
     After each wave of proposals a touch is dropped, added, swapped with the next, or, if it rubs,
-    ended in another mode in the best motions, until none of these leads to a better one.
+    ended in another mode or divided into two, in the best motions, until none of these leads to a
+    better one.
     """
 
     problem: RigidMechanismProblem
