@@ -117,7 +117,8 @@ class LineSearch:
         new_violation, new_barrier = tried.violation, tried.barrier(self.mu)
         if not self.filter.accepts(new_violation, new_barrier):
             return False
-        descends = slope < 0 and length * (-slope) ** _S_PHI > _DELTA * violation**_S_THETA
+        fall = length * _raise(-slope, _S_PHI) if slope < 0 else 0.0
+        descends = fall > _DELTA * _raise(violation, _S_THETA)
         change = new_barrier - barrier - self.rounding
         armijo = change <= _ETA_PHI * length * slope
         if descends and violation <= self.filter.least_violation:
@@ -138,8 +139,16 @@ class LineSearch:
         least = _GAMMA_THETA
         if slope < 0:
             least = min(least, _GAMMA_PHI * violation / -slope)
-            least = min(least, _DELTA * violation**_S_THETA * (-slope) ** -_S_PHI)
+            least = min(least, _DELTA * _raise(violation, _S_THETA) * _raise(-slope, -_S_PHI))
         return max(_SHORTEST, _GAMMA_ALPHA * least)
+
+
+def _raise(base: float, exponent: float) -> float:
+    """Returns base^exponent, infinity where that overflows: far out, slopes are of any size."""
+    try:
+        return math.pow(base, exponent)
+    except OverflowError:
+        return math.inf
 
 
 @dataclass

@@ -171,18 +171,26 @@ class Solve(LocalStarts):
         self._polish_as_given()
 
     def _polish_as_given(self) -> None:
-        """Polishes the best point with all variables: what presolve multiplied out is rounded."""
-        best, whole = self._best, self._staged.program
-        if best is None or not self._program.reduced.definitions:
-            return
+        """Polishes the best point with all variables: what presolve multiplied out is rounded.
+
+        And once more with a small barrier: a large one drives what has one bound away from it,
+        without end where the cost is small or flat.
+        """
         if self._options.polish != "newton" or self._staged.complementarities:
             return
-        start = whole.with_slacks(whole.reduce(best.x))
-        if not np.all(np.isfinite(start)):
+        if self._program.reduced.definitions:
+            self._polish_whole(InteriorPoint(max_iterations=POLISH_STEPS))
+        self._polish_whole(InteriorPoint.warm(max_iterations=POLISH_STEPS))
+
+    def _polish_whole(self, local: InteriorPoint) -> None:
+        """Polishes the best point on the program without presolve."""
+        best, whole = self._best, self._staged.program
+        if best is None:
             return
-        self._polishes += 1
-        found = InteriorPoint(max_iterations=POLISH_STEPS).solve(whole.nlp, start)
-        self._keep(whole.answer(found.x), "polish of all variables")
+        start = whole.with_slacks(whole.reduce(best.x))
+        if np.all(np.isfinite(start)):
+            self._polishes += 1
+            self._keep(whole.answer(local.solve(whole.nlp, start).x), "polish of all variables")
 
     def _offer_guess(self) -> bool:
         """Offers the guess, and returns whether there is one."""
@@ -354,7 +362,8 @@ class Solve(LocalStarts):
     def _is_better(self, answer: Answer, best: Answer) -> bool:
         """Whether an answer violates less beyond the tolerance, or costs less.
 
-        Where rounding hides which costs less, the program's own formulas decide, which take long.
+        Where rounding hides which costs less, the program's own formulas decide, which take long;
+        but so far out that only a cost that falls would lead there, they cancel as well.
         """
         least = self._options.feasibility
         violations = max(answer.violation, least), max(best.violation, least)
@@ -362,6 +371,8 @@ class Solve(LocalStarts):
             return violations[0] < violations[1]
         if abs(answer.cost - best.cost) > answer.rounding + best.rounding:
             return answer.cost < best.cost
+        if self._is_beyond(answer.x):
+            return False
         if self._best_cost is None or self._best_cost[0] is not best:
             self._best_cost = best, self._program.cost(best.x)
         if (cost := self._program.cost(answer.x)) >= self._best_cost[1]:

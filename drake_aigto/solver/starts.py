@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from drake_aigto.aigo import Box
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Bools, Floats
 from drake_aigto.local import solve_with_drake
 from drake_aigto.solver.far import Outside
 from drake_aigto.solver.first_box import make_first_box
@@ -179,12 +179,20 @@ class LocalStarts(ABC):
 
     def _has_fallen(self) -> bool:
         """Whether the best point is feasible and too far out, or too low, to be a minimum."""
-        best, reduced = self._best, self._program.reduced
+        best = self._best
         if best is None or best.violation > self._options.feasibility:
             return False
-        is_open = (np.isinf(reduced.lower) | np.isinf(reduced.upper))[: best.x.size]
-        is_low = bool(np.any(is_open)) and best.cost < _LOW
-        return is_low or bool(np.any(np.abs(best.x[is_open]) > _FAR))
+        is_low = bool(np.any(self._is_unbounded(best.x.size))) and best.cost < _LOW
+        return is_low or self._is_beyond(best.x)
+
+    def _is_beyond(self, x: Floats) -> bool:
+        """Whether a variable of x (n,) without bounds is too far out for a minimum."""
+        return bool(np.any(np.abs(x[self._is_unbounded(x.size)]) > _FAR))
+
+    def _is_unbounded(self, count: int) -> Bools:
+        """Returns which of the first variables, so many, have no two bounds."""
+        reduced = self._program.reduced
+        return (np.isinf(reduced.lower) | np.isinf(reduced.upper))[:count]
 
     def _reduced(self, answer: Answer) -> Floats:
         return self._program.reduce(answer.x)
