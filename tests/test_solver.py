@@ -285,6 +285,23 @@ def test_a_cost_that_falls_without_end_is_said_to_be_so(falling: Callable[[Any],
     assert result.get_solver_details().status is AigoStatus.FALLS_WITHOUT_END
 
 
+def test_cancelled_residuals_far_out_are_no_fall() -> None:
+    """x = 1e20, y = −1e-20 leaves exponentials of 1, and of both terms with x nothing."""
+    prog = MathematicalProgram()
+    x, y = prog.NewContinuousVariables(2, "x")
+    data = ((8, 0.49), (10, 0.475), (14, 0.45), (20, 0.42), (26, 0.405), (32, 0.405), (40, 0.4))
+    for time, value in data:
+        add_cost(prog, (value - x - (0.49 - x) * exp(-y * (time - 7))) ** 2)
+    prog.AddBoundingBoxConstraint([0.4, -4.0], [np.inf, np.inf], [x, y])
+    prog.AddConstraint((0.49 - x) * y >= 0.09)
+    result = solve(prog)
+    assert result.is_success()
+    # The row binds: y = 0.09/(0.49 − x), and x is found on a line.
+    line = np.linspace(0.4, 0.489, 100_000)
+    fit = [(v - line - (0.49 - line) * np.exp(-0.09 * (t - 7) / (0.49 - line))) for t, v in data]
+    assert result.get_optimal_cost() <= np.min(np.sum(np.square(fit), axis=0)) + 1e-9
+
+
 def test_programs_without_costs_or_variables_are_solved_too() -> None:
     prog = MathematicalProgram()
     assert solve(prog).is_success()

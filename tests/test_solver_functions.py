@@ -37,6 +37,10 @@ FORMULAS: dict[str, tuple[Formula, float, float]] = {
     "max": (lambda x: sym.max(x[0] + x[1], x[0] - 2 * x[1]) + x[0] ** 2, -3.0, 2.0),
     "min": (lambda x: sym.min(x[0] ** 2 + x[1], (x[0] - 2) ** 2 - 0.3) + x[1] ** 2, -3.0, 2.5),
     "tan": (lambda x: sym.tan(x[0]) - 3 * x[0] + x[1] ** 2, -1.2, 1.0),
+    "atan": (lambda x: sym.atan(x[0] * x[1] + 1) - 0.3 * x[0] + 0.1 * x[1] ** 2, -3.0, 2.0),
+    "asin and acos": (lambda x: sym.asin(x[0] * x[1]) + sym.acos(x[0]) ** 2, -0.9, 0.8),
+    "tanh": (lambda x: sym.tanh(2 * x[0] - 1) ** 2 + 0.1 * x[0] + x[1] ** 2 - x[1], -3.0, 2.0),
+    "sinh and cosh": (lambda x: sym.cosh(x[0]) - sym.sinh(x[1]) + x[1] ** 4, -3.0, 2.0),
     "exp of a quotient": (
         lambda x: sym.exp(-x[0] / (1 + x[0] ** 2)) + 0.1 * sym.sin(5 * x[0]) * x[1],
         *(-3.0, 2.0),
@@ -157,6 +161,18 @@ def test_a_constraint_or_halved_ranges_may_show_that_a_function_has_a_value() ->
     # By terms alone, the divisor might be as low as −5.
     prog, _ = make_program(lambda x: 1 / (x[0] ** 2 - 2 * x[0] + 2) + x[1] ** 2, -1.0, 3.0)
     assert AigoSolver().Solve(prog).get_optimal_cost() == pytest.approx(0.2, abs=1e-6)
+
+
+def test_factors_that_keep_their_signs_show_that_a_function_has_a_value() -> None:
+    # Bounds alone leave the argument anything between −1.2 and 1.2.
+    share = lambda x: 0.4 * (x[1] - x[0]) / (2.5 - x[1])  # noqa: E731
+    formula = lambda x: sym.pow(share(x), 0.6) + (x[0] - 1) ** 2 + (x[1] - 0.5) ** 2  # noqa: E731
+    prog, _ = make_program(formula, -1.0, 2.0, lambda x: x[1] - x[0] >= 0)
+    result = AigoSolver().Solve(prog)
+    # Where the row binds, which rounding breaks, the root may have no value: no crash.
+    assert result.is_success() and result.get_optimal_cost() == pytest.approx(0.125, abs=1e-4)
+    with pytest.raises(UnsupportedTermError, match=r"pow.* >= 0"):
+        AigoSolver().Solve(make_program(formula, -1.0, 2.0)[0])
 
 
 @settings(max_examples=20)

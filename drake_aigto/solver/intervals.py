@@ -156,4 +156,6 @@ _RULES: Mapping[ExpressionKind, Callable[..., Range]] = {
     ExpressionKind.Min: lambda a, b: (min(a[0], b[0]), min(a[1], b[1])),
     ExpressionKind.Tanh: _monotone(math.tanh),
     ExpressionKind.Atan: _monotone(math.atan),
+    ExpressionKind.Asin: _monotone(lambda y: math.asin(min(1.0, max(-1.0, y)))),
+    ExpressionKind.Acos: _monotone(lambda y: math.acos(min(1.0, max(-1.0, y)))),
 }

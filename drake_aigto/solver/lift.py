@@ -22,8 +22,9 @@ from pydrake.symbolic import Expression, ExpressionKind, Variable
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import UnsupportedTermError
-from drake_aigto.solver.intervals import interval, is_above
+from drake_aigto.solver.intervals import interval
 from drake_aigto.solver.ranges import Range
+from drake_aigto.solver.signs import RowRange, Signs
 from drake_aigto.terms import evaluator_label, evaluator_name, expression_terms, operands, shown
 
 # Roots of a higher order are exponentials of logarithms.
@@ -69,9 +70,11 @@ def lift(prog: MathematicalProgram) -> Lifted:
     A variable z stands for a function of others, and a row, or two, say of which:
 
         a/b          z b = a                       where b is not 0
-        b^(p/q)      z^q = b^p,  z ≥ 0             where b ≥ 0
+        b^(p/q)      z^p,  z^q = b,  z ≥ 0         where b ≥ 0
         log b        exp z = b                     where b > 0
         f(a)         f(z),  z = a                  of sin, cos or exp, a not affine
+        atan a       sin z = a cos z,  |z| ≤ π/2; likewise asin and acos
+        tanh a       1 − 2/(exp 2a + 1); likewise sinh and cosh
         |a|          z ≥ a,  z ≥ −a                where less of it is better; else z² = a²
         max(a, b)    z ≥ a,  z ≥ b                 likewise; else (a + b + |a − b|)/2
 
@@ -92,6 +95,8 @@ class _Lift:
         self._known: dict[str, Variable] = {}
         self._formulas: list[Expression] = []
         self._ranges = _ranges(prog)
+        rows = (row for binding in prog.GetAllConstraints() for row in _rows(binding))
+        self._signs = Signs(rows, self._ranges)
         self._label, self._is_row = "", False
 
     def run(self) -> Lifted:
@@ -219,7 +224,7 @@ class _Lift:
 
     def _require(self, e: Expression, function: Expression, is_strict: bool = True) -> None:
         """Refuses a function of e where e may be too low for it."""
-        if is_above(e, 0.0, self._ranges, is_strict) or self._is_row_above(e, is_strict):
+        if self._signs.are_positive(e, is_strict):
             return
         relation = ">" if is_strict else ">="
         low, high = interval(e, self._ranges)
@@ -229,18 +234,6 @@ class _Lift:
             f"Bound its variables such that {shown(e)} {relation} 0, or add that as a constraint.",
             f"an argument {relation} 0",
         )
-
-    def _is_row_above(self, e: Expression, is_strict: bool) -> bool:
-        """Returns whether a constraint of the program says that e is above 0."""
-        for binding in self._source.GetAllConstraints():
-            for formula, low, high in _rows(binding):
-                for side, bound in ((formula, low), (-formula, -high)):
-                    rest = (e - side).Expand()
-                    if not rest.GetVariables() and math.isfinite(bound):
-                        least = bound + rest.Evaluate()
-                        if least > 0.0 or (least == 0.0 and not is_strict):
-                            return True
-        return False
 
     def _refusal(
         self, e: Expression, got: str, remedy: str, expected: str | None = None
@@ -254,7 +247,7 @@ class _Lift:
         number, rest = _number(above)
         if number not in (0.0, 1.0):
             return number * self._lift_quotient(rest / below, 0)
-        if not (self._is_positive(below) or self._is_positive(-below)):
+        if not self._signs.keeps(below):
             low, high = interval(below, self._ranges)
             raise self._refusal(
                 e,
@@ -264,9 +257,6 @@ class _Lift:
             )
         top, bottom = self._lift_for_row(above), self._lift_for_row(below)
         return self._variable(e, lambda z: [(z * bottom - top, 0.0, 0.0)])
-
-    def _is_positive(self, e: Expression) -> bool:
-        return is_above(e, 0.0, self._ranges, True) or self._is_row_above(e, True)
 
     def _lift_power(self, e: Expression, _: int) -> Expression:
         base, exponent = operands(e)
@@ -287,9 +277,10 @@ class _Lift:
 
     def _root(self, e: Expression, base: Expression, part: Fraction) -> Expression:
         self._require(base, e, is_strict=False)
-        power = sym.pow(base, part.numerator) if part.numerator > 1 else base
-        right, q = self._lift_for_row(power), part.denominator
-        return self._variable(e, lambda z: [(sym.pow(z, q) - right, 0.0, 0.0)])
+        right, q = self._lift_for_row(base), part.denominator
+        root = sym.sqrt(base) if q == 2 else sym.pow(base, 1.0 / q)
+        z = self._variable(root, lambda z: [(sym.pow(z, q) - right, 0.0, 0.0)])
+        return sym.pow(z, part.numerator)
 
     def _lift_log(self, e: Expression, _: int) -> Expression:
         (argument,) = operands(e)
@@ -300,6 +291,25 @@ class _Lift:
     def _lift_tangent(self, e: Expression, _: int) -> Expression:
         (angle,) = operands(e)
         return self._lift_quotient(sym.sin(angle) / sym.cos(angle), 0)
+
+    def _lift_inverse_tangent(self, e: Expression, _: int) -> Expression:
+        above = self._lift_for_row(operands(e)[0])
+        return self._variable(e, lambda z: [(sym.sin(z) - above * sym.cos(z), 0.0, 0.0)])
+
+    def _lift_inverse_wave(self, e: Expression, _: int) -> Expression:
+        (argument,) = operands(e)
+        self._require(1.0 - argument, e, is_strict=False)
+        self._require(1.0 + argument, e, is_strict=False)
+        wave, right = _INVERSES[e.get_kind()], self._lift_for_row(argument)
+        return self._variable(e, lambda z: [(wave(z) - right, 0.0, 0.0)])
+
+    def _lift_hyperbolic_tangent(self, e: Expression, sign: int) -> Expression:
+        return self._lift(1.0 - 2.0 / (sym.exp(2.0 * operands(e)[0]) + 1.0), sign)
+
+    def _lift_hyperbola(self, e: Expression, sign: int) -> Expression:
+        (a,) = operands(e)
+        side = 1.0 if e.get_kind() == ExpressionKind.Cosh else -1.0
+        return self._lift((sym.exp(a) + side * sym.exp(-a)) / 2.0, sign if side > 0.0 else 0)
 
     def _lift_abs(self, e: Expression, sign: int) -> Expression:
         (argument,) = operands(e)
@@ -325,12 +335,19 @@ class _Lift:
 
 
 _WAVES = {ExpressionKind.Sin: sym.sin, ExpressionKind.Cos: sym.cos, ExpressionKind.Exp: sym.exp}
+_INVERSES = {ExpressionKind.Asin: sym.sin, ExpressionKind.Acos: sym.cos}
 _RULES: Mapping[ExpressionKind, Callable[[_Lift, Expression, int], Expression]] = {
     ExpressionKind.Div: _Lift._lift_quotient,
     ExpressionKind.Pow: _Lift._lift_power,
     ExpressionKind.Sqrt: _Lift._lift_square_root,
     ExpressionKind.Log: _Lift._lift_log,
     ExpressionKind.Tan: _Lift._lift_tangent,
+    ExpressionKind.Atan: _Lift._lift_inverse_tangent,
+    ExpressionKind.Asin: _Lift._lift_inverse_wave,
+    ExpressionKind.Acos: _Lift._lift_inverse_wave,
+    ExpressionKind.Sinh: _Lift._lift_hyperbola,
+    ExpressionKind.Cosh: _Lift._lift_hyperbola,
+    ExpressionKind.Tanh: _Lift._lift_hyperbolic_tangent,
     ExpressionKind.Abs: _Lift._lift_abs,
     ExpressionKind.Max: _Lift._lift_max,
     ExpressionKind.Min: _Lift._lift_min,
@@ -353,7 +370,7 @@ def _bind(e: Expression, own: Any, variables: Any) -> Expression:
     return e.Substitute(pairs) if pairs else e
 
 
-def _rows(binding: Binding) -> Iterator[tuple[Expression, float, float]]:
+def _rows(binding: Binding) -> Iterator[RowRange]:
     """Yields formulas and bounds of a linear or symbolic constraint."""
     evaluator, variables = binding.evaluator(), binding.variables()
     if isinstance(evaluator, ExpressionConstraint):

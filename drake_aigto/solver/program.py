@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
-from pydrake.solvers import EvaluatorBase, MathematicalProgram
+from pydrake.solvers import Binding, EvaluatorBase, MathematicalProgram
 
 from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial
@@ -132,9 +132,16 @@ class AigoProgram:
         return self.nlp.num_rows
 
     def cost(self, x: Floats) -> float:
-        """Returns f at x (n,)."""
-        values = [self.source.EvalBinding(cost, x)[0] for cost in self.source.GetAllCosts()]
+        """Returns f at x (n,); infinite where a formula has no value."""
+        values = [self._value(cost, x)[0] for cost in self.source.GetAllCosts()]
         return float(sum(values))
+
+    def _value(self, binding: Binding, x: Floats) -> Floats:
+        """Returns a cost or constraint at x (n,): √y has no value where y is −1e-9."""
+        try:
+            return np.asarray(self.source.EvalBinding(binding, x))
+        except (RuntimeError, ValueError):
+            return np.full(binding.evaluator().num_outputs(), np.inf)
 
     def violation(self, x: Floats) -> float:
         """Returns the largest violation of the source's constraints at x (n,); 0 without any.
@@ -146,7 +153,7 @@ class AigoProgram:
         sizes = self.reduced.question.row_sizes
         for binding, rows in zip(self.source.GetAllConstraints(), self.lifted.rows, strict=True):
             evaluator = binding.evaluator()
-            value = self.source.EvalBinding(binding, x)
+            value = self._value(binding, x)
             if not np.all(np.isfinite(value)):
                 return np.inf
             excess = np.maximum(evaluator.lower_bound() - value, value - evaluator.upper_bound())
@@ -203,7 +210,8 @@ def _rounding(evaluator: EvaluatorBase, x: Floats) -> Floats:
         slopes = ExtractGradient(evaluator.Eval(InitializeAutoDiff(x)))
     except (RuntimeError, ValueError):  # A slope has no value there, as that of √x at 0.
         return np.zeros(evaluator.num_constraints())
-    changes = 4 * np.finfo(float).eps * np.sum(np.abs(slopes * x), axis=1)
+    with np.errstate(invalid="ignore"):  # An infinite slope at 0: no bound of what it changes.
+        changes = 4 * np.finfo(float).eps * np.sum(np.abs(slopes * x), axis=1)
     return np.where(np.isfinite(changes), changes, 0.0)
 
 

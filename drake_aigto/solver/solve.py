@@ -25,7 +25,7 @@ from drake_aigto.solver.proof import PROVEN, Proof
 from drake_aigto.solver.question import ContradictionError
 from drake_aigto.solver.result import AigoDetails, AigoStatus
 from drake_aigto.solver.staged import StagedProgram, StagedSearch
-from drake_aigto.solver.starts import POLISH_STEPS, Answer, LocalStarts
+from drake_aigto.solver.starts import PLAIN, POLISH_STEPS, Answer, LocalStarts
 from drake_aigto.solver.tighten import may_be_feasible, tighten
 
 _LOG = logging.getLogger(__name__)
@@ -358,21 +358,26 @@ class Solve(LocalStarts):
             self._best = answer
             for observer in self._observers:
                 observer(x, f"cost {cost:.9g}, violation {answer.violation:.1e}: {origin}")
+            if self._is_beyond(x):  # Nearer is as good where a cost is flat.
+                self._keep(self._nearer(x), origin)
 
     def _is_better(self, answer: Answer, best: Answer) -> bool:
         """Whether an answer violates less beyond the tolerance, or costs less.
 
-        Where rounding hides which costs less, the program's own formulas decide, which take long;
-        but so far out that only a cost that falls would lead there, they cancel as well.
+        Where rounding hides which costs less, the program's own formulas decide, which take long.
+        So far out that only a cost that falls without end leads there, the gain has to be plain:
+        terms cancel there, and what ends in an asymptote gains nothing.
         """
         least = self._options.feasibility
         violations = max(answer.violation, least), max(best.violation, least)
         if violations[0] != violations[1]:
             return violations[0] < violations[1]
+        if self._is_beyond(answer.x) != self._is_beyond(best.x):
+            near, far = (best, answer) if self._is_beyond(answer.x) else (answer, best)
+            falls = far.cost + far.rounding < near.cost - PLAIN * max(1.0, abs(near.cost))
+            return falls == (far is answer)
         if abs(answer.cost - best.cost) > answer.rounding + best.rounding:
             return answer.cost < best.cost
-        if self._is_beyond(answer.x):
-            return False
         if self._best_cost is None or self._best_cost[0] is not best:
             self._best_cost = best, self._program.cost(best.x)
         if (cost := self._program.cost(answer.x)) >= self._best_cost[1]:

@@ -49,8 +49,8 @@ class AigoSolver(SolverInterface):
 
     Costs are sums of products of one-variable functions (`drake_aigto.terms.parse_costs` lists
     them); constraints are bounds, and rows that are sums of products of powers, sin, cos and exp.
-    For quotients, roots, logarithms, tan, |x|, max, min and functions of functions the solver adds
-    variables and rows of its own (`AigoDetails.lifted`).
+    For quotients, roots, logarithms, tan, tanh, atan and their like, |x|, max, min and functions of
+    functions the solver adds variables and rows of its own (`AigoDetails.lifted`).
     Called as any other solver of Drake:
 
         result = AigoSolver().Solve(prog)

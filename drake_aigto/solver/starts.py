@@ -25,6 +25,9 @@ _FEW = 30
 # A point farther out than this, in a variable without bounds, is where a cost falls without end;
 # and one that is lower than this, which exponentials are well before they are far out.
 _FAR, _LOW = 1e8, -1e20
+_OUT = 1e-2 * _FAR
+# Such a point costs less than nearer ones by this part of their cost, or of 1.
+PLAIN = 1e-6
 # Rows of such coefficients are singular to SNOPT, which prints so, and ends anywhere.
 _SINGULAR = 1e12
 
@@ -188,6 +191,10 @@ class LocalStarts(ABC):
     def _is_beyond(self, x: Floats) -> bool:
         """Whether a variable of x (n,) without bounds is too far out for a minimum."""
         return bool(np.any(np.abs(x[self._is_unbounded(x.size)]) > _FAR))
+
+    def _nearer(self, x: Floats) -> Floats:
+        """Returns x (n,) with what is far too far out moved to where it is only far out."""
+        return np.where(self._is_unbounded(x.size), np.clip(x, -_OUT, _OUT), x)
 
     def _is_unbounded(self, count: int) -> Bools:
         """Returns which of the first variables, so many, have no two bounds."""
