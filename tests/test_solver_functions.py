@@ -15,7 +15,7 @@ from pydrake.solvers import ExpressionCost, MathematicalProgram
 from pydrake.symbolic import Expression, Variable
 
 from drake_aigto import UnsupportedTermError
-from drake_aigto.solver import AigoOptions, AigoSolver
+from drake_aigto.solver import AigoOptions, AigoSolver, AigoStatus
 from drake_aigto.solver.intervals import interval, is_above
 from drake_aigto.solver.lift import lift
 from drake_aigto.solver.program import read_program
@@ -40,7 +40,10 @@ FORMULAS: dict[str, tuple[Formula, float, float]] = {
     "atan": (lambda x: sym.atan(x[0] * x[1] + 1) - 0.3 * x[0] + 0.1 * x[1] ** 2, -3.0, 2.0),
     "asin and acos": (lambda x: sym.asin(x[0] * x[1]) + sym.acos(x[0]) ** 2, -0.9, 0.8),
     "tanh": (lambda x: sym.tanh(2 * x[0] - 1) ** 2 + 0.1 * x[0] + x[1] ** 2 - x[1], -3.0, 2.0),
-    "sinh and cosh": (lambda x: sym.cosh(x[0]) - sym.sinh(x[1]) + x[1] ** 4, -3.0, 2.0),
+    "sinh and cosh": (
+        lambda x: sym.cosh(x[0] * x[1]) - sym.sinh(x[1]) + x[0] + x[1] ** 4,
+        *(-2.0, 1.5),
+    ),
     "exp of a quotient": (
         lambda x: sym.exp(-x[0] / (1 + x[0] ** 2)) + 0.1 * sym.sin(5 * x[0]) * x[1],
         *(-3.0, 2.0),
@@ -164,9 +167,10 @@ def test_a_constraint_or_halved_ranges_may_show_that_a_function_has_a_value() ->
 
 
 def test_factors_that_keep_their_signs_show_that_a_function_has_a_value() -> None:
-    # Bounds alone leave the argument anything between −1.2 and 1.2.
-    share = lambda x: 0.4 * (x[1] - x[0]) / (2.5 - x[1])  # noqa: E731
-    formula = lambda x: sym.pow(share(x), 0.6) + (x[0] - 1) ** 2 + (x[1] - 0.5) ** 2  # noqa: E731
+    # Bounds alone leave the argument anything between −2.4 and 2.4.
+    formula: Formula = lambda x: (  # noqa: E731
+        sym.pow(0.4 * (x[1] - x[0]) / (2.5 - x[1]), 0.6) + (x[0] - 1) ** 2 + (x[1] - 0.5) ** 2
+    )
     prog, _ = make_program(formula, -1.0, 2.0, lambda x: x[1] - x[0] >= 0)
     result = AigoSolver().Solve(prog)
     # Where the row binds, which rounding breaks, the root may have no value: no crash.
@@ -194,6 +198,17 @@ def test_ranges_hold_every_value(name: str, a: Any, b: Any, at: Any) -> None:
     slack = 1e-9 * max(1.0, abs(value))
     assert found[0] - slack <= value <= found[1] + slack
     assert not is_above(e, value + slack, ranges, is_strict=False)
+
+
+def test_functions_of_bounded_variables_leave_nothing_open_however_large_they_are() -> None:
+    prog, x = make_program(
+        lambda x: sym.sqrt(sym.exp(x[0]) + 1) - 3 * x[0] + (x[1] - 1) ** 2, -90.0, 90.0
+    )
+    result = AigoSolver().Solve(prog)
+    assert result.get_solver_details().status is AigoStatus.SOLVED
+    # With u = exp x: u = 6 √(u + 1).
+    best = math.log(18 + math.sqrt(360))
+    np.testing.assert_allclose(result.GetSolution(x), [best, 1], atol=1e-5)
 
 
 def test_options_and_guesses_work_with_functions_by_rows() -> None:

@@ -23,22 +23,26 @@ class Outside:
         box: of half widths w around c.
         lower: shape (n,); 1e15 in size is no bound either, for ranges end there.
         upper: shape (n,).
+        is_bounded: whether bounds of the program's own variables leave nothing outside, whatever
+            the ranges of functions of them that have variables too.
     """
 
     box: Box
     lower: Floats
     upper: Floats
+    is_bounded: bool = False
 
     @classmethod
-    def of(cls, box: Box, bounds: Bounds, count: int) -> Outside:
+    def of(cls, box: Box, bounds: Bounds, count: int, is_bounded: bool) -> Outside:
         """Returns what is outside in the first variables of a box, so many."""
         lower, upper = (side[:count] for side in bounds)
-        return cls(Box(box.center[:count], box.half_width[:count]), lower, upper)
+        return cls(Box(box.center[:count], box.half_width[:count]), lower, upper, is_bounded)
 
     @property
     def is_open(self) -> Bools:
         """Which variables have no two bounds, shape (n,)."""
-        return ((self.lower <= -LARGEST) | (self.upper >= LARGEST)) & self.box.free
+        is_open = ((self.lower <= -LARGEST) | (self.upper >= LARGEST)) & self.box.free
+        return is_open & (not self.is_bounded)
 
     def decade(self, z: Floats) -> float:
         """Returns the decade of a point (n,), as a real number: 0 or less in the box."""

@@ -93,7 +93,8 @@ class Solve(LocalStarts):
         """Sets the first box, and what is outside of it."""
         count = self._program.reduced.kept.size
         self._first = first
-        self._outside = Outside.of(first, tighten(self._program.nlp), count)
+        is_bounded = not np.any(self._is_unbounded(self._program.source.num_vars()))
+        self._outside = Outside.of(first, tighten(self._program.nlp), count, is_bounded)
 
     def run(self) -> tuple[Floats, float, AigoDetails]:
         """Returns the answer x (n,), its cost, and details."""
