@@ -182,6 +182,15 @@ def test_touches_are_held_from_the_start_and_go_on_in_other_modes_without_an_imp
     np.testing.assert_array_equal(phases.modes[:4, 1], [1, 1, 0, 0])
 
 
+def test_what_goes_on_in_another_mode_as_something_else_is_hit_does_so_at_that_impact() -> None:
+    stays, slips, hits = Touch(0.0, 0.5, 1, 0), Touch(0.5, 1.0, 1, 1), Touch(0.5, 0.8, 0)
+    for touches in ((stays, hits, slips), (stays, slips, hits)):
+        _, phases = lay_out(touches, 20, 1.0, (1.0, 1.0), 2)
+        np.testing.assert_array_equal(phases.contacts, [0, -1])
+        np.testing.assert_array_equal(phases.modes[:, 1], [0, 1, 1])
+        np.testing.assert_array_equal(phases.held, [[False, True], [True, True], [False, True]])
+
+
 def test_a_touch_that_is_dropped_leaves_its_time_to_the_one_that_it_went_on_from() -> None:
     touches = (Touch(0.0, 0.3, 0, 1), Touch(0.3, 0.8, 0, 0), Touch(0.8, 1.0, 0, 1))
     assert drop(touches, 0) == (Touch(0.0, 0.8, 0, 0), touches[2])

@@ -237,6 +237,7 @@ def _find_joints(touches: TouchSequence, duration: float) -> Iterator[_Joint]:
     modes = {touch.contact: touch.mode for touch in of_start}
     yield _Joint(0.0, -1, list(ends), dict(modes))
     later = [touch for touch in touches if touch not in of_start]
+    later.sort(key=lambda touch: (touch.start, not _continues(touch, touches)))
     for touch, until in zip([None, *later], [*(t.start for t in later), duration], strict=True):
         if touch is not None:
             goes_on = ends.get(touch.contact) == np.inf and touch.lasts
@@ -254,11 +255,14 @@ def _find_joints(touches: TouchSequence, duration: float) -> Iterator[_Joint]:
 
 def _find_end(touch: Touch, touches: TouchSequence) -> float:
     """Returns when what lasts is let go [s]; infinite if it goes on in another mode."""
-    goes_on = any(
-        other.contact == touch.contact and other.lasts and other.start == touch.end
-        for other in touches
-    )
-    return np.inf if goes_on else touch.end
+    nexts = (other for other in touches if other.contact == touch.contact and other.lasts)
+    return np.inf if any(other.start == touch.end for other in nexts) else touch.end
+
+
+def _continues(touch: Touch, touches: TouchSequence) -> bool:
+    """Returns whether a touch that lasts goes on from another of the same contact."""
+    others = (other for other in touches if other.contact == touch.contact and other.lasts)
+    return touch.lasts and any(other.end == touch.start for other in others)
 
 
 def read_touches(
