@@ -58,7 +58,7 @@ def main() -> int:
     work = partial(run, seed=options.seed, rounds=options.rounds, again=options.again)
     start = time.perf_counter()
     outcomes: Counter[str] = Counter()
-    wrong = 0
+    wrong = twice = 0
     for number, future in run_jobs(work, range(options.count), options):
         died = future.exception()
         outcome = f"WORKER DIED on {number}: {died!r}" if died else future.result()
@@ -67,14 +67,13 @@ def main() -> int:
             wrong += 1
         else:
             outcomes[outcome] += 1
+        twice += number % options.again == 0
         tried = outcomes.total() + wrong
         if tried % REPORTED == 0:
             print(f"{tried} tried, {wrong} crashed or lied", flush=True)
     tried = outcomes.total() + wrong
     seconds = time.perf_counter() - start
-    print(
-        f"{tried} of {options.count} programs, {-(-tried // options.again)} of them twice, in {seconds:.0f} s"
-    )
+    print(f"{tried} of {options.count} programs, {twice} of them twice, in {seconds:.0f} s")
     print(dict(outcomes))
     print(f"crashed or lied: {wrong}")
     return 1 if wrong or tried < options.count else 0
