@@ -215,6 +215,7 @@ FIGURES: Mapping[str, Figure] = {
     "constrained_broken": Figure(
         "constrained_programs", rf"successes of ours that are infeasible: {_NUMBER}"
     ),
+    "lifted_tables": Figure("lifted_functions", r"(?s)\A[^\n]*\n(.*\S)"),
     "staged_tables": Figure("staged_programs", r"(?s)^(push_bot/0\.6: .*\S)"),
     "in_the_loop_tables": Figure("in_the_loop", r"(?s)\A[^\n]*\n(.*\S)"),
     "loops_changing_tables": Figure("loops_changing", r"(?s)\A[^\n]*\n(.*\S)"),
