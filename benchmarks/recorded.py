@@ -70,7 +70,8 @@ RECORDS: Mapping[str, str] = {
     "push_bot_bounds": "python -m benchmarks.push_bot_bounds",
     "in_the_loop": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --workers 2",
     "in_more_loops": "python -m benchmarks.in_the_loop room/bank_shot floor/rebound"
-    " cart_pole/soft_06 --count 40 --workers 2 --minutes 2",
+    " cart_pole/soft_06 --count 100 --workers 2 --minutes 12",
+    "loop_speed": "python -m benchmarks.loop_speed",
     "loops_changing": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --changing"
     " --count 60 --workers 2 --minutes 2",
     "cart_poles": "python -m benchmarks.cart_poles --count 24 --workers 1 --minutes 3",
@@ -220,6 +221,7 @@ FIGURES: Mapping[str, Figure] = {
     "in_the_loop_tables": Figure("in_the_loop", r"(?s)\A[^\n]*\n(.*\S)"),
     "loops_changing_tables": Figure("loops_changing", r"(?s)\A[^\n]*\n(.*\S)"),
     "in_more_loops_tables": Figure("in_more_loops", r"(?s)\A[^\n]*\n(.*\S)"),
+    "loop_speed_table": Figure("loop_speed", r"(?s)\A[^\n]*\n(.*\S)"),
     "cart_poles_table": Figure("cart_poles", r"(?s)\A[^\n]*\n(.*\S)"),
     "soak_lines": Figure("soak", r"(?s)\A(.*\S)"),
     "certificates_table": Figure("certificates", r"(?s)\A[^\n]*\n(.*\S)"),
