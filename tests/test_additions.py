@@ -149,7 +149,6 @@ def cost_of_python(t: RigidTranscription) -> Any:
         (cone, "'cone' can't be met: got a LorentzConeConstraint"),
         (of_python, "'of Python' can't be met: got a PyFunctionConstraint"),
         (cost_of_python, "'of Python' of q(3), v(3) can't be integrated"),
-        (lambda t: t.prog().AddCost(t.state(3)[0] ** 4), "got a PolynomialCost"),
     ],
 )
 def test_kinds_that_cannot_be_carried_are_refused_by_name(add: Add, message: str) -> None:

@@ -87,10 +87,10 @@ def test_what_it_can_not_solve_is_said_before_and_named_when_asked() -> None:
     prog, x = himmelblau()
     assert AigoSolver().AreProgramAttributesSatisfied(prog)
     assert AigoSolver().ExplainUnsatisfiedProgramAttributes(prog) == ""
-    prog.AddL2NormCost(np.eye(2), np.zeros(2), x)
+    prog.AddPositiveSemidefiniteConstraint(prog.NewSymmetricContinuousVariables(2))
     assert not AigoSolver().AreProgramAttributesSatisfied(prog)
     assert AigoSolver().ExplainUnsatisfiedProgramAttributes(prog) == (
-        "AigoSolver can't solve programs with L2NormCost."
+        "AigoSolver can't solve programs with PositiveSemidefiniteConstraint."
     )
-    with pytest.raises(UnsupportedTermError, match="got a L2NormCost"):
+    with pytest.raises(UnsupportedTermError, match="got a PositiveSemidefiniteConstraint"):
         AigoSolver().Solve(prog)

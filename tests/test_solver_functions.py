@@ -11,7 +11,16 @@ import pydrake.symbolic as sym
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from pydrake.solvers import ExpressionCost, MathematicalProgram
+from pydrake.solvers import (
+    Binding,
+    Cost,
+    ExpressionCost,
+    L1NormCost,
+    L2NormCost,
+    LInfNormCost,
+    MathematicalProgram,
+    PerspectiveQuadraticCost,
+)
 from pydrake.symbolic import Expression, Variable
 
 from drake_aigto import UnsupportedTermError
@@ -209,6 +218,71 @@ def test_functions_of_bounded_variables_leave_nothing_open_however_large_they_ar
     # With u = exp x: u = 6 √(u + 1).
     best = math.log(18 + math.sqrt(360))
     np.testing.assert_allclose(result.GetSolution(x), [best, 1], atol=1e-5)
+
+
+# Least over −5 ≤ x ≤ 0 of norms of x − (1, −2), and of its second entry's square over the first.
+NORMS = {L1NormCost: 1.0, L2NormCost: 1.0, LInfNormCost: 1.0}
+
+
+@pytest.mark.parametrize("norm", NORMS)
+@pytest.mark.parametrize("certify", [False, True])
+def test_norms_of_drake_are_taken_by_their_formulas(norm: Any, certify: bool) -> None:
+    if certify and norm is LInfNormCost:
+        pytest.skip("certificates know no max")
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(2, "x")
+    prog.AddBoundingBoxConstraint(-5.0, 0.0, x)
+    prog.AddCost(Binding[Cost](norm(np.eye(2), np.array([-1.0, 2.0])), x))
+    result = AigoSolver(AigoOptions(certify=certify)).Solve(prog)
+    assert result.get_optimal_cost() == pytest.approx(NORMS[norm], abs=1e-6)
+    if certify:
+        assert NORMS[norm] - 1e-5 <= result.get_solver_details().lower_bound <= NORMS[norm] + 1e-12
+
+
+def test_a_perspective_of_drake_is_a_quotient() -> None:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(2, "x")
+    prog.AddBoundingBoxConstraint([0.5, 1.0], [3.0, 2.0], x)
+    prog.AddCost(Binding[Cost](PerspectiveQuadraticCost(np.eye(2), np.zeros(2)), x))
+    prog.AddLinearCost(x[0] * 1.0)  # x₁²/x₀ + x₀, least where x₀ = x₁ = 1
+    result = AigoSolver().Solve(prog)
+    assert result.get_optimal_cost() == pytest.approx(2.0, abs=1e-6)
+
+
+def test_cones_of_drake_are_rows() -> None:
+    lorentz = MathematicalProgram()
+    x = lorentz.NewContinuousVariables(3, "x")
+    lorentz.AddBoundingBoxConstraint(-5.0, 1.0, x)
+    lorentz.AddLinearCost(x[0] + 2.0 * x[1])
+    lorentz.AddLorentzConeConstraint(np.array([x[2], x[0], x[1]]))
+    rotated = MathematicalProgram()
+    y = rotated.NewContinuousVariables(3, "y")
+    rotated.AddBoundingBoxConstraint([0, 0, 2], [9, 9, 2], y)
+    rotated.AddLinearCost(y[0] + y[1])
+    rotated.AddRotatedLorentzConeConstraint(y)
+    exponential = MathematicalProgram()
+    z = exponential.NewContinuousVariables(3, "z")
+    exponential.AddBoundingBoxConstraint([0.01, 1, -3], [5, 1, 2], z)
+    exponential.AddLinearCost(z[0] + z[2])
+    exponential.AddExponentialConeConstraint(np.eye(3), np.zeros(3), z)
+    least = {lorentz: -math.sqrt(5.0), rotated: 4.0, exponential: math.exp(-3.0) - 3.0}
+    for prog, cost in least.items():
+        assert AigoSolver().AreProgramAttributesSatisfied(prog)
+        result = AigoSolver().Solve(prog)
+        assert result.is_success()
+        assert result.get_optimal_cost() == pytest.approx(cost, abs=1e-5)
+
+
+def test_a_polynomial_that_drake_hides_is_solved_and_not_certified() -> None:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(2, "x")
+    prog.AddBoundingBoxConstraint(-5.0, 4.0, x)
+    prog.AddCost((1 - x[0]) ** 2 + 100 * (x[1] - x[0] ** 2) ** 2)
+    result = AigoSolver().Solve(prog)
+    np.testing.assert_allclose(result.get_x_val(), 1.0, atol=1e-6)
+    # Its values tell the formula but for rounding: a bound of it would not be one of the cost.
+    with pytest.raises(UnsupportedTermError, match=r"got a PolynomialCost.*ExpressionCost\("):
+        AigoSolver(AigoOptions(certify=True)).Solve(prog)
 
 
 def test_options_and_guesses_work_with_functions_by_rows() -> None:

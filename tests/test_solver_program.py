@@ -207,10 +207,6 @@ def test_what_can_not_be_read_is_refused_by_name() -> None:
         UnsupportedTermError, match=r"the variable b\(0\) .* got one of type BINARY"
     ):
         read_program(prog)
-    prog = make_program()
-    prog.AddCost(prog.decision_variables()[0] ** 4)
-    with pytest.raises(UnsupportedTermError, match=r"PolynomialCost.*ExpressionCost\(expression\)"):
-        read_program(prog)
 
 
 # The first box.

@@ -24,10 +24,10 @@ from pydrake.symbolic import Expression, ExpressionKind
 from drake_aigto.arrays import Floats
 from drake_aigto.certify.tape import Entry, Formula, NoEnclosureError
 from drake_aigto.errors import UnsupportedTermError
-from drake_aigto.terms import evaluator_label, operands, shown
+from drake_aigto.terms import CONES, NORM_COSTS, evaluator_kind, evaluator_label, operands, shown
 
-_COSTS = (LinearCost, QuadraticCost, ExpressionCost)
-_ROWS = (LinearConstraint, QuadraticConstraint, ExpressionConstraint)
+_COSTS = (LinearCost, QuadraticCost, ExpressionCost, *NORM_COSTS)
+_ROWS = (LinearConstraint, QuadraticConstraint, ExpressionConstraint, *CONES)
 
 # Id of a variable ↦ its index in the program.
 Index = Mapping[int, int]
@@ -120,7 +120,11 @@ class _Reader:
         evaluator = binding.evaluator()
         self._num_read += 1
         if not isinstance(evaluator, _COSTS):
-            raise _refusal(binding, "a LinearCost, a QuadraticCost or an ExpressionCost")
+            raise _refusal(
+                binding,
+                "a LinearCost, a QuadraticCost, an ExpressionCost or a norm",
+                "Add it as `c = ExpressionCost(expression); prog.AddCost(c, vars=c.vars())`.",
+            )
         if isinstance(evaluator, ExpressionCost):
             index = self._own_index(evaluator, binding)
             for part in _parts(evaluator.expression()):
@@ -134,7 +138,11 @@ class _Reader:
         evaluator = binding.evaluator()
         self._num_read += 1
         if not isinstance(evaluator, _ROWS):
-            raise _refusal(binding, "bounds, or a linear, quadratic or expression constraint")
+            raise _refusal(
+                binding,
+                "bounds, a cone, or a linear, quadratic or expression constraint",
+                "Write it symbolically.",
+            )
         if isinstance(evaluator, ExpressionConstraint):
             index, formulas = self._own_index(evaluator, binding), evaluator.expressions()
         else:
@@ -157,12 +165,12 @@ def _parts(e: Expression) -> Iterable[Expression]:
     return operands(e) if e.get_kind() == ExpressionKind.Add else [e]
 
 
-def _refusal(binding: Binding, expected: str) -> UnsupportedTermError:
+def _refusal(binding: Binding, expected: str, remedy: str) -> UnsupportedTermError:
     return UnsupportedTermError(
         f"{evaluator_label(binding)} can't be bounded",
-        got=f"a {type(binding.evaluator()).__name__}, whose formula Drake does not give back",
+        got=f"a {evaluator_kind(binding.evaluator())}, whose formula Drake does not give back",
         expected=expected,
-        remedy="Write it symbolically.",
+        remedy=remedy,
     )
 
 

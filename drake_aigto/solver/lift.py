@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from typing import Any
@@ -25,7 +25,15 @@ from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.solver.intervals import interval
 from drake_aigto.solver.ranges import Range
 from drake_aigto.solver.signs import RowRange, Signs
-from drake_aigto.terms import evaluator_label, evaluator_name, expression_terms, operands, shown
+from drake_aigto.terms import (
+    CONES,
+    NORM_COSTS,
+    evaluator_label,
+    evaluator_name,
+    expression_terms,
+    operands,
+    shown,
+)
 
 # Roots of a higher order are exponentials of logarithms.
 _HIGHEST_ROOT = 6
@@ -110,10 +118,11 @@ class _Lift:
     def _add_cost(self, binding: Binding) -> None:
         evaluator = binding.evaluator()
         self._label, self._is_row = evaluator_label(binding), False
-        if not isinstance(evaluator, ExpressionCost):
+        formulas = _formulas(binding)
+        if formulas is None:
             self._prog.AddCost(binding)
             return
-        formula = _bind(evaluator.expression(), evaluator.vars(), binding.variables())
+        (formula,) = formulas
         cost = ExpressionCost(self._lift(formula, 1))
         cost.set_description(evaluator_name(evaluator))
         self._prog.AddCost(cost, vars=cost.vars())
@@ -122,13 +131,13 @@ class _Lift:
         """Adds what a constraint becomes, and yields it."""
         evaluator = binding.evaluator()
         self._label, self._is_row = evaluator_label(binding), True
-        if not isinstance(evaluator, ExpressionConstraint):
+        formulas = _formulas(binding)
+        if formulas is None:
             self._prog.AddConstraint(binding)
             yield evaluator
             return
         bounds = evaluator.lower_bound(), evaluator.upper_bound()
-        for given, low, high in zip(evaluator.expressions(), *bounds, strict=True):
-            formula = _bind(given, evaluator.vars(), binding.variables())
+        for formula, low, high in zip(formulas, *bounds, strict=True):
             # Where only less of it, or more, breaks the row.
             sign = int(math.isinf(low)) - int(math.isinf(high))
             yield self._add_row(evaluator_name(evaluator), self._lift(formula, sign), low, high)
@@ -370,17 +379,29 @@ def _bind(e: Expression, own: Any, variables: Any) -> Expression:
     return e.Substitute(pairs) if pairs else e
 
 
-def _rows(binding: Binding) -> Iterator[RowRange]:
-    """Yields formulas and bounds of a linear or symbolic constraint."""
+def _formulas(binding: Binding) -> Sequence[Expression] | None:
+    """Returns what a symbolic cost or constraint, a norm or a cone is; None of all others."""
     evaluator, variables = binding.evaluator(), binding.variables()
     if isinstance(evaluator, ExpressionConstraint):
-        formulas = [_bind(each, evaluator.vars(), variables) for each in evaluator.expressions()]
-    elif isinstance(evaluator, LinearConstraint):
+        return [_bind(each, evaluator.vars(), variables) for each in evaluator.expressions()]
+    if isinstance(evaluator, ExpressionCost):
+        return [_bind(evaluator.expression(), evaluator.vars(), variables)]
+    if isinstance(evaluator, (*NORM_COSTS, *CONES)):
+        formulas: Sequence[Expression] = evaluator.Eval(variables)
+        return formulas
+    return None
+
+
+def _rows(binding: Binding) -> Iterator[RowRange]:
+    """Yields formulas and bounds of a linear or symbolic constraint, or a cone."""
+    evaluator, variables = binding.evaluator(), binding.variables()
+    formulas = _formulas(binding)
+    if isinstance(evaluator, LinearConstraint):
         formulas = [
             sum((a * x for a, x in zip(row, variables, strict=True)), Expression(0.0))
             for row in evaluator.GetDenseA().tolist()
         ]
-    else:
+    if formulas is None:
         return
     yield from zip(formulas, evaluator.lower_bound(), evaluator.upper_bound(), strict=True)
 

@@ -34,9 +34,13 @@ _SUPPORTED = {
     ProgramAttribute.kLinearCost,
     ProgramAttribute.kQuadraticCost,
     ProgramAttribute.kGenericCost,
+    ProgramAttribute.kL2NormCost,
     ProgramAttribute.kLinearConstraint,
     ProgramAttribute.kLinearEqualityConstraint,
     ProgramAttribute.kQuadraticConstraint,
+    ProgramAttribute.kLorentzConeConstraint,
+    ProgramAttribute.kRotatedLorentzConeConstraint,
+    ProgramAttribute.kExponentialConeConstraint,
     ProgramAttribute.kGenericConstraint,
     ProgramAttribute.kCallback,
 }
@@ -49,8 +53,9 @@ class AigoSolver(SolverInterface):
 
     Costs are sums of products of one-variable functions (`drake_aigto.terms.parse_costs` lists
     them); constraints are bounds, and rows that are sums of products of powers, sin, cos and exp.
-    For quotients, roots, logarithms, tan, tanh, atan and their like, |x|, max, min and functions of
-    functions the solver adds variables and rows of its own (`AigoDetails.lifted`).
+    For quotients, roots, logarithms, tan, tanh, atan and their like, |x|, max, min, functions of
+    functions, norms and cones of Drake the solver adds variables and rows of its own
+    (`AigoDetails.lifted`). Polynomials whose formula Drake hides are read off their values.
     Called as any other solver of Drake:
 
         result = AigoSolver().Solve(prog)

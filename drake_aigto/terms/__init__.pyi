@@ -1,7 +1,10 @@
+from .constraints import CONES as CONES
 from .constraints import ConstraintRow as ConstraintRow
 from .constraints import as_bound as as_bound
 from .constraints import parse_rows as parse_rows
+from .costs import NORM_COSTS as NORM_COSTS
 from .costs import affine_terms as affine_terms
+from .costs import evaluator_kind as evaluator_kind
 from .costs import evaluator_label as evaluator_label
 from .costs import evaluator_name as evaluator_name
 from .costs import parse_costs as parse_costs

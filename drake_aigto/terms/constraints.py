@@ -9,9 +9,12 @@ import numpy as np
 from pydrake.solvers import (
     BoundingBoxConstraint,
     EvaluatorBase,
+    ExponentialConeConstraint,
     ExpressionConstraint,
     LinearConstraint,
+    LorentzConeConstraint,
     QuadraticConstraint,
+    RotatedLorentzConeConstraint,
 )
 from pydrake.symbolic import Expression
 
@@ -20,6 +23,9 @@ from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.terms.costs import affine_terms, quadratic_terms
 from drake_aigto.terms.expressions import expression_terms, shown
 from drake_aigto.terms.sums import Factor, FunctionKind, Term
+
+# Drake evaluates their formulas with symbols for numbers.
+CONES = (LorentzConeConstraint, RotatedLorentzConeConstraint, ExponentialConeConstraint)
 
 
 @dataclass(frozen=True)

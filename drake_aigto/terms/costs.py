@@ -12,8 +12,12 @@ from pydrake.solvers import (
     Cost,
     EvaluatorBase,
     ExpressionCost,
+    L1NormCost,
+    L2NormCost,
     LinearCost,
+    LInfNormCost,
     MathematicalProgram,
+    PerspectiveQuadraticCost,
     QuadraticCost,
 )
 from pydrake.symbolic import Expression
@@ -21,8 +25,16 @@ from pydrake.symbolic import Expression
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.terms.expressions import expression_terms
+from drake_aigto.terms.hidden_polynomials import (
+    HiddenError,
+    is_hidden_polynomial,
+    read_polynomial,
+)
 from drake_aigto.terms.products import NoClosedFormError, from_terms, to_terms
 from drake_aigto.terms.sums import Factor, FunctionKind, Term, TermBlock
+
+# Drake evaluates their formulas with symbols for numbers.
+NORM_COSTS = (L1NormCost, L2NormCost, LInfNormCost, PerspectiveQuadraticCost)
 
 _Labelled = tuple[str, EvaluatorBase]  # how messages call it
 
@@ -35,10 +47,10 @@ def parse_costs(prog: MathematicalProgram) -> tuple[TermBlock, ...]:
     first (`drake_aigto.transcription.penalize`).
 
     Args:
-        prog: Costs may be linear, quadratic, or `ExpressionCost` of sums of products of powers,
-            sin, cos and exp of affine functions, but not of exp and sin or cos of the same
-            variable; a·max(0, y)²; and −a·log y with a > 0 (y affine in one variable, a constant).
-            Products and powers are multiplied out.
+        prog: Costs may be linear, quadratic, a PolynomialCost (`read_polynomial`), or
+            `ExpressionCost` of sums of products of powers, sin, cos and exp of affine functions,
+            but not of exp and sin or cos of the same variable; a·max(0, y)²; and −a·log y with
+            a > 0 (y affine in one variable, a constant). Products and powers are multiplied out.
 
     Raises:
         UnsupportedTermError: A term has no closed-form mean here, or a cost has too many; the
@@ -107,7 +119,12 @@ def shared_evaluators(
 
 def evaluator_name(evaluator: EvaluatorBase) -> str:
     """Returns the description, or else the type."""
-    return evaluator.get_description() or type(evaluator).__name__
+    return evaluator.get_description() or evaluator_kind(evaluator)
+
+
+def evaluator_kind(evaluator: EvaluatorBase) -> str:
+    """Returns the type, of a PolynomialCost too, which has none in Python."""
+    return "PolynomialCost" if is_hidden_polynomial(evaluator) else type(evaluator).__name__
 
 
 def term_blocks(
@@ -165,12 +182,16 @@ def _parse_cost(label: str, cost: EvaluatorBase) -> tuple[Term, ...]:
         return quadratic_terms(np.asarray(cost.Q()), cost.b(), cost.c())
     if isinstance(cost, ExpressionCost):
         return expression_terms(label, cost.expression(), cost.vars())
-    # PolynomialCost has no Python class of its own.
-    kind = "PolynomialCost" if type(cost) is Cost else type(cost).__name__
+    expected, got = "a LinearCost, a QuadraticCost or an ExpressionCost", evaluator_kind(cost)
+    if is_hidden_polynomial(cost):
+        try:
+            return read_polynomial(cost)
+        except HiddenError as error:
+            got = f"{got}, whose formula Drake hides, and its values do not tell: {error}"
     raise UnsupportedTermError(
         f"{label} can't be integrated",
-        got=f"a {kind}, whose formula Drake does not give back",
-        expected="a LinearCost, a QuadraticCost or an ExpressionCost",
+        got=f"a {got}",
+        expected=expected,
         remedy="Add it as `c = ExpressionCost(expression); prog.AddCost(c, vars=c.vars())`.",
     )
 
