@@ -84,7 +84,7 @@ def test_a_guess_of_another_size_is_refused() -> None:
 
 
 def test_what_it_can_not_solve_is_said_before_and_named_when_asked() -> None:
-    prog, x = himmelblau()
+    prog, _ = himmelblau()
     assert AigoSolver().AreProgramAttributesSatisfied(prog)
     assert AigoSolver().ExplainUnsatisfiedProgramAttributes(prog) == ""
     prog.AddPositiveSemidefiniteConstraint(prog.NewSymmetricContinuousVariables(2))
