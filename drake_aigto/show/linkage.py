@@ -193,6 +193,33 @@ class Linkage(Scenery):
         place = query.GetPoseInWorld(wall).multiply(pair.p_BCb if is_first else pair.p_ACa)
         return place, pair.nhat_BA_W * (1.0 if is_first else -1.0)
 
+    def find_tangent(self, contact: int, q: Floats) -> Floats:
+        """Returns the direction in the world in which a contact's s = T v counts, shape (3,).
+
+        That of what the sphere's material moves by where it touches, as the wall sees it, when v is
+        along T; zero where nothing can slide.
+        """
+        place, normal = self.touch(contact, q)
+        T = self._world.rubbing.calc_tangent_jacobian(q)[contact]
+        plant, context = self._world.plant, self._set(q)
+        inspector = self._world.scene_graph.model_inspector()
+        sphere, wall = (
+            plant.GetBodyFromFrameId(inspector.GetFrameId(shape)).body_frame()
+            for shape in self._world.shapes[contact]
+        )
+        J = plant.CalcJacobianTranslationalVelocity(
+            context,
+            JacobianWrtVariable.kV,
+            sphere,
+            sphere.CalcPoseInWorld(context).inverse().multiply(place),
+            wall,
+            plant.world_frame(),
+        )
+        along = J @ T
+        along -= normal * (normal @ along)
+        size = float(np.linalg.norm(along))
+        return along / size if size > 0 else along
+
     def load(self, joint: Joint, q: Floats, forces: Floats) -> tuple[Floats, Floats, Floats]:
         """Returns where a joint is, and by what force and torque its generalized forces (nv,) act.
 

@@ -2,44 +2,61 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
+from typing import NamedTuple
 
 import numpy as np
-from pydrake.geometry import Meshcat, MeshcatCone, Rgba, Sphere
+from pydrake.geometry import Meshcat, Rgba, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.tree import Joint
 
-from drake_aigto.arrays import Floats
-from drake_aigto.show.effects import ARROW, GONE, INK, YELLOW, Film, flash_keys, shape_arrow
+from drake_aigto.arrays import Floats, Ints
+from drake_aigto.show.effects import GONE, INK, YELLOW, Film, flash_keys
+from drake_aigto.show.friction import Friction, calc_friction
 from drake_aigto.show.linkage import Linkage, moving_joints
-from drake_aigto.show.motion import (
-    Motion,
-    calc_approach_speed,
-    calc_contact_forces,
-    find_held,
-    find_row,
+from drake_aigto.show.linkage_shapes import (
+    shape_arc,
+    shape_filled_cone,
+    shape_longest_arrow,
+    shape_open_cone,
 )
+from drake_aigto.show.motion import Motion, calc_approach_speed, find_held, find_row
 from drake_aigto.world import Scenario, World
 
-_MAGENTA = Rgba(0.75, 0.0, 0.45)
-# In sizes of the mechanism: the longest arrow, the radius of the largest arc, the largest flash.
-_LONGEST, _ARC, _FLASH = 0.22, 0.085, 0.045
-# Of an arc with radius 1: half the thickness of its ring, the radius and the length of its head.
-_RING, _HEAD, _HEAD_LENGTH = 0.07, 0.22, 0.55
-_TURN = np.deg2rad(250.0)  # that an arc takes
-_SECTIONS, _SIDES = 36, 8  # of the ring that an arc is made of
+_MAGENTA, _VIOLET = Rgba(0.75, 0.0, 0.45), Rgba(0.36, 0.1, 0.75)
+_FLASH = 0.045  # The largest flash, in sizes of the mechanism.
+_LASTING = 0.3  # that the impulse of an impact is seen [s]
+_SHAPES = {"arrow": shape_longest_arrow, "arc": shape_arc}
+
+_Shape = Callable[[str, float, Meshcat, Rgba], None]
+_Key = tuple[int, int, bool]  # a frame, the row of the motion in it, and whether that is seen
+
+
+class _Push(NamedTuple):
+    """What one contact of a motion pushes with: forces [N] or impulses [N s]."""
+
+    motion: Motion
+    friction: Friction
+    contact: int
+    largest: float  # of all contacts and motions
+    color: Rgba
 
 
 class LinkageEffects:
     """Arrows, arcs and flashes of several motions of one mechanism, all to one scale.
 
     Black arrows are forces of the control, and black arcs its torques, where their joints are.
-    Magenta arrows are what contacts push with while they last; flashes are impacts, larger where
-    they are faster. Links of a flat mechanism do not hide them: they are drawn in front.
+    Magenta arrows are what contacts push with while they last, friction included; flashes are
+    impacts, larger where they are faster. Where something rubs, violet arrows are impulses of rigid
+    impacts, seen for a moment, and both kinds of arrows keep to cones of friction, |f_t| ≤ μ f, of
+    one size: filled ones while it sticks, open ones of ribs while it slips. Cones and impulses of
+    each motion are in its folder "friction". Links of a flat mechanism do not hide any of it: it is
+    drawn in front.
 
     Attributes:
-        largest: of all forces of the control on one joint [N], of all its torques [N m], and of all
-            forces of contacts [N]; 0 without any.
+        largest: of all forces of the control on one joint [N], of all its torques [N m], of all
+            forces of contacts [N], and of all impulses that rub [N s]; 0 without any.
         flashes: whether there is an impact.
     """
 
@@ -56,10 +73,12 @@ class LinkageEffects:
         self._joints = [joint for joint in moving_joints(world) if _is_actuated(joint, world)]
         self._motions = list(motions)
         self._loads = [self._calc_loads(motion) for motion in motions]
-        self._forces = [calc_contact_forces(motion, world, scenario) for motion in motions]
+        self._friction = [calc_friction(motion, world, scenario) for motion in motions]
+        self._coefficients = world.friction_coefficients(scenario)
         sizes = np.max([np.max(_sizes(load), axis=(0, 1)) for load in self._loads], axis=0)
-        pushes = [np.max(force, initial=0.0) for force in self._forces]
-        self.largest = (*sizes.tolist(), float(max(pushes)))
+        forces, impulses = zip(*self._friction, strict=True)
+        self.largest = (*sizes.tolist(), max(map(_largest, forces)), max(map(_largest, impulses)))
+        self._rubs = any(np.any(each.largest > 0) for both in self._friction for each in both)
         is_rigid = scenario.contact == "rigid"
         self.flashes = is_rigid and any(motion.impacts for motion in motions)
         speeds = (self._speed(motion, *impact) for motion in motions for impact in _impacts(motion))
@@ -68,12 +87,14 @@ class LinkageEffects:
     @property
     def notes(self) -> list[str]:
         """What has to be said of what is shown."""
-        force, torque, push = self.largest
+        force, torque, push, impulse = self.largest
         found = [
             f"black arrow: control, up to {force:.3g} N" if force > 0 else "",
             f"black arc: control, up to {torque:.3g} N m" if torque > 0 else "",
             f"magenta arrow: contact force, up to {push:.3g} N" if push > 0 else "",
             "yellow flash: impact" if self.flashes else "",
+            f"violet arrow: impulse, up to {impulse:.3g} N s" if impulse > 0 else "",
+            "cone of friction: filled sticks, ribs slip" if self._rubs else "",
         ]
         return [note for note in found if note]
 
@@ -82,15 +103,18 @@ class LinkageEffects:
         X_WT = self._linkage.X_WT
         lift = X_WT.rotation() @ np.array([0.0, 0.0, self._linkage.depth])
         aside = RigidTransform(aside.translation() + (lift if self._linkage.is_flat else 0.0))
+        frames = list(map(self._film.frame, self._motions[index].times))
         for joint, loads in zip(
             self._joints, self._loads[index].transpose(1, 2, 0, 3), strict=True
         ):
             places, *vectors = loads
-            for kind, vector, largest in zip(_SHAPES, vectors, self.largest, strict=False):
+            for (kind, shape), vector, largest in zip(
+                _SHAPES.items(), vectors, self.largest, strict=False
+            ):
                 if np.any(vector):
                     path = f"{folder}/control/{joint.name()}/{kind}"
-                    self._ride(index, path, kind, aside.multiply(places.T).T, vector / largest)
-        self._add_contacts(index, aside, f"{folder}/contacts")
+                    self._ride(path, shape, frames, aside.multiply(places.T).T, vector / largest)
+        self._add_contacts(index, aside, folder)
 
     def _calc_loads(self, motion: Motion) -> Floats:
         """Returns place, force and torque in the world of the control on each of the joints.
@@ -109,34 +133,73 @@ class LinkageEffects:
         ).reshape(*shape, 3, 3)
 
     def _ride(
-        self, index: int, path: str, kind: str, places: Floats, vectors: Floats, color: Rgba = INK
+        self,
+        path: str,
+        shape: _Shape,
+        frames: Sequence[int],
+        places: Floats,
+        vectors: Floats,
+        color: Rgba = INK,
     ) -> None:
-        """Adds an arrow or an arc, at places and along vectors of length 1 at most, (K, 3) each."""
+        """Adds a shape, at places and along vectors of length 1 at most, (K, 3) each.
+
+        It is as large as they are long. Where they are zero for long no frames are keyed.
+        """
         film = self._film
-        _SHAPES[kind](path, self._linkage.size, film.meshcat, color)
+        shape(path, self._linkage.size, film.meshcat, color)
         direction = np.array([0.0, 0.0, 1.0])
-        frames = list(map(film.frame, self._motions[index].times))
-        for frame, place, vector in zip(frames, places, vectors, strict=True):
-            size = float(np.linalg.norm(vector))
-            direction = vector / size if size > GONE else direction
+        sizes = np.linalg.norm(vectors, axis=1)
+        seen = np.convolve(sizes > GONE, np.ones(3))[1:-1] > 0  # the rows beside those, too
+        seen[0] = True
+        for row in np.flatnonzero(seen).tolist():
+            direction = vectors[row] / sizes[row] if sizes[row] > GONE else direction
             turned = RotationMatrix.MakeFromOneVector(direction, 2)
-            film.move(frame, path, RigidTransform(turned, place))
-            film.change(frame, path, "scale", [max(size, GONE)] * 3)
+            film.move(frames[row], path, RigidTransform(turned, places[row]))
+            film.change(frames[row], path, "scale", [max(sizes[row], GONE)] * 3)
         for frame in (frames[-1] + 1, film.last_frame):
             film.change(frame, path, "scale", [GONE] * 3)
 
     def _add_contacts(self, index: int, aside: RigidTransform, folder: str) -> None:
-        """Adds the arrows of contacts that push, and what flashes where one is touched."""
-        motion, forces = self._motions[index], self._forces[index]
-        for contact in np.flatnonzero(np.any(forces > 0, axis=0)).tolist():
-            touches = [self._linkage.touch(contact, q) for q in motion.positions]
-            places = np.array([aside.multiply(place) for place, _ in touches])
-            normals = np.array([normal for _, normal in touches])
-            vectors = normals * forces[:, [contact]] / self.largest[2]
-            self._ride(index, f"{folder}/{contact}/force", "arrow", places, vectors, _MAGENTA)
+        """Adds what contacts push with and rub by, and what flashes where one is touched."""
+        motion, (forces, impulses) = self._motions[index], self._friction[index]
+        keys = [(self._film.frame(time), row, True) for row, time in enumerate(motion.times)]
+        for contact in np.flatnonzero(np.any(forces.normals > 0, axis=0)).tolist():
+            push = _Push(motion, forces, contact, self.largest[2], _MAGENTA)
+            cones = f"{folder}/friction/{contact}/force"
+            self._add_push(push, keys, aside, f"{folder}/contacts/{contact}/force", cones)
+        for contact in np.flatnonzero(np.any(impulses.largest > 0, axis=0)).tolist():
+            push = _Push(motion, impulses, contact, self.largest[3], _VIOLET)
+            keys = _hold(self._film, motion, np.flatnonzero(impulses.largest[:, contact] > 0))
+            cones = f"{folder}/friction/{contact}/impulse"
+            self._add_push(push, keys, aside, f"{cones}/arrow", cones)
         if self.flashes:
             for contact in sorted({touch.contact for touch in motion.impacts}):
-                self._add_flashes(motion, contact, aside, f"{folder}/{contact}/impacts")
+                self._add_flashes(motion, contact, aside, f"{folder}/contacts/{contact}/impacts")
+
+    def _add_push(
+        self, push: _Push, keys: Sequence[_Key], aside: RigidTransform, arrow: str, cones: str
+    ) -> None:
+        """Adds the arrow of what a contact pushes with, and if it rubs its cones."""
+        motion, friction, contact, largest, color = push
+        frames, rows, shown = (list(each) for each in zip(*keys, strict=True))
+        touches = [self._linkage.touch(contact, q) for q in motion.positions[rows]]
+        places = np.array([aside.multiply(place) for place, _ in touches])
+        normals = np.array([normal for _, normal in touches]) * np.array(shown)[:, np.newaxis]
+        vectors = normals * friction.normals[rows, contact, np.newaxis]
+        rubs = (friction.largest[rows, contact] > 0) & shown
+        for row in np.flatnonzero(rubs).tolist():
+            along = self._linkage.find_tangent(contact, motion.positions[rows[row]])
+            vectors[row] += friction.tangents[rows[row], contact] * along
+        self._ride(arrow, shape_longest_arrow, frames, places, vectors / largest, color)
+        sticks, mu = friction.sticks[rows, contact], float(self._coefficients[contact])
+        for name, shape, at in (
+            ("stick", shape_filled_cone, rubs & sticks),
+            ("slip", shape_open_cone, rubs & ~sticks),
+        ):
+            if at.any():
+                cone = partial(shape, friction=mu)
+                axes = normals * at[:, np.newaxis]
+                self._ride(f"{cones}/{name}", cone, frames, places, axes, color)
 
     def _add_flashes(self, motion: Motion, contact: int, aside: RigidTransform, path: str) -> None:
         """Adds what flashes where one contact is touched."""
@@ -159,6 +222,24 @@ def _impacts(motion: Motion) -> list[tuple[float, int]]:
     return [(touch.start, touch.contact) for touch in motion.impacts]
 
 
+def _largest(friction: Friction) -> float:
+    """Returns the largest of all forces or impulses."""
+    return float(np.max(np.hypot(friction.normals, friction.tangents), initial=0.0))
+
+
+def _hold(film: Film, motion: Motion, rows: Ints) -> list[_Key]:
+    """Returns the keys of impacts at rows of a motion: each is seen for a moment."""
+    keys: dict[int, tuple[int, bool]] = {}
+    for row in rows.tolist():
+        frame = film.frame(motion.times[row])
+        # What is left of an earlier one ends here.
+        keys = {f: each for f, each in keys.items() if f < frame - 1}
+        end = frame + round(_LASTING * film.rate)
+        keys |= {max(frame - 1, 0): (row, False), frame: (row, True)}
+        keys |= {end: (row, True), end + 1: (row, False)}
+    return [(frame, *keys[frame]) for frame in sorted(keys)]
+
+
 def _is_actuated(joint: Joint, world: World) -> bool:
     start = joint.velocity_start()
     return bool(np.any(world.actuation[start : start + joint.num_velocities()]))
@@ -168,38 +249,3 @@ def _sizes(loads: Floats) -> Floats:
     """Returns the sizes of forces and torques, shape (K, joints, 2), at least one of each."""
     sizes: Floats = np.linalg.norm(loads[:, :, 1:], axis=-1)
     return sizes
-
-
-def _shape_arrow(path: str, size: float, meshcat: Meshcat, color: Rgba) -> None:
-    """Puts the longest arrow along z, for a mechanism of a size [m]."""
-    shape_arrow(path, _LONGEST * size / ARROW, meshcat, color)
-
-
-def _shape_arc(path: str, size: float, meshcat: Meshcat, color: Rgba) -> None:
-    """Puts the largest arc around z, its head the way that a right hand's fingers curl."""
-    r = _ARC * size
-    # Rings of points around the arc, joined by two triangles for each side of each section.
-    turn, side = np.linspace(0, _TURN, _SECTIONS + 1)[:, np.newaxis], _around(_SIDES)
-    out = 1 + _RING * np.cos(side)
-    rings = [out * np.cos(turn), out * np.sin(turn), np.tile(_RING * np.sin(side), (len(turn), 1))]
-    first = np.arange(_SECTIONS * _SIDES)
-    beside = first - first % _SIDES + (first + 1) % _SIDES
-    triangles = np.hstack(
-        [(first, beside, first + _SIDES), (beside, beside + _SIDES, first + _SIDES)]
-    )
-    vertices = r * np.array([each.ravel() for each in rings])
-    meshcat.SetTriangleMesh(f"{path}/ring", vertices, triangles.astype(np.int32), color)
-    # Meshcat's cones stand on their tips.
-    meshcat.SetObject(f"{path}/head", MeshcatCone(_HEAD_LENGTH * r, *[_HEAD * r] * 2), color)
-    end, ahead = (np.array([np.cos(a), np.sin(a), 0.0]) for a in (_TURN, _TURN + np.pi / 2))
-    turned = RotationMatrix.MakeFromOneVector(-ahead, 2)
-    tip = RigidTransform(turned, r * (end + 0.9 * _HEAD_LENGTH * ahead))
-    meshcat.SetTransform(f"{path}/head", tip)
-
-
-def _around(count: int) -> Floats:
-    """Returns angles of so many points around a circle [rad]."""
-    return 2 * np.pi * np.arange(count) / count
-
-
-_SHAPES = {"arrow": _shape_arrow, "arc": _shape_arc}

@@ -18,7 +18,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
 from drake_aigto.show.coordinates import find_goal, has_goal
 from drake_aigto.show.figures import ABOVE, HOLLOW, SOLID_LOOK, line_of, plot_phase_portrait
-from drake_aigto.show.friction_figures import calc_friction, plot_friction
+from drake_aigto.show.friction_figures import draw_friction
 from drake_aigto.show.linkage import Linkage
 from drake_aigto.show.motion import (
     Motion,
@@ -70,10 +70,7 @@ def draw_mechanism(
         figure = Figure(figsize=(9, 3.6), layout="constrained")
         plot_contact_forces(figure.subplots(), motions, world, scenario)
         yield figure, "What contacts push with over time."
-    if np.any(calc_friction(motions[0], world, scenario).largest > 0):
-        figure = Figure(figsize=(9, 3.6), layout="constrained")
-        plot_friction(figure.subplots(), motions[0], world, scenario)
-        yield figure, "Friction of the first over time, within its cone: rings stick, crosses slip."
+    yield from draw_friction(motions[0], world, scenario)
 
 
 def plot_strobe(

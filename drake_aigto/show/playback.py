@@ -113,11 +113,14 @@ def publish(motions: Sequence[Motion], meshcat: Meshcat, world: World, scenario:
     are where bodies were every so often, an arrow is the control, a flash an impact. Start and goal
     are marked, and the camera sees all of it. What was shown below `ROOT` before is gone.
 
-    A mechanism has its own links and walls in each copy, transparent ghosts of its start (gray) and
-    goal (green), an arrow or an arc at each joint that is driven, and an arrow for the force of a
-    contact while it lasts. What no weight asks for has no goal.
+    A mechanism, or what rubs, has its own links and walls in each copy, transparent ghosts of its
+    start (gray) and goal (green), an arrow or an arc at each joint that is driven, and an arrow for
+    the force of a contact while it lasts. What no weight asks for has no goal. Friction is shown by
+    its cones, filled while it sticks and open while it slips, with the forces and, for a moment,
+    the impulses that keep to them, in a folder "friction" of each motion, which Meshcat's controls
+    can hide.
     """
-    if not moves_straight(world):
+    if not moves_straight(world) or np.any(world.friction_coefficients(scenario) > 0):
         return publish_linkage(motions, meshcat, world, scenario)
     ends = np.array([scenario.initial_position, scenario.goal_position])
     stage = Stage(world, np.vstack([ends, *(motion.positions for motion in motions)]))

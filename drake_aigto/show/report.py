@@ -17,6 +17,7 @@ from drake_aigto.planning import Candidate, Plan, SearchOptions
 from drake_aigto.show.box_playback import BoxRun, play_boxes, run_boxes
 from drake_aigto.show.coordinates import moves_straight
 from drake_aigto.show.figures import plot_boxes, plot_motions, plot_path, plot_phase_portrait
+from drake_aigto.show.friction_figures import draw_friction
 from drake_aigto.show.landscapes import plot_cost_history, plot_cost_landscape
 from drake_aigto.show.linkage_figures import draw_mechanism
 from drake_aigto.show.motion import motions_of_plan, simulation_label
@@ -208,6 +209,7 @@ def figures_of_plan(plan: Plan, world: World, run: BoxRun | None) -> Iterator[tu
         yield figure, "Positions, velocities, controls: the plan, and simulations of its control."
     if moves_straight(world):
         yield _draw_states(plan, world)
+        yield from draw_friction(motions[0], world, plan.scenario)
     else:
         yield from draw_mechanism(motions, world, plan.scenario)
     if run is not None:
