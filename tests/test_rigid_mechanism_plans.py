@@ -10,7 +10,11 @@ import pytest
 
 from drake_aigto import Plan, Planner, Scenario
 from drake_aigto.planning import MechanismOptions
+from drake_aigto.planning.mechanism_options import MECHANISM_LADDER
 from drake_aigto.planning.mechanism_phases import lay_out
+from drake_aigto.planning.pool import Progress
+from drake_aigto.planning.rigid_mechanism import RigidMechanismProblem
+from drake_aigto.planning.rigid_mechanism_search import RigidMechanismSearch
 from drake_aigto.simulation import replay_event_driven
 from drake_aigto.transcription import Touch
 
@@ -122,6 +126,31 @@ def test_who_starts_fast_towards_a_wall_hits_it_instead_of_braking() -> None:
     plan = Planner(scenario, dataclasses.replace(QUICK, renewals=0, confirm=False)).plan()
     assert plan.holds
     assert plan.cost < 0.1395
+
+
+def test_what_costs_more_than_a_finalist_that_holds_is_left_before_it_meets_its_walls() -> None:
+    class Search(RigidMechanismSearch):
+        dear = np.inf
+
+    class ThoroughSearch(Search):
+        beaten = np.inf
+
+        def explore(self, progress: Progress | None = None) -> None:
+            self.motions = search.motions
+
+    planner, few = Planner(Scenario.named("paddle/bat")), MECHANISM_LADDER[2:4]
+    options = MechanismOptions(renewals=0, ladder=few)
+    problem = RigidMechanismProblem(planner.world, planner.scenario, options)
+    search, thorough = Search(problem), ThoroughSearch(problem)
+    search.run()
+    thorough.run()
+    best, other = thorough.candidates
+    assert [each.cost for each in search.candidates] == [best.cost]
+    assert other.cost > 1.01 * best.cost
+    motion = search.motions[1].result
+    closed, left = problem.polish(motion), problem.polish(motion, most=best.cost)
+    assert closed.violation < 1e-9 < left.violation
+    assert left.cost == pytest.approx(closed.cost, rel=1e-3)
 
 
 @pytest.mark.slow

@@ -40,8 +40,8 @@ class MechanismOptions(SearchOptions):
 
     Attributes:
         finalists: how many of the best candidates are improved at most; between soft walls, fewer
-            where the next ones promise no less than what was found. Threads and confirm: see
-            `SearchOptions`.
+            where the next ones promise no less than what was found, and between rigid ones not to
+            the end where they cost more. Threads and confirm: see `SearchOptions`.
         ladder: the starts of AIGO; the center of each last box is closed by shooting. If no rung
             has a half width, renewals have none either: a search without boxes.
         renewals: how many times at most a stretch of a candidate is opened to boxes again, or boxes

@@ -45,7 +45,7 @@ _WAVE = 8
 _NOTHING = 1e-12
 # Bounds that a simulation passes are narrowed so often at most.
 _MOST_NARROWED = 2
-# What costs so many times as much as the best that holds, after its polish, is not simulated.
+# What costs so many times as much as the best that holds, after its polish, was led astray.
 _ASTRAY = 2.0
 # Every second renewal is of the best motion, the others are of one of so many.
 _MOST_RENEWED = 4
@@ -79,16 +79,19 @@ class MechanismSearch(CandidatePool):
     Attributes:
         motions: the best so far.
         dear: what costs so many times the best finalist is not polished.
+        beaten: what does, after its polish, is not simulated, though it counts as a finalist.
     """
 
     problem: MechanismProblem
     dear: ClassVar[float] = 1.0
+    beaten: ClassVar[float] = _ASTRAY
 
     def __init__(self, problem: MechanismProblem, clock: Stopwatch | None = None) -> None:
         """Starts with no motion."""
         super().__init__(problem, clock)
         self.motions: list[Motion] = []
         self._candidates: list[Candidate] = []
+        self._num_beaten = 0
 
     @property
     def candidates(self) -> Sequence[Candidate]:
@@ -186,12 +189,12 @@ class MechanismSearch(CandidatePool):
     def _finish(self) -> None:
         """Polishes and judges the best motions, one of those that are near each other.
 
-        As many as there are to be finalists have to hold; others do not count.
+        As many as there are to be finalists have to hold, or to cost more than one that does;
+        others do not count.
         """
         known: list[Motion] = []
         for motion in self._tighten():
-            holding = sum(each.is_feasible and each.is_confirmed for each in self._candidates)
-            is_full = holding >= self.problem.options.finalists
+            is_full = len(self._holding) + self._num_beaten >= self.problem.options.finalists
             is_ended = self.is_interrupted and known
             if is_full or is_ended or self._is_hopeless(motion):
                 return
@@ -211,14 +214,27 @@ class MechanismSearch(CandidatePool):
 
     def _is_hopeless(self, motion: Motion) -> bool:
         """Returns whether a motion costs more than its polish can win back."""
-        costs = (each.replay.cost for each in self._candidates if each.is_confirmed)
-        return motion.cost > scaled(self.dear, min(costs, default=np.inf))
+        return motion.cost > self._scale_best(self.dear)
+
+    @property
+    def _holding(self) -> list[float]:
+        """What the candidates cost that hold."""
+        holding = (each for each in self._candidates if each.is_feasible and each.is_confirmed)
+        return [each.replay.cost for each in holding]
+
+    def _scale_best(self, times: float) -> float:
+        """Returns so many times the best cost that holds, infinite while there is none."""
+        return scaled(times, min(self._holding, default=np.inf))
 
     def _is_astray(self, polished: ShootingResult) -> bool:
         """Returns whether a polish ended so far above a plan that holds that none looks at it."""
         misses, cost = self.problem.rank(polished)
-        costs = [each.replay.cost for each in self._candidates if each.is_confirmed]
-        return bool(costs) and (misses or not cost <= scaled(_ASTRAY, min(costs)))
+        most = self._scale_best(_ASTRAY)
+        return most < np.inf and (misses or not cost <= most)
+
+    def _improve(self, problem: MechanismProblem, motion: ShootingResult) -> ShootingResult:
+        """Returns the optimum near a motion."""
+        return problem.polish(motion)
 
     def _polish(self, origin: Origin, start: ShootingResult) -> ShootingResult:
         """Adds the candidate that a motion becomes, and returns its motion.
@@ -233,9 +249,13 @@ class MechanismSearch(CandidatePool):
                     self.clock("polish"),
                     self.ended_by_ctrl_c(lambda: [] if self._candidates else [start]),
                 ):
-                    polished = problem.polish(polished)
+                    polished = self._improve(problem, polished)
                 if self._is_astray(polished):
                     _LOG.info("  led astray: cost %.6g", polished.cost)
+                    return polished
+                if self.problem.price(polished) > self._scale_best(self.beaten):
+                    _LOG.info("  beaten: cost %.6g", polished.cost)
+                    self._num_beaten += 1
                     return polished
                 with self.clock("replay"):
                     candidate = self.problem.judge(origin, start, polished)

@@ -212,11 +212,16 @@ class RigidMechanismProblem(MechanismProblem):
         """Returns a motion as it is: in phases, few steps err little."""
         return motion
 
-    def polish(self, motion: ShootingResult) -> BouncingResult:
+    def polish(self, motion: ShootingResult, most: float = np.inf) -> BouncingResult:
         """Returns the local optimum near a motion in phases, in the scenario's time steps.
 
         Walls that it only grazes are passed at a small distance instead, also between knots: what
         happens there would change with the square root of any error.
+
+        Args:
+            motion: the motion.
+            most: an optimum that costs more is left before it keeps off its walls, or meets them,
+                as closely as rounding allows.
         """
         assert isinstance(motion, BouncingResult)
         num_steps, margin = self.scenario.num_steps, _MARGIN * self.scales.length
@@ -228,6 +233,8 @@ class RigidMechanismProblem(MechanismProblem):
         if not is_as_is and self.price(found) > scaled(_FAR, self.price(motion)):
             # That is another optimum: other steps, or a graze left out, led astray.
             found = min(found, self._told(self._refine(motion)), key=self.rank)
+        if found.cost > most:
+            return found
         clearances = np.zeros((len(found.times), self.world.num_contacts))
         for _ in range(_MOST_LIFTS):
             lacks = find_lacks(self.world, found, margin)
