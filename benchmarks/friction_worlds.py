@@ -1,6 +1,6 @@
 """Plans with friction: what simulations make of them, and their cost as their authors count it.
 
-    python -m benchmarks.friction_worlds [--only payload] [--renewals 24] [--workers 1]
+    python -m benchmarks.friction_worlds [--only payload] [--renewals 96] [--workers 1]
         [--minutes 30]
 
 Worlds are planned from the question alone, and both replays tell whether the plan holds. CRISP's
