@@ -71,7 +71,7 @@ RECORDS: Mapping[str, str] = {
     "push_bot_bounds": "python -m benchmarks.push_bot_bounds",
     "in_the_loop": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --workers 2",
     "in_more_loops": "python -m benchmarks.in_the_loop room/bank_shot floor/rebound"
-    " cart_pole/soft_06 --count 100 --workers 2 --minutes 12",
+    " cart_pole/soft_06 --count 40 --workers 2 --minutes 2",
     "loop_speed": "python -m benchmarks.loop_speed",
     "loops_changing": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --changing"
     " --count 60 --workers 2 --minutes 2",
