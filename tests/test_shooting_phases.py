@@ -92,18 +92,6 @@ def test_a_ball_hits_the_wall_when_and_as_calculus_says() -> None:
     assert result.times[-1] == pytest.approx(TOTAL, abs=1e-3)
 
 
-def test_what_costs_more_than_asked_before_it_meets_its_bounds_is_left_there() -> None:
-    phases = Phases(np.zeros(1, dtype=np.int64), np.array([5]), np.array([0.7, 1.3]), (2.0, 2.0))
-    problem, guess = pose(ball(), [1.0], [2.0], phases, 10), np.full((10, 1), -1.0)
-    closed, left = problem.solve(guess), problem.solve(guess, most=0.0)
-    assert closed.violation <= ShootingOptions().feasibility < left.violation
-    assert left.iterations < closed.iterations
-    # What misses its bounds is cheaper: at this price it is closed all the way.
-    assert left.cost < closed.cost
-    again = problem.solve(guess, most=closed.cost)
-    np.testing.assert_array_equal(again.states, closed.states)
-
-
 def test_more_time_is_taken_where_it_may_be() -> None:
     fixed, longer = bounce(10), bounce(10, (1.0, 3.0))
     assert longer.violation < 1e-4

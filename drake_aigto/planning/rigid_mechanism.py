@@ -93,21 +93,16 @@ class RigidMechanismProblem(MechanismProblem):
         """What moves between springs."""
         return Mechanism.of(self.world, self._springs)
 
-    def close(self, center: Center, most: float = np.inf) -> BouncingResult:
-        """Returns the motion on rigid walls near a box center, closed on springs or as it is.
-
-        Args:
-            center: of the box.
-            most: see `bounce`.
-        """
+    def close(self, center: Center) -> BouncingResult:
+        """Returns the motion on rigid walls near a box center, closed on springs or as it is."""
         soft = self._close_on_springs(center)
         touches = read_touches(self.world, self.rigid_law, soft, self.lasting)
-        found = [self.bounce(touches, soft, most)]
+        found = [self.bounce(touches, soft)]
         if self._sinks_in:
             states, controls = center.sample(soft.times)
             shown = dataclasses.replace(soft, states=states, controls=controls)
             touches = read_touches(self.world, self.rigid_law, shown, self.lasting)
-            found.append(self.bounce(touches, shown, most))
+            found.append(self.bounce(touches, shown))
         return min(found, key=self.rank)
 
     @cached_property
@@ -136,22 +131,15 @@ class RigidMechanismProblem(MechanismProblem):
         time_step = self.scenario.duration / self.search_steps
         return np.where(self.rigid_law.restitution == 0, 0.0, 2 * np.pi * time_step)
 
-    def bounce(
-        self, touches: TouchSequence, guess: ShootingResult, most: float = np.inf
-    ) -> BouncingResult:
+    def bounce(self, touches: TouchSequence, guess: ShootingResult) -> BouncingResult:
         """Returns a motion with these touches near another, as far as a few steps lead.
 
         If it dips deep into a wall between knots, with a bounce there as well; and where a touch
         with friction is at the edge of its mode, beyond it if that is better.
-
-        Args:
-            touches: what is touched, and when.
-            guess: the other motion.
-            most: what costs more while it may still miss its bounds is left there.
         """
         tried = []
         for _ in range(1 + _MOST_ADDED):
-            motion = self._told(self._shoot(touches, guess, self.search_steps, _COARSE, most))
+            motion = self._told(self._shoot(touches, guess, self.search_steps, _COARSE))
             dip = find_deepest(self.world, motion) if np.isfinite(motion.cost) else None
             tried.append(motion)
             is_full = len(motion.knots) + 1 >= self.search_steps
@@ -264,7 +252,6 @@ class RigidMechanismProblem(MechanismProblem):
         guess: ShootingResult,
         num_steps: int,
         options: ShootingOptions,
-        most: float = np.inf,
     ) -> BouncingResult:
         """Returns the motion with these touches near another one."""
         T = float(guess.times[-1])
@@ -273,8 +260,7 @@ class RigidMechanismProblem(MechanismProblem):
         row = np.clip(np.searchsorted(guess.times, middles) - 1, 0, len(guess.controls) - 1)
         states = sample(self.world, guess, times)
         problem = self.pose_phases(times, phases)
-        found = problem.solve(guess.controls[row], states, options, most=most)
-        return BouncingResult.of(found, phases)
+        return BouncingResult.of(problem.solve(guess.controls[row], states, options), phases)
 
     def _refine(self, motion: BouncingResult, clearances: Floats | None = None) -> BouncingResult:
         """Returns the optimum near a motion with as many substeps as its accuracy takes.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import chain, pairwise
 from typing import ClassVar, TypeAlias
@@ -12,7 +12,6 @@ import numpy as np
 from drake_aigto.planning.branching import scaled
 from drake_aigto.planning.held_modes import drop, is_closed, list_hold_changes
 from drake_aigto.planning.impact_modes import list_mode_changes, read_mode
-from drake_aigto.planning.mechanism_boxes import Center
 from drake_aigto.planning.mechanism_phases import BouncingResult
 from drake_aigto.planning.mechanism_problem import MechanismProblem
 from drake_aigto.planning.mechanism_search import Closed, MechanismSearch, Motion, Proposal
@@ -52,7 +51,6 @@ class RigidMechanismSearch(MechanismSearch):
     def __init__(self, problem: RigidMechanismProblem, clock: Stopwatch | None = None) -> None:
         """Starts with no motion."""
         super().__init__(problem, clock)
-        self._most = np.inf
         self._tried: set[_Key] = set()
         self._branched: set[_Key] = set()
 
@@ -72,23 +70,8 @@ class RigidMechanismSearch(MechanismSearch):
             ]
         )
 
-    def _close(self, propose: Callable[[], Center]) -> Closed:
-        center = propose()
-        return center.iterations, self.problem.close(center, self._most)
-
-    def _close_wave(self, proposals: Sequence[Proposal]) -> None:
-        """Closes motions, only roughly those that cost far more than the best of earlier waves.
-
-        These do not meet their bounds yet, and would cost more if they did. Modes of friction are
-        led on from what meets its bounds, so all motions with friction are closed.
-        """
-        best = [] if self.problem.rigid_law.rubs else self.motions[:1]
-        costs = [motion.cost for motion in best if not motion.rank[0]]
-        self._most = scaled(_PROMISING, min(costs, default=np.inf))
-        super()._close_all(proposals)
-
     def _close_all(self, proposals: Sequence[Proposal]) -> None:
-        self._close_wave(proposals)
+        super()._close_all(proposals)
         for _ in range(_MOST_BRANCHES):
             motion = self._find_unbranched()
             if motion is None:
@@ -119,10 +102,10 @@ class RigidMechanismSearch(MechanismSearch):
                 changed = origin.changed(change, motion.touches)
                 proposals.append(Proposal(changed, partial(self._bounce, touches, motion)))
         if proposals:
-            self._close_wave(proposals)
+            super()._close_all(proposals)
 
     def _bounce(self, touches: TouchSequence, guess: ShootingResult) -> Closed:
-        return 0, self.problem.bounce(touches, guess, self._most)
+        return 0, self.problem.bounce(touches, guess)
 
     def _find_neighbors(self, motion: BouncingResult) -> Iterator[tuple[ChangeName, TouchSequence]]:
         """Yields sequences with a touch less, two swapped, one more, and another mode."""
