@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 import pydrake.symbolic as sym
@@ -15,19 +14,16 @@ from pydrake.solvers import (
     EvaluatorBase,
     ExpressionConstraint,
     ExpressionCost,
-    LinearConstraint,
     MathematicalProgram,
 )
 from pydrake.symbolic import Expression, ExpressionKind, Variable
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import UnsupportedTermError
+from drake_aigto.solver.formulas import formulas_of, ranges_of, rows_of
 from drake_aigto.solver.intervals import interval
-from drake_aigto.solver.ranges import Range
-from drake_aigto.solver.signs import RowRange, Signs
+from drake_aigto.solver.signs import Signs
 from drake_aigto.terms import (
-    CONES,
-    NORM_COSTS,
     evaluator_label,
     evaluator_name,
     expression_terms,
@@ -102,8 +98,8 @@ class _Lift:
         self._prog.AddDecisionVariables(prog.decision_variables())
         self._known: dict[str, Variable] = {}
         self._formulas: list[Expression] = []
-        self._ranges = _ranges(prog)
-        rows = (row for binding in prog.GetAllConstraints() for row in _rows(binding))
+        self._ranges = ranges_of(prog)
+        rows = (row for binding in prog.GetAllConstraints() for row in rows_of(binding))
         self._signs = Signs(rows, self._ranges)
         self._label, self._is_row = "", False
 
@@ -118,7 +114,7 @@ class _Lift:
     def _add_cost(self, binding: Binding) -> None:
         evaluator = binding.evaluator()
         self._label, self._is_row = evaluator_label(binding), False
-        formulas = _formulas(binding)
+        formulas = formulas_of(binding)
         if formulas is None:
             self._prog.AddCost(binding)
             return
@@ -131,7 +127,7 @@ class _Lift:
         """Adds what a constraint becomes, and yields it."""
         evaluator = binding.evaluator()
         self._label, self._is_row = evaluator_label(binding), True
-        formulas = _formulas(binding)
+        formulas = formulas_of(binding)
         if formulas is None:
             self._prog.AddConstraint(binding)
             yield evaluator
@@ -371,48 +367,3 @@ def _number(e: Expression) -> tuple[float, Expression]:
     number = math.prod(each.Evaluate() for each in factors if not each.GetVariables())
     others = (each for each in factors if each.GetVariables())
     return number, math.prod(others, start=Expression(1.0))
-
-
-def _bind(e: Expression, own: Any, variables: Any) -> Expression:
-    """Returns a formula of other variables than its evaluator's own."""
-    pairs = {a: Expression(b) for a, b in zip(own, variables, strict=True) if not a.EqualTo(b)}
-    return e.Substitute(pairs) if pairs else e
-
-
-def _formulas(binding: Binding) -> Sequence[Expression] | None:
-    """Returns what a symbolic cost or constraint, a norm or a cone is; None of all others."""
-    evaluator, variables = binding.evaluator(), binding.variables()
-    if isinstance(evaluator, ExpressionConstraint):
-        return [_bind(each, evaluator.vars(), variables) for each in evaluator.expressions()]
-    if isinstance(evaluator, ExpressionCost):
-        return [_bind(evaluator.expression(), evaluator.vars(), variables)]
-    if isinstance(evaluator, (*NORM_COSTS, *CONES)):
-        formulas: Sequence[Expression] = evaluator.Eval(variables)
-        return formulas
-    return None
-
-
-def _rows(binding: Binding) -> Iterator[RowRange]:
-    """Yields formulas and bounds of a linear or symbolic constraint, or a cone."""
-    evaluator, variables = binding.evaluator(), binding.variables()
-    formulas = _formulas(binding)
-    if isinstance(evaluator, LinearConstraint):
-        formulas = [
-            sum((a * x for a, x in zip(row, variables, strict=True)), Expression(0.0))
-            for row in evaluator.GetDenseA().tolist()
-        ]
-    if formulas is None:
-        return
-    yield from zip(formulas, evaluator.lower_bound(), evaluator.upper_bound(), strict=True)
-
-
-def _ranges(prog: MathematicalProgram) -> dict[int, Range]:
-    """Returns the bounds of a program's variables, by their ids."""
-    found: dict[int, Range] = {}
-    for binding in prog.bounding_box_constraints():
-        evaluator = binding.evaluator()
-        bounds = evaluator.lower_bound(), evaluator.upper_bound()
-        for variable, low, high in zip(binding.variables(), *bounds, strict=True):
-            before = found.get(variable.get_id(), (-np.inf, np.inf))
-            found[variable.get_id()] = max(before[0], low), min(before[1], high)
-    return found
