@@ -18,6 +18,7 @@ from drake_aigto.planning.mechanism_boxes import Center
 from drake_aigto.planning.mechanism_options import MechanismOptions
 from drake_aigto.planning.mechanism_phases import (
     BouncingResult,
+    Dip,
     find_deepest,
     find_grazes,
     find_lacks,
@@ -47,6 +48,8 @@ from drake_aigto.world import RigidLaw, Scenario, World
 # A motion that is this deep inside of a wall between knots, as a part of the task's length, has a
 # bounce added there, so often at most.
 _DEEP, _MOST_ADDED = 1e-2, 4
+# Time steps of the search, within which what dips into a wall was let go too early.
+_SOON = 2
 # Walls are passed at this part of the task's length, for which knots are moved so often at most;
 # touches slower than this part of its speed are passed, too, and what lasts begins no slower: any
 # error would miss the wall.
@@ -145,10 +148,24 @@ class RigidMechanismProblem(MechanismProblem):
             is_full = len(motion.knots) + 1 >= self.search_steps
             if dip is None or dip.depth < _DEEP * self.scales.length or is_full:
                 break
-            guess = motion
-            added = dip.as_touches(self.world, self.rigid_law, self.lasting, motion)
-            touches = in_order((*motion.touches, *added))
+            guess, touches = motion, self._with_dip(motion, dip)
         return self._switch(min(tried, key=self.rank))
+
+    def _with_dip(self, motion: BouncingResult, dip: Dip) -> TouchSequence:
+        """Returns the touches of a motion, and what a dip is: a touch, or one that lasts longer.
+
+        What returns nothing, and dips into a wall soon after it was let go, was let go too early:
+        bounces ever smaller would not end.
+        """
+        contact, soon = dip.touch.contact, _SOON * self.scenario.duration / self.search_steps
+        law, touches = self.rigid_law, list(motion.touches)
+        if not (law.restitution[contact] or law.friction[contact]):
+            for place, touch in enumerate(touches):
+                if touch.contact == contact and 0 <= dip.start - touch.end <= soon:
+                    touches[place] = dataclasses.replace(touch, end=dip.end)
+                    return tuple(touches)
+        added = dip.as_touches(self.world, law, self.lasting, motion)
+        return in_order((*touches, *added))
 
     def _switch(self, motion: BouncingResult) -> BouncingResult:
         """Returns the best motion that is found by leading touches beyond edges of their modes."""
