@@ -77,7 +77,7 @@ RECORDS: Mapping[str, str] = {
     " --count 60 --workers 2 --minutes 2",
     "cart_poles": "python -m benchmarks.cart_poles --count 24 --workers 1 --minutes 3",
     "soak": "python -m benchmarks.soak --count 1000000",
-    "random_programs": "python -m benchmarks.random_programs --count 500 --seed 4 --workers 2",
+    "random_programs": "python -m benchmarks.random_programs --count 3000 --seed 4 --workers 2",
 }
 
 
