@@ -20,7 +20,7 @@ from drake_aigto.planning import (
     RigidSearch,
     make_problem,
 )
-from drake_aigto.planning.rigid import Path
+from drake_aigto.planning.rigid_phases import Path
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import Scales, Scenario, World
 

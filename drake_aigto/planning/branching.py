@@ -16,7 +16,8 @@ from drake_aigto.planning.insertions import find_insertions, find_pulls
 from drake_aigto.planning.origin import ChangeName, Origin
 from drake_aigto.planning.pool import Stopwatch
 from drake_aigto.planning.rests import find_rests
-from drake_aigto.planning.rigid import Path, RigidProblem, Solved
+from drake_aigto.planning.rigid import RigidProblem
+from drake_aigto.planning.rigid_phases import Path, Solved
 from drake_aigto.planning.search import Search
 from drake_aigto.planning.touches import is_same, kinds, neighbors, retimed
 from drake_aigto.transcription import TouchSequence

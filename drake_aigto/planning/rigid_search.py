@@ -23,7 +23,8 @@ from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.options import Rung
 from drake_aigto.planning.origin import COASTING, Origin
 from drake_aigto.planning.pool import Stopwatch
-from drake_aigto.planning.rigid import Path, RigidProblem, Solved
+from drake_aigto.planning.rigid import RigidProblem
+from drake_aigto.planning.rigid_phases import Path, Solved
 from drake_aigto.planning.touches import (
     are_near,
     are_neighbors,
