@@ -7,6 +7,7 @@ it has no class in Python and no symbolic value.
 from __future__ import annotations
 
 import math
+from functools import lru_cache
 
 import numpy as np
 from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
@@ -40,6 +41,7 @@ def is_hidden_polynomial(evaluator: EvaluatorBase) -> bool:
     return "PolynomialCost" in name
 
 
+@lru_cache(maxsize=64)  # A program is parsed again where functions without means are lifted.
 def read_polynomial(cost: EvaluatorBase) -> tuple[Term, ...]:
     """Returns the terms of a PolynomialCost, found from its values.
 
@@ -76,7 +78,10 @@ class _Reader:
         powers, coefficients = self._fit(powers)
         self._check(powers, coefficients)
         return tuple(
-            Term(value, tuple(_power(i, row[i]) for i in np.flatnonzero(row).tolist()))
+            Term(
+                value,
+                tuple(Factor(i, FunctionKind.POWER, row[i]) for i in np.flatnonzero(row).tolist()),
+            )
             for row, value in zip(powers.tolist(), coefficients.tolist(), strict=True)
         )
 
@@ -187,7 +192,3 @@ def _shortest(value: float) -> float:
     """Returns the number of nine digits that somebody may have written, if it is that close."""
     written = float(f"{value:.9g}")
     return written if abs(written - value) <= _ALIKE * abs(value) else value
-
-
-def _power(variable: int, exponent: int) -> Factor:
-    return Factor(variable, FunctionKind.POWER, exponent)
