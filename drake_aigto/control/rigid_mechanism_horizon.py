@@ -109,11 +109,8 @@ class RigidMechanismHorizon(ShootingHorizon):
         dip = find_deepest(self.world, missed) if np.isfinite(missed.cost) else None
         if dip is None:
             return None
-        problem = self._problem
-        added = dip.as_touches(self.world, problem.rigid_law, problem.lasting, missed)
-        touches = sorted((*missed.touches, *added), key=lambda touch: touch.start)
         motion = missed.as_trajectory(self.world)
-        apart = keep_apart(touches, 0.0, float(motion.times[-1]))
+        apart = keep_apart(self._problem.with_dip(missed, dip), 0.0, float(motion.times[-1]))
         return self._read(self._descend(motion.later(now), apart, _MORE), now)
 
     def _descend(

@@ -148,10 +148,10 @@ class RigidMechanismProblem(MechanismProblem):
             is_full = len(motion.knots) + 1 >= self.search_steps
             if dip is None or dip.depth < _DEEP * self.scales.length or is_full:
                 break
-            guess, touches = motion, self._with_dip(motion, dip)
+            guess, touches = motion, self.with_dip(motion, dip)
         return self._switch(min(tried, key=self.rank))
 
-    def _with_dip(self, motion: BouncingResult, dip: Dip) -> TouchSequence:
+    def with_dip(self, motion: BouncingResult, dip: Dip) -> TouchSequence:
         """Returns the touches of a motion, and what a dip is: a touch, or one that lasts longer.
 
         What returns nothing, and dips into a wall soon after it was let go, was let go too early:
