@@ -8,6 +8,7 @@ import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.show.motion import Motion, calc_contact_forces, find_held
+from drake_aigto.simulation.pushes import stack_rows
 from drake_aigto.world import RigidLaw, Scenario, World, calc_friction_share
 
 # Rows that are nearer to an impact than this part of the motion are at it.
@@ -84,17 +85,15 @@ def _calc_impulses(motion: Motion, world: World) -> Floats:
     found = np.zeros((2, len(motion.times), world.num_contacts))
     for time in {touch.start for touch in motion.impacts}:
         rows = np.flatnonzero(np.abs(motion.times - time) <= _AT * motion.times[-1])
-        contacts: list[int] = sorted({t.contact for t in motion.impacts if t.start == time})
+        contacts = np.unique([t.contact for t in motion.impacts if t.start == time])
         if len(rows):
             found[:, rows[-1], contacts] = _read_impulses(motion, world, rows, contacts)
     return found
 
 
-def _read_impulses(motion: Motion, world: World, rows: Ints, contacts: list[int]) -> Floats:
+def _read_impulses(motion: Motion, world: World, rows: Ints, contacts: Ints) -> Floats:
     """Returns what makes of the first row's velocity the last one's, shape (2, contacts) [N s]."""
     q, change = motion.positions[rows[0]], np.diff(motion.velocities[rows[[0, -1]]], axis=0)[0]
-    J = world.calc_contact_jacobian(q)[contacts]
-    T = world.rubbing.calc_tangent_jacobian(q)[contacts]
-    kicks = np.linalg.solve(world.calc_mass_matrix(q), np.vstack([J, T]).T)
+    kicks = np.linalg.solve(world.calc_mass_matrix(q), stack_rows(world, q, contacts).T)
     impulses: Floats = np.linalg.lstsq(kicks, change)[0].reshape(2, -1)
     return impulses
