@@ -24,6 +24,7 @@ from drake_aigto.planning import (
     make_problem,
     plan,
     rigid,
+    rigid_phases,
 )
 from drake_aigto.planning.options import RIGID_LADDER
 from drake_aigto.show.plans import format_plan
@@ -50,7 +51,7 @@ def test_which_contacts_a_plan_has_does_not_depend_on_the_time_step(name: str, s
 def test_a_plan_that_arcs_do_not_lead_to_has_so_many_steps_at_most_and_says_so(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(rigid, "solve_in_arcs", lambda *_: None)
+    monkeypatch.setattr(rigid_phases, "solve_in_arcs", lambda *_: None)
     monkeypatch.setattr(rigid, "_MOST_GENERAL", 80)
     found = plan(table1(1, time_step=1e-3), UNCONFIRMED, shipped_world())
     assert len(found.trajectory.controls) == 80
