@@ -75,7 +75,7 @@ SEARCH_EVERY = 10  # ticks
 MARGIN = 0.02  # By which another sequence is better; that of controllers.
 # So many kicks are drawn at most, each harder than the last by KICK over HARDER.
 MOST_KICKS, HARDER = 60, 20
-BALLS = PlanOptions(branches=0, finalists=1, threads=1)
+BALLS = PlanOptions(branches=0, finalists=1, threads=1, aigo_steps=30)
 MECHANISMS = MechanismOptions(renewals=24, search_steps=30)
 BEST = "knows the truth"
 _CART_POLE = "package://drake_aigto_models/cart_pole.sdf"
