@@ -75,7 +75,7 @@ RECORDS: Mapping[str, str] = {
     "loop_speed": "python -m benchmarks.loop_speed",
     "loops_changing": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --changing"
     " --count 60 --workers 2 --minutes 2",
-    "cart_poles": "python -m benchmarks.cart_poles --count 100 --workers 1 --minutes 27",
+    "cart_poles": "python -m benchmarks.cart_poles --count 100 --workers 1 --minutes 45",
     "soak": "python -m benchmarks.soak --count 1000000",
     "random_programs": "python -m benchmarks.random_programs --count 3000 --seed 4 --workers 2",
 }
