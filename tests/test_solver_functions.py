@@ -188,6 +188,14 @@ def test_factors_that_keep_their_signs_show_that_a_function_has_a_value() -> Non
         AigoSolver().Solve(make_program(formula, -1.0, 2.0)[0])
 
 
+def test_a_norm_of_what_is_not_a_number_is_refused_by_name() -> None:
+    prog = MathematicalProgram()
+    x = prog.NewContinuousVariables(2, "x")
+    prog.AddL2NormCost(np.diag([np.nan, 1.0]), np.zeros(2), x)
+    with pytest.raises(UnsupportedTermError, match=r"L2NormCost.*NaN.*expected finite numbers"):
+        AigoSolver().Solve(prog)
+
+
 @settings(max_examples=20)
 @given(
     st.sampled_from(sorted(FORMULAS)),

@@ -167,7 +167,7 @@ class _Lift:
             return self._lift_product(e, sign)
         if kind == ExpressionKind.Div and not operands(e)[1].GetVariables():
             above, below = operands(e)
-            return self._lift(above, sign if below.Evaluate() > 0 else -sign) / below
+            return self._lift(above, sign if self._evaluate(below) > 0 else -sign) / below
         if kind in _WAVES:
             return _WAVES[kind](self._alone(operands(e)[0]))
         rule = _RULES.get(kind)
@@ -177,7 +177,7 @@ class _Lift:
 
     def _lift_product(self, e: Expression, sign: int) -> Expression:
         """Returns a product whose factors have a mean, and then together, one by one alone."""
-        number, rest = _number(e)
+        number, rest = self._split_number(e)
         others = operands(rest) if rest.get_kind() == ExpressionKind.Mul else [rest]
         inner = sign * int(math.copysign(1.0, number)) if len(others) == 1 else 0
         found = Expression(number)
@@ -247,9 +247,26 @@ class _Lift:
             f"{self._label} can't be searched", f"{shown(e)}, {got}", expected, remedy
         )
 
+    def _evaluate(self, e: Expression) -> float:
+        """Returns what an expression without variables is."""
+        try:
+            return e.Evaluate()
+        except RuntimeError as error:  # NaN, or a division by zero
+            remedy = "Look for a parameter that was not set, or a division by zero."
+            raise self._refusal(e, "which is no number", remedy, "finite numbers") from error
+
+    def _split_number(self, e: Expression) -> tuple[float, Expression]:
+        """Returns the number that an expression is a multiple of, and what is multiplied."""
+        if e.get_kind() != ExpressionKind.Mul:
+            return 1.0, e
+        factors = operands(e)
+        number = math.prod(self._evaluate(each) for each in factors if not each.GetVariables())
+        others = (each for each in factors if each.GetVariables())
+        return number, math.prod(others, start=Expression(1.0))
+
     def _lift_quotient(self, e: Expression, _: int) -> Expression:
         above, below = operands(e)
-        number, rest = _number(above)
+        number, rest = self._split_number(above)
         if number not in (0.0, 1.0):
             return number * self._lift_quotient(rest / below, 0)
         if not self._signs.keeps(below):
@@ -357,13 +374,3 @@ _RULES: Mapping[ExpressionKind, Callable[[_Lift, Expression, int], Expression]] 
     ExpressionKind.Max: _Lift._lift_max,
     ExpressionKind.Min: _Lift._lift_min,
 }
-
-
-def _number(e: Expression) -> tuple[float, Expression]:
-    """Returns the number that an expression is a multiple of, and what is multiplied."""
-    if e.get_kind() != ExpressionKind.Mul:
-        return 1.0, e
-    factors = operands(e)
-    number = math.prod(each.Evaluate() for each in factors if not each.GetVariables())
-    others = (each for each in factors if each.GetVariables())
-    return number, math.prod(others, start=Expression(1.0))
