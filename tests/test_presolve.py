@@ -119,6 +119,18 @@ def test_bounds_of_what_is_substituted_stay_unless_they_hold_anyway() -> None:
         assert len(program.slacks) == program.num_rows == count
 
 
+def test_a_definition_that_overflows_far_out_is_no_warning() -> None:
+    prog = MathematicalProgram()
+    x, y = prog.NewContinuousVariables(2, "x")
+    prog.AddConstraint(exp(x) + y == 20)
+    add_cost(prog, (x - 1) ** 2 + y**2)
+    result = AigoSolver().Solve(prog)
+    at = result.GetSolution(x)
+    assert result.is_success() and np.exp(at) + result.GetSolution(y) == pytest.approx(20)
+    # There the slope along the row, y = 20 − exp(x), vanishes.
+    assert at - 1 == pytest.approx(np.exp(at) * result.GetSolution(y), rel=1e-4)
+
+
 def test_rows_that_contradict_each_other_by_substitution_are_told() -> None:
     with pytest.raises(ContradictionError):
         reduced(lambda x: x[2] == x[0] + x[1], lambda x: x[2] - x[0] - x[1] == 1)

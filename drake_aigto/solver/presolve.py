@@ -121,7 +121,9 @@ class Reduced:
         x = np.clip(x, self.lower, self.upper)
         for definition in reversed(self.definitions):
             j = definition.variable
-            x[j] = np.clip(evaluate(definition.total, x), self.lower[j], self.upper[j])
+            with np.errstate(over="ignore", invalid="ignore"):  # Far out a definition may overflow.
+                value = evaluate(definition.total, x)
+            x[j] = np.clip(value, self.lower[j], self.upper[j])
         return x
 
 
