@@ -11,11 +11,13 @@ from matplotlib.figure import Figure
 
 from drake_aigto import Planner, Scenario, World
 from drake_aigto.planning import MechanismOptions
+from drake_aigto.planning.mechanism_problem import MechanismProblem
+from drake_aigto.planning.steadying import steady
 from drake_aigto.shooting import Mechanism
 from drake_aigto.show import plot_friction
 from drake_aigto.show.motion import Motion
 from drake_aigto.simulation import replay_drake, replay_event_driven
-from drake_aigto.world import calc_friction_share
+from drake_aigto.world import CompliantLaw, calc_friction_share, compile_springs
 
 
 @cache
@@ -78,6 +80,47 @@ def test_shooting_has_the_law_and_its_derivatives() -> None:
         differences = differ(mechanism, z, 3, step)
         largest = np.abs(slopes).max()
         np.testing.assert_allclose(slopes, differences, rtol=1e-5, atol=1e-7 * largest)
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["cart_pole/soft_06", "hopper/hop", "pushed_block/slide", "spinner/two_radians"],
+)
+def test_compiled_rates_are_those_of_the_world(name: str) -> None:
+    scenario = Scenario.named(name)
+    world, rng = World.from_scenario(scenario), np.random.default_rng(0)
+    law, n, touched = world.contact_law(scenario), world.num_positions, 0
+    assert isinstance(law, CompliantLaw)
+    calc_rates = compile_springs(world, law)
+    for _ in range(1000):
+        q = scenario.initial_position + rng.uniform(-0.6, 0.6, n)
+        v, u = 10 ** rng.uniform(-3, 0) * rng.normal(size=n), rng.normal(size=world.num_actuators)
+        forces = world.calc_pushes(law, q, v)
+        touched += int(forces.any())
+        drag = world.rubbing.calc_drag(law, q, v, forces)
+        expected = np.concatenate([v, world.calc_acceleration(q, v, u, forces, drag)])
+        got = calc_rates(np.concatenate([q, v]), world.actuation @ u, forces > 0)
+        np.testing.assert_allclose(got, expected, atol=1e-12 * np.abs(expected).max())
+    assert touched > 50
+
+
+def test_a_replay_on_the_way_is_that_of_the_controls_that_were_held() -> None:
+    scenario = dataclasses.replace(ask(), duration=0.3, time_step=0.05)
+    problem = MechanismProblem(read(), scenario, MechanismOptions())
+    found = problem.shooting(6).simulate(np.tile([1.0, 0.05], (6, 1)), 4)
+    steadied = steady(read(), scenario, problem.shooting(6), found)
+    assert np.abs(steadied.controls - found.controls).max() > 1e-9
+    again = replay_event_driven(read(), scenario, steadied.times, steadied.controls)
+    assert steadied.replay == again
+    # A kink between knots is a knot of a plan's replay, which this one lacks.
+    path = np.tile(scenario.initial_position, (3, 1))
+    kinked = dataclasses.replace(
+        scenario,
+        reference_times=[0.0, 0.12, 0.3],
+        reference_positions=path,
+        position_weight=[1.0, 1.0, 0.0],
+    )
+    assert steady(read(), kinked, problem.shooting(6), found).replay is None
 
 
 def differ(mechanism: Mechanism, z: np.ndarray, n: int, step: float) -> np.ndarray:

@@ -270,6 +270,8 @@ class MechanismProblem:
             motion = self.tighten(motion)
         motion = self._cooled(motion)
         problem, options, error = self.shooting(self.scenario.num_steps), POLISH, 0.0
+        if self.mechanism.rubs and motion.substeps > POLISH.substeps:  # Longer ones lead astray.
+            options = dataclasses.replace(RUBBED, substeps=motion.substeps)
         while True:
             states = motion.states if error > _STEADY else None
             problem = problem.starting_from(motion)
@@ -286,11 +288,8 @@ class MechanismProblem:
             if self.mechanism.rubs:  # What sticks in long steps slips in much shorter ones.
                 halvings = 1
             substeps = min(motion.substeps * 2 ** int(halvings), _MOST_SUBSTEPS)
-            options = dataclasses.replace(
-                POLISH,
-                rungs=((RUBBED if self.mechanism.rubs else POLISH).rungs[-1:]),
-                substeps=substeps,
-            )
+            rungs = (RUBBED if self.mechanism.rubs else POLISH).rungs[-1:]
+            options = dataclasses.replace(POLISH, rungs=rungs, substeps=substeps)
 
     def _cooled(self, motion: ShootingResult) -> ShootingResult:
         """Returns the better of a motion and, where joints rub, what it becomes as that stiffens.
@@ -307,8 +306,7 @@ class MechanismProblem:
         if not (self.mechanism.rubs and np.isfinite(motion.exact_cost)):
             return motion
         problem = self.shooting(self.scenario.num_steps).starting_from(motion)
-        controls = steady(self.world, self.law, problem, motion)
-        return dataclasses.replace(motion, controls=controls)
+        return steady(self.world, self.scenario, problem, motion)
 
     def price(self, motion: ShootingResult) -> float:
         """Returns J of a motion, and a price for what it misses of bounds and a hard goal."""
@@ -351,7 +349,9 @@ class MechanismProblem:
 
     def _simulate(self, found: ShootingResult) -> tuple[Replay, Trajectory, dict[str, float]]:
         """Returns what controls do, as a trajectory, and how far that is off the equations."""
-        replay = replay_event_driven(self.world, self.scenario, found.times, found.controls)
+        replay = found.replay or replay_event_driven(
+            self.world, self.scenario, found.times, found.controls
+        )
         trajectory, gap = trace(self.world, self.law, replay, found.times, found.controls)
         return replay, trajectory, {INTEGRATION: float(np.max(gap / self.state_scales))}
 

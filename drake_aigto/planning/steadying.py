@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 
 import numpy as np
@@ -10,16 +11,12 @@ from drake_aigto.arrays import Floats
 from drake_aigto.shooting import ShootingProblem, ShootingResult
 from drake_aigto.simulation.controller import Held, HeldControl
 from drake_aigto.simulation.mechanism import simulate_mechanism
-from drake_aigto.simulation.springs import Springs
-from drake_aigto.world import CompliantLaw, ContactLaw, World
+from drake_aigto.simulation.replay import has_knots, replay_on_springs
+from drake_aigto.world import CompliantLaw, Scenario, World
 
 
 class _Correcting(HeldControl):
-    """Holds a motion's controls between knots, less what its gains answer at each.
-
-    Attributes:
-        controls: that were held, shape (N, nu).
-    """
+    """Holds a motion's controls between knots, less what its gains answer at each."""
 
     def __init__(self, motion: ShootingResult, gains: Floats, bounds: Floats) -> None:
         super().__init__(motion.times, motion.controls)
@@ -35,9 +32,9 @@ class _Correcting(HeldControl):
 
 
 def steady(
-    world: World, law: ContactLaw, problem: ShootingProblem, motion: ShootingResult
-) -> Floats:
-    """Returns the controls of a motion, corrected along the exact law, shape (N, nu).
+    world: World, scenario: Scenario, problem: ShootingProblem, motion: ShootingResult
+) -> ShootingResult:
+    """Returns a motion with its controls corrected along the exact law.
 
     Where friction sticks and slips, Runge-Kutta steps are of low order, and what is unstable makes
     much of their errors: of a pole that balances for 3 s 1e-8 becomes 1e-3. So the motion is
@@ -46,15 +43,20 @@ def steady(
 
     Args:
         world: the mechanism.
-        law: of its contacts.
+        scenario: the task.
         problem: that the motion is a result of.
         motion: near an optimum.
     """
     gains = problem.calc_gains(motion.controls, motion.substeps)
-    q, v = np.split(motion.states[0], 2)
     controller = _Correcting(motion, gains, problem.control_bounds)
+    law, replay = world.contact_law(scenario), None
     if isinstance(law, CompliantLaw):
-        Springs(world, law, (q, v), controller.start).run(controller)
+        replay = replay_on_springs(world, scenario, law, controller)
     else:
-        simulate_mechanism(world, law.restitution, (q, v), controller)
-    return controller.controls
+        start = scenario.initial_position, scenario.initial_velocity
+        simulate_mechanism(world, law.restitution, start, controller)
+    # Where its cost has kinks between knots, the replay of a plan has knots there, too.
+    is_whole = has_knots(scenario, motion.times)
+    return dataclasses.replace(
+        motion, controls=controller.controls, replay=replay if is_whole else None
+    )

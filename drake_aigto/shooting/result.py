@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from drake_aigto.arrays import ArrayRecord, Floats, read_only
+from drake_aigto.simulation.replay import Replay
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +27,7 @@ class ShootingResult(ArrayRecord):
         order: of their error.
         durations: of phases, shape (P,) [s]; none without phases.
         prices: of bounds at knots: ρ, then all multipliers.
+        replay: of the controls, where they were simulated on the way to this; None: they were not.
     """
 
     times: Floats
@@ -41,6 +43,7 @@ class ShootingResult(ArrayRecord):
     order: int
     durations: Floats
     prices: Floats
+    replay: Replay | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
         """Makes the arrays read-only."""

@@ -46,17 +46,22 @@ class Controller(ABC):
 
 
 class HeldControl(Controller):
-    """A control that was decided before: open loop."""
+    """A control that was decided before: open loop.
+
+    Attributes:
+        times: of the knots, shape (N+1,) [s].
+        controls: that are held between them, shape (N, nu) [N].
+    """
 
     feels_contact = False
 
     def __init__(self, times: Floats, controls: Floats) -> None:
         """Keeps controls (N, nu) [N] that are held between knots (N+1,) [s]."""
-        self._times, self._controls = times, controls
+        self.times, self.controls = times, controls
         self.start, self.end = float(times[0]), float(times[-1])
         self.longest_hold = float(np.max(np.diff(times)))
 
     def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
         """Returns the control of this interval."""
-        k = int(np.searchsorted(self._times, time, side="right"))
-        return Held(self._controls[k - 1], float(self._times[k]))
+        k = int(np.searchsorted(self.times, time, side="right"))
+        return Held(self.controls[k - 1], float(self.times[k]))

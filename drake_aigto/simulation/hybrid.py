@@ -28,6 +28,8 @@ class HybridMotion(ABC):
         self.world, self.time, self.x = world, time, np.concatenate(state)
         self.recording = Recording()
         self.recording.add(time, *state)
+        # Knots are close: mostly one step leads to the next, which a guess would halve.
+        self._step = np.inf
 
     def run(self, controller: Controller) -> Recording:
         """Runs a controller, of an open or a closed loop, to its end.
@@ -64,8 +66,9 @@ class HybridMotion(ABC):
         Returns:
             Which did; −1 if none.
         """
-        stretch = follow(rates, watched, self.time, until, self.x)
+        stretch = follow(rates, watched, self.time, until, self.x, self._step)
         self.time, self.x = stretch.end, stretch.state
+        self._step = stretch.step if stretch.fallen < 0 else np.inf
         self.recording.samples += [(samples, control) for samples in stretch.samples]
         return stretch.fallen
 

@@ -152,12 +152,22 @@ def replay_event_driven(
     times, controls = _refine(scenario, *_check_control(world, times, controls))
     law = world.contact_law(scenario)
     if isinstance(law, CompliantLaw):
-        start = scenario.initial_position, scenario.initial_velocity
-        springs = Springs(world, law, start, float(times[0]))
-        recording = springs.run(HeldControl(times, controls))
-        return summarize("integrated", world, scenario, times, controls, recording)
+        return replay_on_springs(world, scenario, law, HeldControl(times, controls))
     recording = _simulate_rigidly(world, scenario, times, controls)
     return summarize("event-driven", world, scenario, times, controls, recording)
+
+
+def replay_on_springs(
+    world: World, scenario: Scenario, law: CompliantLaw, controller: HeldControl
+) -> Replay:
+    """Replays a held control on walls that are springs, as `replay_event_driven` does.
+
+    It may be decided while it runs: what counts is what was held, `controller.controls`.
+    """
+    start = scenario.initial_position, scenario.initial_velocity
+    recording = Springs(world, law, start, controller.start).run(controller)
+    held = controller.times, controller.controls
+    return summarize("integrated", world, scenario, *held, recording)
 
 
 def replay_costs(world: World, scenario: Scenario, times: ArrayLike, controls: ArrayLike) -> Floats:
@@ -296,11 +306,28 @@ def _is_smooth(world: World, scenario: Scenario) -> bool:
 
 def _refine(scenario: Scenario, times: Floats, controls: Floats) -> tuple[Floats, Floats]:
     """Returns the same control with more knots where a reference has its own: costs have kinks."""
-    if scenario.reference_times is None:
+    if has_knots(scenario, times):
         return times, controls
-    inside = (scenario.reference_times > times[0]) & (scenario.reference_times < times[-1])
-    knots = np.union1d(times, scenario.reference_times[inside])
+    knots = np.union1d(times, _find_kinks(scenario, times))
     return knots, controls[np.searchsorted(times, knots[:-1], side="right") - 1]
+
+
+def has_knots(scenario: Scenario, times: Floats) -> bool:
+    """Returns whether there is a knot wherever a reference has its own, so that costs have kinks.
+
+    Args:
+        scenario: the task.
+        times: of the knots, shape (N+1,) [s].
+    """
+    return bool(np.isin(_find_kinks(scenario, times), times).all())
+
+
+def _find_kinks(scenario: Scenario, times: Floats) -> Floats:
+    """Returns the knots of a reference within times [s]."""
+    if scenario.reference_times is None:
+        return np.empty(0)
+    inside = (scenario.reference_times > times[0]) & (scenario.reference_times < times[-1])
+    return scenario.reference_times[inside]
 
 
 def _roll_out(world: World, scenario: Scenario, times: Floats) -> Parabolas:

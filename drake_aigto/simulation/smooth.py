@@ -49,6 +49,7 @@ class Stretch(NamedTuple):
     state: Floats  # (q, v) there, shape (2 nv,)
     fallen: int  # which fell; −1: none
     samples: list[Samples]  # of all of its pieces
+    step: float  # the longest that was proposed [s]
 
 
 class _Piece(NamedTuple):
@@ -69,7 +70,14 @@ class _Piece(NamedTuple):
         return Samples(times, (end - self.start) / 2 * _WEIGHTS, self.states(times))
 
 
-def follow(rates: Rates, watched: Watched, start: float, end: float, state: Floats) -> Stretch:
+def follow(
+    rates: Rates,
+    watched: Watched,
+    start: float,
+    end: float,
+    state: Floats,
+    first_step: float = np.inf,
+) -> Stretch:
     """Integrates ẋ = f(x) until a watched value falls to zero, or to the end.
 
     By the eighth-order rule of Dormand and Prince in SciPy, with dense output. On each piece of it
@@ -83,23 +91,25 @@ def follow(rates: Rates, watched: Watched, start: float, end: float, state: Floa
         start: [s].
         end: [s].
         state: (q, v) at the start, shape (2 nv,).
+        first_step: that is tried, at most to the end [s].
 
     Raises:
         TrajectoryError: the motion runs away to infinity.
     """
-    samples, last = [], state
-    for piece, last in _integrate(rates, start, end, state):  # noqa: B007 (used after the loop)
-        time, fallen = _find_fall(watched, piece)
+    samples, last, longest = [], state, 0.0
+    first_step = min(first_step, end - start)
+    for piece, last, step in _integrate(rates, start, end, state, first_step):  # noqa: B007 (used)
+        longest, (time, fallen) = max(longest, step), _find_fall(watched, piece)
         samples.append(piece.sample(time))
         if fallen >= 0:
-            return Stretch(time, piece.states(np.array([time]))[0], fallen, samples)
-    return Stretch(end, last, -1, samples)
+            return Stretch(time, piece.states(np.array([time]))[0], fallen, samples, longest)
+    return Stretch(end, last, -1, samples, longest)
 
 
 def _integrate(
-    rates: Rates, start: float, end: float, state: Floats
-) -> Iterator[tuple[_Piece, Floats]]:
-    """Yields the pieces of each step, and the state at the step's end."""
+    rates: Rates, start: float, end: float, state: Floats, first_step: float
+) -> Iterator[tuple[_Piece, Floats, float]]:
+    """Yields the pieces of each step, the state at its end, and the next step it proposes [s]."""
     with np.errstate(over="ignore", invalid="ignore"):
         solver = scipy.integrate.DOP853(
             lambda _, x: rates(x),
@@ -108,7 +118,7 @@ def _integrate(
             end,
             rtol=_TOLERANCE,
             atol=_TOLERANCE,
-            first_step=end - start,  # Knots are close: mostly one step, which a guess would halve.
+            first_step=first_step,
         )
         while solver.status == "running":
             try:
@@ -118,7 +128,7 @@ def _integrate(
             if solver.status == "failed" or not np.isfinite(solver.y).all():
                 raise _refuse(solver.t)
             for piece in _divide(solver):
-                yield piece, solver.y
+                yield piece, solver.y, solver.h_abs
 
 
 def _divide(solver: Any) -> Iterator[_Piece]:

@@ -11,7 +11,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.simulation.controller import Controller
 from drake_aigto.simulation.hybrid import HybridMotion
 from drake_aigto.simulation.recording import Impact, Recording
-from drake_aigto.world import CompliantLaw, World
+from drake_aigto.world import CompliantLaw, World, compile_springs
 
 # How far beyond zero a phase of contact lasts: φ relative to the largest position or 1 m, and
 # 1 − d φ̇. More than rounding, so that phases do not alternate at once.
@@ -51,7 +51,7 @@ class Springs(HybridMotion):
     ) -> None:
         """Starts with (q, v) at a time [s], maybe inside a wall."""
         super().__init__(world, state, time)
-        self._law = law
+        self._law, self._calc_rates = law, compile_springs(world, law)
         q, v = state
         distances, rates = world.calc_signed_distance(q), world.calc_contact_jacobian(q) @ v
         inside = np.where(law.dissipation * rates < 1, _Phase.PRESSED, _Phase.SLACK)
@@ -81,22 +81,15 @@ class Springs(HybridMotion):
 
     def _follow_phases(self, control: Floats, until: float) -> tuple[int, int]:
         """Moves on until a phase ends: of which contact, −1 if none, and what it is in then."""
-        n, world, law = self.world.num_positions, self.world, self._law
+        n, law, calc_rates = self.world.num_positions, self._law, self._calc_rates
         pressed, ends = self._phases == _Phase.PRESSED, self._list_ends()
-        is_pressed, stiffness = pressed.any(), -law.stiffness * pressed
+        force = self.world.actuation @ control
         contacts = np.array([end.contact for end in ends], dtype=int)
         signs, is_rate = np.array([end.sign for end in ends]), [end.is_rate for end in ends]
         overlap = np.where(is_rate, 1.0, max(1.0, float(np.max(np.abs(self.x[:n]))))) * _OVERLAP
 
         def rates(x: Floats) -> Floats:
-            q, v = x[..., :n], x[..., n:]
-            forces = drag = None
-            if is_pressed:
-                distances, speeds, levers = self._measure(x)
-                forces = stiffness * distances * (1 - law.dissipation * speeds) * levers
-                drag = world.rubbing.calc_drag(law, q, v, forces)
-            acceleration = world.calc_acceleration(q, v, control, forces, drag)
-            return np.concatenate([v, acceleration], axis=-1)
+            return calc_rates(x, force, pressed)
 
         def watched(x: Floats) -> Floats:
             distances, speeds, _ = self._measure(x)

@@ -329,6 +329,14 @@ class EquationsOfMotion:
         return np.asarray(found.reshape(momentum.shape))
 
     @cached_property
+    def dynamics_map(self) -> SumMap:
+        """M, h, φ and J of (q, v), row by row, for compiled code that asks for all of them."""
+        J = (contact.jacobian for contact in self.contacts)
+        distances = [contact.signed_distance for contact in self.contacts]
+        rows = np.concatenate([self.mass_matrix.ravel(), self.bias, distances, *J])
+        return SumMap(rows, np.concatenate([self.positions, self.velocities]))
+
+    @cached_property
     def _mass_map(self) -> SumMap:
         return SumMap(self.mass_matrix.ravel(), self.positions)
 

@@ -15,7 +15,7 @@ from drake_aigto.world.material import COMPLIANCE, read_dissipation, read_stiffn
 from drake_aigto.world.reach import ReachableFace
 
 # Centers of spheres that rounding has brought nearer than a micron count as that far apart [m²].
-_NO_ROOM = 1e-12
+NO_ROOM = 1e-12
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,8 +124,8 @@ def calc_levers(reaches: Floats, distances: Floats) -> Floats:
         distances: φ, shape (…, m) [m].
     """
     R, levers = reaches, np.ones_like(distances)
-    apart = np.sqrt(np.maximum(R**2 + 2 * R * distances, _NO_ROOM))
-    return np.divide(R, apart, out=levers, where=np.broadcast_to(R > 0, levers.shape))
+    apart = np.sqrt(np.maximum(R**2 + 2 * R * distances, NO_ROOM))
+    return np.divide(R, apart, out=levers, where=R > 0)
 
 
 ContactLaw: TypeAlias = RigidLaw | CompliantLaw

@@ -108,7 +108,7 @@ class Rubbing:
 
     def calc_tangent_jacobian(self, q: Floats, yields: bool = False) -> Floats:
         """Returns T(q), shape (…, m, n), at q of shape (…, nq), where walls yield or do not."""
-        read = self._soft_tangent_map if yields else self._tangent_map
+        read = self.soft_tangent_map if yields else self._tangent_map
         return read(q).reshape(*q.shape[:-1], self._num_contacts, self._v.size)
 
     def calc_slips(self, q: Floats, v: Floats, yields: bool = False) -> Floats:
@@ -156,7 +156,7 @@ class Rubbing:
         return SumMap(self.tangents.ravel(), self._q)
 
     @cached_property
-    def _soft_tangent_map(self) -> SumMap:
+    def soft_tangent_map(self) -> SumMap:
         """The same of walls that yield."""
         return SumMap(self.soft_tangents.ravel(), self._q)
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydrake.symbolic import Expression, cos, sin
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Floats, Ints
 from drake_aigto.terms import Factor, FunctionKind, Term, expression_terms
 
 # Coefficients below this, relative to the largest, are rounding left by rotations such as
@@ -146,13 +146,17 @@ class SumMap:
             if degrees[k] == 1:
                 self._slope[:, product[0].variable] = self.coefficients[:, k]
 
+    @property
+    def tables(self) -> tuple[Ints, Floats, Ints, Floats]:
+        """Factors, waves, members and coefficients, for compiled code (`evaluate_sums`)."""
+        return self._factors, self._waves, self._members, self.coefficients
+
     def __call__(self, x: Floats) -> Floats:
         """Returns f(x), shape (…, m), for x of shape (…, n)."""
         if self._is_affine:
             return x @ self._slope.T + self._constant
         points = np.ascontiguousarray(x, dtype=float).reshape(-1, x.shape[-1])
-        tables = self._factors, self._waves, self._members, self.coefficients
-        sums = load_kernels().evaluate_sums(points, *tables)
+        sums = load_kernels().evaluate_sums(points, *self.tables)
         return sums.reshape(*x.shape[:-1], len(self.coefficients))
 
     def calc_range(self, low: Floats, high: Floats) -> Floats:
