@@ -24,6 +24,7 @@ from drake_aigto import (
     World,
 )
 from drake_aigto.control import ClosedLoopRun, Disturbance, TickStatus, run_in_loop
+from drake_aigto.control.horizons import make_horizon
 from drake_aigto.simulation import make_simulator
 from drake_aigto.world import TaskCost
 
@@ -311,3 +312,38 @@ def test_a_mechanism_is_not_planned_for_from_inside_of_a_rigid_wall() -> None:
     builder.Connect(source.get_output_port(), controller.get_input_port(0))
     with pytest.raises(ControlError, match="inside of a wall, expected one outside"):
         Simulator(builder.Build()).Initialize()
+
+
+SPINNER = Scenario.named("spinner/two_radians")
+
+
+def test_ticks_along_a_push_with_friction_are_no_dearer_than_the_one_before() -> None:
+    ladder = MechanismOptions().ladder[4:5]
+    planner = Planner(SPINNER, MechanismOptions(renewals=0, ladder=ladder, threads=1))
+    horizon = make_horizon(planner, is_receding=False, iterations=5, period=SPINNER.time_step)
+    start = np.concatenate([SPINNER.initial_position, SPINNER.initial_velocity])
+    motion = horizon.search(0.0, start)
+    assert motion is not None
+    costs = [motion.cost]
+    assert costs[0] < 4  # what never touches costs 42.6
+    for k in range(1, 4):
+        now = k * SPINNER.time_step
+        motion = horizon.advance(motion, now, motion.calc_state(now))
+        assert motion is not None
+        costs.append(motion.cost)
+    assert costs == sorted(costs, reverse=True)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("mass", "friction"), [(1.09, 0.97), (0.93, 1.02)])
+def test_a_spinner_is_turned_where_mass_and_friction_are_others(
+    mass: float, friction: float
+) -> None:
+    planner = Planner(SPINNER, MechanismOptions(renewals=0, threads=1))
+    controller = ModelPredictiveController(
+        planner, SPINNER.time_step, "shrinking", iterations=15, surprise=np.inf
+    )
+    wrong = Disturbance(mass_factor=mass, friction_factor=friction)
+    run = run_in_loop(controller, SPINNER, planner.world, wrong)
+    off = abs(run.replay.positions[-1] - SPINNER.goal_position)
+    assert off.max() < 0.25  # of 2 rad; the plan's control alone ends 0.7 to 2.7 rad off

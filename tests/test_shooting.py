@@ -12,13 +12,17 @@ import pytest
 from mechanisms import MECHANISMS, build
 from scipy.optimize import minimize
 
+from drake_aigto.planning import MechanismOptions, MechanismProblem
 from drake_aigto.shooting import (
     Mechanism,
     ShootingOptions,
     ShootingProblem,
     Smoothing,
 )
-from drake_aigto.world import CompliantLaw, RigidLaw, TaskCost, World
+from drake_aigto.shooting.phases import Layout
+from drake_aigto.shooting.program import make_program
+from drake_aigto.shooting.rubbing import STICTION
+from drake_aigto.world import CompliantLaw, RigidLaw, Scenario, TaskCost, World
 
 STIFFNESS, DISSIPATION, SMOOTHING = 200.0, 0.3, 0.1
 read = cache(build)
@@ -277,3 +281,32 @@ def test_a_result_is_refined_until_its_steps_are_small_enough() -> None:
     fine = problem.refine(coarse, tolerance=tolerance)
     assert fine.substeps > coarse.substeps
     assert problem.estimate_error(fine) <= tolerance
+
+
+def test_friction_is_the_same_at_the_end_of_a_task_as_in_the_whole() -> None:
+    scenario = Scenario.named("pushed_block/slide")
+    world = World.from_scenario(scenario)
+    whole = MechanismProblem(world, scenario, MechanismOptions()).shooting(40)
+    controls = np.full((40, 1), 2.0)
+    path = whole.simulate(controls, 8)
+    end = replace(whole, times=whole.times[30:], start=path.states[30])
+    told = replace(end, duration=scenario.duration).simulate(controls[30:], 8)
+    np.testing.assert_allclose(told.states, path.states[30:], atol=1e-12)
+    untold = end.simulate(controls[30:], 8)
+    assert np.max(np.abs(untold.states - path.states[30:])) > 1e-6
+
+
+def test_finer_steps_than_friction_asks_for_leave_it_as_it_is() -> None:
+    scenario = Scenario.named("pushed_block/slide")
+    world = World.from_scenario(scenario)
+    problem = MechanismProblem(world, scenario, MechanismOptions()).shooting(40)
+    rubs = problem.mechanism.mechanics.rubs
+    layout = Layout.of(problem.times, None, problem.mechanism.num_contacts)
+    count = problem.rubbing_substeps
+
+    def fit(substeps: int) -> Any:
+        return make_program(problem, layout, ShootingOptions(substeps=substeps)).mechanics.rubs
+
+    assert count > 1
+    np.testing.assert_array_equal(fit(count)[:, STICTION], rubs[:, STICTION])
+    assert np.all(fit(count - 1)[:, STICTION] > rubs[:, STICTION])

@@ -9,6 +9,7 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.control.motion import Motion
 from drake_aigto.control.shooting_horizon import ShootingHorizon
+from drake_aigto.control.touches_left import choose
 from drake_aigto.planning import MechanismOptions, MechanismProblem, MechanismSearch
 from drake_aigto.shooting import ShootingOptions, ShootingResult, Smoothing
 from drake_aigto.trajectory import Trajectory
@@ -21,6 +22,8 @@ _SMOOTHING = 1e-3
 # Where nothing promises more than this part of the cost, a tick ends before its iterations do.
 _TOLERANCE = 1e-4
 _SUBSTEPS = 4
+# Friction is resolved by Runge-Kutta steps that are no longer than these parts of a time step.
+_FEWEST, _MOST = 8, 64
 # What a search finds is led so near to its optimum, before it is compared.
 _FOUND = Smoothing(_SMOOTHING, 60, _TOLERANCE)
 
@@ -50,25 +53,43 @@ class MechanismHorizon(ShootingHorizon):
             iterations: of the descent in a tick, at most.
         """
         super().__init__(MechanismProblem(world, scenario, options), is_receding)
-        self._task = self._problem.shooting(self._num_steps)
+        task = self._problem.shooting(self._num_steps)
+        self._task = dataclasses.replace(task, duration=scenario.duration)
+        self._rubs = task.mechanism.rubs
+        substeps, order = _SUBSTEPS, 2
+        if self._rubs:
+            substeps, order = min(max(task.rubbing_substeps, _FEWEST), _MOST), 4
         rungs = (Smoothing(_SMOOTHING, iterations, _TOLERANCE),)
-        self._options = ShootingOptions(rungs, _SUBSTEPS, order=2, multiplier_updates=1)
+        self._options = ShootingOptions(rungs, substeps, order=order, multiplier_updates=1)
 
     def is_inside(self, x: Floats) -> bool:
         """Returns False: walls that yield may be planned in."""
         return False
 
     def advance(self, motion: Motion, now: float, x: Floats) -> Motion | None:
-        """Returns what a few iterations make of what is left of a motion, whose gaps they close."""
+        """Returns what a few iterations make of what is left of a motion."""
         left = self._shift(self._renew(motion, now, x).trajectory, now, x)
         states = np.hstack([left.positions, left.velocities])
-        return self._descend(left.times, states, left.controls, self._options)
+        return self._descend(left.times, states, left.controls, self._options, motion.cost)
 
     def _descend(
-        self, times: Floats, states: Floats, controls: Floats, options: ShootingOptions
+        self,
+        times: Floats,
+        states: Floats,
+        controls: Floats,
+        options: ShootingOptions,
+        last: float = np.inf,
     ) -> Motion | None:
+        """Returns the best motion near another one, whose gaps it closes; None if it finds none.
+
+        Steps that close gaps let go of what is pushed by friction, and stay off it. So, where
+        something rubs, what the controls lead to is tried before, from which no step is dearer than
+        the one before; gaps are closed where that is dearer than the last plan was.
+        """
         task = dataclasses.replace(self._task, times=times, start=states[0])
-        return self._read(task.solve(controls, states, options))
+        starts = (None, states) if self._rubs else (states,)
+        tried = (self._read(task.solve(controls, start, options)) for start in starts)
+        return choose(tried, last)
 
     def _read(self, found: ShootingResult) -> Motion | None:
         """Returns a result as a motion; None if it leads nowhere."""

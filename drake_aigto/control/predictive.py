@@ -117,6 +117,9 @@ class ModelPredictiveController(LeafSystem):
     taken if it costs less by a margin. Work is bounded by counts: runs are the same again, also
     where searches have a thread of their own.
 
+    Where joints or walls that yield rub, ticks begin with what the last plan's controls lead to, in
+    steps that resolve friction; what is only touched for a while may take 15 iterations a tick.
+
     Of what differs from a model, rigid walls mislead plans of balls most: where they stand, and
     what they return. Both are learned from bounces that are seen between one tick and the next; and
     a wall that a ball is well inside of stands farther away. Mechanisms learn nothing of walls.

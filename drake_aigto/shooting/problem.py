@@ -13,7 +13,7 @@ from drake_aigto.shooting.descent import clip_controls, descend
 from drake_aigto.shooting.memory import make_memory
 from drake_aigto.shooting.options import ShootingOptions, Smoothing
 from drake_aigto.shooting.phases import Layout
-from drake_aigto.shooting.program import make_program
+from drake_aigto.shooting.program import count_substeps, make_program
 from drake_aigto.shooting.question import ShootingQuestion
 from drake_aigto.shooting.result import ShootingResult
 from drake_aigto.shooting.tables import FLOW
@@ -124,6 +124,11 @@ class ShootingProblem(ShootingQuestion):
             problem = self.starting_from(result)
             result = problem.solve(result.controls, None, finer, result.prices)
         return result
+
+    @property
+    def rubbing_substeps(self) -> int:
+        """In how many Runge-Kutta steps between knots friction is as steep as the world has it."""
+        return count_substeps(self)
 
     @property
     def knot_times(self) -> Floats:

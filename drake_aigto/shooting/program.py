@@ -10,7 +10,7 @@ from drake_aigto.shooting.mechanics import copy_writable
 from drake_aigto.shooting.options import ShootingOptions
 from drake_aigto.shooting.phases import Layout
 from drake_aigto.shooting.question import ShootingQuestion
-from drake_aigto.shooting.rubbing import COEFFICIENT, SOURCE, fit_to_steps
+from drake_aigto.shooting.rubbing import COEFFICIENT, SOURCE, STICTION, fit_to_steps
 from drake_aigto.shooting.tables import CHORDAL, EXACT, FLOW, MODULO, Bounds, Program, Task
 from drake_aigto.world import TaskCost
 
@@ -30,7 +30,7 @@ _SHORTEST = 1e-3
 def make_program(problem: ShootingQuestion, layout: Layout, options: ShootingOptions) -> Program:
     """Returns the tables of a problem of these stages, its multipliers zero."""
     mechanics, step = problem.mechanism.mechanics, np.max(np.diff(problem.times))
-    T = float(np.ptp(problem.times))
+    T = _find_duration(problem)
     rubs = fit_to_steps(mechanics.rubs, step / options.substeps, T, problem.length / T)
     struck, restitutions = _find_struck(layout, mechanics.contacts[:, 2])
     closed, leans = _find_closed(layout, struck, mechanics.rubs)
@@ -50,6 +50,18 @@ def make_program(problem: ShootingQuestion, layout: Layout, options: ShootingOpt
         method=_METHODS[options.order],
     )
     return copy_writable(program)
+
+
+def count_substeps(problem: ShootingQuestion) -> int:
+    """Returns in how many substeps friction keeps its stiction speeds; see `fit_to_steps`."""
+    rubs, step = problem.mechanism.mechanics.rubs, np.max(np.diff(problem.times))
+    fitted = fit_to_steps(rubs, step, 1.0, problem.length / _find_duration(problem))
+    return int(np.ceil(np.max(fitted[:, STICTION] / rubs[:, STICTION], initial=1.0)))
+
+
+def _find_duration(problem: ShootingQuestion) -> float:
+    """Returns how long the task is that the knots are of [s]."""
+    return problem.duration or float(np.ptp(problem.times))
 
 
 def _find_struck(layout: Layout, restitutions: Floats) -> tuple[Bools, Floats]:

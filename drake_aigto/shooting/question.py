@@ -37,6 +37,8 @@ class ShootingQuestion:
             knots divide each phase, and where contacts do not yield φ ≥ 0 at all knots.
         clearances: of phases, how far φ has to be above 0 at knots, shape (N + 1, m) [m]; None: 0.
         slowest: of phases, how fast walls are hit at least [m/s].
+        duration: of the whole task, where the knots are no more than its end, so that friction
+            stays what it was [s]; 0: they are all of it.
 
     Raises:
         ProgramError: a shape or a number does not fit; says which.
@@ -55,6 +57,7 @@ class ShootingQuestion:
     phases: Phases | None = None
     clearances: Floats | None = None
     slowest: float = 0.0
+    duration: float = 0.0
 
     def __post_init__(self) -> None:
         """Checks shapes and numbers, and makes arrays read-only."""
@@ -100,6 +103,7 @@ class ShootingQuestion:
             ("control_norm", "a number above 0", self.control_norm > 0),
             ("length", "a number above 0", self.length > 0),
             ("slowest", "a number of at least 0", 0 <= self.slowest < np.inf),
+            ("duration", "a number of at least 0", 0 <= self.duration < np.inf),
         )
         for name, expected, holds in checks:
             if not holds:
