@@ -7,10 +7,22 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from pydrake.geometry import AddContactMaterial, HalfSpace, ProximityProperties, Sphere
+from pydrake.math import RigidTransform, RotationMatrix
+from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
+from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInertia
+from pydrake.systems.framework import DiagramBuilder
 
-from drake_aigto import Plan, Planner, PlanningError, PlanOptions, Scenario
+from drake_aigto import Plan, Planner, PlanningError, PlanOptions, Scenario, World
 from drake_aigto.errors import OptionsError, ProgramError
-from drake_aigto.planning import Center, MechanismOptions, MechanismRung, Renewal
+from drake_aigto.planning import (
+    Center,
+    MechanismOptions,
+    MechanismRung,
+    MechanismSearch,
+    Renewal,
+)
+from drake_aigto.planning.mechanism_options import MECHANISM_LADDER
 from drake_aigto.planning.mechanism_problem import MechanismProblem
 from drake_aigto.shooting import ShootingResult
 from drake_aigto.simulation import replay_event_driven
@@ -126,6 +138,55 @@ def test_what_touches_nothing_swings_up() -> None:
     assert plan.holds
     assert not plan.best.contacts
     assert plan.best.goal_error < 0.1
+
+
+def make_light_arm() -> World:
+    """Returns rods that hang from each other's ends before a wall; the second one is passive."""
+    builder = DiagramBuilder()
+    plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
+    yields = ProximityProperties()
+    AddContactMaterial(0.0, 400.0, CoulombFriction(0.0, 0.0), yields)
+    parent, below = plant.world_body(), RigidTransform()
+    for number, length in enumerate((0.4, 0.3, 0.2)):
+        rod = SpatialInertia.ThinRodWithMassAboutEnd(0.5, length, [0.0, 0.0, -1.0])
+        child = plant.AddRigidBody(f"link{number}", rod)
+        hinge = plant.AddJoint(
+            RevoluteJoint(
+                f"hinge{number}",
+                plant.AddFrame(FixedOffsetFrame(f"pin{number}", parent.body_frame(), below)),
+                child.body_frame(),
+                [0.0, -1.0, 0.0],
+            )
+        )
+        if number != 1:
+            plant.AddJointActuator(f"motor{number}", hinge)
+        parent, below = child, RigidTransform([0.0, 0.0, -length])
+    plant.RegisterCollisionGeometry(parent, below, Sphere(0.03), "tip", yields)
+    wall = RigidTransform(RotationMatrix.MakeYRotation(-np.pi / 2), [0.5, 0.0, 0.0])
+    plant.RegisterCollisionGeometry(plant.world_body(), wall, HalfSpace(), "wall", yields)
+    plant.Finalize()
+    return World.from_diagram(builder.Build())
+
+
+def test_light_links_that_cheap_controls_fling_about_are_led_to_the_goal() -> None:
+    world = make_light_arm()
+    scenario = Scenario(
+        model="arm",
+        initial_position=np.zeros(3),
+        initial_velocity=np.zeros(3),
+        goal_position=[0.9, 0.0, 0.0],
+        goal_velocity_weight=1.0,
+        goal_weight=100.0,
+        control_weight=0.01,
+        duration=1.5,
+        time_step=0.025,
+        contact="compliant",
+    )
+    options = MechanismOptions(renewals=0, ladder=MECHANISM_LADDER[-6:])
+    search = MechanismSearch(MechanismProblem(world, scenario, options))
+    search.explore()
+    # Without control it costs 81.
+    assert search.motions[0].cost < 2.0
 
 
 def test_a_search_without_boxes_has_none_in_renewals_either(

@@ -244,7 +244,11 @@ class MechanismProblem:
     ) -> ShootingResult:
         problem = self.shooting(self.search_steps).lasting(float(center.times[-1]))
         states, controls = center.sample(problem.knot_times)
-        return problem.solve(controls, states, options)
+        found = problem.solve(controls, states, options)
+        if self.mechanism.rubs or self.rank(found) < self.rank(self.coast):
+            return found
+        # Worse than no control, it has most likely diverged.
+        return min(found, problem.solve(controls, states, options.wary), key=self.rank)
 
     def tighten(self, motion: ShootingResult) -> ShootingResult:
         """Returns the local optimum near a motion, in the scenario's time steps.

@@ -15,10 +15,11 @@ from drake_aigto.shooting.tables import FLOW, Memory, Program
 
 # A step must keep this share of the fall that the expansion promises (Armijo).
 _SHARE = 1e-4
-# A step that closes gaps may raise the cost this much: times its size, gain included.
-_RISE = 3.0
-# Below this step length closing a gap is worth any cost.
-_SHORT = 0.2
+# A step that closes gaps may raise the cost this much, times its size, gain included; and below
+# this step length closing a gap is worth any cost.
+_RISE, _SHORT = 3.0, 0.2
+# The same of a wary descent, where motions diverge as soon as they are let go.
+_WARY_RISE, _WARY_SHORT = 0.3, 0.0
 # Damping, a share of curvature: where it starts, grows to at least and by, and gives up.
 _DAMPING, _LEAST, _GROWTH, _MOST = 1e-6, 1e-2, 10.0, 1e3
 # Step lengths that are tried: 1, 1/2, ….
@@ -204,14 +205,16 @@ def _search(
     cost: float,
     drop: float,
     has_gaps: bool,
+    is_wary: bool,
     memory: Memory,
 ) -> float:
     """Returns the first step length that is good enough, 0 if none is."""
     length = 1.0
+    rise, short = (_WARY_RISE, _WARY_SHORT) if is_wary else (_RISE, _SHORT)
     for _ in range(_LENGTHS):
         most = cost - _SHARE * length * drop
         if has_gaps:
-            most = np.inf if length < _SHORT else _RISE * (abs(cost) + drop)
+            most = np.inf if length < short else rise * (abs(cost) + drop)
         found = _march(program, states, controls, length, eps, penalty, most, memory)
         if found < np.inf:
             return length
@@ -229,6 +232,7 @@ def _improve(
     cost: float,
     tolerance: float,
     has_gaps: bool,
+    is_wary: bool,
     damping: float,
     memory: Memory,
 ) -> tuple[float, float]:
@@ -238,7 +242,9 @@ def _improve(
         if drop >= 0.0:
             if not has_gaps and drop <= tolerance:
                 return -1.0, damping
-            length = _search(program, states, controls, eps, penalty, cost, drop, has_gaps, memory)
+            length = _search(
+                program, states, controls, eps, penalty, cost, drop, has_gaps, is_wary, memory
+            )
             if length > 0.0:
                 return length, damping
         damping = max(_GROWTH * damping, _LEAST)
@@ -256,6 +262,7 @@ def descend(
     tolerance: float,
     scale: float,
     has_gaps: bool,
+    is_wary: bool,
     memory: Memory,
 ) -> tuple[float, int, bool]:
     """Improves a motion in place until the expansion promises nearly nothing.
@@ -270,6 +277,7 @@ def descend(
         tolerance: of what is promised, as a share of the cost.
         scale: a cost below which costs are small.
         has_gaps: whether the states are no roll-out.
+        is_wary: whether steps that close gaps may raise the cost by little only.
         memory: room.
 
     Returns:
@@ -295,7 +303,7 @@ def descend(
             break
         before = cost
         length, damping = _improve(
-            program, states, controls, eps, penalty, cost, small, has_gaps, damping, memory
+            program, states, controls, eps, penalty, cost, small, has_gaps, is_wary, damping, memory
         )
         is_converged = length < 0.0
         if length <= 0.0:

@@ -269,6 +269,7 @@ class _Descent:
             rung.tolerance,
             1e-3 * self._problem.cost_scale,
             self._has_gaps,
+            self._options.is_wary,
             self._memory,
         )
 
