@@ -69,12 +69,12 @@ RECORDS: Mapping[str, str] = {
     f" {_SOLVER}",
     "certificates": "python -m benchmarks.certificates --worlds 50",
     "push_bot_bounds": "python -m benchmarks.push_bot_bounds",
-    "in_the_loop": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --workers 2",
+    "in_the_loop": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --workers 1",
     "in_more_loops": "python -m benchmarks.in_the_loop room/bank_shot floor/rebound"
     " cart_pole/soft_06 --count 100 --workers 2 --minutes 14",
     "loop_speed": "python -m benchmarks.loop_speed",
     "loops_changing": "python -m benchmarks.in_the_loop table1/1 corridor/three_bounces --changing"
-    " --count 60 --workers 2 --minutes 2",
+    " --count 60 --workers 1 --minutes 6",
     "cart_poles": "python -m benchmarks.cart_poles --count 100 --workers 1 --minutes 45",
     "soak": "python -m benchmarks.soak --count 1000000",
     "random_programs": "python -m benchmarks.random_programs --count 3000 --seed 4 --workers 2",
