@@ -31,6 +31,7 @@ _POINT_STEPS, _POINT_TOLERANCE = 30, 1e-3
 _GOAL_WEIGHT = 10.0  # of a hard goal, in what standing still costs: 10 at a distance of L
 _FAR = 0.5  # how far a slider's path is moved at most, in `StartedBoxes.widths`; a hinge's by π
 _SAMPLES = 16  # of a motion, to see what is typical of it
+_NEXT_DURATION = 1.1  # of boxes, where it is free, as a part of the one before
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,10 +153,10 @@ class Center:
     boxes: tuple[Box, ...]
     iterations: int
 
-    def lasting(self, duration: float) -> Center:
-        """Returns the same path in another time [s]."""
-        pace = duration / self.times[-1]
-        return replace(self, times=pace * self.times, velocities=self.velocities / pace)
+    def lasting(self, start: float, end: float) -> Center:
+        """Returns the same path from one time to another [s]."""
+        pace = (end - start) / self.times[-1]
+        return replace(self, times=start + pace * self.times, velocities=self.velocities / pace)
 
     def sample(self, times: Floats) -> tuple[Floats, Floats]:
         """Returns states (K + 1, 2n) at times, and controls to hold from each to the next, (K, nu).
@@ -164,6 +165,12 @@ class Center:
         """
         states = sample_cubic(self.times, self.positions[:-1], self.velocities, times)
         return states, interpolate((times[1:] + times[:-1]) / 2, self.times, self.controls)
+
+
+def round_duration(duration: float, usual: float) -> float:
+    """Returns one of the few durations that boxes are compiled for, the usual one among them."""
+    number = np.round(np.log(duration / usual) / np.log(_NEXT_DURATION))
+    return float(usual * _NEXT_DURATION**number)
 
 
 def sample_cubic(knots: Floats, positions: Floats, velocities: Floats, times: Floats) -> Floats:

@@ -46,7 +46,8 @@ class MechanismOptions(SearchOptions):
             has a half width, renewals have none either: a search without boxes.
         renewals: how many times at most a stretch of a candidate is opened to boxes again, or boxes
             are drawn around another start.
-        patience: renewals in a row that find nothing better, after which there are no more.
+        patience: renewals in a row that find nothing better, after which there are no more; twice
+            as many where something turns fast at the start, or once a wall has thrown it off.
         search_steps: how many time steps candidates have at most; finalists have the scenario's.
         seed: of what is drawn.
         certify: whether it is said why there is no lower bound of plans, as there is between rigid

@@ -3,22 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
-from dataclasses import dataclass
 from functools import cache, cached_property
-from typing import Any
 
 import numpy as np
 
 from drake_aigto.arrays import Floats, interpolate
 from drake_aigto.planning.candidate import Candidate, Replays
 from drake_aigto.planning.closing import COARSE, COOLING, POLISH, RUBBED, find_closing, find_tight
+from drake_aigto.planning.compiled_mechanism import CompiledMechanism
 from drake_aigto.planning.flow import trace
+from drake_aigto.planning.launch import Launch, find_launch
 from drake_aigto.planning.mechanism_boxes import (
     Center,
-    MechanismBoxes,
     MechanismRung,
     Renewal,
     StartedBoxes,
+    round_duration,
     sample_cubic,
 )
 from drake_aigto.planning.mechanism_options import MechanismOptions
@@ -31,11 +31,11 @@ from drake_aigto.shooting import (
     ShootingProblem,
     ShootingResult,
 )
-from drake_aigto.simulation.bounds import BOUNDS, calc_excess, state_scales
+from drake_aigto.simulation.bounds import BOUNDS, calc_excess, narrow_bounds, state_scales
 from drake_aigto.simulation.contacts import find_contacts, max_penetration
 from drake_aigto.simulation.replay import Replay, replay_drake, replay_event_driven
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import Ends, MechanismProgram, soften
+from drake_aigto.transcription import Ends, soften
 from drake_aigto.transcription.rows import INTEGRATION
 from drake_aigto.world import CompliantLaw, Scales, Scenario, TaskCost, World
 
@@ -45,28 +45,13 @@ _EXACT, _MOST_SUBSTEPS = 1e-3, 64
 _STEADY = 0.1
 # What is farther off its bounds than this, in parts of the scales, won't be a plan.
 _HOPELESS = 0.05
-# Boxes have a duration of which this is the next one, where it is free.
-_NEXT_DURATION = 1.1
-# Programs of boxes that are kept; scenarios may have ever other durations and weights.
-_MOST_PROGRAMS = 32
 # Motions whose positions are nowhere farther apart than this part of their scales have one optimum.
 _NEAR = 0.05
+# Patience is so many times as much where a start turns fast, which has more optima.
+_PATIENT = 2
 # What a motion misses of its bounds, in the state's scales, costs this in the task's scale. More
 # may be won by it: what misses more than so much comes after all that does not.
 _PRICE, _MUCH = 10.0, 1e-2
-
-
-@dataclass(frozen=True, eq=False)
-class Compiled:
-    """What all tasks with one law of contact share.
-
-    Attributes:
-        mechanism: the world as shooting has it.
-        boxes: the last programs of boxes, by the weights, bounds, duration and steps they have.
-    """
-
-    mechanism: Mechanism
-    boxes: dict[tuple[Any, ...], MechanismBoxes]
 
 
 class MechanismProblem:
@@ -88,7 +73,7 @@ class MechanismProblem:
         world: World,
         scenario: Scenario,
         options: MechanismOptions,
-        compiled: Compiled | None = None,
+        compiled: CompiledMechanism | None = None,
     ) -> None:
         """Reads the task; programs are compiled as they are needed.
 
@@ -102,7 +87,7 @@ class MechanismProblem:
         self.task, self.bounds = TaskCost.of(world, scenario), world.bounds(scenario)
         self.law = world.contact_law(scenario)
         self.scales = Scales.of(world, scenario)
-        self._compiled = compiled or Compiled(Mechanism.of(world, self.law), {})
+        self._compiled = compiled or CompiledMechanism(Mechanism.of(world, self.law), {})
         self._boxes = cache(self._start_boxes)
         self.shooting = cache(self._pose)
 
@@ -123,8 +108,20 @@ class MechanismProblem:
 
     @property
     def renewal_steps(self) -> int:
-        """How many time steps drawn boxes have: a quarter, as few do and they are many."""
-        return max(2, self.search_steps // 4)
+        """How many time steps drawn boxes have: a quarter, where few do, as they are many."""
+        usual = max(2, self.search_steps // 4)
+        return min(self._haste * usual, max(usual, self.search_steps))
+
+    @property
+    def patience(self) -> int:
+        """How many renewals in a row may find nothing better: more where more is to be found."""
+        return self.options.patience * (_PATIENT if self._haste > 1 else 1)
+
+    @cached_property
+    def _haste(self) -> int:
+        """How many times as many time steps drawn boxes need as usual."""
+        step = self.scenario.duration / max(2, self.search_steps // 4)
+        return self.launch.find_haste(step, self.world.is_hinge)
 
     @property
     def mechanism(self) -> Mechanism:
@@ -132,9 +129,17 @@ class MechanismProblem:
         return self._compiled.mechanism
 
     @cached_property
+    def launch(self) -> Launch:
+        """From where on boxes have a say; the start where they may be late, or something rubs."""
+        scenario, law = self.scenario, self.law
+        is_timed = scenario.duration_range is not None or len(self.task.times) > 1
+        if isinstance(law, CompliantLaw) and not (is_timed or self.mechanism.rubs):
+            return find_launch(self.world, law, self.coast)
+        return Launch(0, 0.0, scenario.initial_position, scenario.initial_velocity)
+
+    @cached_property
     def _ends(self) -> Ends:
-        scenario = self.scenario
-        return Ends(scenario.initial_position, scenario.initial_velocity, self.task)
+        return Ends(self.launch.position, self.launch.velocity, self.task)
 
     @cached_property
     def _springs(self) -> CompliantLaw:
@@ -146,21 +151,15 @@ class MechanismProblem:
 
     def _start_boxes(self, num_steps: int, duration: float) -> StartedBoxes:
         """Returns boxes of so many time steps from this start; programs are of any."""
-        task = self.task
-        is_hard = np.isfinite(self._hard_goal)
-        weights = task.R, task.Q, task.Qv, task.QT, task.QTv, task.is_chordal, task.is_modulo
-        springs = self._springs.stiffness, self._springs.dissipation
-        arrays = *weights, is_hard, self.bounds.control, *springs
-        key = num_steps, duration, *(each.tobytes() for each in arrays)
-        programs = self._compiled.boxes
-        boxes = programs.get(key)
-        if boxes is None:
-            program = MechanismProgram(
-                self.world, task, self._springs, duration, num_steps, is_hard
-            )
-            if len(programs) >= _MOST_PROGRAMS:
-                programs.pop(next(iter(programs)), None)
-            boxes = programs[key] = MechanismBoxes(program, self.bounds.control)
+        boxes = self._compiled.find_boxes(
+            self.world,
+            self.task,
+            self._springs,
+            duration,
+            num_steps,
+            np.isfinite(self._hard_goal),
+            self.bounds.control,
+        )
         return boxes.start(self._ends)
 
     @cached_property
@@ -176,27 +175,23 @@ class MechanismProblem:
 
     def run_aigo(self, rung: MechanismRung) -> Center:
         """Returns what the boxes of a rung show."""
-        boxes = self._boxes(rung.num_steps, self.scenario.duration)
-        return boxes.run(rung, self._start_path(rung, boxes))
+        start, end = self.launch.time, self.scenario.duration
+        boxes = self._boxes(rung.num_steps, end - start)
+        return boxes.run(rung, self._start_path(rung, boxes)).lasting(start, end)
 
     def renew(self, motion: ShootingResult, renewal: Renewal) -> Center:
         """Returns what becomes of a motion whose stretch is moved and opened to boxes."""
-        n, duration = self.world.num_positions, float(motion.times[-1])
-        times = np.linspace(0.0, duration, self.renewal_steps + 1)
-        q = interpolate(times, motion.times, motion.states[:, :n])
+        start, end = self.launch.time, float(motion.times[-1])
+        times = np.linspace(start, end, self.renewal_steps + 1)
+        q = interpolate(times, motion.times, motion.states[:, : self.world.num_positions])
         beyond = 2 * q[-1] - q[-2]
-        boxes = self._boxes(self.renewal_steps, self._round_duration(duration))
-        return boxes.renew(np.vstack([q, beyond]), renewal).lasting(duration)
-
-    def _round_duration(self, duration: float) -> float:
-        """Returns one of the few durations that boxes are compiled for."""
-        usual = self.scenario.duration
-        number = np.round(np.log(duration / usual) / np.log(_NEXT_DURATION))
-        return float(usual * _NEXT_DURATION**number)
+        length = round_duration(end, self.scenario.duration) - start
+        boxes = self._boxes(self.renewal_steps, length)
+        return boxes.renew(np.vstack([q, beyond]), renewal).lasting(start, end)
 
     def _start_path(self, rung: MechanismRung, boxes: StartedBoxes) -> Floats:
         if rung.start == "coast":
-            return self.coast.states[:, : self.world.num_positions]
+            return self.coast.states[self.launch.knot :, : self.world.num_positions]
         return boxes.rest() if rung.start == "rest" else boxes.line()
 
     @cached_property
@@ -236,14 +231,17 @@ class MechanismProblem:
     @cached_property
     def _closing(self) -> ShootingOptions:
         """How what boxes show is closed."""
-        time_step, is_aimed = self.scenario.duration / self.search_steps, self.scenario.hard_goal
-        return find_closing(self.world, self.law, self._ends.position, time_step, is_aimed)
+        q, is_aimed = self.scenario.initial_position, self.scenario.hard_goal
+        time_step = self.scenario.duration / self.search_steps
+        return find_closing(self.world, self.law, q, time_step, is_aimed)
 
     def _close_on_springs(
         self, center: Center, options: ShootingOptions = COARSE
     ) -> ShootingResult:
         problem = self.shooting(self.search_steps).lasting(float(center.times[-1]))
         states, controls = center.sample(problem.knot_times)
+        first = slice(self.launch.knot)
+        states[first], controls[first] = self.coast.states[first], self.coast.controls[first]
         found = problem.solve(controls, states, options)
         if self.mechanism.rubs or self.rank(found) < self.rank(self.coast):
             return found
@@ -388,15 +386,8 @@ class MechanismProblem:
         Bounds hold at knots. What moves faster between, as right before a touch, slows down there.
         """
         excess = calc_excess(self.world, self.scenario, replay.positions, replay.velocities)
-        lower, upper = np.hstack([self.bounds.position, self.bounds.velocity])
-        after = motion.states[1:]
-        lower = np.where(excess[0] > 0, np.maximum(lower, after.min(axis=0)) + excess[0], lower)
-        upper = np.where(excess[1] > 0, np.minimum(upper, after.max(axis=0)) - excess[1], upper)
-        # Where both ends are passed by more than all that is between, all there is left is a point.
-        ends = np.array([np.minimum(lower, upper), np.maximum(lower, upper)])
-        position, velocity = np.split(ends, 2, axis=1)
         other = self.again(self.scenario)
-        other.bounds = dataclasses.replace(self.bounds, position=position, velocity=velocity)
+        other.bounds = narrow_bounds(self.bounds, motion.states[1:], excess)
         return other
 
     def again(self, scenario: Scenario) -> MechanismProblem:

@@ -134,7 +134,7 @@ class MechanismSearch(CandidatePool):
             misses, cost = rank = self.motions[0].rank
             is_better = misses < best[0] or not cost + _SAME * abs(cost) >= best[1]
             best, idle = (rank, 0) if is_better else (best, idle + _WAVE)
-            if idle >= options.patience or cost <= _NOTHING * self.problem.scales.cost:
+            if idle >= self.problem.patience or cost <= _NOTHING * self.problem.scales.cost:
                 break
             self.tell(f"renewal {first} of {options.renewals}; the best costs {cost:.6g}")
             last = min(first + _WAVE, options.renewals)

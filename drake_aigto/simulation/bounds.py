@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
+
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.world import Scales, Scenario, TaskCost, World
+from drake_aigto.world import Limits, Scales, Scenario, TaskCost, World
 
 BOUNDS, HARD_GOAL = "bounds", "hard goal"
 
@@ -23,6 +25,19 @@ def calc_excess(world: World, scenario: Scenario, positions: Floats, velocities:
     lower, upper = np.hstack([bounds.position, bounds.velocity])
     x = np.hstack([positions, velocities])
     return np.maximum([np.max(lower - x, axis=0), np.max(x - upper, axis=0)], 0.0)
+
+
+def narrow_bounds(bounds: Limits, states: Floats, excess: Floats) -> Limits:
+    """Returns bounds of q and v that are within what states (K, 2n) have, less an excess (2, 2n).
+
+    Where both ends are passed by more than all that is between, all there is left is a point.
+    """
+    lower, upper = np.hstack([bounds.position, bounds.velocity])
+    lower = np.where(excess[0] > 0, np.maximum(lower, states.min(axis=0)) + excess[0], lower)
+    upper = np.where(excess[1] > 0, np.minimum(upper, states.max(axis=0)) - excess[1], upper)
+    ends = np.array([np.minimum(lower, upper), np.maximum(lower, upper)])
+    position, velocity = np.split(ends, 2, axis=1)
+    return dataclasses.replace(bounds, position=position, velocity=velocity)
 
 
 def calc_violations(
