@@ -81,7 +81,7 @@ BEST = "knows the truth"
 _CART_POLE = "package://drake_aigto_models/cart_pole.sdf"
 
 
-class _Blind(TrackingController):
+class OpenLoop(TrackingController):
     """A plan's control alone, in the ports of what tracks it."""
 
     def __init__(self, plan: Plan, period: float) -> None:
@@ -186,7 +186,7 @@ def make_controllers(
     plan: Plan, planner: Planner, disturbance: Disturbance
 ) -> Iterator[tuple[str, Any, Disturbance]]:
     """Yields the methods' controllers, and what disturbs each."""
-    yield "open loop", _Blind(plan, PERIOD), disturbance
+    yield "open loop", OpenLoop(plan, PERIOD), disturbance
     yield "tracking", TrackingController(plan, period=PERIOD), disturbance
     again: dict[str, Any] = {"period": PERIOD, "horizon": "shrinking"}
     warm = ModelPredictiveController(planner, **again, surprise=np.inf)
