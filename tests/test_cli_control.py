@@ -63,10 +63,6 @@ def test_control_says_that_it_was_interrupted(
         (["table1/1", "--port", "0"], "--port: got no --live"),
         (["table1/1", "--method", "tracking", "--search-every", "3"], "--search-every: got"),
         (["table1/1", "--kick", "1", "2"], "kick: got 2 numbers, expected 1"),
-        (
-            ["billiard/spin_shot", "--method", "replanning"],
-            "friction at rigid walls",
-        ),
     ],
 )
 def test_what_can_not_be_done_is_refused_by_name(

@@ -196,6 +196,41 @@ def test_a_bounce_does_to_deviations_what_it_does_to_balls() -> None:
     np.testing.assert_allclose(saltation, bounce.saltation, atol=1e-8)
 
 
+@pytest.mark.parametrize("spin", [-40.0, -0.5, 30.0])  # slips, sticks, slips the other way
+def test_a_bounce_with_friction_does_to_deviations_what_simulations_show(spin: float) -> None:
+    scenario = dataclasses.replace(
+        Scenario.named("billiard/spin_shot"), initial_velocity=[0.2, 1.0, spin]
+    )
+    world, none = World.from_scenario(scenario), np.zeros((2, 3))
+
+    def roll(x: Any) -> Any:
+        q, v = np.split(x, 2)
+        start = dataclasses.replace(scenario, initial_position=q, initial_velocity=v)
+        return replay_event_driven(world, start, [0.0, 0.5, 1.0], none)
+
+    def end(x: Any) -> Any:
+        replay = roll(x)
+        return np.concatenate([replay.positions[-1], replay.velocities[-1]])
+
+    x = np.concatenate([scenario.initial_position, scenario.initial_velocity])
+    replay = roll(x)
+    (time,), (contact,) = replay.bounce_times, replay.bounce_contacts
+    q, v = np.split(x, 2)
+    trajectory = Trajectory(
+        times=np.array([0.0, time, 1.0]),
+        positions=np.array([q, q + time * v, replay.positions[-1]]),
+        velocities=np.array([v, v, replay.velocities[-1]]),
+        controls=none,
+        impulses=np.eye(world.num_contacts)[contact] * [[0.0], [1.0], [0.0]],
+        forces=np.zeros((2, world.num_contacts)),
+    )
+    saltation = Sweep(world, scenario, trajectory).calc_saltation(1)
+    before, after = (np.kron([[1.0, t], [0.0, 1.0]], np.eye(3)) for t in (time, 1.0 - time))
+    h = 1e-4
+    slopes = np.column_stack([(end(x + dx) - end(x - dx)) / (2 * h) for dx in h * np.eye(6)])
+    np.testing.assert_allclose(slopes, after @ saltation @ before, atol=1e-4)
+
+
 def test_gains_of_phases_are_those_of_the_discrete_riccati_equation() -> None:
     weights: dict[str, Any] = {
         "control_weight": 0.1,

@@ -6,9 +6,8 @@ from drake_aigto.control.ball_horizon import BallHorizon
 from drake_aigto.control.horizon import Horizon
 from drake_aigto.control.mechanism_horizon import MechanismHorizon
 from drake_aigto.control.rigid_mechanism_horizon import RigidMechanismHorizon
-from drake_aigto.errors import ControlError, ModelError
+from drake_aigto.errors import ControlError
 from drake_aigto.planning import Planner, PlanOptions
-from drake_aigto.world import Scenario, World
 
 _ASKED = "the planner of a controller that plans again"
 
@@ -23,8 +22,8 @@ def make_horizon(planner: Planner, is_receding: bool, iterations: int, period: f
         period: between ticks [s].
 
     Raises:
-        ControlError: a free duration, friction at rigid walls, or costs or constraints that were
-            added: those at knots of a plan are at none of a motion that goes on.
+        ControlError: a free duration, or costs or constraints that were added: those at knots of a
+            plan are at none of a motion that goes on.
     """
     world, scenario, options = planner.world, planner.scenario, planner.options
     if scenario.duration_range is not None:
@@ -43,19 +42,5 @@ def make_horizon(planner: Planner, is_receding: bool, iterations: int, period: f
             )
         return BallHorizon(world, scenario, options, is_receding, period)
     if scenario.contact == "rigid" and world.contacts:
-        _check_frictionless(world, scenario)
         return RigidMechanismHorizon(world, scenario, options, is_receding, iterations, period)
     return MechanismHorizon(world, scenario, options, is_receding, iterations)
-
-
-def _check_frictionless(world: World, scenario: Scenario) -> None:
-    """Refuses friction at rigid walls, which warm ticks know nothing of."""
-    try:
-        world.check_frictionless(scenario)
-    except ModelError as error:
-        raise ControlError(
-            _ASKED,
-            got="friction at rigid walls",
-            expected="none, or walls that yield",
-            remedy="Say friction=0 to leave it out.",
-        ) from error

@@ -13,6 +13,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.control.feedback import Feedback
 from drake_aigto.control.flights import check_bounces
 from drake_aigto.simulation.controller import Held
+from drake_aigto.simulation.coulomb import Mobility, calc_impulse
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scales, Scenario, TaskCost, World
 
@@ -69,7 +70,9 @@ class PhaseFeedback(Feedback):
     saltation matrix a deviation before the bounce becomes one after it, as that comes sooner or
     later, and elsewhere,
 
-        Ξ = D + (f⁺ − D f⁻) ∇φᵀ / (∇φᵀ f⁻),    D = ∂(q, v⁺)/∂(q, v⁻),    f = (q̇, v̇).
+        Ξ = D + (f⁺ − D f⁻) ∇φᵀ / (∇φᵀ f⁻),    D = ∂(q, v⁺)/∂(q, v⁻),    f = (q̇, v̇),
+
+    friction of the impact included.
 
     The next phase begins when the mechanism bounces, as for balls (`FlightFeedback`): each goes on
     for a tenth of the plan's duration before and after its own bounces, as if there were no wall.
@@ -188,8 +191,8 @@ class Sweep:
         plan, world = self._plan, self._world
         times, controls = plan.times[first : last + 1], plan.controls[first:last]
         states = np.hstack([plan.positions, plan.velocities])[first : last + 1]
-        n = world.num_positions
-        states[0, n:] += world.calc_velocity_change(plan.positions[first], plan.impulses[first])
+        if first > 0:
+            states[0] = self._hit(int(np.argmax(plan.impulses[first])), states[0])
         span, step = _BEYOND * float(plan.times[-1] - plan.times[0]), float(np.mean(np.diff(times)))
         if first > 0:
             early, ahead = _coast(world, states[0], controls[0], -step, span)
@@ -207,16 +210,9 @@ class Sweep:
         """Returns Ξ of the bounce at a knot, shape (2n, 2n)."""
         world, plan, n = self._world, self._plan, self._world.num_positions
         contact = int(np.argmax(plan.impulses[k]))
-        e = float(world.restitutions(self._scenario)[contact])
 
-        def hit(x: Floats) -> Floats:
-            q, v = x[..., :n], x[..., n:]
-            J = world.calc_contact_jacobian(q)[..., contact, :]
-            unit = np.zeros((*q.shape[:-1], world.num_contacts))
-            unit[..., contact] = 1.0
-            kick = world.calc_velocity_change(q, unit)
-            share = (1 + e) * np.sum(J * v, axis=-1) / np.sum(J * kick, axis=-1)
-            return np.concatenate([q, v - share[..., np.newaxis] * kick], axis=-1)
+        def hit(states: Floats) -> Floats:
+            return np.apply_along_axis(lambda x: self._hit(contact, x), -1, states)
 
         x = np.concatenate([plan.positions[k], plan.velocities[k]])
         D, after = _differentiate(hit, x), hit(x)
@@ -227,6 +223,17 @@ class Sweep:
         normal = np.zeros(2 * n)
         normal[:n] = world.calc_contact_jacobian(plan.positions[k])[contact]
         return D + np.outer(later - D @ before, normal) / float(normal @ before)
+
+    def _hit(self, contact: int, x: Floats) -> Floats:
+        """Returns the state after an impact, with friction (`calc_impulse`), shape (2n,)."""
+        world, (q, v) = self._world, np.split(x, 2)
+        e = float(world.restitutions(self._scenario)[contact])
+        friction = float(world.friction_coefficients(self._scenario)[contact])
+        M, J = world.calc_mass_matrix(q), world.calc_contact_jacobian(q)[contact]
+        T = world.rubbing.calc_tangent_jacobian(q)[contact] if friction else np.zeros_like(J)
+        impulse = calc_impulse(Mobility.of(J, T, M), float(J @ v), float(T @ v), e, friction)
+        change = np.linalg.solve(M, J * impulse.normal + T * impulse.tangent)
+        return np.concatenate([q, v + change])
 
 
 def _calc_rates(world: World, x: Floats, u: Floats) -> Floats:

@@ -171,8 +171,8 @@ class ModelPredictiveController(LeafSystem):
                 (`SeenBounces`); the scenario and the model are what is thought of it before.
 
         Raises:
-            ControlError: a free duration, friction at rigid walls, or something that was added to
-                the planner's transcription; or an argument is out of its range.
+            ControlError: a free duration, or something that was added to the planner's
+                transcription; or an argument is out of its range.
         """
         super().__init__()
         counts = {

@@ -40,7 +40,8 @@ class RigidMechanismHorizon(ShootingHorizon):
 
     A few iterations of the descent, in the phases between the touches that are still to come, lead
     from the last plan to the next (`Phases`). Which touches these are is asked as for balls. Where
-    they lead into a wall, as after a kick, a bounce is added there.
+    they lead into a wall, as after a kick, a bounce is added there. With friction each touch keeps
+    its mode, stick or slip.
     """
 
     _problem: RigidMechanismProblem
