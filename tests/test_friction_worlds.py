@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -10,10 +11,14 @@ import numpy as np
 import pytest
 from pydrake.solvers import MathematicalProgram
 
+from benchmarks import modes_miqp
 from benchmarks.collections.peer_programs import payload, push_circle
-from benchmarks.friction_worlds import ask_payload, list_circle, list_payload
-from drake_aigto import World
+from benchmarks.friction_peer import RubbingProgram
+from benchmarks.friction_worlds import Run, ask_payload, list_circle, list_payload
+from benchmarks.local_peers import casadi
+from drake_aigto import Scenario, World
 from drake_aigto.arrays import Floats
+from drake_aigto.errors import MissingExtraError
 from drake_aigto.planning import MechanismOptions
 from drake_aigto.planning.mechanism_problem import MechanismProblem
 
@@ -80,3 +85,52 @@ def test_a_disc_that_is_pushed_along_a_line_is_listed_as_the_authors_rows_have_i
     assert worst_row(rows, prog, list_circle(plan)) == pytest.approx(0.0, abs=1e-12)
     pushes = list_circle(plan)[-240:-120]
     assert pushes == pytest.approx(grip * pace * np.ones(120))
+
+
+def test_a_question_without_a_peer_has_dashes() -> None:
+    line = str(Run("cart_pole/dry", 654.0, True, 15.7))
+    assert "nan" not in line and line.split().count("-") == 4
+
+
+def test_a_missing_solver_of_binaries_is_named_with_its_extra(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(modes_miqp, "pyscipopt", None)
+    with pytest.raises(MissingExtraError, match=r"pip install 'drake_aigto\[bench\]'"):
+        modes_miqp.solve_modes(Scenario.named("sliding_block/to_rest"), 1.0)
+
+
+@pytest.mark.skipif(modes_miqp.pyscipopt is None, reason="SCIP is not installed")
+def test_binaries_of_stick_and_slip_lead_to_the_closed_form() -> None:
+    scenario = Scenario.named("sliding_block/to_rest")
+    found = modes_miqp.solve_modes(replace(scenario, time_step=0.25), 30.0)
+    # Under a push that is free, ∫ (v̇ + μ g)² is 12/s³ + (μ g)² s for a slide of 1 m in a time s.
+    # The best is s = √(6 / μ g); 8 steps cost little more.
+    grip = 0.3 * 9.81
+    duration = np.sqrt(6 / grip)
+    free = 12 / duration**3 + grip**2 * duration
+    assert free == pytest.approx(16.489, abs=1e-3)
+    assert free < found.bound <= found.cost * (1 + 1e-9) < 1.01 * free
+
+
+@pytest.mark.skipif(casadi is None, reason="CasADi is not installed")
+@pytest.mark.parametrize("name", ["hopper/hop", "spinner/two_radians"])
+def test_the_gradient_peer_has_the_worlds_equations(name: str) -> None:
+    scenario = Scenario.named(name)
+    world, rng = World.from_scenario(scenario), np.random.default_rng(0)
+    program, law = RubbingProgram(world, scenario), world.contact_law(scenario)
+    sizes = world.num_positions, world.num_positions, world.num_actuators, world.num_positions
+    z, exact = [casadi.SX.sym("z", size) for size in sizes], casadi.DM([0.0, 0.0])
+    balance = casadi.Function("balance", z, [program.balance(z[0], z[1], z[2], z[3], exact)])
+    touched = 0
+    for _ in range(300):
+        q = scenario.initial_position + rng.uniform(-0.6, 0.6, world.num_positions)
+        v = 0.1 * rng.normal(size=world.num_positions)
+        u = rng.normal(size=world.num_actuators)
+        forces = world.calc_pushes(law, q, v)
+        touched += int(forces.any())
+        drag = world.rubbing.calc_drag(law, q, v, forces)
+        rate = world.calc_acceleration(q, v, u, forces, drag)
+        off = np.array(balance(q, v, u, rate)).ravel()
+        assert np.abs(off).max() <= 1e-9 * (1 + np.abs(forces).max())
+    assert touched > 5
