@@ -11,7 +11,7 @@ from drake_aigto.world.limits import Limits
 from drake_aigto.world.scales import Scales
 from drake_aigto.world.scenario import Scenario
 from drake_aigto.world.scenario_files import scenario_names
-from drake_aigto.world.spring_rates import SpringRates, compile_springs
+from drake_aigto.world.spring_rates import compile_springs
 from drake_aigto.world.task_cost import TaskCost
 from drake_aigto.world.world import World
 
@@ -27,7 +27,6 @@ __all__ = [
     "RigidLaw",
     "Scales",
     "Scenario",
-    "SpringRates",
     "TaskCost",
     "World",
     "add_dry_friction",
