@@ -50,7 +50,7 @@ RECORDS: Mapping[str, str] = {
     " three_carts/apart --count 40 --methods plan listed IPOPT --seconds 10 --minutes 10"
     " --workers 2",
     "robots_soft": "python -m benchmarks.robots compare cart_pole/soft_06 cart_pole/soft_10"
-    " --methods plan --workers 2",
+    " --methods plan --workers 1",
     "table1": "python -m benchmarks.table1_figures",
     "rigid": "python -m benchmarks.rigid_figures",
     "planner_speed": f"python -m benchmarks.planner_speed {_SPEED}",
