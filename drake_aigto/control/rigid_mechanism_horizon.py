@@ -29,9 +29,14 @@ _MUCH = 1e-2
 _TOLERANCE = 1e-4
 # A tick's iterations are run so often more, until walls are met.
 _UPDATES = 4
-# What is tried where these lead to nothing, and leads on from what a search finds.
+# What is tried where these lead to nothing, and leads on from what a search finds. The last plan is
+# near: steps that close gaps at any cost leave it for motions twice as dear.
 _MORE = ShootingOptions(
-    rungs=(Smoothing(0.0, 20, _TOLERANCE),), substeps=4, order=2, multiplier_updates=8
+    rungs=(Smoothing(0.0, 20, _TOLERANCE),),
+    substeps=4,
+    order=2,
+    multiplier_updates=8,
+    is_wary=True,
 )
 
 
