@@ -13,7 +13,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.control.feedback import Feedback
 from drake_aigto.control.flights import check_bounces
 from drake_aigto.simulation.controller import Held
-from drake_aigto.simulation.coulomb import Mobility, calc_impulse
+from drake_aigto.simulation.coulomb import calc_velocity_after
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scales, Scenario, TaskCost, World
 
@@ -225,15 +225,13 @@ class Sweep:
         return D + np.outer(later - D @ before, normal) / float(normal @ before)
 
     def _hit(self, contact: int, x: Floats) -> Floats:
-        """Returns the state after an impact, with friction (`calc_impulse`), shape (2n,)."""
+        """Returns the state after an impact, with friction, shape (2n,)."""
         world, (q, v) = self._world, np.split(x, 2)
         e = float(world.restitutions(self._scenario)[contact])
         friction = float(world.friction_coefficients(self._scenario)[contact])
         M, J = world.calc_mass_matrix(q), world.calc_contact_jacobian(q)[contact]
         T = world.rubbing.calc_tangent_jacobian(q)[contact] if friction else np.zeros_like(J)
-        impulse = calc_impulse(Mobility.of(J, T, M), float(J @ v), float(T @ v), e, friction)
-        change = np.linalg.solve(M, J * impulse.normal + T * impulse.tangent)
-        return np.concatenate([q, v + change])
+        return np.concatenate([q, calc_velocity_after(M, (J, T), v, e, friction)])
 
 
 def _calc_rates(world: World, x: Floats, u: Floats) -> Floats:

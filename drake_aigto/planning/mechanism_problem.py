@@ -109,8 +109,7 @@ class MechanismProblem:
     @property
     def renewal_steps(self) -> int:
         """How many time steps drawn boxes have: a quarter, where few do, as they are many."""
-        usual = max(2, self.search_steps // 4)
-        return min(self._haste * usual, max(usual, self.search_steps))
+        return min(self._haste * self._usual_steps, max(self._usual_steps, self.search_steps))
 
     @property
     def patience(self) -> int:
@@ -120,8 +119,12 @@ class MechanismProblem:
     @cached_property
     def _haste(self) -> int:
         """How many times as many time steps drawn boxes need as usual."""
-        step = self.scenario.duration / max(2, self.search_steps // 4)
+        step = self.scenario.duration / self._usual_steps
         return self.launch.find_haste(step, self.world.is_hinge)
+
+    @property
+    def _usual_steps(self) -> int:
+        return max(2, self.search_steps // 4)
 
     @property
     def mechanism(self) -> Mechanism:

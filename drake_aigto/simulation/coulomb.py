@@ -94,6 +94,29 @@ def calc_impulse(
     return Impulse(until + rest, until * way.friction + rest * later.friction, later.mode)
 
 
+def calc_velocity_after(
+    mass_matrix: Floats,
+    rows: tuple[Floats, Floats],
+    velocity: Floats,
+    restitution: float,
+    friction: float,
+) -> Floats:
+    """Returns v⁺ = v + M⁻¹ (Jᵀ p_n + Tᵀ p_t) after an impact (`calc_impulse`), shape (nv,).
+
+    Args:
+        mass_matrix: M, shape (nv, nv).
+        rows: J and T of the contact, shape (nv,) each.
+        velocity: v before, shape (nv,).
+        restitution: e, in [0, 1].
+        friction: μ ≥ 0.
+    """
+    J, T = rows
+    rate, slip = float(J @ velocity), float(T @ velocity)
+    impulse = calc_impulse(Mobility.of(J, T, mass_matrix), rate, slip, restitution, friction)
+    push = J * impulse.normal + T * impulse.tangent
+    return np.asarray(velocity + np.linalg.solve(mass_matrix, push))
+
+
 def _slide(mobility: Mobility, mode: Mode, friction: float) -> _Way:
     """Returns how an impact goes on while it slips."""
     along = -friction * mode

@@ -7,7 +7,7 @@ import numpy as np
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.errors import FrictionError
 from drake_aigto.simulation.controller import Controller
-from drake_aigto.simulation.coulomb import Mobility, Mode, calc_impulse
+from drake_aigto.simulation.coulomb import Mode, calc_velocity_after
 from drake_aigto.simulation.friction_modes import (
     RANK,
     Touching,
@@ -169,7 +169,7 @@ class RubbingMechanism(RigidMechanism):
         q, v = self._split()
         world, M = self.world, self.world.calc_mass_matrix(q)
         J, T = stack_rows(self.world, q, np.array([contact]))
-        speed, slip = -float(J @ v), float(T @ v)
+        speed = -float(J @ v)
         others = np.flatnonzero(self._held & (np.arange(world.num_contacts) != contact))
         bias = world.calc_contact_bias(q, v)[contact]
         push = float(J @ self._push(self.x, control, others).acceleration + bias)
@@ -178,8 +178,7 @@ class RubbingMechanism(RigidMechanism):
         e = float(self._rules.restitutions[contact])
         e = 0.0 if 2 * e * speed <= -hop * push else e
         friction = float(self._friction[contact])
-        impulse = calc_impulse(Mobility.of(J, T, M), -speed, slip, e, friction)
-        after = v + np.linalg.solve(M, J * impulse.normal + T * impulse.tangent)
+        after = calc_velocity_after(M, (J, T), v, e, friction)
         if 2 * speed > hop * abs(push):
             energies = (float(world.calc_kinetic_energy(q, each)) for each in (v, after))
             self.recording.impacts.append(Impact(self.time, contact, speed, push, *energies))
