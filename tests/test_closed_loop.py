@@ -57,6 +57,15 @@ def track(disturbance: Disturbance | None = None, **options: Any) -> ClosedLoopR
     return run_in_loop(TrackingController(make_plan()), WALL, None, disturbance, **options)
 
 
+def test_a_run_is_shown_as_a_line_that_tells_what_no_cost_is_shown_without() -> None:
+    run = track()
+    shown = repr(run)
+    assert "\n" not in shown and len(shown) < 400
+    for told in (f"cost={run.cost:.4g}", f"promised={run.promised:.4g}", "bounces: 1", "energy"):
+        assert told in shown
+    assert "interrupted" not in shown
+
+
 def test_without_disturbance_a_plan_keeps_its_promise_off_a_stiff_wall() -> None:
     run = track()
     assert run.method == "tracking" and not run.ticks and not run.switches

@@ -77,6 +77,17 @@ def test_a_plan_file_reads_back_to_the_same_plan(found: Plan, tmp_path: Path) ->
     assert path.read_bytes() == written
 
 
+def test_a_plan_is_shown_as_a_line_that_tells_whether_it_holds(found: Plan) -> None:
+    for plan in (found, dataclasses.replace(found, is_interrupted=True)):
+        shown = repr(plan)
+        assert "\n" not in shown and len(shown) < 400
+        for replay in plan.replay:
+            assert f"{replay.simulator}={replay.cost:.4g}" in shown
+        for name in (f"cost={plan.cost:.4g}", f"holds={plan.holds}", "defect", "penetration"):
+            assert name in shown
+        assert ("interrupted" in shown) == plan.is_interrupted
+
+
 def test_a_plan_without_confirmation_reads_back_too(rigid: Plan, tmp_path: Path) -> None:
     bare = dataclasses.replace(rigid, replay=dataclasses.replace(rigid.replay, drake=None))
     bare.save(tmp_path / "plan.json")

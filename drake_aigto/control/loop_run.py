@@ -91,6 +91,22 @@ class ClosedLoopRun:
     is_interrupted: bool
     world: World = dataclasses.field(compare=False, repr=False, metadata=LEFT_OUT)
 
+    def __repr__(self) -> str:
+        """Returns a line without arrays: the cost, and what no cost is shown without."""
+        replay = self.replay
+        told = [
+            self.method,
+            f"cost={self.cost:.4g}",
+            f"promised={self.promised:.4g}",
+            f"{self.duration:.4g} s in {replay.simulator}",
+            f"bounces: {len(replay.bounce_times)}",
+            f"deepest penetration {replay.max_penetration + 0.0:.2g} m",
+            *([] if replay.energy_ratio is None else [f"energy ratio {replay.energy_ratio:.4g}"]),
+            f"switches of the plan: {len(self.switches)}",
+            *(["interrupted"] if self.is_interrupted else []),
+        ]
+        return f"ClosedLoopRun({', '.join(told)})"
+
     @property
     def cost(self) -> float:
         """J of the scenario's task along what happened."""

@@ -17,6 +17,7 @@ from drake_aigto.planning.options import SearchOptions
 from drake_aigto.simulation.bounds import BOUNDS, HARD_GOAL
 from drake_aigto.simulation.replay import confirms
 from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription.rows import largest_defect
 from drake_aigto.world import Fingerprint, Scenario, World
 from drake_aigto.world.files import write_text
 
@@ -90,6 +91,21 @@ class Plan:
         """Refuses a plan without candidates."""
         if not self.candidates:
             raise PlanFileError("candidates", got="none", expected="at least one")
+
+    def __repr__(self) -> str:
+        """Returns a line without arrays: the cost, and what no cost is shown without."""
+        best, ratio = self.best, self.best.energy_ratio
+        told = [
+            f"cost={self.cost:.4g}",
+            *(f"{replay.simulator}={replay.cost:.4g}" for replay in self.replay),
+            f"holds={self.holds}",
+            best.describe_contacts(),
+            f"largest defect {largest_defect(self.defects, best.scales):.1e}",
+            f"deepest penetration {best.max_penetration + 0.0:.2g} m",
+            *([] if ratio is None else [f"energy ratio {ratio:.4g}"]),
+            *(["interrupted"] if self.is_interrupted else []),
+        ]
+        return f"Plan({', '.join(told)})"
 
     def __getstate__(self) -> dict[str, Any]:
         """Returns what is copied and sent to other processes: all but the world."""
