@@ -134,15 +134,24 @@ class RigidMechanismProblem(MechanismProblem):
         time_step = self.scenario.duration / self.search_steps
         return np.where(self.rigid_law.restitution == 0, 0.0, 2 * np.pi * time_step)
 
-    def bounce(self, touches: TouchSequence, guess: ShootingResult) -> BouncingResult:
+    def bounce(
+        self, touches: TouchSequence, guess: ShootingResult, most: float = np.inf
+    ) -> BouncingResult:
         """Returns a motion with these touches near another, as far as a few steps lead.
 
         If it dips deep into a wall between knots, with a bounce there as well; and where a touch
         with friction is at the edge of its mode, beyond it if that is better.
+
+        Args:
+            touches: in their order.
+            guess: the other motion.
+            most: what costs more after the first steps is left as it is.
         """
-        tried = []
+        tried = list[BouncingResult]()
         for _ in range(1 + _MOST_ADDED):
-            motion = self._told(self._shoot(touches, guess, self.search_steps, _COARSE))
+            motion = self._told(self._shoot(touches, guess, self.search_steps, _COARSE, most))
+            if motion.cost > most:
+                return min([*tried, motion], key=self.rank)
             dip = find_deepest(self.world, motion) if np.isfinite(motion.cost) else None
             tried.append(motion)
             is_full = len(motion.knots) + 1 >= self.search_steps
@@ -269,15 +278,17 @@ class RigidMechanismProblem(MechanismProblem):
         guess: ShootingResult,
         num_steps: int,
         options: ShootingOptions,
+        most: float = np.inf,
     ) -> BouncingResult:
-        """Returns the motion with these touches near another one."""
+        """Returns the motion with these touches near another one (`ShootingProblem.solve`)."""
         T = float(guess.times[-1])
         times, phases = lay_out(touches, num_steps, T, self._total, self.world.num_contacts)
         middles = (times[1:] + times[:-1]) / 2
         row = np.clip(np.searchsorted(guess.times, middles) - 1, 0, len(guess.controls) - 1)
         states = sample(self.world, guess, times)
         problem = self.pose_phases(times, phases)
-        return BouncingResult.of(problem.solve(guess.controls[row], states, options), phases)
+        found = problem.solve(guess.controls[row], states, options, most=most)
+        return BouncingResult.of(found, phases)
 
     def _refine(self, motion: BouncingResult, clearances: Floats | None = None) -> BouncingResult:
         """Returns the optimum near a motion with as many substeps as its accuracy takes.

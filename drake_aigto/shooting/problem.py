@@ -39,6 +39,7 @@ class ShootingProblem(ShootingQuestion):
         states: Floats | None = None,
         options: ShootingOptions | None = None,
         prices: Floats | None = None,
+        most: float = np.inf,
     ) -> ShootingResult:
         """Returns a local optimum near a motion.
 
@@ -48,12 +49,14 @@ class ShootingProblem(ShootingQuestion):
                 and are taken there; None: those that do.
             options: numerics.
             prices: of bounds at first: those of a result of this problem under other options.
+            most: what costs more while missing bounds has a price alone, is not brought to meet
+                them, as that makes it dearer.
 
         Raises:
             ProgramError: a shape does not fit.
         """
         options = options or ShootingOptions()
-        return _Descent(self, controls, states, options, prices).run()
+        return _Descent(self, controls, states, options, prices).run(most)
 
     def simulate(
         self, controls: Floats, substeps: int, smoothing: float = 0.0, order: int = 4
@@ -216,18 +219,18 @@ class _Descent:
             laid[1:, nx + 1] = np.cumsum(layout.shares * laid[1:, nx])
         return laid
 
-    def run(self) -> ShootingResult:
-        """Runs all rungs, then the last one until bounds hold."""
+    def run(self, most: float) -> ShootingResult:
+        """Runs all rungs, then the last one until bounds hold, unless it costs too much already."""
         rungs = self._choose_rungs()
-        is_converged = False
+        is_converged, cost = False, np.inf
         for rung in rungs:
-            is_converged = self._run_rung(rung)
-        stuck = 0
-        for _ in range(self._options.multiplier_updates if self._program.bounds.is_any else 0):
+            cost, is_converged = self._run_rung(rung)
+        stuck, is_pursued = 0, self._program.bounds.is_any and not cost > most
+        for _ in range(self._options.multiplier_updates if is_pursued else 0):
             if self._violation <= self._options.feasibility or stuck == _PATIENCE:
                 break
             before = self._violation
-            is_converged = self._run_rung(rungs[-1])
+            _, is_converged = self._run_rung(rungs[-1])
             stuck = stuck + 1 if self._violation > _STUCK * before else 0
         return self.finish(is_converged)
 
@@ -249,13 +252,13 @@ class _Descent:
             return rungs
         return (rungs[-1]._replace(iterations=sum(rung.iterations for rung in rungs)),)
 
-    def _run_rung(self, rung: Smoothing) -> bool:
-        """Returns whether a rung ended in its tolerance; updates multipliers."""
-        _, count, is_converged = self._descend(rung)
+    def _run_rung(self, rung: Smoothing) -> tuple[float, bool]:
+        """Returns the cost, and whether a rung ended in its tolerance; updates multipliers."""
+        cost, count, is_converged = self._descend(rung)
         self._iterations, self._has_gaps = self._iterations + count, False
         if self._program.bounds.is_any:
             self._update_multipliers()
-        return is_converged
+        return cost, is_converged
 
     def _descend(self, rung: Smoothing) -> tuple[float, int, bool]:
         """Returns the cost without penalties, how many iterations it took, and how they ended."""
