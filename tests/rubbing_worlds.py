@@ -48,11 +48,13 @@ def make_discs(
     across: bool = False,
     turns: bool = True,
     feet: tuple[tuple[float, float], ...] = ((0.0, 0.0),),
+    drives: bool = False,
 ) -> Diagram:
     """Returns balls that move in the plane x, z, with q = (x, z, turn about y) each.
 
     They weigh 1 kg and are solid. The ground is a half space, or one on a hinge about y at the
-    origin that tilts it, whose angle comes last. A motor pushes the first along x. Where
+    origin that tilts it, whose angle comes last. A motor pushes the first along x, or drives its
+    turn. Where
     they go across the plane, too, q = (x, z, y, turn) each. Where
     they do not turn they are blocks, without the last. With other
     feet, what touches are spheres of these radii at (x, z) from the center of mass.
@@ -74,11 +76,11 @@ def make_discs(
             plant.AddJoint(step)
             frames = *frames[:2], aside.body_frame(), frames[3]
         if turns:
-            plant.AddJoint(RevoluteJoint(f"turn_{i}", *frames[2:], [0.0, 1.0, 0.0]))
+            turn = plant.AddJoint(RevoluteJoint(f"turn_{i}", *frames[2:], [0.0, 1.0, 0.0]))
         else:
             plant.WeldFrames(*frames[2:])
         if i == 0:
-            plant.AddJointActuator("push", along)
+            plant.AddJointActuator("push", turn if drives else along)
         for foot in feet:
             add_shape(plant, ball, Sphere(radius), stiffness, rough, foot)
     ground = plant.world_body()

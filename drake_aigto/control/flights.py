@@ -87,8 +87,8 @@ def split_flights(
     return tuple(flights), tuple(bounces)
 
 
-def check_bounces(world: World, trajectory: Trajectory) -> None:
-    """Refuses what is not bounces one by one.
+def check_bounces(world: World, trajectory: Trajectory, may_last: bool = False) -> None:
+    """Refuses what is not bounces one by one, or contacts that last if these may.
 
     Raises:
         TrajectoryError: says which contact is something else, or what does not fit the world.
@@ -106,7 +106,7 @@ def check_bounces(world: World, trajectory: Trajectory) -> None:
     times, impulses = trajectory.times, trajectory.impulses[:-1]
     remedy = "Track plans whose contacts are bounces one by one."
     lasting = np.flatnonzero(trajectory.forces.any(axis=1))
-    if lasting.size:
+    if lasting.size and not may_last:
         raise _refuse(f"one that lasts, at {times[lasting[0]]:.3f} s", remedy)
     if impulses[0].any():
         rigid = "Track plans of the rigid transcription, whose contacts are bounces one by one."

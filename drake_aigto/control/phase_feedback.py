@@ -1,4 +1,4 @@
-"""Feedback about a plan of a mechanism that bounces off rigid walls."""
+"""Feedback about a plan of a mechanism that bounces off rigid walls, or lies at them."""
 
 from __future__ import annotations
 
@@ -12,8 +12,10 @@ from pydrake.trajectories import PiecewisePolynomial
 from drake_aigto.arrays import Floats
 from drake_aigto.control.feedback import Feedback
 from drake_aigto.control.flights import check_bounces
+from drake_aigto.control.stretches import Cut, Stretch, is_at_rest_on, read_stretches
 from drake_aigto.simulation.controller import Held
 from drake_aigto.simulation.coulomb import calc_velocity_after
+from drake_aigto.simulation.pushes import calc_push
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scales, Scenario, TaskCost, World
 
@@ -25,14 +27,20 @@ _DIFFERENCE = 1e-5
 # Flights go on before and after their bounces by this part of the plan's duration.
 _BEYOND = 0.1
 # A hard goal weighs as if so many of the task's costs were to be paid for missing it by its length.
-_HARD = 1e2
+# A block on a floor whose friction and mass were up to 10 % off ended 38 mm off with a hundred of
+# these costs, 12 with a thousand, and 3 with so many.
+_HARD = 1e4
 # A control that is this near to its bound, as a part of the bounds' range, answers nothing.
 _AT_BOUND = 1e-6
+# Slip has ended at this part of its largest value in the plan.
+_STOPPED = 1e-2
+# What comes to its end more slowly than this, as a part of the rates there, may come at any time.
+_SLOWLY = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
 class Phase:
-    """A part of a plan between bounces, with what comes before and after it without a wall.
+    """A stretch of a plan, with what comes before and after it if contacts go on as they do in it.
 
     Attributes:
         times: of K + 1 knots, shape (K + 1,) [s].
@@ -55,9 +63,10 @@ class Phase:
 
 
 class PhaseFeedback(Feedback):
-    """Tracks a plan of a mechanism, whose M, h and J depend on q, through its bounces.
+    """Tracks a plan of a mechanism, whose M, h and J depend on q, through its contacts.
 
-    On phase i, from one bounce of the plan to the next, a control that is held from t_k on is
+    On phase i, in which the same contacts last in the same modes or none does (`Stretch`), a
+    control that is held from t_k on is
 
         u = u_k + K_k (x − x_i(t)),    cut to the bounds of the control,
 
@@ -66,16 +75,20 @@ class PhaseFeedback(Feedback):
         V_k(x̃) = min over ũ   h_k (ũᵀ R ũ + x̃ᵀ diag(Q, Q_v) x̃) + V_{k+1}(F_k x̃ + G_k ũ)
 
     with the scenario's weights, those of angles as at their goal, and F_k, G_k the derivatives of
-    the motion under a held control. Past a bounce V is that of the next phase, of Ξ x̃: by the
-    saltation matrix a deviation before the bounce becomes one after it, as that comes sooner or
-    later, and elsewhere,
+    the motion under a held control, with the forces of contacts that last: what sticks stays, what
+    slips is braked by μ λ_n. Of a deviation from there, only that counts which walls leave
+    (`Stretch.calc_projection`). Past an impact V is that of the next phase, of Ξ x̃: by the
+    saltation matrix a deviation before it becomes one after it, as it comes sooner or later, and
+    elsewhere,
 
-        Ξ = D + (f⁺ − D f⁻) ∇φᵀ / (∇φᵀ f⁻),    D = ∂(q, v⁺)/∂(q, v⁻),    f = (q̇, v̇),
+        Ξ = D + (f⁺ − D f⁻) ∇gᵀ / (∇gᵀ f⁻),    D = ∂(q, v⁺)/∂(q, v⁻),    f = (q̇, v̇),    g = φ,
 
-    friction of the impact included.
+    friction of the impact included. Where a slip ends, g = s and D = 1; where a control lets go of
+    a wall, or of stick, forces are those before and Ξ = 1.
 
-    The next phase begins when the mechanism bounces, as for balls (`FlightFeedback`): each goes on
-    for a tenth of the plan's duration before and after its own bounces, as if there were no wall.
+    The next phase begins when the mechanism hits its wall, or stops to slip, as for balls
+    (`FlightFeedback`): each goes on for a tenth of the plan's duration before and after its own
+    stretch, as if its contacts were all there is. What a control ends, ends by the clock.
     """
 
     feels_contact = True
@@ -84,22 +97,21 @@ class PhaseFeedback(Feedback):
         """Computes the gains.
 
         Raises:
-            TrajectoryError: it does not fit the world; or it has contacts that last, several at
-                once, at the start, or that only graze a wall: no feedback is known there.
+            TrajectoryError: it does not fit the world; or it has several impacts at once, one at
+                the start, or one that only grazes a wall: no feedback is known there.
         """
-        check_bounces(world, trajectory)
-        times = trajectory.times
+        check_bounces(world, trajectory, may_last=True)
+        self._world, times = world, trajectory.times
         self.start, self.end = float(times[0]), float(times[-1])
         self.longest_hold = float(np.max(np.diff(times)))
         self._bounds = world.bounds(scenario).control
         self._norm = scenario.control_norm or np.inf
-        joints = np.flatnonzero(trajectory.impulses[:-1].any(axis=1))
-        self._contacts = [int(np.argmax(trajectory.impulses[k])) for k in joints]
-        self._phases = Sweep(world, scenario, trajectory).run(joints.tolist())
+        sweep = Sweep(world, scenario, trajectory)
+        self._phases, self._ends = sweep.run(), sweep.find_ends()
 
     def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
         """Returns u_k + K_k (x − x_i(t)), within bounds."""
-        phase = self._phases[self._find_phase(bounces)]
+        phase = self._phases[self.find_phase(time, x, bounces)]
         last = len(phase.controls) - 1
         k = int(np.clip(np.searchsorted(phase.times, time, side="right") - 1, 0, last))
         u = phase.controls[k] + phase.gains[k] @ (x - phase.calc_state(time))
@@ -107,41 +119,99 @@ class PhaseFeedback(Feedback):
         return Held(u * min(1.0, self._norm / size) if size else u, float(phase.times[k + 1]))
 
     def find_state(self, time: float, bounces: Sequence[int]) -> Floats:
-        """Returns where the phase is, or would be without the wall, that the mechanism is in."""
-        return self._phases[self._find_phase(bounces)].calc_state(time)
+        """Returns where the phase is, or would be, that the mechanism is in.
 
-    def _find_phase(self, bounces: Sequence[int]) -> int:
-        """Returns in which phase it is: all bounces before it have happened."""
+        Whether it lies at a wall, or has stopped to slip, no bounce tells: that is as planned.
+        """
+        return self._phases[self.find_phase(time, None, bounces)].calc_state(time)
+
+    def find_phase(self, time: float, x: Floats | None, bounces: Sequence[int]) -> int:
+        """Returns in which phase it is: all that ends those before it has happened."""
         left = list(bounces)
-        for i, contact in enumerate(self._contacts):
-            if contact not in left:
+        for i, end in enumerate(self._ends):
+            if end.stretch.cut == Cut.HIT and end.stretch.contact in left:
+                left.remove(end.stretch.contact)
+            elif not self._is_over(end, time, x):
                 return i
-            left.remove(contact)
-        return len(self._contacts)
+        return len(self._ends)
+
+    def _is_over(self, end: _End, time: float, x: Floats | None) -> bool:
+        """Returns whether a phase has ended other than by an impact that was counted."""
+        if end.stretch.cut == Cut.CLOCK or (x is None and end.is_shown_by_state):
+            return time >= end.time
+        if x is None or time < end.earliest or not end.is_shown_by_state:
+            return False
+        contact, (q, v) = end.stretch.contact, np.split(x, 2)
+        if end.stretch.cut == Cut.HIT:
+            return bool(is_at_rest_on(self._world, q, v, end.speed / 2)[contact])
+        slip = float(self._world.rubbing.calc_slips(q, v)[contact])
+        return slip * end.stretch.find_mode(contact) <= _STOPPED * end.speed
+
+
+@dataclass(frozen=True)
+class _End:
+    """What ends a phase, but for the last one.
+
+    Attributes:
+        stretch: that ends.
+        time: when, in the plan [s].
+        earliest: half the time between the end before it and this one [s].
+        speed: of a stop, the largest slip before; of an impact, the approach [m/s].
+        is_shown_by_state: whether it is a stop, or an impact at a wall that is then held.
+    """
+
+    stretch: Stretch
+    time: float
+    earliest: float
+    speed: float
+    is_shown_by_state: bool
 
 
 class Sweep:
-    """Riccati's equation from the end of a plan to its start."""
+    """Riccati's equation from the end of a plan to its start.
+
+    Attributes:
+        stretches: of the plan.
+    """
 
     def __init__(self, world: World, scenario: Scenario, trajectory: Trajectory) -> None:
-        """Takes a plan whose contacts are bounces one by one (`check_bounces`)."""
+        """Takes a plan whose impacts come one by one (`check_bounces`)."""
         self._world, self._scenario, self._plan = world, scenario, trajectory
         self._cost = TaskCost.of(world, scenario)
+        self._friction = world.friction_coefficients(scenario)
+        self.stretches = read_stretches(world, self._friction, trajectory)
         low, high = world.bounds(scenario).control
         margin = _AT_BOUND * np.where(np.isfinite(high - low), high - low, 1.0)
         self._inside = low + margin, high - margin
 
-    def run(self, joints: list[int]) -> list[Phase]:
-        """Returns the phases that meet at these knots."""
-        ends = [0, *joints, len(self._plan.times) - 1]
+    def run(self) -> list[Phase]:
+        """Returns the phases of all stretches."""
         value, phases = self._find_final(), []
-        for first, last in reversed(list(itertools.pairwise(ends))):
-            phase, value = self._sweep(first, last, value)
+        for stretch in reversed(self.stretches):
+            phase, value = self._sweep(stretch, value)
             phases.append(phase)
-            if first > 0:
-                jump = self.calc_saltation(first)
+            if stretch.first > 0:
+                jump = self.calc_saltation(stretch.first)
                 value = jump.T @ value @ jump
         return phases[::-1]
+
+    def find_ends(self) -> list[_End]:
+        """Returns what ends each stretch but the last."""
+        plan, world, last = self._plan, self._world, float(self._plan.times[0])
+        found = []
+        for stretch, after in itertools.pairwise(self.stretches):
+            time, speed, lies = float(plan.times[stretch.last]), 0.0, False
+            knots, contact = slice(stretch.first, stretch.last + 1), stretch.contact
+            if stretch.cut == Cut.HIT:
+                q, v = plan.positions[stretch.last], plan.velocities[stretch.last]
+                speed = abs(float(world.calc_contact_rate(q, v)[contact]))
+                lies = contact in after.held
+            elif stretch.cut == Cut.STOP:
+                slips = world.rubbing.calc_slips(plan.positions[knots], plan.velocities[knots])
+                speed, lies = float(np.max(np.abs(slips[:, contact]))), True
+            found.append(_End(stretch, time, (last + time) / 2, speed, lies))
+            last = time
+        return found
 
     def _find_final(self) -> Floats:
         """Returns V at the end, shape (2n, 2n)."""
@@ -151,32 +221,31 @@ class Sweep:
         if self._scenario.hard_goal:
             scales = Scales.of(self._world, self._scenario)
             value[:n, :n] += _HARD * scales.cost / scales.length**2 * np.eye(n)
+            if self._scenario.goal_velocity is not None:
+                value[n:, n:] += _HARD * scales.cost / scales.velocity**2 * np.eye(n)
         return value
 
-    def _sweep(self, first: int, last: int, value: Floats) -> tuple[Phase, Floats]:
-        """Returns the phase between two knots, and V where it begins."""
-        times, states, controls = self._continue(first, last)
-        begin, end = np.searchsorted(times, self._plan.times[[first, last]])
+    def _sweep(self, stretch: Stretch, value: Floats) -> tuple[Phase, Floats]:
+        """Returns the phase of a stretch, and V where it begins."""
+        times, states, controls = self._continue(stretch)
+        begin, end = np.searchsorted(times, self._plan.times[[stretch.first, stretch.last]])
         gains = np.zeros((len(controls), controls.shape[1], states.shape[1]))
         values = {end: value}
         for k in reversed(range(end)):
             gains[k], values[k] = self._step(
-                states[k], controls[k], times[k + 1] - times[k], values[k + 1]
+                stretch, states[k], controls[k], times[k + 1] - times[k], values[k + 1]
             )
         gains[end:] = gains[end - 1]
         q, v = np.split(states.T, 2)
         positions = PiecewisePolynomial.CubicHermite(times, q, v)
         return Phase(times, positions, positions.derivative(), controls, gains), values[begin]
 
-    def _step(self, x: Floats, u: Floats, h: float, value: Floats) -> tuple[Floats, Floats]:
+    def _step(
+        self, stretch: Stretch, x: Floats, u: Floats, h: float, value: Floats
+    ) -> tuple[Floats, Floats]:
         """Returns K_k and V_k, from V_{k+1}."""
         cost, size = self._cost, len(x)
-
-        def go(z: Floats) -> Floats:
-            return _flow(self._world, z[..., :size], z[..., size:], h)
-
-        slopes = _differentiate(go, np.concatenate([x, u]))
-        F, G = slopes[:, :size], slopes[:, size:]
+        F, G = self.calc_slopes(stretch, x, u, h)
         stage = h * np.diag(np.concatenate([cost.Q, cost.Qv]))
         curvature, cross = h * np.diag(cost.R) + G.T @ value @ G, G.T @ value @ F
         gain = np.zeros((len(u), size))
@@ -184,79 +253,115 @@ class Sweep:
         gain[free] = -np.linalg.solve(curvature[np.ix_(free, free)], cross[free])
         value = stage + F.T @ value @ F + gain.T @ curvature @ gain
         value += gain.T @ cross + cross.T @ gain
-        return gain, (value + value.T) / 2
+        left = stretch.calc_projection(self._world, x)
+        return gain @ left, left.T @ ((value + value.T) / 2) @ left
 
-    def _continue(self, first: int, last: int) -> tuple[Floats, Floats, Floats]:
+    def calc_slopes(
+        self, stretch: Stretch, x: Floats, u: Floats, h: float
+    ) -> tuple[Floats, Floats]:
+        """Returns F and G of a control that is held for h [s], shapes (2n, 2n) and (2n, nu)."""
+        size = len(x)
+
+        def go(z: Floats) -> Floats:
+            return _flow(self._world, stretch, z[..., :size], z[..., size:], h)
+
+        slopes = _differentiate(go, np.concatenate([x, u]))
+        return slopes[:, :size], slopes[:, size:]
+
+    def _continue(self, stretch: Stretch) -> tuple[Floats, Floats, Floats]:
         """Returns knots, states and controls of a phase, and of what is before and after it."""
-        plan, world = self._plan, self._world
+        plan, world, first, last = self._plan, self._world, stretch.first, stretch.last
         times, controls = plan.times[first : last + 1], plan.controls[first:last]
         states = np.hstack([plan.positions, plan.velocities])[first : last + 1]
-        if first > 0:
-            states[0] = self._hit(int(np.argmax(plan.impulses[first])), states[0])
+        if plan.impulses[first].any():
+            states[0] = self._hit(int(np.argmax(plan.impulses[first])), stretch, states[0])
         span, step = _BEYOND * float(plan.times[-1] - plan.times[0]), float(np.mean(np.diff(times)))
         if first > 0:
-            early, ahead = _coast(world, states[0], controls[0], -step, span)
+            early, ahead = _coast(world, stretch, states[0], controls[0], -step, span)
             times = np.concatenate([times[0] + early[::-1], times])
             states = np.vstack([ahead[::-1], states])
             controls = np.vstack([*[controls[:1]] * len(early), controls])
         if last < len(plan.controls):
-            late, behind = _coast(world, states[-1], controls[-1], step, span)
+            late, behind = _coast(world, stretch, states[-1], controls[-1], step, span)
             times = np.concatenate([times, times[-1] + late])
             states = np.vstack([states, behind])
             controls = np.vstack([controls, *[controls[-1:]] * len(late)])
         return times, states, controls
 
     def calc_saltation(self, k: int) -> Floats:
-        """Returns Ξ of the bounce at a knot, shape (2n, 2n)."""
+        """Returns Ξ at a knot where a stretch begins, shape (2n, 2n)."""
         world, plan, n = self._world, self._plan, self._world.num_positions
-        contact = int(np.argmax(plan.impulses[k]))
+        place = [stretch.first for stretch in self.stretches].index(k)
+        before, after = self.stretches[place - 1 : place + 1]
+        contact, x = before.contact, np.concatenate([plan.positions[k], plan.velocities[k]])
+        D, end, normal = np.eye(2 * n), x, np.zeros(2 * n)
+        if before.cut == Cut.CLOCK:
+            return D
+        if before.cut == Cut.HIT:
 
-        def hit(states: Floats) -> Floats:
-            return np.apply_along_axis(lambda x: self._hit(contact, x), -1, states)
+            def hit(states: Floats) -> Floats:
+                return np.apply_along_axis(lambda each: self._hit(contact, after, each), -1, states)
 
-        x = np.concatenate([plan.positions[k], plan.velocities[k]])
-        D, after = _differentiate(hit, x), hit(x)
-        before, later = (
-            _calc_rates(world, state, u)
-            for state, u in ((x, plan.controls[k - 1]), (after, plan.controls[k]))
-        )
-        normal = np.zeros(2 * n)
-        normal[:n] = world.calc_contact_jacobian(plan.positions[k])[contact]
-        return D + np.outer(later - D @ before, normal) / float(normal @ before)
+            D, end = _differentiate(hit, x), hit(x)
+            normal[:n] = world.calc_contact_jacobian(plan.positions[k])[contact]
+        else:
 
-    def _hit(self, contact: int, x: Floats) -> Floats:
-        """Returns the state after an impact, with friction, shape (2n,)."""
+            def slip(states: Floats) -> Floats:
+                q, v = np.split(states, 2, axis=-1)
+                return np.asarray(world.rubbing.calc_slips(q, v)[..., [contact]])
+
+            normal = _differentiate(slip, x)[0]
+        rates = _calc_rates(world, before, x, plan.controls[k - 1])
+        later = _calc_rates(world, after, end, plan.controls[k])
+        pace = float(normal @ rates)
+        if abs(pace) <= _SLOWLY * float(np.linalg.norm(normal) * np.linalg.norm(rates)):
+            return D
+        return D + np.outer(later - D @ rates, normal) / pace
+
+    def _hit(self, contact: int, after: Stretch, x: Floats) -> Floats:
+        """Returns the state after an impact, with friction, shape (2n,).
+
+        What is held from then on returns nothing, and what others then hold is theirs.
+        """
         world, (q, v) = self._world, np.split(x, 2)
         e = float(world.restitutions(self._scenario)[contact])
-        friction = float(world.friction_coefficients(self._scenario)[contact])
+        e = 0.0 if contact in after.held else e
+        friction = float(self._friction[contact])
         M, J = world.calc_mass_matrix(q), world.calc_contact_jacobian(q)[contact]
         T = world.rubbing.calc_tangent_jacobian(q)[contact] if friction else np.zeros_like(J)
-        return np.concatenate([q, calc_velocity_after(M, (J, T), v, e, friction)])
+        return np.concatenate(
+            [q, after.stop(world, q, calc_velocity_after(M, (J, T), v, e, friction))]
+        )
 
 
-def _calc_rates(world: World, x: Floats, u: Floats) -> Floats:
-    """Returns (q̇, v̇) of states (…, 2n) without contact."""
-    q, v = np.split(x, 2, axis=-1)
-    return np.concatenate([v, world.calc_acceleration(q, v, u)], axis=-1)
+def _calc_rates(world: World, stretch: Stretch, x: Floats, u: Floats) -> Floats:
+    """Returns (q̇, v̇) of states (…, 2n) with the forces of what a stretch holds."""
+    v = x[..., world.num_positions :]
+    push = calc_push(world, x, u, stretch.held, stretch.modes, stretch.friction)
+    return np.concatenate([v, push.acceleration], axis=-1)
 
 
-def _flow(world: World, x: Floats, u: Floats, duration: float) -> Floats:
+def _flow(world: World, stretch: Stretch, x: Floats, u: Floats, duration: float) -> Floats:
     """Returns where states (…, 2n) are led to by held controls (…, nu), back in time if < 0."""
     h = duration / _SUBSTEPS
     for _ in range(_SUBSTEPS):
-        k1 = _calc_rates(world, x, u)
-        k2 = _calc_rates(world, x + h / 2 * k1, u)
-        k3 = _calc_rates(world, x + h / 2 * k2, u)
-        k4 = _calc_rates(world, x + h * k3, u)
+        k1 = _calc_rates(world, stretch, x, u)
+        k2 = _calc_rates(world, stretch, x + h / 2 * k1, u)
+        k3 = _calc_rates(world, stretch, x + h / 2 * k2, u)
+        k4 = _calc_rates(world, stretch, x + h * k3, u)
         x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     return x
 
 
-def _coast(world: World, x: Floats, u: Floats, step: float, span: float) -> tuple[Floats, Floats]:
+def _coast(
+    world: World, stretch: Stretch, x: Floats, u: Floats, step: float, span: float
+) -> tuple[Floats, Floats]:
     """Returns times after a state, and states then, shapes (c,) and (c, 2n); back if step < 0."""
     count = int(np.ceil(span / abs(step)))
     states = list(
-        itertools.accumulate(range(count), lambda x, _: _flow(world, x, u, step), initial=x)
+        itertools.accumulate(
+            range(count), lambda x, _: _flow(world, stretch, x, u, step), initial=x
+        )
     )
     return np.array([step * (i + 1) for i in range(count)]), np.array(states[1:])
 

@@ -25,6 +25,8 @@ from drake_aigto.world import World
 
 # A period of what happens once [s]; and how near to a sample is the same, as a part of the period.
 _ONCE, _SAME = 1e12, 1e-6
+# Of a contact: it is touched, or was and is not over yet; it has lain there since the start; none.
+_TOUCHED, _LIES, _APART = 1.0, -1.0, 0.0
 
 
 class _Groups(NamedTuple):
@@ -32,7 +34,7 @@ class _Groups(NamedTuple):
 
     control: DiscreteStateIndex  # u, shape (nu,)
     bounces: DiscreteStateIndex  # how many of each contact, shape (m,)
-    touches: DiscreteStateIndex  # 1 where one goes on, or is not over yet, shape (m,)
+    touches: DiscreteStateIndex  # _TOUCHED, _LIES or _APART, shape (m,)
     last: DiscreteStateIndex  # the time of the last sample, q and v, shape (1 + 2n,)
 
 
@@ -44,14 +46,16 @@ class TrackingController(LeafSystem):
         builder.Connect(controller.get_output_port(0), plant.get_actuation_input_port())
 
     Between rigid walls a plan has flights, each with its own gains, and the next one begins when
-    the ball or the mechanism bounces (`FlightFeedback`, `PhaseFeedback`). Plans of mechanisms
+    the ball or the mechanism bounces (`FlightFeedback`, `PhaseFeedback`). A mechanism may lie at
+    walls, too, stick and slip there: then it has gains of what moves then. Plans of mechanisms
     between walls that yield, or that touch nothing, have gains at knots (`KnotFeedback`).
 
     A bounce is over when a ball leaves a wall that it has touched, with J_i v > 0. Touches are
     *felt*, at every step of the simulation, where the plant's contact results are connected; the
     control is sampled as soon as they are over. Else they are *inferred* from samples: φ_i ≤ 0, or
     it would have come to that since the last one (`BounceWatch.reaches`). The first sample in a
-    touched wall changes nothing, for no plan says how fast a ball is there.
+    touched wall changes nothing, for no plan says how fast a ball is there. What lies at a wall at
+    the start has not bounced when it leaves it.
 
     Samples are taken at the plan's own knots as well, where its control changes.
 
@@ -112,7 +116,7 @@ class TrackingController(LeafSystem):
         """Forgets what was, and takes the first sample."""
         x = read_start(self, self._estimate, context)
         none = 0 * self._read(context, self._groups.bounces)
-        return self._hold(context, values, x, none, none)
+        return self._hold(context, values, x, none, np.where(self._watch.rests(x), _LIES, _APART))
 
     def _sample(self, context: Context, values: DiscreteValues) -> EventStatus:
         """Takes a sample: touches, bounces that are over, and the control from now on."""
@@ -139,8 +143,8 @@ class TrackingController(LeafSystem):
         x = self._estimate.Eval(context)
         if not (self._results.HasValue(context) and np.all(np.isfinite(x))):
             return EventStatus.DidNothing()
-        touches, felt = self._read(context, self._groups.touches) > 0, self._feel(context, x)
-        if np.array_equal(touches, felt):
+        touches, felt = self._read(context, self._groups.touches), self._feel(context, x)
+        if np.array_equal(touches != _APART, felt):
             return EventStatus.DidNothing()
         return self._go_on(context, values, x, felt, felt)
 
@@ -148,11 +152,12 @@ class TrackingController(LeafSystem):
         self, context: Context, values: DiscreteValues, x: Floats, reached: Bools, pressed: Bools
     ) -> EventStatus:
         """Counts what has left its wall, and holds another control unless a touch is new."""
-        groups, before = self._groups, self._read(context, self._groups.touches) > 0
-        touches = before | reached
-        over = touches & ~pressed & self._watch.is_leaving(x)
-        bounces, left = self._read(context, groups.bounces) + over, touches & ~over
-        if not np.any(left & ~before):
+        groups, before = self._groups, self._read(context, self._groups.touches)
+        touches = np.where((before == _APART) & reached, _TOUCHED, before)
+        over = (touches != _APART) & ~pressed & self._watch.is_leaving(x)
+        bounces = self._read(context, groups.bounces) + (over & (touches == _TOUCHED))
+        left = np.where(over, _APART, touches)
+        if not np.any((left == _TOUCHED) & (before == _APART)):
             return self._hold(context, values, x, bounces, left)
         values.set_value(groups.bounces, bounces)
         values.set_value(groups.touches, left)
@@ -164,7 +169,7 @@ class TrackingController(LeafSystem):
         values: DiscreteValues,
         x: Floats,
         bounces: Floats,
-        touches: Floats | Bools,
+        touches: Floats,
     ) -> EventStatus:
         """Holds the control of a state from now on."""
         time = context.get_time()

@@ -6,6 +6,7 @@ import numpy as np
 from pydrake.multibody.plant import ContactResults
 
 from drake_aigto.arrays import Bools, Floats
+from drake_aigto.control.stretches import is_at_rest_on
 from drake_aigto.world import World
 
 
@@ -39,6 +40,11 @@ class BounceWatch:
     def is_inside(self, x: Floats) -> Bools:
         """Returns where φ_i ≤ 0, shape (m,)."""
         return np.asarray(self._world.calc_signed_distance(np.split(x, 2)[0]) <= 0)
+
+    def rests(self, x: Floats) -> Bools:
+        """Returns which contacts lie at their walls, shape (m,)."""
+        q, v = np.split(x, 2)
+        return is_at_rest_on(self._world, q, v)
 
     def feel(self, results: ContactResults, x: Floats) -> Bools:
         """Returns which contacts the plant reports, shape (m,).

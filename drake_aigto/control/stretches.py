@@ -1,0 +1,171 @@
+"""A plan between rigid walls, cut where contacts begin, end, or go on in another mode."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from drake_aigto.arrays import Bools, Floats, Ints
+from drake_aigto.simulation.coulomb import Mode
+from drake_aigto.simulation.friction_modes import RANK, calc_directions
+from drake_aigto.simulation.pushes import stack_rows
+from drake_aigto.trajectory import Trajectory
+from drake_aigto.world import World
+
+# Distances and velocities below this part of a plan's largest ones, or 1, are none: what its phases
+# miss their walls by.
+_NONE = 1e-5
+# Just after an impact a slip is known from the motion to the next knot only, which is no parabola.
+_NEARLY_NONE = 1e-2
+# Steps of the differences of J v and T v by q, as a part of 1 m or 1 rad.
+_DIFFERENCE = 1e-6
+
+
+class Cut(Enum):
+    """What ends a stretch of a plan."""
+
+    HIT = "a wall is hit, and bounced off or stayed at"
+    STOP = "a slip ends"
+    CLOCK = "a control lets go of a wall or a stick, or the plan ends"
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """A part of a plan in which contacts go on as they do.
+
+    Attributes:
+        first: the knot at which it starts.
+        last: the knot at which it ends.
+        held: which contacts are closed, k of them.
+        modes: how each of them goes on.
+        friction: μ of each, shape (k,).
+        cut: what ends it.
+        contact: which hits its wall, or stops to slip, then; −1: none.
+    """
+
+    first: int
+    last: int
+    held: Ints
+    modes: tuple[Mode, ...]
+    friction: Floats
+    cut: Cut
+    contact: int
+
+    def find_mode(self, contact: int) -> Mode:
+        """Returns how a contact goes on."""
+        return dict(zip(self.held.tolist(), self.modes, strict=True)).get(contact, Mode.OPEN)
+
+    def calc_projection(self, world: World, x: Floats) -> Floats:
+        """Returns what closed contacts leave of a deviation from a state x, shape (2n, 2n).
+
+        Positions go back to walls along M⁻¹ Jᵀ, and velocities as an impact that returns nothing
+        takes them, in the modes of the stretch:
+
+            q̃ − M⁻¹ Jᵀ (J M⁻¹ Jᵀ)⁻¹ J q̃,    ṽ − M⁻¹ Dᵀ (C M⁻¹ Dᵀ)⁻¹ (C ṽ + ∂(C v)/∂q q̃)
+
+        where rows of C vanish, J and T of what sticks, and columns of Dᵀ push for that, Jᵀ and Tᵀ,
+        or Jᵀ − μ σ Tᵀ of what slips.
+        """
+        n, k = world.num_positions, len(self.held)
+        if not k:
+            return np.eye(2 * n)
+        q, v = np.split(x, 2)
+        J, (arrest, C) = world.calc_contact_jacobian(q)[self.held], self._calc_arrest(world, q)
+        lifts = np.linalg.solve(world.calc_mass_matrix(q), J.T)
+        place = np.eye(n) - lifts @ np.linalg.pinv(J @ lifts, RANK) @ J
+        vanish, _ = calc_directions(self.modes, self.friction)
+        ends = q + _DIFFERENCE * np.vstack([np.eye(n), -np.eye(n)])
+        speeds = (stack_rows(world, ends, self.held) @ v)[:, vanish]
+        bends = (speeds[:n] - speeds[n:]).T / (2 * _DIFFERENCE)
+        return np.block(
+            [[place, np.zeros((n, n))], [-arrest @ bends @ place, np.eye(n) - arrest @ C]]
+        )
+
+    def stop(self, world: World, q: Floats, v: Floats) -> Floats:
+        """Returns velocities after an impact of all closed contacts that returns nothing, (n,)."""
+        if not len(self.held):
+            return v
+        arrest, C = self._calc_arrest(world, q)
+        return np.asarray(v - arrest @ (C @ v))
+
+    def _calc_arrest(self, world: World, q: Floats) -> tuple[Floats, Floats]:
+        """Returns M⁻¹ Dᵀ (C M⁻¹ Dᵀ)⁻¹, shape (n, r), and C, shape (r, n)."""
+        rows, M = stack_rows(world, q, self.held), world.calc_mass_matrix(q)
+        vanish, shares = calc_directions(self.modes, self.friction)
+        pushes, C = np.linalg.solve(M, rows.T @ shares.T), rows[vanish]
+        return pushes @ np.linalg.pinv(C @ pushes, RANK), C
+
+
+def read_stretches(world: World, friction: Floats, trajectory: Trajectory) -> list[Stretch]:
+    """Returns the stretches of a plan.
+
+    A contact is closed from one knot to the next where it is at its wall at both, and neither
+    approaches nor leaves it.
+
+    Args:
+        world: of the plan.
+        friction: μ of each contact, shape (m,).
+        trajectory: the plan.
+    """
+    modes = _read_modes(world, friction, trajectory)
+    is_hit = np.asarray(trajectory.impulses.any(axis=1))
+    changes = np.asarray(is_hit[1:-1] | np.any(modes[1:] != modes[:-1], axis=1))
+    ends = [0, *(1 + np.flatnonzero(changes)).tolist(), len(modes)]
+    found: list[Stretch] = []
+    for first, last in itertools.pairwise(ends):
+        held = np.flatnonzero(modes[first] != Mode.OPEN)
+        kinds = tuple(Mode(mode) for mode in modes[first, held])
+        cut, contact = Cut.CLOCK, -1
+        if last < len(modes) and is_hit[last]:
+            cut, contact = Cut.HIT, int(np.argmax(trajectory.impulses[last]))
+        elif last < len(modes):
+            before, after = modes[first], modes[last]
+            slid = (np.abs(before) == 1) & (after != before) & (after != Mode.OPEN)
+            stopped = np.flatnonzero(slid & (friction > 0))
+            if len(stopped):
+                cut, contact = Cut.STOP, int(stopped[0])
+        found.append(Stretch(first, last, held, kinds, friction[held], cut, contact))
+    return found
+
+
+def _read_modes(world: World, friction: Floats, trajectory: Trajectory) -> Ints:
+    """Returns the mode of each contact between knots, shape (N, m)."""
+    q, v = trajectory.positions, trajectory.velocities
+    length, speed = 1 + np.max(np.abs(q)), 1 + np.max(np.abs(v))
+    is_hit = trajectory.impulses[:-1].any(axis=1, keepdims=True)
+    at = np.abs(world.calc_signed_distance(q)) <= _NONE * length
+    still = np.abs(world.calc_contact_rate(q, v)) <= _NONE * speed
+    closed = at[:-1] & at[1:] & still[1:] & (still[:-1] | is_hit)
+    steps = np.diff(trajectory.times)[:, np.newaxis]
+    after = np.where(is_hit, 2 * np.diff(q, axis=0) / steps - v[1:], v[:-1])
+    slips = world.rubbing.calc_slips(q[:-1], after), world.rubbing.calc_slips(q[1:], v[1:])
+    first = np.abs(slips[0]) <= np.where(is_hit, _NEARLY_NONE, _NONE) * speed
+    sticks = first & (np.abs(slips[1]) <= _NONE * speed)
+    signs = np.where(slips[0] + slips[1] < 0, Mode.BACKWARD, Mode.FORWARD)
+    modes = np.where(sticks & (friction > 0), Mode.STICK, signs)
+    return np.where(closed, modes, Mode.OPEN)
+
+
+def is_at_rest_on(world: World, q: Floats, v: Floats, speed: float | None = None) -> Bools:
+    """Returns which contacts a state lies at, slower than a speed [m/s] towards it, shape (m,).
+
+    Args:
+        world: the mechanism.
+        q: positions, shape (n,).
+        v: velocities, shape (n,).
+        speed: of approach; None: next to none, and none away from the wall.
+    """
+    at = world.calc_signed_distance(q) <= _NONE * (1 + np.max(np.abs(q)))
+    rates, still = world.calc_contact_rate(q, v), _NONE * (1 + np.max(np.abs(v)))
+    if speed is None:
+        return np.asarray(at & (np.abs(rates) <= still))
+    return np.asarray(at & (rates >= -speed))
+
+
+def touches_walls(world: World, trajectory: Trajectory) -> bool:
+    """Returns whether a plan hits a wall, or lies at one between knots."""
+    lies = _read_modes(world, np.zeros(world.num_contacts), trajectory) != Mode.OPEN
+    return bool(trajectory.impulses.any() or lies.any())

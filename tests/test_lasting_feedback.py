@@ -1,0 +1,212 @@
+"""Feedback along plans whose contacts last on rigid walls: what these leave of deviations."""
+
+from __future__ import annotations
+
+import dataclasses
+from functools import cache
+from typing import Any
+
+import numpy as np
+import pytest
+from rubbing_worlds import RADIUS, make_discs
+
+from drake_aigto import MechanismOptions, Scenario, TrackingController, World, plan
+from drake_aigto.arrays import Floats
+from drake_aigto.control import (
+    Disturbance,
+    KnotFeedback,
+    PhaseFeedback,
+    make_feedback,
+    run_in_loop,
+)
+from drake_aigto.control.phase_feedback import Sweep
+from drake_aigto.simulation import replay_event_driven
+from drake_aigto.simulation.controller import Controller
+from drake_aigto.simulation.coulomb import Mode
+from drake_aigto.simulation.replay import Replay
+from drake_aigto.simulation.rubbing_mechanism import simulate_rigid_walls
+from drake_aigto.trajectory import Trajectory
+
+build = cache(lambda **options: World.from_diagram(make_discs(**options)))
+
+
+def pose(q: Any, v: Any, **fields: Any) -> Scenario:
+    """Returns a task from a state, between walls that return nothing, at 0.3 of friction."""
+    count = len(q)
+    task = {
+        "goal_position": q,
+        "goal_weight": np.arange(1.0, count + 1),
+        "goal_velocity_weight": 0.1 * np.arange(1.0, count + 1),
+        "control_weight": 1e-2,
+        "restitution": 0.0,
+    }
+    return Scenario(initial_position=q, initial_velocity=v, **{**task, **fields})
+
+
+def replay(world: World, scenario: Scenario, times: Any, controls: Any, x: Any = None) -> Replay:
+    """Returns what a control does from the scenario's start, or from another state."""
+    if x is not None:
+        q, v = np.split(x, 2)
+        scenario = dataclasses.replace(scenario, initial_position=q, initial_velocity=v)
+    return replay_event_driven(world, scenario, times, np.array(controls)[:, np.newaxis])
+
+
+def make_plan(world: World, scenario: Scenario, times: Any, controls: Any) -> Trajectory:
+    """Returns a simulated motion as a plan, with a knot at each event."""
+    found = replay(world, scenario, times, controls)
+    lasting = [time for phase in found.contact_phases for time in (phase.start, phase.end)]
+    events = [
+        time
+        for time in {*found.bounce_times, *lasting}
+        if np.min(np.abs(np.array(times) - time)) > 1e-9
+    ]
+    knots = np.union1d(times, events)
+    held = np.array(controls)[np.searchsorted(times, (knots[1:] + knots[:-1]) / 2) - 1]
+    found = replay(world, scenario, knots, held)
+    impulses = np.zeros((len(knots), world.num_contacts))
+    for time, contact in zip(found.bounce_times, found.bounce_contacts, strict=True):
+        impulses[np.argmin(np.abs(knots - time)), contact] = 1.0
+    none = np.zeros((len(held), world.num_contacts))
+    return Trajectory(knots, *found.states_at(knots), held[:, np.newaxis], impulses, none)
+
+
+def end(found: Replay) -> Floats:
+    return np.concatenate([found.positions[-1], found.velocities[-1]])
+
+
+STICK, FORWARD, OPEN = Mode.STICK, Mode.FORWARD, Mode.OPEN
+MOTIONS = {
+    "slides, then rolls": ([0.0, RADIUS, 0.0], [1.5, 0.0, -20.0], [0.0] * 2, [FORWARD, STICK]),
+    "lands and rolls": ([0.0, 0.15, 0.0], [1.0, -1.0, 10.0], [2.0] * 2, [OPEN, STICK]),
+    "lands, slides and rolls": (
+        *([0.0, 0.15, 0.0], [1.0, -1.0, -40.0]),
+        *([2.0, 2.0], [OPEN, FORWARD, STICK]),
+    ),
+    "is pushed until it slips": (
+        *([0.0, RADIUS, 0.0], [0.5, 0.0, 5.0]),
+        *([5.0, 15.0], [STICK, FORWARD]),
+    ),
+    "rolls along a board that tilts": (
+        *([0.05, RADIUS, 0.0, 0.0], [-0.2, 0.0, -2.0, 0.0]),
+        *([0.5, 0.0], [STICK, FORWARD]),
+    ),
+}
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_deviations_end_where_simulations_lead_them(name: str) -> None:
+    q, v, pushes, modes = MOTIONS[name]
+    world, scenario = build(tilts=len(q) == 4), pose(q, v)
+    trajectory = make_plan(world, scenario, [0.0, 0.25, 0.5], pushes)
+    sweep = Sweep(world, scenario, trajectory)
+    assert [stretch.find_mode(0) for stretch in sweep.stretches] == modes
+    times, x = trajectory.times, np.concatenate([q, v])
+    whole = left = sweep.stretches[0].calc_projection(world, x)
+    for stretch, phase in zip(sweep.stretches, sweep.run(), strict=True):
+        if stretch.first > 0:
+            whole = sweep.calc_saltation(stretch.first) @ whole
+        for k in range(stretch.first, stretch.last):
+            state, h = phase.calc_state(times[k]), times[k + 1] - times[k]
+            F, _ = sweep.calc_slopes(stretch, state, trajectory.controls[k], h)
+            whole = F @ stretch.calc_projection(world, state) @ whole
+    controls, h = trajectory.controls[:, 0], 1e-4
+    ends = [end(replay(world, scenario, times, controls, x + h * dx)) for dx in (*left.T, *-left.T)]
+    slopes = np.subtract(*np.split(np.array(ends), 2)).T / (2 * h)
+    np.testing.assert_allclose(slopes, whole, rtol=2e-3, atol=2e-4)
+
+
+@pytest.mark.parametrize("spin", [5.0, 0.0])
+@pytest.mark.parametrize("tilts", [False, True])
+def test_a_gain_of_one_period_is_the_best_answer_in_simulations(spin: float, tilts: bool) -> None:
+    q, v, push = [0.05, RADIUS, 0.0, *[0.0] * tilts], [0.5, 0.0, spin, *[0.0] * tilts], 2.0
+    scenario = pose(q, v, duration=0.03, time_step=0.03)
+    world, times = build(tilts=tilts), np.array([0.0, 0.03])
+    trajectory = make_plan(world, scenario, times, [push])
+    sweep, h = Sweep(world, scenario, trajectory), 1e-4
+    (stretch,), (phase,) = sweep.stretches, sweep.run()
+    assert stretch.modes == (STICK if spin else FORWARD,)
+    x = np.concatenate([scenario.initial_position, scenario.initial_velocity])
+    left = stretch.calc_projection(world, x)
+    ends = [
+        end(replay(world, scenario, times, [push + h * du], x + h * dx))
+        for sign in (1, -1)
+        for dx, du in [*zip(sign * left.T, np.zeros(len(x)), strict=True), (0 * x, sign)]
+    ]
+    slopes = np.subtract(*np.split(np.array(ends), 2)).T / (2 * h)
+    F, G = slopes[:, :-1], slopes[:, -1]
+    Q = np.diag(np.concatenate([scenario.goal_weight, scenario.goal_velocity_weight]))
+    gain = -(G @ Q @ F) / (0.03 * float(np.ravel(scenario.control_weight)[0]) + G @ Q @ G)
+    np.testing.assert_allclose(phase.gains[0, 0], gain, atol=2e-4 * np.max(np.abs(gain)))
+
+
+def run(
+    world: World, scenario: Scenario, controller: Controller, off: Any = 0.0, **changes: Any
+) -> Floats:
+    """Returns where a controller leads what starts elsewhere, or rubs otherwise, shape (n,)."""
+    true = dataclasses.replace(scenario, **changes)
+    start = scenario.initial_position + off, scenario.initial_velocity
+    return np.array(simulate_rigid_walls(world, true, start, controller).positions[-1])
+
+
+def test_a_wheel_whose_motor_moves_it_through_friction_alone_is_brought_back() -> None:
+    world = build(drives=True)
+    scenario = pose([0.0, RADIUS, 0.0], [0.0] * 3, goal_weight=[100.0, 0.0, 0.0])
+    times, torques = np.linspace(0.0, 1.0, 21), np.repeat([0.15, -0.15], 10)
+    trajectory = make_plan(world, scenario, times, torques)
+    feedback = make_feedback(world, scenario, trajectory)
+    assert isinstance(feedback, PhaseFeedback)
+    planned, off = trajectory.positions[-1, 0], np.array([0.05, 0.0, 0.0])
+    assert planned > 0.2
+    missed = abs(run(world, scenario, feedback, off)[0] - planned)
+    assert missed < 0.01 * off[0]
+    # A motor that turns a wheel in the air moves it nowhere.
+    blind = KnotFeedback(world, scenario, trajectory)
+    assert abs(run(world, scenario, blind, off)[0] - planned) > 0.9 * off[0]
+
+
+@pytest.mark.parametrize("friction", [0.27, 0.33])
+def test_a_block_that_lands_and_slides_gets_nearer_to_its_goal_than_in_open_loop(
+    friction: float,
+) -> None:
+    world = build(turns=False)
+    start = pose([0.0, 0.15], [1.0, 0.0], goal_weight=[100.0, 0.0], friction=0.3)
+    times, pushes = np.linspace(0.0, 0.6, 13), np.repeat([6.0, 3.0], [6, 6])
+    trajectory = make_plan(world, start, times, pushes)
+    feedback = make_feedback(world, start, trajectory)
+    planned = trajectory.positions[-1, 0]
+    open_loop = replay(world, dataclasses.replace(start, friction=friction), times, pushes)
+    missed = abs(open_loop.positions[-1, 0] - planned)
+    assert missed > 0.03
+    assert abs(run(world, start, feedback, friction=friction)[0] - planned) < 0.2 * missed
+
+
+def test_phases_end_as_walls_are_reached_and_slips_end_not_when_that_was_planned() -> None:
+    world = build(turns=False)
+    scenario = pose([0.0, 0.15], [1.0, 0.0])
+    trajectory = make_plan(world, scenario, np.linspace(0.0, 0.8, 9), [0.0] * 8)
+    feedback = PhaseFeedback(world, scenario, trajectory)
+    land, stop = (stretch.last for stretch in Sweep(world, scenario, trajectory).stretches[:2])
+    lands, stops = trajectory.times[[land, stop]]
+    falls, slides = [0.1, 0.11, 1.0, -0.9], [0.2, RADIUS, 0.5, 0.0]
+    slow, at_rest = [0.2, RADIUS, 0.1, 0.0], [0.2, RADIUS, 0.0, 0.0]
+    soon = 0.02
+    for time, state, phase in (
+        (lands - soon, falls, 0),
+        (lands + soon, falls, 0),
+        (lands - soon, slides, 1),
+        (stops + soon, slow, 1),
+        (stops - soon, at_rest, 2),
+        (stops + soon, at_rest, 2),
+    ):
+        assert feedback.find_phase(time, np.array(state), ()) == phase
+
+
+@pytest.mark.slow
+def test_a_plan_along_the_floor_is_tracked_where_masses_and_friction_are_others() -> None:
+    options = MechanismOptions(ladder=MechanismOptions().ladder[:2], renewals=0)
+    found = plan(Scenario.named("sliding_block/to_rest"), options)
+    controller = TrackingController(found)
+    assert isinstance(controller.feedback, PhaseFeedback)
+    other = Disturbance(mass_factor=1.1, friction_factor=0.9)
+    loop = run_in_loop(controller, found.scenario, found.find_world(), other)
+    assert loop.replay.goal_error < 0.02
