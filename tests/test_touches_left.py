@@ -41,6 +41,35 @@ def test_touches_are_in_order_and_within_what_is_left(now: float) -> None:
         assert np.all(np.diff(times) > 0)
 
 
+HOLDS = (Touch(0.1, 0.4, 0, 1), Touch(0.2, 1.0, 1), Touch(0.4, 1.0, 0, 0))
+STILL = np.zeros(2)
+
+
+def hold(now: float, rates: np.ndarray = STILL, **slips: int) -> list[tuple[float, ...]]:
+    """Returns the likeliest touches left as start, end, contact and mode; slips by contact."""
+    lying = {int(name[1:]): slip for name, slip in slips.items()}
+    touches = next(find_left(HOLDS, now, LEFT - now, PERIOD, rates, None, lying))
+    return [(touch.start, touch.end, touch.contact, touch.mode) for touch in touches]
+
+
+def test_what_lasts_overlaps_goes_on_in_another_mode_and_to_the_end() -> None:
+    expected = [(0.1, 0.4, 0, 1), (0.2, 1.0, 1, 0), (0.4, 1.0, 0, 0)]
+    np.testing.assert_allclose(hold(0.0), expected, atol=1e-12)
+    # Both have begun, and lie: they last from now on.
+    expected = [(0.0, 0.1, 0, 1), (0.0, 0.7, 1, 0), (0.1, 0.7, 0, 0)]
+    np.testing.assert_allclose(hold(0.3, c0=1, c1=0), expected, atol=1e-12)
+
+
+def test_what_is_late_to_lie_comes_at_once_and_what_slips_otherwise_does_so_first() -> None:
+    late = hold(0.3, COMES, c1=0)
+    assert late[0][0] > 0 and late[1][0] == 0
+    slips = hold(0.3, c0=-1, c1=0)
+    assert [(row[2], row[3]) for row in slips] == [(0, -1), (0, 1), (1, 0), (0, 0)]
+    assert slips[0][1] == slips[1][0] == PERIOD
+    # It lies there early: a period before it was to.
+    assert hold(0.1 - PERIOD, c0=1)[0][0] == 0
+
+
 def test_the_first_motion_that_is_not_dearer_is_taken_or_else_the_cheapest() -> None:
     def motion(cost: float) -> Motion:
         row = np.zeros((2, 1))

@@ -124,9 +124,9 @@ class ModelPredictiveController(LeafSystem):
     what they return. Both are learned from bounces that are seen between one tick and the next; and
     a wall that a ball is well inside of stands farther away. Mechanisms learn nothing of walls.
 
-    A state that is not finite, one inside of a rigid wall, or one from which no motion is found,
-    leaves the last plan as it is, and its control goes on. So it does at the end of a horizon that
-    shrinks. No NaN leaves a port.
+    A state that is not finite, one inside of a rigid wall that no mechanism lies at, or one from
+    which no motion is found, leaves the last plan as it is, and its control goes on. So it does at
+    the end of a horizon that shrinks. No NaN leaves a port.
 
     Input port: `estimated_state`, q and v. Output ports: `control`, u as the plant's actuation port
     takes it; `planned_state`, a PiecewisePolynomial of q and v over the horizon; and `status`, a
@@ -237,8 +237,9 @@ class ModelPredictiveController(LeafSystem):
         if self._horizon.is_inside(x):
             raise ControlError(
                 "the state at the start",
-                got=f"{x.tolist()}, inside of a wall",
-                expected="one outside of all walls, from which can be planned",
+                got=f"{x.tolist()}, on or inside of a wall",
+                expected="one outside of all walls, or a mechanism that lies at one",
+                remedy="Start a little off the wall, or track a plan: TrackingController.",
             )
         now, begin = context.get_time(), time.perf_counter()
         choice = self._choose_first(now, x)

@@ -6,7 +6,7 @@ import dataclasses
 
 import numpy as np
 
-from drake_aigto.arrays import Floats, interpolate
+from drake_aigto.arrays import Bools, Floats, interpolate
 from drake_aigto.control.motion import Motion
 from drake_aigto.control.shooting_horizon import ShootingHorizon
 from drake_aigto.control.touches_left import choose, find_left, keep_apart
@@ -27,6 +27,10 @@ from drake_aigto.world import Scenario, World
 _MUCH = 1e-2
 # Where nothing promises more than this part of the cost, a tick ends before its iterations do.
 _TOLERANCE = 1e-4
+# What lies at a wall is this near to it, as a part of the task's length, and so slow, of its speed.
+_AT_WALL, _STILL = 1e-4, 1e-2
+# Times that differ by less than this part are the same.
+_SAME = 1e-9
 # A tick's iterations are run so often more, until walls are met.
 _UPDATES = 4
 # What is tried where these lead to nothing, and leads on from what a search finds. The last plan is
@@ -46,7 +50,8 @@ class RigidMechanismHorizon(ShootingHorizon):
     A few iterations of the descent, in the phases between the touches that are still to come, lead
     from the last plan to the next (`Phases`). Which touches these are is asked as for balls. Where
     they lead into a wall, as after a kick, a bounce is added there. With friction each touch keeps
-    its mode, stick or slip.
+    its mode, stick or slip. What lies at a wall goes on there as long as it was planned to, in the
+    modes of the last plan, but for a slip that is seen to be another.
     """
 
     _problem: RigidMechanismProblem
@@ -81,16 +86,38 @@ class RigidMechanismHorizon(ShootingHorizon):
         return self.scenario.restitution
 
     def is_inside(self, x: Floats) -> bool:
-        """Returns whether a wall is touched: how fast it is there, no rigid wall tells."""
-        return bool(np.any(self.world.calc_clearance(np.split(x, 2)[0]) <= 0))
+        """Returns whether a wall is touched that nothing lies at: how fast, no rigid wall tells."""
+        of_solids = self.world.are_of_one_solid @ self._lies(x)
+        inside = self.world.calc_signed_distance(np.split(x, 2)[0]) <= 0
+        return any(
+            np.all(inside[list(faces)]) and not np.any(of_solids[list(faces)])
+            for faces in self.world.solids
+        )
+
+    def _lies(self, x: Floats) -> Bools:
+        """Returns which contacts lie at their walls, shape (m,)."""
+        scales, (q, v) = self._problem.scales, np.split(x, 2)
+        at = np.abs(self.world.calc_signed_distance(q)) <= _AT_WALL * scales.length
+        rates = self.world.calc_contact_rate(q, v)
+        return np.asarray(at & (np.abs(rates) <= _STILL * scales.velocity))
+
+    def _read_slips(self, x: Floats) -> dict[int, int]:
+        """Returns, of contacts that lie at their walls, the sign of the slip, 0 if they stick."""
+        q, v = np.split(x, 2)
+        slips = self.world.rubbing.calc_slips(q, v)
+        is_still = np.abs(slips) <= _STILL * self._problem.scales.velocity
+        rubs = self._problem.rigid_law.friction > 0
+        signs = np.where(is_still | ~rubs, 0.0, np.sign(slips)).astype(int)
+        return {int(i): int(signs[i]) for i in np.flatnonzero(self._lies(x))}
 
     def advance(self, motion: Motion, now: float, x: Floats) -> Motion | None:
         """Returns what a few iterations make of what is left of a motion; None if that is none."""
         motion = self._renew(motion, now, x)
         left = self._shift(motion.trajectory, now, x)
         rates = self.world.calc_contact_rate(*np.split(x, 2))
-        duration = float(left.times[-1]) - now
-        sequences = list(find_left(motion.touches, now, duration, self._period, rates))
+        duration, touches = float(left.times[-1]) - now, self._go_on(motion)
+        slips = self._read_slips(x)
+        sequences = list(find_left(touches, now, duration, self._period, rates, None, slips))
         missed = list[BouncingResult]()
         for options in (self._options, _MORE):
             tried = (self._lead(left, touches, options, missed) for touches in sequences)
@@ -98,6 +125,14 @@ class RigidMechanismHorizon(ShootingHorizon):
                 return found
         last = missed[len(sequences) :]
         return choose((self._with_bounce(each, now) for each in last), motion.cost)
+
+    def _go_on(self, motion: Motion) -> TouchSequence:
+        """Returns the touches of a motion; what lasts to its end goes on beyond it."""
+        end = (1 - _SAME) * float(motion.trajectory.times[-1])
+        return tuple(
+            dataclasses.replace(touch, end=np.inf) if touch.lasts and touch.end >= end else touch
+            for touch in motion.touches
+        )
 
     def _lead(
         self,

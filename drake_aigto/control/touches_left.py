@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 
 from drake_aigto.arrays import Floats
@@ -24,6 +24,7 @@ def find_left(
     period: float,
     rates: Floats,
     bounced: int | None = None,
+    slips: Mapping[int, int] | None = None,
 ) -> Iterator[TouchSequence]:
     """Yields the touches of a plan that may be left, as times from now on, the likelier ones first.
 
@@ -37,17 +38,32 @@ def find_left(
         period: between ticks [s].
         rates: φ̇ of each contact, shape (m,) [m/s].
         bounced: the contact that was just seen to bounce, if one was.
+        slips: of each contact that lies at its wall, the sign of its slip, 0 where it sticks.
     """
-    near = _NEAR * period
+    near, lying = _NEAR * period, slips or {}
+    for sequence in _list_left(touches, now, left, near, rates, bounced, lying):
+        yield _begin(sequence, lying, near)
+
+
+def _list_left(
+    touches: Sequence[Touch],
+    now: float,
+    left: float,
+    near: float,
+    rates: Floats,
+    bounced: int | None,
+    lying: Mapping[int, int],
+) -> Iterator[TouchSequence]:
+    """Yields the touches that may be left, wherever contacts lie now."""
     coming = [touch for touch in touches if touch.end > now]
     late = [touch for touch in touches if now - near < touch.end <= now]
-    if late and rates[late[-1].contact] < 0:
+    if late and late[-1].contact not in lying and rates[late[-1].contact] < 0:
         yield keep_apart([late[-1], *coming], now, left)
     whole, fewer = keep_apart(coming, now, left), keep_apart(coming[1:], now, left)
     if not coming:
         yield whole
         return
-    comes = rates[coming[0].contact] < 0
+    comes = rates[coming[0].contact] < 0 or (coming[0].lasts and coming[0].contact in lying)
     is_near = coming[0].start < now + near or coming[0].contact == bounced
     if is_near and not comes:
         yield from (fewer, whole)
@@ -71,12 +87,48 @@ def choose(tried: Iterable[Motion | None], last: float) -> Motion | None:
 
 
 def keep_apart(touches: Sequence[Touch], now: float, left: float) -> TouchSequence:
-    """Returns touches as times from now on, in order and apart, of what is left [s]."""
+    """Returns touches as times from now on, in order and apart, of what is left [s].
+
+    Those that last may overlap, go on from each other in another mode, and last to the end.
+    """
     least = _APART * left
     found: list[Touch] = []
+    ends: dict[tuple[int, float], float] = {}  # of contacts that last, where they were planned
     for touch in touches:
-        start = max(touch.start - now, least + (found[-1].end if found else 0.0))
-        end = max(touch.end - now, start + least) if touch.lasts else start
-        if end < left - least:
+        start = max(touch.start - now, least + _find_last(found, touch))
+        if touch.lasts:
+            start = ends.get((touch.contact, touch.start), start)
+        end = min(max(touch.end - now, start + least), left) if touch.lasts else start
+        if start < left - least:
             found.append(replace(touch, start=start, end=end))
+            ends[touch.contact, touch.end] = end
+    return tuple(found)
+
+
+def _find_last(found: Sequence[Touch], touch: Touch) -> float:
+    """Returns what a touch has to come after: the last one, or, if that lasts, its start [s]."""
+    if not found:
+        return 0.0
+    overlaps = found[-1].lasts and found[-1].contact != touch.contact
+    return found[-1].start if overlaps else found[-1].end
+
+
+def _begin(sequence: TouchSequence, lying: Mapping[int, int], near: float) -> TouchSequence:
+    """Returns touches of which those last from now on that begin soon, where contacts lie.
+
+    What slips otherwise than the plan says does so for a while before.
+    """
+    found, seen = list[Touch](), set[int]()
+    for touch in sequence:
+        lies = touch.contact in lying and touch.contact not in seen
+        seen.add(touch.contact)
+        if not (lies and touch.lasts and touch.start <= near):
+            found.append(touch)
+            continue
+        slip = lying[touch.contact]
+        if slip in (0, touch.mode):
+            found.append(replace(touch, start=0.0))
+            continue
+        until = min(near, touch.end) / 2
+        found += [Touch(0.0, until, touch.contact, slip), replace(touch, start=until)]
     return tuple(found)
