@@ -38,7 +38,7 @@ class Proposal(NamedTuple):
 
 _ANNEALING = "annealing"
 # So many motions are kept, no two of them near each other; nor do costs of two differ by less.
-_MOST_KEPT, _SAME = 8, 1e-3
+_MOST_KEPT, SAME = 8, 1e-3
 # Renewals are drawn from what is kept, and closed, so many at a time.
 _WAVE = 8
 # A cost of this part of the task's scale is none.
@@ -132,7 +132,7 @@ class MechanismSearch(CandidatePool):
         best, idle = (True, np.inf), 0
         for first in range(0, options.renewals if self.motions else 0, _WAVE):
             misses, cost = rank = self.motions[0].rank
-            is_better = misses < best[0] or not cost + _SAME * abs(cost) >= best[1]
+            is_better = misses < best[0] or not cost + SAME * abs(cost) >= best[1]
             best, idle = (rank, 0) if is_better else (best, idle + _WAVE)
             if idle >= self.problem.patience or cost <= _NOTHING * self.problem.scales.cost:
                 break
@@ -177,13 +177,17 @@ class MechanismSearch(CandidatePool):
     def _keep(self, motion: Motion) -> None:
         """Keeps a motion if it is among the best, and no better one is near."""
         near = [known for known in self.motions if self._are_same(known, motion)]
-        if np.isfinite(motion.cost) and all(motion.rank < known.rank for known in near):
+        if np.isfinite(motion.cost) and all(self._is_better(motion, known) for known in near):
             others = [known for known in self.motions if known not in near]
             self.motions = sorted([*others, motion], key=lambda each: each.rank)[:_MOST_KEPT]
 
+    def _is_better(self, motion: Motion, known: Motion) -> bool:
+        """Returns whether a motion takes the place of one that leads to the same optimum."""
+        return motion.rank < known.rank
+
     def _are_same(self, one: Motion, other: Motion) -> bool:
         """Returns whether two motions lead to one optimum, by cost or by path."""
-        is_as_dear = abs(one.cost - other.cost) <= _SAME * abs(one.cost)
+        is_as_dear = abs(one.cost - other.cost) <= SAME * abs(one.cost)
         return is_as_dear or self.problem.are_near(one.result, other.result)
 
     def _finish(self) -> None:

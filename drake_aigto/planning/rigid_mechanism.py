@@ -96,16 +96,21 @@ class RigidMechanismProblem(MechanismProblem):
         """What moves between springs."""
         return Mechanism.of(self.world, self._springs)
 
-    def close(self, center: Center) -> BouncingResult:
-        """Returns the motion on rigid walls near a box center, closed on springs or as it is."""
+    def close(self, center: Center, most: float = np.inf) -> BouncingResult:
+        """Returns the motion on rigid walls near a box center, closed on springs or as it is.
+
+        Args:
+            center: what boxes show.
+            most: see `bounce`.
+        """
         soft = self._close_on_springs(center)
         touches = read_touches(self.world, self.rigid_law, soft, self.lasting)
-        found = [self.bounce(touches, soft)]
+        found = [self.bounce(touches, soft, most)]
         if self._sinks_in:
             states, controls = center.sample(soft.times)
             shown = dataclasses.replace(soft, states=states, controls=controls)
             touches = read_touches(self.world, self.rigid_law, shown, self.lasting)
-            found.append(self.bounce(touches, shown))
+            found.append(self.bounce(touches, shown, most))
         return min(found, key=self.rank)
 
     @cached_property
@@ -145,7 +150,7 @@ class RigidMechanismProblem(MechanismProblem):
         Args:
             touches: in their order.
             guess: the other motion.
-            most: what costs more after the first steps is left as it is.
+            most: what costs more while its bounds do not hold yet is left as it is.
         """
         tried = list[BouncingResult]()
         for _ in range(1 + _MOST_ADDED):

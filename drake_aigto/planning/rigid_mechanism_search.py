@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
 from itertools import chain, pairwise
 from typing import ClassVar, TypeAlias
@@ -12,9 +12,16 @@ import numpy as np
 from drake_aigto.planning.branching import scaled
 from drake_aigto.planning.held_modes import drop, is_closed, list_hold_changes
 from drake_aigto.planning.impact_modes import list_mode_changes, read_mode
+from drake_aigto.planning.mechanism_boxes import Center
 from drake_aigto.planning.mechanism_phases import BouncingResult
 from drake_aigto.planning.mechanism_problem import MechanismProblem
-from drake_aigto.planning.mechanism_search import Closed, MechanismSearch, Motion, Proposal
+from drake_aigto.planning.mechanism_search import (
+    SAME,
+    Closed,
+    MechanismSearch,
+    Motion,
+    Proposal,
+)
 from drake_aigto.planning.origin import COASTING, ChangeName, Origin
 from drake_aigto.planning.pool import Stopwatch
 from drake_aigto.planning.rigid_mechanism import RigidMechanismProblem
@@ -26,9 +33,9 @@ from drake_aigto.transcription import Touch, TouchSequence
 # best, and of so many after each wave of proposals: near a wall that is hugged there is no end of
 # sequences.
 _MOST_BRANCHED, _PROMISING, _MOST_BRANCHES = 3, 1.5, 6
-# A neighbor that costs so many times the best motion after its first steps, in which what it misses
-# has a price alone, is left there: of 185 neighbors in a shot with spin no dearer one led to a new
-# and better motion, and they took three quarters of the time.
+# Where something rubs, a motion that costs so many times the best, while what it misses has a price
+# alone, is left there (elsewhere `dear`): of 185 neighbors in a shot with spin no dearer one led to
+# a new and better motion, and they took three quarters of the time.
 _HOPELESS = 3.0
 # So many of the touches that coasting has are tried, the first ones.
 _MOST_COASTED = 3
@@ -56,7 +63,8 @@ class RigidMechanismSearch(MechanismSearch):
         """Starts with no motion."""
         super().__init__(problem, clock)
         self._tried: set[_Key] = set()
-        self._branched: set[_Key] = set()
+        self._branched: list[Motion] = []
+        self._most = np.inf
 
     def _climb(self) -> None:
         """Closes the centers of all rungs, and motions with the first touches of coasting.
@@ -75,13 +83,24 @@ class RigidMechanismSearch(MechanismSearch):
         )
 
     def _close_all(self, proposals: Sequence[Proposal]) -> None:
-        super()._close_all(proposals)
+        self._close_wave(proposals)
         for _ in range(_MOST_BRANCHES):
             motion = self._find_unbranched()
             if motion is None:
                 return
-            self._branched.add(self._find_key(_read(motion).touches))
+            self._branched.append(motion)
             self._branch(motion.origin, _read(motion))
+
+    def _close_wave(self, proposals: Sequence[Proposal]) -> None:
+        """Closes motions, of which none counts that costs far more than the best before them."""
+        misses, cost = self.motions[0].rank if self.motions else (True, np.inf)
+        times = _HOPELESS if self.problem.rigid_law.rubs else self.dear
+        self._most = np.inf if misses else scaled(times, cost)
+        super()._close_all(proposals)
+
+    def _close(self, propose: Callable[[], Center]) -> Closed:
+        center = propose()
+        return center.iterations, self.problem.close(center, self._most)
 
     def _improve(self, problem: MechanismProblem, motion: ShootingResult) -> ShootingResult:
         assert isinstance(problem, RigidMechanismProblem)
@@ -92,27 +111,37 @@ class RigidMechanismSearch(MechanismSearch):
         best = self.motions[:_MOST_BRANCHED]
         for motion in best:
             is_promising = motion.cost <= scaled(_PROMISING, best[0].cost)
-            if is_promising and self._find_key(_read(motion).touches) not in self._branched:
+            known = (each for each in self._branched if self._are_same(each, motion))
+            if is_promising and all(self._is_better(motion, each) for each in known):
                 return motion
         return None
 
+    def _is_better(self, motion: Motion, known: Motion) -> bool:
+        """Returns whether a motion costs less, or as much with fewer touches.
+
+        One optimum has many sequences, with touches that hardly push. Each makes it more likely
+        that a simulation goes elsewhere.
+        """
+        as_dear = abs(motion.cost - known.cost) <= SAME * abs(known.cost)
+        fewer = len(_read(motion).touches) - len(_read(known).touches)
+        if motion.rank[0] == known.rank[0] and as_dear and fewer:
+            return fewer < 0
+        return motion.rank < known.rank
+
     def _branch(self, origin: Origin, motion: BouncingResult) -> None:
         """Closes the neighbors of a motion, those that were not tried yet."""
-        proposals, (misses, cost) = [], self.motions[0].rank
-        most = np.inf if misses else scaled(_HOPELESS, cost)
+        proposals = []
         for change, touches in self._find_neighbors(motion):
             key = self._find_key(touches)
             if key not in self._tried:
                 self._tried.add(key)
                 changed = origin.changed(change, motion.touches)
-                proposals.append(Proposal(changed, partial(self._bounce, touches, motion, most)))
+                proposals.append(Proposal(changed, partial(self._bounce, touches, motion)))
         if proposals:
-            super()._close_all(proposals)
+            self._close_wave(proposals)
 
-    def _bounce(
-        self, touches: TouchSequence, guess: ShootingResult, most: float = np.inf
-    ) -> Closed:
-        return 0, self.problem.bounce(touches, guess, most)
+    def _bounce(self, touches: TouchSequence, guess: ShootingResult) -> Closed:
+        return 0, self.problem.bounce(touches, guess, self._most)
 
     def _find_neighbors(self, motion: BouncingResult) -> Iterator[tuple[ChangeName, TouchSequence]]:
         """Yields sequences with a touch less, two swapped, one more, and another mode."""

@@ -21,6 +21,9 @@ from drake_aigto.shooting.tables import FLOW
 # Bounds can't be kept near a motion where so many updates in a row, each at a penalty that has
 # grown, leave more than this part of what they are off.
 _PATIENCE, _STUCK = 4, 0.9
+# What a pass that was cut off leaves may still cost so many times less after the next ones: of 280
+# motions of discs that swap places, no dearer one did.
+_FALLING = 2.5
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,8 +52,8 @@ class ShootingProblem(ShootingQuestion):
                 and are taken there; None: those that do.
             options: numerics.
             prices: of bounds at first: those of a result of this problem under other options.
-            most: what costs more while missing bounds has a price alone, is not brought to meet
-                them, as that makes it dearer.
+            most: a motion whose J is larger after a pass that ended is left as it is then, and one
+                that was cut off where J is far larger: as bounds count more, J rises.
 
         Raises:
             ProgramError: a shape does not fit.
@@ -178,7 +181,7 @@ class _Descent:
         self._penalty, self._violation = options.penalty * problem.cost_scale, np.inf
         if prices is not None:
             self._take_prices(prices)
-        self._iterations = 0
+        self._iterations, self._cost, self._has_ended = 0, np.inf, False
 
     @property
     def _multipliers(self) -> tuple[Floats, ...]:
@@ -220,19 +223,24 @@ class _Descent:
         return laid
 
     def run(self, most: float) -> ShootingResult:
-        """Runs all rungs, then the last one until bounds hold, unless it costs too much already."""
+        """Runs all rungs, then the last one until bounds hold, or J is above the most."""
         rungs = self._choose_rungs()
-        is_converged, cost = False, np.inf
+        is_converged = False
         for rung in rungs:
-            cost, is_converged = self._run_rung(rung)
-        stuck, is_pursued = 0, self._program.bounds.is_any and not cost > most
-        for _ in range(self._options.multiplier_updates if is_pursued else 0):
-            if self._violation <= self._options.feasibility or stuck == _PATIENCE:
+            is_converged = self._run_rung(rung)
+        stuck = 0
+        for _ in range(self._options.multiplier_updates if self._program.bounds.is_any else 0):
+            is_done = self._violation <= self._options.feasibility or stuck == _PATIENCE
+            if is_done or self._costs_more(most):
                 break
             before = self._violation
-            _, is_converged = self._run_rung(rungs[-1])
+            is_converged = self._run_rung(rungs[-1])
             stuck = stuck + 1 if self._violation > _STUCK * before else 0
         return self.finish(is_converged)
+
+    def _costs_more(self, most: float) -> bool:
+        """Returns whether J is above the most after the last pass, far above if it was cut off."""
+        return self._cost > (most if self._has_ended else most + (_FALLING - 1) * abs(most))
 
     def find_gains(self) -> Floats:
         """Returns the gains of one sweep about the motion: no gain is worth a step here."""
@@ -252,13 +260,14 @@ class _Descent:
             return rungs
         return (rungs[-1]._replace(iterations=sum(rung.iterations for rung in rungs)),)
 
-    def _run_rung(self, rung: Smoothing) -> tuple[float, bool]:
-        """Returns the cost, and whether a rung ended in its tolerance; updates multipliers."""
-        cost, count, is_converged = self._descend(rung)
+    def _run_rung(self, rung: Smoothing) -> bool:
+        """Returns whether a rung ended in its tolerance; updates multipliers."""
+        self._cost, count, is_converged = self._descend(rung)
+        self._has_ended = count < rung.iterations
         self._iterations, self._has_gaps = self._iterations + count, False
         if self._program.bounds.is_any:
             self._update_multipliers()
-        return cost, is_converged
+        return is_converged
 
     def _descend(self, rung: Smoothing) -> tuple[float, int, bool]:
         """Returns the cost without penalties, how many iterations it took, and how they ended."""
