@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import pickle
 import re
 from functools import cache
@@ -60,6 +61,16 @@ def test_a_plain_task_costs_what_it_always_did() -> None:
     np.testing.assert_allclose(
         cost.goal_error(q), np.linalg.norm(q - scenario.goal_position, axis=1), rtol=4e-16
     )
+
+
+def test_only_what_the_goal_weighs_is_off_it() -> None:
+    scenario = Scenario.named("billiard/spin_shot")
+    cost = TaskCost.of(World.from_scenario(scenario), scenario)
+    assert cost.is_asked.tolist() == [True, True, False]
+    q = scenario.goal_position + np.array([0.3, -0.4, 7.0])
+    assert cost.goal_error(q) == pytest.approx(0.5)
+    weightless = dataclasses.replace(scenario, goal_weight=np.zeros(3))
+    assert TaskCost.of(World.from_scenario(scenario), weightless).is_asked.all()
 
 
 def test_every_term_is_the_formulas() -> None:

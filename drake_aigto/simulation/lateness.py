@@ -14,13 +14,13 @@ from drake_aigto.simulation.costs import calc_cost, explain_cost
 from drake_aigto.simulation.material import LEAST_RESTITUTION, calc_delays
 from drake_aigto.simulation.recording import Impact, Recording, find_impacts
 from drake_aigto.simulation.rubbing_mechanism import calc_slide, simulate_rigid_walls
-from drake_aigto.world import Scenario, World
+from drake_aigto.world import Scenario, TaskCost, World
 
 
 class Lateness(NamedTuple):
     """What compliant walls explain at most."""
 
-    error: float  # of the last position, its norm [m, rad]
+    error: float  # of the last position, its norm where it matters [m, rad]
     cost: float
 
 
@@ -66,7 +66,7 @@ def calc_lateness(world: World, scenario: Scenario, times: Floats, controls: Flo
     recording, _ = control.run(start, float(times[0]))
     rows = np.array(recording.times), np.array(recording.velocities)
     after = 1 + find_impacts(*rows, len(recording.impacts))
-    error = cost = 0.0
+    error, cost, is_asked = 0.0, 0.0, TaskCost.of(world, scenario).is_asked
     for row, impact in zip(after, recording.impacts, strict=True):
         if impact.time < times[-1]:
             state = np.array([recording.positions[row], recording.velocities[row]])
@@ -75,9 +75,11 @@ def calc_lateness(world: World, scenario: Scenario, times: Floats, controls: Flo
             others += _drag(world, scenario, impact, state, change)
             (rigid, price), *runs = (control.run((q, v), impact.time) for q, v in [state, *others])
             for other, paid in runs:
-                error += float(np.linalg.norm(other.positions[-1] - rigid.positions[-1]))
+                moved = other.positions[-1] - rigid.positions[-1]
+                error += float(np.linalg.norm(moved[is_asked]))
                 cost += abs(paid - price)
-    path = np.sum(np.linalg.norm(np.diff(recording.positions, axis=0), axis=1))
+    steps = np.diff(np.array(recording.positions)[:, is_asked], axis=0)
+    path = np.sum(np.linalg.norm(steps, axis=1))
     creep = world.stiction_speed * recording.creep
     cost += explain_cost(world, scenario, recording.positions[-1], creep) if creep else 0.0
     return Lateness(min(error, MOST * float(path)) + creep, cost)

@@ -41,7 +41,8 @@ class Replay(ArrayRecord):
         cost: the task's (`TaskCost`): control_weight Σ dt_k ‖u_k‖² + goal_weight ‖q(T) − goal‖² if
             it is plain. What runs is integrated by quadrature, with a relative error of 1e-8 on
             walls of our own, along cubics between the ends of steps in Drake.
-        goal_error: ‖q(T) − goal‖, of angles as the task compares them [m, rad].
+        goal_error: ‖q(T) − goal‖ of the coordinates that the goal weighs, all if none; of angles
+            as the task compares them [m, rad].
         max_penetration: the deepest −φ, at least 0 [m].
         bounce_times: when walls were touched, B of them [s].
         bounce_contacts: which of the world's contacts each touch was at.

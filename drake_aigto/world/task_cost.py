@@ -121,9 +121,18 @@ class TaskCost(ArrayRecord):
         """
         return _turn(np.subtract(q, self.goal), self.is_modulo | self.is_chordal)
 
+    @property
+    def is_asked(self) -> Bools:
+        """Of which coordinates it matters where they end, shape (n,).
+
+        Those that the goal weighs; all if it weighs none, as a hard goal does.
+        """
+        is_weighed = np.any(self.QT, axis=0)
+        return np.asarray(is_weighed | (not is_weighed.any()))
+
     def goal_error(self, q: ArrayLike) -> Floats:
-        """Returns the norm of `goal_errors`, (…)."""
-        return np.linalg.norm(self.goal_errors(q), axis=-1)
+        """Returns the norm of `goal_errors`, of coordinates whose end matters, (…)."""
+        return np.linalg.norm(self.goal_errors(q)[..., self.is_asked], axis=-1)
 
 
 def _turn(error: Floats, does_turn: Bools) -> Floats:
