@@ -72,10 +72,11 @@ _GENTLE = 1e2
 # What is missed by so little costs next to nothing: steps that gain less have to count, too.
 _SETTLED = ShootingOptions(
     rungs=(Smoothing(0.0, 40, 1e-12),),
-    substeps=_MOST_SUBSTEPS,
     multiplier_updates=24,
     feasibility=1e-11,
 )
+# Walls are met to rounding in as many Runge-Kutta steps as err by this part of the scales at most.
+_TRUE = 1e-7
 # A motion whose end other steps move by less than this part of its scales is steady.
 _STEADY = 1.0
 # Who costs so many times as much after the polish was led astray.
@@ -325,7 +326,11 @@ class RigidMechanismProblem(MechanismProblem):
         if not len(phases.knots) or not np.isfinite(motion.cost):
             return motion
         problem = self.pose_phases(motion.times, phases, clearances)
-        settled = problem.solve(motion.controls, None, _SETTLED, motion.prices)
+        error, substeps = problem.estimate_error(motion), motion.substeps
+        while error > _TRUE and substeps < _MOST_SUBSTEPS:
+            error, substeps = error / 2**motion.order, 2 * substeps
+        options = dataclasses.replace(_SETTLED, substeps=substeps)
+        settled = problem.solve(motion.controls, None, options, motion.prices)
         is_better = settled.violation < motion.violation and self.price(settled) <= scaled(
             _FAR, self.price(motion)
         )
