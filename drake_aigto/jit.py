@@ -5,10 +5,12 @@ from __future__ import annotations
 import hashlib
 import os
 import re
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import cache
+from functools import cache, partial
 from typing import Any, TypeVar, cast
 
 import llvmlite
@@ -24,7 +26,7 @@ _Function = TypeVar("_Function", bound=Callable[..., Any])
 _Borrowed = TypeVar("_Borrowed")
 
 # `python -m benchmarks.start_time` measures 10 to 15 s on idle cores of servers; shooting takes 60.
-_COMPILES = "compiling machine code, up to a minute or so; "
+_COMPILES = "compiling machine code, up to a minute or so (Ctrl-C waits for that); "
 _KEPT = "it is kept for next time"
 _LOST = "it can be kept nowhere: NUMBA_CACHE_DIR may name a folder"
 
@@ -48,6 +50,7 @@ def njit(**options: Any) -> Callable[[_Function], _Function]:
     def compile_later(function: _Function) -> _Function:
         compiled = numba.njit(**options)(function)
         _forget_literals(compiled)
+        compiled.compile = partial(_compile_undisturbed, compiled.compile)
         try:
             compiled._cache = _SourceCache(function)  # As njit(cache=True) does with its own.
         except RuntimeError as error:
@@ -70,6 +73,32 @@ def _forget_literals(compiled: Any) -> None:
         return find_template(tuple(map(types.unliteral, args)), kws)
 
     compiled.get_call_template = find_shared_template
+
+
+def _compile_undisturbed(compile_now: Callable[..., Any], signature: Any) -> Any:
+    """Compiles a function, and raises what Ctrl-C raises when that is done.
+
+    LLVM calls Python back, and swallows what is raised there: the function would be half compiled.
+    """
+    with _later_ctrl_c():
+        return compile_now(signature)
+
+
+@contextmanager
+def _later_ctrl_c() -> Iterator[None]:
+    """Has Ctrl-C wait for the end of a `with` block; signals reach the main thread alone."""
+    handle = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(handle):
+        yield
+        return
+    caught: list[tuple[Any, ...]] = []
+    signal.signal(signal.SIGINT, lambda *arguments: caught.append(arguments))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handle)
+        if caught:
+            handle(*caught[0])
 
 
 # What Python calls.

@@ -191,8 +191,8 @@ def test_the_search_says_once_that_it_compiles_if_it_does(
     monkeypatch.setattr(Search, "tell", compile_meanwhile)
     assert main([*FLIGHT, "--no-confirm"]) == FINE
     told = (
-        "drake-aigto: compiling machine code, up to a minute or so; it can be kept nowhere: "
-        "NUMBA_CACHE_DIR may name a folder\n"
+        "drake-aigto: compiling machine code, up to a minute or so (Ctrl-C waits for that); "
+        "it can be kept nowhere: NUMBA_CACHE_DIR may name a folder\n"
     )
     assert capsys.readouterr().err == (told if compiles else "")
     monkeypatch.setattr(Search, "tell", tell)

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import ast
 import os
+import signal
 import subprocess
 import sys
 from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from numba.core.event import Event, Listener, install_listener
 
 import drake_aigto
 from drake_aigto import jit
@@ -136,6 +138,38 @@ def test_an_edit_of_anything_that_a_kernel_uses_is_in_the_next_run(little: Path,
         edit(little / name, "Record", "Pair")
     assert run() == (32.0, True)
     assert run() == (32.0, False)
+
+
+class Interruption(Listener):
+    """Presses Ctrl-C as each compilation begins, and counts them."""
+
+    def __init__(self) -> None:
+        """Starts with none."""
+        self.count = 0
+
+    def on_start(self, event: Event) -> None:
+        self.count += 1
+        signal.raise_signal(signal.SIGINT)
+
+    def on_end(self, event: Event) -> None:
+        pass
+
+
+def test_ctrl_c_ends_what_compiles_once_that_is_whole() -> None:
+    functions: dict[str, Callable[[float], float]] = {}
+    exec("def called(x):\n    return x + 1.0", functions)  # Without a file none is kept on disk.
+    called = functions["called"] = jit.kernel(functions["called"])
+    exec("def caller(x):\n    return 2.0 * called(x)", functions)
+    caller, before = jit.kernel(functions["caller"]), signal.getsignal(signal.SIGINT)
+    interruption = Interruption()
+    with install_listener("numba:compile", interruption), pytest.raises(KeyboardInterrupt):
+        caller(2.0)
+    assert signal.getsignal(signal.SIGINT) is before
+    # Neither is compiled again.
+    assert interruption.count == 2
+    with install_listener("numba:compile", interruption):
+        assert (caller(2.0), called(2.0)) == (6.0, 3.0)
+    assert interruption.count == 2
 
 
 def imported_names(file: Path) -> set[tuple[str, str, str]]:
