@@ -7,7 +7,7 @@ from functools import cache
 from typing import Any
 
 import numpy as np
-from pydrake.geometry import HalfSpace, ProximityProperties, Sphere
+from pydrake.geometry import Box, HalfSpace, ProximityProperties, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
 from pydrake.multibody.tree import PrismaticJoint, PrismaticSpring, SpatialInertia, UnitInertia
@@ -55,13 +55,14 @@ def make_diagram(
     num_actuators: int = 2,
     density: float = 1.0,
     dissipation: float | None = 0.0,
+    thickness: float = 0.0,
 ) -> Diagram:
     """Returns a ball of 1.5 kg before a wall at x = 0, made in code as a user would.
 
     With two joints it hangs on a carriage of 0.5 kg that moves along the rail, and slides on it
     along (4, 3)/5, askew to the wall, so that an impulse moves both. The spring pulls the first
     joint to its reference. A push comes from a source that drives the actuator. Gravity [m/s²]
-    pulls to the wall. All masses are multiplied by the density.
+    pulls to the wall. All masses are multiplied by the density. A wall with a thickness is a box.
     """
     builder = DiagramBuilder()
     plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
@@ -86,8 +87,9 @@ def make_diagram(
     plant.RegisterCollisionGeometry(
         ball, RigidTransform([0.1, 0, 0]), Sphere(0.1), "ball", properties
     )
-    facing_x = RigidTransform(RotationMatrix.MakeYRotation(np.pi / 2))
-    plant.RegisterCollisionGeometry(plant.world_body(), facing_x, HalfSpace(), "wall", properties)
+    facing_x = RigidTransform(RotationMatrix.MakeYRotation(np.pi / 2), [-thickness / 2, 0, 0])
+    wall = Box(1.0, 1.0, thickness) if thickness else HalfSpace()
+    plant.RegisterCollisionGeometry(plant.world_body(), facing_x, wall, "wall", properties)
     plant.Finalize()
     if push is not None:
         source = builder.AddSystem(ConstantVectorSource([push]))

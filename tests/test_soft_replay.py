@@ -12,7 +12,7 @@ from mechanisms import build
 from replay_worlds import make_diagram
 from scipy.integrate import quad, solve_ivp
 
-from drake_aigto import Scenario, World
+from drake_aigto import Scenario, ScenarioError, World
 from drake_aigto.simulation import (
     Replay,
     make_simulator,
@@ -52,10 +52,15 @@ def draw(seed: int) -> tuple[Scenario, Any]:
 
 
 def bounce(
-    v: float = 2.0, q: float = 0.5, stiffness: float = 400.0, dissipation: float = 0.0
+    v: float = 2.0,
+    q: float = 0.5,
+    stiffness: float = 400.0,
+    dissipation: float = 0.0,
+    thickness: float = 0.0,
 ) -> tuple[Replay, Replay]:
     """Returns both replays of a ball of 1.5 kg before a wall of half this stiffness."""
-    world = World.from_diagram(make_diagram(stiffness=stiffness, dissipation=dissipation))
+    diagram = make_diagram(stiffness=stiffness, dissipation=dissipation, thickness=thickness)
+    world = World.from_diagram(diagram)
     scenario = Scenario(
         initial_position=q, initial_velocity=-v, goal_position=1.0, contact="compliant"
     )
@@ -92,6 +97,23 @@ def test_a_start_deep_in_a_wall_is_pushed_out_by_both() -> None:
     assert drake.cost == pytest.approx(own.cost, rel=1e-6)
     assert drake.bounce_contacts == own.bounce_contacts
     assert all(time > 0 for time in own.bounce_times)
+
+
+def test_a_start_in_a_box_that_yields_is_pushed_out_while_the_center_is_outside() -> None:
+    # A sphere of 0.1 m before a box: half a radius inside, and lying on it.
+    for q in (-0.05, 0.0):
+        own, drake = bounce(q=q, v=0.0, thickness=0.5)
+        assert own.max_penetration == pytest.approx(-q) and own.positions[-1, 0] >= q
+        np.testing.assert_allclose(own.positions[-1], drake.positions[-1], atol=1e-5)
+    world = World.from_diagram(make_diagram(stiffness=400.0, thickness=0.5))
+    lying: dict[str, Any] = {"initial_velocity": 0.0, "goal_position": 1.0}
+    world.check(Scenario(initial_position=-0.05, contact="compliant", **lying))
+    for changes in (
+        {"initial_position": -0.11, "contact": "compliant"},
+        {"initial_position": -0.05},
+    ):
+        with pytest.raises(ScenarioError, match="initial_position is inside, behind"):
+            world.check(Scenario(**lying, **changes))
 
 
 @pytest.mark.parametrize("dissipation", [0.3, 3.0])

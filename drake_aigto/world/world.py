@@ -370,13 +370,15 @@ class World(EquationsOfMotion):
     def _check_place(self, name: str, q: Floats, scenario: Scenario) -> None:
         """Refuses a position inside or against a solid, or beside the one face that it has.
 
-        Compliant half spaces may be entered: they have no far side to be pushed out of. What rubs
-        may lie against a wall, to slide along it.
+        Compliant half spaces may be entered: they have no far side to be pushed out of. So may
+        boxes, while the sphere's center is outside, which tells the side. What rubs may lie against
+        a wall, to slide along it.
         """
         friction = self.friction_coefficients(scenario)
         for faces, distance in zip(self.solids, self.calc_clearance(q), strict=True):
             face = self._reachable[faces[0]].face
-            is_soft = scenario.contact == "compliant" and face.is_unbounded
+            has_one_side = face.is_unbounded or distance > -face.radius
+            is_soft = has_one_side and scenario.contact == "compliant"
             lies = friction[list(faces)].any() and abs(distance) <= _TOUCHING
             if distance <= 0 and not (is_soft or lies):
                 raise refuse_inside(name, face, distance, len(faces), self.plant)
