@@ -250,9 +250,13 @@ class RigidMechanismProblem(MechanismProblem):
         is_as_is = not grazes and len(motion.controls) == num_steps
         first = motion if is_as_is else self._shoot(touches, motion, num_steps, _FINE)
         found = self._told(self._refine(first))
-        if not is_as_is and self.price(found) > scaled(_FAR, self.price(motion)):
+        if self.price(found) > scaled(_FAR, self.price(motion)):
             # That is another optimum: other steps, or a graze left out, led astray.
-            found = min(found, self._told(self._refine(motion)), key=self.rank)
+            wary = self._shoot(touches, motion, num_steps, _FINE.wary)
+            others = [self._refine(wary, is_wary=True)]
+            if not is_as_is:
+                others.append(self._refine(motion))
+            found = min(found, *map(self._told, others), key=self.rank)
         if found.cost > most:
             return found
         clearances = np.zeros((len(found.times), self.world.num_contacts))
@@ -296,7 +300,9 @@ class RigidMechanismProblem(MechanismProblem):
         found = problem.solve(guess.controls[row], states, options, most=most)
         return BouncingResult.of(found, phases)
 
-    def _refine(self, motion: BouncingResult, clearances: Floats | None = None) -> BouncingResult:
+    def _refine(
+        self, motion: BouncingResult, clearances: Floats | None = None, is_wary: bool = False
+    ) -> BouncingResult:
         """Returns the optimum near a motion with as many substeps as its accuracy takes.
 
         As what is unstable goes elsewhere under other steps, states are kept, and gaps closed. What
@@ -308,7 +314,9 @@ class RigidMechanismProblem(MechanismProblem):
         error = problem.estimate_error(found)
         while True:
             penalty = _GENTLE if self.rigid_law.rubs else _FINE.penalty
-            options = dataclasses.replace(_FINE, substeps=found.substeps, penalty=penalty)
+            options = dataclasses.replace(
+                _FINE, substeps=found.substeps, penalty=penalty, is_wary=is_wary
+            )
             states = found.states if error > _STEADY else None
             found = problem.starting_from(found).solve(found.controls, states, options)
             error = problem.starting_from(found).estimate_error(found)
