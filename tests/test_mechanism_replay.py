@@ -18,7 +18,7 @@ from test_direct_replay import draw_task, follows_chatter, roll_out, world_of
 
 from drake_aigto import Scenario, TrajectoryError, World
 from drake_aigto.planning.flow import _find_rates, _integrate
-from drake_aigto.simulation import Replay, replay_costs, replay_event_driven
+from drake_aigto.simulation import Replay, hybrid, replay_costs, replay_event_driven
 from drake_aigto.simulation.controller import HeldControl
 from drake_aigto.simulation.coulomb import Mode
 from drake_aigto.simulation.mechanism import simulate_mechanism
@@ -265,6 +265,17 @@ def test_many_controls_cost_what_each_does() -> None:
 def test_a_motion_that_runs_away_is_refused() -> None:
     with pytest.raises(TrajectoryError, match="runs away"):
         swing((0.0, 0.0), 1.0, torque=1e300)
+
+
+def test_a_motion_that_goes_ever_faster_is_not_followed_for_hours(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    swing((0.0, 0.0), 1.0, torque=-1e3)
+    monkeypatch.setattr(hybrid, "_MOST_PIECES", 100)
+    monkeypatch.setattr(hybrid, "_MOST_EACH", 0)
+    swing((0.0, 0.0), 1.0, torque=1.0)
+    with pytest.raises(TrajectoryError, match=r"goes ever faster, at 0\.\d+ s"):
+        swing((0.0, 0.0), 1.0, torque=-1e3)
 
 
 @pytest.mark.parametrize(

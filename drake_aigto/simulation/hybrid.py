@@ -12,6 +12,10 @@ from drake_aigto.simulation.recording import Recording
 from drake_aigto.simulation.smooth import Rates, Watched, follow
 from drake_aigto.world import World
 
+# What takes more pieces than these, and so many more for each hold of the control and each event,
+# goes ever faster: a swing of a pendulum is some ten of them.
+_MOST_PIECES, _MOST_EACH = 30_000, 500
+
 
 class HybridMotion(ABC):
     """A world's motion from a start, recorded.
@@ -39,7 +43,8 @@ class HybridMotion(ABC):
             all motion between.
 
         Raises:
-            TrajectoryError: the motion runs away to infinity.
+            TrajectoryError: the motion runs away to infinity, or goes so fast that it would take
+                minutes to follow.
         """
         while self.time < controller.end:
             held = controller.sample(self.time, self.x, self.recording.bounces)
@@ -66,7 +71,9 @@ class HybridMotion(ABC):
         Returns:
             Which did; −1 if none.
         """
-        stretch = follow(rates, watched, self.time, until, self.x, self._step)
+        seen = self.recording
+        most = _MOST_PIECES + _MOST_EACH * len(seen.times) - len(seen.samples)
+        stretch = follow(rates, watched, self.time, until, self.x, self._step, most)
         self.time, self.x = stretch.end, stretch.state
         self._step = stretch.step if stretch.fallen < 0 else np.inf
         self.recording.samples += [(samples, control) for samples in stretch.samples]

@@ -77,6 +77,7 @@ def follow(
     end: float,
     state: Floats,
     first_step: float = np.inf,
+    most: float = np.inf,
 ) -> Stretch:
     """Integrates ẋ = f(x) until a watched value falls to zero, or to the end.
 
@@ -92,15 +93,18 @@ def follow(
         end: [s].
         state: (q, v) at the start, shape (2 nv,).
         first_step: that is tried, at most to the end [s].
+        most: so many pieces, in each of which nothing moves far.
 
     Raises:
-        TrajectoryError: the motion runs away to infinity.
+        TrajectoryError: the motion runs away to infinity, or takes more pieces.
     """
     samples, last, longest = [], state, 0.0
     first_step = min(first_step, end - start)
     for piece, last, step in _integrate(rates, start, end, state, first_step):  # noqa: B007 (used)
         longest, (time, fallen) = max(longest, step), _find_fall(watched, piece)
         samples.append(piece.sample(time))
+        if len(samples) > most:
+            raise _refuse(time)
         if fallen >= 0:
             return Stretch(time, piece.states(np.array([time]))[0], fallen, samples, longest)
     return Stretch(end, last, -1, samples, longest)
@@ -174,7 +178,7 @@ def _refuse(time: float) -> TrajectoryError:
     """Returns the error of a motion that can't be integrated beyond a time [s]."""
     return TrajectoryError(
         "the motion under this control",
-        got=f"one that runs away at {time:g} s",
+        got=f"one that runs away, or goes ever faster, at {time:g} s",
         expected="one that can be integrated until the end",
         remedy="Check the control's size.",
     )
