@@ -325,6 +325,8 @@ class ModelPredictiveController(LeafSystem):
 
     def _calc_surprise(self, cost: float) -> float:
         """Returns by how much a plan costs more than the one before, if it met a surprise."""
+        if np.isinf(self._surprise):  # What costs nothing any more, too.
+            return np.inf
         return self._surprise * cost + _NOTHING * self._horizon.cost_scale
 
     def _keep(self, state: State, moment: _Moment) -> EventStatus:
