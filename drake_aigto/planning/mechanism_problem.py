@@ -268,13 +268,15 @@ class MechanismProblem:
     def polish(self, motion: ShootingResult) -> ShootingResult:
         """Returns the local optimum near a motion, its time steps halved until they agree.
 
-        What is steady is followed from its controls, by steps that never raise the cost.
+        What is steady is followed from its controls, by steps that never raise the cost. What
+        friction holds or pushes may not be: as it sharpens, the same controls lose it.
         """
         is_coarse = len(motion.controls) < self.scenario.num_steps
         if is_coarse or motion.substeps < POLISH.substeps:
             motion = self.tighten(motion)
         motion = self._cooled(motion)
-        problem, options, error = self.shooting(self.scenario.num_steps), POLISH, 0.0
+        problem, options = self.shooting(self.scenario.num_steps), POLISH
+        error = problem.estimate_error(motion) if self.mechanism.rubs else 0.0
         if self.mechanism.rubs and motion.substeps > POLISH.substeps:  # Longer ones lead astray.
             options = dataclasses.replace(RUBBED, substeps=motion.substeps)
         while True:
