@@ -20,6 +20,7 @@ from drake_aigto import Scenario, World
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import MissingExtraError
 from drake_aigto.planning import MechanismOptions
+from drake_aigto.planning.closing import Aim
 from drake_aigto.planning.mechanism_problem import MechanismProblem
 
 _STEPS = 199
@@ -29,7 +30,7 @@ def test_boxes_that_know_no_friction_close_near_a_plan_that_slides_to_its_goal()
     """As walls are closed, they end at 7.2 and more."""
     scenario = ask_payload(11)
     problem = MechanismProblem(World.from_scenario(scenario), scenario, MechanismOptions())
-    closed = (problem.close(problem.run_aigo(rung)) for rung in problem.options.ladder)
+    closed = (problem.close(problem.run_aigo(rung), Aim()) for rung in problem.options.ladder)
     best = min(closed, key=problem.rank)
     assert best.violation == 0
     assert best.cost < 0.5

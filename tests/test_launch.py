@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from drake_aigto.planning import MechanismOptions, MechanismRung, Renewal
+from drake_aigto.planning.closing import Aim
 from drake_aigto.planning.launch import Launch
 from drake_aigto.planning.mechanism_problem import MechanismProblem
 from drake_aigto.world import Scenario, World
@@ -60,7 +61,7 @@ def test_what_boxes_show_lasts_from_the_throw_to_the_end_and_is_closed_from_the_
     assert center.times[-1] == pytest.approx(1.5, abs=1e-12)
     np.testing.assert_allclose(center.positions[0], problem.launch.position)
     np.testing.assert_allclose(center.velocities[0], problem.launch.velocity)
-    closed = problem.close(center)
+    closed = problem.close(center, Aim())
     np.testing.assert_array_equal(closed.times, problem.coast.times)
     np.testing.assert_array_equal(closed.states[0], problem.coast.states[0])
     stretch = Renewal(first=1, count=3, shift=np.zeros(2), newton_steps=3)

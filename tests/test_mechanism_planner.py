@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -22,6 +23,7 @@ from drake_aigto.planning import (
     MechanismSearch,
     Renewal,
 )
+from drake_aigto.planning.closing import Aim
 from drake_aigto.planning.mechanism_options import MECHANISM_LADDER
 from drake_aigto.planning.mechanism_problem import MechanismProblem
 from drake_aigto.shooting import ShootingResult
@@ -168,8 +170,7 @@ def make_light_arm() -> World:
     return World.from_diagram(builder.Build())
 
 
-def test_light_links_that_cheap_controls_fling_about_are_led_to_the_goal() -> None:
-    world = make_light_arm()
+def test_light_links_that_cheap_controls_fling_about_are_led_to_the_goal_with_care() -> None:
     scenario = Scenario(
         model="arm",
         initial_position=np.zeros(3),
@@ -182,11 +183,32 @@ def test_light_links_that_cheap_controls_fling_about_are_led_to_the_goal() -> No
         time_step=0.025,
         contact="compliant",
     )
-    options = MechanismOptions(renewals=0, ladder=MECHANISM_LADDER[-6:])
-    search = MechanismSearch(MechanismProblem(world, scenario, options))
-    search.explore()
+    problem = MechanismProblem(make_light_arm(), scenario, MechanismOptions())
+    centers = [problem.run_aigo(rung) for rung in MECHANISM_LADDER[-6:]]
+    rough = [problem.close(center, Aim(is_patient=False)) for center in centers]
+    careful = [problem.close(center, Aim()) for center in centers]
     # Without control it costs 81.
-    assert search.motions[0].cost < 2.0
+    assert min(motion.cost for motion in careful) < 2.0
+    for one, other in zip(rough, careful, strict=True):
+        assert not problem.rank(one) < problem.rank(other)
+        assert one == other or not problem.is_of_use(one)
+    assert sum(map(problem.is_of_use, rough)) < sum(map(problem.is_of_use, careful))
+
+
+def test_a_search_closes_what_may_be_kept_and_no_more_than_it_has_to() -> None:
+    class Watched(MechanismProblem):
+        aims: ClassVar[list[Aim]] = []
+
+        def close(self, center: Center, aim: Aim) -> ShootingResult:
+            self.aims.append(aim)
+            return super().close(center, aim)
+
+    scenario = Scenario.named("cart_pole/soft_06")
+    search = MechanismSearch(Watched(World.from_scenario(scenario), scenario, QUICK))
+    search.explore()
+    aims, rungs = Watched.aims, len(MECHANISM_LADDER)
+    assert aims[:rungs] == [Aim()] * rungs
+    assert not aims[-1].is_patient and search.motions[-1].cost <= aims[-1].most < np.inf
 
 
 def test_a_search_without_boxes_has_none_in_renewals_either(

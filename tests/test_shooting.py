@@ -205,6 +205,33 @@ def test_a_guess_of_states_is_followed_and_its_gaps_are_closed() -> None:
     assert again.cost == result.cost < problem.simulate(np.zeros((30, 1)), 1).cost
 
 
+def test_what_promises_to_cost_too_much_is_left_half_way_and_nothing_else_is() -> None:
+    problem = pose(soft("cart-pole"), weigh([0.3, np.pi]), np.zeros(4))
+    options = replace(FINE, rungs=FINE.rungs[-1:])
+    whole = problem.solve(np.zeros((30, 1)), None, options)
+    same = problem.solve(np.zeros((30, 1)), None, replace(options, most_promised=1e3 * whole.cost))
+    np.testing.assert_array_equal(same.controls, whole.controls)
+    left = problem.solve(np.zeros((30, 1)), None, replace(options, most_promised=whole.cost / 2))
+    assert left.is_left and not (left.is_converged or same.is_left or whole.is_left)
+    assert left.iterations < whole.iterations and left.cost > whole.cost
+    again = problem.simulate(left.controls, 1, FINE.rungs[-1].smoothing)
+    np.testing.assert_array_equal(again.states, left.states)
+    assert again.cost == left.cost
+
+
+def test_tables_that_are_kept_carry_nothing_from_one_solve_to_the_next() -> None:
+    bounds = np.array([[-0.2, -np.inf, -np.inf, -3.0], [0.2, np.inf, np.inf, 3.0]])
+    used, fresh = (
+        pose(soft("cart-pole"), weigh([0, np.pi]), np.zeros(4), state_bounds=bounds)
+        for _ in range(2)
+    )
+    first = used.solve(np.ones((30, 1)))
+    again, alone = (problem.solve(np.full((30, 1), 2.0)) for problem in (used, fresh))
+    assert np.any(first.prices[1:] != 0)
+    np.testing.assert_array_equal(again.controls, alone.controls)
+    np.testing.assert_array_equal(again.prices, alone.prices)
+
+
 def test_bounds_at_knots_and_a_hard_goal_hold() -> None:
     bounds = np.array([[-0.2, -np.inf, -np.inf, -3.0], [0.2, np.inf, np.inf, 3.0]])
     goal = np.array([0.1, 0.2, 0.0, np.nan])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import NamedTuple
 
 import numpy as np
 
@@ -55,6 +56,27 @@ TIGHT_DRY = ShootingOptions(
 _LONGEST_STEP, _RESOLVING_STEP = 1.5, 0.75
 # Walls that rub push from as far as the task is long, then from ever nearer.
 _FROM_AFAR = tuple(Smoothing(each, 15, 1e-2) for each in (1.0, 0.3, 0.1, 0.03, 0.01, 1e-3))
+
+
+class Aim(NamedTuple):
+    """What motions that boxes show are closed for.
+
+    Attributes:
+        most: what promises to cost more is left half-way, where it is closed in one pass, and
+            between rigid walls what costs more (`RigidMechanismProblem.bounce`).
+        is_patient: whether what ends worse than no control is closed again, with more care.
+    """
+
+    most: float = np.inf
+    is_patient: bool = True
+
+    def limit(self, options: ShootingOptions) -> ShootingOptions:
+        """Returns how to close for it: costs by other walls and prices tell too little of those."""
+        is_plain = len(options.rungs) == 1 and not options.multiplier_updates
+        return dataclasses.replace(options, most_promised=self.most) if is_plain else options
+
+
+UNAIMED = Aim()
 
 
 def find_closing(

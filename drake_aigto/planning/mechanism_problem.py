@@ -9,7 +9,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats, interpolate
 from drake_aigto.planning.candidate import Candidate, Replays
-from drake_aigto.planning.closing import COARSE, COOLING, POLISH, RUBBED, find_closing, find_tight
+from drake_aigto.planning.closing import COOLING, POLISH, RUBBED, Aim, find_closing, find_tight
 from drake_aigto.planning.compiled_mechanism import CompiledMechanism
 from drake_aigto.planning.flow import trace
 from drake_aigto.planning.launch import Launch, find_launch
@@ -45,8 +45,6 @@ _EXACT, _MOST_SUBSTEPS = 1e-3, 64
 _STEADY = 0.1
 # What is farther off its bounds than this, in parts of the scales, won't be a plan.
 _HOPELESS = 0.05
-# Motions whose positions are nowhere farther apart than this part of their scales have one optimum.
-_NEAR = 0.05
 # Patience is so many times as much where a start turns fast, which has more optima.
 _PATIENT = 2
 # What a motion misses of its bounds, in the state's scales, costs this in the task's scale. More
@@ -114,7 +112,12 @@ class MechanismProblem:
     @property
     def patience(self) -> int:
         """How many renewals in a row may find nothing better: more where more is to be found."""
-        return self.options.patience * (_PATIENT if self._haste > 1 else 1)
+        return self.options.patience * (_PATIENT if self.is_fast else 1)
+
+    @property
+    def is_fast(self) -> bool:
+        """Whether something turns fast at the start, or once a wall has thrown it off."""
+        return self._haste > 1
 
     @cached_property
     def _haste(self) -> int:
@@ -227,9 +230,9 @@ class MechanismProblem:
         """How much of q and v is much, shape (2n,)."""
         return state_scales(self.world, self.scenario)
 
-    def close(self, center: Center) -> ShootingResult:
+    def close(self, center: Center, aim: Aim) -> ShootingResult:
         """Returns the motion near a box center, as far as a few steps lead."""
-        return self._close_on_springs(center, self._closing)
+        return self._close_on_springs(center, aim.limit(self._closing), aim.is_patient)
 
     @cached_property
     def _closing(self) -> ShootingOptions:
@@ -239,17 +242,21 @@ class MechanismProblem:
         return find_closing(self.world, self.law, q, time_step, is_aimed)
 
     def _close_on_springs(
-        self, center: Center, options: ShootingOptions = COARSE
+        self, center: Center, options: ShootingOptions, is_patient: bool = True
     ) -> ShootingResult:
         problem = self.shooting(self.search_steps).lasting(float(center.times[-1]))
         states, controls = center.sample(problem.knot_times)
         first = slice(self.launch.knot)
         states[first], controls[first] = self.coast.states[first], self.coast.controls[first]
         found = problem.solve(controls, states, options)
-        if self.mechanism.rubs or self.rank(found) < self.rank(self.coast):
+        if self.mechanism.rubs or not is_patient or self.is_of_use(found):
             return found
         # Worse than no control, it has most likely diverged.
         return min(found, problem.solve(controls, states, options.wary), key=self.rank)
+
+    def is_of_use(self, motion: ShootingResult) -> bool:
+        """Returns whether a motion is better than no control, or was left half-way."""
+        return motion.is_left or self.rank(motion) < self.rank(self.coast)
 
     def tighten(self, motion: ShootingResult) -> ShootingResult:
         """Returns the local optimum near a motion, in the scenario's time steps.
@@ -323,13 +330,6 @@ class MechanismProblem:
     def rank(self, motion: ShootingResult) -> tuple[bool, float]:
         """Orders motions by whether they miss much, and by their price."""
         return motion.violation > _MUCH, self.price(motion)
-
-    def are_near(self, one: ShootingResult, other: ShootingResult) -> bool:
-        """Returns whether two motions are so near each other that one polish does for both."""
-        n = self.world.num_positions
-        path = interpolate(one.times, other.times, other.states[:, :n])
-        apart = np.abs(one.states[:, :n] - path) / self.state_scales[:n]
-        return bool(np.max(apart) < _NEAR)
 
     def judge(self, origin: Origin, start: ShootingResult, found: ShootingResult) -> Candidate:
         """Returns the candidate that shooting made of a start: what its controls do, integrated.

@@ -11,6 +11,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.planning.bounces import add_impulses, replay_at_knots, with_losses
 from drake_aigto.planning.branching import scaled
 from drake_aigto.planning.candidate import Candidate
+from drake_aigto.planning.closing import COARSE, Aim
 from drake_aigto.planning.flow import trace
 from drake_aigto.planning.held_modes import in_order, is_closed
 from drake_aigto.planning.impact_modes import read_mode
@@ -97,21 +98,21 @@ class RigidMechanismProblem(MechanismProblem):
         """What moves between springs."""
         return Mechanism.of(self.world, self._springs)
 
-    def close(self, center: Center, most: float = np.inf) -> BouncingResult:
+    def close(self, center: Center, aim: Aim) -> BouncingResult:
         """Returns the motion on rigid walls near a box center, closed on springs or as it is.
 
         Args:
             center: what boxes show.
-            most: see `bounce`.
+            aim: of its `most` see `bounce`.
         """
-        soft = self._close_on_springs(center)
+        soft = self._close_on_springs(center, COARSE)
         touches = read_touches(self.world, self.rigid_law, soft, self.lasting)
-        found = [self.bounce(touches, soft, most)]
+        found = [self.bounce(touches, soft, aim.most)]
         if self._sinks_in:
             states, controls = center.sample(soft.times)
             shown = dataclasses.replace(soft, states=states, controls=controls)
             touches = read_touches(self.world, self.rigid_law, shown, self.lasting)
-            found.append(self.bounce(touches, shown, most))
+            found.append(self.bounce(touches, shown, aim.most))
         return min(found, key=self.rank)
 
     @cached_property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import partial
 from itertools import chain, pairwise
 from typing import ClassVar, TypeAlias
@@ -10,9 +10,9 @@ from typing import ClassVar, TypeAlias
 import numpy as np
 
 from drake_aigto.planning.branching import scaled
+from drake_aigto.planning.closing import Aim
 from drake_aigto.planning.held_modes import drop, is_closed, list_hold_changes
 from drake_aigto.planning.impact_modes import list_mode_changes, read_mode
-from drake_aigto.planning.mechanism_boxes import Center
 from drake_aigto.planning.mechanism_phases import BouncingResult
 from drake_aigto.planning.mechanism_problem import MechanismProblem
 from drake_aigto.planning.mechanism_search import (
@@ -98,9 +98,8 @@ class RigidMechanismSearch(MechanismSearch):
         self._most = np.inf if misses else scaled(times, cost)
         super()._close_all(proposals)
 
-    def _close(self, propose: Callable[[], Center]) -> Closed:
-        center = propose()
-        return center.iterations, self.problem.close(center, self._most)
+    def _find_aim(self) -> Aim:
+        return Aim(self._most)
 
     def _improve(self, problem: MechanismProblem, motion: ShootingResult) -> ShootingResult:
         assert isinstance(problem, RigidMechanismProblem)

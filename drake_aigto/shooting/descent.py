@@ -26,6 +26,11 @@ _DAMPING, _LEAST, _GROWTH, _MOST = 1e-6, 1e-2, 10.0, 1e3
 _LENGTHS = 5
 # Iterations in a row that gain less than the tolerance and end it.
 _PATIENCE = 3
+# What costs more than is asked for, after so many times the fall that the expansion promises, is
+# left. Of 3,072 boxes around cart-poles between soft walls, whose motions are to be better than the
+# eighth of those known, that saves 37 % of all iterations; 13 of 346 that would have been better
+# than the best one are lost. At 8 times it is 31 % and 9, at 4 times 45 % and 20.
+_FALLS = 6.0
 
 
 # What `_travel` does besides going through the stages.
@@ -234,14 +239,20 @@ def _improve(
     has_gaps: bool,
     is_wary: bool,
     damping: float,
+    most: float,
     memory: Memory,
 ) -> tuple[float, float]:
-    """Returns the step length, 0 if there is none, −1 if none is needed; and the damping."""
+    """Returns the step length, and the damping.
+
+    The length is 0 if there is none, −1 if none is needed and −2 if none leads below `most`.
+    """
     while damping <= _MOST:
         drop = sweep_back(program, controls, has_gaps, damping, memory.expansion, memory.sweep)
         if drop >= 0.0:
             if not has_gaps and drop <= tolerance:
                 return -1.0, damping
+            if not has_gaps and cost - _FALLS * drop > most:
+                return -2.0, damping
             length = _search(
                 program, states, controls, eps, penalty, cost, drop, has_gaps, is_wary, memory
             )
@@ -263,8 +274,9 @@ def descend(
     scale: float,
     has_gaps: bool,
     is_wary: bool,
+    most: float,
     memory: Memory,
-) -> tuple[float, int, bool]:
+) -> tuple[float, int, bool, bool]:
     """Improves a motion in place until the expansion promises nearly nothing.
 
     Args:
@@ -278,19 +290,21 @@ def descend(
         scale: a cost below which costs are small.
         has_gaps: whether the states are no roll-out.
         is_wary: whether steps that close gaps may raise the cost by little only.
+        most: what promises to cost more is left.
         memory: room.
 
     Returns:
-        The cost of the roll-out that it ends with, without penalties; how many iterations it took,
-        and whether it ended in that tolerance.
+        The cost of the roll-out that it ends with, without penalties; how many iterations it took;
+        whether it ended in that tolerance, and whether it was left.
     """
     program, memory = borrow(program), borrow(memory)
     states, controls = borrow(states), borrow(controls)
     damping, is_converged, count, slow, before = _DAMPING, False, 0, 0, np.inf
+    is_left = False
     if not has_gaps:
         cost = _travel(program, states, controls, _ROLL, 0.0, eps, np.inf, memory)
         if iterations == 0 or not np.isfinite(cost):
-            return cost, 0, False
+            return cost, 0, False, False
     while count < iterations:
         count += 1
         cost = _expand(program, states, controls, eps, penalty, memory)
@@ -303,9 +317,20 @@ def descend(
             break
         before = cost
         length, damping = _improve(
-            program, states, controls, eps, penalty, cost, small, has_gaps, is_wary, damping, memory
+            program,
+            states,
+            controls,
+            eps,
+            penalty,
+            cost,
+            small,
+            has_gaps,
+            is_wary,
+            damping,
+            most,
+            memory,
         )
-        is_converged = length < 0.0
+        is_converged, is_left = length == -1.0, length == -2.0
         if length <= 0.0:
             break
         _copy(memory.states, states)
@@ -313,4 +338,4 @@ def descend(
         has_gaps = has_gaps and length < 1.0
         damping = max(damping / 4, 1e-9)
     cost = _travel(program, states, controls, _ROLL, 0.0, eps, np.inf, memory)
-    return cost, count, is_converged
+    return cost, count, is_converged, is_left

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -41,6 +42,8 @@ class ShootingOptions:
         feasibility: how far they may be off, in units of the state's scales.
         is_wary: whether a step that closes the gaps of a guess may raise the cost by little only.
             Most motions are found sooner without; where they diverge, few are found.
+        most_promised: what promises to cost more in the last pass, with what bounds are off, is
+            left where it is.
 
     Raises:
         OptionsError: an option is out of its range.
@@ -57,6 +60,7 @@ class ShootingOptions:
     multiplier_updates: int = 12
     feasibility: float = 1e-4
     is_wary: bool = False
+    most_promised: float = math.inf
 
     def __post_init__(self) -> None:
         """Checks the ranges."""
@@ -72,6 +76,7 @@ class ShootingOptions:
             ("penalty", self.penalty, "a number above 0", self.penalty > 0),
             ("multiplier_updates", self.multiplier_updates, ">= 0", self.multiplier_updates >= 0),
             ("feasibility", self.feasibility, "a number above 0", self.feasibility > 0),
+            ("most_promised", self.most_promised, "a number", not math.isnan(self.most_promised)),
         )
         for name, got, expected, holds in checks:
             if not holds:

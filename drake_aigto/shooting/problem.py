@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -13,10 +14,10 @@ from drake_aigto.shooting.descent import clip_controls, descend
 from drake_aigto.shooting.memory import make_memory
 from drake_aigto.shooting.options import ShootingOptions, Smoothing
 from drake_aigto.shooting.phases import Layout
-from drake_aigto.shooting.program import count_substeps, make_program
+from drake_aigto.shooting.program import copy_multipliers, count_substeps, make_program
 from drake_aigto.shooting.question import ShootingQuestion
 from drake_aigto.shooting.result import ShootingResult
-from drake_aigto.shooting.tables import FLOW
+from drake_aigto.shooting.tables import FLOW, Program
 
 # Bounds can't be kept near a motion where so many updates in a row, each at a penalty that has
 # grown, leave more than this part of what they are off.
@@ -131,6 +132,25 @@ class ShootingProblem(ShootingQuestion):
             result = problem.solve(result.controls, None, finer, result.prices)
         return result
 
+    def make_program(self, options: ShootingOptions) -> Program:
+        """Returns the tables that compiled code reads, with multipliers of their own, zero.
+
+        All else is made once for each order and number of substeps.
+        """
+        key = options.order, options.substeps
+        if key not in self._programs:
+            self._programs[key] = make_program(self, self.layout, options)
+        return copy_multipliers(self._programs[key])
+
+    @cached_property
+    def _programs(self) -> dict[tuple[int, int], Program]:
+        return {}
+
+    @cached_property
+    def layout(self) -> Layout:
+        """Its stages."""
+        return Layout.of(self.times, self.phases, self.mechanism.num_contacts)
+
     @property
     def rubbing_substeps(self) -> int:
         """In how many Runge-Kutta steps between knots friction is as steep as the world has it."""
@@ -141,8 +161,7 @@ class ShootingProblem(ShootingQuestion):
         """When knots are [s], shape (N + 1,), where phases last as long as at first."""
         if self.phases is None:
             return self.times
-        layout = Layout.of(self.times, self.phases, self.mechanism.num_contacts)
-        return layout.calc_times(self.phases.durations)
+        return self.layout.calc_times(self.phases.durations)
 
     def lasting(self, duration: float) -> ShootingProblem:
         """Returns the same problem, whose phases, if any, last so long in sum at first [s]."""
@@ -171,17 +190,17 @@ class _Descent:
     ) -> None:
         """Takes the motion's shape from the problem."""
         self._problem, self._options, self._has_gaps = problem, options, states is not None
-        m = problem.mechanism.num_contacts
-        self._layout = Layout.of(problem.times, problem.phases, m)
-        self._program = make_program(problem, self._layout, options)
+        self._layout, self._program = problem.layout, problem.make_program(options)
         self._controls = self._lay_out_controls(controls)
         self._states = self._lay_out_states(states)
         clip_controls(self._program, self._controls)
         self._memory = make_memory(self._program, len(self._controls), self._states.shape[1])
         self._penalty, self._violation = options.penalty * problem.cost_scale, np.inf
+        # Of the controls, once a rung has been run.
+        self._cost, self._has_run = np.inf, False
         if prices is not None:
             self._take_prices(prices)
-        self._iterations, self._cost, self._has_ended = 0, np.inf, False
+        self._iterations, self._has_ended, self._is_left = 0, False, False
 
     @property
     def _multipliers(self) -> tuple[Floats, ...]:
@@ -244,7 +263,7 @@ class _Descent:
 
     def find_gains(self) -> Floats:
         """Returns the gains of one sweep about the motion: no gain is worth a step here."""
-        cost, _, is_converged = self._descend(self._options.rungs[-1])
+        cost, _, is_converged, _ = self._descend(self._options.rungs[-1], self._states)
         if not is_converged:
             raise ProgramError(
                 "controls", got=f"a motion that costs {cost}", expected="a finite one"
@@ -262,18 +281,19 @@ class _Descent:
 
     def _run_rung(self, rung: Smoothing) -> bool:
         """Returns whether a rung ended in its tolerance; updates multipliers."""
-        self._cost, count, is_converged = self._descend(rung)
-        self._has_ended = count < rung.iterations
+        self._cost, count, is_converged, self._is_left = self._descend(rung, self._states)
+        self._has_run, self._has_ended = True, count < rung.iterations
         self._iterations, self._has_gaps = self._iterations + count, False
         if self._program.bounds.is_any:
             self._update_multipliers()
         return is_converged
 
-    def _descend(self, rung: Smoothing) -> tuple[float, int, bool]:
+    def _descend(self, rung: Smoothing, states: Floats) -> tuple[float, int, bool, bool]:
         """Returns the cost without penalties, how many iterations it took, and how they ended."""
+        is_last = rung.smoothing == self._options.rungs[-1].smoothing
         return descend(
             self._program,
-            self._states,
+            states,
             self._controls,
             rung.smoothing * self._problem.length,
             self._penalty,
@@ -282,6 +302,7 @@ class _Descent:
             1e-3 * self._problem.cost_scale,
             self._has_gaps,
             self._options.is_wary,
+            self._options.most_promised if is_last else np.inf,
             self._memory,
         )
 
@@ -296,11 +317,12 @@ class _Descent:
     def finish(self, is_converged: bool) -> ShootingResult:
         """Returns the motion of the controls, and what it costs."""
         last = self._options.rungs[-1]._replace(iterations=0)
-        exact, _, _ = self._descend(last._replace(smoothing=0.0))
-        cost, _, _ = self._descend(last)
-        violation = measure_bounds(
-            self._program, self._states, self._controls, 1.0, False, self._memory
-        )
+        cost = self._cost
+        if not self._has_run:
+            cost, _, _, _ = self._descend(last, self._states)
+        exact = cost
+        if last.smoothing:
+            exact, _, _, _ = self._descend(last._replace(smoothing=0.0), self._states.copy())
         problem, layout, nx = self._problem, self._layout, len(self._problem.start)
         at_knots = self._states[[*layout.flights, -1]]
         return ShootingResult(
@@ -309,7 +331,7 @@ class _Descent:
             controls=self._controls[layout.flights],
             cost=cost if np.isfinite(cost) else np.inf,
             exact_cost=exact if np.isfinite(exact) else np.inf,
-            violation=violation,
+            violation=self._find_violation(),
             iterations=self._iterations,
             is_converged=is_converged,
             smoothing=last.smoothing * self._problem.length,
@@ -317,7 +339,14 @@ class _Descent:
             order=self._options.order,
             durations=self._controls[layout.starts, 0],
             prices=np.concatenate([[self._penalty], *map(np.ravel, self._multipliers)]),
+            is_left=self._is_left,
         )
+
+    def _find_violation(self) -> float:
+        """Returns how far bounds are off, which the last rung has measured if there are any."""
+        if self._has_run and self._program.bounds.is_any:
+            return self._violation
+        return measure_bounds(self._program, self._states, self._controls, 1.0, False, self._memory)
 
 
 def _take(name: str, values: Floats, shape: tuple[int, ...]) -> Floats:

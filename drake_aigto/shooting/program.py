@@ -52,6 +52,13 @@ def make_program(problem: ShootingQuestion, layout: Layout, options: ShootingOpt
     return copy_writable(program)
 
 
+def copy_multipliers(program: Program) -> Program:
+    """Returns the same tables, whose multipliers are copies: all that a solve writes to."""
+    of = program.bounds
+    own = {name: getattr(of, name).copy() for name in of._fields if name.endswith("multipliers")}
+    return program._replace(bounds=of._replace(**own))
+
+
 def count_substeps(problem: ShootingQuestion) -> int:
     """Returns in how many substeps friction keeps its stiction speeds; see `fit_to_steps`."""
     rubs, step = problem.mechanism.mechanics.rubs, np.max(np.diff(problem.times))

@@ -27,6 +27,7 @@ class ShootingResult(ArrayRecord):
         order: of their error.
         durations: of phases, shape (P,) [s]; none without phases.
         prices: of bounds at knots: ρ, then all multipliers.
+        is_left: whether it was left half-way (`ShootingOptions.most_promised`).
         replay: of the controls, where they were simulated on the way to this; None: they were not.
     """
 
@@ -43,6 +44,7 @@ class ShootingResult(ArrayRecord):
     order: int
     durations: Floats
     prices: Floats
+    is_left: bool = field(default=False, kw_only=True)
     replay: Replay | None = field(default=None, kw_only=True)
 
     def __post_init__(self) -> None:
