@@ -23,6 +23,7 @@ from drake_aigto.planning import (
     MechanismSearch,
     Renewal,
 )
+from drake_aigto.planning.candidate import Candidate, Replays
 from drake_aigto.planning.closing import Aim
 from drake_aigto.planning.mechanism_options import MECHANISM_LADDER
 from drake_aigto.planning.mechanism_problem import MechanismProblem
@@ -82,6 +83,27 @@ def test_what_passes_its_bounds_between_knots_has_narrower_ones_there(cart_pole:
     np.testing.assert_array_equal(within[0], [-np.inf, -np.inf])
     slow = narrowed.tighten(motion)
     assert np.max(slow.states[1:, 3]) < 7.0 - fastest + 1e-3
+
+
+def test_what_simulations_contradict_gives_way_to_what_was_left_out_for_it(
+    cart_pole: Planner, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    # One finalist is asked for. The first is contradicted; the next is polished then, and chosen.
+    first, seen = cart_pole.plan(), list[Candidate]()
+    assert len(first.candidates) == 2 and first.candidates[1].is_idle
+
+    def contradict_the_first(problem: MechanismProblem, candidate: Candidate) -> Replays:
+        seen.append(candidate)
+        replay = candidate.replay
+        worse = dataclasses.replace(replay, simulator="drake", cost=2 * replay.cost)
+        return Replays(replay, worse if candidate is seen[0] else None)
+
+    monkeypatch.setattr(MechanismProblem, "confirm", contradict_the_first)
+    other = cart_pole.plan()
+    assert other.best is seen[1] and other.holds and not other.best.is_idle
+    assert other.cost > first.cost
+    (veto,) = other.vetoes
+    assert veto.candidate.cost == first.cost
 
 
 def test_a_hard_goal_is_met_in_both_simulations() -> None:

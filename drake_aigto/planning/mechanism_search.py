@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -99,8 +100,11 @@ class MechanismSearch(CandidatePool):
         super().__init__(problem, clock)
         self.motions: list[Motion] = []
         self._candidates: list[Candidate] = []
+        self._tight: list[Motion] = []  # The best motions, in shorter steps.
+        self._known: list[Motion] = []  # Those that were polished, and what became of them.
+        self._beaten: list[tuple[Motion, ShootingResult]] = []  # Polished, but not simulated.
         self._aim = Aim()
-        self._num_beaten = self._num_closed = self._num_of_use = 0
+        self._num_closed = self._num_of_use = 0
 
     @property
     def candidates(self) -> Sequence[Candidate]:
@@ -223,21 +227,25 @@ class MechanismSearch(CandidatePool):
         return bool(np.max(apart) < _NEAR)
 
     def _finish(self) -> None:
-        """Polishes and judges the best motions, one of those that are near each other.
+        """Polishes and judges the best motions."""
+        self._tight = self._tighten()
+        self._judge_best()
+
+    def _judge_best(self) -> None:
+        """Polishes and judges motions that were not, one of those that are near each other.
 
         As many as there are to be finalists have to hold, or to cost more than one that does;
         others do not count.
         """
-        known: list[Motion] = []
-        for motion in self._tighten():
-            is_full = len(self._holding) + self._num_beaten >= self.problem.options.finalists
-            is_ended = self.is_interrupted and known
+        for motion in self._tight:
+            is_full = len(self._holding) + len(self._beaten) >= self.problem.options.finalists
+            is_ended = self.is_interrupted and self._known
             if is_full or is_ended or self._is_hopeless(motion):
                 return
-            if not any(self._are_same(motion, other) for other in known):
-                polished = self._polish(motion.origin, motion.result)
+            if not any(self._are_same(motion, other) for other in self._known):
+                polished = self._polish(motion)
                 rank = self.problem.rank(polished)
-                known += [motion, Motion(motion.origin, polished, rank)]
+                self._known += [motion, Motion(motion.origin, polished, rank)]
 
     def _tighten(self) -> list[Motion]:
         """Returns the motions by what they cost in shorter steps."""
@@ -254,9 +262,12 @@ class MechanismSearch(CandidatePool):
 
     @property
     def _holding(self) -> list[float]:
-        """What the candidates cost that hold."""
-        holding = (each for each in self._candidates if each.is_feasible and each.is_confirmed)
-        return [each.replay.cost for each in holding]
+        """What the candidates cost that hold, in all simulations that they have had."""
+        return [
+            each.replay.cost
+            for each in self._candidates
+            if each.is_feasible and each.is_confirmed and not self._is_vetoed(each)
+        ]
 
     def _scale_best(self, times: float) -> float:
         """Returns so many times the best cost that holds, infinite while there is none."""
@@ -272,11 +283,12 @@ class MechanismSearch(CandidatePool):
         """Returns the optimum near a motion."""
         return problem.polish(motion)
 
-    def _polish(self, origin: Origin, start: ShootingResult) -> ShootingResult:
+    def _polish(self, motion: Motion) -> ShootingResult:
         """Adds the candidate that a motion becomes, and returns its motion.
 
         Where it leaves its bounds in simulation, it is polished within narrower ones.
         """
+        start = motion.result
         self.tell(f"polishing a motion that costs {start.cost:.6g}")
         polished, problem = start, self.problem
         try:
@@ -291,16 +303,23 @@ class MechanismSearch(CandidatePool):
                     return polished
                 if self.problem.price(polished) > self._scale_best(self.beaten):
                     _LOG.info("  beaten: cost %.6g", polished.cost)
-                    self._num_beaten += 1
+                    self._beaten.append((motion, polished))
                     return polished
-                with self.clock("replay"):
-                    candidate = self.problem.judge(origin, start, polished)
+                candidate = self._judge(motion, polished)
                 if self.is_interrupted or BOUNDS not in candidate.replay.broken:
                     break
                 problem = problem.narrowed(polished, candidate.replay)
         except TrajectoryError as error:
             _LOG.info("  not a candidate: %s", error)
             return polished
+        self._add(candidate)
+        return polished
+
+    def _judge(self, motion: Motion, polished: ShootingResult) -> Candidate:
+        with self.clock("replay"):
+            return self.problem.judge(motion.origin, motion.result, polished)
+
+    def _add(self, candidate: Candidate) -> None:
         self._candidates.append(candidate)
         _LOG.info(
             "  %s: cost %.6g, replayed %.6g",
@@ -308,7 +327,6 @@ class MechanismSearch(CandidatePool):
             candidate.cost,
             candidate.replay.cost,
         )
-        return polished
 
     def add_idle(self) -> None:
         """Adds doing nothing, which a plan has to beat."""
@@ -320,7 +338,12 @@ class MechanismSearch(CandidatePool):
         return self.find_feasible()[0]
 
     def add_left_out(self) -> None:
-        """Adds nothing, as nothing was left out."""
+        """Judges what was left out for a candidate that a simulation has contradicted since."""
+        beaten, self._beaten = self._beaten, []
+        for motion, polished in beaten:
+            with suppress(TrajectoryError):
+                self._add(self._judge(motion, polished))
+        self._judge_best()
 
     def rank(self, candidate: Candidate) -> tuple[float, ...]:
         """Orders by feasibility, what the independent replay confirms, and its cost."""

@@ -170,6 +170,11 @@ class CandidatePool(ABC):
                 )
         return candidate.holds(replays)
 
+    def _is_vetoed(self, candidate: Candidate) -> bool:
+        """Returns whether a replay that `confirm` ran contradicts a candidate."""
+        replays = self._replays.get(id(candidate))
+        return replays is not None and not candidate.holds(replays)
+
     def make_plan(self, scenario: Scenario, best: Candidate) -> Plan:
         """Returns the plan with this candidate, which was replayed, and the others by rank."""
         rest = [
