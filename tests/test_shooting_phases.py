@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mechanisms import build, build_world, joint, link, plane, sphere, wall
+from mechanisms import after, box, build, build_world, joint, link, plane, sphere, wall
 from scipy.optimize import minimize
 
 from drake_aigto.errors import ProgramError
@@ -134,6 +134,24 @@ def test_a_pendulum_meets_its_wall_at_a_knot_and_stays_in_front_of_it() -> None:
     assert result.durations.sum() == pytest.approx(TOTAL, abs=1e-3)
     again = problem.starting_from(result).simulate(result.controls, 1)
     np.testing.assert_array_equal(again.states, result.states)
+
+
+def test_a_face_of_a_box_is_touched_where_it_is_and_not_beyond_its_edge() -> None:
+    # From beside the box to farther off: the nearest point of the top is its edge.
+    world = build_world(
+        link("rail", 0.5, ">0 0 0 0 0 0")
+        + joint("prismatic", "world", "rail", "1 0 0")
+        + link("ball", 0.5, after("rail", "0 0 0 0 0 0"), "0 0 0", sphere("ball", "0 0 0", 0.1))
+        + joint("prismatic", "rail", "ball", "0 0 1")
+        + wall(box("block", "0 0 -0.6 0 0 0", "1 1 1"))
+    )
+    names = [contact.name for contact in world.contacts]
+    top = next(i for i, name in enumerate(names) if name.endswith("+z face"))
+    phases = Phases(np.array([top]), np.array([8]), np.array([1.0, 1.0]), (TOTAL, TOTAL))
+    problem = pose(world, [0.9, 0.5], [1.4, 0.5], phases, 16)
+    result = problem.solve(np.zeros((16, 2)), options=ShootingOptions(multiplier_updates=20))
+    assert result.violation < 1e-4
+    np.testing.assert_allclose(result.states[8, :2], [0.5, 0.0], atol=1e-3)
 
 
 def test_phases_that_fit_no_knots_are_refused() -> None:

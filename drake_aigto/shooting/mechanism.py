@@ -36,9 +36,11 @@ class Mechanism:
 
     Attributes:
         mechanics: the tables.
+        radii: of the spheres that touch, shape (m,) [m].
     """
 
     mechanics: Mechanics
+    radii: Floats
 
     @classmethod
     def of(
@@ -64,7 +66,7 @@ class Mechanism:
             solids=np.cumsum([0, *map(len, world.solids)], dtype=np.int64),
             rubs=np.array([rub.numbers for rub in rubs]).reshape(-1, 5),
         )
-        return cls(copy_writable(tables))
+        return cls(copy_writable(tables), world.sphere_radii)
 
     @property
     def num_positions(self) -> int:

@@ -183,8 +183,15 @@ def _bound_distances(problem: ShootingQuestion, layout: Layout) -> Floats:
         if problem.clearances is not None:
             knots = np.concatenate([[0], np.cumsum(layout.kinds == FLOW)])
             bounds[0][:, is_rigid] = problem.clearances[knots][:, is_rigid]
+        touching, hit = np.zeros(free.shape, dtype=bool), np.flatnonzero(layout.kinds >= 0)
+        touching[:-1] = layout.held
+        touching[hit, layout.kinds[hit]] = True
+        # A face of a box is touched by a sphere whose center is before it, not beyond an edge.
+        solids = np.searchsorted(problem.mechanism.mechanics.solids, np.arange(m), side="right")
+        beside = touching @ (solids[:, np.newaxis] == solids) & ~touching
         bounds[0, :-1][layout.held] = -np.inf
-        hit = np.flatnonzero(layout.kinds >= 0)
+        bounds[0][beside] = -np.inf
+        bounds[1][beside] = np.broadcast_to(-problem.mechanism.radii, free.shape)[beside]
         bounds[:, hit, layout.kinds[hit]] = 0.0
     return bounds
 
