@@ -38,17 +38,19 @@ RECORDS: Mapping[str, str] = {
     " --workers 2",
     "robots": "python -m benchmarks.robots compare --count 12 --minutes 10"
     " --methods plan 'plan, points' shooting listed bounces SNOPT IPOPT --workers 2",
-    "friction": "python -m benchmarks.friction --shots 100 --workers 2 --minutes 18",
-    "friction_worlds": "python -m benchmarks.friction_worlds --workers 2 --minutes 25",
+    "friction": "python -m benchmarks.friction --shots 100 --workers 1 --minutes 60",
+    "friction_worlds": "python -m benchmarks.friction_worlds --workers 1",
     "robots_pendulum": "python -m benchmarks.robots compare pendulum/off_the_wall"
     " --methods plan bounces --seconds 1.5 --workers 2",
     "robots_rigid": "python -m benchmarks.robots compare cart_pole/rigid_06/e=1"
     " cart_pole/rigid_06/e=0.5 cart_pole/rigid_10/e=1 cart_pole/rigid_10/e=0.5 paddle/bat"
     " acrobot/swing_up acrobot/beside_a_wall --count 40 --methods plan listed IPOPT"
     " --minutes 17 --workers 2 --json docs/results/robots_rigid.json",
+    "robots_forty": "python -m benchmarks.robots compare paddle/bat acrobot/swing_up --count 40"
+    " --methods plan listed IPOPT --workers 1",
     "robots_contacts": "python -m benchmarks.robots compare acrobot/beside_a_wall two_discs/swap"
-    " three_carts/apart --count 40 --methods plan listed IPOPT --seconds 10 --minutes 10"
-    " --workers 2",
+    " three_carts/apart --count 40 --methods plan listed IPOPT --seconds 10 --minutes 40"
+    " --workers 1",
     "robots_soft": "python -m benchmarks.robots compare cart_pole/soft_06 cart_pole/soft_10"
     " --methods plan --workers 1",
     "table1": "python -m benchmarks.table1_figures",
@@ -178,6 +180,7 @@ FIGURES: Mapping[str, Figure] = {
     "floors_most": Figure("floors", rf"at most {_NUMBER}$"),
     "robots_tables": Figure("robots", r"(?s)\A(.*\S)"),
     "robots_rigid_tables": Figure("robots_rigid", r"(?s)\A(.*\S)"),
+    "robots_forty_tables": Figure("robots_forty", r"(?s)\A(.*\S)"),
     "robots_contacts_tables": Figure("robots_contacts", r"(?s)\A(.*\S)"),
     "friction_forms": Figure("friction", r"(?s)\A((?:[^\n]* off by \S+\n)*[^\n]* off by \S+)"),
     "friction_shots": Figure("friction", r"(?m)^with friction: .* of (\d+),"),
