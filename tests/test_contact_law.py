@@ -148,7 +148,7 @@ def test_a_spring_that_drake_would_not_have_is_refused_by_name(name: str) -> Non
     world.contact_law(make_scenario())
 
 
-def test_a_soft_half_space_may_be_entered_at_the_start_and_no_other_wall() -> None:
+def test_a_soft_wall_may_be_entered_at_the_start_as_long_as_its_side_is_known() -> None:
     inside = dataclasses.replace(
         ask_robot("cart_pole_soft_06"), initial_position=[0.8, 0.3], contact="compliant"
     )
@@ -159,11 +159,12 @@ def test_a_soft_half_space_may_be_entered_at_the_start_and_no_other_wall() -> No
     ):
         world.check(dataclasses.replace(inside, contact="rigid"))
     carts = dataclasses.replace(ask_robot("three_carts"), contact="compliant")
-    overlapping = dataclasses.replace(carts, initial_position=[-1.5, 0.0, 3.0])
+    world = World.from_scenario(carts)  # Of 1 m radius: half of one is in the other, or more.
+    world.check(dataclasses.replace(carts, initial_position=[-1.5, 0.0, 3.0]))
     with pytest.raises(
         ScenarioError, match=r"initial_position is inside, .*left_cart against midd"
     ):
-        World.from_scenario(carts).check(overlapping)
+        world.check(dataclasses.replace(carts, initial_position=[-0.9, 0.0, 3.0]))
 
 
 def test_a_world_without_contact_has_shapes_of_none() -> None:
