@@ -40,6 +40,7 @@ RECORDS: Mapping[str, str] = {
     " --methods plan 'plan, points' shooting listed bounces SNOPT IPOPT --workers 2",
     "friction": "python -m benchmarks.friction --shots 100 --workers 1 --minutes 60",
     "friction_worlds": "python -m benchmarks.friction_worlds --workers 1",
+    "friction_loops": "python -m benchmarks.friction_loops --workers 2",
     "robots_pendulum": "python -m benchmarks.robots compare pendulum/off_the_wall"
     " --methods plan bounces --seconds 1.5 --workers 2",
     "robots_rigid": "python -m benchmarks.robots compare cart_pole/rigid_06/e=1"
@@ -225,6 +226,7 @@ FIGURES: Mapping[str, Figure] = {
     "in_the_loop_tables": Figure("in_the_loop", r"(?s)\A[^\n]*\n(.*\S)"),
     "loops_changing_tables": Figure("loops_changing", r"(?s)\A[^\n]*\n(.*\S)"),
     "in_more_loops_tables": Figure("in_more_loops", r"(?s)\A[^\n]*\n(.*\S)"),
+    "friction_loops_table": Figure("friction_loops", r"(?s)\A[^\n]*\n(.*\S)"),
     "friction_worlds_table": Figure("friction_worlds", r"(?s)\A[^\n]*\n(.*\S)"),
     "loop_speed_table": Figure("loop_speed", r"(?s)\A[^\n]*\n(.*\S)"),
     "cart_poles_table": Figure("cart_poles", r"(?s)\A[^\n]*\n(.*\S)"),
