@@ -76,9 +76,6 @@ class Aim(NamedTuple):
         return dataclasses.replace(options, most_promised=self.most) if is_plain else options
 
 
-UNAIMED = Aim()
-
-
 def find_closing(
     world: World, law: ContactLaw, q: Floats, time_step: float, is_aimed: bool
 ) -> ShootingOptions:

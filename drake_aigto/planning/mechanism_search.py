@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import chain
@@ -341,8 +340,10 @@ class MechanismSearch(CandidatePool):
         """Judges what was left out for a candidate that a simulation has contradicted since."""
         beaten, self._beaten = self._beaten, []
         for motion, polished in beaten:
-            with suppress(TrajectoryError):
+            try:
                 self._add(self._judge(motion, polished))
+            except TrajectoryError as error:
+                _LOG.info("  not a candidate: %s", error)
         self._judge_best()
 
     def rank(self, candidate: Candidate) -> tuple[float, ...]:

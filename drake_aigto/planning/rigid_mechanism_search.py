@@ -64,7 +64,6 @@ class RigidMechanismSearch(MechanismSearch):
         super().__init__(problem, clock)
         self._tried: set[_Key] = set()
         self._branched: list[Motion] = []
-        self._most = np.inf
 
     def _climb(self) -> None:
         """Closes the centers of all rungs, and motions with the first touches of coasting.
@@ -83,7 +82,7 @@ class RigidMechanismSearch(MechanismSearch):
         )
 
     def _close_all(self, proposals: Sequence[Proposal]) -> None:
-        self._close_wave(proposals)
+        super()._close_all(proposals)
         for _ in range(_MOST_BRANCHES):
             motion = self._find_unbranched()
             if motion is None:
@@ -91,15 +90,11 @@ class RigidMechanismSearch(MechanismSearch):
             self._branched.append(motion)
             self._branch(motion.origin, _read(motion))
 
-    def _close_wave(self, proposals: Sequence[Proposal]) -> None:
-        """Closes motions, of which none counts that costs far more than the best before them."""
+    def _find_aim(self) -> Aim:
+        """Returns what is worth closing: what does not cost far more than the best."""
         misses, cost = self.motions[0].rank if self.motions else (True, np.inf)
         times = _HOPELESS if self.problem.rigid_law.rubs else self.dear
-        self._most = np.inf if misses else scaled(times, cost)
-        super()._close_all(proposals)
-
-    def _find_aim(self) -> Aim:
-        return Aim(self._most)
+        return Aim(np.inf if misses else scaled(times, cost))
 
     def _improve(self, problem: MechanismProblem, motion: ShootingResult) -> ShootingResult:
         assert isinstance(problem, RigidMechanismProblem)
@@ -137,10 +132,10 @@ class RigidMechanismSearch(MechanismSearch):
                 changed = origin.changed(change, motion.touches)
                 proposals.append(Proposal(changed, partial(self._bounce, touches, motion)))
         if proposals:
-            self._close_wave(proposals)
+            super()._close_all(proposals)
 
     def _bounce(self, touches: TouchSequence, guess: ShootingResult) -> Closed:
-        return 0, self.problem.bounce(touches, guess, self._most)
+        return 0, self.problem.bounce(touches, guess, self._aim.most)
 
     def _find_neighbors(self, motion: BouncingResult) -> Iterator[tuple[ChangeName, TouchSequence]]:
         """Yields sequences with a touch less, two swapped, one more, and another mode."""

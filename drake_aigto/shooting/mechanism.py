@@ -36,11 +36,12 @@ class Mechanism:
 
     Attributes:
         mechanics: the tables.
-        radii: of the spheres that touch, shape (m,) [m].
+        edges: what φ_j is at most where a sphere touches face i, its center before that and not
+            beyond an edge: −r of other faces of its solid, else ∞, shape (m, m) [m].
     """
 
     mechanics: Mechanics
-    radii: Floats
+    edges: Floats
 
     @classmethod
     def of(
@@ -66,7 +67,9 @@ class Mechanism:
             solids=np.cumsum([0, *map(len, world.solids)], dtype=np.int64),
             rubs=np.array([rub.numbers for rub in rubs]).reshape(-1, 5),
         )
-        return cls(copy_writable(tables), world.sphere_radii)
+        is_other = world.are_of_one_solid & ~np.eye(world.num_contacts, dtype=bool)
+        radii = [contact.radius for contact in world.contacts]
+        return cls(copy_writable(tables), np.where(is_other, np.negative(radii), np.inf))
 
     @property
     def num_positions(self) -> int:

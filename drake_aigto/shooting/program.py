@@ -186,12 +186,11 @@ def _bound_distances(problem: ShootingQuestion, layout: Layout) -> Floats:
         touching, hit = np.zeros(free.shape, dtype=bool), np.flatnonzero(layout.kinds >= 0)
         touching[:-1] = layout.held
         touching[hit, layout.kinds[hit]] = True
-        # A face of a box is touched by a sphere whose center is before it, not beyond an edge.
-        solids = np.searchsorted(problem.mechanism.mechanics.solids, np.arange(m), side="right")
-        beside = touching @ (solids[:, np.newaxis] == solids) & ~touching
+        edges = np.where(touching[..., np.newaxis], problem.mechanism.edges, np.inf)
+        most = np.min(edges, axis=1, initial=np.inf)
+        beside = np.isfinite(most) & ~touching
         bounds[0, :-1][layout.held] = -np.inf
-        bounds[0][beside] = -np.inf
-        bounds[1][beside] = np.broadcast_to(-problem.mechanism.radii, free.shape)[beside]
+        bounds[0][beside], bounds[1][beside] = -np.inf, most[beside]
         bounds[:, hit, layout.kinds[hit]] = 0.0
     return bounds
 

@@ -40,6 +40,7 @@ class Contact:
         solid: index of what is touched. All faces of a box that one sphere can reach have the same:
             the sphere is outside when it is in front of one of them.
         restitution: the model's own, in [0, 1]; None leaves it to the scenario.
+        radius: of the sphere [m].
     """
 
     name: str
@@ -47,6 +48,7 @@ class Contact:
     jacobian: NDArray[Any]
     solid: int = 0
     restitution: float | None = None
+    radius: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)

@@ -81,7 +81,7 @@ def find_reach(
             face, distance = pair[i], places[i][2]
             name = f"{face.pair}, {face.face} face" if len(chosen) > 1 else face.pair
             jacobian = tidy(distance.Jacobian(reader.q))
-            contact = Contact(name, distance, jacobian, solid, face.restitution)
+            contact = Contact(name, distance, jacobian, solid, face.restitution, face.radius)
             reach = 0.0 if is_constant(jacobian) else _sum_radii(scene_graph, face)
             found.append(ReachableFace(face, places[i][:2], contact, reach))
         solid += bool(chosen)

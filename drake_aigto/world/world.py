@@ -392,10 +392,5 @@ class World(EquationsOfMotion):
         return SumMap(np.concatenate([[], *laterals]), self.positions)
 
     @cached_property
-    def sphere_radii(self) -> Floats:
-        """The radius of each contact's sphere, shape (m,) [m]."""
-        return np.array([each.face.radius for each in self._reachable])
-
-    @cached_property
     def _half_extents(self) -> Floats:
         return np.array([each.face.half_extents for each in self._reachable]).reshape(-1, 2)
