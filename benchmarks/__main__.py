@@ -1,27 +1,88 @@
-"""``python -m benchmarks``: the studies of the planner that the results page shows."""
+"""``python -m benchmarks``: the studies that the results page shows, and the page."""
 
 from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Sequence
+import textwrap
+from collections.abc import Callable, Sequence
+from typing import Any
 
-from benchmarks.ablations.ablations import AblationQuestion
-from benchmarks.ablations.command import add_ablations
-from benchmarks.robustness import results as robustness_results
-from benchmarks.robustness.command import add_robustness
-from drake_aigto.cli.bench import add_page
-from drake_aigto.cli.command_line import run
-from drake_aigto.cli.flags import add_common
-from drake_aigto.cli.parser import Parser
-from drake_aigto.cli.progress import show_progress
-from drake_aigto.cli.status import FINE, INTERRUPTED
+from benchmarks.ablations.ablations import VARIANTS, AblationQuestion, AblationStudy
+from benchmarks.ablations.tables import format_ablations
+from benchmarks.baselines import BASELINES
+from benchmarks.robustness.figures import format_robustness
+from benchmarks.robustness.question import RobustnessQuestion
+from benchmarks.robustness.study import RobustnessStudy
+from benchmarks.study.flags import (
+    add_numbers,
+    add_question,
+    add_running,
+    read_question,
+    run_asked,
+)
+from benchmarks.study.scenario_question import ScenarioQuestion
+from benchmarks.study.scenario_runs import PLANNER
+from benchmarks.study.scenario_study import ScenarioStudy
+from benchmarks.study.scenario_tables import format_study
+from drake_aigto.cli import (
+    FINE,
+    INTERRUPTED,
+    NOTHING_HOLDS,
+    Parser,
+    add_command,
+    add_common,
+    add_confirm,
+    run,
+    share,
+    show_progress,
+)
+from drake_aigto.paper import ROWS
+from drake_aigto.show import WIDTH
+
+_ALL = "all"
+_SCENARIOS = """\
+python -m benchmarks scenarios --count 20                        # a first impression
+python -m benchmarks scenarios --count 500 --restitution 1 0.8 0.5 --json planner.json
+python -m benchmarks scenarios --count 500 --restitution 1 0.8 0.5 --json planner.json --resume
+python -m benchmarks scenarios --count 60 --restitution 0.5:1 --mass 0.5:2 --velocity -3:0 \\
+    --methods aigto snopt cma-es --budgets 1 10 100 --workers 8 --json rivals.json
+"""
+_NOTES = """\
+A spread X is a number, several numbers, which scenarios take in turn (in all combinations, if there
+are several such lists), or one range low:high, which they are drawn from evenly.
+
+The first scenarios of a seed are the same for any count. The results file is written every few
+seconds, so that Ctrl-C or a crash loses little: --resume goes on from it, also with a larger count
+or more methods. Exit status: 0 fine, 1 aigto succeeds less often than --require asks, 2 bad input.
+"""
+_ABLATIONS = """\
+python -m benchmarks ablations --count 20                         # a first impression
+python -m benchmarks ablations --restitution 1 0.5 --json ablations.json
+python -m benchmarks ablations --restitution 1 0.5 --json ablations.json --resume
+"""
+_ROBUSTNESS = """\
+python -m benchmarks robustness --rows 1 --restitutions 1 0.8 --scenarios 0   # minutes
+python -m benchmarks robustness --percent 2 --json robustness.json
+python -m benchmarks robustness --percent 2 --json robustness.json --resume   # go on after Ctrl-C
+"""
+_PAGE = """\
+python -m benchmarks page planner.json rivals.json --out results.md
+"""
 
 
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs a command and returns its exit status, as `drake-aigto` does."""
+def main(
+    arguments: Sequence[str] | None = None,
+    make: Callable[[Sequence[str]], Parser] | None = None,
+) -> int:
+    """Runs a command and returns its exit status, as `drake-aigto` does.
+
+    Args:
+        arguments: what was typed; None takes it from `sys.argv`.
+        make: returns the parser; that of this module if None.
+    """
     try:
-        return run(arguments, make_parser)
+        return run(arguments, make or make_parser)
     except KeyboardInterrupt:
         print("benchmarks: interrupted", file=sys.stderr)
         return INTERRUPTED
@@ -32,25 +93,125 @@ def make_parser(_: Sequence[str] = ()) -> Parser:
     parser = Parser(prog="python -m benchmarks", description="Measures the planner, part by part.")
     add_common(parser)
     commands = parser.add_commands("COMMAND")
-    add_ablations(commands)
-    add_robustness(commands)
-    add_page(commands, _write_page)
+    _add_scenarios(commands)
+    _add_ablations(commands)
+    _add_robustness(commands)
+    _add_page(commands)
     return parser
 
 
-def _write_page(options: argparse.Namespace) -> int:
+def _add_scenarios(commands: Any) -> None:
+    text = "how often methods find the optimum of random scenarios, and how fast"
+    command = add_command(commands, "scenarios", _scenarios, text, _SCENARIOS, _NOTES)
+    usual = ScenarioQuestion()
+    add_question(command, usual)
+    names = ", ".join(f"'{name}'" if " " in name else name for name in BASELINES)
+    text = f"{PLANNER}, the planner (default); {names}; or {_ALL}"
+    command.add_argument("--methods", nargs="+", metavar="NAME", default=[PLANNER], help=text)
+    budgets, text = list(usual.budgets), "units of time at which the others are judged"
+    text += f" (default: {' '.join(f'{budget:g}' for budget in budgets)})"
+    look: dict[str, Any] = {"type": float, "nargs": "+", "metavar": "B", "default": budgets}
+    command.add_argument("--budgets", help=text, **look)
+    text = f"of one core (default: what {PLANNER} takes on the same scenario)"
+    command.add_argument("--seconds-per-unit", type=float, metavar="S", help=text)
+    text = "also report what boxes alone say, before any polish"
+    command.add_argument("--read-boxes", action="store_true", help=text)
+    text = f"of scenarios whose optimum {PLANNER} is to find, else exit with 1"
+    command.add_argument("--require", type=share, metavar="SHARE", default=0.0, help=text)
+    add_running(command)
+
+
+def _scenarios(options: argparse.Namespace) -> int:
+    methods = [PLANNER, *BASELINES] if options.methods == [_ALL] else options.methods
+    question = ScenarioQuestion(
+        methods=tuple(methods),
+        budgets=tuple(options.budgets),
+        seconds_per_unit=options.seconds_per_unit,
+        reads_boxes=options.read_boxes,
+        **read_question(options),
+    )
+    study = run_asked(options, ScenarioStudy(question))
+    print(format_study(study), flush=True)
+    if PLANNER not in question.methods:
+        return FINE
+    solved = sum(study.succeeds(result, PLANNER, 1.0) for result in study.of_method(PLANNER))
+    return FINE if solved >= options.require * question.count else NOTHING_HOLDS
+
+
+def _add_ablations(commands: Any) -> None:
+    text = "what finds the bounce: the planner with one part changed at a time"
+    notes = textwrap.fill(f"Variants: {'; '.join(VARIANTS)}.", WIDTH)
+    command = add_command(commands, "ablations", _ablations, text, _ABLATIONS, notes)
+    add_question(command, AblationQuestion())
+    text, usual = "by name, see below (default: all)", list(VARIANTS)
+    command.add_argument("--variants", nargs="+", metavar="NAME", default=usual, help=text)
+    add_running(command)
+
+
+def _ablations(options: argparse.Namespace) -> int:
+    question = AblationQuestion(methods=tuple(options.variants), **read_question(options))
+    print(format_ablations(run_asked(options, AblationStudy(question))), flush=True)
+    return FINE
+
+
+def _add_robustness(commands: Any) -> None:
+    text = "how much plans suffer under perturbations, open loop and with feedback"
+    command = add_command(commands, "robustness", _robustness, text, _ROBUSTNESS)
+    usual = RobustnessQuestion()
+    look: dict[str, Any] = {"type": int, "nargs": "*", "choices": ROWS, "default": ROWS}
+    command.add_argument("--rows", help="of Table I (default: all)", **look)
+    look = {"type": float, "nargs": "+", "metavar": "E", "default": usual.restitutions}
+    text = "of the wall, each with every row (default: 1 0.8 0.5)"
+    command.add_argument("--restitutions", help=text, **look)
+    add_numbers(
+        command,
+        usual,
+        scenarios="random scenarios besides",
+        percent="how much start, velocity, wall, mass and restitution are other at most",
+        samples="perturbations of everything at once",
+        seed="of all that is random",
+    )
+    add_confirm(command)
+    add_running(command)
+
+
+def _robustness(options: argparse.Namespace) -> int:
+    question = RobustnessQuestion(
+        rows=tuple(options.rows),
+        restitutions=tuple(options.restitutions),
+        scenarios=options.scenarios,
+        percent=options.percent,
+        samples=options.samples,
+        seed=options.seed,
+        confirm=options.confirm,
+    )
+    print(format_robustness(run_asked(options, RobustnessStudy(question))), flush=True)
+    return FINE
+
+
+def _add_page(commands: Any) -> None:
+    text = "make the results page of saved results"
+    command = add_command(commands, "page", _page, text, _PAGE)
+    text = "what benchmarks wrote with --json"
+    command.add_argument("results", nargs="+", metavar="RESULTS.json", help=text)
+    text = "the page; pictures go into a folder images beside it (default: %(default)s)"
+    command.add_argument("--out", metavar="PAGE.md", default="docs/results.md", help=text)
+
+
+def _page(options: argparse.Namespace) -> int:
     # Matplotlib takes its time.
     from benchmarks.ablations.page import ABLATIONS
     from benchmarks.robustness.page import ROBUSTNESS
-    from drake_aigto.show.results_page import SECTIONS, write_results_page
+    from benchmarks.study.page import write_results_page
+    from benchmarks.study.scenario_page import SCENARIOS
 
     sections = {
-        **SECTIONS,
+        ScenarioQuestion.kind: SCENARIOS,
         AblationQuestion.kind: ABLATIONS,
-        robustness_results.KIND: ROBUSTNESS,
+        RobustnessQuestion.kind: ROBUSTNESS,
     }
     with show_progress(options, "drawing"):
-        write_results_page(options.results, options.out, sections, "python -m benchmarks page")
+        write_results_page(options.results, options.out, sections)
     print(f"wrote {options.out}")
     return FINE
 

@@ -25,7 +25,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cache, partial
@@ -45,8 +44,8 @@ from benchmarks.collections.cart_poles import (
     make_scenario,
     make_world,
 )
-from benchmarks.jobs import add_options, run_all, run_as
 from benchmarks.measure import machine
+from benchmarks.script import read_flags, run_all, run_as
 from drake_aigto import MechanismOptions, ModelPredictiveController, Planner
 from drake_aigto.control import TickStatus
 
@@ -226,12 +225,12 @@ def compare(job: tuple[str, int], seconds: float) -> dict[str, Outcome]:
 
 def main() -> int:
     """Runs both controllers on the same disturbances, and prints a table."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--only", nargs="*", choices=[*PROBLEMS], default=[*PROBLEMS])
-    parser.add_argument("--count", type=int, default=100, help="of runs of each")
-    parser.add_argument("--seconds", type=float, default=40.0, help="that each lasts")
-    add_options(parser)
-    options = parser.parse_args()
+    options = read_flags(
+        __doc__,
+        only=([*PROBLEMS], "", {"nargs": "*", "choices": [*PROBLEMS]}),
+        count=(100, "of runs of each"),
+        seconds=(40.0, "that each lasts"),
+    )
     print(machine())
     print(
         "plant     controller  upright     mean angle  touches a run  ms a tick, 99 %", flush=True

@@ -11,7 +11,6 @@ controls. A bound is wrong if it is above that by more than what is given as rou
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
@@ -27,10 +26,12 @@ from benchmarks.collections.constrained_programs import constrained_problems
 from benchmarks.collections.global_functions import global_problems, random_univariate
 from benchmarks.collections.global_problem import GlobalProblem
 from benchmarks.measure import machine
+from benchmarks.optima import ContactOptimum
+from benchmarks.script import read_flags
 from benchmarks.world_scenarios import WORLDS
 from drake_aigto.arrays import Floats
 from drake_aigto.certify import bound_plans, certify
-from drake_aigto.optima import ContactOptimum, RigidOptimum, rigid_optimum
+from drake_aigto.paper import RigidOptimum, rigid_optimum
 from drake_aigto.solver import AigoDetails, AigoOptions, AigoSolver, AigoStatus
 from drake_aigto.world import Scenario, World
 
@@ -56,13 +57,15 @@ SOLVER = AigoSolver(AigoOptions(certify=True))
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--chains", type=int, nargs="*", default=(50, 170, 1000, 10_000))
-    parser.add_argument("--univariate", type=int, default=1000, help="polynomials")
-    parser.add_argument("--programs", type=int, default=10_000, help="random programs")
-    parser.add_argument("--scenarios", type=int, default=500, help="of one wall")
-    parser.add_argument("--worlds", type=int, default=100, help="scenarios of other worlds")
-    arguments = parser.parse_args()
+    arguments = read_flags(
+        __doc__,
+        workers=None,
+        chains=((50, 170, 1000, 10000), ""),
+        univariate=(1000, "polynomials"),
+        programs=(10000, "random programs"),
+        scenarios=(500, "of one wall"),
+        worlds=(100, "scenarios of other worlds"),
+    )
     print(machine(), flush=True)
     warm_up()
     wrong = sum(chain(n) for n in arguments.chains)

@@ -15,7 +15,6 @@ Writes chain.csv and chain.png.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Sequence
 from functools import cache, partial
@@ -25,15 +24,14 @@ import numpy as np
 
 from benchmarks.collections.chain import REACH, chain_problem
 from benchmarks.figures import draw_gaps
-from benchmarks.jobs import run_as
 from benchmarks.measure import machine
 from benchmarks.peers import (
     OUR_NAMES,
     OURS,
+    PEER_FLAGS,
     PEERS,
     Record,
     Target,
-    add_arguments,
     collect,
     make_record,
     run_all,
@@ -41,6 +39,7 @@ from benchmarks.peers import (
     seconds_to_reach,
     warm_up,
 )
+from benchmarks.script import read_flags, run_as
 
 SIZES = (2, 10, 26, 50, 82, 122, 170)
 LARGE = (1000, 10000)
@@ -54,14 +53,15 @@ Job = tuple[int, int]  # n, seed of the function
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--sizes", type=int, nargs="*", default=SIZES)
-    parser.add_argument("--large", type=int, nargs="*", default=LARGE)
-    parser.add_argument("--functions", type=int, default=10, help="of each size")
-    parser.add_argument("--first-seed", type=int, default=0, help="of the functions")
-    parser.add_argument("--patience", type=float, default=0.0, help="as said above; 0: don't")
-    add_arguments(parser)
-    arguments = parser.parse_args()
+    arguments = read_flags(
+        __doc__,
+        sizes=(SIZES, ""),
+        large=(LARGE, ""),
+        functions=(10, "of each size"),
+        first_seed=(0, "of the functions"),
+        patience=(0.0, "as said above; 0: don't"),
+        **PEER_FLAGS,
+    )
     seeds = [arguments.first_seed + i for i in range(arguments.functions)]
     jobs = [(n, seed) for n in arguments.sizes for seed in seeds]
     jobs += [(n, seed) for n in arguments.large for seed in seeds[:LARGE_FUNCTIONS]]

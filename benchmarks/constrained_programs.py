@@ -11,7 +11,6 @@ no feasible answer, and nan an infeasible one that was called a success.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Sequence
 from functools import cache, partial
@@ -21,9 +20,9 @@ from pydrake.solvers import SnoptSolver
 
 from benchmarks.collections.constrained_problem import ConstrainedProblem
 from benchmarks.collections.constrained_programs import constrained_problems
-from benchmarks.jobs import run_as
 from benchmarks.measure import machine
-from benchmarks.peers import OURS, Record, add_arguments, collect, make_record
+from benchmarks.peers import OURS, PEER_FLAGS, Record, collect, make_record
+from benchmarks.script import read_flags, run_as
 from drake_aigto.solver import AigoOptions, AigoSolver
 
 FEASIBLE = 1e-6
@@ -33,10 +32,11 @@ WARM_UPS = ("HS 43", "planted n=5 seed=0")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--only", default="", help="programs whose name has this in it")
-    add_arguments(parser)
-    arguments = parser.parse_args()
+    arguments = read_flags(
+        __doc__,
+        only=("", "programs whose name has this in it"),
+        **PEER_FLAGS,
+    )
     names = [name for name in problems_by_name() if arguments.only in name]
     work = partial(run, factor=arguments.factor, aigo_seed=arguments.aigo_seed)
     summarise(collect(work, names, effort, tell, "constrained_programs.csv", arguments))

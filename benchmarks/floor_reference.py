@@ -14,9 +14,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.optima.line_optimum import Line, LineSequence, Wall
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.jit import kernel
-from drake_aigto.optima.line_optimum import Line, LineSequence, Wall
+from drake_aigto.kernels import kernel
 from drake_aigto.world import Scenario
 
 # The grid: times of touches, speeds before them, and the fastest, of what falling freely reaches.

@@ -13,7 +13,6 @@ Exits with 1 if fewer than 95 % succeed.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections import Counter
 from collections.abc import Iterator
@@ -24,14 +23,13 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
+from benchmarks.baselines import run_baseline
 from benchmarks.floor_reference import FloorMotion, floor_optimum
-from benchmarks.jobs import add_options, run_all, run_as
-from drake_aigto.baselines import run_baseline
+from benchmarks.script import read_flags, run_all, run_as
 from drake_aigto.errors import AigtoError
 from drake_aigto.planning import Plan, Planner, PlanOptions
-from drake_aigto.simulation.replay import replay_event_driven
-from drake_aigto.world import Scenario, World
-from drake_aigto.world.files import models_directory
+from drake_aigto.simulation import replay_event_driven
+from drake_aigto.world import Scenario, World, models_directory
 
 ASKED = 0.95
 RELATIVE, ABSOLUTE = 0.01, 1e-7
@@ -157,12 +155,12 @@ def report(outcomes: list[Outcome]) -> bool:
 
 def main() -> int:
     """Runs all scenarios and returns the exit status."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--count", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--rival", type=float, default=0.0, help="seconds of CMA-ES, for each")
-    add_options(parser)
-    options = parser.parse_args()
+    options = read_flags(
+        __doc__,
+        count=(200, ""),
+        seed=(0, ""),
+        rival=(0.0, "seconds of CMA-ES, for each"),
+    )
     jobs = [Job(*each, options.rival) for each in draw(options.count, options.seed)]
     outcomes = run_all(run, jobs, options)
     is_enough = report(outcomes)

@@ -13,16 +13,15 @@ from __future__ import annotations
 
 import argparse
 import dataclasses
-import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from benchmarks.friction_forms import list_forms
-from benchmarks.jobs import add_options, run_all, run_as
 from benchmarks.listed_modes import ListOfModes
-from drake_aigto import MechanismOptions, Planner, PlanningError, Scenario, World
+from benchmarks.script import plan_all, read_flags, run_all, run_as
+from drake_aigto import Answer, MechanismOptions, Scenario, World
 
 # Seeds that settings were chosen on, and those that are reported.
 _TUNING, _REPORTED = 0, 1000
@@ -32,12 +31,13 @@ _COMPARED = 5
 NAMES = {1: "forward", 0: "stick", -1: "backward"}
 
 
-class Job(NamedTuple):
-    """One shot."""
+class Listed(NamedTuple):
+    """The best of the list of a shot."""
 
     seed: int
-    renewals: int
-    is_compared: bool  # to the same without friction
+    is_smooth: bool  # asked without friction
+    cost: float
+    modes: tuple[int, ...]  # of its touches
 
 
 class Result(NamedTuple):
@@ -47,8 +47,7 @@ class Result(NamedTuple):
     planned: float  # J of the plan's event-driven replay
     drake: float  # the same in Drake
     listed: float  # J of the list's best
-    walls: int  # that the list's best touches
-    modes: tuple[int, ...]  # how
+    modes: tuple[int, ...]  # of its touches
     smooth: float  # J of the plan without friction, NaN where it was not made
     smooth_listed: float  # of the list without friction
     seconds: float  # CPU time of the plan with friction
@@ -73,41 +72,47 @@ def draw_shot(seed: int) -> Scenario:
     )
 
 
-def shoot(job: Job) -> Result:
-    """Plans a shot, and lists its modes."""
-    scenario = draw_shot(job.seed)
-    smooth = dataclasses.replace(scenario, friction=0.0)
-    begin = time.process_time()
-    planned, drake = _plan(scenario, job.renewals, confirm=True)
-    seconds = time.process_time() - begin
+def list_modes(job: tuple[int, bool]) -> Listed:
+    """Returns the best of the list of a shot, by its seed, with its friction or without."""
+    seed, is_smooth = job
+    scenario = draw_shot(seed)
     world = World.from_scenario(scenario)
-    best = ListOfModes(world, scenario).find_best(job.seed)
-    without = without_listed = np.nan
-    if job.is_compared:
-        without = _plan(smooth, job.renewals, confirm=False)[0]
-        without_listed = ListOfModes(world, smooth).find_best(job.seed).cost
-    return Result(
-        job.seed,
-        planned,
-        drake,
-        best.cost,
-        len(best.walls),
-        best.modes,
-        without,
-        without_listed,
-        seconds,
-    )
+    asked = dataclasses.replace(scenario, friction=0.0) if is_smooth else scenario
+    best = ListOfModes(world, asked).find_best(seed)
+    return Listed(seed, is_smooth, best.cost, best.modes)
 
 
-def _plan(scenario: Scenario, renewals: int, confirm: bool) -> tuple[float, float]:
-    """Returns what a plan costs in its event-driven replay and in Drake's."""
-    options = MechanismOptions(renewals=renewals, confirm=confirm)
-    try:
-        found = Planner(scenario, options).plan()
-    except PlanningError:
+def _collect(shots: Sequence[int], renewals: int, options: argparse.Namespace) -> Iterator[Result]:
+    """Yields what came of the shots that are planned and listed."""
+    compared = shots[::_COMPARED]
+    jobs = [*((seed, False) for seed in shots), *((seed, True) for seed in compared)]
+    scenarios = {str(seed): draw_shot(seed) for seed in shots}
+    smooth = {
+        str(seed): dataclasses.replace(scenarios[str(seed)], friction=0.0) for seed in compared
+    }
+    usual = MechanismOptions(renewals=renewals, threads=1)
+    plans = plan_all(scenarios, usual, options)
+    unconfirmed = dataclasses.replace(usual, confirm=False)
+    smooth_plans = plan_all(smooth, unconfirmed, options, "smooth_plans")
+    best = {each[:2]: each for each in run_all(list_modes, jobs, options)}
+    for seed in shots:
+        if str(seed) not in plans or (seed, False) not in best:
+            continue
+        costs = _cost_of(plans[str(seed)])
+        without = np.nan, np.nan
+        if (seed, True) in best and str(seed) in smooth_plans:
+            without = _cost_of(smooth_plans[str(seed)])[0], best[seed, True].cost
+        listed = best[seed, False]
+        seconds = plans[str(seed)].seconds
+        yield Result(seed, *costs, listed.cost, listed.modes, *without, seconds)
+
+
+def _cost_of(answer: Answer) -> tuple[float, float]:
+    """Returns what a plan costs in its event-driven replay and in Drake's; infinite without one."""
+    if answer.plan is None or not answer.holds:
         return np.inf, np.inf
-    drake = found.replay.drake
-    return found.replay.event_driven.cost, np.nan if drake is None else drake.cost
+    drake = answer.plan.replay.drake
+    return answer.plan.replay.event_driven.cost, np.nan if drake is None else drake.cost
 
 
 def report(results: Sequence[Result]) -> None:
@@ -142,21 +147,19 @@ def _sum_up(name: str, ratios: Sequence[float]) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Prints closed forms and shots; the exit status is 1 where figures are missed."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--shots", type=int, default=100, metavar="N", help="how many shots")
-    parser.add_argument("--tuning", action="store_true", help="shots to choose settings on")
-    parser.add_argument("--renewals", type=int, default=0, help="`MechanismOptions.renewals`")
-    add_options(parser)
-    options = parser.parse_args(arguments)
+    options = read_flags(
+        __doc__,
+        arguments,
+        shots=(100, "how many shots", {"metavar": "N"}),
+        tuning=(False, "shots to choose settings on"),
+        renewals=(0, "`MechanismOptions.renewals`"),
+    )
     forms = list_forms()
     for name, error in forms:
         print(f"{name:<58} off by {error:.1e}")
     first = _TUNING if options.tuning else _REPORTED
-    jobs = [
-        Job(first + number, options.renewals, number % _COMPARED == 0)
-        for number in range(options.shots)
-    ]
-    results: list[Result] = run_all(shoot, jobs, options)
+    shots = range(first, first + options.shots)
+    results = list(_collect(shots, options.renewals, options))
     if results:
         report(results)
     near = [each.planned <= (1 + _NEAR) * each.listed for each in results]

@@ -12,8 +12,8 @@ from pydrake.systems.framework import DiagramBuilder
 
 from drake_aigto import Scenario, World, replay_event_driven
 from drake_aigto.arrays import Floats
-from drake_aigto.simulation.coulomb import Mobility, calc_impulse
-from drake_aigto.simulation.replay import Replay
+from drake_aigto.contact import Mobility, calc_impulse
+from drake_aigto.simulation import Replay
 
 _RADIUS, _MU, _G = 0.1, 0.3, 9.81
 _NOTHING = """<inertial><mass>0</mass>

@@ -16,7 +16,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 from collections.abc import Iterator, Mapping, Sequence
 from functools import cache, partial
 from typing import NamedTuple
@@ -24,8 +23,8 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks.in_the_loop import OFF, OpenLoop
-from benchmarks.jobs import add_options, run_all, run_as
 from benchmarks.measure import machine
+from benchmarks.script import read_flags, run_all, run_as
 from drake_aigto import (
     MechanismOptions,
     ModelPredictiveController,
@@ -121,13 +120,13 @@ def report(name: str, runs: Sequence[Run]) -> str:
 
 def main() -> int:
     """Runs all methods on the same plants, and prints a table of each world."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--only", default="", help="worlds whose name has this in it")
-    parser.add_argument("--count", type=int, default=10, help="of plants that are off")
-    parser.add_argument("--seed", type=int, default=0, help="of these")
-    parser.add_argument("--renewals", type=int, default=RENEWALS, help="of each search")
-    add_options(parser)
-    options = parser.parse_args()
+    options = read_flags(
+        __doc__,
+        only=("", "worlds whose name has this in it"),
+        count=(10, "of plants that are off"),
+        seed=(0, "of these"),
+        renewals=(RENEWALS, "of each search"),
+    )
     print(machine(), flush=True)
     work = partial(run, seed=options.seed, renewals=options.renewals)
     for name in [each for each in WORLDS if options.only in each]:

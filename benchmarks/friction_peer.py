@@ -23,15 +23,14 @@ import numpy as np
 from benchmarks.local_peers import casadi
 from benchmarks.robots.ipopt import COLD, FARTHEST, IPOPT_STEPS, WARM, prepare
 from drake_aigto.arrays import Floats
+from drake_aigto.contact import CompliantLaw, contact_law
+from drake_aigto.dynamics import SumMap
 from drake_aigto.errors import TrajectoryError
-from drake_aigto.planning import MechanismOptions
+from drake_aigto.planning import MechanismOptions, MechanismProblem, Origin
 from drake_aigto.planning.closing import find_tight
-from drake_aigto.planning.mechanism_problem import MechanismProblem
-from drake_aigto.planning.origin import Origin
-from drake_aigto.simulation.bounds import state_scales
+from drake_aigto.simulation import state_scales
 from drake_aigto.terms import FunctionKind
-from drake_aigto.world import CompliantLaw, Scenario, TaskCost, World
-from drake_aigto.world.sums import SumMap
+from drake_aigto.world import Scenario, TaskCost, World
 
 # ε [m] and of 1 − d φ̇ [1], and w [m/s] at least.
 _LADDERS = (
@@ -81,7 +80,7 @@ class RubbingProgram:
             ValueError: walls are rigid, or the task has what is not written here.
         """
         prepare()
-        law, task = world.contact_law(scenario), TaskCost.of(world, scenario)
+        law, task = contact_law(world, scenario), TaskCost.of(world, scenario)
         is_weighed = (task.Q > 0) | task.QT.any(axis=0)
         is_turn = (task.is_modulo | task.is_chordal) & is_weighed
         is_other = scenario.hard_goal or is_turn.any()

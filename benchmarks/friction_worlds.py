@@ -18,7 +18,6 @@ best known is of the record of `peer_programs`, or of many starts.
 
 from __future__ import annotations
 
-import argparse
 import re
 import time
 from collections.abc import Iterator
@@ -30,16 +29,15 @@ from pydrake.solvers import MathematicalProgram
 
 from benchmarks.collections.peer_programs import KNOWN, payload, payload_tasks, push_circle
 from benchmarks.friction_peer import solve_from_many
-from benchmarks.jobs import add_options, run_all, run_as
 from benchmarks.measure import machine
 from benchmarks.modes_miqp import solve_modes
 from benchmarks.recorded import read_output
+from benchmarks.script import read_flags, run_all, run_as
 from benchmarks.staged_programs import FEASIBLE, GLOBAL, Ipopt, cost_of
 from drake_aigto import Plan, Planner, Scenario
 from drake_aigto.arrays import Floats
 from drake_aigto.planning import MechanismOptions
-from drake_aigto.solver.program import read_program
-from drake_aigto.solver.staged import StagedProgram
+from drake_aigto.solver import StagedProgram, read_program
 
 WORLDS = (
     "push_circle/round_it",
@@ -111,11 +109,11 @@ def _tell(cost: float) -> str:
 
 def main() -> None:
     """Plans all, and prints a table and shares."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--only", default="", help="questions whose name has this in it")
-    parser.add_argument("--renewals", type=int, help="of each plan (payloads 96, others 24)")
-    add_options(parser)
-    arguments = parser.parse_args()
+    arguments = read_flags(
+        __doc__,
+        only=("", "questions whose name has this in it"),
+        renewals=(None, "of each plan (payloads 96, others 24)", {"type": int}),
+    )
     print(machine())
     columns = "a peer's", "ours, theirs", "IPOPT", "best known"
     heads = " ".join(f"{each:>12}" for each in columns)

@@ -28,20 +28,20 @@ import numpy as np
 from benchmarks.collections.global_functions import global_problems, random_univariate
 from benchmarks.collections.global_problem import GlobalProblem
 from benchmarks.figures import draw_shares
-from benchmarks.jobs import run_as
 from benchmarks.measure import machine
 from benchmarks.peers import (
     OUR_NAMES,
     OURS,
+    PEER_FLAGS,
     PEERS,
     Record,
     Target,
-    add_arguments,
     collect,
     run_all,
     run_ours_only,
     warm_up,
 )
+from benchmarks.script import read_flags, run_as
 
 TOLERANCE = 1e-6
 SAMPLES = 10_000
@@ -53,12 +53,13 @@ MEASURES = (BY_RANGE, BY_VALUE)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--seeds", type=int, default=3, help="runs of each peer")
-    parser.add_argument("--only", default="", help="functions whose name has this in it")
-    parser.add_argument("--univariate", type=int, default=200, help="polynomials a degree")
-    add_arguments(parser)
-    arguments = parser.parse_args()
+    arguments = read_flags(
+        __doc__,
+        seeds=(3, "runs of each peer"),
+        only=("", "functions whose name has this in it"),
+        univariate=(200, "polynomials a degree"),
+        **PEER_FLAGS,
+    )
     print(machine())
     if arguments.univariate and not arguments.only:
         summarise_univariate(univariate(arguments.univariate, arguments))

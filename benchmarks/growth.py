@@ -27,6 +27,7 @@ from pathlib import Path
 import numpy as np
 
 from benchmarks.measure import clock, is_met, write_csv
+from benchmarks.script import read_flags
 from drake_aigto.aigo import Annealing
 from drake_aigto.planning import PlanOptions, make_problem
 from drake_aigto.world import Scenario, World
@@ -63,12 +64,14 @@ class Growth:
 
 def main() -> int:
     """Starts a process for each line, prints, writes and judges."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--repeats", type=int, default=3, help="turns")
-    parser.add_argument("--most", type=int, default=STEPS[-1], help="time steps")
-    parser.add_argument("--out", type=Path, default=Path(), help="folder of the CSV")
-    parser.add_argument("--steps", type=int, help=argparse.SUPPRESS)
-    arguments = parser.parse_args()
+    arguments = read_flags(
+        __doc__,
+        workers=None,
+        repeats=(3, "turns"),
+        most=(STEPS[-1], "time steps"),
+        out=(Path(), "folder of the CSV"),
+        steps=(None, argparse.SUPPRESS, {"type": int}),
+    )
     if arguments.steps:
         print(json.dumps(dataclasses.asdict(measure(arguments.steps))))
         return 0

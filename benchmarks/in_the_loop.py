@@ -22,7 +22,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 import dataclasses
 import re
 import tempfile
@@ -37,8 +36,8 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
-from benchmarks.jobs import add_options, run_all, run_as
 from benchmarks.measure import Spread, machine
+from benchmarks.script import read_flags, run_all, run_as
 from drake_aigto import (
     AigtoError,
     MechanismOptions,
@@ -56,9 +55,8 @@ from drake_aigto.control.horizon import Horizon
 from drake_aigto.control.horizons import make_horizon
 from drake_aigto.control.motion import Motion
 from drake_aigto.planning import needs_shooting
-from drake_aigto.simulation.controller import Held
-from drake_aigto.world import Scales, package_map
-from drake_aigto.world.files import find_model
+from drake_aigto.simulation import Held
+from drake_aigto.world import Scales, find_model, package_map
 
 SCENARIOS = (
     "table1/1",
@@ -307,15 +305,13 @@ def run(job: tuple[str, int, int, bool]) -> Outcomes | None:
 
 def main() -> int:
     """Runs all methods on the same disturbances, and prints a table of each scenario."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("scenarios", nargs="*", default=SCENARIOS, help="of those shipped")
-    parser.add_argument("--count", type=int, default=100, help="of disturbances of each")
-    parser.add_argument("--seed", type=int, default=2026, help="of the disturbances")
-    parser.add_argument(
-        "--changing", action="store_true", help="only kicks that change the best contact sequence"
+    options = read_flags(
+        __doc__,
+        place=("scenarios", {"nargs": "*", "default": SCENARIOS, "help": "of those shipped"}),
+        count=(100, "of disturbances of each"),
+        seed=(2026, "of the disturbances"),
+        changing=(False, "only kicks that change the best contact sequence"),
     )
-    add_options(parser)
-    options = parser.parse_args()
     print(machine(), flush=True)
     for name in options.scenarios:
         jobs = [(name, options.seed, k, options.changing) for k in range(options.count)]

@@ -9,15 +9,14 @@ feasible to 1e-6, and f − f* ≤ 1e-6 max(1, |f*|).
 
 from __future__ import annotations
 
-import argparse
 import time
 from dataclasses import dataclass
 
 import numpy as np
 
 from benchmarks.collections.lifted_functions import lift, lifted_problems
-from benchmarks.jobs import add_options, run_all, run_as
 from benchmarks.measure import machine
+from benchmarks.script import read_flags, run_all, run_as
 from drake_aigto.solver import AigoOptions, AigoSolver
 
 TOLERANCE = 1e-6
@@ -44,13 +43,11 @@ class Run:
 
 def main() -> None:
     """Runs all functions and prints those that are missed, and counts."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--only", default="", help="functions whose name has this in it")
-    parser.add_argument(
-        "--lift-seeds", type=int, nargs="*", default=(11, 12), help="of the parts and the cuts"
+    arguments = read_flags(
+        __doc__,
+        only=("", "functions whose name has this in it"),
+        lift_seeds=((11, 12), "of the parts and the cuts"),
     )
-    add_options(parser)
-    arguments = parser.parse_args()
     print(machine())
     names = [each.name for each in lifted_problems() if arguments.only in each.name]
     jobs = [(name, seed) for seed in arguments.lift_seeds for name in names]

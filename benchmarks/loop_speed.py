@@ -18,7 +18,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 import dataclasses
 import sys
 import time
@@ -30,6 +29,7 @@ from pydrake.systems.framework import Context, EventStatus, State
 
 from benchmarks.in_the_loop import MECHANISMS, PERIOD, SEARCH_EVERY, Outcome, draw, prepare
 from benchmarks.measure import is_met, machine
+from benchmarks.script import read_flags
 from drake_aigto import AigtoError, ModelPredictiveController
 from drake_aigto.control import run_in_loop
 
@@ -123,10 +123,12 @@ def _describe(
 
 def main() -> int:
     """Prints the times of all scenarios; returns 1 if a figure is missed."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--count", type=int, default=20, help="of disturbances of each")
-    parser.add_argument("--seed", type=int, default=2027, help="of the disturbances")
-    options = parser.parse_args()
+    options = read_flags(
+        __doc__,
+        workers=None,
+        count=(20, "of disturbances of each"),
+        seed=(2027, "of the disturbances"),
+    )
     print(machine(), flush=True)
     met = [report(name, options.count, options.seed) for name in ASKED]
     return int(not all(met))

@@ -12,7 +12,6 @@ seconds), know.
 
 from __future__ import annotations
 
-import argparse
 import time
 import warnings
 from collections.abc import Callable
@@ -25,11 +24,11 @@ from scipy.optimize import minimize
 from scipy.sparse import coo_array
 
 from benchmarks.collections.loops import LoopProblem, loop_problem
-from benchmarks.jobs import add_options, run_all, run_as
 from benchmarks.measure import machine
+from benchmarks.script import read_flags, run_all, run_as
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.box import BoxPolynomial
-from drake_aigto.jit import kernel
+from drake_aigto.kernels import kernel
 from drake_aigto.solver import AigoSolver
 from drake_aigto.terms import parse_costs
 
@@ -64,15 +63,15 @@ class Run:
 
 def main() -> None:
     """Runs all families, and prints each function and a summary."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--families", nargs="*", choices=FAMILIES, default=FAMILIES)
-    parser.add_argument("--size", type=int, default=15)
-    parser.add_argument("--count", type=int, default=3, help="functions of each family")
-    parser.add_argument("--first-seed", type=int, default=100)
-    parser.add_argument("--seconds", type=float, default=10.0, help="of the annealing")
-    parser.add_argument("--long", type=float, default=0.0, help="times as long, to know better")
-    add_options(parser)
-    arguments = parser.parse_args()
+    arguments = read_flags(
+        __doc__,
+        families=(FAMILIES, "", {"choices": FAMILIES}),
+        size=(15, ""),
+        count=(3, "functions of each family"),
+        first_seed=(100, ""),
+        seconds=(10.0, "of the annealing"),
+        long=(0.0, "times as long, to know better"),
+    )
     print(machine())
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.count)
     jobs = [(family, arguments.size, seed) for family in arguments.families for seed in seeds]

@@ -20,8 +20,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from drake_aigto.contact import RigidLaw, contact_law
 from drake_aigto.errors import MissingExtraError
-from drake_aigto.world import RigidLaw, Scenario, TaskCost, World
+from drake_aigto.world import Scenario, TaskCost, World
 
 pyscipopt: Any
 try:
@@ -62,7 +63,7 @@ def solve_modes(scenario: Scenario, seconds: float) -> Proven:
 
 def _write(world: World, scenario: Scenario) -> Any:
     """Returns the program as a model of SCIP."""
-    task, law = TaskCost.of(world, scenario), world.contact_law(scenario)
+    task, law = TaskCost.of(world, scenario), contact_law(world, scenario)
     is_other = not scenario.hard_goal or task.Q.any() or task.Qv.any() or task.QTv.any()
     is_bounded = np.isfinite(world.bounds(scenario).control).all()
     if not isinstance(law, RigidLaw) or is_other or not is_bounded:

@@ -21,7 +21,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 import dataclasses
 import math
 import shutil
@@ -40,6 +39,7 @@ from scipy.linalg.lapack import dpbtrf
 
 from benchmarks.local_peers import casadi, sum_blocks
 from benchmarks.measure import Spread, clock, is_met, take_turns, write_csv
+from benchmarks.script import read_flags
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.planning import PlanningProblem, PlanOptions, make_problem
 from drake_aigto.terms import Factor, FunctionKind, TermBlock
@@ -62,12 +62,14 @@ class Timing:
 
 def main() -> int:
     """Measures, prints, writes and judges."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--steps", type=int, default=200, help="N of the boxes")
-    parser.add_argument("--repeats", type=int, default=15, help="turns")
-    parser.add_argument("--no-c", action="store_true", help="compile no C, which takes a minute")
-    parser.add_argument("--out", type=Path, default=Path(), help="folder of the CSV")
-    arguments = parser.parse_args()
+    arguments = read_flags(
+        __doc__,
+        workers=None,
+        steps=(200, "N of the boxes"),
+        repeats=(15, "turns"),
+        no_c=(False, "compile no C, which takes a minute"),
+        out=(Path(), "folder of the CSV"),
+    )
     problem = make_boxes(arguments.steps)
     seconds = take_turns(make_works(problem, not arguments.no_c), arguments.repeats, CALLS)
     seconds[ITERATION] = time_iterations(problem, arguments.repeats)

@@ -12,7 +12,6 @@ the least of all feasible answers, those of ours from other seeds and a publishe
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -22,13 +21,11 @@ import numpy as np
 
 from benchmarks.collections.peer_programs import KNOWN, peer_problems
 from benchmarks.collections.staged_programs import StagedProblem
-from benchmarks.jobs import add_options, run_all, run_as
 from benchmarks.measure import machine
+from benchmarks.script import read_flags, run_all, run_as
 from benchmarks.staged_programs import FEASIBLE, GLOBAL, Ipopt, cost_of, run_ours, warm_up
 from drake_aigto.arrays import Floats
-from drake_aigto.solver import AigoOptions, AigoSolver
-from drake_aigto.solver.program import AigoProgram, read_program
-from drake_aigto.solver.staged import StagedProgram
+from drake_aigto.solver import AigoOptions, AigoProgram, AigoSolver, StagedProgram, read_program
 
 
 @dataclass(frozen=True)
@@ -95,14 +92,12 @@ class Run:
 
 def main() -> None:
     """Runs all programs, and prints a table and shares."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--only", default="", help="programs whose name has this in it")
-    parser.add_argument(
-        "--every", type=int, default=1, help="of the programs, the first of so many"
+    arguments = read_flags(
+        __doc__,
+        only=("", "programs whose name has this in it"),
+        every=(1, "of the programs, the first of so many"),
+        seeds=(1, "of ours, for the best known"),
     )
-    parser.add_argument("--seeds", type=int, default=1, help="of ours, for the best known")
-    add_options(parser)
-    arguments = parser.parse_args()
     print(machine())
     columns = "cost        violation seconds"
     print(

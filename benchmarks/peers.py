@@ -26,8 +26,8 @@ from benchmarks.collections.global_problem import GlobalProblem
 from benchmarks.collections.known_optimum import KnownOptimum
 from benchmarks.collections.scalable_functions import rastrigin
 from benchmarks.compiled import compile_function
-from benchmarks.jobs import add_options, run_jobs
 from benchmarks.measure import read_rows, write_csv
+from benchmarks.script import run_jobs
 from drake_aigto.local import InteriorPoint, compile_nlp
 from drake_aigto.solver import AigoOptions, AigoSolver
 
@@ -273,13 +273,13 @@ def warm_up() -> None:
             run_peer(name, target, 0.2, 0)
 
 
-def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Adds what all scripts that write records take."""
-    parser.add_argument("--factor", type=float, default=1.0, help="seconds of peers over ours")
-    parser.add_argument("--aigo-seed", type=int, default=0, help="of AIGO's own random choices")
-    parser.add_argument("--out", type=Path, default=Path(), help="folder of CSV file and figure")
-    parser.add_argument("--reread", action="store_true", help="run nothing: the CSV file in --out")
-    add_options(parser)
+# Flags of all scripts that write records (`read_flags`).
+PEER_FLAGS: dict[str, Any] = {
+    "factor": (1.0, "seconds of peers over ours"),
+    "aigo_seed": (0, "of AIGO's own random choices"),
+    "out": (Path(), "folder of CSV file and figure"),
+    "reread": (False, "run nothing: the CSV file in --out"),
+}
 
 
 def collect(

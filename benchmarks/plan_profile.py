@@ -15,7 +15,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 import cProfile
 import pstats
 from collections import defaultdict
@@ -27,9 +26,10 @@ from typing import Any
 import numpy as np
 
 from benchmarks.measure import clock, write_csv
+from benchmarks.script import read_flags
+from benchmarks.study import ScenarioQuestion
 from drake_aigto.paper import ROWS
 from drake_aigto.planning import Planner, PlanOptions
-from drake_aigto.study import ScenarioQuestion
 from drake_aigto.world import Scenario
 
 PARTS = ("aigo", "polish", "replay")
@@ -50,12 +50,14 @@ class Share:
 
 def main() -> None:
     """Measures, prints and writes."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--repeats", type=int, default=5, help="plans of each scenario")
-    parser.add_argument("--scenarios", type=int, default=8, help="random ones, besides Table I")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--out", type=Path, default=Path(), help="folder of the CSV")
-    arguments = parser.parse_args()
+    arguments = read_flags(
+        __doc__,
+        workers=None,
+        repeats=(5, "plans of each scenario"),
+        scenarios=(8, "random ones, besides Table I"),
+        seed=(0, ""),
+        out=(Path(), "folder of the CSV"),
+    )
     scenarios = [Scenario.named(f"table1/{row}") for row in ROWS]
     question = ScenarioQuestion(count=arguments.scenarios, seed=arguments.seed)
     scenarios += question.scenarios() if arguments.scenarios else []

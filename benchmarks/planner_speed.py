@@ -36,12 +36,13 @@ import numpy.typing as npt
 
 from benchmarks.local_peers import Solver, casadi, casadi_ipopt, drake_solver
 from benchmarks.measure import Spread, clock, is_met, write_csv
+from benchmarks.script import read_flags
+from benchmarks.study import ScenarioQuestion
 from drake_aigto.arrays import Floats
 from drake_aigto.local import compile_nlp
 from drake_aigto.paper import ROWS, LiteralTranscription, random_guess
 from drake_aigto.planning import Planner, PlanOptions
 from drake_aigto.simulation import replay_event_driven
-from drake_aigto.study import ScenarioQuestion
 from drake_aigto.world import Scenario, World
 
 ENDS = ("initial_position", "initial_velocity", "goal_position")
@@ -76,7 +77,17 @@ class Run:
 
 def main() -> int:
     """Measures, prints, writes and judges."""
-    arguments = _parse()
+    arguments = read_flags(
+        __doc__,
+        workers=None,
+        scenarios=(20, "random ones, besides Table I"),
+        repeats=(5, "turns of the planner and of CasADi"),
+        guesses=(5, "random guesses, in as many turns"),
+        drake=(2, "turns of Drake's solvers"),
+        seed=(0, ""),
+        clock=("wall", "of the ratios", {"choices": ("wall", "cpu")}),
+        out=(Path(), "folder of the CSV"),
+    )
     scenarios = {f"table1/{row}": Scenario.named(f"table1/{row}") for row in ROWS}
     question = ScenarioQuestion(count=arguments.scenarios, seed=arguments.seed)
     scenarios |= {f"random {i}": each for i, each in enumerate(question.scenarios())}
@@ -88,18 +99,6 @@ def main() -> int:
         tell(name, found)
         write_csv(arguments.out / "planner_speed.csv", runs, "one thread, in turns")
     return 0 if judge(runs, arguments.clock) else 1
-
-
-def _parse() -> argparse.Namespace:
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--scenarios", type=int, default=20, help="random ones, besides Table I")
-    parser.add_argument("--repeats", type=int, default=5, help="turns of the planner and of CasADi")
-    parser.add_argument("--guesses", type=int, default=5, help="random guesses, in as many turns")
-    parser.add_argument("--drake", type=int, default=2, help="turns of Drake's solvers")
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--clock", choices=("wall", "cpu"), default="wall", help="of the ratios")
-    parser.add_argument("--out", type=Path, default=Path(), help="folder of the CSV")
-    return parser.parse_args()
 
 
 def _warm_up(scenario: Scenario) -> None:

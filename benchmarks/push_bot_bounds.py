@@ -9,7 +9,6 @@ are. Cells are all signs of cos θ at some steps; the least of their bounds coun
 
 from __future__ import annotations
 
-import argparse
 import itertools
 import time
 from collections.abc import Callable, Sequence
@@ -21,6 +20,7 @@ from pydrake.symbolic import cos, sin
 
 from benchmarks.collections.staged_programs import push_bot
 from benchmarks.measure import machine
+from benchmarks.script import read_flags
 from drake_aigto.certify import Certifier, certify
 
 START = (0.9, 0.0, 0.0, 0.0)
@@ -29,10 +29,12 @@ LEAST_COSINE = 0.7  # of a turn
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--steps", type=int, nargs="+", default=(6, 12, 30))
-    parser.add_argument("--cut", type=int, nargs="*", default=(4, 8, 12), help="steps of cells")
-    arguments = parser.parse_args()
+    arguments = read_flags(
+        __doc__,
+        workers=None,
+        steps=((6, 12, 30), "", {"nargs": "+"}),
+        cut=((4, 8, 12), "steps of cells"),
+    )
     print(machine(), flush=True)
     squares(program(2))  # has machine code compiled or loaded
     for steps in arguments.steps:

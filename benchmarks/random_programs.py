@@ -10,7 +10,6 @@ solved again, which has to give the same bits. Exits with 1 otherwise, or if not
 
 from __future__ import annotations
 
-import argparse
 import os
 import time
 import traceback
@@ -22,7 +21,7 @@ from pydrake.autodiffutils import ExtractGradient, InitializeAutoDiff
 from pydrake.solvers import Binding, MathematicalProgram
 
 from benchmarks.collections.random_programs import random_program
-from benchmarks.jobs import add_options, run_as, run_jobs
+from benchmarks.script import read_flags, run_as, run_jobs
 from drake_aigto.arrays import Floats
 from drake_aigto.solver import AigoOptions, AigoSolver
 
@@ -64,13 +63,14 @@ def _is_met(prog: MathematicalProgram, binding: Binding, x: Floats) -> bool:
 
 def main() -> int:
     """Solves all programs and returns the exit status."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--count", type=int, default=10_000)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--rounds", type=int, default=4, help="of each solve")
-    parser.add_argument("--again", type=int, default=10, help="one of so many is solved twice")
-    add_options(parser, workers=os.cpu_count() or 1)
-    options = parser.parse_args()
+    options = read_flags(
+        __doc__,
+        workers=os.cpu_count() or 1,
+        count=(10000, ""),
+        seed=(0, ""),
+        rounds=(4, "of each solve"),
+        again=(10, "one of so many is solved twice"),
+    )
     work = partial(run, seed=options.seed, rounds=options.rounds, again=options.again)
     start = time.perf_counter()
     outcomes: Counter[str] = Counter()

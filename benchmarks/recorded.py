@@ -20,7 +20,7 @@ _STUDIES = " ".join(
 # Record → its command. The page of results is made of what those before it saved, and of
 # `rivals.json`, whose command that page tells.
 RECORDS: Mapping[str, str] = {
-    "planner": "drake-aigto bench scenarios --count 1500 --seed 2026 --read-boxes --workers 2"
+    "planner": "python -m benchmarks scenarios --count 1500 --seed 2026 --read-boxes --workers 2"
     " --json docs/results/planner.json",
     "ablations": "python -m benchmarks ablations --count 60 --seed 2026 --workers 2"
     " --json docs/results/ablations.json",

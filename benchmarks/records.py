@@ -2,6 +2,7 @@
 
     python -m benchmarks.records run                  # all of them, into docs/results
     python -m benchmarks.records run corridor room    # only these
+    python -m benchmarks.records run friction --parts build/parts   # in parts: Ctrl-C, then again
     python -m benchmarks.records quote                # put their figures into README and docs
 
 A page quotes a figure of `FIGURES` between marks that readers do not see:
@@ -18,29 +19,38 @@ from __future__ import annotations
 import argparse
 import re
 import shlex
+import shutil
 import subprocess
 import sys
 import time
 from collections.abc import Sequence
 from datetime import date
+from pathlib import Path
 
-from benchmarks.measure import COMMAND, machine, versions
+from benchmarks.measure import machine, versions
 from benchmarks.recorded import CHECKOUT, FIGURES, RECORDS, path_of, read_output
-from drake_aigto.world.files import write_text
+from drake_aigto.output import write_text
 
 MARKED = re.compile(r"(<!-- figure: (\w+) -->).*?(<!-- end -->)", re.DOTALL)
 PAGES = (CHECKOUT / "README.md", *sorted((CHECKOUT / "docs").glob("*.md")))
 
 
-def run(name: str) -> int:
-    """Runs a record's command, saves what it prints, and returns its exit status."""
-    program, *arguments = shlex.split(RECORDS[name])
-    if "--json" in arguments:  # From the beginning, and not where an earlier run ended.
-        (CHECKOUT / arguments[arguments.index("--json") + 1]).unlink(missing_ok=True)
-    start = [sys.executable] if program == "python" else [sys.executable, "-c", COMMAND]
+def run(name: str, parts: Path | None = None) -> int:
+    """Runs a record's command, saves what it prints, and returns its exit status.
+
+    With a folder of parts, what is done is kept there, and gone on from when it is run again.
+    """
+    arguments = shlex.split(RECORDS[name])[1:]  # after `python`
+    saved = CHECKOUT / arguments[arguments.index("--json") + 1] if "--json" in arguments else None
+    if saved:  # From the beginning, and not where an earlier run ended.
+        saved.unlink(missing_ok=True)
+    kept = parts and parts.absolute() / name
+    if kept:
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        arguments += _flags_of_parts(arguments, kept)
     begin = time.perf_counter()
     result = subprocess.run(
-        [*start, *arguments], cwd=CHECKOUT, stdout=subprocess.PIPE, text=True, check=False
+        [sys.executable, *arguments], cwd=CHECKOUT, stdout=subprocess.PIPE, text=True, check=False
     )
     seconds = time.perf_counter() - begin
     head = (
@@ -48,8 +58,17 @@ def run(name: str) -> int:
         f"{machine()}; {versions()}",
         f"commit {_commit()}, {date.today()}, {seconds:.0f} s, exit status {result.returncode}",
     )
+    if kept and saved:
+        shutil.copy(kept, saved)
     write_text(path_of(name), "".join(f"# {line}\n" for line in head) + result.stdout)
     return result.returncode
+
+
+def _flags_of_parts(arguments: Sequence[str], kept: Path) -> list[str]:
+    """Returns what has a command keep its results in a file, and go on from them."""
+    if arguments[1] in ("benchmarks", "benchmarks.robots") and arguments[2] != "page":
+        return ["--json", str(kept), "--resume"]
+    return ["--keep", str(kept)] if "--workers" in arguments else []
 
 
 def _commit() -> str:
@@ -88,6 +107,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     commands = parser.add_subparsers(dest="command", required=True)
     running = commands.add_parser("run", help="run commands and save what they print")
     running.add_argument("names", nargs="*", metavar="NAME", help=f"of {', '.join(RECORDS)}")
+    running.add_argument("--parts", type=Path, metavar="FOLDER", help="keep parts, and go on")
     commands.add_parser("quote", help="put what is saved into README and docs")
     options = parser.parse_args(arguments)
     if options.command == "quote":
@@ -98,7 +118,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         parser.error(f"unknown records {sorted(unknown)}, expected some of {', '.join(RECORDS)}")
     failed = False
     for name in options.names or RECORDS:  # in turn: two at once slow each other down
-        status = run(name)
+        status = run(name, options.parts)
         failed |= status != 0
         print(f"{name}: exit status {status}, {path_of(name).relative_to(CHECKOUT)}", flush=True)
     return int(failed)

@@ -19,10 +19,9 @@ import tempfile
 import time
 
 from benchmarks.measure import COMMAND
-from drake_aigto.optima import rigid_optimum
-from drake_aigto.paper import ROWS
+from drake_aigto.contact import contact_delay
+from drake_aigto.paper import ROWS, rigid_optimum
 from drake_aigto.planning import Planner
-from drake_aigto.simulation.material import contact_delay
 from drake_aigto.world import Scenario
 
 RESTITUTIONS = (1.0, 0.8, 0.5)

@@ -13,7 +13,6 @@ import os
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-import argparse
 import resource
 import sys
 import time
@@ -24,6 +23,7 @@ from typing import Any
 import numpy as np
 from pydrake.systems.framework import DiagramBuilder, EventStatus
 
+from benchmarks.script import read_flags
 from drake_aigto import ModelPredictiveController, Planner, PlanOptions, Scenario, World
 from drake_aigto.control import TickStatus
 from drake_aigto.simulation import make_simulator
@@ -91,10 +91,12 @@ def read_memory() -> float:
 
 def main() -> int:
     """Runs, reports, and returns 1 if anything was not finite."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--count", type=int, default=1_000_000, help="of ticks")
-    parser.add_argument("--seed", type=int, default=2026, help="of the kicks")
-    options = parser.parse_args()
+    options = read_flags(
+        __doc__,
+        workers=None,
+        count=(1000000, "of ticks"),
+        seed=(2026, "of the kicks"),
+    )
     rounds = max(1, options.count // KICK_EVERY)
     soak, begin = Soak(options.seed, rounds * KICK_EVERY), time.perf_counter()
     early = 0.0

@@ -12,7 +12,6 @@ ours from other seeds among them. Feasible: violated by no more than 1e-6.
 
 from __future__ import annotations
 
-import argparse
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -23,14 +22,12 @@ import numpy as np
 from pydrake.solvers import SnoptSolver
 
 from benchmarks.collections.staged_programs import StagedProblem, staged_problems
-from benchmarks.jobs import add_options, run_all, run_as
 from benchmarks.local_peers import casadi
 from benchmarks.measure import machine
 from benchmarks.robots.ipopt import COLD, WARM, prepare
+from benchmarks.script import read_flags, run_all, run_as
 from drake_aigto.arrays import Floats
-from drake_aigto.solver import AigoOptions, AigoSolver
-from drake_aigto.solver.program import AigoProgram, read_program
-from drake_aigto.solver.staged import StagedProgram
+from drake_aigto.solver import AigoOptions, AigoProgram, AigoSolver, StagedProgram, read_program
 from drake_aigto.terms import FunctionKind
 
 FEASIBLE = 1e-6
@@ -67,12 +64,12 @@ class Run:
 
 def main() -> None:
     """Runs all programs and prints a line of each, and shares."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("--only", default="", help="programs whose name has this in it")
-    parser.add_argument("--random", type=int, default=50, help="random starts of the push-bot")
-    parser.add_argument("--seeds", type=int, default=3, help="of ours, for the best known")
-    add_options(parser)
-    arguments = parser.parse_args()
+    arguments = read_flags(
+        __doc__,
+        only=("", "programs whose name has this in it"),
+        random=(50, "random starts of the push-bot"),
+        seeds=(3, "of ours, for the best known"),
+    )
     print(machine())
     problems = staged_problems(arguments.random)
     names = [each.name for each in problems if arguments.only in each.name]
@@ -145,10 +142,8 @@ def cost_of(program: AigoProgram, x: Floats) -> float:
 
 def random_point(program: AigoProgram, rng: np.random.Generator) -> Floats:
     """Returns x (n,) of the box."""
-    question = program.reduced.question
-    return rng.uniform(
-        np.maximum(question.lower, -_FARTHEST), np.minimum(question.upper, _FARTHEST)
-    )
+    parsed = program.reduced.parsed
+    return rng.uniform(np.maximum(parsed.lower, -_FARTHEST), np.minimum(parsed.upper, _FARTHEST))
 
 
 def run_ipopt(problem: StagedProblem, program: AigoProgram, seconds: float) -> float:

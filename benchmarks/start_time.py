@@ -13,7 +13,6 @@ first compilation more than 5 s, or if the second process compiles anything.
 
 from __future__ import annotations
 
-import argparse
 import os
 import resource
 import subprocess
@@ -26,6 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from benchmarks.measure import COMMAND, Spread, is_met, write_csv
+from benchmarks.script import read_flags
 
 LIBRARIES = (
     "import numba, scipy.sparse.csgraph, scipy.linalg, yaml, pydrake.multibody.plant, "
@@ -44,6 +44,7 @@ MOST = {IMPORT: 0.5, PLAN: 1.5, FIRST: 5.0}  # [s]
 FIRST_PLAN = """
 import time
 from numba.core import event
+from benchmarks.script import read_flags
 from drake_aigto import Planner, PlanOptions, Scenario
 planner = Planner(Scenario.named("table1/1"), PlanOptions(confirm=False))
 with event.install_recorder("numba:compile") as recorder:
@@ -66,11 +67,13 @@ class Start:
 
 def main() -> int:
     """Measures, prints, writes and judges."""
-    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--repeats", type=int, default=7, help="turns")
-    parser.add_argument("--clock", choices=("wall", "cpu"), default="wall", help="of the figures")
-    parser.add_argument("--out", type=Path, default=Path(), help="folder of the CSV")
-    arguments = parser.parse_args()
+    arguments = read_flags(
+        __doc__,
+        workers=None,
+        repeats=(7, "turns"),
+        clock=("wall", "of the figures", {"choices": ("wall", "cpu")}),
+        out=(Path(), "folder of the CSV"),
+    )
     with tempfile.TemporaryDirectory() as bytecode:
         environment = {**os.environ, "OPENBLAS_NUM_THREADS": "1", "PYTHONPYCACHEPREFIX": bytecode}
         environment.pop("PYTHONDONTWRITEBYTECODE", None)
@@ -135,7 +138,7 @@ def run(program: list[str], environment: dict[str, str]) -> tuple[float, float]:
 
 def tell_imports(environment: dict[str, str]) -> None:
     """Prints how much of the command's imports each library takes, its own modules alone."""
-    parse = "from drake_aigto.cli.command_line import make_parser; make_parser(['plan'])"
+    parse = "from drake_aigto.cli import make_parser; make_parser(['plan'])"
     program = [sys.executable, "-X", "importtime", "-c", parse]
     told = subprocess.run(program, check=True, capture_output=True, text=True, env=environment)
     lines = told.stderr.splitlines()

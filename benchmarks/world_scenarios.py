@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from benchmarks.optima import ContactOptimum, block_optimum, masses_optimum, walls_optimum
 from drake_aigto.arrays import Floats
-from drake_aigto.optima import ContactOptimum, block_optimum, masses_optimum, walls_optimum
 from drake_aigto.world import Scenario, World
 
 Interval = tuple[float, float]

@@ -37,16 +37,15 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
-from benchmarks.jobs import add_options, run_all, run_as
+from benchmarks.baselines import Recorder
+from benchmarks.baselines.enumeration import list_sequences, offer_polished
+from benchmarks.optima import ContactOptimum
+from benchmarks.script import read_flags, run_all, run_as
 from benchmarks.world_scenarios import WORLDS
-from drake_aigto.baselines import Recorder
-from drake_aigto.baselines.enumeration import list_sequences, offer_polished
-from drake_aigto.errors import AigtoError
-from drake_aigto.optima import ContactOptimum
+from drake_aigto.errors import AigtoError, OptionsError
 from drake_aigto.planning import Planner, PlanOptions, RigidProblem, make_problem
 from drake_aigto.transcription import Touch, TouchSequence
-from drake_aigto.world import Scenario, World
-from drake_aigto.world.files import find_model
+from drake_aigto.world import Scenario, World, find_model
 
 # The least shares of optimal plans.
 ASKED = {"corridor": 0.9, "floor": 0.95, "room": 0.8}
@@ -263,26 +262,22 @@ def make_jobs(options: argparse.Namespace) -> Iterator[Job]:
 
 def main() -> int:
     """Runs all scenarios and returns the exit status."""
-    parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
-    parser.add_argument("world", choices=WORLDS)
-    parser.add_argument("--count", type=int, default=200)
-    parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--peer", action="append", choices=PEERS, default=[], dest="peers")
-    parser.add_argument("--factor", type=float, default=1.0, help="seconds of peers over ours")
-    parser.add_argument("--restitution", type=float, nargs="+", metavar="E", help="in turn")
-    parser.add_argument(
-        "--mass-ratio",
-        type=float,
-        nargs="+",
-        default=[1.0],
-        metavar="R",
-        dest="ratios",
-        help="two_masses: the second mass over the first, in turn",
+    options = read_flags(
+        __doc__,
+        place=("world", {"choices": WORLDS}),
+        count=(200, ""),
+        seed=(0, ""),
+        peer=([], "", {"action": "append", "choices": PEERS, "dest": "peers"}),
+        factor=(1.0, "seconds of peers over ours"),
+        restitution=(None, "in turn", {"nargs": "+", "metavar": "E", "type": float}),
+        mass_ratio=(
+            [1.0],
+            "two_masses: the second mass over the first, in turn",
+            {"nargs": "+", "metavar": "R", "dest": "ratios"},
+        ),
     )
-    add_options(parser)
-    options = parser.parse_args()
     if options.world != "two_masses" and options.ratios != [1.0]:
-        parser.error("--mass-ratio is about two_masses")
+        raise OptionsError("--mass-ratio", got=options.world, expected="two_masses")
     jobs = list(make_jobs(options))
     outcomes = run_all(run, jobs, options)
     is_enough = report(options.world, outcomes)

@@ -1,6 +1,6 @@
 """Draws figures of what AIGO does, into a folder: AIGTO Fig. 1 to 3, boxes, landscapes, a robot.
 
-python docs/make_figures.py [docs/images]
+python -m docs.make_figures [docs/images]
 """
 
 from __future__ import annotations
@@ -11,23 +11,25 @@ from pathlib import Path
 import matplotlib as mpl
 import numpy as np
 
+from benchmarks.paper_figures import (
+    paper_methods,
+    plot_integrated_product,
+    plot_methods,
+    write_numbers,
+)
 from drake_aigto import ModelPredictiveController, Plan, Planner, Scenario, World, plan
 from drake_aigto.control import Disturbance, run_in_loop
 from drake_aigto.show import (
     gradient_motions,
     motions_of_plan,
-    paper_methods,
     plot_boxes,
     plot_cost_history,
     plot_cost_landscape,
-    plot_integrated_product,
-    plot_methods,
     plot_mind,
     plot_phase_portrait,
     plot_run,
     plot_strobe,
     run_boxes,
-    write_numbers,
 )
 
 mpl.use("Agg")

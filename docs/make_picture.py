@@ -25,8 +25,7 @@ from drake_aigto.paper import (
     plan_literal,
 )
 from drake_aigto.planning import Candidate
-from drake_aigto.show.figures import plot_motions, plot_path
-from drake_aigto.show.motion import PLAN_LABEL, Motion, color_of
+from drake_aigto.show import PLAN_LABEL, Motion, color_of, plot_motions, plot_path
 
 mpl.use("Agg")
 

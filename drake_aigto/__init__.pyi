@@ -1,5 +1,6 @@
 from .control import ModelPredictiveController as ModelPredictiveController
 from .control import TrackingController as TrackingController
+from .dynamics import Contact as Contact
 from .errors import AigtoError as AigtoError
 from .errors import ControlError as ControlError
 from .errors import FrictionError as FrictionError
@@ -13,6 +14,8 @@ from .errors import ScenarioError as ScenarioError
 from .errors import StudyError as StudyError
 from .errors import TrajectoryError as TrajectoryError
 from .errors import UnsupportedTermError as UnsupportedTermError
+from .jobs import Answer as Answer
+from .jobs import plan_many as plan_many
 from .planning import Candidate as Candidate
 from .planning import MechanismOptions as MechanismOptions
 from .planning import Plan as Plan
@@ -28,7 +31,6 @@ from .solver import AigoOptions as AigoOptions
 from .solver import AigoSolver as AigoSolver
 from .solver import AigoStatus as AigoStatus
 from .trajectory import Trajectory as Trajectory
-from .world import Contact as Contact
 from .world import Scenario as Scenario
 from .world import World as World
 from .world import scenario_names as scenario_names

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 
 class AigtoError(Exception):
     """Base of every error that this package raises on purpose.
@@ -88,6 +90,29 @@ class OutputFileError(AigtoError, OSError):
 
 class OptionsError(AigtoError, ValueError):
     """A numerical option outside its range."""
+
+
+def check_positive(options: object, *names: str, below: float = math.inf) -> None:
+    """Refuses options that are not in (0, below).
+
+    Raises:
+        OptionsError: one is not.
+    """
+    for name in names:
+        if not 0 < (value := getattr(options, name)) < below:
+            limit = "" if math.isinf(below) else f" and below {below:g}"
+            raise OptionsError(name, got=f"{value:g}", expected=f"a number above 0{limit}")
+
+
+def check_counts(options: object, **least: int) -> None:
+    """Refuses options that are below the least that each may be.
+
+    Raises:
+        OptionsError: one is.
+    """
+    for name, smallest in least.items():
+        if (value := getattr(options, name)) < smallest:
+            raise OptionsError(name, got=value, expected=f"{smallest} or more")
 
 
 class MissingExtraError(AigtoError, ImportError):

@@ -106,7 +106,7 @@ def _is_special(kind: Any) -> bool:
 
 
 def _overrides(kind: Any) -> dict[str, Any]:
-    """Returns how cattrs is told which fields are left out, and which have another name."""
+    """Returns cattrs' overrides: the fields that are left out, or have another name."""
     from cattrs.gen import override
 
     keys = {field.name: field.metadata["plain"] for field in fields(kind) if field.metadata}

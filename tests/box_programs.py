@@ -9,8 +9,7 @@ import numpy.typing as npt
 from pydrake.solvers import ExpressionCost, MathematicalProgram
 from pydrake.symbolic import Expression
 
-from drake_aigto.box import BoxPolynomial
-from drake_aigto.box.functions import factor_mean
+from drake_aigto.box import BoxPolynomial, factor_mean
 from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock, parse_costs
 
 ExpressionOf = Callable[[np.ndarray], Expression]
@@ -41,7 +40,7 @@ def compiled(expression_of: ExpressionOf, num_variables: int = 3) -> BoxPolynomi
     return compile_program(prog)
 
 
-def power(variable: int, exponent: int) -> Factor:
+def power(variable: int, exponent: int = 1) -> Factor:
     return Factor(variable, FunctionKind.POWER, exponent)
 
 
@@ -68,3 +67,11 @@ def evaluate_in_a_program(
     system = f.newton_system(np.array([center]), half_width)
     (cc, zz), (cz, _) = system.band
     return np.array([system.value, *system.gradient, cc, cz, zz])
+
+
+def mean_by_block(
+    f: BoxPolynomial, center: npt.ArrayLike, half_width: npt.ArrayLike
+) -> dict[str, float]:
+    """Returns each block's share of f̄, divided by its weight."""
+    off = dict.fromkeys(f.weights, 0.0)
+    return {name: f.with_weights({**off, name: 1.0}).mean(center, half_width) for name in off}

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 from pydrake.solvers import MathematicalProgram, SnoptSolver, SolverOptions
 
-from drake_aigto.optima.line_optimum import Line, LineBounce
+from benchmarks.optima.line_optimum import Line, LineBounce
 
 Array = npt.NDArray[np.float64]
 

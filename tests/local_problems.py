@@ -13,6 +13,7 @@ from pydrake.solvers import (
 )
 from pydrake.symbolic import Expression, cos, exp, log, sin
 
+from benchmarks.collections.constrained_programs import constrained_problems
 from drake_aigto.local import InteriorPoint, LocalResult, compile_nlp
 
 INF = math.inf
@@ -49,79 +50,35 @@ def add_cost(prog: MathematicalProgram, formula: Any) -> None:
     prog.AddCost(cost, vars=cost.vars())
 
 
+def collected(
+    name: str, start: Sequence[float], lower: float = -INF, upper: float = INF
+) -> Problem:
+    """Returns a program of the collection, whose rows are equalities, within these bounds only."""
+    (found,) = (each for each in constrained_problems() if each.name == name)
+    ends = [lower] * len(start), [upper] * len(start)
+    return Problem(
+        found.evaluate, lambda x: found.equalities(*x), start, float(found.minimum), *ends
+    )
+
+
 # "HS n": W. Hock and K. Schittkowski (1981), "Test Examples for Nonlinear Programming Codes".
 PROBLEMS = {
-    "HS6": Problem(
-        lambda x: (1 - x[0]) ** 2, lambda x: [10 * (x[1] - x[0] ** 2)], [-1.2, 1.0], 0.0
-    ),
-    "HS27": Problem(
-        lambda x: 0.01 * (x[0] - 1) ** 2 + (x[1] - x[0] ** 2) ** 2,
-        lambda x: [x[0] + x[2] ** 2 + 1],
-        [2.0, 2.0, 2.0],
-        0.04,
-    ),
-    "HS39": Problem(
-        lambda x: -x[0],
-        lambda x: [x[1] - x[0] ** 3 - x[2] ** 2, x[0] ** 2 - x[1] - x[3] ** 2],
-        [2.0] * 4,
-        -1.0,
-    ),
-    "HS40": Problem(
-        lambda x: -x[0] * x[1] * x[2] * x[3],
-        lambda x: [x[0] ** 3 + x[1] ** 2 - 1, x[0] ** 2 * x[3] - x[2], x[3] ** 2 - x[1]],
-        [0.8] * 4,
-        -0.25,
-    ),
-    "HS42": Problem(
-        lambda x: sum((x[i] - i - 1) ** 2 for i in range(4)),
-        lambda x: [x[0] - 2, x[2] ** 2 + x[3] ** 2 - 2],
-        [1.0] * 4,
-        28 - 10 * math.sqrt(2),
-    ),
-    "HS52": Problem(
-        lambda x: (
-            (4 * x[0] - x[1]) ** 2 + (x[1] + x[2] - 2) ** 2 + (x[3] - 1) ** 2 + (x[4] - 1) ** 2
-        ),
-        lambda x: [x[0] + 3 * x[1], x[2] + x[3] - 2 * x[4], x[1] - x[4]],
-        [2.0] * 5,
-        1859 / 349,
-    ),
-    "HS53, no bound active": Problem(
-        lambda x: (x[0] - x[1]) ** 2 + (x[1] + x[2] - 2) ** 2 + (x[3] - 1) ** 2 + (x[4] - 1) ** 2,
-        lambda x: [x[0] + 3 * x[1], x[2] + x[3] - 2 * x[4], x[1] - x[4]],
-        [2.0] * 5,
-        176 / 43,
-        [-10.0] * 5,
-        [10.0] * 5,
-    ),
-    "HS63": Problem(
-        lambda x: 1000 - x[0] ** 2 - 2 * x[1] ** 2 - x[2] ** 2 - x[0] * x[1] - x[0] * x[2],
-        lambda x: [
-            8 * x[0] + 14 * x[1] + 7 * x[2] - 56,
-            x[0] ** 2 + x[1] ** 2 + x[2] ** 2 - 25,
-        ],
-        [2.0] * 3,
-        961.7151721,
-        [0.0] * 3,
-        [INF] * 3,
-    ),
-    "HS71, two bounds active": Problem(
+    "HS 6": collected("HS 6", [-1.2, 1.0]),
+    "HS 27": collected("HS 27", [2.0, 2.0, 2.0]),
+    "HS 39": collected("HS 39", [2.0] * 4),
+    "HS 40": collected("HS 40", [0.8] * 4),
+    "HS 42": collected("HS 42", [1.0] * 4),
+    "HS 52": collected("HS 52", [2.0] * 5),
+    "HS 53, no bound active": collected("HS 53", [2.0] * 5, -10.0, 10.0),
+    "HS 63": collected("HS 63", [2.0] * 3, 0.0),
+    "HS 78": collected("HS 78", [-2.0, 1.5, 2.0, -1.0, -1.0]),
+    "HS 71, two bounds active": Problem(
         lambda x: x[0] * x[3] * (x[0] + x[1] + x[2]) + x[2],
         lambda x: [x[0] * x[1] * x[2] * x[3] - 25 - x[4], sum(x[i] ** 2 for i in range(4)) - 40],
         [1.0, 5.0, 5.0, 1.0, 0.0],
         17.0140173,
         [1.0, 1.0, 1.0, 1.0, 0.0],
         [5.0, 5.0, 5.0, 5.0, INF],
-    ),
-    "HS78": Problem(
-        lambda x: x[0] * x[1] * x[2] * x[3] * x[4],
-        lambda x: [
-            sum(v**2 for v in x) - 10,
-            x[1] * x[2] - 5 * x[3] * x[4],
-            x[0] ** 3 + x[1] ** 3 + 1,
-        ],
-        [-2.0, 1.5, 2.0, -1.0, -1.0],
-        -2.91970041,
     ),
     # Interior point methods that only ever take a share of the Newton step never get there.
     "Wächter and Biegler's": Problem(

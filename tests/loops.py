@@ -10,8 +10,7 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import Diagram, DiagramBuilder, LeafSystem
 
 from drake_aigto import Scenario
-from drake_aigto.world import package_map
-from drake_aigto.world.files import find_model
+from drake_aigto.world import find_model, package_map
 
 
 def close_loop(model: str, controller: LeafSystem, feels: bool = False) -> tuple[Diagram, Any]:

@@ -8,9 +8,10 @@ from typing import Any
 import numpy as np
 from mechanisms import build, build_world, joint, link, plane, sphere, wall
 
+from drake_aigto.contact import CompliantLaw
 from drake_aigto.planning import MechanismBoxes
 from drake_aigto.transcription import Ends, MechanismProgram
-from drake_aigto.world import CompliantLaw, TaskCost, World
+from drake_aigto.world import TaskCost, World
 
 N, DURATION = 6, 1.2
 

@@ -11,8 +11,7 @@ import msgpack
 import numpy as np
 from pydrake.geometry import Meshcat
 
-from drake_aigto.show.motion import Motion
-from drake_aigto.show.scene import ROOT
+from drake_aigto.show import ROOT, Motion
 
 BALL = "point_mass_and_wall/ball/ball_visual"
 

@@ -8,8 +8,8 @@ from typing import Any
 
 from hypothesis import strategies as st
 
+from benchmarks.optima import ContactOptimum
 from benchmarks.world_scenarios import WORLDS
-from drake_aigto.optima import ContactOptimum
 from drake_aigto.world import Scenario, World
 
 

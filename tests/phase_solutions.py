@@ -16,7 +16,7 @@ from scipy.optimize import minimize_scalar
 
 from drake_aigto import Scenario, World
 from drake_aigto.local import InteriorPoint, LocalStatus, compile_nlp
-from drake_aigto.simulation.replay import Replay, replay_event_driven
+from drake_aigto.simulation import Replay, replay_event_driven
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import (
     Facing,

@@ -13,8 +13,8 @@ import numpy as np
 import numpy.typing as npt
 from line_rivals import legs_of
 
-from drake_aigto.optima import RigidOptimum
-from drake_aigto.optima.line_optimum import Line, LineBounce, Wall
+from benchmarks.optima.line_optimum import Line, LineBounce, Wall
+from drake_aigto.paper import RigidOptimum
 from drake_aigto.world import Scenario
 
 Array = npt.NDArray[np.float64]

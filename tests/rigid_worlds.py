@@ -13,11 +13,11 @@ from replay_worlds import make_diagram, shipped_world
 
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Transcription
-from drake_aigto.world import Scenario, World, files
+from drake_aigto.world import Scenario, World, models_directory
 
 Array = npt.NDArray[np.float64]
 
-SHIPPED = files.models_directory() / "point_mass_and_wall.sdf"
+SHIPPED = models_directory() / "point_mass_and_wall.sdf"
 AXIS = "<xyz>1 0 0</xyz>"
 DIAGONAL = 1 / np.sqrt(2)
 

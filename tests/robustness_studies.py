@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from benchmarks.robustness.perturbation import QUANTITIES, RANDOM
 from benchmarks.robustness.question import RobustnessQuestion
-from benchmarks.robustness.results import (
+from benchmarks.robustness.study import (
     DRAKE,
     FEEDBACK,
     GRADIENT,

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Sequence
 from concurrent.futures import Executor, Future
 from typing import Any
 
 import numpy as np
 
-from drake_aigto.baselines import Baseline, Recorder
-from drake_aigto.study.method_run import MethodRun
-from drake_aigto.study.scenario_question import ScenarioQuestion
-from drake_aigto.study.scenario_results import ScenarioResult, ScenarioStudy
+from benchmarks.ablations.ablations import AblationQuestion, AblationStudy
+from benchmarks.baselines import Baseline, Recorder
+from benchmarks.study.scenario_question import ScenarioQuestion
+from benchmarks.study.scenario_runs import MethodRun
+from benchmarks.study.scenario_study import ScenarioResult, ScenarioStudy
 
 
 class Inline(Executor):
@@ -66,7 +68,8 @@ def made_up_study(
 ) -> ScenarioStudy:
     """Returns a study with these runs, all optima 1, of which every second has a contact."""
     results = (
-        ScenarioResult(i, question.scenario(i), optimum=1.0, contacts=i % 2, runs=each)
+        dataclasses.replace(ScenarioResult.of(question, i, 1.0, i % 2), runs=each)
         for i, each in enumerate(runs)
     )
-    return ScenarioStudy(question, tuple(results))
+    kind = AblationStudy if isinstance(question, AblationQuestion) else ScenarioStudy
+    return kind(question, tuple(results))

@@ -20,24 +20,24 @@ from benchmarks.ablations import ablations
 from benchmarks.ablations.ablations import (
     VARIANTS,
     AblationQuestion,
+    AblationStudy,
     Variant,
     count_lost_bounces,
     run_variant,
 )
 from benchmarks.ablations.figures import plot_variants
 from benchmarks.ablations.tables import format_ablations
+from benchmarks.study import scenario_runs
+from benchmarks.study.scenario_question import ScenarioQuestion
+from benchmarks.study.scenario_runs import EXHAUSTIVE, Job, MethodRun
+from benchmarks.study.scenario_study import ScenarioStudy, calc_good_enough
+from benchmarks.study.spread import Spread
 from drake_aigto import OptionsError, PlanOptions, Scenario, jobs
-from drake_aigto.cli import BAD_INPUT, FINE
-from drake_aigto.errors import ResultsFileError
-from drake_aigto.optima import rigid_optimum
-from drake_aigto.planning.options import RIGID_LADDER, Rung
-from drake_aigto.show.text import WIDTH
-from drake_aigto.study import scenario_study
-from drake_aigto.study.method_run import Job, MethodRun
-from drake_aigto.study.scenario_question import ScenarioQuestion
-from drake_aigto.study.scenario_results import ScenarioStudy, calc_good_enough
-from drake_aigto.study.scenario_study import EXHAUSTIVE, run_scenario_study
-from drake_aigto.study.spread import Spread
+from drake_aigto.cli import FINE
+from drake_aigto.paper import rigid_optimum
+from drake_aigto.planning import Rung
+from drake_aigto.planning.options import RIGID_LADDER
+from drake_aigto.show import WIDTH
 
 BARE = VARIANTS["bare"].options
 # A bounce is optimal, and the boxes of the default rungs find it.
@@ -157,26 +157,16 @@ def test_a_study_survives_its_file_and_goes_on(tmp_path: Path) -> None:
     path = tmp_path / "study.json"
     executor = Inline()
     first = dataclasses.replace(QUICK, count=1)
-    run_scenario_study(first, path, executor=executor)
-    study = run_scenario_study(QUICK, path, resume=True, executor=executor)
+    AblationStudy(first).run(path, executor=executor)
+    study = AblationStudy(QUICK).run(path, resume=True, executor=executor)
     assert executor.num_jobs == 4
-    assert ScenarioStudy.load(path, AblationQuestion) == study
+    assert AblationStudy.load(path) == study
     assert study.is_complete
     for result in study.results:
         assert study.succeeds(result, "default", 1.0)
         assert len(result.runs["default"].boxes) == len(RIGID_LADDER)
-        assert result.scenario == ScenarioQuestion(num_steps=20).scenario(result.number)
-
-
-def test_results_of_another_kind_are_refused(tmp_path: Path) -> None:
-    path = tmp_path / "study.json"
-    make_study().save(path)
-    with pytest.raises(ResultsFileError, match="got kind 'ablations', expected kind 'scenarios'"):
-        ScenarioStudy.load(path)
-    other = dataclasses.replace(QUICK, seed=1)
-    message = "is of another study: got .*seed 0.*, expected .*seed 1"
-    with pytest.raises(ResultsFileError, match=message):
-        run_scenario_study(other, path, resume=True, executor=Inline())
+        usual = ScenarioQuestion(num_steps=20).scenario(result.number)
+        assert study.question.scenario(result.number) == usual
 
 
 def test_unknown_variants_are_refused_with_those_that_there_are() -> None:
@@ -250,7 +240,7 @@ def test_the_command_runs_what_it_is_asked_for(
     words += ["--restitution", "0.5:1", "--variants", "no neighbours", "bare, no boxes"]
     assert main([*words, "--json", str(path)]) == FINE
     assert "no neighbours" in capsys.readouterr().out
-    question = ScenarioStudy.load(path, AblationQuestion).question
+    question = AblationStudy.load(path).question
     assert question == AblationQuestion(
         count=1,
         seed=3,
@@ -258,8 +248,6 @@ def test_the_command_runs_what_it_is_asked_for(
         restitution=Spread((0.5, 1.0), is_range=True),
         methods=("no neighbours", "bare, no boxes"),
     )
-    assert main([*words, "--json", str(path)]) == BAD_INPUT
-    assert "Go on from it (--resume)" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -276,7 +264,7 @@ def test_bad_input_ends_it_before_any_work(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(scenario_study, "run_job", None)
+    monkeypatch.setattr(scenario_runs, "run_job", None)
     check_refused(["ablations", *arguments], message, capsys, main)
 
 

@@ -2,37 +2,42 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
 import pytest
-from box_programs import power, univariate
+from box_programs import add, compile_program, power, program, univariate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.equal_widths import EqualWidths
 from drake_aigto.aigo import (
     Algorithm,
     Alternating,
     Annealing,
+    BoundedAnnealing,
     Box,
-    EqualWidths,
+    BoxSearch,
+    CenterObjective,
     FaceFlow,
     FullGradient,
     Iterate,
-    PenaltyContinuation,
     SlowMotion,
     Status,
     minimize,
+    raise_penalties,
 )
-from drake_aigto.aigo.descent import leave_out
-from drake_aigto.aigo.newton import SmoothedObjective, newton, point_objective
-from drake_aigto.aigo.systems import factorize_band, solve_band
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
 from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock
+from drake_aigto.transcription import RigidTranscription
+from drake_aigto.transcription.rows import NONPENETRATION, RESTITUTION
+from drake_aigto.world import Scenario, World
 
 ALGORITHMS: dict[str, Algorithm] = {
     "annealing": Annealing(initial_temperature=10.0, final_temperature=1e-12),
+    "bounded annealing": BoundedAnnealing(initial_temperature=0.1, final_temperature=1e-12),
     "full gradient": FullGradient(zeta=1.0),
     "alternating": Alternating(final_width=1e-5),
     "equal widths": EqualWidths(final_share=1e-5),
@@ -193,17 +198,13 @@ def test_ctrl_c_returns_the_best_so_far(name: str) -> None:
     assert np.isfinite(result.cost)
 
 
-def test_a_box_beyond_a_barrier_is_reported() -> None:
+def test_a_run_says_why_it_ended() -> None:
     barrier = Term(1.0, (Factor(0, FunctionKind.NEG_LOG),))
     f = BoxPolynomial(1, (TermBlock("barrier", (barrier,), [[0]]),))
-    result = minimize(f, Box(np.array([0.5]), np.array([1.0])), Annealing())
-    assert result.status is Status.NOT_FINITE
-    assert not result.is_converged
-
-
-def test_running_out_of_steps_is_reported() -> None:
-    result = minimize(chain(4), Box(np.zeros(4), np.ones(4)), FullGradient(max_steps=3))
-    assert result.status is Status.STEP_LIMIT
+    beyond = minimize(f, Box(np.array([0.5]), np.array([1.0])), Annealing())
+    assert beyond.status is Status.NOT_FINITE and not beyond.is_converged
+    short = minimize(chain(4), Box(np.zeros(4), np.ones(4)), FullGradient(max_steps=3))
+    assert short.status is Status.STEP_LIMIT and not short.is_converged
 
 
 @pytest.mark.parametrize(
@@ -218,9 +219,13 @@ def test_running_out_of_steps_is_reported() -> None:
         (lambda: Annealing(narrowing=-0.5), "narrowing: got -0.5, expected a number, 0 or more"),
         (lambda: FullGradient(zeta=-1.0), "zeta: got -1, expected a number above 0"),
         (lambda: FullGradient(inner_steps=0), "inner_steps: got 0, expected 1 or more"),
-        (lambda: Alternating(gamma=0.9), "gamma: got 0.9, expected a number above 1"),
-        (lambda: Alternating(beta=1.0), r"beta: got 1, expected a number in \[0, 1\)"),
-        (lambda: Alternating(width_steps=0), "width_steps: got 0, expected 1 or more"),
+        (lambda: FaceFlow(share=1.0), "share: got 1, expected a number above 0 and below 1"),
+        (lambda: FaceFlow(least_shrink=0.0), "least_shrink: got 0, expected a number above 0"),
+        (lambda: FaceFlow(final_width=2.0), "final_width: got 2, expected a number above 0 and"),
+        (lambda: FaceFlow(max_steps=0), "max_steps: got 0, expected 1 or more"),
+        (lambda: BoxSearch(rounds=-1), "rounds: got -1, expected 0 or more"),
+        (lambda: BoxSearch(patience=0), "patience: got 0, expected 1 or more"),
+        (lambda: BoxSearch(first=()), "first: got no algorithm, expected one or more"),
         (lambda: EqualWidths(shrink=1.0), "shrink: got 1, expected a number above 0 and below 1"),
         (lambda: EqualWidths(final_share=2.0), "final_share: got 2 with a first_share of 1"),
         (lambda: EqualWidths(final_share=0.0), "final_share: got 0, expected a number above 0"),
@@ -246,81 +251,49 @@ def test_a_box_is_read_only_and_spreads_scalars() -> None:
 # Newton's method
 
 
-def dense(band: np.ndarray) -> np.ndarray:
-    """Returns the symmetric matrix of a lower band."""
-    n = band.shape[1]
-    matrix = np.zeros((n, n))
-    for d, diagonal in enumerate(band):
-        matrix += np.diag(diagonal[: n - d], -d)
-        if d:
-            matrix += np.diag(diagonal[: n - d], d)
-    return matrix
-
-
-@settings(max_examples=30)
-@given(st.sets(st.integers(0, 11), min_size=1), st.integers(0, 5))
-def test_unknowns_at_a_bound_leave_the_band_as_an_identity(held: set[int], bandwidth: int) -> None:
-    n = 12
-    band = np.random.default_rng(3).normal(size=(n, bandwidth + 1))
-    gradient = np.ones(n)
-    before = dense(band.T)
-    index = np.array(sorted(held))
-    for k in index:
-        leave_out(None, k, gradient, band)
-    after = dense(band.T)
-    free = np.setdiff1d(np.arange(n), index)
-    np.testing.assert_array_equal(after[np.ix_(free, free)], before[np.ix_(free, free)])
-    np.testing.assert_array_equal(after[np.ix_(index, index)], np.eye(index.size))
-    np.testing.assert_array_equal(after[np.ix_(free, index)], 0.0)
-    np.testing.assert_array_equal(gradient[index], 0.0)
-
-
 @given(st.integers(1, 30), st.integers(0, 9), st.integers(0, 2**32 - 1))
-def test_band_factors_solve_what_is_positive_definite_and_tell_what_is_not(
+def test_one_newton_step_solves_a_convex_quadratic_whatever_is_held_or_at_a_bound(
     size: int, bandwidth: int, seed: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    bandwidth = min(bandwidth, size - 1)
     lower = np.tril(np.triu(rng.normal(size=(size, size)), -bandwidth))
-    matrix = lower @ lower.T + 0.1 * np.eye(size)
-    band = np.zeros((size, bandwidth + 1))
-    for d in range(bandwidth + 1):
-        band[: size - d, d] = np.diag(matrix, -d)
-    x = rng.normal(size=size)
-    factors, solution = band.copy(), matrix @ x
-    assert factorize_band(factors)
-    solve_band(factors, solution)
-    np.testing.assert_allclose(solution, x, rtol=0, atol=1e-14 * np.linalg.cond(matrix) * size)
-    least = np.linalg.eigvalsh(matrix)[0]
-    for shift, is_definite in ((-0.9 * least, True), (-1.1 * least, False)):
-        shifted = band.copy()
-        shifted[:, 0] += shift
-        assert factorize_band(shifted) == is_definite
-    band[size // 2, 0] = np.nan
-    assert not factorize_band(band)
-
-
-def test_newton_on_a_quadratic_takes_one_step() -> None:
-    f = univariate(np.array([4.0, -8.0, 4.0]))
-    objective = point_objective(f, np.array([True]), tolerance=1e-10)
-    result = newton(objective, np.array([30.0]), max_steps=20, damping=0.0)
-    assert result.steps == 1
-    assert result.y[0] == pytest.approx(1.0)
+    matrix, b = lower @ lower.T + 0.1 * np.eye(size), rng.normal(size=size)
+    free = rng.random(size) < 0.8
+    # Where x = 0 is a lower bound and the slope −b is positive, it stays.
+    low = np.where((b < 0.0) & (rng.random(size) < 0.5), 0.0, -np.inf)
+    moved = free & (low < 0.0)
+    inner = matrix[np.ix_(moved, moved)]
+    least = np.linalg.eigvalsh(inner)[0] if moved.any() else 0.0
+    for shift, is_convex in ((0.0, True), (-0.9 * least, True), (-1.1 * least, False)):
+        prog, x = program(size)
+        prog.AddQuadraticCost(matrix + shift * np.eye(size), -b, x, is_convex=False)
+        f = compile_program(prog, range(size))
+        bounds = low, np.full(size, np.inf)
+        found = CenterObjective(f, free, 0.0, bounds).descend(np.zeros(size), 1)
+        if moved.any():
+            assert (found.damping < 1e-6) == is_convex
+        if is_convex:
+            shifted, expected = inner + shift * np.eye(len(inner)), np.zeros(size)
+            expected[moved] = np.linalg.solve(shifted, b[moved])
+            slack = 1e-14 * size * np.linalg.cond(shifted) if moved.any() else 0.0
+            np.testing.assert_allclose(
+                found.x, expected, rtol=0, atol=slack * (1.0 + np.max(np.abs(expected)))
+            )
 
 
 def test_newton_descends_from_an_indefinite_hessian() -> None:
     f = univariate(np.array([0.0, 0.01, -2.0, 0.0, 1.0]))  # concave at 0
-    objective = point_objective(f, np.array([True]), tolerance=1e-10)
-    result = newton(objective, np.array([0.0]), max_steps=100, damping=0.0)
-    assert result.y[0] == pytest.approx(-1.00125, abs=1e-4)
+    result = CenterObjective(f, np.array([True]), 1e-10).descend(np.array([0.0]), 100)
+    assert result.x[0] == pytest.approx(-1.00125, abs=1e-4)
     assert result.value < f(np.array([0.0]))
 
 
 def test_a_step_never_changes_a_width_by_more_than_e() -> None:
     f, box = chain(3), Box(np.zeros(3), np.full(3, 2.0))
-    objective = SmoothedObjective(f, box.free, 1e3, 1e-3)
-    ends = [newton(objective, objective.unknowns(box), steps, 0.0).y[1::2] for steps in range(6)]
-    changes = np.max(np.abs(np.diff(ends, axis=0)), axis=1)
+    hot = Annealing(initial_temperature=1e3, final_temperature=900.0, tolerance=1e-3)
+    ends = [minimize(f, box, replace(hot, max_newton_steps=steps)) for steps in range(1, 6)]
+    widths = [box.half_width, *(end.history[1].box.half_width for end in ends)]
+    changes = np.max(np.abs(np.diff(np.log(widths), axis=0)), axis=1)
     assert np.all(changes <= 1.0 + 1e-12)
     assert changes[0] == pytest.approx(1.0), "the hot box is far larger than the first"
 
@@ -351,7 +324,7 @@ def test_slow_motion_ends_a_temperature_early_where_annealing_does() -> None:
     np.testing.assert_array_equal(slow.box.half_width, fast.box.half_width)
 
 
-def test_penalty_continuation_meets_the_constraint() -> None:
+def test_raised_penalties_meet_the_constraint() -> None:
     # minimise (x − 3)² + (y − 1)² subject to x y = 1, from near the solution of the penalised
     # problem.
     cost = (
@@ -366,7 +339,64 @@ def test_penalty_continuation_meets_the_constraint() -> None:
         Term(1.0, ()),
     )
     f = BoxPolynomial(2, (TermBlock("cost", cost, [[0, 1]]), TermBlock("row", row, [[0, 1]])))
-    x = PenaltyContinuation(raises=7).run(f, ["row"], np.array([2.5, 0.8]), np.ones(2, dtype=bool))
+    x = np.array([2.5, 0.8])
+    for weight in (1.0, 100.0):  # 1e7 at last.
+        x = raise_penalties(f.with_weights({"row": weight}), ["row"], x, np.ones(2, dtype=bool))
     assert x[0] * x[1] == pytest.approx(1.0, abs=1e-6)
     # Stationarity along the constraint: (x − 3)/y = (y − 1)/x.
     assert (x[0] - 3) / x[1] == pytest.approx((x[1] - 1) / x[0], abs=1e-5)
+
+
+# Annealing within the first box: of any scale, and nowhere else.
+
+
+def valley(scale: float) -> BoxPolynomial:
+    """Returns a well in x₀, whose middle depends on x₁, a slope in x₁, and nothing of x₂."""
+    prog, x = program()
+    add(prog, scale * ((x[0] + 1) ** 4 + 0.5 * (x[0] + 1) ** 2 + x[1] + 0.1 * (x[0] + 1) * x[1]))
+    return compile_program(prog)
+
+
+BOX = Box(np.array([0.1, 0.5, -1.0]), np.array([2.0, 1.5, 0.25]))
+
+
+@pytest.mark.parametrize("scale", [1e-9, 1.0, 1e9])
+def test_the_scale_of_a_cost_does_not_matter(scale: float) -> None:
+    result = minimize(valley(scale), BOX, BoundedAnnealing())
+    plain = minimize(valley(1.0), BOX, BoundedAnnealing())
+    assert result.is_converged
+    np.testing.assert_allclose(result.box.center, plain.box.center, atol=1e-4)
+    # x₁ falls to its bound.
+    np.testing.assert_allclose(result.box.center[:2], [-0.9, -1.0], atol=0.05)
+
+
+def test_no_box_leaves_the_first_one_nor_grows_where_the_cost_is_flat() -> None:
+    result = minimize(valley(1.0), BOX, BoundedAnnealing())
+    for iterate in result.history:
+        box = iterate.box
+        assert np.all(box.half_width <= BOX.half_width * (1 + 1e-12))
+        assert np.all(np.abs(box.center - BOX.center) <= BOX.half_width * (1 + 1e-12))
+    np.testing.assert_allclose(result.box.half_width[2], 0.25)
+
+
+@pytest.mark.parametrize(
+    "row", [1, pytest.param(2, marks=pytest.mark.slow), pytest.param(3, marks=pytest.mark.slow)]
+)
+def test_the_default_search_finds_the_bounce_that_face_flow_misses(row: int) -> None:
+    scenario = replace(Scenario.named(f"table1/{row}"), time_step=0.02)
+    world = World.from_scenario(scenario)
+    transcription = RigidTranscription(world, scenario)
+    f = compile_program(transcription.penalized(), transcription.elimination_order())
+    # Light restitution rows, as hot boxes have them in plans.
+    unit = transcription.cost_scale()
+    rows = {c.evaluator().get_description() for c in transcription.prog().GetAllConstraints()}
+    known = {RESTITUTION: 2.0, NONPENETRATION: 3e3}
+    weights = {name: unit * known.get(name, 3e2) for name in rows & set(f.weights)}
+    box = Box(*transcription.initial_box())
+    flow, both = (
+        search.run(f.with_weights(weights), box).best
+        for search in (BoxSearch(first=(FaceFlow(is_coupled=False),)), BoxSearch())
+    )
+    assert np.max(transcription.impulses(flow.x)) < 0.01
+    assert np.max(transcription.impulses(both.x)) > 1.0
+    assert both.cost < 0.5 * flow.cost

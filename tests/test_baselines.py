@@ -8,9 +8,7 @@ import numpy as np
 import pytest
 from replay_worlds import make_diagram, make_scenario
 
-from drake_aigto import ModelError, OptionsError, Scenario, World, replay_event_driven
-from drake_aigto.aigo import Box, minimize
-from drake_aigto.baselines import (
+from benchmarks.baselines import (
     BASELINES,
     Baseline,
     BaselineRun,
@@ -20,12 +18,14 @@ from drake_aigto.baselines import (
     registry,
     run_baseline,
 )
-from drake_aigto.baselines.control_space import ControlSpace
-from drake_aigto.baselines.enumeration import list_sequences
-from drake_aigto.baselines.smoothing import GaussianSmoothing
+from benchmarks.baselines.control_space import ControlSpace
+from benchmarks.baselines.enumeration import list_sequences
+from benchmarks.baselines.smoothing import GaussianSmoothing
+from drake_aigto import ModelError, OptionsError, Scenario, World, replay_event_driven
+from drake_aigto.aigo import Box, minimize
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import MissingExtraError
-from drake_aigto.optima import rigid_optimum
+from drake_aigto.paper import rigid_optimum
 from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock
 
 # Readings of the clock in the longest step of any baseline.

@@ -12,10 +12,10 @@ import pytest
 from box_programs import evaluate, evaluate_in_a_program
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rational_means import exact_factor_mean, exact_row, relative_error
 from scipy.integrate import quad
 
-from benchmarks.collections.rational_means import exact_factor_mean, relative_error
-from drake_aigto.box.functions import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE
+from drake_aigto.box import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE
 from drake_aigto.terms import Factor, FunctionKind
 
 # The goal is 1e-13; a mean takes some ten roundings of 1.1e-16, in c^p most of all.
@@ -63,39 +63,14 @@ def log_boxes(draw: st.DrawFn) -> tuple[float, float]:
     return c, (w if w < c else math.nextafter(c, 0.0))
 
 
-def exact(factor: Factor, center: float, half_width: float) -> Fraction:
-    """Returns the mean in exact arithmetic."""
-    return exact_factor_mean(factor, Fraction(center), Fraction(half_width))
-
-
-def exact_derivatives(factor: Factor, center: float, half_width: float) -> dict[int, Fraction]:
-    """Returns the derivatives by central differences of exact means, right to h² = 1e-40."""
-    h = Fraction(1, 10**20)
-    c, w = Fraction(center), Fraction(half_width)
-    dc, dw = h * (w or abs(c) or 1), h * w
-
-    def mean(i: int, j: int) -> Fraction:
-        return exact_factor_mean(factor, c + i * dc, w + j * dw)
-
-    here, left, right, narrow, wide = mean(0, 0), mean(-1, 0), mean(1, 0), mean(0, -1), mean(0, 1)
-    mixed = mean(1, 1) - mean(1, -1) - mean(-1, 1) + mean(-1, -1)
-    d_z = (wide - narrow) / (2 * h)  # w ∂/∂w, with dw = h w
-    return {
-        D_C: (right - left) / (2 * dc),
-        D_CC: (right - 2 * here + left) / dc**2,
-        D_Z: d_z,
-        D_CZ: mixed / (4 * dc * h),
-        D_ZZ: (wide - 2 * here + narrow) / h**2 + d_z,  # w² ∂²/∂w² + w ∂/∂w
-    }
-
-
 def assert_derivatives_exact(
     factor: Factor, center: float, half_width: float, way: Way = evaluate
 ) -> None:
-    row = way(factor, center, half_width)
-    for column, derivative in exact_derivatives(factor, center, half_width).items():
+    row, exact = way(factor, center, half_width), exact_row(factor, center, half_width)
+    mean = exact.pop(VALUE)
+    for column, derivative in exact.items():
         # What the differences' own error h² = 1e-40 can be mistaken for is not to be judged.
-        size = abs(derivative) + Fraction(1, 10**35) * abs(exact(factor, center, half_width))
+        size = abs(derivative) + Fraction(1, 10**35) * abs(mean)
         error = relative_error(row[column], derivative, size)
         assert error <= DERIVATIVE_TOLERANCE, (column, row[column], float(derivative))
 
@@ -105,22 +80,22 @@ def assert_derivatives_exact(
 def test_mean_of_a_power_is_that_of_exact_arithmetic(
     way: Way, factor: Factor, center: float, half_width: float
 ) -> None:
-    mean = exact(factor, center, half_width)
+    mean = exact_factor_mean(factor, Fraction(center), Fraction(half_width))
     computed = way(factor, center, half_width)[VALUE]
     assert relative_error(computed, mean, abs(mean)) <= VALUE_TOLERANCE
 
 
 @given(hinge_boxes())
 def test_mean_of_the_squared_hinge_is_that_of_exact_arithmetic(box: tuple[float, float]) -> None:
-    mean = exact(SQUARED_HINGE, *box)
+    mean = exact_factor_mean(SQUARED_HINGE, *map(Fraction, box))
     computed = evaluate(SQUARED_HINGE, *box)[VALUE]
     assert relative_error(computed, mean, mean) <= VALUE_TOLERANCE
 
 
 @given(log_boxes())
 def test_mean_of_the_logarithm_is_that_of_exact_arithmetic(box: tuple[float, float]) -> None:
-    mean = exact(NEG_LOG, *box)
-    at_center = exact(NEG_LOG, box[0], 0.0)
+    mean = exact_factor_mean(NEG_LOG, *map(Fraction, box))
+    at_center = exact_factor_mean(NEG_LOG, Fraction(box[0]), Fraction(0))
     size = abs(at_center) + abs(mean - at_center)  # the two may nearly cancel, as near c = 1
     assert relative_error(evaluate(NEG_LOG, *box)[VALUE], mean, size) <= 4 * VALUE_TOLERANCE
 
@@ -255,15 +230,3 @@ def test_the_logarithm_has_a_finite_mean_up_to_the_border_of_its_domain_and_none
     np.testing.assert_array_equal(touching[[D_Z, D_CC, D_ZZ]], np.inf)
     for center, half_width in [(0.25, math.nextafter(0.25, 1.0)), (0.0, 0.0), (-1.0, 0.5)]:
         assert evaluate(NEG_LOG, center, half_width)[VALUE] == math.inf
-
-
-@given(powers, st.floats(-3.0, 3.0), st.floats(0.01, 3.0))
-def test_mean_of_an_even_power_is_not_below_its_value_at_the_center(
-    factor: Factor, center: float, half_width: float
-) -> None:
-    even = Factor(0, FunctionKind.POWER, 2 * (factor.exponent // 2))
-    for convex in (even, SQUARED_HINGE):
-        value = evaluate(convex, center, 0.0)[VALUE]
-        assert evaluate(convex, center, half_width)[VALUE] >= value * (1.0 - VALUE_TOLERANCE)
-    if center > half_width:
-        assert evaluate(NEG_LOG, center, half_width)[VALUE] >= evaluate(NEG_LOG, center, 0)[VALUE]

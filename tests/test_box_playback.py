@@ -17,9 +17,7 @@ from drake_aigto.errors import OptionsError
 from drake_aigto.paper import LiteralOptions, plan_literal
 from drake_aigto.paper.options import LITERAL_LADDER
 from drake_aigto.planning import Origin, make_problem
-from drake_aigto.show.box_playback import BoxRun, play_boxes, run_boxes
-from drake_aigto.show.picture import make_mesh
-from drake_aigto.show.scene import ROOT
+from drake_aigto.show import ROOT, BoxRun, make_mesh, play_boxes, run_boxes
 
 OPTIONS = PlanOptions(aigo_steps=20, confirm=False, finalists=1)
 

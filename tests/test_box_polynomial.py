@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import dataclasses
-import math
-from collections.abc import Callable
-
 import numpy as np
 import pytest
+from box_programs import mean_by_block
 from hypothesis import given
 from hypothesis import strategies as st
 from random_boxes import (
@@ -20,8 +17,8 @@ from random_boxes import (
     eighths,
     polynomials,
 )
+from rational_means import exact_mean, relative_error
 
-from benchmarks.collections.rational_means import exact_mean, relative_error
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock
 
@@ -42,81 +39,6 @@ def in_variable_order(f: BoxPolynomial, matrix: Floats) -> Floats:
 def test_mean_is_that_of_exact_arithmetic(f: BoxPolynomial, box: Boxes) -> None:
     mean, size = exact_mean(f, *box)
     assert relative_error(f.mean(*box), mean, size) <= TOLERANCE
-
-
-@given(polynomials(), boxes(), st.integers(0, NUM_VARIABLES - 1))
-def test_mean_is_the_average_over_the_two_halves_of_a_box(
-    f: BoxPolynomial, box: Boxes, cut: int
-) -> None:
-    center, half_width = box
-    half = half_width.copy()
-    half[cut] /= 2
-    step = np.zeros(NUM_VARIABLES)
-    step[cut] = half[cut]
-    halves = (f.mean(center - step, half) + f.mean(center + step, half)) / 2
-    assert halves == pytest.approx(f.mean(*box), abs=1e-12 * size_of(f, box) + 1e-12)
-
-
-@given(polynomials(), boxes(), st.lists(eighths(-4, 4), min_size=5, max_size=5))
-def test_mean_does_not_depend_on_where_the_origin_is(
-    f: BoxPolynomial, box: Boxes, shift: list[float]
-) -> None:
-    def moved(block: TermBlock, copy: int) -> TermBlock:
-        variables = block.variables[copy]
-
-        def move(factor: Factor) -> Factor:
-            step = factor.scale * shift[variables[factor.variable]]
-            return dataclasses.replace(factor, offset=factor.offset - step)
-
-        terms = [Term(t.coefficient, tuple(map(move, t.factors))) for t in block.terms]
-        return TermBlock(block.name, tuple(terms), variables, block.weight)
-
-    copies = [moved(b, k) for b in f.blocks for k in range(b.variables.shape[0])]
-    g = BoxPolynomial(NUM_VARIABLES, tuple(copies))
-    # All numbers are multiples of 1/16, so the functions' arguments are the same to the last bit.
-    assert g.mean(box[0] + shift, box[1]) == pytest.approx(
-        f.mean(*box), abs=1e-13 * size_of(f, box), rel=0
-    )
-
-
-@given(polynomials(), boxes())
-def test_a_box_of_no_width_has_the_value(f: BoxPolynomial, box: Boxes) -> None:
-    functions: dict[FunctionKind, Callable[[float, int], float]] = {
-        FunctionKind.POWER: lambda y, p: y**p,
-        FunctionKind.SQUARED_HINGE: lambda y, _: min(y, 0.0) ** 2,
-        FunctionKind.NEG_LOG: lambda y, _: -math.log(y),
-    }
-    x = box[0]
-    value = 0.0
-    for block in f.blocks:
-        for variables in block.variables:
-            for term in block.terms:
-                product = block.weight * term.coefficient
-                for g in term.factors:
-                    y = g.scale * x[variables[g.variable]] + g.offset
-                    product *= functions[g.kind](y, g.exponent)
-                value += product
-    assert f(x) == pytest.approx(value, abs=1e-13 * size_of(f, (x, np.zeros(NUM_VARIABLES))))
-    np.testing.assert_array_equal(f.gradient(x, 0.0)[2], 0.0)
-
-
-@given(boxes(), st.lists(eighths(-2, 2), min_size=9, max_size=9))
-def test_mean_of_a_convex_quadratic_is_not_below_its_value_at_the_center(
-    box: Boxes, entries: list[float]
-) -> None:
-    root = np.reshape(entries, (3, 3))
-    q = root.T @ root
-    terms = [
-        Term(q[i, j], (Factor(i, FunctionKind.POWER, 1), Factor(j, FunctionKind.POWER, 1)))
-        if i != j
-        else Term(q[i, i], (Factor(i, FunctionKind.POWER, 2),))
-        for i in range(3)
-        for j in range(3)
-    ]
-    f = BoxPolynomial(NUM_VARIABLES, (TermBlock("quadratic", tuple(terms), [4, 0, 2]),))
-    rise = np.diag(q) @ (box[1][[4, 0, 2]] ** 2) / 3
-    assert f.mean(*box) - f(box[0]) == pytest.approx(rise, abs=1e-13 * size_of(f, box))
-    assert rise >= 0.0
 
 
 @given(polynomials(), boxes(), st.permutations(range(NUM_VARIABLES)))
@@ -216,8 +138,10 @@ def test_bandwidth_is_that_of_a_chain_in_its_own_order() -> None:
 
 @given(polynomials(), boxes(), eighths(-4, 4))
 def test_mean_is_linear_in_the_weights(f: BoxPolynomial, box: Boxes, factor: float) -> None:
-    scaled = f.with_weights({name: factor * weight for name, weight in f.weights.items()})
-    shares = f.mean_by_block(*box)
+    before, weights = f.mean(*box), f.weights
+    scaled = f.with_weights({name: factor * weight for name, weight in weights.items()})
+    assert (f.mean(*box), f.weights) == (before, weights), "the old one stays as it was"
+    shares = mean_by_block(f, *box)
     size = 1e-13 * (1 + abs(factor)) * size_of(f, box)
     assert scaled.mean(*box) == pytest.approx(factor * f.mean(*box), abs=size)
     assert set(shares) == set(f.weights)
@@ -226,10 +150,3 @@ def test_mean_is_linear_in_the_weights(f: BoxPolynomial, box: Boxes, factor: flo
     assert f.with_weights({"first": 0.0}).mean(*box) == pytest.approx(
         f.mean(*box) - f.weights["first"] * shares["first"], abs=size
     )
-
-
-@given(polynomials(), boxes())
-def test_new_weights_leave_the_old_polynomial_as_it_was(f: BoxPolynomial, box: Boxes) -> None:
-    before, weights = f.mean(*box), f.weights
-    f.with_weights({"second": 17.0})
-    assert (f.mean(*box), f.weights) == (before, weights)

@@ -8,17 +8,13 @@ import math
 import numpy as np
 import pytest
 from hypothesis import given, settings
-from random_boxes import (
-    NUM_VARIABLES,
-    Boxes,
-    boxes,
-    dense,
-    polynomials,
-)
+from hypothesis import strategies as st
+from random_boxes import NUM_VARIABLES, Boxes, boxes, dense, eighths, polynomials
+from random_boxes import blocks as random_blocks
 
 from drake_aigto import OptionsError, UnsupportedTermError
-from drake_aigto.aigo.newton import newton, point_objective
-from drake_aigto.box import BoxPolynomial, add_means
+from drake_aigto.aigo import CenterObjective
+from drake_aigto.box import BoxPolynomial, NewtonSystem, Order, add_means, make_lanes
 from drake_aigto.local import PolynomialNlp
 from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock, stack_terms
 
@@ -148,7 +144,7 @@ def test_equal_sums_are_stored_once() -> None:
     stacked = stack_terms(blocks)
     assert stacked.copies["sum_index"].tolist() == [0, 0, 1, 0]
     longest_term = np.max(np.diff(stacked.terms["first_member"]))
-    assert (stacked.factors.size, stacked.most_factors, longest_term) == (4, 3, 2)
+    assert (stacked.factors.size, longest_term) == (4, 2)
     assert stacked.copy_variables.tolist() == [0, 1, 1, 2, 2, 0, 2]
 
 
@@ -174,7 +170,7 @@ def test_boxes_and_points_share_one_compilation() -> None:
     x = np.ones(2)
     f.gradient(x, 0.5)
     compilations = len(add_means.signatures)  # type: ignore[attr-defined]
-    f.mean_by_block(x, 0.5)
+    f.mean(x, 0.5)
     f.with_weights({"cost": 2.0}).newton_system(x, 0.5)
     f.newton_system(x, 0.5, centers_only=True)
     separable = BoxPolynomial(2, (block(Term(1.0, (X0,))),))
@@ -183,7 +179,7 @@ def test_boxes_and_points_share_one_compilation() -> None:
     nlp.evaluate(x)
     nlp.cost_magnitude(x)
     nlp.kkt_structure.assemble(x, np.ones(2), np.ones(1))
-    newton(point_objective(f, np.ones(2, bool), 1e-9), x, 1, 0.0)
+    CenterObjective(f, np.ones(2, bool), 1e-9).descend(x, 1)
     signatures = add_means.signatures  # type: ignore[attr-defined]
     assert len(signatures) == compilations, "each costs seconds when the package first runs"
 
@@ -205,3 +201,66 @@ def test_nothing_to_integrate_is_zero() -> None:
         x = np.ones(f.num_variables)
         assert (f(x), f.num_terms, f.bandwidth) == (0.0, 0, 0)
         assert f.newton_system(x, 1.0).gradient.shape == (2 * x.size,)
+
+
+# Copies that are evaluated side by side: each as it would be alone.
+
+ORDER = range(NUM_VARIABLES)
+
+
+def rescaled(block: TermBlock, factor: float) -> TermBlock:
+    """Returns a block whose coefficients are those of another, times a factor."""
+    terms = [
+        dataclasses.replace(term, coefficient=factor * term.coefficient) for term in block.terms
+    ]
+    return TermBlock(block.name, tuple(terms), block.variables, block.weight)
+
+
+def sum_of(systems: list[NewtonSystem]) -> NewtonSystem:
+    value, gradient, band = zip(*((s.value, s.gradient, s.band) for s in systems), strict=True)
+    return NewtonSystem(sum(value), np.sum(gradient, axis=0), np.sum(band, axis=0))
+
+
+@settings(max_examples=30)
+@given(
+    random_blocks(copies=3),
+    boxes(),
+    st.lists(eighths(-2, 2), min_size=2, max_size=4),
+    st.booleans(),
+)
+def test_copies_add_up(
+    block: TermBlock, box: Boxes, factors: list[float], centers_only: bool
+) -> None:
+    # More copies than there are lanes, of sums that differ in their coefficients.
+    many = [rescaled(block, factor) for factor in factors * 15]
+    together = BoxPolynomial(NUM_VARIABLES, tuple(many), ORDER)
+    alone = [
+        TermBlock("alone", one.terms, [copy], one.weight) for one in many for copy in one.variables
+    ]
+    pieces = [BoxPolynomial(NUM_VARIABLES, (one,), ORDER) for one in alone]
+    size = 1.0 + sum(abs(f.mean(*box)) for f in pieces)
+    assert together.mean(*box) == pytest.approx(sum(f.mean(*box) for f in pieces), abs=1e-12 * size)
+    width = max((f.bandwidth for f in pieces), default=0)
+    for f in (together, *pieces):
+        f.bandwidth = width
+    ours = together.newton_system(*box, centers_only)
+    theirs = sum_of([f.newton_system(*box, centers_only) for f in pieces])
+    for name in ("value", "gradient", "band"):
+        expected = getattr(theirs, name)
+        largest = 1.0 + size + np.max(np.abs(expected))
+        np.testing.assert_allclose(getattr(ours, name), expected, rtol=0, atol=1e-12 * largest)
+    gradients = [np.array(f.gradient(*box)[1:]) for f in pieces]
+    largest = 1.0 + size + max(np.max(np.abs(gradient)) for gradient in gradients)
+    np.testing.assert_allclose(
+        together.gradient(*box)[1:], np.sum(gradients, axis=0), rtol=0, atol=1e-11 * largest
+    )
+
+
+@given(random_blocks(copies=2), st.integers(1, 100))
+def test_sums_that_differ_in_numbers_share_a_tape(block: TermBlock, copies: int) -> None:
+    many = TermBlock("many", block.terms, np.tile(block.variables, (copies, 1)))
+    stacked = stack_terms([many, rescaled(block, 2.0)])
+    for order in Order:
+        lanes = make_lanes(stacked, order)
+        assert lanes.tapes.size == 2, "the tape, and the entry that ends it"
+        assert lanes.most_lanes == min(64, 2 * copies + 2)

@@ -11,10 +11,10 @@ import pytest
 from box_programs import evaluate
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from rational_means import exact_factor_mean, exact_row
 from scipy.integrate import quad
 
-from benchmarks.collections.rational_means import exact_factor_mean
-from drake_aigto.box.functions import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE
+from drake_aigto.box import D_C, D_CC, D_CZ, D_Z, D_ZZ, VALUE
 from drake_aigto.terms import WAVES, Factor, FunctionKind
 
 # The goal is 1e-13 of the natural size; 5e-16 is the worst that 1,800 random boxes gave.
@@ -89,28 +89,6 @@ def natural_sizes(factor: Factor, center: float, half_width: float) -> dict[int,
         D_ZZ: w * w * bound(factor, 2, reach) * once,
     }
     return {column: size * greatest for column, size in sizes.items()}
-
-
-def exact_row(factor: Factor, center: float, half_width: float) -> dict[int, Fraction]:
-    """Returns the mean, and derivatives as differences, right to h² = 1e-40 of their size."""
-    h = Fraction(1, 10**20)
-    c, w = Fraction(center), Fraction(half_width)
-    dc = h * (w or abs(c) or 1)
-
-    def mean(i: int, j: int) -> Fraction:
-        return exact_factor_mean(factor, c + i * dc, w + j * h * w)
-
-    here, left, right, narrow, wide = mean(0, 0), mean(-1, 0), mean(1, 0), mean(0, -1), mean(0, 1)
-    mixed = mean(1, 1) - mean(1, -1) - mean(-1, 1) + mean(-1, -1)
-    d_z = (wide - narrow) / (2 * h)  # w ∂/∂w, over steps h w
-    return {
-        VALUE: here,
-        D_C: (right - left) / (2 * dc),
-        D_CC: (right - 2 * here + left) / dc**2,
-        D_Z: d_z,
-        D_CZ: mixed / (4 * dc * h),
-        D_ZZ: (wide - 2 * here + narrow) / h**2 + d_z,
-    }
 
 
 def assert_exact(factor: Factor, center: float, half_width: float) -> None:

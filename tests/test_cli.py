@@ -23,8 +23,7 @@ from drake_aigto.planning import (
     Replays,
     SearchOptions,
 )
-from drake_aigto.world import Scenario
-from drake_aigto.world.files import find_model
+from drake_aigto.world import Scenario, find_model
 
 # A short flight away from the wall: quick to plan, and true on a rigid wall.
 FLIGHT = [
@@ -264,7 +263,7 @@ def test_bad_input_is_one_line_and_status_2(
         (["table1", "--guesses", "0"], "--guesses: got 0, expected 1 or more"),
         (["table1", "--rows", "5"], "--rows: invalid choice: 5"),
         (["table1", "--seed", "-1"], "--seed: got -1, expected 0 or more"),
-        (["bench", "scenarios", "--require", "1.5"], "--require: got 1.5, expected 0 to 1"),
+        (["bench", "scenarios"], "bench has moved to python -m benchmarks, in a checkout of"),
     ],
 )
 def test_bad_words_are_one_line_and_say_where_help_is(

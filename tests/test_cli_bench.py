@@ -1,4 +1,4 @@
-"""`drake-aigto bench`: what it prints, keeps, and refuses."""
+"""`python -m benchmarks scenarios`: what it prints, keeps, and refuses."""
 
 from __future__ import annotations
 
@@ -8,17 +8,19 @@ import pytest
 from refusals import check_refused
 from scenario_studies import TOYS, Inline
 
+from benchmarks import __main__ as command
+from benchmarks.__main__ import main
+from benchmarks.baselines import registry
+from benchmarks.study import scenario_runs
+from benchmarks.study.scenario_study import ScenarioStudy
+from benchmarks.study.spread import Spread
 from drake_aigto import jobs
-from drake_aigto.baselines import registry
-from drake_aigto.cli import BAD_INPUT, FINE, INTERRUPTED, NOTHING_HOLDS, bench, main
+from drake_aigto.cli import BAD_INPUT, FINE, INTERRUPTED, NOTHING_HOLDS
 from drake_aigto.errors import PlanFileError
 from drake_aigto.planning import Planner
-from drake_aigto.show.text import WIDTH
-from drake_aigto.study import scenario_study
-from drake_aigto.study.scenario_results import ScenarioStudy
-from drake_aigto.study.spread import Spread
+from drake_aigto.show import WIDTH
 
-SCENARIOS = ["bench", "scenarios", "--quiet", "--steps", "20"]
+SCENARIOS = ["scenarios", "--quiet", "--steps", "20"]
 COASTING = ["--start", "1", "--velocity", "0.2", "--goal", "1.2", "0.5", "--count", "4"]
 TOY_METHODS = ["--methods", "coast", "crash", "--seconds-per-unit", "0.5"]
 
@@ -27,7 +29,7 @@ TOY_METHODS = ["--methods", "coast", "crash", "--seconds-per-unit", "0.5"]
 def toys(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry, "BASELINES", TOYS)
     monkeypatch.setattr(jobs, "open_workers", Inline)
-    scenario_study._warm_up.cache_clear()
+    scenario_runs._warm_up.cache_clear()
 
 
 def test_every_methods_success_is_printed_for_each_restitution(
@@ -89,9 +91,9 @@ def test_ctrl_c_says_how_to_go_on(
     def interrupt(*arguments: object, **options: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(scenario_study, "run_job", interrupt)
+    monkeypatch.setattr(scenario_runs, "run_job", interrupt)
     path = tmp_path / "study.json"
-    told = f"drake-aigto: --resume goes on from {path}\ndrake-aigto: interrupted\n"
+    told = f"drake-aigto: --resume goes on from {path}\nbenchmarks: interrupted\n"
     assert main([*SCENARIOS, *COASTING, *TOY_METHODS, "--json", str(path)]) == INTERRUPTED
     assert capsys.readouterr().err == told
 
@@ -109,7 +111,7 @@ def test_spreads_are_read_as_help_says(tmp_path: Path) -> None:
 
 
 def test_all_stands_for_every_method(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(bench, "BASELINES", {"coast": TOYS["coast"]})
+    monkeypatch.setattr(command, "BASELINES", {"coast": TOYS["coast"]})
     path = tmp_path / "study.json"
     assert main([*SCENARIOS, "--methods", "all", "--count", "1", "--json", str(path)]) == FINE
     assert ScenarioStudy.load(path).question.methods == ("aigto", "coast")
@@ -138,5 +140,5 @@ def test_bad_input_is_one_line_and_status_2(
     capsys: pytest.CaptureFixture[str],
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(scenario_study, "run_job", None)  # Before any work.
-    check_refused([*SCENARIOS, *arguments], message, capsys)
+    monkeypatch.setattr(scenario_runs, "run_job", None)  # Before any work.
+    check_refused([*SCENARIOS, *arguments], message, capsys, main)

@@ -11,9 +11,7 @@ from typing import Any
 import pytest
 
 from drake_aigto import Scenario
-from drake_aigto.cli import BAD_INPUT, FINE, main
-from drake_aigto.cli.command_line import make_parser
-from drake_aigto.cli.scenario_flags import load_scenario
+from drake_aigto.cli import BAD_INPUT, FINE, load_scenario, main, make_parser
 
 
 def commands(parser: argparse.ArgumentParser) -> Iterator[argparse.ArgumentParser]:
@@ -29,7 +27,7 @@ COMMANDS = {command.prog: command for command in commands(make_parser())}
 
 
 def test_the_commands_are_all_there() -> None:
-    names = ("table1", "plan", "replay", "play", "report", "control", "bench", "bench scenarios")
+    names = ("table1", "plan", "replay", "play", "report", "control")
     assert {f"drake-aigto {name}" for name in names} < COMMANDS.keys()
 
 
@@ -53,7 +51,7 @@ def test_help_fits_and_its_examples_are_understood(
             make_parser().parse_args(words[1:])
 
 
-@pytest.mark.parametrize("name", [[], ["bench"], ["--quiet"]])
+@pytest.mark.parametrize("name", [[], ["--quiet"]])
 def test_without_a_command_help_is_shown(
     name: list[str], capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -72,10 +70,9 @@ def test_every_flag_of_a_command_says_what_it_is() -> None:
 @pytest.mark.parametrize(
     "words",
     [
-        ["-v", "bench", "scenarios"],
-        ["bench", "-v", "scenarios"],
-        ["bench", "scenarios", "--verbose"],
-        ["-qv", "bench", "-q", "scenarios", "-v"],
+        ["-v", "table1"],
+        ["table1", "--verbose"],
+        ["-qv", "table1", "-q", "-v"],
     ],
 )
 def test_what_all_commands_take_stands_before_or_after_them(words: list[str]) -> None:

@@ -31,7 +31,7 @@ def test_report_writes_a_page_without_a_display(
     ("arguments", "begins"),
     [
         (["report", "PLAN"], "drake_aigto.planning.Plan.load"),
-        (["table1"], "drake_aigto.cli.table1.run_table1"),
+        (["table1"], "drake_aigto.cli.plan.run_table1"),
     ],
 )
 def test_a_page_that_could_not_be_written_is_refused_before_any_work(
@@ -67,7 +67,7 @@ def test_table1_writes_a_page_and_tells_an_interruption(
     capsys: pytest.CaptureFixture[str],
 ) -> None:
     table = Table1((), (), rows)  # Of row 4, nothing is done.
-    monkeypatch.setattr("drake_aigto.cli.table1.run_table1", lambda **keywords: table)
+    monkeypatch.setattr("drake_aigto.cli.plan.run_table1", lambda **keywords: table)
     monkeypatch.setattr("drake_aigto.show.report_table1", lambda got: f"page {got}")
     page = tmp_path / "table1.html"
     assert main(["table1", "--html", str(page)]) == status

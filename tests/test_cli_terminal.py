@@ -18,9 +18,9 @@ import numba
 import pytest
 
 from drake_aigto.cli import BAD_INPUT, FAULT, FINE, INTERRUPTED, NOTHING_HOLDS, main
-from drake_aigto.count import Count, Notice
 from drake_aigto.errors import AigtoError
 from drake_aigto.planning import Plan, Planner, PlanningError, Search
+from drake_aigto.progress import Count, Notice
 
 # Quick to plan: far from the wall.
 FLIGHT = [

@@ -17,11 +17,11 @@ from distributed import LocalCluster
 from distributed.versions import get_package_info
 from scenario_studies import Inline
 
+from benchmarks.study import ScenarioQuestion
+from benchmarks.study.scenario_study import ScenarioStudy
+from benchmarks.study.spread import Spread
 from drake_aigto.errors import StudyError
 from drake_aigto.jobs import cluster, open_workers
-from drake_aigto.study import ScenarioQuestion, run_scenario_study
-from drake_aigto.study.scenario_results import ScenarioStudy
-from drake_aigto.study.spread import Spread
 
 PLANS = ScenarioQuestion(
     count=8, seed=1, num_steps=20, restitution=Spread((0.8,)), methods=("aigto",)
@@ -44,7 +44,7 @@ def scheduler(workers: int = 1, threads: int = 1) -> Iterator[LocalCluster]:
 def plans(study: ScenarioStudy) -> list[tuple[object, ...]]:
     """Returns all of a study's results but seconds."""
     return [
-        (each.scenario, each.optimum, run.cost, run.evaluations, run.error)
+        (each.goal, each.optimum, run.cost, run.evaluations, run.error)
         for each in study.results
         for run in each.runs.values()
     ]
@@ -62,9 +62,9 @@ def test_a_worker_killed_in_the_middle_changes_no_plan(tmp_path: Path) -> None:
             os.kill(victim, signal.SIGKILL)
 
     path = tmp_path / "study.json"
-    study = run_scenario_study(PLANS, path, executor=open_workers(2), progress=kill_one)
+    study = ScenarioStudy(PLANS).run(path, executor=open_workers(2), progress=kill_one)
     assert len(before) == 2
-    assert plans(study) == plans(run_scenario_study(PLANS, executor=Inline()))
+    assert plans(study) == plans(ScenarioStudy(PLANS).run(executor=Inline()))
     assert ScenarioStudy.load(path) == study
     assert study.is_complete
     assert not active_children()
@@ -74,8 +74,8 @@ def test_a_study_runs_on_the_workers_of_a_scheduler_with_the_same_plans() -> Non
     question = dataclasses.replace(PLANS, count=2)
     with scheduler() as local:
         executor = open_workers(scheduler=local.scheduler_address)
-        there = run_scenario_study(question, executor=executor)
-    assert plans(there) == plans(run_scenario_study(question, executor=Inline()))
+        there = ScenarioStudy(question).run(executor=executor)
+    assert plans(there) == plans(ScenarioStudy(question).run(executor=Inline()))
 
 
 def test_a_scheduler_that_is_lost_ends_the_study_and_what_was_done_is_kept(tmp_path: Path) -> None:
@@ -88,9 +88,9 @@ def test_a_scheduler_that_is_lost_ends_the_study_and_what_was_done_is_kept(tmp_p
         executor = open_workers(scheduler=local.scheduler_address)
         told = r"workers broke: got jobs that were dropped, as by a scheduler .*\(--resume\)"
         with pytest.raises(StudyError, match=told):
-            run_scenario_study(PLANS, path, executor=executor, progress=lose)
+            ScenarioStudy(PLANS).run(path, executor=executor, progress=lose)
     assert 1 <= len(ScenarioStudy.load(path).results) < PLANS.count
-    assert run_scenario_study(PLANS, path, resume=True, executor=Inline()).is_complete
+    assert ScenarioStudy(PLANS).run(path, resume=True, executor=Inline()).is_complete
 
 
 @pytest.fixture

@@ -25,8 +25,8 @@ from pydrake.symbolic import (
 )
 from pydrake.symbolic import max as smax
 from pydrake.symbolic import min as smin
+from rational_means import exact_mean, relative_error
 
-from benchmarks.collections.rational_means import exact_mean, relative_error
 from drake_aigto import OptionsError, UnsupportedTermError
 from drake_aigto.terms import FunctionKind, expressions
 

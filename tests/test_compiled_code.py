@@ -14,7 +14,7 @@ import pytest
 from numba.core.event import Event, Listener, install_listener
 
 import drake_aigto
-from drake_aigto import jit
+from drake_aigto import kernels
 
 CHECKOUT = Path(drake_aigto.__file__).parents[1]
 
@@ -30,7 +30,7 @@ class Record(NamedTuple):
     second: float
 """,
     "inlined.py": """
-from drake_aigto.jit import pasted
+from drake_aigto.kernels import pasted
 @pasted
 def double(x):
     return 2.0 * x
@@ -44,7 +44,7 @@ from .called import raised as raised
 from .unused import nothing as nothing
 """,
     "door/called.py": """
-from drake_aigto.jit import inner
+from drake_aigto.kernels import inner
 @inner
 def raised(x):
     return x + 1.0
@@ -53,7 +53,7 @@ def raised(x):
     "outer.py": """
 from __future__ import annotations
 from typing import TYPE_CHECKING
-from drake_aigto.jit import kernel
+from drake_aigto.kernels import kernel
 from little.door import raised
 from little.inlined import double
 from .numbers import STEP
@@ -67,7 +67,7 @@ def outer(record: Record):
 
 PROGRAM = """
 from numba.core import event
-from drake_aigto.jit import tell_compilation
+from drake_aigto.kernels import tell_compilation
 from little.outer import outer
 from little import record
 told = []
@@ -158,9 +158,9 @@ class Interruption(Listener):
 def test_ctrl_c_ends_what_compiles_once_that_is_whole() -> None:
     functions: dict[str, Callable[[float], float]] = {}
     exec("def called(x):\n    return x + 1.0", functions)  # Without a file none is kept on disk.
-    called = functions["called"] = jit.kernel(functions["called"])
+    called = functions["called"] = kernels.kernel(functions["called"])
     exec("def caller(x):\n    return 2.0 * called(x)", functions)
-    caller, before = jit.kernel(functions["caller"]), signal.getsignal(signal.SIGINT)
+    caller, before = kernels.kernel(functions["caller"]), signal.getsignal(signal.SIGINT)
     interruption = Interruption()
     with install_listener("numba:compile", interruption), pytest.raises(KeyboardInterrupt):
         caller(2.0)
@@ -186,6 +186,6 @@ def imported_names(file: Path) -> set[tuple[str, str, str]]:
 def test_no_import_is_overlooked() -> None:
     for file in (CHECKOUT / "drake_aigto").rglob("*.py*"):
         if file.suffix in (".py", ".pyi"):
-            imports = jit._imports(str(file))
+            imports = kernels._imports(str(file))
             found = {(*origin, name) for *origin, names in imports for name in names or ("",)}
             assert imported_names(file) <= found, file

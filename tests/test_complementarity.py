@@ -14,10 +14,15 @@ from pydrake.symbolic import sin
 from benchmarks.collections.peer_programs import payload, payload_tasks, push_box
 from benchmarks.collections.staged_programs import Form, push_bot
 from drake_aigto.local import InteriorPoint
-from drake_aigto.solver import AigoOptions, AigoSolver
-from drake_aigto.solver.complementarity import are_shared, find_complementarities
-from drake_aigto.solver.program import read_program
-from drake_aigto.solver.staged import StagedProgram, find_quantities
+from drake_aigto.solver import (
+    AigoOptions,
+    AigoSolver,
+    StagedProgram,
+    are_shared,
+    find_complementarities,
+    find_quantities,
+    read_program,
+)
 
 Add = Callable[[MathematicalProgram, Any, Any, Any], object]
 

@@ -10,11 +10,18 @@ import numpy.typing as npt
 import pytest
 from several_walls import hold_still, make_line, make_task, make_wedge, shipped
 
-from drake_aigto.simulation.compliance import calc_compliance_error
-from drake_aigto.simulation.contacts import find_contacts, max_penetration
-from drake_aigto.simulation.material import contact_delay, contact_delays
-from drake_aigto.simulation.recording import Impact, Recording, Rest
-from drake_aigto.simulation.replay import Replay, replay_drake, replay_event_driven
+from drake_aigto.contact import contact_delay, contact_delays
+from drake_aigto.simulation import (
+    Impact,
+    Recording,
+    Replay,
+    Rest,
+    calc_compliance_error,
+    find_contacts,
+    max_penetration,
+    replay_drake,
+    replay_event_driven,
+)
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import World
 

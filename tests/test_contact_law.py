@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import pickle
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from mechanisms import (
 from world_models import make_scenario
 
 from drake_aigto import ModelError, ScenarioError, World
-from drake_aigto.world import CompliantLaw, RigidLaw
+from drake_aigto.contact import CompliantLaw, RigidLaw, calc_pushes, contact_law
 
 COMPLIANT = make_scenario(contact="compliant")
 
@@ -58,7 +59,7 @@ def accelerate(world: World, law: CompliantLaw, q: Any, v: Any) -> Any:
 @pytest.mark.parametrize("name", ["pendulum", "cart-pole", "arm with a slider"])
 def test_the_compliant_law_is_what_drakes_plant_feels(name: str) -> None:
     world = build_soft(name)
-    law = world.contact_law(COMPLIANT)
+    law = contact_law(world, COMPLIANT)
     assert isinstance(law, CompliantLaw)
     np.testing.assert_allclose(law.stiffness, 200.0, rtol=1e-15)
     np.testing.assert_allclose(law.dissipation, (600 * 0.2 + 300 * 0.7) / 900, rtol=1e-15)
@@ -79,14 +80,14 @@ def test_the_compliant_law_is_what_drakes_plant_feels(name: str) -> None:
 
 def test_soft_discs_push_each_other_from_center_to_center_as_in_drakes_plant() -> None:
     world, rng = build_soft("two discs"), np.random.default_rng(3)
-    law = world.contact_law(COMPLIANT)
+    law = contact_law(world, COMPLIANT)
     assert isinstance(law, CompliantLaw)
     root = world.create_context()
     context = world.plant.GetMyMutableContextFromRoot(root)
     world.plant.get_actuation_input_port().FixValue(context, np.zeros(world.num_actuators))
     (i,), touched = np.flatnonzero(law.reaches), 0
     for q, v in rng.uniform(-1.0, 1.0, (80, 2, world.num_positions)):
-        pushes = world.calc_pushes(law, q, v)
+        pushes = calc_pushes(world, law, q, v)
         touched += bool(pushes[i] > 0.0)
         got = world.calc_acceleration(q, v, np.zeros(world.num_actuators), pushes)
         world.plant.SetPositions(context, q)
@@ -97,14 +98,14 @@ def test_soft_discs_push_each_other_from_center_to_center_as_in_drakes_plant() -
 
 
 def test_the_rigid_law_is_the_restitution_and_needs_no_stiffness() -> None:
-    law = build("cart-pole").contact_law(make_scenario(restitution=0.4))
+    law = contact_law(build("cart-pole"), make_scenario(restitution=0.4))
     assert isinstance(law, RigidLaw)
     np.testing.assert_array_equal(law.restitution, [0.4, 0.4])
 
 
 @pytest.mark.parametrize("contact", ["rigid", "compliant"])
 def test_a_law_is_pickled_whole_and_read_only(contact: str) -> None:
-    law = build_soft("cart-pole").contact_law(make_scenario(contact=contact))
+    law = contact_law(build_soft("cart-pole"), make_scenario(contact=contact))
     assert pickle.loads(pickle.dumps(law)) == law
     for name in vars(law):
         with pytest.raises(ValueError, match="read-only"):
@@ -142,10 +143,10 @@ def test_a_spring_that_drake_would_not_have_is_refused_by_name(name: str) -> Non
         "goal_weight": np.ones(world.num_positions),
         "control_weight": np.ones(world.num_actuators),
     }
-    for refuse in (world.contact_law, world.check):
+    for refuse in (partial(contact_law, world), world.check):
         with pytest.raises(ModelError, match=message):
             refuse(make_scenario(contact="compliant", **task))
-    world.contact_law(make_scenario())
+    contact_law(world, make_scenario())
 
 
 def test_a_soft_wall_may_be_entered_at_the_start_as_long_as_its_side_is_known() -> None:
@@ -179,7 +180,7 @@ def test_a_world_without_contact_has_shapes_of_none() -> None:
     assert world.are_of_one_solid.shape == (0, 0)
     scenario = make_scenario(size=2)
     for contact in ("rigid", "compliant"):
-        law = world.contact_law(dataclasses.replace(scenario, contact=contact))
+        law = contact_law(world, dataclasses.replace(scenario, contact=contact))
         assert {len(each) for each in vars(law).values()} == {0}
     world.check(scenario)
     assert world.fingerprint.contacts == ()

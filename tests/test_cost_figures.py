@@ -12,13 +12,13 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from pydrake.solvers import ExpressionCost, MathematicalProgram
 
+from benchmarks.paper_figures import plot_integrated_product
 from drake_aigto import ModelError, Planner, PlanOptions, Scenario, World
-from drake_aigto.optima import bounce_costs, rigid_optimum
+from drake_aigto.paper import bounce_costs, rigid_optimum
 from drake_aigto.show import (
     Motion,
     plot_cost_history,
     plot_cost_landscape,
-    plot_integrated_product,
     plot_phase_portrait,
     run_boxes,
 )

@@ -9,7 +9,7 @@ import pytest
 import scipy
 
 from drake_aigto.arrays import Floats
-from drake_aigto.simulation.coulomb import Impulse, Mobility, Mode, calc_impulse
+from drake_aigto.contact import Impulse, Mobility, Mode, calc_impulse
 
 
 def draw(rng: np.random.Generator, size: int = 3) -> tuple[Mobility, Floats, Floats, Floats]:

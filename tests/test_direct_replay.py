@@ -1,4 +1,4 @@
-"""The roll-out by roots alone: against Drake's Simulator, against itself, and many at once."""
+"""The roll-out by roots alone: against integrated motion, against itself, and many at once."""
 
 from __future__ import annotations
 
@@ -13,12 +13,15 @@ from replay_worlds import hold, make_diagram, make_scenario, shipped_world
 from several_walls import hold_still, make_task, shipped
 
 from drake_aigto import TrajectoryError
-from drake_aigto.simulation import replay_costs, replay_event_driven
-from drake_aigto.simulation.contact_motion import Walls, support
-from drake_aigto.simulation.controller import HeldControl
-from drake_aigto.simulation.recording import Recording
-from drake_aigto.simulation.rigid_wall import simulate_rigid_wall
-from drake_aigto.simulation.rollout import Parabolas
+from drake_aigto.contact import Walls, support
+from drake_aigto.simulation import (
+    HeldControl,
+    Parabolas,
+    Recording,
+    RigidMotion,
+    replay_costs,
+    replay_event_driven,
+)
 from drake_aigto.world import World
 
 Array = npt.NDArray[np.float64]
@@ -57,19 +60,20 @@ def follows_chatter(recording: Recording) -> bool:
     return slow or len(recording.impacts) > 12
 
 
-# Against Drake's Simulator.
+# Against integrated motion.
 
 
 @pytest.mark.parametrize("name", WORLDS)
 @settings(max_examples=15)
 @given(st.integers(0, 2**32 - 1), st.sampled_from(RESTITUTIONS))
-def test_drakes_simulator_sees_the_same(name: str, seed: int, e: float) -> None:
+def test_integrated_motion_is_the_same(name: str, seed: int, e: float) -> None:
     start, times, controls = draw_task(name, seed)
     direct = roll_out(name, e, start, times, controls)
     assume(not follows_chatter(direct))
     world = world_of(name)
     held = HeldControl(times, controls)
-    oracle = simulate_rigid_wall(world, np.full(world.num_contacts, e), start, held)
+    span = held.start, held.end
+    oracle = RigidMotion(world, np.full(world.num_contacts, e), start, span).run(held)
     assert [i.contact for i in direct.impacts] == [i.contact for i in oracle.impacts]
     np.testing.assert_allclose(direct.times, oracle.times, rtol=0, atol=1e-9)
     np.testing.assert_allclose(direct.positions, oracle.positions, rtol=0, atol=1e-9)
@@ -83,7 +87,7 @@ def test_the_road_is_chosen_by_what_the_world_does(monkeypatch: pytest.MonkeyPat
     def refuse(*_: Any) -> None:
         raise AssertionError("simulated")
 
-    monkeypatch.setattr("drake_aigto.simulation.replay.simulate_rigid_wall", refuse)
+    monkeypatch.setattr(RigidMotion, "run", refuse)
     heavy = World.from_diagram(make_diagram(gravity=3.0))
     springy = World.from_diagram(make_diagram(spring=3.0))
     assert all(world_of(name).has_constant_dynamics for name in WORLDS)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from pydrake.solvers import LinearConstraint
 
 from drake_aigto import Scenario, World
-from drake_aigto.simulation.replay import replay_event_driven
+from drake_aigto.simulation import replay_event_driven
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import RigidTranscription
 from drake_aigto.transcription.directions import ImpulseDirections

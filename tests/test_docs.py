@@ -14,7 +14,7 @@ import drake_aigto
 API = Path(__file__).resolve().parents[1] / "docs" / "api"
 
 # What people import; the others serve these.
-INTERNAL = {"arrays", "cli", "jit", "plain"}
+INTERNAL = {"arrays", "cli", "kernels", "output", "plain"}
 
 
 def public_modules() -> list[str]:

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 
 from drake_aigto import ModelError, Planner, Scenario, ScenarioError, World
+from drake_aigto.contact import contact_law
+from drake_aigto.dynamics import calc_friction_share
 from drake_aigto.planning import MechanismOptions
 from drake_aigto.shooting import Mechanism
 from drake_aigto.simulation import replay_drake, replay_event_driven
-from drake_aigto.world import calc_friction_share
 
 
 def ask(**changes: Any) -> Scenario:
@@ -74,7 +75,7 @@ def test_both_replays_agree_on_what_rubs() -> None:
 def test_shooting_has_the_law_and_its_derivatives() -> None:
     scenario = ask(dry_friction=[2.0, 0.3])
     world, rng, step = World.from_scenario(scenario), np.random.default_rng(1), 1e-7
-    mechanism = Mechanism.of(world, world.contact_law(scenario))
+    mechanism = Mechanism.of(world, contact_law(world, scenario))
     for speed in (1.0, 0.3 * scenario.stiction_speed):
         q, v, u = rng.normal(size=2), speed * rng.normal(size=2), rng.normal(size=1)
         z = np.concatenate([q, v, u])

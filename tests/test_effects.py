@@ -6,19 +6,17 @@ import dataclasses
 
 import numpy as np
 import pytest
-from meshcat_pages import ball, clips, make_motion, recording
+from meshcat_pages import clips, make_motion, recording
 from pydrake.common.eigen_geometry import Quaternion
 from pydrake.geometry import Meshcat
 from pydrake.math import RotationMatrix
 
 from drake_aigto import Scenario, World
-from drake_aigto.show.motion import Motion
-from drake_aigto.show.playback import publish
-from drake_aigto.show.scene import ROOT
-from drake_aigto.show.stage import Stage
+from drake_aigto.show import ROOT, Motion, publish
 from drake_aigto.transcription import Touch
 
 GONE = 2e-3
+RADIUS = 0.05  # of the corridor's ball [m]
 
 
 @pytest.fixture(scope="module")
@@ -45,12 +43,16 @@ def test_an_arrow_has_the_size_and_the_direction_of_the_control(meshcat: Meshcat
     times, controls = np.array([0.0, 0.2, 0.6, 1.0]), np.array([[2.0], [-4.0], [0.0]])
     motion = make_motion("plan", 0.7).under(times, controls)
     publish([motion], meshcat, World.from_scenario(scenario), scenario)
-    arrow = f"{ball(1)}/control"
+    arrow = f"{ROOT}/motions/1/control/point_mass_and_wall/ball/arrow"
     keys, sizes = scales(meshcat, arrow)
-    np.testing.assert_allclose(keys, [0.0, 0.2, 0.6, 1.0, 1.5])
-    np.testing.assert_allclose(sizes[:2], [0.5, 1.0])
-    assert np.all(sizes[2:] < GONE)
-    np.testing.assert_allclose(along(meshcat, arrow)[:2], [[1, 0, 0], [-1, 0, 0]], atol=1e-12)
+    directions = along(meshcat, arrow)
+    for first, end, size, side in ((0.0, 0.195, 0.5, 1), (0.205, 0.595, 1.0, -1)):
+        held = (keys >= first) & (keys < end)
+        np.testing.assert_allclose(sizes[held], size)
+        np.testing.assert_allclose(
+            directions[held[: len(directions)]] - [side, 0, 0], 0, atol=1e-12
+        )
+    assert np.all(sizes[keys > 0.605] < GONE) and keys[-1] == 1.5
 
 
 def test_an_arrow_in_a_plane_is_the_sum_of_its_actuators(meshcat: Meshcat) -> None:
@@ -59,7 +61,7 @@ def test_an_arrow_in_a_plane_is_the_sum_of_its_actuators(meshcat: Meshcat) -> No
     motion = Motion("plan", np.array([0.0, 1.0]), q, np.zeros((2, 2)))
     motion = motion.under(motion.times, np.array([[3.0, -4.0]]))
     publish([motion], meshcat, World.from_scenario(scenario), scenario)
-    arrow = f"{ROOT}/motions/1/room/ball/ball_visual/control"
+    arrow = f"{ROOT}/motions/1/control/room/ball/arrow"
     np.testing.assert_allclose(along(meshcat, arrow)[0], [0.6, -0.8, 0], atol=1e-12)
 
 
@@ -69,7 +71,7 @@ def test_each_of_two_masses_has_its_own_arrow(meshcat: Meshcat) -> None:
     motion = Motion("plan", np.array([0.0, 1.0]), q, np.zeros((2, 2)))
     motion = motion.under(motion.times, np.array([[1.0, -0.5]]))
     publish([motion], meshcat, World.from_scenario(scenario), scenario)
-    arrows = sorted(path for path in clips(meshcat) if path.endswith("/control"))
+    arrows = sorted(path for path in clips(meshcat) if path.endswith("/arrow"))
     assert ["left" in path for path in arrows] == [True, False]
     directions = [along(meshcat, path)[0, 0] for path in arrows]
     assert directions == pytest.approx([1, -1])
@@ -80,7 +82,7 @@ def test_without_control_there_is_no_arrow(meshcat: Meshcat) -> None:
     scenario = Scenario.named("table1/1")
     still = make_motion("plan", 0.7).under(np.array([0.0, 1.0]), np.zeros((1, 1)))
     publish([still, make_motion("rigid", 0.6)], meshcat, World.from_scenario(scenario), scenario)
-    assert not [path for path in clips(meshcat) if path.endswith("/control")]
+    assert not [path for path in clips(meshcat) if path.endswith("/arrow")]
 
 
 def test_a_flash_is_where_and_when_a_wall_is_touched(meshcat: Meshcat) -> None:
@@ -92,17 +94,16 @@ def test_a_flash_is_where_and_when_a_wall_is_touched(meshcat: Meshcat) -> None:
     motion = Motion("plan", times, q, v, impacts=touches)
     world = World.from_scenario(scenario)
     publish([motion], meshcat, world, scenario)
-    stage = Stage(world, q)
     sizes = {}
     for touch, face in zip(touches, (1, -1), strict=True):
-        path = f"{ROOT}/motions/1/impacts/{touch.contact}"
+        path = f"{ROOT}/motions/1/contacts/{touch.contact}/impacts"
         keys, scale = scales(meshcat, path)
         shown = scale > GONE
         assert keys[shown] == pytest.approx([touch.start], abs=1e-3)
         assert np.all(np.diff(keys) > 0) and keys[0] == 0
         ball_places = clips(meshcat)[f"{ROOT}/motions/1/corridor/ball/ball_visual"]
         there = ball_places[1][np.argmin(np.abs(ball_places[0] - touch.start)), 0]
-        assert clips(meshcat)[path][1][0, 0] == pytest.approx(there + face * stage.radius)
+        assert clips(meshcat)[path][1][0, 0] == pytest.approx(there + face * RADIUS)
         sizes[touch.start] = scale[shown][0]
     # The faster impact is the larger flash.
     assert sizes[0.4] == pytest.approx(1) and 0.4 < sizes[0.9] < 0.9

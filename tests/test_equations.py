@@ -10,11 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pydrake.multibody.tree import MultibodyForces
 from world_models import RELATIVE, VARIANTS, ModelWriter, evaluate, make_world
 
 from drake_aigto import ModelError, Scenario, World
-from drake_aigto.world import Contact
+from drake_aigto.dynamics import Contact
 
 Array = np.ndarray[Any, np.dtype[np.float64]]
 
@@ -108,20 +107,6 @@ def test_many_states_at_once_are_each_on_its_own(world: World) -> None:
     still, moving = np.broadcast_to(q[0, 0], q.shape), np.broadcast_to(v[0, 0], v.shape)
     agree(world.calc_acceleration(q[0, 0], v[0, 0], u), world.calc_acceleration(still, moving, u))
     agree(world.calc_velocity_change(q[0, 0], p), world.calc_velocity_change(still, p))
-
-
-def test_inertia_and_bias_are_the_plants(straight: World) -> None:
-    world, plant = straight, straight.plant
-    context = plant.GetMyMutableContextFromRoot(world.create_context())
-    for q, v in zip(*draw(world, 4)[:2], strict=True):
-        plant.SetPositions(context, q)
-        plant.SetVelocities(context, v)
-        agree(world.calc_mass_matrix(q), plant.CalcMassMatrix(context))
-        # Gravity, springs and dampers are on the other side of Drake's equation.
-        forces = MultibodyForces(plant)
-        plant.CalcForceElementsContribution(context, forces)
-        applied = plant.CalcGeneralizedForces(context, forces)
-        agree(world.calc_bias(q, v), plant.CalcBiasTerm(context) - applied)
 
 
 # The constant special case.

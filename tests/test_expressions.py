@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 from pydrake.solvers import ExpressionCost, MathematicalProgram
 from pydrake.symbolic import Expression, Variable, cos, exp, log, pow, sin
 from pydrake.symbolic import max as smax
+from rational_means import exact_mean, relative_error
 
-from benchmarks.collections.rational_means import exact_mean, relative_error
 from drake_aigto import UnsupportedTermError
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.local import compile_nlp
@@ -82,19 +82,6 @@ def test_every_form_keeps_its_value_and_has_the_mean_of_its_table(form: str) -> 
         box = point, rng.uniform(0.0, 0.5, 3)
         mean, size = exact_mean(f, *box)
         assert abs(f.mean(*box) - float(mean)) <= 1e-13 * max(1.0, float(size))
-
-
-@pytest.mark.parametrize("form", ["sines of sums multiplied", "a product of sums"])
-def test_means_are_those_of_quadrature(form: str) -> None:
-    _, x = program()
-    expression = FORMS[form](x)
-    c, w = np.array([1.0, -2.0, 0.5]), np.array([1.5, 0.7, 0.25])
-    points, weights = np.polynomial.legendre.leggauss(12)
-    mean = 0.0
-    for i in np.ndindex(12, 12, 12):
-        place = dict(zip(x, c + w * points[list(i)], strict=True))
-        mean += np.prod(weights[list(i)]) / 8 * expression.Evaluate(place)
-    assert compiled(FORMS[form]).mean(c, w) == pytest.approx(mean, rel=1e-12)
 
 
 def kinds(f: BoxPolynomial) -> list[tuple[FunctionKind, int, float]]:
@@ -329,18 +316,3 @@ def test_the_local_solver_sees_values_slopes_and_curvatures() -> None:
             curvature = slopes[i].Differentiate(x[j]).Evaluate(place)
             first, last = sorted((places[i], places[j]))
             assert band[last - first, first] == pytest.approx(curvature, rel=1e-13, abs=1e-14)
-
-
-def test_newton_systems_have_the_curvature_of_differences() -> None:
-    f = compiled(lambda x: x[0] ** 2 * sin(2 * x[1] + 1) * exp(-x[2]) + cos(x[0] + x[1]))
-    c, z, h = np.array([0.7, -1.3, 0.4]), np.log([0.5, 1.5, 0.1]), 1e-5
-    system = f.newton_system(c, np.exp(z))
-    unknowns = np.stack([c, z], axis=1)[f.order].ravel()
-
-    def gradient(u: np.ndarray) -> np.ndarray:
-        at, log_width = f.to_variables(u)
-        return f.newton_system(at, np.exp(log_width)).gradient
-
-    for j, step in enumerate(h * np.eye(6)):
-        column = (gradient(unknowns + step) - gradient(unknowns - step)) / (2 * h)
-        np.testing.assert_allclose(system.band[: 6 - j, j], column[j:], rtol=1e-7, atol=1e-8)

@@ -10,13 +10,9 @@ from box_programs import power, univariate
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from drake_aigto.aigo import Alternating, Box, FaceFlow, Pace, minimize
-from drake_aigto.aigo.coupling import CouplingGraph
+from drake_aigto.aigo import Alternating, Box, CouplingGraph, FaceFlow, minimize
 from drake_aigto.box import BoxPolynomial
-from drake_aigto.errors import OptionsError
 from drake_aigto.terms import Term, TermBlock
-
-PACES = list(Pace)
 
 
 def random_chain(n: int, seed: int) -> BoxPolynomial:
@@ -49,17 +45,16 @@ def test_random_polynomials_of_one_variable_are_solved_globally(degree: int) -> 
 
 @settings(max_examples=25, deadline=None)
 @given(
-    st.sampled_from(PACES),
+    st.booleans(),
     st.integers(0, 10**6),
     st.floats(0.01, 0.9),
-    st.floats(0.0, 1.0),
     st.floats(-3, 3),
 )
 def test_boxes_stay_inside_the_first_one(
-    pace: Pace, seed: int, share: float, beta: float, shift: float
+    is_coupled: bool, seed: int, share: float, shift: float
 ) -> None:
     first = Box(np.full(5, shift), np.array([1.0, 2.0, 0.3, 5.0, 1.0]))
-    algorithm = FaceFlow(pace=pace, share=share, beta=beta, least_shrink=0.05)
+    algorithm = FaceFlow(is_coupled=is_coupled, share=share, least_shrink=0.05)
     result = minimize(random_chain(5, seed), first, algorithm)
     assert result.is_converged
     for iterate in result.history:
@@ -69,9 +64,10 @@ def test_boxes_stay_inside_the_first_one(
 
 
 @settings(max_examples=15, deadline=None)
-@given(st.sampled_from(PACES), st.integers(0, 10**6))
-def test_at_beta_1_every_box_holds_the_next(pace: Pace, seed: int) -> None:
-    result = minimize(random_chain(4, seed), Box(np.zeros(4), np.full(4, 2.2)), FaceFlow(pace=pace))
+@given(st.booleans(), st.integers(0, 10**6))
+def test_every_box_holds_the_next(is_coupled: bool, seed: int) -> None:
+    box, algorithm = Box(np.zeros(4), np.full(4, 2.2)), FaceFlow(is_coupled=is_coupled)
+    result = minimize(random_chain(4, seed), box, algorithm)
     for before, after in pairwise(i.box for i in result.history):
         slack = before.half_width - np.abs(after.center - before.center) - after.half_width
         assert np.all(slack >= -1e-12)
@@ -86,12 +82,12 @@ def test_what_is_cut_off_was_worse() -> None:
     assert after.center[0] + after.half_width[0] < 0.01
 
 
-@pytest.mark.parametrize("pace", [Pace.COMPONENT, Pace.EACH])
-def test_parts_that_are_not_coupled_do_not_see_each_other(pace: Pace) -> None:
+@pytest.mark.parametrize("is_coupled", [True, False])
+def test_parts_that_are_not_coupled_do_not_see_each_other(is_coupled: bool) -> None:
     alone = random_chain(3, 1)
     moved = [TermBlock(b.name + "'", b.terms, b.variables + 3, 50.0) for b in alone.blocks]
     both = BoxPolynomial(6, (*alone.blocks, *moved))
-    algorithm = FaceFlow(pace=pace)
+    algorithm = FaceFlow(is_coupled=is_coupled)
     one = minimize(alone, Box(np.zeros(3), np.full(3, 2.2)), algorithm).box.center
     two = minimize(both, Box(np.zeros(6), np.full(6, 2.2)), algorithm).box.center
     # The boxes of the part that is done first go on to shrink: 1e-3 of 2.2 is their last width.
@@ -111,21 +107,6 @@ def test_alternating_stays_inside_the_first_box() -> None:
     for iterate in minimize(random_chain(5, 3), first, Alternating()).history:
         reach = np.abs(iterate.box.center - first.center) + iterate.box.half_width
         assert np.all(reach <= first.half_width * (1 + 1e-9))
-
-
-@pytest.mark.parametrize(
-    ("options", "message"),
-    [
-        ({"share": 1.0}, "share: got 1, expected a number above 0 and below 1"),
-        ({"beta": 1.5}, r"beta: got 1.5, expected a number in \[0, 1\]"),
-        ({"least_shrink": 0.0}, "least_shrink: got 0, expected a number above 0"),
-        ({"final_width": 2.0}, "final_width: got 2, expected a number above 0 and below 1"),
-        ({"max_steps": 0}, "max_steps: got 0, expected 1 or more"),
-    ],
-)
-def test_bad_options_are_refused(options: dict[str, float], message: str) -> None:
-    with pytest.raises(OptionsError, match=message):
-        FaceFlow(**options)  # type: ignore[arg-type]
 
 
 # The coupling graph.

@@ -18,9 +18,8 @@ from several_walls import make_task, shipped
 
 from drake_aigto import Scenario, TrajectoryError, World
 from drake_aigto.control import FlightFeedback, track_drake, track_event_driven
-from drake_aigto.optima import rigid_optimum
-from drake_aigto.simulation import replay_drake, replay_event_driven
-from drake_aigto.simulation.controller import Controller, Held, HeldControl
+from drake_aigto.paper import rigid_optimum
+from drake_aigto.simulation import Controller, Held, HeldControl, replay_drake, replay_event_driven
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch
 

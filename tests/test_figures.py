@@ -18,8 +18,10 @@ from matplotlib.patches import Polygon
 from drake_aigto import ModelError, Scenario, World
 from drake_aigto.aigo import Box, Iterate
 from drake_aigto.paper import LiteralTranscription
-from drake_aigto.show.coordinates import coordinate_names
-from drake_aigto.show.figures import (
+from drake_aigto.show import (
+    PALETTE,
+    Motion,
+    coordinate_names,
     plot_boxes,
     plot_controls,
     plot_motions,
@@ -27,7 +29,6 @@ from drake_aigto.show.figures import (
     plot_positions,
     plot_velocities,
 )
-from drake_aigto.show.motion import PALETTE, Motion
 from drake_aigto.transcription import RigidTranscription, Touch
 
 TIMES = np.array([0.0, 0.5, 0.5, 1.0])
@@ -313,7 +314,7 @@ def test_one_coordinate_has_no_path(axes: Axes, world: World, scenario: Scenario
 
 def test_importing_figures_chooses_no_backend() -> None:
     program = (
-        "import sys, drake_aigto.show.figures, drake_aigto.show.playback\n"
+        "import sys, drake_aigto.show.figures, drake_aigto.show.scene\n"
         "assert 'matplotlib.pyplot' not in sys.modules"
     )
     subprocess.run([sys.executable, "-c", program], check=True)

@@ -13,8 +13,7 @@ from scipy.optimize import minimize_scalar
 
 from drake_aigto import Plan, Planner, Scenario, World
 from drake_aigto.planning import MechanismOptions
-from drake_aigto.show.plans import format_plan
-from drake_aigto.show.remarks import describe_duration
+from drake_aigto.show import format_plan
 
 DISTANCE, PACE, WEIGHT = 1.0, 0.8, 3.0
 QUICK = MechanismOptions(renewals=8, finalists=1)
@@ -88,7 +87,6 @@ def test_a_duration_at_the_end_of_its_range_is_told(least: float, most: float, e
     found = plan(least, most)
     assert found.trajectory.times[-1] == pytest.approx(most if end == "most" else least, rel=1e-6)
     assert found.cost == pytest.approx(calc_cost(found.trajectory.times[-1]), rel=2e-3)
-    assert f"the {end} that it may be" in str(describe_duration(found))
     assert f"the {end} that it may be" in format_plan(found)
 
 

@@ -26,8 +26,8 @@ from drake_aigto import (
     replay_drake,
 )
 from drake_aigto.planning import planner
-from drake_aigto.show.plans import format_plan
-from drake_aigto.world.files import models_directory
+from drake_aigto.show import format_plan
+from drake_aigto.world import models_directory
 
 Y = [0.0, 1.0, 0.0]
 

@@ -6,9 +6,8 @@ import numpy as np
 import pytest
 
 from drake_aigto.arrays import Floats
+from drake_aigto.contact import Mode, Touching, find_modes, list_modes
 from drake_aigto.errors import FrictionError
-from drake_aigto.simulation.coulomb import Mode
-from drake_aigto.simulation.friction_modes import Touching, find_modes, list_modes
 
 
 def touch(

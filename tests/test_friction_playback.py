@@ -15,10 +15,7 @@ from pydrake.geometry import Meshcat
 from pydrake.math import RotationMatrix
 
 from drake_aigto import Scenario, World
-from drake_aigto.show import plot_friction
-from drake_aigto.show.motion import Motion
-from drake_aigto.show.playback import publish
-from drake_aigto.show.scene import ROOT
+from drake_aigto.show import ROOT, Motion, plot_friction, publish
 from drake_aigto.transcription import Touch
 
 GONE = 2e-3

@@ -18,10 +18,10 @@ from benchmarks.friction_worlds import Run, ask_payload, list_circle, list_paylo
 from benchmarks.local_peers import casadi
 from drake_aigto import Scenario, World
 from drake_aigto.arrays import Floats
+from drake_aigto.contact import calc_drag, calc_pushes, contact_law
 from drake_aigto.errors import MissingExtraError
-from drake_aigto.planning import MechanismOptions
+from drake_aigto.planning import MechanismOptions, MechanismProblem
 from drake_aigto.planning.closing import Aim
-from drake_aigto.planning.mechanism_problem import MechanismProblem
 
 _STEPS = 199
 
@@ -119,7 +119,7 @@ def test_binaries_of_stick_and_slip_lead_to_the_closed_form() -> None:
 def test_the_gradient_peer_has_the_worlds_equations(name: str) -> None:
     scenario = Scenario.named(name)
     world, rng = World.from_scenario(scenario), np.random.default_rng(0)
-    program, law = RubbingProgram(world, scenario), world.contact_law(scenario)
+    program, law = RubbingProgram(world, scenario), contact_law(world, scenario)
     sizes = world.num_positions, world.num_positions, world.num_actuators, world.num_positions
     z, exact = [casadi.SX.sym("z", size) for size in sizes], casadi.DM([0.0, 0.0])
     balance = casadi.Function("balance", z, [program.balance(z[0], z[1], z[2], z[3], exact)])
@@ -128,9 +128,9 @@ def test_the_gradient_peer_has_the_worlds_equations(name: str) -> None:
         q = scenario.initial_position + rng.uniform(-0.6, 0.6, world.num_positions)
         v = 0.1 * rng.normal(size=world.num_positions)
         u = rng.normal(size=world.num_actuators)
-        forces = world.calc_pushes(law, q, v)
+        forces = calc_pushes(world, law, q, v)
         touched += int(forces.any())
-        drag = world.rubbing.calc_drag(law, q, v, forces)
+        drag = calc_drag(world, law, q, v, forces)
         rate = world.calc_acceleration(q, v, u, forces, drag)
         off = np.array(balance(q, v, u, rate)).ravel()
         assert np.abs(off).max() <= 1e-9 * (1 + np.abs(forces).max())

@@ -6,15 +6,11 @@ import itertools
 
 import numpy as np
 import pytest
+from box_programs import power
 
-from drake_aigto.aigo import Box, BoxSearch
-from drake_aigto.aigo.fusion import Fusion
+from drake_aigto.aigo import Box, BoxSearch, Fusion
 from drake_aigto.box import BoxPolynomial
-from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock
-
-
-def power(variable: int, exponent: int = 1) -> Factor:
-    return Factor(variable, FunctionKind.POWER, exponent)
+from drake_aigto.terms import Term, TermBlock
 
 
 def random_grid(rows: int, columns: int, seed: int) -> BoxPolynomial:

@@ -11,8 +11,8 @@ from mechanisms import build
 
 from drake_aigto import Scenario, World
 from drake_aigto.arrays import Bools, Floats
+from drake_aigto.contact import Closed, Mode, RigidLaw
 from drake_aigto.errors import ProgramError
-from drake_aigto.jit import kernel
 from drake_aigto.planning.bounces import add_impulses, replay_at_knots
 from drake_aigto.planning.flow import trace
 from drake_aigto.shooting import (
@@ -23,43 +23,20 @@ from drake_aigto.shooting import (
     ShootingResult,
     Smoothing,
 )
-from drake_aigto.shooting.hold import press
-from drake_aigto.shooting.mechanics import (
-    Mechanics,
-    MechanicsMemory,
-    copy_writable,
-    make_mechanics_memory,
-)
-from drake_aigto.simulation import confirms, replay_drake, replay_event_driven
-from drake_aigto.simulation.material import set_stiffness
-from drake_aigto.world import RigidLaw, Scales, TaskCost
-from drake_aigto.world.material import STIFFNESS, read_material
-
-
-@kernel
-def press_all(
-    mechanics: Mechanics,
-    closed: Bools,
-    leans: Floats,
-    x: Floats,
-    u: Floats,
-    memory: MechanicsMemory,
-) -> None:
-    press(mechanics, closed, leans, x, u, True, memory)
+from drake_aigto.simulation import confirms, replay_drake, replay_event_driven, set_stiffness
+from drake_aigto.world import STIFFNESS, Scales, TaskCost, read_material
 
 
 @cache
-def compile_mechanics(world: World) -> Mechanics:
-    return Mechanism.of(world, RigidLaw(np.zeros(world.num_contacts))).mechanics
+def mechanize(world: World) -> Mechanism:
+    return Mechanism.of(world, RigidLaw(np.zeros(world.num_contacts)))
 
 
 def run(
     world: World, contacts: list[int], x: Floats, u: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Returns λ, v̇ and their derivatives by (q, v, u)."""
-    mechanics = compile_mechanics(world)
-    memory = copy_writable(make_mechanics_memory(mechanics))
-    press_all(mechanics, hold(world, contacts), np.zeros(world.num_contacts), x, u, memory)
+    memory = mechanize(world).press(x, u, hold(world, contacts), np.zeros(world.num_contacts))
     forces, by_force = memory.grip[-1, contacts], memory.by_force[:, contacts].T
     return forces, memory.acceleration[0], by_force, memory.slopes.T
 
@@ -87,9 +64,10 @@ def test_what_is_held_moves_as_gauss_says_and_its_derivatives_are_those_of_diffe
     for contacts in HELD[name]:
         x, u = rng.uniform(0.2, 0.9, 2 * n), rng.normal(size=nu)
         forces, acceleration, by_force, slopes = run(world, contacts, x, u)
-        wanted, pushes = world.calc_supported_acceleration(x[:n], x[n:], u, np.array(contacts))
-        np.testing.assert_allclose(acceleration, wanted, rtol=1e-9, atol=1e-9)
-        np.testing.assert_allclose(forces, pushes, rtol=1e-9, atol=1e-9)
+        free, k = (Mode.FORWARD,) * len(contacts), len(contacts)
+        push = Closed(world, np.array(contacts), free, np.zeros(k)).calc_push(x, u)
+        np.testing.assert_allclose(acceleration, push.acceleration, rtol=1e-9, atol=1e-9)
+        np.testing.assert_allclose(forces, push.normal, rtol=1e-9, atol=1e-9)
         for c in range(2 * n + nu):
             step = np.zeros(2 * n + nu)
             step[c] = 1e-6

@@ -8,11 +8,11 @@ from functools import cache
 import numpy as np
 import pytest
 from rubbing_worlds import RADIUS, make_discs
-from test_held_contacts import press_all
 from test_shooting_phases import weigh
 
 from drake_aigto import MechanismOptions, Scenario, World, plan
 from drake_aigto.arrays import Floats
+from drake_aigto.contact import Closed, Mode, RigidLaw
 from drake_aigto.planning.held_modes import drop, in_order, is_closed, list_hold_changes
 from drake_aigto.planning.mechanism_phases import BouncingResult, lay_out
 from drake_aigto.planning.mode_edges import lead_over_edges
@@ -25,12 +25,8 @@ from drake_aigto.shooting import (
     ShootingProblem,
     Smoothing,
 )
-from drake_aigto.shooting.mechanics import Mechanics, copy_writable, make_mechanics_memory
 from drake_aigto.simulation import replay_event_driven
-from drake_aigto.simulation.coulomb import Mode
-from drake_aigto.simulation.pushes import calc_push
 from drake_aigto.transcription import Touch
-from drake_aigto.world import RigidLaw
 
 MU, G = 0.3, 9.81
 FEET = ((-0.3, 0.0), (0.3, 0.0))
@@ -50,13 +46,12 @@ def mechanize(world: World) -> Mechanism:
 
 
 def press(
-    mechanics: Mechanics, modes: list[int], x: Floats, u: Floats
+    mechanism: Mechanism, modes: list[int], x: Floats, u: Floats
 ) -> tuple[Floats, Floats, Floats, Floats]:
     """Returns f_n and f_t of all contacts in modes, v̇, and the derivatives of λ and v̇."""
     m, signs = len(modes), np.array(modes)
     closed = np.concatenate([np.ones(m, dtype=np.bool_), signs == 0])
-    memory = copy_writable(make_mechanics_memory(mechanics))
-    press_all(mechanics, closed, -MU * signs, x, u, memory)
+    memory = mechanism.press(x, u, closed, -MU * signs)
     normal, stuck = np.split(memory.grip[-1], 2)
     tangent = np.where(signs == 0, stuck, -MU * signs * normal)
     forces = np.concatenate([normal, tangent])
@@ -68,18 +63,18 @@ def test_what_sticks_or_slips_moves_as_coulomb_says_and_its_derivatives_are_thos
     modes: list[int],
 ) -> None:
     world, rng = build(tilts=True, has_feet=len(modes) == 2), np.random.default_rng(5)
-    mechanics, n = mechanize(world).mechanics, world.num_positions
+    mechanism, n = mechanize(world), world.num_positions
     x, u = rng.uniform(0.2, 0.9, 2 * n), rng.normal(size=world.num_actuators)
-    forces, acceleration, by_force, slopes = press(mechanics, modes, x, u)
-    kinds, held = [Mode(mode) for mode in modes], np.arange(len(modes))
-    wanted = calc_push(world, x, u, held, kinds, np.full(len(modes), MU))
+    forces, acceleration, by_force, slopes = press(mechanism, modes, x, u)
+    kinds, held = tuple(map(Mode, modes)), np.arange(len(modes))
+    wanted = Closed(world, held, kinds, np.full(len(modes), MU)).calc_push(x, u)
     np.testing.assert_allclose(acceleration, wanted.acceleration, rtol=1e-8, atol=1e-9)
-    np.testing.assert_allclose(forces, wanted.forces, rtol=1e-8, atol=1e-9)
+    np.testing.assert_allclose(forces, [*wanted.normal, *wanted.tangent], rtol=1e-8, atol=1e-9)
     for c in range(2 * n + len(u)):
         step = np.zeros(2 * n + len(u))
         step[c] = 1e-6
         ends = [
-            press(mechanics, modes, x + s * step[: 2 * n], u + s * step[2 * n :]) for s in (1, -1)
+            press(mechanism, modes, x + s * step[: 2 * n], u + s * step[2 * n :]) for s in (1, -1)
         ]
         slope = (ends[0][1] - ends[1][1]) / 2e-6
         np.testing.assert_allclose(slopes[:, c], slope, rtol=1e-4, atol=1e-5)

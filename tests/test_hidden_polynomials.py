@@ -13,9 +13,11 @@ from hypothesis import strategies as st
 from pydrake.solvers import Cost, MathematicalProgram, QuadraticCost
 from pydrake.symbolic import Polynomial, pow
 
-from drake_aigto.terms import FunctionKind, Term, hidden_polynomials
-from drake_aigto.terms.hidden_polynomials import (
+from drake_aigto.terms import (
+    FunctionKind,
     HiddenError,
+    Term,
+    hidden_polynomials,
     is_hidden_polynomial,
     read_polynomial,
 )

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 from several_walls import make_task, shipped
 
+from benchmarks.optima import masses_optimum
 from benchmarks.world_scenarios import WORLDS
 from drake_aigto import PlanOptions, Scenario, World, plan
-from drake_aigto.optima import masses_optimum
-from drake_aigto.planning import make_problem
+from drake_aigto.planning import RigidSearch, make_problem
 from drake_aigto.planning.insertions import find_insertions
-from drake_aigto.planning.rigid_search import RigidSearch
 from drake_aigto.planning.touches import kinds
 from drake_aigto.transcription import PhaseTranscription, Touch, TouchSequence
 

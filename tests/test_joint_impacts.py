@@ -17,10 +17,12 @@ from rest_solutions import least_rest
 from unfolded_flights import MODELS, Flight
 
 from drake_aigto import OptionsError, Scenario, World
+from drake_aigto.contact import JointImpact
+from drake_aigto.dynamics import ConstantInertia
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import PhaseTranscription, Touch, TouchSequence, joint_times
-from drake_aigto.transcription.rigid_contact import JointImpact, rigid_defects
-from drake_aigto.world import ConstantInertia, files
+from drake_aigto.transcription.rigid_contact import rigid_defects
+from drake_aigto.world import models_directory
 
 G = 9.81
 
@@ -29,7 +31,7 @@ G = 9.81
 def load(model: str, gravity: tuple[float, float, float] = (0.0, 0.0, -G)) -> World:
     builder = DiagramBuilder()
     plant, _ = AddMultibodyPlantSceneGraph(builder, time_step=0.0)
-    Parser(plant).AddModels(str(files.models_directory() / f"{model}.sdf"))
+    Parser(plant).AddModels(str(models_directory() / f"{model}.sdf"))
     plant.mutable_gravity_field().set_gravity_vector(gravity)
     plant.Finalize()
     plant.SetDefaultPositions(np.linspace(0.3, 0.6, plant.num_positions()))

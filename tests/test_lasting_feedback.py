@@ -12,6 +12,7 @@ from rubbing_worlds import RADIUS, make_discs
 
 from drake_aigto import MechanismOptions, Scenario, TrackingController, World, plan
 from drake_aigto.arrays import Floats
+from drake_aigto.contact import Mode
 from drake_aigto.control import (
     Disturbance,
     KnotFeedback,
@@ -20,11 +21,7 @@ from drake_aigto.control import (
     run_in_loop,
 )
 from drake_aigto.control.phase_feedback import Sweep
-from drake_aigto.simulation import replay_event_driven
-from drake_aigto.simulation.controller import Controller
-from drake_aigto.simulation.coulomb import Mode
-from drake_aigto.simulation.replay import Replay
-from drake_aigto.simulation.rubbing_mechanism import simulate_rigid_walls
+from drake_aigto.simulation import EVENT_DRIVEN, Controller, Replay, replay_event_driven
 from drake_aigto.trajectory import Trajectory
 
 build = cache(lambda **options: World.from_diagram(make_discs(**options)))
@@ -145,7 +142,7 @@ def run(
     """Returns where a controller leads what starts elsewhere, or rubs otherwise, shape (n,)."""
     true = dataclasses.replace(scenario, **changes)
     start = scenario.initial_position + off, scenario.initial_velocity
-    return np.array(simulate_rigid_walls(world, true, start, controller).positions[-1])
+    return np.array(EVENT_DRIVEN.simulate(world, true, controller, start).positions[-1])
 
 
 def test_a_wheel_whose_motor_moves_it_through_friction_alone_is_brought_back() -> None:

@@ -14,9 +14,7 @@ from drake_aigto.control import Disturbance, run_in_loop
 from drake_aigto.control.motion import Motion
 from drake_aigto.control.rigid_mechanism_horizon import RigidMechanismHorizon
 from drake_aigto.planning.rigid_mechanism import RigidMechanismProblem
-from drake_aigto.simulation import replay_event_driven
-from drake_aigto.simulation.controller import HeldControl
-from drake_aigto.simulation.rubbing_mechanism import simulate_rigid_walls
+from drake_aigto.simulation import EVENT_DRIVEN, HeldControl, replay_event_driven
 from drake_aigto.transcription import Touch
 
 BLOCK = Scenario.named("sliding_block/to_rest")
@@ -42,7 +40,7 @@ def push(now: float, x: Floats, control: Floats, friction: float) -> Floats:
     """Returns the state a time step later, of a block that rubs otherwise."""
     true = dataclasses.replace(BLOCK, friction=friction)
     held, (q, v) = HeldControl(np.array([now, now + STEP]), control[np.newaxis]), np.split(x, 2)
-    recording = simulate_rigid_walls(find_world(), true, (q, v), held)
+    recording = EVENT_DRIVEN.simulate(find_world(), true, held, (q, v))
     return np.concatenate([recording.positions[-1], recording.velocities[-1]])
 
 

@@ -11,10 +11,9 @@ import pytest
 from mechanisms import LEFT, MECHANISMS, build, build_stiff, build_world, stiffen
 
 from drake_aigto import Scenario, World
+from drake_aigto.contact import contact_delay, contact_delays
 from drake_aigto.simulation import confirms, make_simulator, replay_drake, replay_event_driven
-from drake_aigto.simulation.material import contact_delay, contact_delays
-from drake_aigto.world import Scales
-from drake_aigto.world.material import find_anywhere
+from drake_aigto.world import Scales, find_anywhere
 
 TIMES = np.linspace(0.0, 1.0, 21)
 SOFT, STIFF = 1e5, 1e7

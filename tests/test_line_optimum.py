@@ -13,7 +13,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from line_rivals import bounces_by_chance, cost_of, legs_of, transcribe
 
-from drake_aigto.optima.line_optimum import Line, LineBounce, LineMotion, LineSequence, Wall
+from benchmarks.optima.line_optimum import Line, LineBounce, LineMotion, LineSequence, Wall
 
 
 def make_corridor(

@@ -8,9 +8,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sparse_matrices import arrow, grid, whole
 
-from drake_aigto.linear import Factorization, Pattern, Storage, choose_storage, make_pattern, spread
-from drake_aigto.linear.pattern import find_entry, multiply
-from drake_aigto.linear.sparse import count_fill, factorize, minimum_degree
+from drake_aigto.linear import (
+    Factorization,
+    Pattern,
+    Storage,
+    choose_storage,
+    count_fill,
+    factorize,
+    find_entry,
+    make_pattern,
+    minimum_degree,
+    multiply,
+    spread,
+)
 
 
 @st.composite

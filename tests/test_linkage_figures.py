@@ -12,10 +12,15 @@ from matplotlib.patches import Polygon
 from mechanisms import build
 
 from drake_aigto import ModelError, Scenario, World
-from drake_aigto.show import plot_contact_forces, plot_motions, plot_phase_portrait, plot_strobe
-from drake_aigto.show.coordinates import coordinate_names
-from drake_aigto.show.linkage_figures import draw_mechanism
-from drake_aigto.show.motion import Motion
+from drake_aigto.show import (
+    Motion,
+    coordinate_names,
+    draw_mechanism,
+    plot_contact_forces,
+    plot_motions,
+    plot_phase_portrait,
+    plot_strobe,
+)
 from drake_aigto.transcription import Touch
 
 TIMES = np.linspace(0.0, 1.0, 51)

@@ -13,11 +13,7 @@ from pydrake.geometry import Meshcat
 from pydrake.math import RotationMatrix
 
 from drake_aigto import Scenario, World
-from drake_aigto.show.coordinates import moves_straight
-from drake_aigto.show.linkage import Linkage
-from drake_aigto.show.motion import Motion
-from drake_aigto.show.playback import publish
-from drake_aigto.show.scene import ROOT
+from drake_aigto.show import ROOT, Motion, Stage, moves_straight, publish
 from drake_aigto.transcription import Touch
 
 GONE = 2e-3
@@ -165,23 +161,23 @@ def test_a_goal_without_weight_is_where_the_motion_ends(meshcat: Meshcat, cart_p
 
 def test_the_window_has_all_of_a_motion_in_it(cart_pole: World) -> None:
     motion = swing()
-    linkage = Linkage(cart_pole, motion.positions)
-    tips = linkage.trace(motion.positions)[:, 0]
-    assert linkage.is_flat
+    stage = Stage(cart_pole, motion.positions)
+    (tips,) = stage.trace(motion.positions)
+    assert stage.is_flat
     np.testing.assert_allclose(np.ptp(tips[:, 2]), 0, atol=1e-12)
-    assert np.all(tips[:, :2] - 0.05 >= linkage.low - 1e-9)
-    assert np.all(tips[:, :2] + 0.05 <= linkage.high + 1e-9)
+    assert np.all(tips[:, :2] - 0.05 >= stage.low - 1e-9)
+    assert np.all(tips[:, :2] + 0.05 <= stage.high + 1e-9)
     # Walls at ±0.6 m are near enough to be seen.
-    assert linkage.low[0] < -0.6 and linkage.high[0] > 0.6
+    assert stage.low[0] < -0.6 and stage.high[0] > 0.6
     assert tips[0, 1] < tips[-1, 1]  # Up is up.
 
 
 def test_what_keeps_to_no_plane_is_seen_from_the_front() -> None:
     world = build("arm with a slider")
-    linkage = Linkage(world, np.array([[0.0, 0.3, 0.0], [0.5, 0.2, 0.1]]))
-    assert not linkage.is_flat
+    stage = Stage(world, np.array([[0.0, 0.3, 0.0], [0.5, 0.2, 0.1]]))
+    assert not stage.is_flat
     np.testing.assert_allclose(
-        linkage.X_WT.rotation().matrix().T, [[1, 0, 0], [0, 0, 1], [0, -1, 0]], atol=1e-12
+        stage.X_WT.rotation().matrix().T, [[1, 0, 0], [0, 0, 1], [0, -1, 0]], atol=1e-12
     )
 
 

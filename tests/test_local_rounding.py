@@ -10,8 +10,7 @@ from local_problems import Problem
 
 from benchmarks.collections.global_functions import planar_problems
 from benchmarks.collections.global_problem import GlobalProblem
-from drake_aigto.local import InteriorPoint, LocalStatus, compile_nlp
-from drake_aigto.local.line_search import Progress
+from drake_aigto.local import InteriorPoint, LocalStatus, Progress, compile_nlp
 
 PLANAR = planar_problems()
 NAMES = [problem.name for problem in PLANAR]

@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given, settings
 from optimum_worlds import draw, ends, seeds, solve, world_of
 
+from benchmarks.optima import masses_optimum
+from benchmarks.optima.masses_optimum import _list_sequences, _make_pair, _Sequence
 from benchmarks.worlds import load_unequal
-from drake_aigto.optima import masses_optimum
-from drake_aigto.optima.masses_optimum import _list_sequences, _make_pair, _Sequence
 from drake_aigto.world import Scenario
 
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from box_programs import mean_by_block
 from mechanism_tasks import DURATION, N, drop_ball, make_boxes, make_cost, make_ends, make_law, read
 from mechanisms import (
     LEFT,
@@ -20,11 +21,12 @@ from mechanisms import (
 )
 
 from drake_aigto.box import BoxPolynomial, ParametricPolynomial
+from drake_aigto.contact import CompliantLaw, RigidLaw
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.planning import MechanismBoxes, MechanismRung
 from drake_aigto.terms import MAX_TERMS
 from drake_aigto.transcription import COST, DISTANCES, GOAL, ROWS, Ends, MechanismProgram, soften
-from drake_aigto.world import CompliantLaw, RigidLaw, World
+from drake_aigto.world import World
 
 DT = DURATION / N
 WORLDS = ("pendulum", "cart-pole", "double pendulum", "springs and dampers", "paddle", "two discs")
@@ -67,7 +69,7 @@ def test_points_cost_what_the_worlds_numbers_say(name: str, dissipation: float) 
     boxes = make_boxes(world, ends, law)
     program = boxes.program
     q = draw_motion(world, ends, rng)
-    means = boxes.start(ends).polynomial.mean_by_block(program.calc_variables(q, ends), 0.0)
+    means = mean_by_block(boxes.start(ends).polynomial, program.calc_variables(q, ends), 0.0)
     J, forces = transcribe(world, program.coordinates.contacts, law, ends, q)
     assert means[COST] == pytest.approx(J, rel=1e-9)
     assert means.get(DISTANCES, 0.0) == pytest.approx(0.0, abs=1e-6)
@@ -86,7 +88,7 @@ def test_a_reference_is_followed_at_every_knot() -> None:
     boxes = make_boxes(world, ends, law)
     q = draw_motion(world, ends, rng)
     z = boxes.program.calc_variables(q, ends)
-    got = boxes.start(ends).polynomial.mean_by_block(z, 0.0)[COST]
+    got = mean_by_block(boxes.start(ends).polynomial, z, 0.0)[COST]
     J, _ = transcribe(world, boxes.program.coordinates.contacts, law, ends, q)
     assert got == pytest.approx(J, rel=1e-9)
 
@@ -98,7 +100,7 @@ def test_ends_are_parameters_of_one_program() -> None:
         ends = make_ends(world, rng)
         q = draw_motion(world, ends, rng)
         z = boxes.program.calc_variables(q, ends)
-        got = boxes.start(ends).polynomial.mean_by_block(z, 0.0)[COST]
+        got = mean_by_block(boxes.start(ends).polynomial, z, 0.0)[COST]
         assert got == pytest.approx(transcribe(world, (0, 1), law, ends, q)[0], rel=1e-9)
 
 
@@ -110,7 +112,7 @@ def test_a_hard_goal_is_a_penalty_of_what_has_to_reach_it() -> None:
     polynomial = ParametricPolynomial(program.num_variables, program.num_parameters, program.blocks)
     q = draw_motion(world, ends, rng)
     f = polynomial.at(program.parameters(ends))
-    got = f.mean_by_block(program.calc_variables(q, ends), 0.0)[GOAL]
+    got = mean_by_block(f, program.calc_variables(q, ends), 0.0)[GOAL]
     way, turning = q[N, 0] - ends.cost.goal[0], (q[N + 1, 1] - q[N - 1, 1]) / (2 * DT) - 0.3
     expected = (way / ends.cost.goal[0]) ** 2 + (turning * DURATION) ** 2
     assert got == pytest.approx(expected, rel=1e-9)
@@ -139,7 +141,7 @@ def test_turns_that_do_not_count_cost_nothing() -> None:
         boxes = make_boxes(world, ends, make_law(world))
         q = start + np.linspace(0, 4.0, N + 2)[:, np.newaxis]
         z = boxes.program.calc_variables(q, ends)
-        found.append(boxes.start(ends).polynomial.mean_by_block(z, 0.0)[COST])
+        found.append(mean_by_block(boxes.start(ends).polynomial, z, 0.0)[COST])
     np.testing.assert_allclose(found, found[0], rtol=1e-9)
 
 
@@ -243,7 +245,7 @@ def test_the_order_of_coordinates_does_not_matter() -> None:
         boxes = make_boxes(world, ends, make_law(world))
         z = boxes.program.calc_variables(q[:, ::side], ends)
         wide = np.where(boxes.is_free, 0.3, 0.0)
-        means.append(boxes.start(ends).polynomial.mean_by_block(z, wide))
+        means.append(mean_by_block(boxes.start(ends).polynomial, z, wide))
     assert means[0] == pytest.approx(means[1], rel=1e-9)
 
 

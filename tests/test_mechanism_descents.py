@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from mechanism_tasks import DURATION, drop_ball, make_boxes, make_cost, make_law, read
 
+from drake_aigto.contact import RigidLaw
 from drake_aigto.planning import MechanismBoxes, MechanismRung, Renewal, StartedBoxes
 from drake_aigto.transcription import ROWS, Ends, MechanismProgram, soften
-from drake_aigto.world import RigidLaw, World
+from drake_aigto.world import World
 
 
 @cache

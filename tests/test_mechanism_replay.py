@@ -17,12 +17,16 @@ from scipy.special import ellipk, ellipkinc
 from test_direct_replay import draw_task, follows_chatter, roll_out, world_of
 
 from drake_aigto import Scenario, TrajectoryError, World
+from drake_aigto.contact import Closed, Mode, RigidLaw
 from drake_aigto.planning.flow import _find_rates, _integrate
-from drake_aigto.simulation import Replay, hybrid, replay_costs, replay_event_driven
-from drake_aigto.simulation.controller import HeldControl
-from drake_aigto.simulation.coulomb import Mode
-from drake_aigto.simulation.mechanism import simulate_mechanism
-from drake_aigto.world import RigidLaw
+from drake_aigto.simulation import (
+    HeldControl,
+    Replay,
+    RigidMotion,
+    replay_costs,
+    replay_event_driven,
+    smooth,
+)
 
 
 @cache
@@ -247,7 +251,7 @@ def test_where_flight_is_a_parabola_it_is_the_one_by_roots(name: str, seed: int,
     assume(not follows_chatter(direct))
     world = world_of(name)
     restitutions, held = np.full(world.num_contacts, e), HeldControl(times, controls)
-    found = simulate_mechanism(world, restitutions, start, held)
+    found = RigidMotion(world, restitutions, start, (held.start, held.end)).run(held)
     assert [i.contact for i in direct.impacts] == [i.contact for i in found.impacts]
     np.testing.assert_allclose(direct.times, found.times, rtol=0, atol=1e-9)
     np.testing.assert_allclose(direct.positions, found.positions, rtol=0, atol=1e-9)
@@ -271,8 +275,8 @@ def test_a_motion_that_goes_ever_faster_is_not_followed_for_hours(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     swing((0.0, 0.0), 1.0, torque=-1e3)
-    monkeypatch.setattr(hybrid, "_MOST_PIECES", 100)
-    monkeypatch.setattr(hybrid, "_MOST_EACH", 0)
+    monkeypatch.setattr(smooth, "_MOST_PIECES_IN_ALL", 100)
+    monkeypatch.setattr(smooth, "_MOST_EACH", 0)
     swing((0.0, 0.0), 1.0, torque=1.0)
     with pytest.raises(TrajectoryError, match=r"goes ever faster, at 0\.\d+ s"):
         swing((0.0, 0.0), 1.0, torque=-1e3)
@@ -289,7 +293,9 @@ def test_contacts_accelerate_by_j_and_its_change(name: str) -> None:
         ahead, behind = (world.calc_contact_jacobian(q + s * step * v) @ v for s in (1, -1))
         bias = world.calc_contact_bias(q, v)
         np.testing.assert_allclose(bias, (ahead - behind) / (2 * step), atol=1e-7)
-        a, forces = world.calc_supported_acceleration(q, v, u, np.array([0]))
+        closed = Closed(world, np.array([0]), (Mode.FORWARD,), np.zeros(1))
+        push = closed.calc_push(np.concatenate([q, v]), u)
+        a, forces = push.acceleration, push.normal
         J = world.calc_contact_jacobian(q)
         assert J[0] @ a + bias[0] == pytest.approx(0.0, abs=1e-9)
         pushed = world.calc_acceleration(q, v, u) + np.linalg.solve(

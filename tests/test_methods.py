@@ -10,9 +10,9 @@ import pytest
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from benchmarks.paper_figures import paper_methods, plot_methods, write_numbers
 from drake_aigto import Scenario, World
 from drake_aigto.planning import Candidate, Origin
-from drake_aigto.show import paper_methods, plot_methods, write_numbers
 
 SCENARIO = dataclasses.replace(Scenario.named("table1/2"), time_step=0.02)
 

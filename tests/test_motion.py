@@ -11,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from drake_aigto import Scenario, World
-from drake_aigto.show.motion import PALETTE, PLAN_LABEL, Motion, color_of, motions_of_plan
-from drake_aigto.simulation.replay import Replay, replay_drake, replay_event_driven
+from drake_aigto.show import PALETTE, PLAN_LABEL, Motion, color_of, motions_of_plan
+from drake_aigto.simulation import Replay, replay_drake, replay_event_driven
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import PhaseTranscription, Touch
 

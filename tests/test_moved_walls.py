@@ -10,7 +10,7 @@ from pydrake.systems.framework import DiagramBuilder, LeafSystem
 from replay_worlds import hold, make_diagram, make_scenario, shipped_world
 
 from drake_aigto import ModelError, Scenario, World
-from drake_aigto.simulation.replay import replay_drake, replay_event_driven
+from drake_aigto.simulation import replay_drake, replay_event_driven
 
 
 @pytest.mark.parametrize("distance", [0.013, -0.2])

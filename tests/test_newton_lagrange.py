@@ -11,8 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from drake_aigto import Scenario
-from drake_aigto.local import InteriorPoint, NewtonLagrange, PolynomialNlp
-from drake_aigto.local.builder import NlpBuilder
+from drake_aigto.local import InteriorPoint, NewtonLagrange, NlpBuilder, PolynomialNlp
 from drake_aigto.planning import PlanOptions, make_problem
 from drake_aigto.transcription import Touch
 from drake_aigto.world import World

@@ -25,7 +25,7 @@ from world_models import (
 )
 
 from drake_aigto import ModelError, Scenario, ScenarioError, World
-from drake_aigto.world.diagram import build_diagram
+from drake_aigto.world import build_diagram
 
 
 def build_half_space_diagram(time_step: float = 0.0, gravity_axis: int = 2) -> Diagram:

@@ -10,16 +10,19 @@ from local_problems import add_cost
 from pydrake.solvers import MathematicalProgram
 from pydrake.symbolic import cos, exp, sin
 
-from drake_aigto.jit import kernel
+from drake_aigto.kernels import kernel
 from drake_aigto.local import (
     InteriorPoint,
     PenaltyLadder,
     PolynomialNlp,
     compile_nlp,
+    differentiate,
+    evaluate,
+    factorize_band,
+    make_point_system,
     make_point_tables,
+    solve_band,
 )
-from drake_aigto.local.band import factorize_band, solve_band
-from drake_aigto.local.points import differentiate, evaluate, make_point_system
 
 
 def chain(num_stages: int = 12) -> PolynomialNlp:
@@ -58,7 +61,7 @@ def solution(band: Any, right: Any) -> bool:
 def test_values_are_those_of_the_program() -> None:
     nlp = chain()
     tables = make_point_tables(nlp)
-    rows, values = np.empty(nlp.num_rows), np.empty(tables.variables.size)
+    rows, values = np.empty(nlp.num_rows), np.empty(tables.functions.size)
     for seed in range(5):
         x = np.random.default_rng(seed).uniform(-2, 2, nlp.num_variables)
         f, expected = nlp.evaluate(x)
@@ -136,5 +139,5 @@ def test_a_ladder_to_a_point_too_dear_is_given_up() -> None:
     tables, none = make_point_tables(nlp), np.empty(0, dtype=np.int64)
     ladder = PenaltyLadder(nlp, tables, center, half_width, none, np.zeros(nlp.num_rows, bool))
     whole = ladder.climb(center, 0.01, 1e3)
-    cut = ladder.climb(center, 0.01, 1e3, dear=whole.cost - 10.0)
+    cut = ladder.climb(center, 0.01, 1e3, most=whole.cost - 10.0)
     assert cut.steps < whole.steps and not cut.is_nearly_feasible

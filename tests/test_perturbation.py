@@ -18,7 +18,7 @@ from benchmarks.robustness.perturbation import (
 )
 from drake_aigto import ModelError
 from drake_aigto.errors import ScenarioError
-from drake_aigto.optima import rigid_optimum
+from drake_aigto.paper import rigid_optimum
 from drake_aigto.simulation import replay_event_driven
 
 

@@ -20,9 +20,9 @@ from unfolded_flights import (
     touches_of,
 )
 
+from benchmarks.optima import walls_optimum
 from drake_aigto import Scenario, World
 from drake_aigto.local import solve_with_drake
-from drake_aigto.optima import walls_optimum
 from drake_aigto.transcription import PhaseTranscription, Touch, TouchSequence
 
 T = 1.5
@@ -118,7 +118,7 @@ def test_drakes_solver_finds_the_same(bounces: int, e: float) -> None:
     check_replays(found)
     start = found.phases.vector(found.phases.guess())
     other = solve_with_drake(found.phases.prog(), start, "snopt")
-    assert found.phases.scenario_cost(other.x) == pytest.approx(found.cost, rel=1e-4)
+    assert found.phases.scenario_cost(other) == pytest.approx(found.cost, rel=1e-4)
 
 
 @pytest.mark.parametrize("model", ["corridor", "floor", "room"])

@@ -1,4 +1,4 @@
-"""Bounds of plans: below every exact optimum, near it, and told."""
+"""Bounds of plans: below every exact optimum, near it, and reported."""
 
 from __future__ import annotations
 
@@ -9,15 +9,21 @@ from typing import Any
 import numpy as np
 import pytest
 
+from benchmarks.optima import line_optimum as optima
+from benchmarks.optima import masses_optimum, walls_optimum
 from benchmarks.world_scenarios import WORLDS
 from drake_aigto import Plan, Planner, PlanningError, PlanOptions, Scenario, World
-from drake_aigto.certify import PlanBound, bound_plans, out_of_reach
-from drake_aigto.certify.lines import Line, Wall
-from drake_aigto.certify.mirrors import fold
-from drake_aigto.certify.touches import bound_line
-from drake_aigto.optima import line_optimum as optima
-from drake_aigto.optima import masses_optimum, rigid_optimum, walls_optimum
-from drake_aigto.show.plans import format_plan
+from drake_aigto.certify import (
+    Line,
+    PlanBound,
+    Wall,
+    bound_line,
+    bound_plans,
+    fold,
+    out_of_reach,
+)
+from drake_aigto.paper import rigid_optimum
+from drake_aigto.show import format_plan
 
 
 def known(bound: PlanBound, cost: float) -> tuple[float, float]:

@@ -24,12 +24,10 @@ from drake_aigto import (
     Scenario,
     World,
 )
-from drake_aigto.cli import main
-from drake_aigto.cli.status import BAD_INPUT, FINE
+from drake_aigto.cli import BAD_INPUT, FINE, main
 from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal
 from drake_aigto.planning.options import RIGID_LADDER
-from drake_aigto.show import play, play_boxes, report_plan, run_boxes
-from drake_aigto.show.plans import format_plan
+from drake_aigto.show import format_plan, play, play_boxes, report_plan, run_boxes
 
 QUICK = PlanOptions(aigo_steps=20, finalists=1, ladder=RIGID_LADDER[:2])
 LITERAL = LiteralOptions(ladder=LITERAL_LADDER[2:3], knot_steps=(2,), finalists=1)

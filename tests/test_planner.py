@@ -22,7 +22,7 @@ from drake_aigto.paper import (
 from drake_aigto.paper.options import AlgorithmName
 from drake_aigto.planning import Planner, PlanningError, PlanOptions, SearchOptions
 from drake_aigto.planning.options import LocalSolverName
-from drake_aigto.simulation.contacts import find_contacts
+from drake_aigto.simulation import find_contacts
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import World
 

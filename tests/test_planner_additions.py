@@ -15,7 +15,7 @@ from drake_aigto import Plan, Planner, PlanOptions, Scenario, World
 from drake_aigto.cli import main
 from drake_aigto.errors import ProgramError
 from drake_aigto.planning import PlanningError, RigidProblem, make_problem
-from drake_aigto.show.plans import format_plan
+from drake_aigto.show import format_plan
 from drake_aigto.transcription import Touch
 
 # 1 m from a wall, towards it at 2 m/s. Free plans bounce at 0.55 s and end at 0.7 m/s.

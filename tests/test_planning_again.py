@@ -11,11 +11,11 @@ import pytest
 from pydrake.solvers import MathematicalProgram
 from replay_worlds import make_diagram, shipped_world
 
+from benchmarks.study import ScenarioQuestion
 from benchmarks.world_scenarios import WORLDS
 from drake_aigto import Scenario, World
 from drake_aigto.errors import ScenarioError
 from drake_aigto.planning import Plan, Planner, PlanOptions, compiled, make_problem
-from drake_aigto.study import ScenarioQuestion
 from drake_aigto.terms import TermBlock, parse_costs
 from drake_aigto.transcription import RigidTranscription
 

@@ -9,12 +9,11 @@ from itertools import islice, pairwise
 import numpy as np
 import pytest
 
+from benchmarks.optima import walls_optimum
 from benchmarks.world_scenarios import WORLDS
 from benchmarks.worlds import load_unequal
 from drake_aigto import PlanOptions, Scenario, World, plan, scenario_names
-from drake_aigto.optima import walls_optimum
-from drake_aigto.planning import Origin, make_problem
-from drake_aigto.planning.rigid_search import RigidSearch
+from drake_aigto.planning import Origin, RigidSearch, make_problem
 from drake_aigto.transcription import PhaseTranscription, Touch
 
 QUICK = PlanOptions(confirm=False)

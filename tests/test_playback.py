@@ -15,16 +15,11 @@ from meshcat_pages import BALL, MOTIONS, ball, clips, messages, objects, positio
 from pydrake.geometry import Meshcat
 
 from drake_aigto import OptionsError, OutputFileError, Scenario, World
-from drake_aigto.show.motion import Motion
-from drake_aigto.show.page import pack
-from drake_aigto.show.playback import open_meshcat, play, publish, save_html
-from drake_aigto.show.scene import ROOT
-from drake_aigto.show.track import Track
+from drake_aigto.show import ROOT, Board, Motion, open_meshcat, pack, play, publish, save_html
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch
 
 RADIUS = 0.05  # of the shipped ball [m]
-WALL = f"{ROOT}/world/point_mass_and_wall/wall/wall_visual"
 
 
 @pytest.fixture(scope="module")
@@ -33,17 +28,17 @@ def meshcat() -> Meshcat:
 
 
 @pytest.fixture
-def painted(monkeypatch: pytest.MonkeyPatch) -> list[Track]:
-    """Returns the tracks that are painted from now on."""
-    tracks: list[Track] = []
-    paint = Track.paint
+def painted(monkeypatch: pytest.MonkeyPatch) -> list[Board]:
+    """Returns the boards that are painted from now on."""
+    boards: list[Board] = []
+    paint = Board.paint
 
-    def remember(track: Track) -> Figure:
-        tracks.append(track)
-        return paint(track)
+    def remember(board: Board) -> Figure:
+        boards.append(board)
+        return paint(board)
 
-    monkeypatch.setattr(Track, "paint", remember)
-    return tracks
+    monkeypatch.setattr(Board, "paint", remember)
+    return boards
 
 
 @pytest.fixture(scope="module")
@@ -62,19 +57,19 @@ def test_each_motion_plays_at_real_speed_in_its_own_lane(
     publish(MOTIONS, meshcat, world, scenario)
     recorded = clips(meshcat)
     assert set(recorded) == {ball(lane) for lane in (1, 2, 3)}
-    sides = []
+    heights = []
     for lane, motion in enumerate(MOTIONS, 1):
         times, places = recorded[ball(lane)]
         moving = times <= motion.times[-1]
         np.testing.assert_allclose(times[moving], motion.times, atol=0.5e-3)
         np.testing.assert_allclose(places[moving, 0], motion.positions[:, 0], atol=1e-12)
         np.testing.assert_allclose(places[~moving, 0], motion.positions[-1, 0], atol=1e-12)
-        np.testing.assert_allclose(places[:, 2], 0, atol=1e-12)
-        assert np.ptp(places[:, 1]) == 0
-        sides.append(places[0, 1])
-    # The first is the farthest, none covers another, and the middle one is where the wall is.
-    assert np.all(np.diff(sides) <= -2 * RADIUS)
-    assert sides[1] == pytest.approx(0)
+        np.testing.assert_allclose(places[:, 1], 0, atol=1e-12)
+        assert np.ptp(places[:, 2]) == 0
+        heights.append(places[0, 2])
+    # The first is the highest, none covers another, and the middle one is where its world is.
+    assert np.all(np.diff(heights) <= -4 * RADIUS)
+    assert heights[1] == pytest.approx(0)
 
 
 def test_all_motions_repeat_together(meshcat: Meshcat, world: World, scenario: Scenario) -> None:
@@ -105,16 +100,23 @@ def test_a_ball_turns_round_at_the_wall_in_the_frame_of_its_impact(
     assert np.all(np.diff(times) > 0)
 
 
-def test_what_does_not_move_is_shown_once_where_it_is(
+def test_each_motion_has_a_wall_where_it_is_that_ends_out_of_sight(
     meshcat: Meshcat, world: World, scenario: Scenario
 ) -> None:
     publish(MOTIONS, meshcat, world, scenario)
-    assert [path for path in objects(meshcat) if "wall_visual" in path] == [WALL]
-    # The visual wall is 0.08 m thick, and its face is at −0.05 m.
-    np.testing.assert_allclose(position(meshcat, WALL), [-0.09, 0, 0])
+    walls = [path for path in objects(meshcat) if "wall_visual" in path]
+    assert len(walls) == 3
+    for lane, path in enumerate(walls, 1):
+        # The visual wall is 0.08 m thick, and its face is at −0.05 m; of its 0.6 m a ball's height
+        # beside the ball is seen.
+        height = position(meshcat, ball(lane))[2]
+        np.testing.assert_allclose(position(meshcat, path), [-0.09, 0, height], atol=1e-12)
+        box = objects(meshcat)[path]["geometries"][0]
+        sides = sorted(box[side] for side in ("width", "height", "depth"))
+        assert sides == pytest.approx([0.08, 0.2, 0.2])
     np.testing.assert_allclose(position(meshcat, ball(2)), [1.0, 0, 0], atol=1e-12)
-    # The balls roll on the track.
-    np.testing.assert_allclose(position(meshcat, f"{ROOT}/track"), [0, 0, -RADIUS], atol=1e-12)
+    # The board is behind the balls.
+    assert RADIUS > position(meshcat, f"{ROOT}/board")[1] > 0.8 * RADIUS
 
 
 def test_lanes_have_the_colors_of_figures(
@@ -163,15 +165,17 @@ def test_a_plan_is_played_beside_its_simulations(meshcat: Meshcat) -> None:
     play(make_plan(), meshcat)
     assert paths_of(meshcat, BALL) == {ball(lane) for lane in (1, 2, 3)}
     # The simulations are of the plan's control, so that they have its arrow.
-    assert paths_of(meshcat, "/control") == {f"{ball(lane)}/control" for lane in (1, 2, 3)}
+    assert paths_of(meshcat, "/arrow") == {
+        f"{ROOT}/motions/{lane}/control/point_mass_and_wall/ball/arrow" for lane in (1, 2, 3)
+    }
 
 
 def test_a_plan_is_played_beside_others(
-    meshcat: Meshcat, world: World, painted: list[Track]
+    meshcat: Meshcat, world: World, painted: list[Board]
 ) -> None:
     play(make_plan(), meshcat, world, beside=MOTIONS[:2])
     assert paths_of(meshcat, BALL) == {ball(lane) for lane in (1, 2, 3, 4)}
-    assert painted[-1].labels == [
+    assert [panel.label for panel in painted[-1].panels] == [
         "AIGTO: plan (not a simulation)",
         "AIGTO: simulation: compliant (Drake)",
         "plan",
@@ -179,11 +183,23 @@ def test_a_plan_is_played_beside_others(
     ]
 
 
+def test_a_way_along_a_line_has_a_leg_beside_a_leg_from_impact_to_impact(
+    meshcat: Meshcat, world: World, scenario: Scenario, painted: list[Board]
+) -> None:
+    bounce = dataclasses.replace(MOTIONS[0], impacts=(Touch.bounce(0.5),))
+    publish([bounce], meshcat, world, scenario)
+    ((way,),) = (panel.ways for panel in painted[-1].panels)
+    turn = int(np.argmin(way[:, 0]))
+    assert len(set(way[: turn + 1, 1])) == len(set(way[turn + 1 :, 1])) == 1
+    assert way[0, 1] > way[-1, 1]
+    assert np.all(way >= painted[-1].low) and np.all(way <= painted[-1].high)
+
+
 def test_what_is_shown_is_explained(
-    meshcat: Meshcat, world: World, scenario: Scenario, painted: list[Track]
+    meshcat: Meshcat, world: World, scenario: Scenario, painted: list[Board]
 ) -> None:
     play(make_plan(), meshcat, world)
-    assert painted[-1].notes == ["dots: every 0.05 s", "arrow: control, up to 0.3 N"]
+    assert painted[-1].notes == ["dots: every 0.05 s", "black arrow: control, up to 0.3 N"]
     bounce = dataclasses.replace(MOTIONS[0], impacts=(Touch.bounce(0.5),))
     publish([bounce], meshcat, world, scenario)
     assert painted[-1].notes == ["dots: every 0.05 s", "yellow flash: impact"]
@@ -191,7 +207,7 @@ def test_what_is_shown_is_explained(
 
 @pytest.mark.parametrize("lanes", [1, 3, 6, 12])
 def test_the_camera_sees_all_lanes(
-    meshcat: Meshcat, world: World, scenario: Scenario, lanes: int
+    meshcat: Meshcat, world: World, scenario: Scenario, painted: list[Board], lanes: int
 ) -> None:
     publish([MOTIONS[0]] * lanes, meshcat, world, scenario)
     sent = list(messages(meshcat.StaticHtml()))
@@ -201,12 +217,14 @@ def test_the_camera_sees_all_lanes(
     # In three.js y is up, and z towards the viewer.
     ahead = (target - eye) / np.linalg.norm(target - eye)
     up = np.array([0, 1, 0]) - ahead[1] * ahead
-    outer = (lanes / 2 + 0.7 + 0.24) * 4 * RADIUS  # A strip has the scale, and a line of notes.
-    for side in (-outer, outer):
-        ray = target + np.array([0, 0, side]) - eye
+    low, high = painted[-1].corners
+    for x, z in ((low[0], low[1]), (low[0], high[1]), (high[0], low[1]), (high[0], high[1])):
+        ray = np.array([x, z, -RADIUS]) - eye
         rise = np.arctan(ray @ up / np.linalg.norm(up) / (ray @ ahead))
+        turn = np.arctan(ray[0] / (ray @ ahead))
         assert abs(np.rad2deg(rise)) < camera["fov"] / 2
-        assert ray @ ahead < camera["far"]
+        assert abs(np.rad2deg(turn)) < 1.4 * camera["fov"] / 2
+        assert camera["near"] < ray @ ahead < camera["far"]
 
 
 def room_motion(label: str) -> Motion:
@@ -235,18 +253,16 @@ def test_each_motion_in_a_plane_has_a_world_of_its_own(meshcat: Meshcat) -> None
     assert np.all(np.diff(asides) > 1.12)  # The room is as wide with its walls.
 
 
-def test_two_masses_have_two_goals(meshcat: Meshcat, painted: list[Track]) -> None:
+def test_two_masses_have_two_goals(meshcat: Meshcat, painted: list[Board]) -> None:
     scenario = Scenario.named("two_masses/handed_on")
     q = np.array([scenario.initial_position, scenario.goal_position])
     motion = Motion("plan", np.array([0.0, 1.0]), q, np.zeros((2, 2)))
     publish([motion], meshcat, World.from_scenario(scenario), scenario)
+    (board,) = painted
+    assert board.names == ["left", "right"] and board.has_lanes
     # The right ball's middle is at q₂ + 1/8 m.
-    expected = {"left start": 0.2, "right start": 0.625, "left goal": 0.5, "right goal": 1.025}
-    assert painted[-1].marks == pytest.approx(expected)
-    assert {path.split("/")[-1] for path in clips(meshcat)} == {
-        "left_ball_visual",
-        "right_ball_visual",
-    }
+    np.testing.assert_allclose(board.starts[:, 0], [0.2, 0.625], atol=1e-12)
+    np.testing.assert_allclose(board.goals[:, 0], [0.5, 1.025], atol=1e-12)
 
 
 def test_a_page_is_written_whole_and_holds_all(

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from general_programs import Formula, make_program
 from hypothesis import assume, given
 from hypothesis import strategies as st
 from local_problems import add_cost
@@ -13,9 +14,14 @@ from pydrake.solvers import MathematicalProgram
 from pydrake.symbolic import cos, exp, sin
 
 from benchmarks.collections.lifted_functions import lift, lifted_problems
-from drake_aigto.solver import AigoOptions, AigoSolver, AigoStatus
-from drake_aigto.solver.program import AigoProgram, read_program
-from drake_aigto.solver.question import ContradictionError
+from drake_aigto.solver import (
+    AigoOptions,
+    AigoProgram,
+    AigoSolver,
+    AigoStatus,
+    ContradictionError,
+    read_program,
+)
 
 SMALL = [problem for problem in lifted_problems() if problem.num_variables <= 3]
 
@@ -26,7 +32,7 @@ def test_a_lifted_function_costs_what_it_does_without_lift_and_its_rows_hold(
 ) -> None:
     prog = lift(problem, seed)
     program = read_program(prog).presolved()
-    assume(not program.num_rows)
+    assume(not program.nlp.num_rows)
     low, high = program.nlp.lower, program.nlp.upper
     z = np.array([random.uniform(a, b) for a, b in zip(low, high, strict=True)])
     x = program.answer(z)
@@ -83,13 +89,9 @@ def test_a_long_chain_keeps_its_states_coupled_to_neighbors_only() -> None:
 
 
 def reduced(
-    *rows: Any, cost: Any = lambda x: x[0] ** 2 + x[1] ** 2, bounds: Any = ()
+    *rows: Formula, cost: Formula = lambda x: x[0] ** 2 + x[1] ** 2, bounds: Any = ()
 ) -> AigoProgram:
-    prog = MathematicalProgram()
-    x = prog.NewContinuousVariables(3, "x")
-    add_cost(prog, cost(x))
-    for row in rows:
-        prog.AddConstraint(row(x))
+    prog, x = make_program(3, cost, *rows)
     for i, low, high in bounds:
         prog.AddBoundingBoxConstraint(low, high, x[i])
     return read_program(prog).presolved()
@@ -97,7 +99,7 @@ def reduced(
 
 def test_waves_of_an_affine_definition_stay_closed() -> None:
     program = reduced(lambda x: x[2] == 2 * x[0] - x[1] + 0.3, cost=lambda x: x[2] * cos(x[2]))
-    assert program.num_rows == 0
+    assert program.nlp.num_rows == 0
     x = np.array([0.4, -1.1, 2.2])
     y = program.with_slacks(program.reduce(x))
     assert program.nlp.evaluate(y)[0] == pytest.approx(2.2 * np.cos(2.2))
@@ -108,7 +110,7 @@ def test_what_would_have_no_mean_is_not_substituted() -> None:
     # x₁ = x₂ − x₀² is fine, and x₂ in the sine is not.
     assert [each.variable for each in program.reduced.definitions] == [1]
     none = reduced(lambda x: x[2] == exp(x[1]) * x[0], cost=lambda x: sin(x[2]) + x[0] ** 2)
-    assert none.reduced.definitions == () and none.num_rows == 1
+    assert none.reduced.definitions == () and none.nlp.num_rows == 1
 
 
 def test_bounds_of_what_is_substituted_stay_unless_they_hold_anyway() -> None:
@@ -116,29 +118,26 @@ def test_bounds_of_what_is_substituted_stay_unless_they_hold_anyway() -> None:
     for low, high, count in ((0.0, 4.0, 0), (-np.inf, 5.0, 0), (1.0, 4.0, 1), (0.0, 3.0, 1)):
         program = reduced(square, bounds=[*box, (2, low, high)])
         assert [each.variable for each in program.reduced.definitions] == [2]
-        assert len(program.slacks) == program.num_rows == count
+        assert len(program.slacks) == program.nlp.num_rows == count
 
 
 def test_a_definition_that_overflows_far_out_is_no_warning() -> None:
-    prog = MathematicalProgram()
-    x, y = prog.NewContinuousVariables(2, "x")
-    prog.AddConstraint(exp(x) + y == 20)
-    add_cost(prog, (x - 1) ** 2 + y**2)
+    prog, x = make_program(
+        2, lambda x: (x[0] - 1) ** 2 + x[1] ** 2, lambda x: exp(x[0]) + x[1] == 20
+    )
     result = AigoSolver().Solve(prog)
-    at = result.GetSolution(x)
-    assert result.is_success() and np.exp(at) + result.GetSolution(y) == pytest.approx(20)
-    # There the slope along the row, y = 20 − exp(x), vanishes.
-    assert at - 1 == pytest.approx(np.exp(at) * result.GetSolution(y), rel=1e-4)
+    u, v = result.GetSolution(x)
+    assert result.is_success() and np.exp(u) + v == pytest.approx(20)
+    # There the slope along the row, v = 20 − exp(u), vanishes.
+    assert u - 1 == pytest.approx(np.exp(u) * v, rel=1e-4)
 
 
 def test_rows_that_contradict_each_other_by_substitution_are_told() -> None:
     with pytest.raises(ContradictionError):
         reduced(lambda x: x[2] == x[0] + x[1], lambda x: x[2] - x[0] - x[1] == 1)
-    prog = MathematicalProgram()
-    (x,) = prog.NewContinuousVariables(1, "x")
-    (y,) = prog.NewContinuousVariables(1, "y")
-    prog.AddConstraint(x == y + 1)
-    prog.AddConstraint(x == y + 2)
+    prog, _ = make_program(
+        2, lambda x: x[0] ** 2, lambda x: x[0] == x[1] + 1, lambda x: x[0] == x[1] + 2
+    )
     details = AigoSolver().Solve(prog).get_solver_details()
     assert details.status is AigoStatus.CONTRADICTORY_BOUNDS
 

@@ -15,8 +15,7 @@ import pytest
 import yaml
 
 from drake_aigto import ModelError, Planner, Scenario, World
-from drake_aigto.cli.command_line import make_parser
-from drake_aigto.cli.scenario_flags import load_scenario
+from drake_aigto.cli import load_scenario, make_parser
 
 CHECKOUT = Path(__file__).parents[1]
 README = (CHECKOUT / "README.md").read_text(encoding="utf-8")

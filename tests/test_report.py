@@ -24,7 +24,7 @@ pytestmark = pytest.mark.skipif(
 FRAME, SLIDER, TOGGLE = "#player-frame", "#player-slider", "#player-toggle"
 VIEWER = f"document.querySelector('{FRAME}').contentWindow.viewer"
 FIT = f"[document.querySelector('{FRAME}').clientHeight, {VIEWER}.camera.zoom]"
-TRACK = ["drake_aigto", "track", "<object>"]
+BOARD = ["drake_aigto", "board", "<object>"]
 
 
 @pytest.fixture(scope="module")
@@ -48,10 +48,10 @@ def page(report: Path) -> Iterator[Page]:
 
 
 def open_report(page: Page, report: Path) -> None:
-    """Shows a report, and waits until its scene is whole: the track comes last."""
+    """Shows a report, and waits until its scene is whole: the board comes last."""
     page.open(report)
     page.wait_for(f"!document.querySelector('{SLIDER}').disabled")
-    page.wait_for(f"{VIEWER}.scene_tree.find({TRACK}).object.children.length")
+    page.wait_for(f"{VIEWER}.scene_tree.find({BOARD}).object.children.length")
 
 
 def show(page: Page, seconds: float) -> NDArray[np.float64]:

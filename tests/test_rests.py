@@ -10,8 +10,8 @@ from phase_solutions import Solved, solve
 
 from benchmarks.floor_reference import floor_optimum
 from benchmarks.floors import draw, make_world
+from benchmarks.optima import walls_optimum
 from drake_aigto import PlanOptions, Scenario, World
-from drake_aigto.optima import walls_optimum
 from drake_aigto.planning import Planner
 from drake_aigto.transcription import PhaseTranscription, Touch
 

@@ -7,13 +7,13 @@ from pathlib import Path
 
 import pytest
 
-from drake_aigto.errors import OutputFileError, ResultsFileError
-from drake_aigto.study.results_file import (
+from benchmarks.study.study import (
     check_results_file,
     check_same_question,
     read_results,
     round_to,
 )
+from drake_aigto.errors import OutputFileError, ResultsFileError
 
 
 @pytest.fixture

@@ -14,20 +14,21 @@ from matplotlib.patches import Rectangle
 from refusals import check_refused
 from scenario_studies import TOYS, made_up_study
 
-from drake_aigto.baselines import registry
-from drake_aigto.cli import FINE, bench, main
-from drake_aigto.show.scenario_figures import (
+from benchmarks.__main__ import main
+from benchmarks.baselines import registry
+from benchmarks.study.scenario_figures import (
     COST_CLASSES,
     plot_costs,
     plot_map,
     plot_success_over_time,
 )
-from drake_aigto.show.scenario_page import command_of
-from drake_aigto.show.scenario_tables import ratio_text
-from drake_aigto.study.method_run import MethodRun
-from drake_aigto.study.scenario_question import ScenarioQuestion
-from drake_aigto.study.scenario_results import ScenarioStudy
-from drake_aigto.study.spread import Spread
+from benchmarks.study.scenario_question import ScenarioQuestion
+from benchmarks.study.scenario_runs import MethodRun
+from benchmarks.study.scenario_study import ScenarioStudy
+from benchmarks.study.scenario_tables import ratio_text
+from benchmarks.study.spread import Spread
+from benchmarks.study.study import command_of
+from drake_aigto.cli import FINE
 
 PNG = b"\x89PNG\r\n"
 
@@ -53,7 +54,7 @@ def page(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("page")
     make_study().save(folder / "rivals.json")
     page = folder / "results.md"
-    assert main(["bench", "page", str(folder / "rivals.json"), "--out", str(page)]) == FINE
+    assert main(["page", str(folder / "rivals.json"), "--out", str(page)]) == FINE
     return page
 
 
@@ -87,7 +88,7 @@ def test_the_table_says_what_the_study_says(page: Path) -> None:
 
 def test_the_page_is_the_same_again(page: Path, tmp_path: Path) -> None:
     again = tmp_path / page.name
-    assert main(["bench", "page", str(page.with_name("rivals.json")), "--out", str(again)]) == FINE
+    assert main(["page", str(page.with_name("rivals.json")), "--out", str(again)]) == FINE
     assert again.read_bytes() == page.read_bytes()
     for image in (tmp_path / "images").iterdir():
         assert image.read_bytes() == (page.parent / "images" / image.name).read_bytes()
@@ -115,20 +116,20 @@ def test_the_command_on_the_page_asks_the_studys_question(
 ) -> None:
     asked: list[ScenarioQuestion] = []
 
-    def ask(question: ScenarioQuestion, *arguments: object, **keywords: object) -> ScenarioStudy:
-        asked.append(question)
-        return ScenarioStudy(question)
+    def ask(study: ScenarioStudy, *arguments: object, **keywords: object) -> ScenarioStudy:
+        asked.append(study.question)
+        return study
 
     monkeypatch.setattr(registry, "BASELINES", TOYS)
-    monkeypatch.setattr(bench, "run_scenario_study", ask)
-    assert main(shlex.split(command_of(question))[1:]) == FINE
+    monkeypatch.setattr(ScenarioStudy, "run", ask)
+    assert main(shlex.split(command_of(question))[3:]) == FINE
     assert asked == [question]
 
 
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ('{"kind": "weather"}', "got kind 'weather', expected one of 'scenarios'"),
+        ('{"kind": "weather"}', "got kind 'weather', expected one of 'scenarios', "),
         ('{"kind": "scenarios"}', "is damaged: got no 'question'"),
         (
             '{"kind": "scenarios", "question": []}',
@@ -143,7 +144,7 @@ def test_what_is_no_result_is_one_line_and_status_2(
     path = tmp_path / "x.json"
     path.write_text(text, encoding="utf-8")
     page = tmp_path / "results.md"
-    check_refused(["bench", "page", str(path), "--out", str(page)], message, capsys)
+    check_refused(["page", str(path), "--out", str(page)], message, capsys, main)
     assert not page.exists()
 
 
@@ -190,10 +191,8 @@ def test_the_map_marks_what_is_missed_where_it_is() -> None:
     }
     assert set(places) == set(expected)
     for label, numbers in expected.items():
-        scenarios = [study.results[number].scenario for number in numbers]
-        np.testing.assert_array_equal(
-            places[label], [(s.initial_velocity[0], s.goal_position[0]) for s in scenarios]
-        )
+        results = [study.results[number] for number in numbers]
+        np.testing.assert_array_equal(places[label], [(r.velocity, r.goal) for r in results])
     assert axes.get_title() == "coast: 1 of 4"
 
 

@@ -14,10 +14,11 @@ from hypothesis import strategies as st
 from replay_worlds import make_diagram, make_scenario, shipped_world
 from rigid_rivals import follow, make_rivals, optimal_control, transcribe
 
+from drake_aigto.dynamics import Contact
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.optima import RigidOptimum, rigid_optimum
+from drake_aigto.paper import RigidOptimum, rigid_optimum
 from drake_aigto.simulation import replay_event_driven
-from drake_aigto.world import Contact, Scenario, World, files
+from drake_aigto.world import Scenario, World, models_directory
 
 # Table I's row, e → cost, bounce time [s], impact velocity [m/s], cost of the flight; from a search
 # over grids of touches with refinement, made before this package.
@@ -250,7 +251,7 @@ def test_time_can_be_told_in_other_units(scenario: Scenario, goal: float, scale:
 
 
 def write_model(directory: Path, old: str, new: str) -> str:
-    text = (files.models_directory() / "point_mass_and_wall.sdf").read_text(encoding="utf-8")
+    text = (models_directory() / "point_mass_and_wall.sdf").read_text(encoding="utf-8")
     assert old in text
     path = directory / "variant.sdf"
     path.write_text(text.replace(old, new), encoding="utf-8")

@@ -13,8 +13,7 @@ from replay_worlds import make_diagram, shipped_world
 from table1_plans import COARSE, UNCONFIRMED, bounce_plan, table1
 
 from drake_aigto import Scenario, World
-from drake_aigto.optima import rigid_optimum
-from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal
+from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal, rigid_optimum
 from drake_aigto.planning import (
     Origin,
     Plan,
@@ -27,7 +26,7 @@ from drake_aigto.planning import (
     rigid_phases,
 )
 from drake_aigto.planning.options import RIGID_LADDER
-from drake_aigto.show.plans import format_plan
+from drake_aigto.show import format_plan
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch
 
 # Of few time steps.

@@ -16,6 +16,7 @@ import pytest
 from replay_worlds import make_diagram, shipped_world
 from table1_plans import COARSE, UNCONFIRMED, bounce_plan, table1
 
+from benchmarks.study import ScenarioQuestion
 from drake_aigto import World
 from drake_aigto.aigo import AigoResult, Iterate, Status
 from drake_aigto.errors import OptionsError
@@ -25,12 +26,12 @@ from drake_aigto.planning import (
     Planner,
     PlanOptions,
     RigidProblem,
+    RigidSearch,
+    Rung,
     make_problem,
     plan,
 )
-from drake_aigto.planning.options import RIGID_LADDER, Rung
-from drake_aigto.planning.rigid_search import RigidSearch
-from drake_aigto.study import ScenarioQuestion
+from drake_aigto.planning.options import RIGID_LADDER
 from drake_aigto.transcription import RigidTranscription, Touch, TouchSequence
 
 

@@ -10,17 +10,18 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from box_programs import compile_program
+from box_programs import compile_program, mean_by_block
 from replay_worlds import make_diagram, make_scenario, shipped_world
 from rigid_worlds import AXIS, NAMES, Physics, indices, make_motion, physics_of, write_model
 from scipy.linalg import expm
 
 from drake_aigto import ModelError, OptionsError, Scenario, World
 from drake_aigto.box import BoxPolynomial
+from drake_aigto.contact import JointImpact
+from drake_aigto.dynamics import Contact
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Transcription
-from drake_aigto.transcription.rigid_contact import JointImpact, rigid_defects
-from drake_aigto.world.contact import Contact
+from drake_aigto.transcription.rigid_contact import rigid_defects
 
 Array = npt.NDArray[np.float64]
 
@@ -204,7 +205,7 @@ def test_penalties_are_the_formulas_of_the_docstring(steps: int, duration: float
     transcription = RigidTranscription(shipped_world(m), scenario, relaxation=eps)
     x = np.random.default_rng(steps).normal(size=transcription.prog().num_vars())
     f = compile_program(transcription.penalized(), transcription.elimination_order())
-    shares = f.mean_by_block(x, 0.0)
+    shares = mean_by_block(f, x, 0.0)
     q, v, u = (part[:, 0] for part in transcription.split(x))
     dt, L, k = T / N, 1.5, slice(1, None)
     after = v[1:] - dt * u / m

@@ -11,7 +11,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 from replay_worlds import hold, make_diagram, make_scenario, shipped_world
 
-from drake_aigto.simulation.replay import replay_event_driven
+from drake_aigto.simulation import replay_event_driven
 from drake_aigto.world import World
 
 # What the event-driven wall promises; it mostly is a thousand times better.
@@ -49,7 +49,7 @@ def test_event_driven_is_exact(
 ) -> None:
     times, forces = control
     exact = exact_wall.run(q, v, times, forces, e, mass or 1.0)
-    # Shorter hops may become rest (RigidWall): a tolerance that is stated, and tested below.
+    # Shorter hops may become rest (`simulation.flights`): a stated tolerance, tested below.
     assume(exact.shortest_hop > 1e-6 * 20 * times[-1])
     replay = replay_event_driven(
         shipped_world(mass), make_scenario(q, v, restitution=e), times, np.c_[forces]
@@ -74,7 +74,7 @@ def test_an_elastic_wall_does_no_work(
     assume(len(replay.bounce_times) < 10)
     work = np.array(forces) @ np.diff(replay.positions[at_knots, 0])
     gained = (replay.velocities[-1, 0] ** 2 - v**2) / 2
-    # What rest may drop: see RigidWall.
+    # What rest may drop: see `simulation.flights`.
     assert gained == pytest.approx(work, abs=1e-6)
 
 

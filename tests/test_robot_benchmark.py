@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import math
 from concurrent.futures import Future
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +13,7 @@ from scenario_studies import Inline
 from scipy.integrate import solve_ivp
 
 from benchmarks.local_peers import casadi
-from benchmarks.robots.compare import run_comparison, run_method
+from benchmarks.robots.compare import RobotStudy, run_method
 from benchmarks.robots.figures import find_figures
 from benchmarks.robots.ipopt import IPOPT_STEPS
 from benchmarks.robots.judge import Control, judge
@@ -29,7 +28,7 @@ from benchmarks.robots.methods import (
     shooting_multistart,
     snopt_multistart,
 )
-from benchmarks.robots.results import Comparison, Outcome, Results, Row, Step
+from benchmarks.robots.results import Comparison, Outcome, Row, Step
 from benchmarks.robots.shooting import world_of
 from benchmarks.robots.table import format_results
 from benchmarks.robots.worlds import (
@@ -265,7 +264,7 @@ def row(cost: float, known: float, method: str = "shooting") -> Row:
 def test_the_table_counts_what_is_near_the_best_known_and_below_it() -> None:
     rows = (row(10.0, 10.0), row(10.3, 10.0), row(9.0, 10.0), row(20.0, 10.0))
     comparison = Comparison((NEAR,), 4, ("shooting",), 1.0)
-    line = format_results(Results(comparison, rows)).splitlines()[-1]
+    line = format_results(RobotStudy(comparison, rows)).splitlines()[-1]
     assert " ".join(line.split()).startswith(
         "shooting 50.0 % 75.0 % 25.0 % 1.00 1.00 2.00 2.00 0.50 "
     )
@@ -273,7 +272,7 @@ def test_the_table_counts_what_is_near_the_best_known_and_below_it() -> None:
 
 def test_figures_are_of_plans_that_are_off_the_best_known() -> None:
     rows = (row(10.0, 10.0, "plan"), row(10.3, 10.0, "plan"))
-    figures = list(find_figures(Results(Comparison((NEAR,), 2, ("plan",)), rows)))
+    figures = list(find_figures(RobotStudy(Comparison((NEAR,), 2, ("plan",)), rows)))
     assert [(value, most) for _, value, most in figures] == [(0.5, 0.05), (1.0, 1.0), (0.0, 0.01)]
 
 
@@ -298,16 +297,4 @@ class Idle(Inline):
 
 def test_a_comparison_ends_when_time_is_up() -> None:
     asked = Comparison((NEAR,), 2, ("plan",))
-    assert run_comparison(asked, executor=Idle(), minutes=1e-3).rows == ()
-
-
-@pytest.mark.skipif(casadi is None, reason="CasADi is not installed")
-def test_a_comparison_goes_on_from_its_file(tmp_path: Path) -> None:
-    comparison = Comparison((NEAR,), 2, ("IPOPT",), 0.01)
-    whole = run_comparison(comparison, executor=Inline())
-    path = tmp_path / "robots.json"
-    Results(comparison, whole.rows[1:]).save(path)
-    resumed = run_comparison(comparison, path, resume=True, executor=Inline())
-    assert resumed.rows[1] == whole.rows[1]  # To the last digit of its seconds.
-    assert resumed.rows[0].outcomes[0].promised == whole.rows[0].outcomes[0].promised
-    assert Results.load(path) == resumed
+    assert RobotStudy(asked).run(executor=Idle(), minutes=1e-3).results == ()

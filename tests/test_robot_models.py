@@ -14,7 +14,8 @@ from pydrake.geometry import Role
 from pydrake.multibody.tree import BodyIndex
 
 from drake_aigto import Scenario, World, scenario_names
-from drake_aigto.world import CompliantLaw, TaskCost
+from drake_aigto.contact import CompliantLaw, contact_law
+from drake_aigto.world import TaskCost
 
 read = cache(build)
 
@@ -83,7 +84,7 @@ def test_a_cart_pole_touches_walls_as_far_apart_and_as_stiff_as_its_name_says(na
         np.testing.assert_allclose(world.calc_signed_distance(q), [d + tip, d - tip], atol=ROUNDING)
         np.testing.assert_array_equal(world.calc_mass_matrix(q), free.calc_mass_matrix(q))
         np.testing.assert_array_equal(world.calc_bias(q, q), free.calc_bias(q, q))
-    law = world.contact_law(dataclasses.replace(ask_robot(name), contact="compliant"))
+    law = contact_law(world, dataclasses.replace(ask_robot(name), contact="compliant"))
     assert isinstance(law, CompliantLaw)
     expected = 200.0 if kind == "soft" else 1e9
     np.testing.assert_allclose(law.stiffness, expected, rtol=2 * np.finfo(float).eps)
@@ -153,7 +154,7 @@ ROBOT_SCENARIOS = [
 def test_the_scenario_of_a_robot_is_one_that_its_law_and_bounds_allow(name: str) -> None:
     scenario = Scenario.named(name)
     world = World.from_scenario(scenario)
-    law = world.contact_law(scenario)
+    law = contact_law(world, scenario)
     assert isinstance(law, CompliantLaw) == ("soft" in name)
     assert {len(each) for each in vars(law).values()} == {world.num_contacts}
     bounds = world.bounds(scenario)

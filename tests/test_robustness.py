@@ -18,7 +18,7 @@ from scenario_studies import Inline
 from benchmarks.robustness import study as robustness
 from benchmarks.robustness.figures import format_robustness
 from benchmarks.robustness.question import RobustnessQuestion
-from benchmarks.robustness.results import (
+from benchmarks.robustness.study import (
     DRAKE,
     FEEDBACK,
     GRADIENT,
@@ -27,13 +27,13 @@ from benchmarks.robustness.results import (
     PlanResult,
     RobustnessStudy,
     TaskResult,
+    plan_without_contact,
     round_as_filed,
+    run_task,
 )
-from benchmarks.robustness.study import plan_without_contact, run_robustness, run_task
 from drake_aigto import OptionsError, PlanningError, Scenario
 from drake_aigto.control import FlightFeedback, track_event_driven
-from drake_aigto.errors import ResultsFileError
-from drake_aigto.optima import rigid_optimum
+from drake_aigto.paper import rigid_optimum
 from drake_aigto.plain import from_plain, to_plain
 from drake_aigto.simulation import replay_event_driven
 
@@ -153,9 +153,8 @@ def test_a_plan_that_is_not_found_is_told(monkeypatch: pytest.MonkeyPatch) -> No
 
 
 def test_a_study_reads_back_as_it_was_written(tmp_path: Path) -> None:
-    study = RobustnessStudy(QUESTION, (make_result("table1/2, e = 1"),))
-    study = study.with_result(make_result("table1/1, e = 1"))
-    assert [result.name for result in study.results] == ["table1/1, e = 1", "table1/2, e = 1"]
+    results = make_result("table1/1, e = 1"), make_result("table1/2, e = 1")
+    study = RobustnessStudy(QUESTION, results)
     path = tmp_path / "results.json"
     study.save(path)
     assert RobustnessStudy.load(path) == study
@@ -165,23 +164,8 @@ def test_a_study_reads_back_as_it_was_written(tmp_path: Path) -> None:
 def test_a_study_goes_on_where_it_was(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(robustness, "run_task", lambda task, _: make_result(task.name))
     path, executor, lines = tmp_path / "results.json", Inline(), list[str]()
-    RobustnessStudy(QUESTION, (make_result("table1/1, e = 1"),)).save(path)
-    with pytest.raises(ResultsFileError, match=r"got one that exists.*--resume"):
-        run_robustness(QUESTION, path, executor=executor)
-    study = run_robustness(QUESTION, path, resume=True, executor=executor, progress=lines.append)
+    RobustnessStudy(QUESTION, (make_result("table1/2, e = 1"),)).save(path)
+    study = RobustnessStudy(QUESTION)
+    study = study.run(path, resume=True, executor=executor, progress=lines.append)
     assert executor.num_jobs == 1 and lines == ["2 of 2 tasks done"]
-    assert RobustnessStudy.load(path) == study and len(study.results) == 2
-    other = dataclasses.replace(QUESTION, percent=2.0)
-    with pytest.raises(ResultsFileError, match=r"another study: got percent 1.0, expected percent"):
-        run_robustness(other, path, resume=True, executor=executor)
-    assert executor.num_jobs == 1
-
-
-def test_a_damaged_file_is_refused(tmp_path: Path) -> None:
-    path = tmp_path / "results.json"
-    path.write_text('{"kind": "robustness", "question": {}}')
-    with pytest.raises(ResultsFileError, match="is damaged: got no 'results'"):
-        RobustnessStudy.load(path)
-    path.write_text('{"kind": "scenarios"}')
-    with pytest.raises(ResultsFileError, match="got kind 'scenarios', expected kind 'robustness'"):
-        RobustnessStudy.load(path)
+    assert [result.name for result in study.results] == ["table1/1, e = 1", "table1/2, e = 1"]

@@ -14,8 +14,8 @@ from robustness_studies import QUESTION, make_result
 from benchmarks.robustness.figures import format_robustness, plot_robustness
 from benchmarks.robustness.page import ROBUSTNESS
 from benchmarks.robustness.perturbation import QUANTITIES, RANDOM
-from benchmarks.robustness.results import DRAKE, KIND, OURS, PlanResult, RobustnessStudy
-from drake_aigto.show.results_page import write_results_page
+from benchmarks.robustness.study import DRAKE, OURS, PlanResult, RobustnessStudy
+from benchmarks.study.page import write_results_page
 
 
 def test_the_table_has_every_kind_of_every_plan_in_a_hundred_columns() -> None:
@@ -60,7 +60,7 @@ def test_the_page_has_the_command_the_summary_and_the_figure(tmp_path: Path) -> 
     done = make_result("table1/2, e = 1")
     results = done, dataclasses.replace(done, name="table1/1, e = 1", plans=(failed,))
     RobustnessStudy(question, results).save(file)
-    write_results_page([file], page, {KIND: ROBUSTNESS})
+    write_results_page([file], page, {QUESTION.kind: ROBUSTNESS})
     text = page.read_text(encoding="utf-8")
     command = "robustness --rows 1 2 --restitutions 1 --percent 1 --samples 2 --seed 0"
     assert f"    python -m benchmarks {command} --no-confirm\n" in text
@@ -70,7 +70,7 @@ def test_the_page_has_the_command_the_summary_and_the_figure(tmp_path: Path) -> 
     (picture,) = re.findall(r"!\[[^]]+\]\((\S+)\)", text)
     assert (tmp_path / picture).read_bytes().startswith(b"\x89PNG")
     RobustnessStudy(question, results[:1]).save(file)
-    write_results_page([file], page, {KIND: ROBUSTNESS})
+    write_results_page([file], page, {QUESTION.kind: ROBUSTNESS})
     assert "Not all of these tasks are done." in page.read_text(encoding="utf-8")
 
 

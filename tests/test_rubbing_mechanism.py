@@ -11,7 +11,7 @@ from rubbing_worlds import RADIUS, make_discs
 
 from drake_aigto import FrictionError, Scenario, World, replay_drake, replay_event_driven
 from drake_aigto.arrays import Floats
-from drake_aigto.simulation.replay import Replay
+from drake_aigto.simulation import Replay
 
 G, MU = 9.81, 0.3
 

@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenario_studies import TOYS
 
-from drake_aigto.baselines import registry
+from benchmarks.baselines import registry
+from benchmarks.study.scenario_question import ScenarioQuestion
+from benchmarks.study.spread import Spread
 from drake_aigto.errors import AigtoError, MissingExtraError, OptionsError, ScenarioError
 from drake_aigto.plain import from_plain, to_plain
-from drake_aigto.study.scenario_question import ScenarioQuestion
-from drake_aigto.study.spread import Spread
 
 FINITE = st.floats(allow_nan=False, allow_infinity=False)
 LISTS = st.lists(FINITE, min_size=1, max_size=4).map(lambda values: Spread(tuple(values)))

@@ -15,20 +15,19 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenario_studies import TOYS, Inline
 
-from drake_aigto.baselines import registry
-from drake_aigto.errors import ResultsFileError, StudyError
-from drake_aigto.study import scenario_study
-from drake_aigto.study.method_run import Job, MethodRun
-from drake_aigto.study.scenario_question import ScenarioQuestion
-from drake_aigto.study.scenario_results import (
+from benchmarks.baselines import registry
+from benchmarks.study import scenario_runs
+from benchmarks.study.scenario_question import ScenarioQuestion
+from benchmarks.study.scenario_runs import Job, MethodRun, run_job
+from benchmarks.study.scenario_study import (
     DIED,
     ScenarioStudy,
     calc_good_enough,
     count_right_boxes,
     summarize,
 )
-from drake_aigto.study.scenario_study import run_job, run_scenario_study
-from drake_aigto.study.spread import Spread
+from benchmarks.study.spread import Spread
+from drake_aigto.errors import ResultsFileError, StudyError
 
 # Where coasting is optimal, and where it is not, in turn.
 QUICK = ScenarioQuestion(
@@ -49,7 +48,7 @@ PLANNED = dataclasses.replace(
 @pytest.fixture(autouse=True)
 def toys(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(registry, "BASELINES", TOYS)
-    scenario_study._warm_up.cache_clear()
+    scenario_runs._warm_up.cache_clear()
 
 
 @pytest.fixture
@@ -58,7 +57,7 @@ def path(tmp_path: Path) -> Path:
 
 
 def test_a_method_succeeds_where_its_replay_costs_no_more_than_the_optimum() -> None:
-    study = run_scenario_study(QUICK, executor=Inline())
+    study = ScenarioStudy(QUICK).run(executor=Inline())
     assert study.is_complete
     easy, hard, *_ = study.results
     assert easy.optimum == pytest.approx(0.0, abs=1e-12)
@@ -72,7 +71,7 @@ def test_a_method_succeeds_where_its_replay_costs_no_more_than_the_optimum() -> 
 
 
 def test_a_method_that_fails_is_kept_with_its_error() -> None:
-    study = run_scenario_study(QUICK, executor=Inline())
+    study = ScenarioStudy(QUICK).run(executor=Inline())
     for result in study.results:
         assert result.runs["crash"].error == "ZeroDivisionError: no way\nat all"
         assert result.runs["crash"].cost == math.inf
@@ -86,8 +85,8 @@ def test_the_planner_goes_first_and_its_time_is_the_unit(monkeypatch: pytest.Mon
         jobs.append(job)
         return run_job(job)
 
-    monkeypatch.setattr(scenario_study, "run_job", run)
-    study = run_scenario_study(PLANNED, executor=Inline())
+    monkeypatch.setattr(scenario_runs, "run_job", run)
+    study = ScenarioStudy(PLANNED).run(executor=Inline())
     first = [next(job.method for job in jobs if job.number == number) for number in (0, 1)]
     assert first == ["aigto", "aigto"]
     for job in jobs:
@@ -102,11 +101,11 @@ def test_the_planner_goes_first_and_its_time_is_the_unit(monkeypatch: pytest.Mon
 
 def test_boxes_alone_are_read_if_asked_for() -> None:
     question = dataclasses.replace(PLANNED, count=1, methods=("aigto",), reads_boxes=True)
-    study = run_scenario_study(question, executor=Inline())
+    study = ScenarioStudy(question).run(executor=Inline())
     (result,) = study.results
     each, either, count = count_right_boxes(study.results)
     assert count == 1
-    assert len(each) == len(result.runs["aigto"].boxes) == len(scenario_study.OPTIONS.ladder)
+    assert len(each) == len(result.runs["aigto"].boxes) == len(scenario_runs.OPTIONS.ladder)
     assert either == (0 in result.runs["aigto"].boxes)  # The optimum is a flight.
 
 
@@ -131,37 +130,23 @@ def test_thinning_loses_no_budgets_cost(
 
 
 def test_a_file_has_what_was_done(path: Path) -> None:
-    study = run_scenario_study(QUICK, path, executor=Inline())
+    study = ScenarioStudy(QUICK).run(path, executor=Inline())
     assert ScenarioStudy.load(path) == study
     data = json.loads(path.read_text(encoding="utf-8"))
     assert data["kind"] == "scenarios"
     assert [each["goal"] for each in data["results"]] == [1.2, 0.5, 1.2, 0.5]
 
 
-def test_an_existing_file_is_not_written_over(path: Path) -> None:
-    path.write_text("precious", encoding="utf-8")
-    with pytest.raises(ResultsFileError, match=r"got one that exists\. Go on from it"):
-        run_scenario_study(QUICK, path, executor=Inline())
-    assert path.read_text(encoding="utf-8") == "precious"
-
-
-def test_going_on_does_nothing_twice(path: Path) -> None:
-    executor = Inline()
-    study = run_scenario_study(QUICK, path, executor=executor)
-    assert executor.num_jobs == 8
-    again = run_scenario_study(QUICK, path, resume=True, executor=executor)
-    assert executor.num_jobs == 8
-    assert again == study
-
-
 def test_going_on_adds_scenarios_and_methods(path: Path) -> None:
     fewer = dataclasses.replace(QUICK, count=2, methods=("coast",))
-    small = run_scenario_study(fewer, path, executor=Inline())
+    small = ScenarioStudy(fewer).run(path, executor=Inline())
     executor = Inline()
-    large = run_scenario_study(QUICK, path, resume=True, executor=executor)
+    large = ScenarioStudy(QUICK).run(path, resume=True, executor=executor)
     assert executor.num_jobs == 8 - 2
     assert large.is_complete
     assert large.results[1].runs["coast"] == small.results[1].runs["coast"]
+    again = ScenarioStudy(QUICK).run(path, resume=True, executor=executor)
+    assert executor.num_jobs == 8 - 2 and again == large
 
 
 @pytest.mark.parametrize(
@@ -176,12 +161,11 @@ def test_going_on_adds_scenarios_and_methods(path: Path) -> None:
 def test_another_studys_file_is_refused_with_what_differs(
     path: Path, changes: dict[str, Any], told: list[str]
 ) -> None:
-    run_scenario_study(QUICK, path, executor=Inline())
+    ScenarioStudy(QUICK).run(path, executor=Inline())
     before = path.read_bytes()
     with pytest.raises(ResultsFileError) as error:
-        run_scenario_study(
-            dataclasses.replace(QUICK, **changes), path, resume=True, executor=Inline()
-        )
+        other = ScenarioStudy(dataclasses.replace(QUICK, **changes))
+        other.run(path, resume=True, executor=Inline())
     for text in ("study.json is of another study: got ", *told):
         assert text in str(error.value)
     assert "velocity" not in str(error.value)
@@ -197,7 +181,7 @@ def test_another_studys_file_is_refused_with_what_differs(
     ],
 )
 def test_a_damaged_file_is_refused(path: Path, old: str, new: str, message: str) -> None:
-    run_scenario_study(QUICK, path, executor=Inline())
+    ScenarioStudy(QUICK).run(path, executor=Inline())
     text = path.read_text(encoding="utf-8")
     assert old in text
     path.write_text(text.replace(old, new), encoding="utf-8")
@@ -214,13 +198,13 @@ def test_ctrl_c_keeps_what_was_done(path: Path) -> None:
             raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_scenario_study(QUICK, path, executor=Inline(), progress=interrupt)
+        ScenarioStudy(QUICK).run(path, executor=Inline(), progress=interrupt)
     assert lines[-1] == "3 of 8 runs; optimal: coast 1/2, crash 0/1"
     kept = ScenarioStudy.load(path)
     assert sum(len(result.runs) for result in kept.results) == 3
     assert not kept.is_complete
     executor = Inline()
-    assert run_scenario_study(QUICK, path, resume=True, executor=executor).is_complete
+    assert ScenarioStudy(QUICK).run(path, resume=True, executor=executor).is_complete
     assert executor.num_jobs == 5
 
 
@@ -240,10 +224,10 @@ def test_a_pool_that_breaks_loses_nothing_that_was_done(path: Path) -> None:
     with pytest.raises(
         StudyError, match=r"pool .* broke: got .*abruptly\. .* go on .*\(--resume\)"
     ):
-        run_scenario_study(QUICK, path, executor=Broken())
+        ScenarioStudy(QUICK).run(path, executor=Broken())
     kept = ScenarioStudy.load(path)
     assert sum(len(result.runs) for result in kept.results) == 4
-    assert run_scenario_study(QUICK, path, resume=True, executor=Inline()).is_complete
+    assert ScenarioStudy(QUICK).run(path, resume=True, executor=Inline()).is_complete
 
 
 def test_a_job_that_kills_its_processes_is_kept_as_that_and_tried_again_by_resume(
@@ -254,21 +238,21 @@ def test_a_job_that_kills_its_processes_is_kept_as_that_and_tried_again_by_resum
             raise BrokenExecutor
         return MethodRun(((0.1, 1e-9),), 0.1, 1)
 
-    monkeypatch.setattr(scenario_study, "run_job", run_or_die)
+    monkeypatch.setattr(scenario_runs, "run_job", run_or_die)
     question = dataclasses.replace(QUICK, methods=("coast",))
-    study = run_scenario_study(question, path, executor=Inline())
+    study = ScenarioStudy(question).run(path, executor=Inline())
     errors = [result.runs["coast"].error for result in study.results]
     assert errors == [None, None, DIED, None]
     # It may have been the machine's fault: tried again, and nothing else is.
-    monkeypatch.setattr(scenario_study, "run_job", run_job)
+    monkeypatch.setattr(scenario_runs, "run_job", run_job)
     executor = Inline()
-    again = run_scenario_study(question, path, resume=True, executor=executor)
+    again = ScenarioStudy(question).run(path, resume=True, executor=executor)
     assert executor.num_jobs == 1
     assert again.results[2].runs["coast"].error is None
 
 
 def test_a_summary_counts_what_the_results_say() -> None:
-    study = run_scenario_study(QUICK, executor=Inline())
+    study = ScenarioStudy(QUICK).run(executor=Inline())
     coast, crash = (summarize(study, study.results, name) for name in QUICK.methods)
     assert coast.num_optimal == (2, 2, 2)
     assert coast.num_scenarios == crash.num_scenarios == 4
@@ -283,7 +267,6 @@ def test_a_summary_counts_what_the_results_say() -> None:
 
 
 def test_restitutions_of_a_range_are_one_group() -> None:
-    study = run_scenario_study(
-        dataclasses.replace(QUICK, restitution=Spread.parse("0.5:1")), executor=Inline()
-    )
+    question = dataclasses.replace(QUICK, restitution=Spread.parse("0.5:1"))
+    study = ScenarioStudy(question).run(executor=Inline())
     assert study.groups() == {"e = 0.5:1.0": study.results}

@@ -13,8 +13,8 @@ from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
 from several_walls import hold_still, make_line, make_task, make_wedge, shipped
 
-from drake_aigto.simulation.contact_motion import ContactMotion
-from drake_aigto.simulation.replay import Replay, replay_event_driven
+from drake_aigto.contact import ContactMotion
+from drake_aigto.simulation import Replay, replay_event_driven
 from drake_aigto.world import World
 
 # What the event-driven walls promise; they mostly are a thousand times better.
@@ -44,7 +44,7 @@ def held_forces(draw: st.DrawFn, columns: int) -> tuple[list[float], npt.NDArray
 
 
 def check_end(replay: Replay, coordinate: int, exact: exact_wall.ExactRun) -> None:
-    # Shorter hops may become rest (RigidWall): a tolerance that is stated.
+    # Shorter hops may become rest (`simulation.flights`): a tolerance that is stated.
     assume(exact.shortest_hop > 1e-6 * 20 * replay.times[-1])
     assert abs(replay.positions[-1, coordinate] - exact.position) < EXACT
     assert abs(replay.velocities[-1, coordinate] - exact.velocity) < 10 * EXACT

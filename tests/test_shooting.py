@@ -12,6 +12,7 @@ import pytest
 from mechanisms import MECHANISMS, build
 from scipy.optimize import minimize
 
+from drake_aigto.contact import CompliantLaw, RigidLaw
 from drake_aigto.planning import MechanismOptions, MechanismProblem
 from drake_aigto.shooting import (
     Mechanism,
@@ -19,11 +20,9 @@ from drake_aigto.shooting import (
     ShootingProblem,
     Smoothing,
 )
-from drake_aigto.shooting.phases import Layout
-from drake_aigto.shooting.program import make_program
-from drake_aigto.shooting.rubbing import STICTION
-from drake_aigto.world import CompliantLaw, RigidLaw, Scenario, TaskCost, World
+from drake_aigto.world import Scenario, TaskCost, World
 
+STICTION = 2  # Which of the numbers of friction the stiction speed is.
 STIFFNESS, DISSIPATION, SMOOTHING = 200.0, 0.3, 0.1
 read = cache(build)
 
@@ -305,13 +304,11 @@ def test_the_same_question_has_the_same_answer_also_of_a_pickled_mechanism() -> 
     assert pose(copy, weigh([0, np.pi]), np.zeros(4)).solve(guess) == first
 
 
-def test_a_result_is_refined_until_its_steps_are_small_enough() -> None:
+def test_the_estimated_error_of_a_motion_falls_with_shorter_steps() -> None:
     problem = pose(soft("cart-pole"), weigh([0.8, 0.0]), np.zeros(4), N=10)
     coarse = problem.solve(np.ones((10, 1)))
-    tolerance = problem.estimate_error(coarse) / 100
-    fine = problem.refine(coarse, tolerance=tolerance)
-    assert fine.substeps > coarse.substeps
-    assert problem.estimate_error(fine) <= tolerance
+    fine = problem.solve(coarse.controls, None, ShootingOptions(substeps=8), coarse.prices)
+    assert problem.estimate_error(fine) < problem.estimate_error(coarse) / 100
 
 
 def test_friction_is_the_same_at_the_end_of_a_task_as_in_the_whole() -> None:
@@ -332,12 +329,7 @@ def test_finer_steps_than_friction_asks_for_leave_it_as_it_is() -> None:
     world = World.from_scenario(scenario)
     problem = MechanismProblem(world, scenario, MechanismOptions()).shooting(40)
     rubs = problem.mechanism.mechanics.rubs
-    layout = Layout.of(problem.times, None, problem.mechanism.num_contacts)
     count = problem.rubbing_substeps
-
-    def fit(substeps: int) -> Any:
-        return make_program(problem, layout, ShootingOptions(substeps=substeps)).mechanics.rubs
-
     assert count > 1
-    np.testing.assert_array_equal(fit(count)[:, STICTION], rubs[:, STICTION])
-    assert np.all(fit(count - 1)[:, STICTION] > rubs[:, STICTION])
+    np.testing.assert_array_equal(problem.fit_friction(count)[:, STICTION], rubs[:, STICTION])
+    assert np.all(problem.fit_friction(count - 1)[:, STICTION] > rubs[:, STICTION])

@@ -11,9 +11,10 @@ import pytest
 from mechanisms import after, box, build, build_world, joint, link, plane, sphere, wall
 from scipy.optimize import minimize
 
+from drake_aigto.contact import RigidLaw
 from drake_aigto.errors import ProgramError
 from drake_aigto.shooting import Mechanism, Phases, ShootingOptions, ShootingProblem, ShootingResult
-from drake_aigto.world import RigidLaw, TaskCost, World
+from drake_aigto.world import TaskCost, World
 
 RESTITUTION, TOTAL = 0.6, 2.0
 

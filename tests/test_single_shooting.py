@@ -15,8 +15,9 @@ from replay_worlds import make_scenario, shipped_world
 from rigid_worlds import AXIS, write_model
 from several_walls import make_task, shipped
 
+from benchmarks.equal_widths import EqualWidths
 from drake_aigto import ModelError, OptionsError, Scenario, UnsupportedTermError, World
-from drake_aigto.aigo import Annealing, Box, EqualWidths, minimize
+from drake_aigto.aigo import Annealing, Box, minimize
 from drake_aigto.paper import (
     LiteralProblem,
     LiteralTranscription,

@@ -10,14 +10,14 @@ import pytest
 from matplotlib.figure import Figure
 
 from drake_aigto import Planner, Scenario, World
+from drake_aigto.contact import CompliantLaw, calc_drag, calc_pushes, contact_law
+from drake_aigto.dynamics import calc_friction_share
 from drake_aigto.planning import MechanismOptions
 from drake_aigto.planning.mechanism_problem import MechanismProblem
 from drake_aigto.planning.steadying import steady
 from drake_aigto.shooting import Mechanism
-from drake_aigto.show import plot_friction
-from drake_aigto.show.motion import Motion
-from drake_aigto.simulation import replay_drake, replay_event_driven
-from drake_aigto.world import CompliantLaw, calc_friction_share, compile_springs
+from drake_aigto.show import Motion, plot_friction
+from drake_aigto.simulation import compile_springs, replay_drake, replay_event_driven
 
 
 @cache
@@ -52,11 +52,11 @@ def test_both_replays_agree_on_a_ball_that_spins_off_a_wall() -> None:
 
 
 def test_friction_is_mu_times_the_push_and_turns_with_the_slip() -> None:
-    world, law = read(), read().contact_law(ask())
+    world, law = read(), contact_law(read(), ask())
     q = np.array([0.8, 0.06, 0.3])
     for v in (np.array([2.0, 0.1, 0.0]), np.array([0.0, 0.1, 0.1])):
-        forces = world.calc_pushes(law, q, v)
-        drag = world.rubbing.calc_drag(law, q, v, forces)
+        forces = calc_pushes(world, law, q, v)
+        drag = calc_drag(world, law, q, v, forces)
         assert drag is not None
         arm = 0.1 - 0.04 / 2
         slip = v[0] + arm * v[2]
@@ -66,15 +66,15 @@ def test_friction_is_mu_times_the_push_and_turns_with_the_slip() -> None:
 
 
 def test_shooting_has_the_law_and_its_derivatives() -> None:
-    world, law, rng = read(), read().contact_law(ask()), np.random.default_rng(0)
+    world, law, rng = read(), contact_law(read(), ask()), np.random.default_rng(0)
     mechanism, step = Mechanism.of(world, law), 1e-7
     for speed in (1.0, 0.01):
         q = np.array([0.08, 0.06, 0.0]) + 0.02 * rng.normal(size=3)  # In two walls at once.
         v, u = speed * rng.normal(size=3), rng.normal(size=2)
         z = np.concatenate([q, v, u])
         got, slopes = mechanism.calc_acceleration(z[:6], z[6:])
-        forces = world.calc_pushes(law, q, v)
-        drag = world.rubbing.calc_drag(law, q, v, forces)
+        forces = calc_pushes(world, law, q, v)
+        drag = calc_drag(world, law, q, v, forces)
         expected = world.calc_acceleration(q, v, u, forces, drag)
         np.testing.assert_allclose(got, expected, rtol=1e-10)
         differences = differ(mechanism, z, 3, step)
@@ -89,15 +89,15 @@ def test_shooting_has_the_law_and_its_derivatives() -> None:
 def test_compiled_rates_are_those_of_the_world(name: str) -> None:
     scenario = Scenario.named(name)
     world, rng = World.from_scenario(scenario), np.random.default_rng(0)
-    law, n, touched = world.contact_law(scenario), world.num_positions, 0
+    law, n, touched = contact_law(world, scenario), world.num_positions, 0
     assert isinstance(law, CompliantLaw)
     calc_rates = compile_springs(world, law)
     for _ in range(1000):
         q = scenario.initial_position + rng.uniform(-0.6, 0.6, n)
         v, u = 10 ** rng.uniform(-3, 0) * rng.normal(size=n), rng.normal(size=world.num_actuators)
-        forces = world.calc_pushes(law, q, v)
+        forces = calc_pushes(world, law, q, v)
         touched += int(forces.any())
-        drag = world.rubbing.calc_drag(law, q, v, forces)
+        drag = calc_drag(world, law, q, v, forces)
         expected = np.concatenate([v, world.calc_acceleration(q, v, u, forces, drag)])
         got = calc_rates(np.concatenate([q, v]), world.actuation @ u, forces > 0)
         np.testing.assert_allclose(got, expected, atol=1e-12 * np.abs(expected).max())
@@ -135,7 +135,7 @@ def differ(mechanism: Mechanism, z: np.ndarray, n: int, step: float) -> np.ndarr
 def test_spheres_that_move_about_each_other_rub_as_in_drakes_plant_and_in_shooting() -> None:
     scenario = Scenario.named("spinner/two_radians")
     world, rng = World.from_scenario(scenario), np.random.default_rng(0)
-    law = world.contact_law(scenario)
+    law = contact_law(world, scenario)
     mechanism = Mechanism.of(world, law)
     root = world.create_context()
     context = world.plant.GetMyMutableContextFromRoot(root)
@@ -149,8 +149,8 @@ def test_spheres_that_move_about_each_other_rub_as_in_drakes_plant_and_in_shooti
         v = 10 ** rng.uniform(-2, 0) * rng.uniform(-1.0, 1.0, 3)
         z = np.concatenate([q, v, np.zeros(2)])
         got, slopes = mechanism.calc_acceleration(z[:6], z[6:])
-        forces = world.calc_pushes(law, q, v)
-        drag = world.rubbing.calc_drag(law, q, v, forces)
+        forces = calc_pushes(world, law, q, v)
+        drag = calc_drag(world, law, q, v, forces)
         own = world.calc_acceleration(q, v, np.zeros(2), forces, drag)
         np.testing.assert_allclose(got, own, rtol=1e-10)
         world.plant.SetPositions(context, q)
@@ -178,7 +178,7 @@ def test_a_figure_tells_stick_from_slip_by_its_marks_and_has_friction_within_its
     np.testing.assert_array_equal(rings.get_xdata(), times[:2])
     np.testing.assert_array_equal(crosses.get_xdata(), times[2:])
     # μ k x = 0.4 · 400 N/m · 0.04 m, along a direction T that the world chose, against sliding.
-    against = -np.sign(read().rubbing.calc_tangent_jacobian(q[0], yields=True)[2, 0])
+    against = -np.sign(read().rubbing.calc_tangent_jacobian(q[0], is_compliant=True)[2, 0])
     friction = against * np.asarray(line.get_ydata())
     assert friction[2] == pytest.approx(6.4)
     assert 0.0 < friction[1] < 6.4

@@ -13,6 +13,7 @@ from replay_worlds import make_diagram
 from scipy.integrate import quad, solve_ivp
 
 from drake_aigto import Scenario, ScenarioError, World
+from drake_aigto.contact import calc_dissipation
 from drake_aigto.simulation import (
     Replay,
     make_simulator,
@@ -20,7 +21,6 @@ from drake_aigto.simulation import (
     replay_drake,
     replay_event_driven,
 )
-from drake_aigto.simulation.material import calc_dissipation
 from drake_aigto.world import TaskCost
 
 read = cache(build)

@@ -67,8 +67,9 @@ def test_visualization_callbacks_see_the_answer_last() -> None:
     [
         ("speed", 3, "unknown option 'speed' of AigoSolver, expected|unknown option 'speed'"),
         ("polish", "luck", "polish: got 'luck', expected one of newton, ipopt, snopt, none"),
-        ("rounds", -1, "rounds: got -1, expected a whole number, 0 or more"),
-        ("feasibility", 0.0, "feasibility: got 0.0, expected a number above 0"),
+        ("rounds", -1, "rounds: got -1, expected 0 or more"),
+        ("rounds", 1.5, "rounds: got 1.5, expected a whole number"),
+        ("feasibility", 0.0, "feasibility: got 0, expected a number above 0"),
     ],
 )
 def test_bad_options_are_refused(name: str, value: Any, message: str) -> None:

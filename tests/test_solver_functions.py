@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pydrake.symbolic as sym
 import pytest
+from general_programs import Formula, make_program
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.solvers import (
@@ -24,12 +24,15 @@ from pydrake.solvers import (
 from pydrake.symbolic import Expression, Variable
 
 from drake_aigto import UnsupportedTermError
-from drake_aigto.solver import AigoOptions, AigoSolver, AigoStatus
-from drake_aigto.solver.intervals import interval, is_above
-from drake_aigto.solver.lift import lift
-from drake_aigto.solver.program import read_program
-
-Formula = Callable[[Any], Any]
+from drake_aigto.solver import (
+    AigoOptions,
+    AigoSolver,
+    AigoStatus,
+    interval,
+    is_above,
+    lift,
+    read_program,
+)
 
 # Name, formula of two variables, and their bounds.
 FORMULAS: dict[str, tuple[Formula, float, float]] = {
@@ -66,17 +69,10 @@ FORMULAS: dict[str, tuple[Formula, float, float]] = {
 }
 
 
-def make_program(
-    formula: Formula, low: float, high: float, *rows: Callable[[Any], Any]
+def in_box(
+    formula: Formula, low: float, high: float, *rows: Formula
 ) -> tuple[MathematicalProgram, Any]:
-    prog = MathematicalProgram()
-    x = prog.NewContinuousVariables(2, "x")
-    cost = ExpressionCost(formula(x))
-    prog.AddCost(cost, vars=cost.vars())
-    prog.AddBoundingBoxConstraint(low, high, x)
-    for row in rows:
-        prog.AddConstraint(row(x))
-    return prog, x
+    return make_program(2, formula, *rows, low=low, high=high)
 
 
 def least_on_grid(prog: MathematicalProgram, low: float, high: float, count: int = 61) -> float:
@@ -89,7 +85,7 @@ def least_on_grid(prog: MathematicalProgram, low: float, high: float, count: int
 @pytest.mark.parametrize("name", FORMULAS)
 def test_functions_by_rows_reach_what_a_grid_of_them_does(name: str) -> None:
     formula, low, high = FORMULAS[name]
-    prog, _ = make_program(formula, low, high)
+    prog, _ = in_box(formula, low, high)
     result = AigoSolver().Solve(prog)
     assert result.is_success() and result.get_solver_details().lifted
     assert result.get_optimal_cost() <= least_on_grid(prog, low, high) + 1e-9
@@ -102,7 +98,7 @@ def test_rows_hold_for_what_their_formulas_are_and_within_their_ranges(
     name: str, a: float, b: float
 ) -> None:
     formula, low, high = FORMULAS[name]
-    prog, _ = make_program(formula, low, high)
+    prog, _ = in_box(formula, low, high)
     lifted = lift(prog)
     x = low + (high - low) * np.array([a, b])
     values = lifted.extend(x)
@@ -119,20 +115,20 @@ def test_rows_hold_for_what_their_formulas_are_and_within_their_ranges(
 
 
 def test_programs_whose_functions_have_means_stay_as_they_are() -> None:
-    prog, _ = make_program(lambda x: sym.sin(x[0]) * sym.exp(x[1]), -1.0, 2.0)
+    prog, _ = in_box(lambda x: sym.sin(x[0]) * sym.exp(x[1]), -1.0, 2.0)
     program = read_program(prog)
     assert program.lifted.prog is prog and program.lifted.formulas == ()
 
 
 def test_constraints_may_have_such_functions_too() -> None:
-    prog, x = make_program(
+    prog, x = in_box(
         lambda x: x[0] ** 2 + (x[1] - 3) ** 2,
         -4.0,
         4.0,
         lambda x: sym.abs(x[0]) + sym.abs(x[1]) <= 1,
     )
     np.testing.assert_allclose(AigoSolver().Solve(prog).GetSolution(x), [0, 1], atol=1e-5)
-    prog, x = make_program(
+    prog, x = in_box(
         lambda x: (x[0] - 1) ** 2 + x[1] ** 2, -4.0, 4.0, lambda x: sym.max(x[0], x[1]) == 0.5
     )
     np.testing.assert_allclose(AigoSolver().Solve(prog).GetSolution(x), [0.5, 0], atol=1e-5)
@@ -159,19 +155,19 @@ def test_constraints_may_have_such_functions_too() -> None:
 def test_functions_without_a_value_within_the_bounds_are_refused_by_name(
     formula: Formula, message: str
 ) -> None:
-    prog, _ = make_program(formula, -1.0, 2.0)
+    prog, _ = in_box(formula, -1.0, 2.0)
     with pytest.raises(UnsupportedTermError, match=message):
         AigoSolver().Solve(prog)
 
 
 def test_a_constraint_or_halved_ranges_may_show_that_a_function_has_a_value() -> None:
     root = lambda x: sym.sqrt(x[0] + x[1]) + x[0] ** 2  # noqa: E731
-    prog, x = make_program(root, -3.0, 3.0, lambda x: x[0] + x[1] >= 0.25)
+    prog, x = in_box(root, -3.0, 3.0, lambda x: x[0] + x[1] >= 0.25)
     result = AigoSolver().Solve(prog)
     assert result.is_success() and result.GetSolution(x)[0] == pytest.approx(0.0, abs=1e-4)
     assert result.get_optimal_cost() == pytest.approx(0.5, abs=1e-6)
     # By terms alone, the divisor might be as low as −5.
-    prog, _ = make_program(lambda x: 1 / (x[0] ** 2 - 2 * x[0] + 2) + x[1] ** 2, -1.0, 3.0)
+    prog, _ = in_box(lambda x: 1 / (x[0] ** 2 - 2 * x[0] + 2) + x[1] ** 2, -1.0, 3.0)
     assert AigoSolver().Solve(prog).get_optimal_cost() == pytest.approx(0.2, abs=1e-6)
 
 
@@ -180,12 +176,12 @@ def test_factors_that_keep_their_signs_show_that_a_function_has_a_value() -> Non
     formula: Formula = lambda x: (  # noqa: E731
         sym.pow(0.4 * (x[1] - x[0]) / (2.5 - x[1]), 0.6) + (x[0] - 1) ** 2 + (x[1] - 0.5) ** 2
     )
-    prog, _ = make_program(formula, -1.0, 2.0, lambda x: x[1] - x[0] >= 0)
+    prog, _ = in_box(formula, -1.0, 2.0, lambda x: x[1] - x[0] >= 0)
     result = AigoSolver().Solve(prog)
     # Where the row binds, which rounding breaks, the root may have no value: no crash.
     assert result.is_success() and result.get_optimal_cost() == pytest.approx(0.125, abs=1e-4)
     with pytest.raises(UnsupportedTermError, match=r"pow.* >= 0"):
-        AigoSolver().Solve(make_program(formula, -1.0, 2.0)[0])
+        AigoSolver().Solve(in_box(formula, -1.0, 2.0)[0])
 
 
 def test_a_norm_of_what_is_not_a_number_is_refused_by_name() -> None:
@@ -218,7 +214,7 @@ def test_ranges_hold_every_value(name: str, a: Any, b: Any, at: Any) -> None:
 
 
 def test_functions_of_bounded_variables_leave_nothing_open_however_large_they_are() -> None:
-    prog, x = make_program(
+    prog, x = in_box(
         lambda x: sym.sqrt(sym.exp(x[0]) + 1) - 3 * x[0] + (x[1] - 1) ** 2, -90.0, 90.0
     )
     result = AigoSolver().Solve(prog)
@@ -286,7 +282,7 @@ def test_a_polynomial_that_drake_hides_is_solved_and_not_certified() -> None:
 
 
 def test_options_and_guesses_work_with_functions_by_rows() -> None:
-    prog, _ = make_program(*FORMULAS["a quotient"])
+    prog, _ = in_box(*FORMULAS["a quotient"])
     prog.SetInitialGuessForAllVariables(np.array([0.5, -0.5]))
     for options in (
         AigoOptions(presolve=False),

@@ -7,17 +7,25 @@ from typing import Any
 
 import numpy as np
 import pytest
+from general_programs import make_program as general_program
 from hypothesis import given
 from hypothesis import strategies as st
 from pydrake.solvers import ExpressionCost, MathematicalProgram
 from pydrake.symbolic import Polynomial, atan2, cos, exp, sin
 
 from drake_aigto import UnsupportedTermError
-from drake_aigto.solver import AigoOptions
-from drake_aigto.solver.first_box import make_first_box
-from drake_aigto.solver.program import read_program
-from drake_aigto.solver.question import ContradictionError
-from drake_aigto.solver.ranges import sum_range
+from drake_aigto.aigo import Box
+from drake_aigto.box import BoxPolynomial
+from drake_aigto.local import InteriorPoint, PolynomialNlp, compile_nlp
+from drake_aigto.solver import (
+    AigoOptions,
+    AigoProgram,
+    AugmentedLagrangian,
+    ContradictionError,
+    make_first_box,
+    read_program,
+    sum_range,
+)
 
 INF = np.inf
 NAN = np.full(2, np.nan)
@@ -137,7 +145,7 @@ def test_a_square_of_too_many_terms_is_refused_by_name() -> None:
 
 def test_rows_that_are_constant_once_multiplied_out_are_checked() -> None:
     program = read_program(make_program(lambda x: (sin(x[0]) ** 2 + cos(x[0]) ** 2, 1, 1)))
-    assert program.num_rows == 0
+    assert program.nlp.num_rows == 0
     with pytest.raises(ContradictionError):
         read_program(make_program(lambda x: (sin(x[0]) ** 2 + cos(x[0]) ** 2, 2, 3)))
 
@@ -149,24 +157,11 @@ def test_copies_of_a_constraint_share_a_table_and_have_slacks_of_their_own() -> 
     prog.AddConstraint(first, vars=x[1:])
     prog.AddConstraint(first, vars=[x[2], x[2]])
     program = read_program(prog)
-    assert program.num_rows == len(program.slacks) == 3
+    assert program.nlp.num_rows == len(program.slacks) == 3
     y = program.with_slacks(np.array([2.0, 3.0, 5.0]))
     np.testing.assert_allclose(np.abs(y[3:]), [6, 15, 25])  # Drake may turn rows round
     np.testing.assert_allclose(program.nlp.evaluate(y)[1], 0, atol=1e-14)
     assert program.penalties(y) == pytest.approx(0, abs=1e-11)
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_penalties_are_the_squared_rows(seed: int) -> None:
-    program = read_program(
-        make_program(lambda x: (x[0] * x[1], 1, INF), lambda x: (x[0] ** 3 - 2 * x[1], 0.5, 0.5))
-    )
-    y = np.random.default_rng(seed).uniform(-2, 2, 3)
-    x, s = y[:2], y[2]
-    residuals = sorted([x[0] * x[1] - s, x[0] ** 3 - 2 * x[1] - 0.5], key=abs)
-    assert sorted(program.nlp.evaluate(y)[1], key=abs) == pytest.approx(residuals)
-    assert program.penalties(y) == pytest.approx(sum(r**2 for r in residuals))
-    assert program.costs(y) == pytest.approx(x @ x)
 
 
 def test_a_cost_that_is_named_like_a_row_keeps_its_weight() -> None:
@@ -297,3 +292,59 @@ def test_where_exponentials_overflow_the_first_box_is_cut() -> None:
     # Not where that is no remedy.
     prog = make_program(lambda x: (x[0] + 0, -3, 3), lambda x: (1e30 * x[1] + exp(x[0]), 0, 0))
     assert first_box(prog)[1][0] == 3
+
+
+# Augmented Lagrangians: their minimizers become feasible at a weight that stays as it is.
+
+
+def two_rows() -> tuple[AigoProgram, Box]:
+    """Returns min x₀⁴ + x₁² + x₂²  s.t.  x₀ + x₁ = 3,  x₁ x₂ = 1, each with a λ of its own."""
+    prog, _ = general_program(
+        3,
+        lambda x: x[0] ** 4 + x[1] ** 2 + x[2] ** 2,
+        lambda x: x[0] + x[1] == 3,
+        lambda x: x[1] * x[2] == 1,
+    )
+    return read_program(prog), Box(np.ones(3), np.full(3, 2.0))
+
+
+def minimize(f: BoxPolynomial, y: np.ndarray) -> np.ndarray:
+    n = y.size
+    nlp = PolynomialNlp(n, f.blocks, (), np.full(n, -np.inf), np.full(n, np.inf))
+    return InteriorPoint().solve(nlp, y).x
+
+
+def test_multipliers_make_constraints_hold_where_a_penalty_alone_does_not() -> None:
+    program, first = two_rows()
+    lagrangian = AugmentedLagrangian(program, first)
+    y, residuals = np.array([1.0, 2.0, 0.5]), []
+    for _ in range(12):
+        y = minimize(lagrangian.function(1.0), y)
+        residuals.append(np.max(np.abs(program.nlp.evaluate(y)[1])))
+        lagrangian.update(1.0, y)
+    assert residuals[0] > 1e-2 and residuals[-1] < 1e-4 * residuals[0]
+    exact = InteriorPoint().solve(compile_nlp(program.source), y)
+    np.testing.assert_allclose(y, exact.x, atol=1e-4)
+    np.testing.assert_allclose(lagrangian.multipliers, exact.multipliers, atol=1e-3)
+
+
+def test_an_augmented_lagrangians_value_and_mean_are_those_of_the_sum() -> None:
+    program, first = two_rows()
+    lagrangian = AugmentedLagrangian(program, first)
+    y = np.array([0.3, -1.0, 2.0])
+    plain = lagrangian.function(2.0)(y)
+    lagrangian.update(2.0, y)
+    residuals = program.nlp.evaluate(y)[1]
+    moved = lagrangian.function(2.0)
+    assert np.isclose(moved(y) - plain, lagrangian.multipliers @ residuals, rtol=1e-9)
+    points = np.random.default_rng(0).uniform(y - 0.5, y + 0.5, (4000, 3))
+    values = [moved(point) for point in points]
+    error = np.std(values) / np.sqrt(len(values))
+    assert abs(np.mean(values) - moved.mean(y, 0.5)) < 5 * error
+
+
+def test_multipliers_stay_where_residuals_are_not_finite() -> None:
+    program, first = two_rows()
+    lagrangian = AugmentedLagrangian(program, first)
+    lagrangian.update(1.0, np.full(3, np.inf))
+    np.testing.assert_array_equal(lagrangian.multipliers, [0, 0])

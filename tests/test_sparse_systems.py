@@ -14,8 +14,7 @@ from random_boxes import dense
 from sparse_matrices import grid, whole
 
 from drake_aigto import AigoOptions, AigoSolver
-from drake_aigto.aigo import Annealing, BoundedAnnealing, Box, Status, minimize
-from drake_aigto.aigo.newton import bold_newton, newton, point_objective
+from drake_aigto.aigo import Annealing, BoundedAnnealing, Box, CenterObjective, Status, minimize
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.linear import Factorization, storage
 from drake_aigto.local import InteriorPoint, LocalStatus, compile_nlp
@@ -124,11 +123,10 @@ def test_newtons_method_keeps_within_bounds_and_to_its_free_variables() -> None:
         g = shared_variable(250)
     for h in (f, g):
         start = np.full(250, 0.5)
-        objective = point_objective(h, free, 1e-8, bounds)
-        (damped,) = h.to_variables(newton(objective, start[h.order], 60, 0.0).y)
-        y, steps = bold_newton(objective, start[h.order], 12)
+        objective = CenterObjective(h, free, 1e-8, bounds)
+        damped = objective.descend(start, 60).x
+        bold, steps = objective.descend_boldly(start, 12)
         assert steps > 2
-        (bold,) = h.to_variables(y)
         for end in (damped, bold):
             assert np.all(np.abs(end) <= 0.9)
             assert np.all(end[~free] == 0.5)

@@ -14,6 +14,7 @@ from test_shooting_phases import weigh
 
 from drake_aigto import MechanismOptions, Plan, Scenario, World, plan
 from drake_aigto.arrays import Floats
+from drake_aigto.contact import Mobility, RigidLaw, calc_impulse
 from drake_aigto.errors import ProgramError
 from drake_aigto.planning.rigid_mechanism import RigidMechanismProblem, make_mechanism_problem
 from drake_aigto.shooting import (
@@ -22,9 +23,7 @@ from drake_aigto.shooting import (
     ShootingProblem,
 )
 from drake_aigto.show import motions_of_plan, plot_friction
-from drake_aigto.simulation.coulomb import Mobility, calc_impulse
 from drake_aigto.transcription import Touch
-from drake_aigto.world import RigidLaw
 
 RESTITUTION, FRICTION = 0.6, 0.5
 # When what is about to hit does, in problems that last so long [s].

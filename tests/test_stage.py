@@ -11,42 +11,14 @@ import numpy as np
 import pytest
 
 from drake_aigto import Scenario, World
-from drake_aigto.show.stage import Stage
-from drake_aigto.world.files import models_directory
-
-AXIS, FACE = "<xyz>1 0 0</xyz>", "<pose>-0.05 0 0 0 0 0</pose>"
-# Where the joint points → how the shipped SDF changes, and T's axes then.
-DIRECTIONS: dict[str, tuple[dict[str, str], list[list[float]]]] = {
-    "as shipped": ({}, [[1, 0, 0], [0, 1, 0], [0, 0, 1]]),
-    "against x": (
-        {AXIS: "<xyz>-1 0 0</xyz>", FACE: "<pose>0.05 0 0 0 0 3.141592653589793</pose>"},
-        [[-1, 0, 0], [0, -1, 0], [0, 0, 1]],
-    ),
-}
-
-
-@pytest.mark.parametrize("name", DIRECTIONS)
-def test_the_track_follows_the_joint_and_counts_its_positions(name: str, tmp_path: Path) -> None:
-    text = (models_directory() / "point_mass_and_wall.sdf").read_text(encoding="utf-8")
-    replacements, axes = DIRECTIONS[name]
-    for old, new in replacements.items():
-        assert old in text
-        text = text.replace(old, new)
-    model = tmp_path / "turned.sdf"
-    model.write_text(text, encoding="utf-8")
-    ends: dict[str, Any] = {"initial_position": 1.0, "initial_velocity": 0.0, "goal_position": 0.7}
-    stage = Stage(World.from_scenario(Scenario(model=str(model), **ends)), np.array([[1.0], [0.7]]))
-    np.testing.assert_allclose(stage.X_WT.rotation().matrix().T, axes, atol=1e-12)
-    ((wall, side),) = stage.walls()
-    assert stage.is_line and (wall, side) == pytest.approx((0, 1))
-    assert stage.places(stage.movers[0], np.array([[0.3]]))[0, 0] == pytest.approx(0.3)
-    assert (stage.lowest, stage.highest) == pytest.approx((0.7, 1.0))
-
+from drake_aigto.show import Stage
+from drake_aigto.world import models_directory
 
 # World → which of T's axes are which of the world's.
 PLANES = {
     "room/two_walls": [[1, 0, 0], [0, 1, 0], [0, 0, 1]],  # from above
     "floor/rebound": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],  # from the front
+    "table1/1": [[1, 0, 0], [0, 0, 1], [0, -1, 0]],
 }
 
 
@@ -54,10 +26,13 @@ PLANES = {
 def test_a_plane_is_looked_at_with_its_way_up(name: str) -> None:
     scenario = Scenario.named(name)
     stage = Stage(World.from_scenario(scenario), np.array([scenario.initial_position]))
-    assert not stage.is_line
+    assert stage.is_line == (name == "table1/1")
     np.testing.assert_allclose(stage.X_WT.rotation().matrix().T, PLANES[name], atol=1e-12)
-    height = stage.places(stage.movers[0], np.array([scenario.goal_position]))[0, :2]
-    np.testing.assert_allclose(height[-scenario.goal_position.size :], scenario.goal_position)
+    # Places are those of the world, which the joints of these models count from its origin.
+    (places,) = stage.trace(np.array([scenario.initial_position, scenario.goal_position]))
+    moved = scenario.goal_position - scenario.initial_position
+    along = slice(1, 2) if name == "floor/rebound" else slice(0, moved.size)
+    np.testing.assert_allclose((places[1] - places[0])[along], moved, atol=1e-12)
 
 
 def test_shapes_for_contact_are_shown_where_none_are_for_show(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from drake_aigto.planning import make_problem
 from drake_aigto.planning.options import RIGID_LADDER, Rung
 from drake_aigto.planning.rigid import RigidProblem
 from drake_aigto.planning.touches import read_sequences
-from drake_aigto.simulation.replay import replay_event_driven
+from drake_aigto.simulation import replay_event_driven
 
 COASTING = [rung for rung in RIGID_LADDER if rung.start == "coast"]
 

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from several_walls import make_wedge
 
+from benchmarks.optima import walls_optimum
 from drake_aigto import (
     PlanOptions,
     Scenario,
@@ -16,7 +17,6 @@ from drake_aigto import (
     replay_drake,
     replay_event_driven,
 )
-from drake_aigto.optima import walls_optimum
 from drake_aigto.transcription import touches_at_once
 
 CORRIDOR = "package://drake_aigto_models/corridor.sdf"

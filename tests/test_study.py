@@ -8,8 +8,7 @@ import json
 import pytest
 from scenario_studies import Inline
 
-from drake_aigto.optima import RigidOptimum
-from drake_aigto.paper import ROWS, Cell, RigidCell, run_rigid_cell, run_table1
+from drake_aigto.paper import ROWS, Cell, RigidCell, RigidOptimum, run_rigid_cell, run_table1
 from drake_aigto.paper import table1 as table1_module
 from drake_aigto.plain import to_plain
 from drake_aigto.planning import Plan, Planner, PlanningError, PlanOptions, Replays

@@ -10,7 +10,7 @@ from random_boxes import dense
 from sparse_matrices import whole
 
 from drake_aigto.linear import make_pattern
-from drake_aigto.local.factors import BandFactors, DenseFactors, SparseKktFactors, multiply
+from drake_aigto.local import BandFactors, DenseFactors, SparseKktFactors, multiply_symmetric
 
 KINDS = [BandFactors, DenseFactors]
 
@@ -117,7 +117,7 @@ def test_products_are_those_of_the_dense_matrix() -> None:
     rng = np.random.default_rng(1)
     band = random_kkt(rng, 9, 4, 0.3, 1.0)
     x = rng.normal(size=9)
-    np.testing.assert_allclose(multiply(band, x), dense(band) @ x, rtol=1e-13)
+    np.testing.assert_allclose(multiply_symmetric(band, x), dense(band) @ x, rtol=1e-13)
 
 
 @given(st.integers(2, 40), st.floats(0.0, 0.5), st.integers(-3, 3), st.integers(0, 2**32 - 1))

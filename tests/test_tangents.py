@@ -33,7 +33,7 @@ def test_a_ball_slips_on_level_and_on_tilted_ground_as_in_drake() -> None:
         height = world.calc_signed_distance(q)[0]
         q[1] -= (height + 0.01) / np.cos(q[3])  # 1 cm deep.
         slip = read_slip(world, q, v)
-        assert abs(world.rubbing.calc_tangent_jacobian(q, yields=True) @ v) == pytest.approx(
+        assert abs(world.rubbing.calc_tangent_jacobian(q, is_compliant=True) @ v) == pytest.approx(
             slip, rel=1e-12
         )
 

@@ -13,15 +13,21 @@ from refusals import check_refused
 from replay_worlds import hold, make_scenario, shipped_world
 from several_walls import make_task, shipped
 
+from benchmarks.baselines import BASELINES, run_baseline
+from benchmarks.optima import block_optimum, masses_optimum, walls_optimum
 from drake_aigto import Planner, PlanOptions, Scenario, ScenarioError, World
-from drake_aigto.baselines import BASELINES, run_baseline
 from drake_aigto.control import FlightFeedback, track_drake, track_event_driven
-from drake_aigto.optima import block_optimum, masses_optimum, rigid_optimum, walls_optimum
-from drake_aigto.optima.rigid_optimum import bounce_costs
-from drake_aigto.paper import SingleShooting, make_literal_problem, plan_literal
-from drake_aigto.paper.with_forces import LiteralWithForces, RigidWithForces
+from drake_aigto.paper import (
+    LiteralWithForces,
+    RigidWithForces,
+    SingleShooting,
+    bounce_costs,
+    make_literal_problem,
+    plan_literal,
+    rigid_optimum,
+)
 from drake_aigto.planning import make_problem
-from drake_aigto.simulation.controller import HeldControl
+from drake_aigto.simulation import HeldControl
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription
 from drake_aigto.world import Scales
 

@@ -12,12 +12,16 @@ from mechanisms import build
 
 from drake_aigto import Plan, Scenario, World
 from drake_aigto.planning import Candidate, Origin, PlanStats, Replays
-from drake_aigto.show import report_plan
-from drake_aigto.show.motion import simulation_label
-from drake_aigto.show.page import Page
-from drake_aigto.show.plans import format_plan
-from drake_aigto.show.question import add_question
-from drake_aigto.show.text import angle_text, miss_text, task_items
+from drake_aigto.show import (
+    Page,
+    add_question,
+    angle_text,
+    format_plan,
+    miss_text,
+    report_plan,
+    simulation_label,
+    task_items,
+)
 from drake_aigto.simulation import Replay
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scales, TaskCost

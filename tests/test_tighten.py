@@ -12,8 +12,7 @@ from pydrake.solvers import MathematicalProgram
 
 from benchmarks.collections.constrained_problem import ConstrainedProblem
 from benchmarks.collections.constrained_programs import constrained_problems
-from drake_aigto.solver.program import read_program
-from drake_aigto.solver.tighten import tighten
+from drake_aigto.solver import read_program, tighten
 
 # Rows of x, with exp and sin from NumPy or from Drake.
 ROWS: tuple[Callable[[Any, Any], Any], ...] = (

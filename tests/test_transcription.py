@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from box_programs import compile_program
+from box_programs import compile_program, mean_by_block
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from pydrake.solvers import (
@@ -25,9 +25,9 @@ from pydrake.trajectories import PiecewisePolynomial
 from drake_aigto import Scenario, UnsupportedTermError, World
 from drake_aigto.paper import LiteralTranscription
 from drake_aigto.transcription import Transcription, cut_to_bounds, penalize
-from drake_aigto.world import files
+from drake_aigto.world import models_directory
 
-SHIPPED = files.models_directory() / "point_mass_and_wall.sdf"
+SHIPPED = models_directory() / "point_mass_and_wall.sdf"
 SCENARIO = Scenario(
     initial_position=1.0,
     initial_velocity=-2.0,
@@ -192,7 +192,7 @@ def test_a_running_cost_of_degree_4_keeps_its_formula() -> None:
     total = sum(transcription.prog().EvalBinding(b, x)[0] for b in quartic)
     assert total == pytest.approx(SCENARIO.time_step * np.sum(x[:10] ** 4))
     f = compile_program(transcription.penalized(), transcription.elimination_order())
-    assert f.mean_by_block(x, 0.0)["quartic"] == pytest.approx(total)
+    assert mean_by_block(f, x, 0.0)["quartic"] == pytest.approx(total)
 
 
 def test_bounds_on_control_and_state_hold_and_cut_the_first_box() -> None:
@@ -270,7 +270,7 @@ def test_penalised_cost_is_cost_plus_weighted_squares() -> None:
     x = euler(SCENARIO, np.full(10, -8.0), mass=1.0)
     x[15] += 0.1
     f = compile_program(transcription.penalized(), transcription.elimination_order())
-    shares = f.mean_by_block(x, 0.0)
+    shares = mean_by_block(f, x, 0.0)
     q, v, u = (part[:, 0] for part in transcription.split(x))
     dt, eps, delta = SCENARIO.time_step, SCENARIO.epsilon, SCENARIO.delta
     row = (q[:-1] + delta) * (np.diff(v) - dt * u) - dt * eps

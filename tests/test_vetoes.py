@@ -16,14 +16,11 @@ from table1_plans import COARSE, UNCONFIRMED, bounce_plan, table1
 
 from drake_aigto import Scenario, World, plan
 from drake_aigto.cli import INTERRUPTED, main
-from drake_aigto.optima import rigid_optimum
-from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal
+from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal, rigid_optimum
 from drake_aigto.planning import Plan, Planner, PlanningError, PlanningProblem, RigidProblem
 from drake_aigto.planning import problem as planning_problem
 from drake_aigto.planning.idle import idle_candidate
-from drake_aigto.show.page import Page
-from drake_aigto.show.plans import format_plan
-from drake_aigto.show.report import add_verdict
+from drake_aigto.show import Page, add_verdict, format_plan
 from drake_aigto.simulation import Replay, replay_event_driven
 
 MODELS = "package://drake_aigto_models"
@@ -224,6 +221,6 @@ def test_ctrl_c_gives_the_best_so_far_and_says_so(
     assert "interrupted the search was ended by Ctrl-C" in " ".join(capsys.readouterr().out.split())
     page = Page("")
     add_verdict(page, saved, shipped_world())
-    assert "Interrupted: the search was ended by Ctrl-C" in page.to_html()
+    assert "interrupted</th><td>the search was ended by Ctrl-C" in page.to_html()
     monkeypatch.undo()
     assert main(["replay", str(out)]) == 0

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import pytest
-from box_programs import compile_program
+from box_programs import compile_program, mean_by_block
 from replay_worlds import make_scenario, shipped_world
 from rigid_worlds import NAMES, make_motion, physics_of
 from several_walls import make_task, shipped
@@ -17,7 +17,6 @@ from benchmarks.ablations.ablations import Variant, VariantProblem
 from drake_aigto import OptionsError, Scenario
 from drake_aigto.aigo import Annealing
 from drake_aigto.box import BoxPolynomial
-from drake_aigto.optima import rigid_optimum
 from drake_aigto.paper import (
     LiteralOptions,
     LiteralProblem,
@@ -25,6 +24,7 @@ from drake_aigto.paper import (
     LiteralTranscription,
     LiteralWithForces,
     RigidWithForces,
+    rigid_optimum,
 )
 from drake_aigto.planning import PlanOptions, RigidProblem, RigidSearch, Rung, run_search
 from drake_aigto.planning.options import RIGID_LADDER
@@ -88,7 +88,7 @@ def test_each_wall_of_a_corridor_has_impulses_of_its_own() -> None:
 
 
 def contact_mean(f: BoxPolynomial, center: Array, half_width: Array) -> float:
-    return f.mean_by_block(center, half_width)["contact"]
+    return mean_by_block(f, center, half_width)["contact"]
 
 
 def test_the_mean_of_the_contact_row_is_that_of_fig_1_and_least_at_zero() -> None:

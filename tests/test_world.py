@@ -20,9 +20,8 @@ from world_models import (
 )
 
 from drake_aigto import ModelError, Scenario, World
-from drake_aigto.world import files
-from drake_aigto.world.diagram import find_joint
-from drake_aigto.world.sums import SumMap, tidy
+from drake_aigto.dynamics import SumMap, tidy
+from drake_aigto.world import models_directory
 
 # What the shipped world is.
 
@@ -42,16 +41,6 @@ def test_the_shipped_world_is_a_unit_mass_whose_signed_distance_is_its_position(
     assert sizes == (1, 1, 1, 1)
 
 
-def test_the_shipped_material_is_stiff_and_elastic() -> None:
-    world = World.from_scenario(Scenario.named("table1/1"))
-    inspector = world.scene_graph.model_inspector()
-    ((first, second),) = inspector.GetCollisionCandidates()
-    for geometry in (first, second):
-        material = inspector.GetProximityProperties(geometry)
-        assert material.GetProperty("material", "point_contact_stiffness") == 2e9
-        assert material.GetProperty("material", "hunt_crossley_dissipation") == 0.0
-
-
 def test_the_worlds_parts_are_read_only() -> None:
     world = World.from_scenario(Scenario.named("table1/1"))
     with pytest.raises(dataclasses.FrozenInstanceError):
@@ -68,7 +57,9 @@ def test_the_worlds_parts_are_read_only() -> None:
 
 @pytest.mark.parametrize("mass", [None, 2.5])
 @pytest.mark.parametrize("name", VARIANTS)
-def test_acceleration_is_the_plants(write_model: ModelWriter, name: str, mass: float) -> None:
+def test_mass_and_acceleration_are_the_plants(
+    write_model: ModelWriter, name: str, mass: float
+) -> None:
     world = make_world(write_model, name, mass)
     root = world.create_context()
     context = world.plant.GetMyMutableContextFromRoot(root)
@@ -82,8 +73,9 @@ def test_acceleration_is_the_plants(write_model: ModelWriter, name: str, mass: f
         world.plant.SetVelocities(context, v)
         world.plant.get_actuation_input_port().FixValue(context, u)
         expected = world.plant.EvalTimeDerivatives(context).CopyToVector()[n:]
-        got = world.calc_acceleration(q, v, u)
+        got, M = world.calc_acceleration(q, v, u), world.plant.CalcMassMatrix(context)
         np.testing.assert_allclose(got, expected, rtol=RELATIVE, atol=10 * RELATIVE)
+        np.testing.assert_allclose(world.calc_mass_matrix(q), M, rtol=RELATIVE, atol=RELATIVE)
 
 
 @pytest.mark.parametrize("name", VARIANTS)
@@ -112,16 +104,6 @@ def test_signed_distance_is_that_of_the_geometry_and_the_jacobian_its_derivative
         previous = q, got
 
 
-@pytest.mark.parametrize(("name", "override"), [("as shipped", 2.0), ("2 kg", None)])
-def test_a_2_kg_mass_is_read_as_such(
-    write_model: ModelWriter, name: str, override: float | None
-) -> None:
-    world = make_world(write_model, name, override)
-    assert world.mass_matrix[0, 0].EqualTo(Expression(2.0))
-    acceleration = world.calc_acceleration(np.zeros(1), np.zeros(1), np.array([3.0]))
-    np.testing.assert_array_equal(acceleration, [1.5])
-
-
 def test_replacing_the_mass_edits_neither_the_plant_nor_the_inertias_shape() -> None:
     world = World.from_scenario(make_scenario(mass=4.0))
     ball = world.plant.GetBodyByName("ball")
@@ -130,30 +112,6 @@ def test_replacing_the_mass_edits_neither_the_plant_nor_the_inertias_shape() -> 
     assert ball.get_mass(context) == 4.0
     moments = ball.CalcSpatialInertiaInBodyFrame(context).CalcRotationalInertia().get_moments()
     np.testing.assert_allclose(moments, 4.0 * 0.001, rtol=RELATIVE)  # 2/5 m r²
-
-
-def test_a_spring_on_the_joint_pushes_towards_its_reference(write_model: ModelWriter) -> None:
-    world = make_world(write_model, "spring")
-    (q,) = world.positions
-    assert differs_by_zero(world.bias[0], 3.0 * q - 1.2)
-
-
-def test_a_damper_on_the_joint_resists_its_velocity(write_model: ModelWriter) -> None:
-    world = make_world(write_model, "damper")
-    (v,) = world.velocities
-    assert differs_by_zero(world.bias[0], 0.7 * v)
-
-
-def test_gravity_pulls_down_a_vertical_joint(write_model: ModelWriter) -> None:
-    world = make_world(write_model, "gravity", mass=2.0)
-    assert differs_by_zero(world.bias[0], 2.0 * 9.81)
-
-
-def test_a_shifted_wall_is_reached_sooner(write_model: ModelWriter) -> None:
-    world = make_world(write_model, "shifted wall")
-    (distance,) = world.calc_signed_distance(np.array([1.0]))
-    assert distance == pytest.approx(0.75, abs=RELATIVE)  # 0.25 m nearer than shipped.
-    assert world.contacts[0].jacobian[0].EqualTo(Expression(1.0))
 
 
 def test_from_behind_a_thin_wall_its_other_face_counts(write_model: ModelWriter) -> None:
@@ -212,7 +170,7 @@ def test_the_models_are_found_in_a_wheel_and_in_a_checkout(
         (SHIPPED.parent / "package.xml").read_text(encoding="utf-8"), encoding="utf-8"
     )
     monkeypatch.setattr("drake_aigto.world.files.resources.files", lambda name: tmp_path / name)
-    assert files.models_directory() == tmp_path / place
+    assert models_directory() == tmp_path / place
 
 
 def test_an_installation_without_models_is_reported(
@@ -220,12 +178,4 @@ def test_an_installation_without_models_is_reported(
 ) -> None:
     monkeypatch.setattr("drake_aigto.world.files.resources.files", lambda name: tmp_path / name)
     with pytest.raises(ModelError, match=r"shipped models are missing.*Install drake_aigto again"):
-        files.models_directory()
-
-
-def test_every_coordinate_has_its_joint(write_model: ModelWriter) -> None:
-    world = make_world(write_model, "cart")
-    names = {find_joint(world.plant, i).name() for i in range(2)}
-    assert names == {"rail", "slider"}
-    with pytest.raises(IndexError):
-        find_joint(world.plant, 2)
+        models_directory()

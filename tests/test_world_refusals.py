@@ -16,10 +16,10 @@ from world_models import (
     read_thin_walled,
 )
 
+from benchmarks.baselines import Recorder
 from drake_aigto import ModelError, Planner, ScenarioError, World
-from drake_aigto.baselines import Recorder
-from drake_aigto.optima import rigid_optimum
-from drake_aigto.world.diagram import build_diagram
+from drake_aigto.paper import rigid_optimum
+from drake_aigto.world import build_diagram
 
 # Bad models, each with one clear error.
 

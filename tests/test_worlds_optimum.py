@@ -12,16 +12,11 @@ from line_rivals import SAMPLES, Leg, legs_of
 from optimum_worlds import draw, ends, restitutions, seeds, solve, world_of
 from replay_worlds import make_diagram, make_scenario, shipped_world
 
+from benchmarks.optima import ContactOptimum, block_optimum, masses_optimum, walls_optimum
+from benchmarks.optima.line_optimum import Line, LineBounce, Wall
 from benchmarks.world_scenarios import WORLDS
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.optima import (
-    ContactOptimum,
-    block_optimum,
-    masses_optimum,
-    rigid_optimum,
-    walls_optimum,
-)
-from drake_aigto.optima.line_optimum import Line, LineBounce, Wall
+from drake_aigto.paper import rigid_optimum
 from drake_aigto.simulation import replay_event_driven
 from drake_aigto.world import Scenario, World
 

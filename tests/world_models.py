@@ -9,9 +9,9 @@ import numpy as np
 from pydrake.symbolic import Expression
 
 from drake_aigto import Scenario, World
-from drake_aigto.world import files
+from drake_aigto.world import models_directory
 
-SHIPPED = files.models_directory() / "point_mass_and_wall.sdf"
+SHIPPED = models_directory() / "point_mass_and_wall.sdf"
 # Drake's recursive dynamics and ours differ by rounding only: some tens of operations.
 RELATIVE = 1e-12
 

@@ -7,9 +7,13 @@ import math
 import time
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import ClassVar, Literal, TypeAlias
+from typing import Any, ClassVar, Literal, TypeAlias
 
-from drake_aigto.aigo import AigoResult, Algorithm, Alternating, EqualWidths, FullGradient
+from benchmarks.equal_widths import EqualWidths
+from benchmarks.study.scenario_question import ScenarioQuestion
+from benchmarks.study.scenario_runs import EXHAUSTIVE, Job, MethodRun, Runner, read_boxes
+from benchmarks.study.scenario_study import ScenarioResult, ScenarioStudy
+from drake_aigto.aigo import AigoResult, Algorithm, Alternating, FullGradient
 from drake_aigto.errors import OptionsError
 from drake_aigto.paper import RigidWithForces
 from drake_aigto.planning import (
@@ -23,10 +27,6 @@ from drake_aigto.planning import (
 )
 from drake_aigto.planning.options import RIGID_LADDER
 from drake_aigto.simulation import replay_event_driven
-from drake_aigto.study.method_run import Job, MethodRun, Runner
-from drake_aigto.study.scenario_question import ScenarioQuestion
-from drake_aigto.study.scenario_results import ScenarioResult
-from drake_aigto.study.scenario_study import EXHAUSTIVE, read_boxes
 from drake_aigto.transcription import RigidTranscription, Touch, TouchSequence
 from drake_aigto.transcription.rows import CONTACT, DYNAMICS, RESTITUTION
 from drake_aigto.world import Scenario, World
@@ -150,7 +150,8 @@ class AblationQuestion(ScenarioQuestion):
     budgets: tuple[float, ...] = (1.0,)
 
     kind: ClassVar[str] = "ablations"
-    command: ClassVar[str] = "python -m benchmarks ablations"  # That asks it.
+    command: ClassVar[str] = "python -m benchmarks ablations"
+    flags: ClassVar[Mapping[str, str]] = {"num_steps": "steps", "methods": "variants"}
 
     @property
     def runner(self) -> Runner:
@@ -165,6 +166,12 @@ class AblationQuestion(ScenarioQuestion):
                 got=", ".join(map(repr, unknown)),
                 expected=f"some of {', '.join(map(repr, VARIANTS))}",
             )
+
+
+class AblationStudy(ScenarioStudy):
+    """All variants on all scenarios."""
+
+    question_type: ClassVar[Any] = AblationQuestion
 
 
 def run_variant(world: World, job: Job) -> MethodRun:

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.ticker import PercentFormatter
 
 from benchmarks.ablations.ablations import VARIANTS
-from drake_aigto.study.scenario_results import ScenarioStudy, count_right_boxes, summarize
+from benchmarks.study.scenario_study import ScenarioStudy, count_right_boxes, summarize
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -7,15 +7,12 @@ from pathlib import Path
 
 from matplotlib.figure import Figure
 
-from benchmarks.ablations.ablations import AblationQuestion
+from benchmarks.ablations.ablations import AblationStudy
 from benchmarks.ablations.figures import plot_variants
 from benchmarks.ablations.tables import markdown_ablations
-from drake_aigto.show.images import Images, Section
-from drake_aigto.show.scenario_page import command_of
-from drake_aigto.study.scenario_results import ScenarioStudy
-
-# Field of the question → flag.
-_FLAGS = {"num_steps": "steps", "methods": "variants"}
+from benchmarks.study.page import Images, Section
+from benchmarks.study.scenario_study import ScenarioStudy
+from benchmarks.study.study import command_of
 
 _INTRODUCTION = """\
 ## What finds the bounce
@@ -60,9 +57,9 @@ _CONCLUSION = """\
 
 
 def _describe(path: Path, images: Images) -> Iterator[str]:
-    study = ScenarioStudy.load(path, AblationQuestion)
+    study = AblationStudy.load(path)
     bounces = sum(result.contacts > 0 for result in study.results)
-    yield f"    {command_of(study.question, _FLAGS)}\n"
+    yield f"    {command_of(study.question)}\n"
     yield (
         f"{len(study.results)} scenarios of seed {study.question.seed}, of which {bounces} have a "
         "bounce in the optimum.\n"

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 from benchmarks.ablations.ablations import VARIANTS, count_lost_bounces
-from drake_aigto.show.scenario_tables import failures, markdown_row, ratio_text
-from drake_aigto.study.scenario_results import ScenarioStudy, count_right_boxes, summarize
+from benchmarks.study.page import markdown_table
+from benchmarks.study.scenario_study import ScenarioStudy, count_right_boxes, summarize
+from benchmarks.study.scenario_tables import failures, ratio_text
 
 _LEGEND = """\
 optimal   replayed on a rigid wall, costs at most 1.01 J* + 1e-7 J; J* is exact
@@ -35,10 +36,13 @@ def format_ablations(study: ScenarioStudy) -> str:
 def markdown_ablations(study: ScenarioStudy) -> str:
     """Returns the same numbers as a Markdown table."""
     heads = ("varied", "variant", *_HEADS[:3], "boxes right: best rung", "any rung", "bounces lost")
-    rows = [markdown_row(heads), markdown_row(["---"] * len(heads))]
-    for variant in study.question.methods:
-        rows.append(markdown_row([VARIANTS[variant].group, variant, *_cells(study, variant)]))
-    return "\n".join(rows)
+    return markdown_table(
+        heads,
+        (
+            [VARIANTS[variant].group, variant, *_cells(study, variant)]
+            for variant in study.question.methods
+        ),
+    )
 
 
 def _line(name: str, cells: tuple[str, ...]) -> str:

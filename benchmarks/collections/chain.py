@@ -23,7 +23,7 @@ from scipy.linalg import solveh_banded
 from benchmarks.collections.global_problem import GlobalProblem, Part
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError
-from drake_aigto.jit import kernel
+from drake_aigto.kernels import kernel
 
 REACH = 2.2
 NUM_ROOTS = 6

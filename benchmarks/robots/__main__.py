@@ -18,37 +18,25 @@ import argparse
 import math
 import sys
 from collections.abc import Sequence
-from functools import partial
 
+from benchmarks.__main__ import main
 from benchmarks.measure import is_met
-from benchmarks.robots.compare import run_comparison
+from benchmarks.robots.compare import RobotStudy
 from benchmarks.robots.figures import find_figures
 from benchmarks.robots.methods import METHODS
-from benchmarks.robots.results import Comparison, Results
+from benchmarks.robots.results import Comparison
 from benchmarks.robots.search import search
 from benchmarks.robots.table import format_results
 from benchmarks.robots.worlds import WORLDS
-from drake_aigto.cli.command_line import run
-from drake_aigto.cli.flags import add_command, add_common, positive
-from drake_aigto.cli.parser import Parser
-from drake_aigto.cli.status import FINE, INTERRUPTED
-from drake_aigto.cli.studies import add_running, run_study
+from benchmarks.study.flags import add_running, run_asked
+from drake_aigto.cli import FINE, Parser, add_command, add_common, positive
 
 _COMPARE = """\
 python -m benchmarks.robots compare --json robots.json --workers 2
-python -m benchmarks.robots compare cart_pole/soft_06 --count 5 --methods IPOPT CMA-ES --seconds 1
+python -m benchmarks.robots compare cart_pole/soft_06 --count 5 --methods IPOPT shooting --seconds 1
 """
 _SEARCH = "python -m benchmarks.robots search IPOPT --tries 20 --minutes 20\n"
 _SHOW = "python -m benchmarks.robots show robots.json\n"
-
-
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs a command and returns its exit status."""
-    try:
-        return run(arguments, make_parser)
-    except KeyboardInterrupt:
-        print("benchmarks.robots: interrupted", file=sys.stderr)
-        return INTERRUPTED
 
 
 def make_parser(_: Sequence[str] = ()) -> Parser:
@@ -83,12 +71,7 @@ def _add_compare(commands: argparse._SubParsersAction[Parser]) -> None:
     command.add_argument("--seconds", type=float, metavar="S", help=text)
     text = "let what is better take the place of the best known"
     command.add_argument("--refresh", action="store_true", help=text)
-    _add_minutes(command, "after which what is not answered is left out (default: never)")
     add_running(command)
-
-
-def _add_minutes(command: argparse.ArgumentParser, text: str) -> None:
-    command.add_argument("--minutes", type=float, default=math.inf, metavar="M", help=text)
 
 
 def _add_search(commands: argparse._SubParsersAction[Parser]) -> None:
@@ -98,19 +81,19 @@ def _add_search(commands: argparse._SubParsersAction[Parser]) -> None:
     _add_questions(command)
     text = "of each question, those of earlier searches included (default: %(default)s)"
     command.add_argument("--tries", type=positive, default=300, metavar="N", help=text)
-    _add_minutes(command, "after which it ends (default: when all tries are made)")
+    text = "after which it ends (default: when all tries are made)"
+    command.add_argument("--minutes", type=float, default=math.inf, metavar="M", help=text)
 
 
 def _compare(options: argparse.Namespace) -> int:
-    comparison = Comparison(
+    question = Comparison(
         worlds=tuple(options.worlds or WORLDS),
         count=options.count,
         methods=tuple(options.methods),
         seconds=options.seconds,
         is_tuning=options.tuning,
     )
-    run = partial(run_comparison, refresh=options.refresh, minutes=options.minutes)
-    return _report(run_study(options, run, comparison))
+    return _report(run_asked(options, RobotStudy(question, refresh=options.refresh)))
 
 
 def _search(options: argparse.Namespace) -> int:
@@ -121,14 +104,14 @@ def _search(options: argparse.Namespace) -> int:
 
 
 def _show(options: argparse.Namespace) -> int:
-    return _report(Results.load(options.results))
+    return _report(RobotStudy.load(options.results))
 
 
-def _report(results: Results) -> int:
+def _report(results: RobotStudy) -> int:
     """Prints the tables, and returns whether all figures that are asked for are reached."""
     print(format_results(results), end="\n\n")
     return int(not all([is_met(*each) for each in find_figures(results)]))
 
 
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(main(make=make_parser))

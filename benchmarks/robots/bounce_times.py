@@ -23,7 +23,7 @@ from scipy.optimize import minimize
 
 from benchmarks.robots.judge import Control
 from benchmarks.robots.worlds import Question, setting_of
-from drake_aigto.jit import inner, kernel
+from drake_aigto.kernels import inner, kernel
 
 _GRAVITY = 9.81  # [m/s²]
 _WALL, _BEYOND = -np.pi / 6, 7 * np.pi / 6  # θ at both sides of the same wall [rad]

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-import os
 import time
-from collections.abc import Callable, Iterator
-from concurrent.futures import Executor, Future
-from contextlib import AbstractContextManager, suppress
-from functools import cache
-from typing import Any, NamedTuple
+from collections.abc import Iterator
+from concurrent.futures import Future
+from dataclasses import dataclass
+from functools import cache, cached_property
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -17,16 +16,16 @@ from benchmarks.robots.judge import Control, judge
 from benchmarks.robots.known import find_known, keep, load_known
 from benchmarks.robots.methods import METHODS, PLANS, Attempt
 from benchmarks.robots.plans import replay_in_drake
-from benchmarks.robots.results import Comparison, Outcome, Results, Row, Step
+from benchmarks.robots.results import Comparison, Outcome, Row, Step
 from benchmarks.robots.worlds import WORLDS, Question
-from drake_aigto.count import Count
-from drake_aigto.jobs import Jobs, open_jobs
-from drake_aigto.plain import to_plain
-from drake_aigto.study.results_file import check_results_file, check_same_question, round_to
+from benchmarks.study.study import Call, Study, round_to
+from drake_aigto.progress import Count
 
 _DIGITS = 6
 _LEAST = 1.0  # CPU seconds of a peer where plans take less
 _WARM_UP = 0.5  # seconds of a method that count for nothing: libraries load, kernels compile
+
+_Key = tuple[str, int]  # world, number of the question
 
 
 class Found(NamedTuple):
@@ -36,70 +35,62 @@ class Found(NamedTuple):
     control: Control | None
 
 
-def run_comparison(
-    comparison: Comparison,
-    path: str | os.PathLike[str] | None = None,
-    *,
-    resume: bool = False,
-    executor: AbstractContextManager[Executor] | None = None,
-    progress: Callable[[str], None] | None = None,
-    refresh: bool = False,
-    minutes: float = math.inf,
-) -> Results:
-    """Runs all methods on all questions; what is done is written after each question.
+@dataclass(frozen=True)
+class RobotStudy(Study[Comparison, Row]):
+    """All methods on all questions.
 
-    Args:
-        comparison: what to run.
-        path: of the results; None keeps them in memory only.
-        resume: go on from the results that are there.
-        executor: where questions are answered, each in a process of one thread.
-        progress: called with a line of text after each question.
+    Attributes:
         refresh: whether what is better than the best known takes its place.
-        minutes: after which what is not answered is left out.
-
-    Raises:
-        OutputFileError: the results can't be written.
-        ResultsFileError: there are results and they are not to be gone on from; or they are damaged
-            or another comparison's.
     """
-    results = Results(comparison)
-    if path and check_results_file(path, resume):
-        results = Results.load(path)
-        check_same_question(path, to_plain(results.question), to_plain(comparison))
-    # One of each world at first: time may be up.
-    asked = sorted(comparison.questions(), key=lambda each: each.number)
-    questions = {(each.world, each.number): each for each in asked}
-    done = {(row.world, row.number) for row in results.rows}
-    known = load_known()
-    with open_jobs(executor) as jobs:
-        for key, question in questions.items():
-            if key not in done:
-                jobs.start(key, answer, question, comparison, find_known(known, question).cost)
-        for key, future in _until(jobs, minutes):
-            row, found = future.result()
-            results = results.with_row(row)
-            if refresh:
-                _refresh(questions[key], found)
-            if path:
-                results.save(path)
-            if progress:
-                progress(Count(len(results.rows), len(questions), "questions answered"))
-    return results
 
+    refresh: bool = False
 
-def _until(jobs: Jobs, minutes: float) -> Iterator[tuple[Any, Future[Any]]]:
-    """Yields jobs as they end, until time is up."""
-    with suppress(TimeoutError):
-        yield from jobs.ended(60.0 * minutes)
+    question_type: ClassVar[Any] = Comparison
+    result_type: ClassVar[Any] = Row
 
+    @cached_property
+    def _questions(self) -> dict[_Key, Question]:
+        return {(each.world, each.number): each for each in self.question.questions()}
 
-def _refresh(question: Question, controls: dict[str, Control]) -> None:
-    """Keeps what is better than the best known."""
-    before = known = find_known(load_known(), question)
-    for name, each in controls.items():
-        known = known.offered(question, name, each)
-    if known is not before:
-        keep(question, known)
+    @cached_property
+    def _known(self) -> dict[_Key, float]:
+        table = load_known()
+        return {key: find_known(table, each).cost for key, each in self._questions.items()}
+
+    def order(self) -> list[_Key]:
+        """Returns the questions, world by world."""
+        return list(self._questions)
+
+    def first_keys(self) -> list[_Key]:
+        """Returns one question of each world at first: time may be up."""
+        return sorted(self.order(), key=lambda key: key[1])
+
+    def key_of(self, result: Row) -> _Key:
+        """Returns whose question a row is about, and which."""
+        return result.world, result.number
+
+    def calls(self, key: _Key, result: Row | None) -> Iterator[Call]:
+        """Yields the job of a question that is not answered."""
+        if result is None:
+            yield Call("", answer, (self._questions[key], self.question, self._known[key]))
+
+    def taken(
+        self, key: _Key, result: Row | None, name: str, future: Future[tuple[Row, Any]]
+    ) -> Row:
+        """Returns what all methods found; what is better than the best known is kept if asked."""
+        row, controls = future.result()
+        if self.refresh:
+            question = self._questions[key]
+            before = known = find_known(load_known(), question)
+            for method, control in controls.items():
+                known = known.offered(question, method, control)
+            if known is not before:
+                keep(question, known)
+        return row
+
+    def progress(self) -> Count:
+        """Returns how many questions are answered."""
+        return Count(len(self.results), len(self._questions), "questions answered")
 
 
 def answer(
@@ -167,19 +158,15 @@ def run_method(name: str, question: Question, seconds: float) -> Found:
     outcome = Outcome(
         method=name,
         steps=tuple(
-            Step(round(spent, 4), _rounded(score))
+            Step(round(spent, 4), round_to(score, _DIGITS))
             for (spent, _), score in zip(timed.better, scores, strict=True)
         ),
         cpu=round(timed.cpu, 4),
         wall=round(timed.wall, 4),
         attempts=timed.attempts,
-        promised=_rounded(timed.better[-1][1].promised) if timed.better else math.inf,
+        promised=round_to(timed.better[-1][1].promised, _DIGITS) if timed.better else math.inf,
         drake=None
         if name not in PLANS or control is None
-        else _rounded(replay_in_drake(question, control)),
+        else round_to(replay_in_drake(question, control), _DIGITS),
     )
     return Found(outcome, control)
-
-
-def _rounded(cost: float) -> float:
-    return round_to(cost, _DIGITS) if math.isfinite(cost) else math.inf

@@ -6,7 +6,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from benchmarks.robots.results import Results, Row
+from benchmarks.robots.compare import RobotStudy
+from benchmarks.robots.results import Row
 from benchmarks.robots.table import NEAR, find_part
 from benchmarks.robots.worlds import WORLDS
 
@@ -15,10 +16,10 @@ _PLAN = "plan"
 _SECONDS, _OFF = 1.0, 0.01
 
 
-def find_figures(results: Results) -> Iterator[tuple[str, float, float]]:
+def find_figures(results: RobotStudy) -> Iterator[tuple[str, float, float]]:
     """Yields what is measured in each world, how much it is, and at most how much is asked for."""
     for world in results.question.worlds:
-        rows = [row for row in results.rows if row.world == world]
+        rows = [row for row in results.results if row.world == world]
         if rows and _PLAN in results.question.methods:
             yield from _find_world(world, rows)
 

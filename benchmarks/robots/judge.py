@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.robots.mechanics import Tables, make_tables, write_tables
 from benchmarks.robots.worlds import Question, Setting, Weights, setting_of
-from drake_aigto.jit import inner, kernel
+from drake_aigto.kernels import inner, kernel
 
 # How far out of a range, or off a hard goal, what counts as a solution may be: 1 % of the range, as
 # costs count as the same within 1 %.

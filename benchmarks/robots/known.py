@@ -15,9 +15,9 @@ import numpy as np
 
 from benchmarks.robots.judge import Control, judge
 from benchmarks.robots.worlds import Question, scenario_of
+from benchmarks.study.study import read_results, refuse_damaged
+from drake_aigto.output import write_text
 from drake_aigto.plain import from_plain, to_plain
-from drake_aigto.study.results_file import read_results, refuse_damaged
-from drake_aigto.world.files import write_text
 
 PATH = Path(__file__).with_name("known.json")
 _KIND = "best known"

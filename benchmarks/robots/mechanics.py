@@ -13,7 +13,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drake_aigto.jit import inner
+from drake_aigto.kernels import inner
 
 
 class Tables(NamedTuple):

@@ -21,17 +21,9 @@ from benchmarks.robots.judge import Control, judge, roll_out
 from benchmarks.robots.plans import find_plan
 from benchmarks.robots.shooting import list_phases, pose, shoot
 from benchmarks.robots.snopt import Transcription
-from benchmarks.robots.worlds import WORLDS, Question, scenario_of, setting_of
-
-try:
-    import cma
-except ModuleNotFoundError:
-    cma = None
+from benchmarks.robots.worlds import WORLDS, Question, scenario_of
 
 _GUESS_STEP = 1e-3  # of roll-outs [s]
-# CMA-ES: nodes of the piecewise linear control, their spread as a part of what random controls
-# push, steps of roll-outs [s], and the price of what excess is, in parts of J.
-_NODES, _SPREAD, _COARSE_STEP, _PRICE = 16, 0.4, 5e-3, 10.0
 
 
 class Attempt(NamedTuple):
@@ -148,37 +140,6 @@ def snopt_multistart(question: Question, first: int = 0) -> Attempts:
         yield Attempt(*transcription.solve(motion.states, u))
 
 
-def evolution(question: Question, first: int = 0) -> Attempts:
-    """Yields the best of each generation of CMA-ES, begun again where it ends."""
-    setting, world = setting_of(question), WORLDS[question.world]
-    steps, grid = scenario_of(question).num_steps, np.linspace(0.0, 1.0, _NODES)
-    spread = np.array([np.interp(_middles(steps), grid, row) for row in np.eye(_NODES)]).T
-    push, hold = np.array(world.push), np.array(world.hold)
-
-    def read(nodes: np.ndarray) -> Control:
-        values = hold + push * (spread @ nodes.reshape(_NODES, -1))
-        return Control.even(values, setting.duration)
-
-    for number, rng in enumerate(_generators(question, first)):
-        start = (random_control(question, rng, grid) - hold) / push
-        seed = int(rng.integers(1, 2**31))
-        options = {"seed": seed, "verbose": -9, "popsize_factor": 2 ** (number % 4)}
-        search = cma.CMAEvolutionStrategy(start.ravel(), _SPREAD, options)
-        while not search.stop():
-            nodes = search.ask()
-            costs = [_penalized(question, read(each)) for each in nodes]
-            search.tell(nodes, costs)
-            best = int(np.argmin(costs))
-            yield Attempt(costs[best], read(nodes[best]))
-
-
-def _penalized(question: Question, control: Control) -> float:
-    """Returns J by short steps, and the price of leaving the ranges."""
-    motion = roll_out(question, control, _COARSE_STEP)
-    total = motion.cost * (1.0 + _PRICE * motion.find_excess(setting_of(question)))
-    return total if np.isfinite(total) else 1e9
-
-
 METHODS: Mapping[str, Method] = {
     "plan": Method(plan),
     "plan, points": Method(plan_of_points),
@@ -188,12 +149,10 @@ METHODS: Mapping[str, Method] = {
     "extremals": Method(extremals, only="pendulum/off_the_wall"),
     "IPOPT": Method(ipopt_multistart),
     "SNOPT": Method(snopt_multistart, on_rigid_walls=False),
-    "CMA-ES": Method(evolution),
 }
 PLANS = ("plan", "plan, points")  # They end by themselves.
-_EXTRAS = {"IPOPT": casadi, "CMA-ES": cma}
 
 
 def is_installed(name: str) -> bool:
     """Returns whether a method's library is there."""
-    return _EXTRAS.get(name, name) is not None
+    return name != "IPOPT" or casadi is not None

@@ -1,25 +1,20 @@
-"""Which methods are compared on which questions, and what came of it, as numbers and as a file."""
+"""Which methods are compared on which questions, and what came of it, as numbers."""
 
 from __future__ import annotations
 
-import json
 import math
-import os
-from dataclasses import dataclass, replace
-from typing import NamedTuple
+from dataclasses import dataclass
+from typing import ClassVar, NamedTuple
 
 from benchmarks.robots.methods import METHODS, PLANS, is_installed
 from benchmarks.robots.worlds import WORLDS, Question, make_questions
+from benchmarks.study import StudyQuestion
 from drake_aigto.errors import OptionsError
-from drake_aigto.plain import from_plain, to_plain
-from drake_aigto.study.results_file import read_results, refuse_damaged
-from drake_aigto.world.files import write_text
-
-KIND = "robots"
+from drake_aigto.plain import from_plain
 
 
 @dataclass(frozen=True)
-class Comparison:
+class Comparison(StudyQuestion):
     """What is compared.
 
     Attributes:
@@ -39,6 +34,9 @@ class Comparison:
     methods: tuple[str, ...] = tuple(METHODS)
     seconds: float | None = None
     is_tuning: bool = False
+
+    kind: ClassVar[str] = "robots"
+    command: ClassVar[str] = "python -m benchmarks.robots compare"
 
     def __post_init__(self) -> None:
         """Checks names and numbers."""
@@ -137,40 +135,3 @@ class Row:
     def best(self) -> float:
         """The best cost that is known now."""
         return min([self.known, *(outcome.cost for outcome in self.outcomes)])
-
-
-@dataclass(frozen=True)
-class Results:
-    """A comparison, as far as it was run.
-
-    Attributes:
-        question: what is compared.
-        rows: those that are done, in the order of the questions.
-    """
-
-    question: Comparison
-    rows: tuple[Row, ...] = ()
-
-    def with_row(self, row: Row) -> Results:
-        """Returns the results with one more row."""
-        done = {(each.world, each.number): each for each in (*self.rows, row)}
-        order = [(each.world, each.number) for each in self.question.questions()]
-        return replace(self, rows=tuple(done[key] for key in order if key in done))
-
-    def save(self, path: str | os.PathLike[str]) -> None:
-        """Writes a JSON file, whole or not at all."""
-        write_text(path, json.dumps({"kind": KIND, **to_plain(self)}) + "\n")
-
-    @classmethod
-    def load(cls, path: str | os.PathLike[str]) -> Results:
-        """Reads a file of results.
-
-        Raises:
-            ResultsFileError: no such file, damaged, or of another kind.
-        """
-        data = read_results(path, KIND)
-        with refuse_damaged(path):
-            return cls(
-                from_plain(Comparison, data["question"]),
-                from_plain(tuple[Row, ...], data["rows"], "rows"),
-            )

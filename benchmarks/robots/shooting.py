@@ -11,6 +11,7 @@ import numpy as np
 
 from benchmarks.robots.judge import Control
 from benchmarks.robots.worlds import WORLDS, Question, scenario_of
+from drake_aigto.contact import contact_law
 from drake_aigto.shooting import (
     Mechanism,
     Phases,
@@ -19,7 +20,7 @@ from drake_aigto.shooting import (
     ShootingResult,
     Smoothing,
 )
-from drake_aigto.simulation.bounds import state_scales
+from drake_aigto.simulation import state_scales
 from drake_aigto.world import Scales, TaskCost, World
 
 # They soon tell whether a start is any good.
@@ -47,7 +48,7 @@ def world_of(name: str) -> World:
 def _mechanism(name: str, restitution: float) -> Mechanism:
     world = world_of(name)
     scenario = dataclasses.replace(scenario_of(Question(name, 0)), restitution=restitution)
-    return Mechanism.of(world, world.contact_law(scenario))
+    return Mechanism.of(world, contact_law(world, scenario))
 
 
 def pose(question: Question, phases: Phases | None = None) -> ShootingProblem:
@@ -92,10 +93,12 @@ def shoot(
 
 
 def _finish(problem: ShootingProblem, found: ShootingResult) -> ShootingResult:
-    """Returns the local optimum near a rough one."""
-    problem = problem.starting_from(found)
-    found = problem.solve(found.controls, found.states, _EXACT)
-    return problem.refine(found, _EXACT, _TOLERANCE, _MOST_SUBSTEPS)
+    """Returns the local optimum near a rough one, with as many substeps as its accuracy takes."""
+    found = problem.starting_from(found).solve(found.controls, found.states, _EXACT)
+    while found.substeps < _MOST_SUBSTEPS and problem.estimate_error(found) > _TOLERANCE:
+        finer = dataclasses.replace(_EXACT, substeps=2 * found.substeps)
+        found = problem.starting_from(found).solve(found.controls, None, finer, found.prices)
+    return found
 
 
 def list_phases(question: Question, rng: np.random.Generator) -> Phases:

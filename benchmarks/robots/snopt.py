@@ -15,13 +15,7 @@ from pydrake.solvers import MathematicalProgram, SnoptSolver, SolverOptions
 
 from benchmarks.robots.ipopt import MAX_ITERATIONS
 from benchmarks.robots.judge import Control
-from drake_aigto.jit import borrow, kernel
-from drake_aigto.shooting import ShootingOptions, ShootingProblem
-from drake_aigto.shooting.descent import _EXPAND, _travel
-from drake_aigto.shooting.memory import make_memory
-from drake_aigto.shooting.phases import Layout
-from drake_aigto.shooting.program import make_program
-from drake_aigto.shooting.tables import Memory, Program
+from drake_aigto.shooting import ShootingOptions, ShootingProblem, expand_motion, make_memory
 
 _OPTIONS = ShootingOptions(substeps=2)
 
@@ -31,11 +25,10 @@ class Transcription:
 
     def __init__(self, problem: ShootingProblem) -> None:
         """Makes Drake's program of a problem between walls that yield, or without any."""
-        layout = Layout.of(problem.times, problem.phases, problem.mechanism.num_contacts)
-        self._problem, self._tables = problem, make_program(problem, layout, _OPTIONS)
+        self._problem, self._tables = problem, problem.make_program(_OPTIONS)
         bounds, (K, nu) = self._tables.bounds, self._tables.bounds.lower_control.shape
         self._stages, self._nz, self._nu = K, len(problem.start), nu
-        self._memory = make_memory(self._tables, K, self._nz)
+        self._memory = make_memory(self._tables)
         self._smoothing, self._at = 0.0, np.full(K * (self._nz + nu), np.nan)
         self._cost = np.inf
         self._prog = MathematicalProgram()
@@ -72,7 +65,7 @@ class Transcription:
         size = self._stages * self._nz
         states = np.vstack([self._problem.start, x[:size].reshape(-1, self._nz)])
         controls = x[size:].reshape(-1, self._nu).copy()
-        self._cost = _expand(self._tables, states, controls, self._smoothing, self._memory)
+        self._cost = expand_motion(self._tables, states, controls, self._smoothing, self._memory)
         self._at = np.array(x)
 
     def _calc_cost(self, x: np.ndarray) -> Any:
@@ -108,12 +101,3 @@ class Transcription:
         values = guess[-controls.size :].reshape(controls.shape)
         promised = result.get_optimal_cost() if result.is_success() else np.inf
         return promised, Control(self._problem.times, values)
-
-
-@kernel
-def _expand(
-    program: Program, states: np.ndarray, controls: np.ndarray, eps: float, memory: Memory
-) -> float:
-    """Computes all stages and their derivatives about a motion, and returns its cost."""
-    program, memory = borrow(program), borrow(memory)
-    return _travel(program, states, controls, _EXPAND, 0.0, eps, np.inf, memory)

@@ -7,7 +7,8 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from benchmarks.robots.results import Outcome, Results, Row
+from benchmarks.robots.compare import RobotStudy
+from benchmarks.robots.results import Outcome, Row
 
 NEAR, WIDE = 0.01, 0.05
 _LESS = 1e-3  # what counts as less than what was known
@@ -23,11 +24,11 @@ _COLUMNS = {"1 %": 8, "5 %": 8, "below": 8, "CPU": 13, "wall": 13, "hit": 7, "of
 _HEAD = " " * 15 + "".join(f"{name:>{width}}" for name, width in _COLUMNS.items())
 
 
-def format_results(results: Results) -> str:
+def format_results(results: RobotStudy) -> str:
     """Returns the table of each world: all questions, and those that start deep apart."""
     lines = [_LEGEND]
     for world in results.question.worlds:
-        rows = [row for row in results.rows if row.world == world]
+        rows = [row for row in results.results if row.world == world]
         deep = [row for row in rows if row.is_deep]
         shallow = [row for row in rows if not row.is_deep]
         methods = results.question.methods_for(world)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple, TypeVar
 import numpy as np
 
 from benchmarks.robustness.perturbation import QUANTITIES, RANDOM
-from benchmarks.robustness.results import (
+from benchmarks.robustness.study import (
     DRAKE,
     FEEDBACK,
     GRADIENT,
@@ -19,7 +19,8 @@ from benchmarks.robustness.results import (
     RobustnessStudy,
     TaskResult,
 )
-from drake_aigto.show.text import WIDTH, length_text, task_items
+from benchmarks.study.page import markdown_table
+from drake_aigto.show import WIDTH, length_text, task_items
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -121,7 +122,7 @@ class Summary(NamedTuple):
 
     name: str
     ratio: float  # J / the exact optimum under the perturbation: the median
-    dearer: tuple[float, float]  # J − J of the plan unperturbed: median and largest
+    above: tuple[float, float]  # J − J of the plan unperturbed: median and largest
     miss: tuple[float, float]  # goal error: median and largest [m]
     kept: int  # how often contacts were as planned,
     total: int  # of so many times
@@ -149,12 +150,12 @@ def summarize(study: RobustnessStudy) -> list[Summary]:
 
 
 def _summarize(name: str, runs: Sequence[tuple[Outcome, float, float]]) -> Summary:
-    dearer = [outcome.cost - planned for outcome, planned, _ in runs]
+    above = [outcome.cost - planned for outcome, planned, _ in runs]
     misses = [outcome.goal_error for outcome, _, _ in runs]
     return Summary(
         name,
         _median(outcome.cost / optimum for outcome, _, optimum in runs),
-        (_median(dearer), max(dearer)),
+        (_median(above), max(above)),
         (_median(misses), max(misses)),
         sum(outcome.keeps_contacts for outcome, _, _ in runs),
         len(runs),
@@ -166,10 +167,10 @@ def _summary_lines(study: RobustnessStudy) -> Iterator[str]:
     yield f"{'':32}{'J / possible':>12}{'J − unperturbed':>20}{'goal error':>20}{'same':>14}"
     yield f"{'':32}{'median':>12}{'median':>10}{'worst':>10}{'median':>10}{'worst':>10}"
     for row in summarize(study):
-        dearer = "".join(f"{cost:>10.1e}" for cost in row.dearer)
+        above = "".join(f"{cost:>10.1e}" for cost in row.above)
         misses = "".join(f"{length_text(miss):>10}" for miss in row.miss)
         kept = f"{row.kept} of {row.total}"
-        yield f"  {row.name:30}{row.ratio:>12.4g}{dearer}{misses}{kept:>14}"
+        yield f"  {row.name:30}{row.ratio:>12.4g}{above}{misses}{kept:>14}"
 
 
 def markdown_robustness(study: RobustnessStudy) -> str:
@@ -178,18 +179,17 @@ def markdown_robustness(study: RobustnessStudy) -> str:
         *("plan", "J / possible, median", "J − J unperturbed, median", "worst"),
         *("goal error, median", "worst", "contacts as planned"),
     ]
-    rows = [
+    rows = (
         [
             row.name,
             f"{row.ratio:.4g}",
-            *(f"{cost:.1e}" for cost in row.dearer),
+            *(f"{cost:.1e}" for cost in row.above),
             *(length_text(miss) for miss in row.miss),
             f"{row.kept} of {row.total}",
         ]
         for row in summarize(study)
-    ]
-    rule = ["---", *["--:"] * (len(head) - 1)]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in (head, rule, *rows))
+    )
+    return markdown_table(head, rows)
 
 
 def plot_robustness(

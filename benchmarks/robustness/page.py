@@ -8,10 +8,9 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from benchmarks.robustness.figures import markdown_robustness, plot_robustness
-from benchmarks.robustness.question import RobustnessQuestion
-from benchmarks.robustness.results import RobustnessStudy
-from drake_aigto.plain import to_plain
-from drake_aigto.show.images import Images, Section
+from benchmarks.robustness.study import RobustnessStudy
+from benchmarks.study.page import Images, Section
+from benchmarks.study.study import command_of
 
 _INTRODUCTION = """\
 ## Robustness
@@ -22,8 +21,6 @@ flight that touches nothing. Open loop the plan's control runs as it is; with LQ
 (Drake's finite-horizon LQR on each flight) tracks the plan and goes on to its next flight when the
 ball bounces. *Possible* is the exact optimum under a perturbation that is known beforehand.
 """
-# Field of the question → flag, where they differ.
-_FLAGS = {"confirm": "--no-confirm"}
 _TASKS_A_ROW = 12
 
 
@@ -48,20 +45,6 @@ def _describe(path: Path, images: Images) -> Iterator[str]:
 
 
 ROBUSTNESS = Section(_INTRODUCTION, _describe)
-
-
-def command_of(question: RobustnessQuestion) -> str:
-    """Returns the command line that asks a question."""
-    words = ["python -m benchmarks robustness"]
-    asked, usual = to_plain(question), to_plain(RobustnessQuestion())
-    for name, value in asked.items():
-        if value == usual[name] and name not in ("percent", "seed"):
-            continue
-        words.append(_FLAGS.get(name, f"--{name}"))
-        if name not in _FLAGS:
-            values = value if isinstance(value, list) else [value]
-            words.extend(f"{each:g}" for each in values)
-    return " ".join(words)
 
 
 def draw_robustness(study: RobustnessStudy) -> Figure:

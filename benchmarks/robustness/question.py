@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 from benchmarks.robustness.perturbation import (
     Perturbation,
     perturb_at_random,
     perturb_one_at_a_time,
 )
+from benchmarks.study.scenario_question import ScenarioQuestion
+from benchmarks.study.study import StudyQuestion
 from drake_aigto.errors import OptionsError, ScenarioError
 from drake_aigto.paper import ROWS
-from drake_aigto.study.scenario_question import ScenarioQuestion
 from drake_aigto.world import Scenario, World
 
 
@@ -26,7 +28,7 @@ class Task(NamedTuple):
 
 
 @dataclass(frozen=True, kw_only=True)
-class RobustnessQuestion:
+class RobustnessQuestion(StudyQuestion):
     """Rows of Table I at several restitutions, random scenarios besides, and perturbations.
 
     Attributes:
@@ -49,6 +51,11 @@ class RobustnessQuestion:
     samples: int = 20
     seed: int = 0
     confirm: bool = True
+
+    kind: ClassVar[str] = "robustness"
+    command: ClassVar[str] = "python -m benchmarks robustness"
+    flags: ClassVar[Mapping[str, str]] = {"confirm": "no-confirm"}
+    told: ClassVar[Sequence[str]] = ("percent", "seed")
 
     def __post_init__(self) -> None:
         """Checks what needs no world."""

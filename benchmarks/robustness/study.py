@@ -2,102 +2,119 @@
 
 from __future__ import annotations
 
-import logging
-import os
-from collections.abc import Callable
-from concurrent.futures import Executor
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future
+from dataclasses import dataclass, field
+from typing import Any, ClassVar, NamedTuple
 
 from benchmarks.robustness.question import RobustnessQuestion, Task
-from benchmarks.robustness.results import (
-    DRAKE,
-    FEEDBACK,
-    GRADIENT,
-    OPEN_LOOP,
-    OURS,
-    Outcome,
-    PlanResult,
-    RobustnessStudy,
-    TaskResult,
-    round_as_filed,
-)
+from benchmarks.study.study import Call, Study, round_to
 from drake_aigto.control import FlightFeedback, track_drake, track_event_driven
-from drake_aigto.count import Count
 from drake_aigto.errors import AigtoError
-from drake_aigto.jobs import Jobs, open_jobs
 from drake_aigto.local import solve_with_drake
-from drake_aigto.optima import rigid_optimum
-from drake_aigto.plain import to_plain
+from drake_aigto.paper import rigid_optimum
+from drake_aigto.plain import from_plain
 from drake_aigto.planning import Planner, PlanOptions
-from drake_aigto.simulation import Replay, replay_event_driven
-from drake_aigto.simulation.contacts import find_contacts
-from drake_aigto.study.results_file import check_results_file, check_same_question
+from drake_aigto.progress import Count
+from drake_aigto.simulation import Replay, find_contacts, replay_event_driven
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import PhaseTranscription
 from drake_aigto.world import Scenario, World
 
-_LOG = logging.getLogger(__name__)
-
 _OPTIONS = PlanOptions(confirm=False, threads=1)
+# Whose plan.
+OURS, GRADIENT = "ours", "gradient"
+# How it is carried out.
+OPEN_LOOP, FEEDBACK, DRAKE = "open loop", "LQR", "LQR on Drake's plant"
+# Significant digits of results.
+_DIGITS = 6
 
 
-def run_robustness(
-    question: RobustnessQuestion,
-    path: str | os.PathLike[str] | None = None,
-    *,
-    resume: bool = False,
-    executor: AbstractContextManager[Executor] | None = None,
-    progress: Callable[[str], None] | None = None,
-) -> RobustnessStudy:
-    """Plans for all tasks, and replays every plan under all perturbations.
+class Outcome(NamedTuple):
+    """What became of one plan under one perturbation."""
 
-    What is done is written after each task, so that Ctrl-C loses little.
+    cost: float  # of the control that was applied, and of the end
+    goal_error: float  # ‖q(T) − goal‖ [m]
+    keeps_contacts: bool  # whether the contacts are those of the plan, in its order
 
-    Args:
-        question: what to run.
-        path: of the results; None keeps them in memory only.
-        resume: go on from the results that are there.
-        executor: where tasks run, entered once all is checked; `open_workers`, with a process a
-            core, if None.
-        progress: called with a line of text after each task.
+    @classmethod
+    def from_plain(cls, data: object) -> Outcome:
+        """Returns the outcome that files have as a list."""
+        return cls(*from_plain(tuple[float, float, bool], data))
 
-    Raises:
-        OptionsError, ScenarioError: from `RobustnessQuestion.check`.
-        OutputFileError: the results can't be written.
-        ResultsFileError: there are results and they are not to be gone on from; or they are damaged
-            or another study's.
-        StudyError: from `open_workers`; or the processes that ran a task died: the others are done.
+
+@dataclass(frozen=True)
+class PlanResult:
+    """A plan, and what became of it.
+
+    Attributes:
+        method: whose it is.
+        cost: of its unperturbed replay, as all on rigid walls where nothing else is said.
+        goal_error: of that [m].
+        bounce_times: of that [s].
+        outcomes: way to carry it out → one outcome for each perturbation.
+        error: why there is no plan that can be tracked, or None.
     """
-    question.check()
-    known = RobustnessStudy(question)
-    if path and check_results_file(path, resume):
-        known = RobustnessStudy.load(path)
-        check_same_question(path, to_plain(known.question), to_plain(question))
-    with open_jobs(executor) as jobs:
-        return _run(known, path, jobs, progress)
+
+    method: str
+    cost: float = float("inf")
+    goal_error: float = float("inf")
+    bounce_times: tuple[float, ...] = ()
+    outcomes: Mapping[str, tuple[Outcome, ...]] = field(default_factory=dict)
+    error: str | None = None
 
 
-def _run(
-    known: RobustnessStudy,
-    path: str | os.PathLike[str] | None,
-    jobs: Jobs,
-    progress: Callable[[str], None] | None,
-) -> RobustnessStudy:
-    """Returns a study with those tasks run that were not."""
-    study = known
-    done = {result.name for result in known.results}
-    tasks = known.question.tasks()
-    for task in tasks:
-        if task.name not in done:
-            jobs.start(task.name, run_task, task, known.question)
-    for name, future in jobs.ended():
-        study = study.with_result(future.result())
-        _LOG.info("%s: done", name)
-        if path:
-            study.save(path)
-        if progress:
-            progress(Count(len(study.results), len(tasks), "tasks done"))
-    return study
+@dataclass(frozen=True)
+class TaskResult:
+    """What became of all plans for one task.
+
+    Attributes:
+        name: of the task.
+        scenario: of the task.
+        optimum: the exact one.
+        kinds: what each perturbation is of (`Perturbation.kind`).
+        optima: the exact optimum under each perturbation, for who knows of it beforehand.
+        plans: one of each method.
+    """
+
+    name: str
+    scenario: Scenario
+    optimum: float
+    kinds: tuple[str, ...]
+    optima: tuple[float, ...]
+    plans: tuple[PlanResult, ...]
+
+
+@dataclass(frozen=True)
+class RobustnessStudy(Study[RobustnessQuestion, TaskResult]):
+    """Plans for all tasks, each replayed under all perturbations."""
+
+    question_type: ClassVar[Any] = RobustnessQuestion
+    result_type: ClassVar[Any] = TaskResult
+
+    def order(self) -> list[str]:
+        """Returns the names of the tasks."""
+        return [task.name for task in self.question.tasks()]
+
+    def key_of(self, result: TaskResult) -> str:
+        """Returns its name."""
+        return result.name
+
+    def calls(self, key: str, result: TaskResult | None) -> Iterator[Call]:
+        """Yields the job of a task that is not done."""
+        if result is None:
+            (task,) = (each for each in self.question.tasks() if each.name == key)
+            yield Call("", run_task, (task, self.question))
+
+    def taken(
+        self, key: str, result: TaskResult | None, name: str, future: Future[TaskResult]
+    ) -> TaskResult:
+        """Returns what a task's job found."""
+        return future.result()
+
+    def progress(self) -> Count:
+        """Returns how many tasks are done."""
+        return Count(len(self.results), len(self.order()), "tasks done")
 
 
 def run_task(task: Task, question: RobustnessQuestion) -> TaskResult:
@@ -130,7 +147,7 @@ def plan_without_contact(world: World, scenario: Scenario) -> Trajectory:
     """
     phases = PhaseTranscription(world, scenario)
     guess = phases.vector(phases.guess())
-    return phases.trajectory(solve_with_drake(phases.prog(), guess, "ipopt").x)
+    return phases.trajectory(solve_with_drake(phases.prog(), guess, "ipopt"))
 
 
 def _judge(
@@ -174,3 +191,8 @@ def _summarize(replay: Replay, contacts: tuple[int, ...]) -> Outcome:
         round_as_filed(replay.goal_error),
         replay.bounce_contacts == contacts,
     )
+
+
+def round_as_filed(value: float) -> float:
+    """Returns a number with as many digits as results have."""
+    return round_to(value, _DIGITS)

@@ -3,9 +3,10 @@
 from drake_aigto.aigo.algorithm import AigoResult, Algorithm, Box, Iterate, Status, minimize
 from drake_aigto.aigo.annealing import Annealing, BoundedAnnealing, SlowMotion
 from drake_aigto.aigo.box_search import BoxSearch, LowPoint, SearchResult
-from drake_aigto.aigo.continuation import PenaltyContinuation
-from drake_aigto.aigo.equal_widths import EqualWidths
-from drake_aigto.aigo.face_flow import FaceFlow, Pace
+from drake_aigto.aigo.coupling import CouplingGraph
+from drake_aigto.aigo.face_flow import FaceFlow
+from drake_aigto.aigo.fusion import Fusion
+from drake_aigto.aigo.newton import CenterObjective, raise_penalties
 from drake_aigto.aigo.size_penalty import Alternating, FullGradient
 
 __all__ = [
@@ -16,15 +17,16 @@ __all__ = [
     "BoundedAnnealing",
     "Box",
     "BoxSearch",
-    "EqualWidths",
+    "CenterObjective",
+    "CouplingGraph",
     "FaceFlow",
     "FullGradient",
+    "Fusion",
     "Iterate",
     "LowPoint",
-    "Pace",
-    "PenaltyContinuation",
     "SearchResult",
     "SlowMotion",
     "Status",
     "minimize",
+    "raise_penalties",
 ]

@@ -1,4 +1,4 @@
-"""What every AIGO algorithm is: init, step, terminate, and the one loop that drives it."""
+"""The protocol of AIGO's algorithms, init, step and terminate, and the loop that drives them."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from drake_aigto.arrays import Bools, Floats
+from drake_aigto.arrays import Bools, Floats, read_only
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
 from drake_aigto.linear import Storage
@@ -29,9 +29,9 @@ class Box:
 
     def __post_init__(self) -> None:
         """Checks and locks both arrays."""
-        center, half_width = (np.array(x, dtype=float) for x in (self.center, self.half_width))
+        center, half_width = read_only(self.center), read_only(self.half_width)
         if half_width.shape != center.shape:
-            half_width = np.array(np.broadcast_to(half_width, center.shape))
+            half_width = read_only(np.broadcast_to(half_width, center.shape))
         if not (np.isfinite(center).all() and np.isfinite(half_width).all()):
             raise OptionsError(
                 "box", got="NaN or infinity", expected="finite center and half width"
@@ -40,8 +40,6 @@ class Box:
             raise OptionsError(
                 "half_width", got=f"{half_width.min():g}", expected="0 (held) or more everywhere"
             )
-        for array in (center, half_width):
-            array.setflags(write=False)
         object.__setattr__(self, "center", center)
         object.__setattr__(self, "half_width", half_width)
 
@@ -188,26 +186,3 @@ def minimize(
         status = Status.INTERRUPTED
     last = history[-1]
     return AigoResult(status, last.box, f(last.box.center), tuple(history), f.storage)
-
-
-def check_positive(options: object, *names: str, below: float = np.inf) -> None:
-    """Refuses options that are not in (0, below).
-
-    Raises:
-        OptionsError: one is not.
-    """
-    for name in names:
-        if not 0 < (value := getattr(options, name)) < below:
-            limit = "" if np.isinf(below) else f" and below {below:g}"
-            raise OptionsError(name, got=f"{value:g}", expected=f"a number above 0{limit}")
-
-
-def check_counts(options: object, **least: int) -> None:
-    """Refuses options that are below the least that each may be.
-
-    Raises:
-        OptionsError: one is.
-    """
-    for name, smallest in least.items():
-        if (value := getattr(options, name)) < smallest:
-            raise OptionsError(name, got=value, expected=f"{smallest} or more")

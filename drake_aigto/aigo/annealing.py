@@ -2,29 +2,34 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 
-from drake_aigto.aigo.algorithm import Box, Iterate, check_counts, check_positive
-from drake_aigto.aigo.newton import SmoothedObjective, newton
-from drake_aigto.box import BoxPolynomial
-from drake_aigto.errors import OptionsError
+from drake_aigto.aigo.algorithm import Box, Iterate
+from drake_aigto.aigo.descent import NewtonProblem, descend
+from drake_aigto.aigo.newton import make_problem
+from drake_aigto.arrays import Floats
+from drake_aigto.box import BoxPolynomial, Order
+from drake_aigto.errors import OptionsError, check_counts, check_positive
 
 
 class AnnealingMemory(NamedTuple):
-    """What an annealing carries along.
+    """State of an annealing between two steps.
 
     Attributes:
+        problem: of Newton's method; the boxes of all temperatures share it.
+        unit: of temperatures, in units of the cost.
         temperature: μ that the box was made for.
         damping: Newton's, for the next steps.
-        objective: of that temperature, to make the next one of.
     """
 
+    problem: NewtonProblem
+    unit: float
     temperature: float
     damping: float = 1e-2
-    objective: SmoothedObjective | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +60,8 @@ class Annealing:
     max_newton_steps: int = 60
     narrowing: float = 0.0
 
+    _is_bounded: ClassVar[bool] = False  # Whether boxes stay within the first one.
+
     def __post_init__(self) -> None:
         """Checks the ranges."""
         check_positive(self, "initial_temperature", "final_temperature", "tolerance")
@@ -71,37 +78,38 @@ class Annealing:
 
     def init(self, f: BoxPolynomial, box: Box) -> Iterate:
         """Returns the first box."""
-        mean = f.mean(box.center, box.half_width)
-        start = self.initial_temperature
-        return Iterate(box, mean, start, memory=AnnealingMemory(start))
+        return self._start(f, box, f.mean(box.center, box.half_width), 1.0)
+
+    def _start(self, f: BoxPolynomial, box: Box, mean: float, unit: float) -> Iterate:
+        bounds, start = (np.empty(0), np.empty(0)), self.initial_temperature * unit
+        if self._is_bounded:
+            lower, upper = bounds = _unknowns(f, box), _unknowns(f, box)
+            lower[0::2] -= box.half_width[f.order]
+            upper[0::2] += box.half_width[f.order]
+            lower[1::2] = -np.inf
+        problem = make_problem(f, Order.BOXES, box.free, 0.0, bounds)
+        return Iterate(box, mean, start, memory=AnnealingMemory(problem, unit, start))
 
     def step(self, f: BoxPolynomial, iterate: Iterate) -> Iterate:
-        """Minimizes at the temperature, then lowers it."""
-        known = iterate.memory.objective
-        if known is None or known.f is not f:
-            known = SmoothedObjective(f, iterate.box.free, iterate.temperature, self.tolerance)
-        return self._cool(iterate, known.at(iterate.temperature), iterate.memory)
-
-    def _cool(
-        self, iterate: Iterate, objective: SmoothedObjective, memory: AnnealingMemory
-    ) -> Iterate:
-        """Returns the objective's minimizer at the next temperature."""
-        y = objective.unknowns(iterate.box)
+        """Minimizes at the temperature over (c_i, z_i), then lowers it."""
+        memory, temperature = iterate.memory, iterate.temperature
+        y, problem = _unknowns(f, iterate.box), memory.problem._replace(temperature=temperature)
         if self.narrowing:
-            y[1::2] += self.narrowing * np.log(iterate.temperature / memory.temperature)
-        result = newton(objective, y, self.max_newton_steps, memory.damping)
+            y[1::2] += self.narrowing * np.log(temperature / memory.temperature)
+        num_free = np.count_nonzero(problem.free_places >= 0)
+        limit = self.tolerance * math.sqrt(2 * num_free * temperature)
+        _, mean, steps, residual, damping = descend(
+            problem, y, limit, self.max_newton_steps, memory.damping
+        )
+        center, log_half_width = f.to_variables(y)
         return Iterate(
-            objective.box(result.y),
-            result.mean,
-            iterate.temperature * self.cooling,
-            result.steps,
-            result.residual,
-            AnnealingMemory(iterate.temperature, result.damping, objective),
+            *(Box(center, np.exp(log_half_width)), mean, temperature * self.cooling),
+            *(steps, residual, memory._replace(temperature=temperature, damping=damping)),
         )
 
     def terminate(self, f: BoxPolynomial, iterate: Iterate) -> bool:
         """Returns whether the temperature has passed the final one."""
-        return iterate.temperature < self.final_temperature
+        return iterate.temperature < self.final_temperature * iterate.memory.unit
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -118,27 +126,23 @@ class BoundedAnnealing(Annealing):
     final_temperature: float = 1e-8
     max_newton_steps: int = 20
 
+    _is_bounded: ClassVar[bool] = True
+
     def init(self, f: BoxPolynomial, box: Box) -> Iterate:
-        """Returns the first box; the memory is it, the unit of μ, and the annealing's."""
+        """Returns the first box."""
         mean, _, slopes = f.gradient(box.center, box.half_width)
         unit = float(np.mean(np.abs(slopes[box.free]))) if np.any(box.free) else 0.0
         # Where no mean changes with a width, any unit does.
-        unit = unit if unit > 0.0 else 1.0
-        start = self.initial_temperature * unit
-        memory = AnnealingMemory(start)
-        return Iterate(box, mean, start, memory=(box, unit, memory))
+        return self._start(f, box, mean, unit if unit > 0.0 else 1.0)
 
-    def step(self, f: BoxPolynomial, iterate: Iterate) -> Iterate:
-        """Minimizes at the temperature, then lowers it."""
-        first, unit, memory = iterate.memory
-        objective = SmoothedObjective(f, first.free, iterate.temperature, self.tolerance, first)
-        cooled = self._cool(iterate, objective, memory)
-        return replace(cooled, memory=(first, unit, cooled.memory))
 
-    def terminate(self, f: BoxPolynomial, iterate: Iterate) -> bool:
-        """Returns whether the temperature has passed the final one."""
-        _, unit, _ = iterate.memory
-        return iterate.temperature < self.final_temperature * unit
+def _unknowns(f: BoxPolynomial, box: Box) -> Floats:
+    """Returns (c_i, z_i) of a box in elimination order (2n,); z = −∞ where a variable is held."""
+    y = np.empty(2 * f.num_variables)
+    y[0::2] = box.center[f.order]
+    with np.errstate(divide="ignore"):
+        y[1::2] = np.log(box.half_width[f.order])
+    return y
 
 
 @dataclass(frozen=True)

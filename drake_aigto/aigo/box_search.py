@@ -7,23 +7,15 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from drake_aigto.aigo.algorithm import (
-    AigoResult,
-    Algorithm,
-    Box,
-    Status,
-    check_counts,
-    check_positive,
-    minimize,
-)
+from drake_aigto.aigo.algorithm import AigoResult, Algorithm, Box, Status, minimize
 from drake_aigto.aigo.annealing import BoundedAnnealing
 from drake_aigto.aigo.coupling import CouplingGraph
-from drake_aigto.aigo.face_flow import FaceFlow, Pace
+from drake_aigto.aigo.face_flow import FaceFlow
 from drake_aigto.aigo.fusion import Fusion
-from drake_aigto.aigo.newton import Objective, bold_newton, newton, point_objective
-from drake_aigto.arrays import Bools, Floats, Ints
+from drake_aigto.aigo.newton import CenterObjective
+from drake_aigto.arrays import Bools, Floats, Ints, read_only
 from drake_aigto.box import BoxPolynomial
-from drake_aigto.errors import OptionsError
+from drake_aigto.errors import OptionsError, check_counts
 
 # Gauss-Legendre on [0, 1]: exact for polynomials of degree 16 along a line.
 _NODES, _WEIGHTS = (a / 2 for a in np.polynomial.legendre.leggauss(8))
@@ -32,11 +24,15 @@ _NODES = _NODES + 0.5
 # The flow keeps a box on its better side, which decides between many basins; annealing follows
 # narrow valleys, as penalties of stiff dynamics are. One hot and one cold run see different ones.
 _FIRST = (
-    FaceFlow(pace=Pace.EACH),
+    FaceFlow(is_coupled=False),
     BoundedAnnealing(initial_temperature=1e-3),
     BoundedAnnealing(initial_temperature=1e-5),
 )
 _RENEWAL = FaceFlow(share=0.5, least_shrink=0.1, final_width=0.2)
+_LEAST_WIDTH = 0.1  # of a renewed box, as a part of the first one's
+# Largest numbers of variables in a cluster, in turn; between any two, all variables are opened.
+_CLUSTER_SIZES = (1, 2, 3, 4)
+_MOST_STEPS = 100  # Newton steps after a box has shrunk
 _TRIAL_STEPS = 20  # Newton steps of a renewal, before it has to be lower than the best for more
 _BOLD_STEPS = 12  # Newton steps of many clusters at once; those that need more are left
 _MOST_TERMS = 2e8  # terms evaluated in all that end the search: some five seconds
@@ -113,39 +109,26 @@ class BoxSearch:
 
     Attributes:
         first: the algorithms that shrink the first box, each from the start.
-        renewal: the algorithm that shrinks the clusters' boxes.
         rounds: the most rounds of renewal; 0 for none.
         patience: the search ends after this many rounds in a row without a lower f; fewer where a
             round costs much.
-        cluster_sizes: largest numbers of variables in a cluster, in turn; between any two, all
-            variables are opened. A size that fails rests for some turns.
-        least_width: a renewed box is at least this part of the first one's width, in (0, 1].
-        newton_steps: the most Newton steps after a box has shrunk; a renewed one gets 20, and the
-            rest only if they have led below the best.
         polished_renewals: of the renewals of all variables, every second is polished, whether it
-            is lower or not, and so many at most: for an f that stands in for what a polish
+            is lower or not, up to this number: for an f that stands in for what a polish
             minimizes, as penalties do for constraints.
         seed: of the renewed boxes and clusters.
     """
 
     first: tuple[Algorithm, ...] = _FIRST
-    renewal: Algorithm = _RENEWAL
     rounds: int = 200
     patience: int = 80
-    cluster_sizes: tuple[int, ...] = (1, 2, 3, 4)
-    least_width: float = 0.1
-    newton_steps: int = 100
     polished_renewals: int = 0
     seed: int = 0
 
     def __post_init__(self) -> None:
         """Checks the ranges."""
-        check_counts(self, rounds=0, patience=1, newton_steps=0, polished_renewals=0)
+        check_counts(self, rounds=0, patience=1, polished_renewals=0)
         if not self.first:
             raise OptionsError("first", got="no algorithm", expected="one or more")
-        if not all(size >= 1 for size in self.cluster_sizes):
-            raise OptionsError("cluster_sizes", got=self.cluster_sizes, expected="1 or more each")
-        check_positive(self, "least_width", below=1.0 + 1e-12)
 
     def run(
         self,
@@ -229,7 +212,7 @@ class _Search:
 
     def _renew(self) -> None:
         """Runs the rounds, until they no longer lower f."""
-        sizes = _Sizes(self._options.cluster_sizes, self._f.num_variables)
+        sizes = _Sizes(self._f.num_variables)
         idle, since = 0, self._work
         for number in range(1, self._options.rounds + 1):
             self._num_rounds = number
@@ -252,7 +235,7 @@ class _Search:
         x, free = self._best.x, self._box.free
         labels = self._graph.clusters(size, free, self._rng)
         opened = labels >= 0
-        result = self._minimize(self._random_box(x, opened), self._options.renewal)
+        result = self._minimize(self._random_box(x, opened), _RENEWAL)
         self._num_boxes += int(labels.max()) + 1
         self._num_steps += result.num_inner_steps
         y = self._descend(result.box.center, opened, together=labels.max() == 0)
@@ -273,14 +256,13 @@ class _Search:
         self._renewed = [y, *self._renewed][: _MIXED - 1]
         if self._fusion is None or len(self._renewed) < _MIXED - 1:
             return False
-        improved = self._mix_with(self._renewed, name)
-        return self._mix_with([self._near_best() for _ in self._renewed], name) or improved
-
-    def _near_best(self) -> Floats:
-        free, part = self._box.free, 10 ** self._rng.uniform(_LEAST_SHIFT, 0.0)
-        shift = part * self._box.half_width * self._rng.normal(size=free.size)
-        moved = np.clip(self._best.x + shift, self._lower, self._upper)
-        return self._descend(moved, free, together=False)
+        improved, near = self._mix_with(self._renewed, name), []
+        for _ in self._renewed:
+            part = 10 ** self._rng.uniform(_LEAST_SHIFT, 0.0)
+            shift = part * self._box.half_width * self._rng.normal(size=y.size)
+            moved = np.clip(self._best.x + shift, self._lower, self._upper)
+            near.append(self._descend(moved, self._box.free, together=False))
+        return self._mix_with(near, name) or improved
 
     def _mix_with(self, others: list[Floats], name: str) -> bool:
         """Offers the best mix of the best point and others; returns whether it is lower."""
@@ -304,33 +286,29 @@ class _Search:
         """Returns random boxes inside the first one for the opened variables."""
         first = self._box
         part, place = self._rng.random((2, x.size))
-        part = self._options.least_width + (1 - self._options.least_width) * part
+        part = _LEAST_WIDTH + (1 - _LEAST_WIDTH) * part
         half_width = part * first.half_width
         center = first.center + (2 * place - 1) * (first.half_width - half_width)
         return Box(np.where(opened, center, x), np.where(opened, half_width, 0.0))
 
     def _descend(self, x: Floats, free: Bools, together: bool = True) -> Floats:
-        """Returns a local minimum in the first box, nearly; or of each cluster for itself."""
-        f = self._f
-        objective = point_objective(f, free, 1e-6, (self._lower, self._upper))
-        start = np.clip(x, self._lower, self._upper)[f.order]
-        if together:
-            y, steps = self._descend_together(objective, start)
-        else:
-            y, steps = bold_newton(objective, start, min(self._options.newton_steps, _BOLD_STEPS))
-        self._num_steps += steps
-        (y,) = f.to_variables(y)
-        return y
+        """Returns a local minimum in the first box, nearly; or of each cluster for itself.
 
-    def _descend_together(self, objective: Objective, start: Floats) -> tuple[Floats, int]:
-        """Returns the end of Newton's method and its steps: a few, and more where that pays."""
-        most = self._options.newton_steps
-        few = most if not self._num_rounds else min(_TRIAL_STEPS, most)
-        result = newton(objective, start, few, damping=0.0)
-        if not few == result.steps < most or not result.value < self._best.cost:
-            return result.y, result.steps
-        rest = newton(objective, result.y, most - few, result.damping)
-        return rest.y, few + rest.steps
+        Newton's method takes few steps after a renewal, and more where that pays.
+        """
+        objective = CenterObjective(self._f, free, 1e-6, (self._lower, self._upper))
+        x = np.clip(x, self._lower, self._upper)
+        if not together:
+            x, steps = objective.descend_boldly(x, _BOLD_STEPS)
+            self._num_steps += steps
+            return x
+        few = min(_TRIAL_STEPS, _MOST_STEPS) if self._num_rounds else _MOST_STEPS
+        found = objective.descend(x, few)
+        self._num_steps += found.steps
+        if found.steps == few < _MOST_STEPS and found.value < self._best.cost:
+            found = objective.descend(found.x, _MOST_STEPS - few, found.damping)
+            self._num_steps += found.steps
+        return found.x
 
     def _best_of_each(self, x: Floats, y: Floats, labels: Ints) -> Floats:
         """Returns x with the clusters of y in which f is lower."""
@@ -362,17 +340,15 @@ class _Search:
     def _candidate(self, x: Floats, origin: str, is_polished: bool = False) -> LowPoint:
         """Returns a point with its cost, infinite where f has no value."""
         cost = self._f(x)
-        x = np.array(x)
-        x.setflags(write=False)
-        return LowPoint(x, np.inf if np.isnan(cost) else cost, origin, is_polished)
+        return LowPoint(read_only(x), np.inf if np.isnan(cost) else cost, origin, is_polished)
 
 
 class _Sizes:
     """Goes around the sizes of clusters; one that fails rests, longer each time it fails again."""
 
-    def __init__(self, sizes: tuple[int, ...], all_variables: int) -> None:
+    def __init__(self, all_variables: int) -> None:
         """Begins: every second turn is that of all variables."""
-        smaller = sorted({size for size in sizes if size < all_variables})
+        smaller = [size for size in _CLUSTER_SIZES if size < all_variables]
         self._turns = [turn for size in smaller for turn in (all_variables, size)]
         self._turns = self._turns or [all_variables]
         self._rests = dict.fromkeys(self._turns, 0)

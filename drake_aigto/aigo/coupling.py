@@ -10,7 +10,7 @@ from scipy.sparse import coo_array
 
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.box import BoxPolynomial
-from drake_aigto.jit import kernel
+from drake_aigto.kernels import kernel
 
 _known: WeakKeyDictionary[BoxPolynomial, CouplingGraph] = WeakKeyDictionary()
 

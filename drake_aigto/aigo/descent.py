@@ -10,12 +10,12 @@ import math
 from typing import NamedTuple
 
 import numpy as np
+from numba import objmode
 
-from drake_aigto.aigo.systems import solve_system
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.box import Lanes, System, add_means
-from drake_aigto.jit import inner, kernel, pasted
-from drake_aigto.linear import Pattern
+from drake_aigto.kernels import inner, kernel, njit, pasted
+from drake_aigto.linear import Pattern, factorize
 
 _ARMIJO = 1e-4  # share of the linear decrease that a step must reach
 _HARDER, _SOFTER = 4.0, 0.25  # factors on the damping after a failed and an immediate success
@@ -25,8 +25,8 @@ _LARGEST_LOG_STEP = 1.0  # A half width changes by no more than a factor e in on
 _SMALLEST_SCALE = float(np.finfo(float).tiny)
 
 
-class Problem(NamedTuple):
-    """What is minimized: f̄(c, w) over c, or f̄(c, e^z) − μ Σ z over c and z.
+class NewtonProblem(NamedTuple):
+    """Objective of Newton's method: f̄(c, w) over c, or f̄(c, e^z) − μ Σ z over c and z.
 
     Attributes:
         lanes: the sums, for CENTERS or BOXES.
@@ -61,7 +61,12 @@ class Problem(NamedTuple):
 
 @pasted
 def _evaluate(
-    problem: Problem, y: Floats, center: Floats, half_width: Floats, gradient: Floats, band: Floats
+    problem: NewtonProblem,
+    y: Floats,
+    center: Floats,
+    half_width: Floats,
+    gradient: Floats,
+    band: Floats,
 ) -> tuple[float, float]:
     """Fills center and half width (n,), gradient (size,) and Hessian (size, diagonals) at y.
 
@@ -178,7 +183,7 @@ def _shorten(step: Floats, with_z: bool) -> None:
 
 @kernel
 def descend(
-    problem: Problem, y: Floats, largest_residual: float, max_steps: int, damping: float
+    problem: NewtonProblem, y: Floats, largest_residual: float, max_steps: int, damping: float
 ) -> tuple[float, float, int, float, float]:
     """Minimizes from y, which is overwritten, by steps (H + λD) s = −g.
 
@@ -232,7 +237,9 @@ def descend(
 
 
 @kernel
-def descend_boldly(problem: Problem, y: Floats, largest_residual: float, max_steps: int) -> int:
+def descend_boldly(
+    problem: NewtonProblem, y: Floats, largest_residual: float, max_steps: int
+) -> int:
     """Takes Newton steps of many problems at once, that are not coupled, without looking back.
 
     Where the Hessian is not positive definite, its diagonal is raised until it dominates. No step
@@ -282,3 +289,84 @@ def _dominate(pattern: Pattern | None, band: Floats, raised: Floats) -> None:
             beside[j + d] += abs(band[j, d])
     for j in range(size):
         raised[j, 0] = max(abs(band[j, 0]), 1.1 * beside[j])
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def factorize_band(band: Floats) -> bool:
+    """Overwrites a matrix with its LDLᵀ factors, L and in place of its ones D⁻¹.
+
+    For half bandwidths up to some 50 this is quicker than LAPACK's `dpbtrf`, which calls BLAS for
+    every column, on a few numbers; beyond some 60 it is slower.
+
+    Args:
+        band: In LAPACK's lower band storage, transposed: entry (i, j), i ≥ j, at [j, i − j].
+
+    Returns:
+        Whether it is positive definite; if not, it is spoilt.
+    """
+    size, width = band.shape
+    for j in range(size):
+        if not band[j, 0] > 0.0:
+            return False
+        inverse = 1.0 / band[j, 0]
+        below = min(width, size - j)
+        while below > 1 and band[j, below - 1] == 0.0:
+            below -= 1
+        for a in range(1, below):
+            factor = inverse * band[j, a]
+            for d in range(below - a):
+                band[j + a, d] -= factor * band[j, a + d]
+        for a in range(1, below):
+            band[j, a] *= inverse
+        band[j, 0] = inverse
+    return True
+
+
+@njit(nogil=True, error_model="numpy", fastmath={"contract"})
+def solve_band(factors: Floats, x: Floats) -> None:
+    """Overwrites a right-hand side (size,) with the solution."""
+    size, width = factors.shape
+    for j in range(size):
+        for a in range(1, min(width, size - j)):
+            x[j + a] -= factors[j, a] * x[j]
+    for j in range(size - 1, -1, -1):
+        value = factors[j, 0] * x[j]
+        for a in range(1, min(width, size - j)):
+            value -= factors[j, a] * x[j + a]
+        x[j] = value
+
+
+@inner
+def solve_system(pattern: Pattern | None, matrix: Floats, x: Floats) -> bool:
+    """Overwrites a right-hand side (size,) with the solution, and the matrix with its factors.
+
+    Args:
+        pattern: Of the matrix, None for a band.
+        matrix: As a band (size, diagonals), or as entries (E, 1).
+        x: The right-hand side.
+
+    Returns:
+        Whether the matrix is positive definite; if not, x stays.
+    """
+    if pattern is None:  # An argument of its own, for then Numba leaves out the other case.
+        if not factorize_band(matrix):
+            return False
+        solve_band(matrix, x)
+        return True
+    return _solve_sparse(pattern, matrix, x)
+
+
+# Not nogil: what runs in Python takes the interpreter's lock.
+@njit(no_cpython_wrapper=True)
+def _solve_sparse(pattern: Pattern, matrix: Floats, x: Floats) -> bool:
+    with objmode(is_definite="boolean"):
+        is_definite = _solve_in_python(pattern, matrix, x)
+    return is_definite
+
+
+def _solve_in_python(pattern: Pattern, matrix: Floats, x: Floats) -> bool:
+    factors = factorize(pattern, matrix[:, 0])
+    if factors is None or factors.num_negative:
+        return False
+    x[:] = factors.solve(x)
+    return True

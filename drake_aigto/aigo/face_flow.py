@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-import enum
 import math
 from dataclasses import dataclass
 
 import numpy as np
 
-from drake_aigto.aigo.algorithm import Box, Iterate, check_counts, check_positive
+from drake_aigto.aigo.algorithm import Box, Iterate
 from drake_aigto.aigo.coupling import CouplingGraph
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.box import BoxPolynomial
-from drake_aigto.errors import OptionsError
-from drake_aigto.jit import kernel
-
-
-class Pace(enum.Enum):
-    """Which coordinates share one time step of the flow."""
-
-    TOGETHER = "all: the flow of the whole box"
-    COMPONENT = "those that are coupled, by way of others that are not held: the same flow, faster"
-    EACH = "none: every box loses the same part of its width in a step, the fastest"
+from drake_aigto.errors import check_counts, check_positive
+from drake_aigto.kernels import kernel
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,29 +23,28 @@ class FaceFlow:
     are F_i(c_i ± w_i), and
 
         D_i = F_i(c_i − w_i) − F_i(c_i + w_i) = −2 w_i ∂f̄/∂c_i
-        c_i ← c_i + α_i D_i,      w_i ← w_i − max(β α_i |D_i|, ε_w w_i)
+        c_i ← c_i + α_i D_i,      w_i ← w_i − max(α_i |D_i|, ε_w w_i)
 
     so that what is cut off a box is what was worse. This is the rule by which [5] (Labbe & Del
     Prete 2025, L4DC) proves AIGO global for one variable; there, it differs by its time step, and
     by ε_w > 0, which lets boxes end whose faces balance. The rule in many variables is ours.
 
-    The time step is α_i = share · min_j w_j/|D_j| over the coordinates j that keep i's pace. Boxes
-    never leave the first one.
+    The time step is α_i = share · min_j w_j/|D_j| over the coordinates j that share it: those that
+    are coupled, by way of others that are not held, or i alone. Boxes never leave the first one.
 
     Attributes:
         share: the part of its half width that the fastest coordinate moves in one step, in (0, 1).
-        beta: β in [0, 1]; at 1 the better face stays, below it moves out.
         least_shrink: ε_w in (0, 1), the part of its half width that every coordinate loses at
             least.
-        pace: which coordinates share a time step.
+        is_coupled: whether coupled coordinates share a time step. If not, every box loses the same
+            part of its width in a step, which is faster.
         final_width: converged once every half width is at most this part of its first.
         max_steps: the most outer steps; in each, the largest w_i (of its first) halves.
     """
 
     share: float = 0.02
-    beta: float = 1.0
     least_shrink: float = 1e-3
-    pace: Pace = Pace.COMPONENT
+    is_coupled: bool = True
     final_width: float = 1e-3
     max_steps: int = 100
 
@@ -62,13 +52,16 @@ class FaceFlow:
         """Checks the ranges."""
         check_positive(self, "share", "least_shrink", "final_width", below=1.0)
         check_counts(self, max_steps=1)
-        if not 0 <= self.beta <= 1:
-            raise OptionsError("beta", got=f"{self.beta:g}", expected="a number in [0, 1]")
 
     def init(self, f: BoxPolynomial, box: Box) -> Iterate:
-        """Returns the first box; the memory is that box, and each coordinate's group."""
-        mean = f.mean(box.center, box.half_width)
-        return Iterate(box, mean, np.inf, memory=(box, self._groups(f, box)))
+        """Returns the first box; the memory is that box, and each coordinate's group.
+
+        A group moves by one time step; −1 is the group of those that are held.
+        """
+        groups = np.where(box.free, np.arange(f.num_variables), -1)
+        if self.is_coupled:
+            groups = CouplingGraph.of(f).components(box.free)
+        return Iterate(box, f.mean(box.center, box.half_width), np.inf, memory=(box, groups))
 
     def step(self, f: BoxPolynomial, iterate: Iterate) -> Iterate:
         """Flows until the largest half width, relative to its first, has halved."""
@@ -79,7 +72,7 @@ class FaceFlow:
         means = f.gradient(center, half_width)
         while part > target and np.isfinite(means[0]):
             part = _flow(
-                *(self.share, self.beta, self.least_shrink, groups, means[1]),
+                *(self.share, self.least_shrink, groups, means[1]),
                 *(first.center, first.half_width, center, half_width),
             )
             means = f.gradient(center, half_width)
@@ -91,15 +84,6 @@ class FaceFlow:
         first, _ = iterate.memory
         return _largest_part(iterate.box.half_width, first.half_width) <= self.final_width
 
-    def _groups(self, f: BoxPolynomial, box: Box) -> Ints:
-        """Returns the group of each coordinate, which moves by one time step; −1 where held."""
-        if self.pace is Pace.COMPONENT:
-            return CouplingGraph.of(f).components(box.free)
-        groups = np.zeros(f.num_variables, dtype=np.int64)
-        if self.pace is Pace.EACH:
-            groups = np.arange(f.num_variables)
-        return np.where(box.free, groups, -1)
-
 
 def _largest_part(half_width: Floats, first: Floats) -> float:
     """Returns max w_i/w_i⁰ over the coordinates that are not held."""
@@ -109,7 +93,6 @@ def _largest_part(half_width: Floats, first: Floats) -> float:
 @kernel
 def _flow(
     share: float,
-    beta: float,
     least_shrink: float,
     groups: Ints,
     gradient: Floats,
@@ -130,7 +113,7 @@ def _flow(
         c, w, g = center[i], half_width[i], gradient[i]
         move = share * w * (abs(g) / fastest[group]) if g != 0.0 else 0.0
         c -= math.copysign(move, g)
-        w -= max(beta * move, least_shrink * w)
+        w -= max(move, least_shrink * w)
         low = max(c - w, first_center[i] - first_half_width[i])
         high = min(c + w, first_center[i] + first_half_width[i])
         center[i], half_width[i] = (low + high) / 2, (high - low) / 2

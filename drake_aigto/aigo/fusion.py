@@ -5,14 +5,13 @@ from __future__ import annotations
 import heapq
 import itertools
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats
 from drake_aigto.box import NO_SYSTEM, BoxPolynomial, Order, add_means, make_lanes
-from drake_aigto.terms import TermBlock, copy_weights, stack_terms
+from drake_aigto.terms import TermBlock, copy_weights, stack_terms, with_own_numbers
 
 _MOST_READ = 4  # variables of a term
 _MOST_ENTRIES = 4096  # of a table
@@ -78,7 +77,7 @@ class Fusion:
 
     @staticmethod
     def of(f: BoxPolynomial, num_points: int) -> Fusion | None:
-        """Returns what mixes so many points; None where terms read too many variables for it."""
+        """Returns the mixer of a number of points; None if terms read too many variables for it."""
         reads = [
             (len({factor.variable for factor in term.factors}), len(block.variables))
             for block in f.blocks
@@ -172,21 +171,10 @@ def _split(f: BoxPolynomial) -> Iterator[TermBlock]:
             scope = tuple(sorted({factor.variable for factor in term.factors}))
             by_scope.setdefault(scope, []).append(number)
         for scope, numbers in by_scope.items():
-            if not scope:
-                continue
-            place = {variable: number for number, variable in enumerate(scope)}
-            terms = tuple(
-                replace(
-                    block.terms[number],
-                    factors=tuple(
-                        replace(factor, variable=place[factor.variable])
-                        for factor in block.terms[number].factors
-                    ),
-                )
-                for number in numbers
-            )
-            variables = block.variables[:, list(scope)]
-            yield TermBlock(f"{block.name} of {scope}", terms, variables, block.weight)
+            if scope:
+                terms, _ = with_own_numbers([block.terms[number] for number in numbers])
+                variables = block.variables[:, list(scope)]
+                yield TermBlock(f"{block.name} of {scope}", terms, variables, block.weight)
 
 
 def _spread(block: TermBlock, num_points: int, num_variables: int) -> TermBlock:

@@ -24,7 +24,7 @@ import math
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.jit import inner, kernel
+from drake_aigto.kernels import inner, kernel
 from drake_aigto.terms import WAVES, FunctionKind
 
 # They take Numba longer to compile than all others.

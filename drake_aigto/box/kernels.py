@@ -24,14 +24,14 @@ from drake_aigto.arrays import Floats, Ints, Records
 from drake_aigto.box.functions import factor_mean
 from drake_aigto.box.lanes import Lanes
 from drake_aigto.box.tapes import MEAN, ONES
-from drake_aigto.jit import inner, kernel
+from drake_aigto.kernels import inner, kernel
 from drake_aigto.linear import Pattern, find_entry
 
 _PARTS = 6  # of a factor's mean: value and derivatives
 
 
 class System(NamedTuple):
-    """What derivatives of means are added to: the KKT matrix [W Aᵀ; A 0] and the gradient.
+    """Sums that derivatives of means are added to: the KKT matrix [W Aᵀ; A 0] and the gradient.
 
         W = Σ multiplier · weight · ∇²mean,      A's row of a copy: weight · ∇mean
 
@@ -194,8 +194,8 @@ def _add_slopes(
     """Adds the lanes' first derivatives, in rows (rows, lanes), to the gradient or to A.
 
     Places are `System.variable_places` of the tape's local variables (variables, lanes), ends
-    `System.copy_places` of its copies (lanes,). What belongs to a tape ends where that of the next
-    one starts.
+    `System.copy_places` of its copies (lanes,). Entries of a tape end where those of the next one
+    start.
     """
     for s in range(tape.first_slope, after.first_slope):
         slope = slopes[s]
@@ -252,7 +252,7 @@ def add_means(
         center: Box center of every variable (n,).
         half_width: Box half width of every variable (n,), ≥ 0.
         values: Filled with weight · mean of every copy (C,).
-        system: What derivatives are added to.
+        system: Sums that derivatives are added to.
 
     Returns:
         The sum of weight · mean over all copies.

@@ -1,10 +1,12 @@
-"""`BoxPolynomial`: a cost as a flat table of terms, and its mean over boxes in closed form."""
+"""Costs as flat tables of terms, and their means over boxes in closed form."""
 
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Mapping
+import dataclasses
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,9 +15,9 @@ from drake_aigto.arrays import Floats, Ints
 from drake_aigto.box.kernels import NO_SYSTEM, System, add_means
 from drake_aigto.box.lanes import Lanes, make_lanes
 from drake_aigto.box.tapes import Order
-from drake_aigto.errors import OptionsError
-from drake_aigto.linear import Pattern, as_order, choose_storage, narrow_band, spread
-from drake_aigto.terms import TermBlock, copy_weights, stack_terms
+from drake_aigto.errors import OptionsError, UnsupportedTermError
+from drake_aigto.linear import Pattern, Storage, as_order, choose_storage, narrow_band, spread
+from drake_aigto.terms import Factor, FunctionKind, Term, TermBlock, copy_weights, stack_terms
 
 
 @dataclass(frozen=True)
@@ -149,18 +151,6 @@ class BoxPolynomial:
         """Returns f(x)."""
         return self.mean(x, np.zeros(self.num_variables))
 
-    def mean_by_block(self, center: ArrayLike, half_width: ArrayLike) -> dict[str, float]:
-        """Returns each block's share of f̄, divided by its weight."""
-        ones = np.ones_like(self.copy_weights)
-        _, means = self._add_means(center, half_width, ones, Order.MEAN, NO_SYSTEM)
-        shares = dict.fromkeys(self.weights, 0.0)
-        first = 0
-        for block in self.blocks:
-            last = first + block.variables.shape[0]
-            shares[block.name] += float(np.sum(means[first:last]))
-            first = last
-        return shares
-
     def gradient(self, center: ArrayLike, half_width: ArrayLike) -> tuple[float, Floats, Floats]:
         """Returns f̄, ∂f̄/∂c (n,) and ∂f̄/∂z (n,), z = log w."""
         places = 2 * np.arange(self.num_variables)
@@ -231,10 +221,8 @@ class BoxPolynomial:
 
     def _box(self, center: ArrayLike, half_width: ArrayLike) -> tuple[Floats, Floats]:
         # Copied, as Numba would compile once more for arrays that are read-only or strided.
-        c, w = (
-            np.array(center, dtype=float, order="C"),
-            np.array(half_width, dtype=float, order="C"),
-        )
+        c = np.array(center, dtype=float, order="C")
+        w = np.array(half_width, dtype=float, order="C")
         shape = (self.num_variables,)
         if c.shape != shape or w.shape not in (shape, ()):
             raise ValueError(
@@ -245,3 +233,98 @@ class BoxPolynomial:
         if w.min(initial=0.0) < 0.0:
             raise ValueError(f"half_width is {w.min():g} at its least; it can't be negative")
         return c, w
+
+
+class _Summand(NamedTuple):
+    """factor · ∏ p_j^powers_j, a part of a coefficient."""
+
+    coefficient: int
+    factor: float
+    powers: tuple[int, ...]
+
+
+class ParametricPolynomial:
+    """f(x; p) = Σ_m a_m(p) ∏_i g_mi(x_i), whose coefficients a_m are polynomials of P numbers p.
+
+    Boxes are not over parameters: `at` folds their powers into coefficients. What depends on the
+    structure of f alone (tables, tapes, the storage of Newton systems) is made once.
+
+    Args:
+        num_variables: Dimension n of x.
+        num_parameters: P.
+        blocks: Terms over x, the variables 0 … n − 1, and over p, n … n + P − 1. Of parameters they
+            read powers only, and all copies of a sum read the same ones.
+        order: Elimination order of x, see `BoxPolynomial`.
+        derivatives: Orders whose tapes are made now, for all values; others when first needed.
+
+    Raises:
+        UnsupportedTermError: A function of a parameter that is no power.
+    """
+
+    def __init__(
+        self,
+        num_variables: int,
+        num_parameters: int,
+        blocks: Iterable[TermBlock],
+        order: ArrayLike | None = None,
+        derivatives: Iterable[Order] = (Order.MEAN, Order.BOXES),
+    ) -> None:
+        """Takes coefficients apart."""
+        summands: list[_Summand] = []
+        known: dict[tuple[object, ...], tuple[Term, ...]] = {}
+        structure: list[TermBlock] = []
+        for block in blocks:
+            is_parameter = block.variables[0] >= num_variables
+            places = np.where(is_parameter, block.variables[0] - num_variables, -1).tolist()
+            key = block.terms, tuple(places)
+            if key not in known:
+                known[key] = _take_apart(block, places, num_parameters, summands)
+            variables = block.variables[:, ~is_parameter]
+            structure.append(TermBlock(block.name, known[key], variables, block.weight))
+        self._structure = BoxPolynomial(num_variables, tuple(structure), order)
+        for each in derivatives:
+            self._structure.lanes(each)
+        self._targets = np.array([each.coefficient for each in summands], dtype=np.int64)
+        self._factors = np.array([each.factor for each in summands])
+        powers = [each.powers for each in summands]
+        self._powers = np.array(powers, dtype=np.int64).reshape(-1, num_parameters)
+
+    @property
+    def storage(self) -> Storage:
+        """How Newton systems are stored, see `BoxPolynomial`."""
+        return self._structure.storage
+
+    def at(self, parameters: ArrayLike) -> BoxPolynomial:
+        """Returns f(·; p) at p of shape (P,)."""
+        p = np.asarray(parameters, dtype=float)
+        parts = self._factors * np.prod(p**self._powers, axis=1)
+        return self._structure.with_coefficients(np.bincount(self._targets, parts).astype(float))
+
+
+def _take_apart(
+    block: TermBlock, places: list[int], num_parameters: int, summands: list[_Summand]
+) -> tuple[Term, ...]:
+    """Returns the terms of a block over x alone, and adds the parts of their coefficients.
+
+    The coefficient of each new term is its number, counted on from the last summand's. Places are,
+    of each local variable, which parameter it is; −1 for those of x.
+    """
+    local = (np.cumsum(np.array(places) < 0) - 1).tolist()
+    numbers: dict[tuple[Factor, ...], int] = {}
+    first = 1 + max((each.coefficient for each in summands), default=-1)
+    for term in block.terms:
+        powers, kept = [0] * num_parameters, []
+        for factor in term.factors:
+            if places[factor.variable] < 0:
+                kept.append(dataclasses.replace(factor, variable=local[factor.variable]))
+            elif (factor.kind, factor.scale, factor.offset) == (FunctionKind.POWER, 1.0, 0.0):
+                powers[places[factor.variable]] = factor.exponent
+            else:
+                raise UnsupportedTermError(
+                    f"the cost '{block.name}' can't be compiled for any value of its parameters",
+                    got=f"the factor {factor} of a parameter",
+                    expected="powers of parameters",
+                )
+        number = numbers.setdefault(tuple(kept), first + len(numbers))
+        summands.append(_Summand(number, term.coefficient, tuple(powers)))
+    return tuple(Term(float(number), factors) for factors, number in numbers.items())

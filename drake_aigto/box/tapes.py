@@ -37,7 +37,7 @@ OPERATION = np.dtype(
 ONES, MEAN = 0, 1  # The first rows: ones, and the sum's mean.
 
 _LARGEST_POWER = 12  # Larger ones are left to `factor_mean`, as are all other functions.
-_KEPT, _LONGEST_KEPT = 256, 1000  # Tapes of sums of so many terms are kept for the next such sum.
+_KEPT, _LONGEST_KEPT = 256, 1000  # Tapes that are kept, of sums of no more terms than that.
 
 Argument = tuple[int, float, float]  # Local variable x, scale and offset of y = scale·x + offset.
 Function = tuple[int, int, int, float, float]  # Variable, kind, exponent, scale and offset.
@@ -65,7 +65,7 @@ _SLOPES = D_C, D_Z
 
 
 @dataclass(frozen=True, eq=False)
-class Tape:
+class MeanTape:
     """The program of one sum, for many copies of it.
 
     Rows are, one after the other: ones; the mean; y and (scale · w)² of each argument; the six of
@@ -79,7 +79,7 @@ class Tape:
         curvatures: The Hessian, each pair of unknowns once: row, local variable, its unknown, the
             other variable and its unknown.
         arguments: Of the powers that the tape evaluates.
-        functions: What the kernel evaluates.
+        functions: Functions that the kernel evaluates.
         num_terms: Number of coefficients.
         num_rows: Number of all rows.
     """
@@ -96,7 +96,7 @@ class Tape:
 
 def make_tape(
     factors: tuple[Function, ...], members: tuple[tuple[int, ...], ...], order: Order
-) -> Tape:
+) -> MeanTape:
     """Returns the tape of a sum.
 
     Args:
@@ -104,17 +104,15 @@ def make_tape(
         members: The factors of each term.
         order: Which derivatives it computes.
     """
-    make = _make_and_keep if len(members) <= _LONGEST_KEPT else _make
+    make = _make_and_keep if len(members) <= _LONGEST_KEPT else _make_and_keep.__wrapped__
     return make(factors, members, order)
 
 
-def _make(
+@functools.lru_cache(_KEPT)
+def _make_and_keep(
     factors: tuple[Function, ...], members: tuple[tuple[int, ...], ...], order: Order
-) -> Tape:
+) -> MeanTape:
     return _Writer(factors, members, order).write()
-
-
-_make_and_keep = functools.lru_cache(_KEPT)(_make)
 
 
 class _Writer:
@@ -139,7 +137,7 @@ class _Writer:
         self._slopes: dict[tuple[int, int], int] = {}
         self._curvatures: dict[tuple[int, int, int, int], int] = {}
 
-    def write(self) -> Tape:
+    def write(self) -> MeanTape:
         """Returns the tape: factors, then terms, then what they make of the variables."""
         parts = [self._parts(factor) for factor in self._factors]
         values = [part[VALUE][1] for part in parts]
@@ -151,7 +149,7 @@ class _Writer:
         for (f, g), pair in self._pairs.items():
             self._write_pair(f, g, pair, parts)
         operations = locked(np.array(self._operations, dtype=OPERATION))
-        return Tape(
+        return MeanTape(
             *(operations, max((factor[0] for factor in self._factors), default=-1) + 1),
             tuple((row, *key) for key, row in self._slopes.items()),
             tuple((row, *key) for key, row in self._curvatures.items()),
@@ -160,7 +158,7 @@ class _Writer:
         )
 
     def _new_rows(self, keys: Iterable[_Key], each: int = 1) -> dict[_Key, int]:
-        """Gives each key so many rows; returns the first ones."""
+        """Gives each key a number of rows; returns the first ones."""
         rows = dict(zip(keys, itertools.count(self._num_rows, each), strict=False))
         self._num_rows += each * len(rows)
         return rows

@@ -1,16 +1,33 @@
 """Lower bounds: how far an answer is from the best one, at most."""
 
+from drake_aigto.certify import intervals
 from drake_aigto.certify.certificate import Certificate, Certifier, Method, certify, relative_gap
-from drake_aigto.certify.reach import out_of_reach
-from drake_aigto.certify.walls import PlanBound, bound_plans
+from drake_aigto.certify.enclosures import enclose_all
+from drake_aigto.certify.flights import Line, Wall
+from drake_aigto.certify.formulas import formula_of, make_tape, read_formulas
+from drake_aigto.certify.plans import PlanBound, bound_plans, fold, out_of_reach
+from drake_aigto.certify.squares import Block, Identity, bound_by_squares
+from drake_aigto.certify.touches import bound_line
 
 __all__ = [
+    "Block",
     "Certificate",
     "Certifier",
+    "Identity",
+    "Line",
     "Method",
     "PlanBound",
+    "Wall",
+    "bound_by_squares",
+    "bound_line",
     "bound_plans",
     "certify",
+    "enclose_all",
+    "fold",
+    "formula_of",
+    "intervals",
+    "make_tape",
     "out_of_reach",
+    "read_formulas",
     "relative_gap",
 ]

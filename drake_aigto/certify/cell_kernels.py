@@ -3,278 +3,297 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 
-from drake_aigto.arrays import Floats
-from drake_aigto.certify.cells import expansion_bound
-from drake_aigto.certify.enclosures import GRADIENT, HESSIAN, VALUE, Scratch, enclose
-from drake_aigto.certify.heap import Heap, copy, copy_pairs, pop, push
-from drake_aigto.certify.intervals import down, plus, power, times, up
-from drake_aigto.certify.multipliers import Multipliers
-from drake_aigto.certify.tape import Tape
-from drake_aigto.jit import inner, kernel, pasted
+from drake_aigto.arrays import Floats, Ints
+from drake_aigto.certify.enclosures import (
+    GRADIENT,
+    HESSIAN,
+    VALUE,
+    at,
+    enclose,
+    jet_size,
+    make_scratch,
+    put,
+)
+from drake_aigto.certify.expansions import (
+    ABOUT,
+    OVER,
+    choose_point,
+    descend,
+    expansion_bound,
+    mean_value,
+    middle_of,
+    set_steps,
+)
+from drake_aigto.certify.formulas import Tape
+from drake_aigto.certify.intervals import plus, power, scaled, times, up
+from drake_aigto.kernels import inner, kernel, pasted
 
-COST = cast(int, np.int64(0))  # the formula's number, as for Numba a plain 0 is a type of its own
-# A side is not cut that is so much shorter than the first box's, beside the longest one.
+_COST = 0  # the formula's number; that of row j is 1 + j
+# A side is not cut that is this much shorter than the first box's, beside the longest one.
 _LEAST_SIDE = 1e-3
-_STEPS = 8  # of the descent within a cell where f is convex
 
 
 class Rows(NamedTuple):
-    """lower ≤ r_j(x) ≤ upper: formulas 1 … R of a tape, shapes (R,)."""
+    """Rows lower ≤ r_j(x) ≤ upper, and what they add to the cost where they hold.
+
+    On all feasible x, f ≥ f + λ_j (r_j − t_j) + ½ ρ_j (r_j − t_j)²: of an equality with any λ and
+    ρ; of an inequality at its bound t with λ (r − t) ≤ 0 and ρ ≤ 2 |λ| / max |r − t|.
+
+    Attributes:
+        lower: bounds of r (R,).
+        upper: shape (R,).
+        targets: t (R,).
+        slopes: λ (R,); 0 leaves a row out.
+        bends: ρ (R,) of equalities, −ρ of inequalities, of which a cell may allow less.
+    """
 
     lower: Floats
     upper: Floats
+    targets: Floats
+    slopes: Floats
+    bends: Floats
 
 
-class Work(NamedTuple):
-    """Room for the enclosures of one cell."""
+class Problem(NamedTuple):
+    """Minimize f over a box, subject to rows.
 
-    scratch: Scratch
-    at_point: Floats
-    over_cell: Floats
-    hessian: Floats
-    low_steps: Floats
-    high_steps: Floats
-    square: Floats
-    value: Floats
+    Attributes:
+        tape: f and the rows.
+        rows: R of them.
+        outer: the box (2, n).
+        best: the best known point (n,).
+    """
+
+    tape: Tape
+    rows: Rows
+    outer: Floats
+    best: Floats
+
+
+class Heap(NamedTuple):
+    """Open cells of a branch and bound, the lowest bound first.
+
+    Attributes:
+        used: number of open cells (1,).
+        keys: their bounds, in a heap (C,).
+        places: where each is in `low` and `high`; then places that hold no cell (C,).
+        low: lower ends (C, n).
+        high: upper ends (C, n).
+    """
+
+    used: Ints
+    keys: Floats
+    places: Ints
+    low: Floats
+    high: Floats
+
+
+class _Work(NamedTuple):
+    """Room for the enclosures of one cell.
+
+    Attributes:
+        jets: of a formula's entries (E, J, 2).
+        totals: of f with its rows, over the cell and about a point (2, J, 2).
+        steps: from the point to the cell's ends (n, 2).
+        bends: ρ of each row in this cell (R,).
+        point: of the cell (n,).
+        second_point: another one (n,).
+        matrix: for Cholesky's factor (n, n).
+        scales: of the variables (n,).
+        sides: of the first box, 1 where it has no such side (n,).
+    """
+
+    jets: Floats
+    totals: Floats
+    steps: Floats
     bends: Floats
     point: Floats
     second_point: Floats
+    matrix: Floats
+    scales: Floats
+    sides: Floats
+
+
+@inner
+def _copy(of: Floats, to: Floats) -> None:
+    """Copies numbers, which takes Numba less time to compile than a slice."""
+    for i in range(to.size):
+        to[i] = of[i]
+
+
+@inner
+def _copy_jet(jets: Floats, end: int, totals: Floats, to: int) -> None:
+    for place in range(totals.shape[1]):
+        put(totals, to, place, at(jets, end, place))
+
+
+@inner
+def _swap(heap: Heap, k: int, m: int) -> None:
+    keys, places = heap.keys, heap.places
+    keys[k], keys[m] = keys[m], keys[k]
+    places[k], places[m] = places[m], places[k]
+
+
+@inner
+def _push(heap: Heap, key: float, low: Floats, high: Floats) -> None:
+    """Opens a cell."""
+    k = heap.used[0]
+    heap.used[0], heap.keys[k] = k + 1, key
+    _copy(low, heap.low[heap.places[k]])
+    _copy(high, heap.high[heap.places[k]])
+    while k > 0 and heap.keys[(k - 1) // 2] > heap.keys[k]:
+        _swap(heap, k, (k - 1) // 2)
+        k = (k - 1) // 2
+
+
+@inner
+def _pop(heap: Heap, low: Floats, high: Floats) -> None:
+    """Takes the cell of the lowest bound out."""
+    keys, last, k = heap.keys, heap.used[0] - 1, 0
+    _copy(heap.low[heap.places[0]], low)
+    _copy(heap.high[heap.places[0]], high)
+    _swap(heap, 0, last)
+    heap.used[0] = last
+    while 2 * k + 1 < last:
+        child = 2 * k + 1
+        if child + 1 < last and keys[child + 1] < keys[child]:
+            child += 1
+        if keys[k] <= keys[child]:
+            return
+        _swap(heap, k, child)
+        k = child
+
+
+@inner
+def _add_row(
+    slope: float, bend: float, t: float, end: int, order: int, to: int, work: _Work
+) -> None:
+    """Adds λ (r − t) + ½ ρ (r − t)² to the totals."""
+    jets, totals, size = work.jets, work.totals, work.point.size
+    off = plus(at(jets, end, 0), (-t, -t))
+    factor = plus((slope, slope), scaled(bend, off))
+    own = plus(scaled(slope, off), scaled(0.5 * bend, power(off, 2)))
+    put(totals, to, 0, plus(at(totals, to, 0), own))
+    place = 1 + size
+    for i in range(size):
+        own = at(jets, end, 1 + i)
+        put(totals, to, 1 + i, plus(at(totals, to, 1 + i), times(factor, own)))
+        for j in range(i + 1 if order > 1 else 0):
+            both = power(own, 2) if i == j else times(own, at(jets, end, 1 + j))
+            bent = plus(scaled(bend, both), times(factor, at(jets, end, place)))
+            put(totals, to, place, plus(at(totals, to, place), bent))
+            place += 1
 
 
 @pasted
-def _expand_about(
-    tape: Tape,
-    rows: Rows,
-    multipliers: Multipliers,
-    bends: Floats,
-    point: Floats,
-    work: Work,
-) -> tuple[float, float]:
-    """Fills the gradient at a point of f with its rows; returns bounds of f's own value there."""
-    scratch = work.scratch
-    end = enclose(tape, COST, point, point, GRADIENT, scratch)
+def _expand_about(problem: Problem, point: Floats, work: _Work) -> float:
+    """Fills the totals about a point of a cell, and returns f there, rounded up."""
+    jets, totals, rows = work.jets, work.totals, problem.rows
+    totals[ABOUT, 0, 0] = -np.inf  # where f or a row has no value
+    end = enclose(problem.tape, _COST, point, point, GRADIENT, jets)
     if end < 0:
-        return -np.inf, np.inf
-    value = scratch.values[end, 0], scratch.values[end, 1]
-    copy_pairs(scratch.gradients[end], work.at_point)
-    work.value[0], work.value[1] = value
-    for j in range(rows.lower.size):
-        if multipliers.slopes[j] == 0.0 and bends[j] == 0.0:
+        return np.inf
+    _copy_jet(jets, end, totals, ABOUT)
+    value = totals[ABOUT, 0, 1]
+    for j in range(work.bends.size):
+        if rows.slopes[j] == 0.0 and work.bends[j] == 0.0:
             continue
-        end = enclose(tape, 1 + j, point, point, GRADIENT, scratch)
+        end = enclose(problem.tape, 1 + j, point, point, GRADIENT, jets)
         if end < 0:
-            return -np.inf, np.inf
-        slope, t = multipliers.slopes[j], multipliers.targets[j]
-        off = plus(scratch.values[end, 0], scratch.values[end, 1], -t, -t)
-        factor = plus(slope, slope, *times(bends[j], bends[j], off[0], off[1]))
-        added = times(off[0], off[1], slope, slope)
-        half = 0.5 * bends[j]
-        bent = times(half, half, *power(off[0], off[1], 2))
-        total = plus(work.value[0], work.value[1], *plus(*added, *bent))
-        work.value[0], work.value[1] = total
-        for i in range(point.size):
-            g = times(
-                factor[0], factor[1], scratch.gradients[end, i, 0], scratch.gradients[end, i, 1]
-            )
-            work.at_point[i, 0], work.at_point[i, 1] = plus(
-                work.at_point[i, 0], work.at_point[i, 1], g[0], g[1]
-            )
+            totals[ABOUT, 0, 0] = -np.inf
+            return np.inf
+        _add_row(rows.slopes[j], work.bends[j], rows.targets[j], end, GRADIENT, ABOUT, work)
     return value
 
 
 @pasted
-def _add_row(slope: float, bend: float, t: float, end: int, work: Work) -> None:
-    """Adds λ (r − t) + ½ ρ (r − t)² to gradient and Hessian over the cell."""
-    values, gradients, hessians = work.scratch
-    off = plus(values[end, 0], values[end, 1], -t, -t)
-    factor = plus(slope, slope, *times(bend, bend, off[0], off[1]))
-    place = 0
-    for i in range(gradients.shape[1]):
-        own = gradients[end, i, 0], gradients[end, i, 1]
-        g = times(factor[0], factor[1], own[0], own[1])
-        work.over_cell[i, 0], work.over_cell[i, 1] = plus(
-            work.over_cell[i, 0], work.over_cell[i, 1], g[0], g[1]
-        )
-        for j in range(i + 1):
-            if i == j:
-                both = power(own[0], own[1], 2)
-            else:
-                both = times(own[0], own[1], gradients[end, j, 0], gradients[end, j, 1])
-            bent = plus(
-                *times(bend, bend, both[0], both[1]),
-                *times(factor[0], factor[1], hessians[end, place, 0], hessians[end, place, 1]),
-            )
-            work.hessian[place, 0], work.hessian[place, 1] = plus(
-                work.hessian[place, 0], work.hessian[place, 1], bent[0], bent[1]
-            )
-            place += 1
-
-
-@inner
-def _choose_point(low: Floats, high: Floats, best: Floats, point: Floats) -> None:
-    """Fills the point of a cell that is nearest to the best known one, if that is near; else c."""
-    is_near = True
-    for i in range(low.size):
-        reach = high[i] - low[i]
-        is_near &= low[i] - reach <= best[i] <= high[i] + reach
-    for i in range(low.size):
-        if is_near:
-            point[i] = min(max(best[i], low[i]), high[i])
-        else:
-            point[i] = _middle(low[i], high[i])
-
-
-@inner
-def _middle(low: float, high: float) -> float:
-    """Returns where a side is cut, with or without ends."""
-    if math.isinf(low) and math.isinf(high):
-        return 0.0
-    if math.isinf(high):
-        return max(1.0, 2.0 * low) if low >= 0.0 else 0.0
-    if math.isinf(low):
-        return min(-1.0, 2.0 * high) if high <= 0.0 else 0.0
-    return min(max(0.5 * low + 0.5 * high, low), high)
-
-
-@inner
-def _set_steps(low: Floats, high: Floats, point: Floats, work: Work) -> None:
-    for i in range(low.size):
-        work.low_steps[i] = min(down(low[i] - point[i]), 0.0)
-        work.high_steps[i] = max(up(high[i] - point[i]), 0.0)
-
-
-@inner
-def _descend(low: Floats, high: Floats, work: Work) -> None:
-    """Moves to where the model g d + ½ dᵀ H d is least, a coordinate at a time."""
-    size = low.size
-    start, point = work.point, work.second_point
-    copy(start, point)
-    for _ in range(_STEPS):
-        for i in range(size):
-            slope = 0.5 * (work.at_point[i, 0] + work.at_point[i, 1])
-            curvature = 0.0
-            for j in range(size):
-                place = i * (i + 1) // 2 + j if j <= i else j * (j + 1) // 2 + i
-                middle = 0.5 * (work.hessian[place, 0] + work.hessian[place, 1])
-                slope += middle * (point[j] - start[j])
-                curvature = middle if j == i else curvature
-            if curvature > 0.0:
-                point[i] = min(max(point[i] - slope / curvature, low[i]), high[i])
-
-
-@pasted
 def _bound(
-    tape: Tape,
-    rows: Rows,
-    multipliers: Multipliers,
-    low: Floats,
-    high: Floats,
-    outer: Floats,
-    best: Floats,
-    threshold: float,
-    work: Work,
+    problem: Problem, low: Floats, high: Floats, threshold: float, work: _Work
 ) -> tuple[float, float]:
     """Bounds f from below over a cell, which may be made flat at the first box's faces, in place.
 
     Args:
-        tape: f, and the rows.
-        rows: their bounds.
-        multipliers: of the rows.
+        problem: f and the rows.
         low: the cell's lower ends.
         high: the cell's upper ends.
-        outer: the first box (2, n).
-        best: the best known point.
         threshold: a bound above it is good enough.
         work: room; its `point` is filled.
 
     Returns:
         The bound, +∞ of a cell that has no feasible minimizer, and f at the point, rounded up.
     """
-    scratch = work.scratch
-    end = enclose(tape, COST, low, high, HESSIAN, scratch)
+    (tape, rows, outer, best), jets, totals = problem, work.jets, work.totals
+    end = enclose(tape, _COST, low, high, HESSIAN, jets)
     if end < 0:
         return np.inf, np.inf
-    natural = scratch.values[end, 0]
-    copy_pairs(scratch.gradients[end], work.over_cell)
-    copy_pairs(scratch.hessians[end], work.hessian)
-    _choose_point(low, high, best, work.point)
-    bends = work.bends
+    natural = jets[end, 0, 0]
+    _copy_jet(jets, end, totals, OVER)
+    choose_point(low, high, best, work.point)
     for j in range(rows.lower.size):
-        end = enclose(tape, 1 + j, low, high, HESSIAN, scratch)
-        if (
-            end < 0
-            or scratch.values[end, 0] > rows.upper[j]
-            or scratch.values[end, 1] < rows.lower[j]
-        ):
+        end = enclose(tape, 1 + j, low, high, HESSIAN, jets)
+        if end < 0 or jets[end, 0, 0] > rows.upper[j] or jets[end, 0, 1] < rows.lower[j]:
             return np.inf, np.inf
-        slope, t, bend = multipliers.slopes[j], multipliers.targets[j], multipliers.bends[j]
+        slope, t, bend = rows.slopes[j], rows.targets[j], rows.bends[j]
         if bend < 0.0:
-            reach = max(up(scratch.values[end, 1] - t), up(t - scratch.values[end, 0]))
+            reach = max(up(jets[end, 0, 1] - t), up(t - jets[end, 0, 0]))
             bend = min(-bend, 1.999 * abs(slope) / reach) if 0.0 < reach < np.inf else 0.0
-        bends[j] = bend
+        work.bends[j] = bend
         if slope != 0.0 or bend != 0.0:
-            _add_row(slope, bend, t, end, work)
+            _add_row(slope, bend, t, end, HESSIAN, OVER, work)
     if natural > threshold:
         return natural, np.inf
     if rows.lower.size:
-        for j in range(rows.lower.size):
-            if _row_excludes(tape, 1 + j, rows.lower[j], rows.upper[j], low, high, work):
-                return np.inf, np.inf
+        if _rows_exclude(problem, low, high, work):
+            return np.inf, np.inf
     elif _press(low, high, outer, work):
         return np.inf, np.inf
     best_bound, at_point = natural, np.inf
     for attempt in range(2):
         point = work.point if attempt == 0 else work.second_point
-        value = _expand_about(tape, rows, multipliers, bends, point, work)
-        _set_steps(low, high, point, work)
+        set_steps(point, low, high, work.steps)
+        value = _expand_about(problem, point, work)
         bound, is_bowl = expansion_bound(
-            work.value[0],
-            work.at_point,
-            work.over_cell,
-            work.hessian,
-            work.low_steps,
-            work.high_steps,
-            work.square,
+            totals[ABOUT], totals[OVER], work.steps, work.matrix, work.scales
         )
         best_bound = max(best_bound, bound)
         if attempt == 0:
-            at_point = value[1]
+            at_point = value
             if not is_bowl or best_bound > threshold:
                 break
-            _descend(low, high, work)
+            descend(totals, work.point, low, high, work.second_point)
     return best_bound, at_point
 
 
 @pasted
-def _row_excludes(
-    tape: Tape, formula: int, least: float, most: float, low: Floats, high: Floats, work: Work
-) -> bool:
+def _rows_exclude(problem: Problem, low: Floats, high: Floats, work: _Work) -> bool:
     """Returns whether the mean value theorem shows that a row holds nowhere in a cell."""
-    scratch, point = work.scratch, work.point
-    end = enclose(tape, formula, point, point, VALUE, scratch)
-    if end < 0:
-        return False
-    a, b = scratch.values[end, 0], scratch.values[end, 1]
-    end = enclose(tape, formula, low, high, GRADIENT, scratch)
-    for i in range(low.size):
-        step = min(down(low[i] - point[i]), 0.0), max(up(high[i] - point[i]), 0.0)
-        a, b = plus(a, b, *times(scratch.gradients[end, i, 0], scratch.gradients[end, i, 1], *step))
-    return a > most or b < least
+    jets, point, rows = work.jets, work.point, problem.rows
+    set_steps(point, low, high, work.steps)
+    for j in range(rows.lower.size):
+        end = enclose(problem.tape, 1 + j, point, point, VALUE, jets)
+        if end < 0:
+            continue
+        value = at(jets, end, 0)
+        end = enclose(problem.tape, 1 + j, low, high, GRADIENT, jets)
+        value = mean_value(value, jets, end, work.steps)
+        if value[0] > rows.upper[j] or value[1] < rows.lower[j]:
+            return True
+    return False
 
 
 @inner
-def _press(low: Floats, high: Floats, outer: Floats, work: Work) -> bool:
+def _press(low: Floats, high: Floats, outer: Floats, work: _Work) -> bool:
     """Makes a cell flat where f rises or falls over all of it, in place.
 
     Returns whether it holds no minimizer: where f falls towards a face that is not the first box's,
     what is beyond it is lower.
     """
     for i in range(low.size):
-        a, b = work.over_cell[i, 0], work.over_cell[i, 1]
+        a, b = at(work.totals, OVER, 1 + i)
         if low[i] == high[i] or not (a > 0.0 or b < 0.0):
             continue
         if not (math.isfinite(a) and math.isfinite(b)):
@@ -286,106 +305,95 @@ def _press(low: Floats, high: Floats, outer: Floats, work: Work) -> bool:
     return False
 
 
-@inner
-def _widest(low: Floats, high: Floats, sides: Floats, work: Work) -> int:
+@pasted
+def _widest(problem: Problem, low: Floats, high: Floats, work: _Work) -> int:
     """Returns the variable with the largest part in what formulas vary by, of those not too short.
 
-    Its parts are in `work.low_steps`.
+    Rows that are within their bounds anyway do not count. −1 if there is none.
     """
-    longest = 0.0
-    for i in range(low.size):
-        longest = max(longest, (high[i] - low[i]) / sides[i])
-    best, most = -1, -1.0
-    for i in range(low.size):
-        length = high[i] - low[i]
-        if length / sides[i] < _LEAST_SIDE * longest or length == 0.0:
+    jets, changes, parts, size = work.jets, work.scales, work.second_point, low.size
+    for i in range(size):
+        parts[i] = 0.0
+    for j in range(-1, problem.rows.lower.size):
+        end = enclose(problem.tape, 1 + j, low, high, GRADIENT, jets)
+        least = problem.rows.lower[j] if j >= 0 else np.inf
+        most = problem.rows.upper[j] if j >= 0 else -np.inf
+        if end < 0 or (jets[end, 0, 0] >= least and jets[end, 0, 1] <= most):
             continue
-        change = np.inf if math.isinf(length) else work.low_steps[i]
+        total = 0.0
+        for i in range(size):
+            a, b = at(jets, end, 1 + i)
+            changes[i] = max(-a, b) * (high[i] - low[i]) if high[i] > low[i] else 0.0
+            changes[i] = min(changes[i], 1e200) if changes[i] >= 0.0 else 1e200
+            total += changes[i]
+        for i in range(size):
+            parts[i] += changes[i] / total if total > 0.0 else 0.0
+    longest, best, most = 0.0, -1, -1.0
+    for i in range(size):
+        longest = max(longest, (high[i] - low[i]) / work.sides[i])
+    for i in range(size):
+        length = high[i] - low[i]
+        if length / work.sides[i] < _LEAST_SIDE * longest or length == 0.0:
+            continue
+        change = np.inf if math.isinf(length) else parts[i]
         if change > most:
             best, most = i, change
     return best
 
 
-@pasted
-def _add_parts(
-    tape: Tape, formula: int, least: float, most: float, low: Floats, high: Floats, work: Work
-) -> None:
-    """Adds each variable's part in what a formula varies by, unless it is within bounds anyway."""
-    scratch, changes = work.scratch, work.high_steps
-    end = enclose(tape, formula, low, high, GRADIENT, scratch)
-    if end < 0 or (scratch.values[end, 0] >= least and scratch.values[end, 1] <= most):
-        return
-    total = 0.0
-    for i in range(low.size):
-        a, b = scratch.gradients[end, i, 0], scratch.gradients[end, i, 1]
-        changes[i] = max(-a, b) * (high[i] - low[i]) if high[i] > low[i] else 0.0
-        changes[i] = min(changes[i], 1e200) if changes[i] >= 0.0 else 1e200
-        total += changes[i]
-    for i in range(low.size):
-        work.low_steps[i] += changes[i] / total if total > 0.0 else 0.0
-
-
 @kernel
 def explore(
-    tape: Tape,
-    rows: Rows,
-    multipliers: Multipliers,
-    heap: Heap,
-    outer: Floats,
-    best: Floats,
-    least: float,
-    margin: float,
-    scale: float,
-    count: int,
-    work: Work,
+    problem: Problem, heap: Heap, least: float, margin: float, scale: float, count: int
 ) -> tuple[float, float, int]:
     """Cuts the lowest open cells in two, until none is below the best value less a margin.
 
     Returns the least bound of those that were left alone, the least value, and how many were cut.
     """
-    low, high = np.empty(best.size), np.empty(best.size)
-    a, b = np.empty(best.size), np.empty(best.size)
-    sides = np.empty(best.size)
-    for i in range(best.size):
-        side = outer[1, i] - outer[0, i]
-        sides[i] = side if 0.0 < side < np.inf else 1.0
+    size, num_rows = problem.best.size, problem.rows.lower.size
+    work = _Work(
+        make_scratch(problem.tape, size, HESSIAN),
+        np.empty((2, jet_size(size, HESSIAN), 2)),
+        np.empty((size, 2)),
+        np.empty(num_rows),
+        np.empty(size),
+        np.empty(size),
+        np.empty((size, size)),
+        np.empty(size),
+        problem.outer[1] - problem.outer[0],
+    )
+    for i in range(size):
+        if not 0.0 < work.sides[i] < np.inf:
+            work.sides[i] = 1.0
+    low, high, a, b = np.empty(size), np.empty(size), np.empty(size), np.empty(size)
     settled = np.inf
     for number in range(count):
-        threshold = least - margin * max(abs(least), scale)
-        if heap.counts[0] == 0 or heap.keys[0] > threshold or heap.counts[1] < 2:
+        threshold, key = least - margin * max(abs(least), scale), heap.keys[0]
+        is_full = heap.used[0] + 2 > heap.keys.size
+        if heap.used[0] == 0 or key > threshold or is_full:
             return settled, least, number
-        key = heap.keys[0]
-        place = pop(heap)
-        copy(heap.low[place], low)
-        copy(heap.high[place], high)
-        # What its gradients were is not kept.
-        for i in range(low.size):
-            work.low_steps[i] = 0.0
-        _add_parts(tape, COST, np.inf, -np.inf, low, high, work)
-        for j in range(rows.lower.size):
-            _add_parts(tape, 1 + j, rows.lower[j], rows.upper[j], low, high, work)
-        i = _widest(low, high, sides, work)
-        middle = _middle(low[i], high[i]) if i >= 0 else 0.0
+        _pop(heap, low, high)
+        i = _widest(problem, low, high, work)  # Its gradients were not kept.
+        middle = middle_of(low[i], high[i]) if i >= 0 else 0.0
         if i < 0 or not low[i] < middle < high[i]:
             settled = min(settled, key)
             continue
         for half in range(2):
-            copy(low, a)
-            copy(high, b)
+            _copy(low, a)
+            _copy(high, b)
             if half == 0:
                 b[i] = middle
             else:
                 a[i] = middle
             threshold = least - margin * max(abs(least), scale)
-            bound, value = _bound(tape, rows, multipliers, a, b, outer, best, threshold, work)
+            bound, value = _bound(problem, a, b, threshold, work)
             bound = max(bound, key)
-            if rows.lower.size == 0 and value < least:
+            if num_rows == 0 and value < least:
                 least = value
-                copy(work.point, best)
+                _copy(work.point, problem.best)
             if bound == np.inf:
                 continue
             if bound > threshold:
                 settled = min(settled, bound)
             else:
-                push(heap, bound, a, b)
+                _push(heap, bound, a, b)
     return settled, least, count

@@ -1,15 +1,4 @@
-"""Lower bounds of a function over a cell, from enclosures of its derivatives.
-
-About a point c of the cell, with d = x − c and the Hessian's enclosure H = C ± R:
-
-    f(c) + Σ_i min G_i d_i                          the mean value theorem
-    f(c) + Σ_i min (g_i d_i + ½ κ_i d_i²)           κ_i = H_ii − Σ_j |H_ij| s_j / s_i  (Gershgorin)
-    f(c) + Σ_i min g_i d_i                          where f is convex: C − diag(Σ_j R_ij s_j / s_i)
-                                                    has a Cholesky factor
-
-G is the gradient over the cell, g that at c, s the cell's widths. The second and third bound are
-off by what falls with the cell's width squared, and by nothing at a minimum.
-"""
+"""Branch and bound over cells of all variables at once, for programs of few variables."""
 
 from __future__ import annotations
 
@@ -17,128 +6,149 @@ import math
 
 import numpy as np
 
-from drake_aigto.arrays import Floats
-from drake_aigto.certify.intervals import down, times, up
-from drake_aigto.jit import inner
+from drake_aigto.arrays import Bools, Floats
+from drake_aigto.certify.cell_kernels import Heap, Problem, Rows, explore
+from drake_aigto.certify.enclosures import GRADIENT, SumOfFormulas, enclose_all
+from drake_aigto.certify.formulas import Formulas, formula_of, make_tape
 
-# A Cholesky factor of A − δ I that rounding lets be found shows A to be positive definite where
-# δ ≥ (n + 2) u tr A (Rump 2006, "Verification of positive definiteness", BIT 46:433-452).
-_ROUNDING = 16.0 * 2.0**-52
-
-
-@inner
-def least_linear(a: float, b: float, low: float, high: float) -> float:
-    """Returns a bound of [a, b] · d over d in [low, high], which has 0 in it."""
-    return times(a, b, low, high)[0]
+_MOST_OPEN = 400_000  # cells
+# A row or a variable is at its bound where it is this near, relative to its size.
+_NEAR = 1e-5
+_BEND = 10.0  # relative to what makes up for the cost's slope in a unit's length
 
 
-@inner
-def least_quadratic(a: float, b: float, curvature: float, low: float, high: float) -> float:
-    """Returns a bound of g d + ½ κ d² over g in [a, b] and low ≤ d ≤ high, low ≤ 0 ≤ high."""
-    if not math.isfinite(curvature):
-        return -np.inf
-    best = 0.0
-    for slope in (a, b):
-        best = min(best, _least_of(slope, curvature, low), _least_of(slope, curvature, high))
-        if curvature > 0.0 and low * curvature < -slope < high * curvature:
-            # Its lowest point anywhere, −g²/2κ.
-            best = min(best, -up(up(up(slope * slope) / (2.0 * curvature))))
-    return best
-
-
-@inner
-def _least_of(slope: float, curvature: float, d: float) -> float:
-    if math.isinf(d):
-        return -np.inf if slope * d < 0.0 or curvature < 0.0 else 0.0
-    straight, bent = slope * d, 0.5 * curvature * d * d
-    # Two roundings of one, three of the other, and one of the sum.
-    return straight + bent - 4.0 * 2.0**-52 * (abs(straight) + abs(bent)) - 1e-300
-
-
-@inner
-def curvatures(hessian: Floats, scales: Floats, found: Floats) -> None:
-    """Fills κ (L,) with ½ dᵀHd ≥ ½ Σ κ_i d_i² of all H in an enclosure (P, 2)."""
-    size = scales.size
-    for i in range(size):
-        total = hessian[i * (i + 1) // 2 + i, 0]
-        for j in range(size):
-            if j != i:
-                place = i * (i + 1) // 2 + j if j < i else j * (j + 1) // 2 + i
-                most = max(-hessian[place, 0], hessian[place, 1])
-                if most > 0.0:
-                    total = down(total - up(up(most * scales[j]) / scales[i]))
-        found[i] = total
-
-
-@inner
-def is_convex(hessian: Floats, scales: Floats, matrix: Floats) -> bool:
-    """Returns whether all symmetric matrices in an enclosure (P, 2) are positive definite."""
-    size, trace = scales.size, 0.0
-    for i in range(size):
-        for j in range(i + 1):
-            low, high = hessian[i * (i + 1) // 2 + j, 0], hessian[i * (i + 1) // 2 + j, 1]
-            if not (math.isfinite(low) and math.isfinite(high)):
-                return False
-            matrix[i, j] = 0.5 * low + 0.5 * high
-        trace += abs(matrix[i, i])
-    for i in range(size):
-        radius = 0.0
-        for j in range(size):
-            place = i * (i + 1) // 2 + j if j < i else j * (j + 1) // 2 + i
-            # (low + high)/2 is off by less than a unit of either.
-            own = 0.5 * (hessian[place, 1] - hessian[place, 0])
-            own += _ROUNDING * (abs(hessian[place, 0]) + abs(hessian[place, 1]))
-            radius += own * scales[j] / scales[i]
-        matrix[i, i] -= radius * (1.0 + _ROUNDING) + _ROUNDING * (size + 2) * (trace + radius)
-    for j in range(size):
-        for i in range(j, size):
-            total = matrix[i, j]
-            for k in range(j):
-                total -= matrix[i, k] * matrix[j, k]
-            if i == j:
-                if not total > 0.0:
-                    return False
-                matrix[j, j] = math.sqrt(total)
-            else:
-                matrix[i, j] = total / matrix[j, j]
-    return True
-
-
-@inner
-def expansion_bound(
-    value: float,
-    at_point: Floats,
-    over_cell: Floats,
-    hessian: Floats,
-    steps_low: Floats,
-    steps_high: Floats,
-    work: Floats,
-) -> tuple[float, bool]:
-    """Returns the best of the bounds about a point, and whether f is convex over the cell.
+class CellSearch:
+    """Branch and bound over cells of a program, which may be gone on with.
 
     Args:
-        value: lower end of f(c).
-        at_point: g (L, 2).
-        over_cell: G (L, 2).
-        hessian: H over the cell (L (L + 1)/2, 2).
-        steps_low: x − c of the cell's lower ends (L,), rounded down.
-        steps_high: of its upper ends (L,), rounded up.
-        work: room for L rows of L + 2 numbers.
+        formulas: the program.
+        margin: cells are settled once their bound is this near to the best value, relative to it
+            or to a scale.
+
+    Attributes:
+        cost: f.
+        best: the best point that is known (n,).
+        least: its value.
+        num_cells: number of cells that were cut.
     """
-    size = steps_low.size
-    scales, kappa = work[:, size], work[:, size + 1]
-    for i in range(size):
-        scales[i] = max(steps_high[i] - steps_low[i], 1e-300)
-    is_bowl = is_convex(hessian, scales, work[:, :size])
-    curvatures(hessian, scales, kappa)
-    mean = bent = flat = value
-    for i in range(size):
-        low, high = steps_low[i], steps_high[i]
-        mean = down(mean + least_linear(over_cell[i, 0], over_cell[i, 1], low, high))
-        flat = down(flat + least_linear(at_point[i, 0], at_point[i, 1], low, high))
-        bent = down(bent + least_quadratic(at_point[i, 0], at_point[i, 1], kappa[i], low, high))
-    best = -np.inf
-    for bound in (mean, bent, flat if is_bowl else -np.inf):
-        if bound > best:  # NaN is not
-            best = bound
-    return best, is_bowl
+
+    def __init__(self, formulas: Formulas, margin: float) -> None:
+        """Opens the whole box."""
+        everything = range(formulas.lower.size)
+        sums = [formulas.summands, *((row,) for row in formulas.rows)]
+        self._tape = make_tape(formula_of(each, everything) for each in sums)
+        self.cost = SumOfFormulas(self._tape, [everything])
+        bounds = ([getattr(row, side) for row in formulas.rows] for side in ("lower", "upper"))
+        unpriced = np.zeros((3, len(formulas.rows)))
+        self._rows, self._margin = Rows(*map(np.array, bounds), *unpriced), margin
+        self._outer = np.array([formulas.lower, formulas.upper])
+        low, high = self._outer.copy()
+        self._heap = Heap(np.array([1]), np.array([-np.inf]), np.array([0]), low[None], high[None])
+        self._settled = np.inf
+        self.num_cells = 0
+        self.least = np.inf
+        with np.errstate(invalid="ignore"):
+            middle = 0.5 * (low + high)
+        self.best = np.where(np.isfinite(middle), middle, np.clip(0.0, low, high))
+
+    def offer(self, x: Floats, value: float) -> None:
+        """Takes a feasible point and its value, rounded up, if it is the best so far."""
+        if value < self.least:
+            self.least, self.best[:] = value, x
+
+    def run(self, count: int, scale: float) -> bool:
+        """Cuts cells, and returns whether any is left that may hold something better.
+
+        Args:
+            count: number of cells at most.
+            scale: the margin is relative to the best value, or to this where that is less in size.
+        """
+        self._make_room(count)
+        problem = Problem(self._tape, self._priced_rows(), self._outer, self.best)
+        settled, self.least, done = explore(
+            problem, self._heap, self.least, self._margin, scale, count
+        )
+        self._settled = min(self._settled, settled)
+        self.num_cells += done
+        return done == count
+
+    def _make_room(self, cells: int) -> None:
+        """Makes the heap larger where this many cells more may not fit."""
+        count, keys, places, *boxes = self._heap
+        room = min(_MOST_OPEN, int(count[0]) + cells + 2)
+        more = room - keys.size
+        if more > 0:
+            places = np.append(places, np.arange(keys.size, room))
+            low, high = (np.pad(ends, ((0, more), (0, 0))) for ends in boxes)
+            self._heap = Heap(count, np.pad(keys, (0, more)), places, low, high)
+
+    def _priced_rows(self) -> Rows:
+        """Returns rows with which the Lagrangian has next to no slope at the best point."""
+        low, high, *_ = self._rows
+        count, x = low.size + 1, self.best
+        if count == 1 or not math.isfinite(self.least):
+            return self._rows
+        points = np.tile(x, (count, 1))
+        jets = enclose_all(self._tape, np.arange(count), points, points, GRADIENT)
+        if not np.all(np.isfinite(jets)):
+            return self._rows
+        values, gradients = np.mean(jets[:, 0], axis=-1), np.mean(jets[:, 1:], axis=-1)
+        at_low, at_high = _is_at(values[1:], low), _is_at(values[1:], high)
+        # Of the side that is active: λ ≥ 0 at the upper one, ≤ 0 at the lower one.
+        signs = np.where(at_high, 1.0, -1.0)
+        active = at_low | at_high
+        free = ~np.any([_is_at(x, bound) for bound in self._outer], axis=0)
+        slopes = np.zeros(count - 1)
+        while np.any(active) and np.any(free):
+            matrix = gradients[1:][np.ix_(active, free)].T
+            slopes[:] = 0.0
+            slopes[active] = np.linalg.lstsq(matrix, -gradients[0][free], rcond=None)[0]
+            wrong = active & (low != high) & (slopes * signs <= 0.0)
+            if not np.any(wrong):
+                break
+            active &= ~wrong
+            slopes[~active] = 0.0
+        sizes = np.sum(gradients[1:] ** 2, axis=1)
+        largest = max(1.0, float(np.max(np.abs(gradients[0]), initial=0.0)))
+        bends = np.zeros(count - 1)
+        bent = active & (sizes > 0.0)
+        bends[bent] = np.where(low == high, _BEND, -_BEND)[bent] * largest / sizes[bent]
+        targets = np.where(at_high, high, np.where(at_low, low, 0.0))
+        return Rows(low, high, targets, np.where(active, slopes, 0.0), bends)
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether no point of the box meets all rows."""
+        return self._heap.used[0] == 0 and self._settled == np.inf
+
+    @property
+    def lower_bound(self) -> float:
+        """Of f over all feasible points; at most the best value."""
+        first = float(self._heap.keys[0]) if self._heap.used[0] else np.inf
+        return min(first, self._settled, self.least)
+
+    @property
+    def lowest_cell(self) -> Floats | None:
+        """Lower and upper ends (2, n) of the open cell of the lowest bound, if there is one."""
+        heap, place = self._heap, self._heap.places[0]
+        return np.array([heap.low[place], heap.high[place]]) if heap.used[0] else None
+
+    @property
+    def hull(self) -> Floats | None:
+        """Ends (2, n) of the smallest box that holds all open cells below the best value.
+
+        It holds the best point, too. None if there is no such cell.
+        """
+        count, keys, places, low, high = self._heap
+        places = places[: count[0]][keys[: count[0]] <= self.least]
+        if not places.size:
+            return None
+        ends = np.array([low[places].min(axis=0), high[places].max(axis=0)])
+        if math.isfinite(self.least):
+            ends = np.array([np.minimum(ends[0], self.best), np.maximum(ends[1], self.best)])
+        return ends
+
+
+def _is_at(values: Floats, bounds: Floats) -> Bools:
+    """Returns which values are next to their bounds, none of which is infinite then."""
+    return np.abs(values - bounds) <= _NEAR * np.maximum(1.0, np.abs(values))

@@ -11,29 +11,26 @@ import numpy as np
 from pydrake.solvers import MathematicalProgram
 
 from drake_aigto.arrays import Floats
+from drake_aigto.certify.cells import CellSearch
 from drake_aigto.certify.clique_cells import MOST_VARIABLES
-from drake_aigto.certify.cliques import CliqueProgram, CliqueSearch, elimination
-from drake_aigto.certify.few_variables import CellProgram, CellSearch
-from drake_aigto.certify.parts import cell_program, clique_program
-from drake_aigto.certify.program import Formulas, formula_of, read_formulas
+from drake_aigto.certify.cliques import CliqueSearch, elimination
+from drake_aigto.certify.enclosures import SumOfFormulas
+from drake_aigto.certify.formulas import Formulas, formula_of, make_tape, read_formulas
 from drake_aigto.certify.squares import SquaresBound, bound_by_squares
-from drake_aigto.certify.tape import make_tape
-from drake_aigto.certify.values import SumOfFormulas, group
 
 # A point → a feasible one near it, if there is one.
 Improve = Callable[[Floats], Floats | None]
 
 # Cells of more variables are too many.
 _MOST_VARIABLES = 10
-# Of up to so many variables, cells of all of them are smaller than trees of cliques are good.
+# Of up to this many variables, cells of all of them converge faster than trees of cliques.
 _FEW = 4
-_MOST_OPEN = 400_000
 _FIRST_CHUNK = 500
 # Polynomials of more variables are too many to multiply out.
 _MOST_OF_SQUARES = 1000
 # Cells are settled at this part of the gap that is asked for.
 _MARGIN = 0.5
-# Dynamic programming bounds so many cells at most in one step for each that may be used in all.
+# Dynamic programming bounds up to this many cells for each that branch and bound may use.
 _CLIQUE_CELLS = 40
 
 
@@ -49,7 +46,7 @@ class Method(enum.Enum):
 
 @dataclass(frozen=True, eq=False)
 class Certificate:
-    """What is known of the least cost of a program.
+    """Bounds of the least cost of a program, from both sides.
 
     No feasible point costs less than `lower_bound`: intervals are rounded outward, so no rounding
     can make that untrue. It holds for the formulas that the program has.
@@ -98,7 +95,6 @@ def certify(
     *,
     gap: float = 1e-6,
     cells: int = 1_000_000,
-    improve: Improve = lambda _: None,
 ) -> Certificate:
     """Returns a lower bound of a program's cost over all points that meet its constraints.
 
@@ -107,7 +103,6 @@ def certify(
         point: a feasible point, the better the tighter, shape (n,).
         gap: relative; what is enough.
         cells: the most cells that are bounded.
-        improve: called with points of the lowest cells; returns a feasible one nearby, or None.
 
     Raises:
         UnsupportedTermError: a function without an enclosure, by name.
@@ -115,7 +110,7 @@ def certify(
     certifier = Certifier(prog, gap=gap)
     if point is not None:
         certifier.offer(point)
-    return certifier.run(cells, improve)
+    return certifier.run(cells)
 
 
 class Certifier:
@@ -126,11 +121,7 @@ class Certifier:
         gap: as in `certify`.
 
     Attributes:
-        method: of the cells, or the sum.
-        least_sum: the sum of what each summand is at least.
-        scale: the gap is relative to the best cost, or to this where that is less in size.
-        best: the best point (n,), nan before there is one.
-        best_cost: its cost; ∞ before.
+        least_sum: the sum of the lower bounds of summands.
 
     Raises:
         UnsupportedTermError: as in `certify`.
@@ -138,22 +129,21 @@ class Certifier:
 
     def __init__(self, prog: MathematicalProgram, gap: float = 1e-6) -> None:
         """Chooses a method by the program's structure."""
-        self._formulas = read_formulas(prog)
+        self._formulas = formulas = read_formulas(prog)
         self._gap = gap
-        order = self._order()
-        self.method, program = self._choose(order)
-        self._cost = _sum_of(self._formulas, program)
-        least, most = self._cost.range(self._formulas.lower, self._formulas.upper)
-        self.least_sum = least
-        # What the cost varies by over the bounds, if that is below 1 in its own unit.
-        self.scale = min(1.0, most - least) if math.isfinite(most - least) else 1.0
-        self.best, self.best_cost = np.full(self._formulas.lower.size, np.nan), math.inf
-        self._squares: SquaresBound | None = None
         self._search: CellSearch | CliqueSearch | None = None
-        if isinstance(program, CellProgram):
-            self._search = CellSearch(program, self.scale, _MARGIN * gap, _MOST_OPEN)
-        elif program is not None and order is not None:
-            self._search = CliqueSearch(program, order)
+        self._squares: SquaresBound | None = None
+        self._method, order = Method.SUM, self._order()
+        if order is not None:
+            self._method, self._search = Method.CLIQUES, CliqueSearch(formulas, order)
+        elif 0 < formulas.lower.size <= _MOST_VARIABLES:
+            self._method, self._search = Method.CELLS, CellSearch(formulas, _MARGIN * gap)
+        self._cost = _sum_of(formulas) if self._search is None else self._search.cost
+        self.least_sum, most = self._cost.range(formulas.lower, formulas.upper)
+        # What the cost varies by over the bounds, if that is below 1 in its own unit.
+        width = most - self.least_sum
+        self._scale = min(1.0, width) if math.isfinite(width) else 1.0
+        self._best, self._best_cost = np.full(formulas.lower.size, np.nan), math.inf
 
     def _order(self) -> list[tuple[int, ...]] | None:
         """Returns in which order variables of small cliques are eliminated; None: of others."""
@@ -161,37 +151,26 @@ class Certifier:
         size = formulas.lower.size
         if size <= _FEW or not np.all(np.isfinite(formulas.upper - formulas.lower)):
             return None
-        read = [each.variables for each in formulas.summands]
-        read += [row.formula.variables for row in formulas.rows]
+        read = [each.variables for each in (*formulas.summands, *formulas.rows)]
         if max(map(len, read), default=0) > MOST_VARIABLES:
             return None
         return elimination(size, read)
-
-    def _choose(
-        self, order: list[tuple[int, ...]] | None
-    ) -> tuple[Method, CellProgram | CliqueProgram | None]:
-        formulas = self._formulas
-        if order is not None:
-            return Method.CLIQUES, clique_program(formulas)
-        if 0 < formulas.lower.size <= _MOST_VARIABLES:
-            return Method.CELLS, cell_program(formulas)
-        return Method.SUM, None
 
     def offer(self, x: Floats) -> None:
         """Takes a point that meets all constraints, if it is the best so far."""
         x = np.clip(x, self._formulas.lower, self._formulas.upper)
         value = self._cost.range(x, x)[1]
-        if value < self.best_cost:
-            self.best, self.best_cost = x, value
+        if value < self._best_cost:
+            self._best, self._best_cost = x, value
         if self._search is not None:
             self._search.offer(x, value)
 
-    def run(self, cells: int, improve: Improve) -> Certificate:
-        """Bounds so many cells more at most, and returns what is known then.
+    def run(self, cells: int, improve: Improve = lambda _: None) -> Certificate:
+        """Bounds more cells, and returns what is known then.
 
         Args:
-            cells: how many.
-            improve: as in `certify`.
+            cells: number of cells at most.
+            improve: called with points of the lowest cells; returns a feasible one nearby, or None.
         """
         if isinstance(self._search, CellSearch):
             self._run_cells(self._search, cells, improve)
@@ -203,21 +182,21 @@ class Certifier:
 
     @property
     def _cells_bound(self) -> float:
-        """What is known without sums of squares."""
+        """The lower bound without sums of squares."""
         if self._search is None:
             return self.least_sum
         return math.inf if self._search.is_empty else self._search.lower_bound
 
     def _gap_of(self, bound: float) -> float:
         """Returns how far the best cost is above a bound; 0 if there is no feasible point."""
-        return 0.0 if bound == math.inf else relative_gap(self.best_cost, bound, self.scale)
+        return 0.0 if bound == math.inf else relative_gap(self._best_cost, bound, self._scale)
 
     def _run_squares(self, improve: Improve) -> None:
         size = self._formulas.lower.size
         if size > _MOST_OF_SQUARES:
             self._squares = SquaresBound(-math.inf, reason=f"{size} variables are too many")
             return
-        x = np.where(np.isfinite(self.best), self.best, 0.0)
+        x = np.where(np.isfinite(self._best), self._best, 0.0)
         self._squares = bound_by_squares(self._formulas, x)
         better = None if self._squares.start is None else improve(self._squares.start)
         if better is not None:
@@ -225,7 +204,9 @@ class Certifier:
 
     def _run_cells(self, search: CellSearch, cells: int, improve: Improve) -> None:
         end, chunk, last = search.num_cells + cells, _FIRST_CHUNK, math.inf
-        while search.num_cells < end and search.run(min(chunk, end - search.num_cells)):
+        while search.num_cells < end:
+            if not search.run(min(chunk, end - search.num_cells), self._scale):
+                break
             chunk *= 2
             if self._formulas.rows:
                 cell = search.lowest_cell
@@ -235,7 +216,7 @@ class Certifier:
             if start is not None and np.all(np.isfinite(start)):
                 self._try(start, improve)
             last = search.least
-        if not self._formulas.rows and search.least < self.best_cost:
+        if not self._formulas.rows and search.least < self._best_cost:
             self._try(search.best.copy(), improve)
 
     def _try(self, x: Floats, improve: Improve) -> None:
@@ -257,19 +238,20 @@ class Certifier:
                 return
 
     def _certificate(self) -> Certificate:
-        search, bound, method = self._search, self._cells_bound, self.method
+        formulas, search = self._formulas, self._search
+        bound, method = self._cells_bound, self._method
         if self._squares is not None and self._squares.lower_bound > bound:
             bound, method = self._squares.lower_bound, Method.SQUARES
-        hull = getattr(search, "hull", None)
+        hull = None if search is None else search.hull
         return Certificate(
             lower_bound=bound,
-            best_cost=self.best_cost,
-            scale=self.scale,
+            best_cost=self._best_cost,
+            scale=self._scale,
             method=method,
             cells=0 if search is None else search.num_cells,
             reason=self._reason(bound, method),
-            best=self.best,
-            hull=np.array([self._formulas.lower, self._formulas.upper] if hull is None else hull),
+            best=self._best,
+            hull=np.array([formulas.lower, formulas.upper]) if hull is None else hull,
         )
 
     def _reason(self, bound: float, method: Method) -> str:
@@ -290,14 +272,9 @@ class Certifier:
         return f"{coupled}; no sums of squares: {squares}" if squares else coupled
 
 
-def _sum_of(formulas: Formulas, program: CellProgram | CliqueProgram | None) -> SumOfFormulas:
-    """Returns the cost as a sum of the formulas that a program has of it, or of its summands."""
-    if isinstance(program, CellProgram):
-        return SumOfFormulas(program.tape, [range(formulas.lower.size)])
-    if program is not None:
-        costs = np.flatnonzero(program.is_row == 0)
-        return SumOfFormulas(program.tape, [program.variables[k] for k in costs])
-    groups = group(formulas.summands)
+def _sum_of(formulas: Formulas) -> SumOfFormulas:
+    """Returns the cost as a sum of formulas, one for each set of variables."""
+    groups = formulas.groups()
     tape = make_tape(formula_of(parts, read) for read, parts in groups.items())
     return SumOfFormulas(tape, list(groups))
 

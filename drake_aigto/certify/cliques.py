@@ -17,51 +17,27 @@ from __future__ import annotations
 
 import heapq
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from drake_aigto.arrays import Floats, Ints
+from drake_aigto.arrays import Bools, Floats
 from drake_aigto.certify.clique_cells import (
     MOST_VARIABLES,
     Bins,
     Group,
-    bins_of,
     bound_box,
     bound_cells,
     may_hold_minima,
     moved_slopes,
     slopes_of,
 )
+from drake_aigto.certify.enclosures import SumOfFormulas
+from drake_aigto.certify.formulas import Formulas, formula_of, make_tape
 from drake_aigto.certify.intervals import UNIT
-from drake_aigto.certify.tape import Tape
 
 _FIRST_BINS = 16
 _SWEEPS = 2  # over all bins, before their cells are bounded
-
-
-@dataclass(frozen=True, eq=False)
-class CliqueProgram:
-    """Minimize Σ_p f_p over a box, subject to rows.
-
-    Attributes:
-        tape: formulas of costs and rows. The first n are functions of one variable, x_0 … x_(n−1).
-        variables: those of each formula, at most three.
-        lower_rows: lower bounds of the rows among them; −∞ of costs (F,).
-        upper_rows: upper bounds (F,).
-        is_row: 1 of rows, 0 of costs (F,).
-        lower: bounds of x (n,), finite.
-        upper: shape (n,).
-    """
-
-    tape: Tape
-    variables: tuple[tuple[int, ...], ...]
-    lower_rows: Floats
-    upper_rows: Floats
-    is_row: Ints
-    lower: Floats
-    upper: Floats
 
 
 def elimination(
@@ -99,74 +75,106 @@ class CliqueSearch:
     """Dynamic programming over ever smaller bins.
 
     Args:
-        program: what is bounded.
+        formulas: the program; its cost and rows read up to three variables each.
         order: variables with their neighbors, as `elimination` returns them.
+
+    Attributes:
+        cost: Σ_p f_p.
+        best: the best point that is known (n,).
+        least: its value.
+        lower_bound: of f over all feasible points; at most the best value.
+        is_empty: whether no point of the box meets all rows.
+        num_cells: number of cells that were bounded.
     """
 
-    def __init__(self, program: CliqueProgram, order: Sequence[tuple[int, ...]]) -> None:
+    def __init__(self, formulas: Formulas, order: Sequence[tuple[int, ...]]) -> None:
         """Cuts every range into bins."""
-        self._program, self._order = program, order
+        self._order = order
         self._rank = {clique[0]: number for number, clique in enumerate(order)}
-        edges = np.linspace(program.lower, program.upper, _FIRST_BINS + 1, axis=-1)
-        edges[:, 0], edges[:, -1] = program.lower, program.upper
-        self._low, self._high = list(edges[:, :-1]), list(edges[:, 1:])
-        self._tables: list[Floats] = []
-        self._partners: list[list[Floats]] | None = None
-        self._home = [min(map(self._rank.__getitem__, each)) for each in program.variables]
-        self._groups = _make_groups(program)
-        self._costs = [group for group in self._groups if group.rows is None]
+        self._outer = lower, upper = formulas.lower, formulas.upper
+        self._make_groups(formulas)
+        self._home = [self._first(each) for each in self._variables]
+        edges = np.linspace(lower, upper, _FIRST_BINS + 1, axis=-1)
+        edges[:, 0], edges[:, -1] = lower, upper
+        self._starts = _FIRST_BINS * np.arange(lower.size + 1)
+        self._low, self._high = edges[:, :-1].ravel(), edges[:, 1:].ravel()
+        # Of each group's bins, where its formula's variables are best, as far as is known.
+        self._partners: dict[Group, Floats] = {}
         self.num_cells = 0
         self.lower_bound = -np.inf
         self.is_empty = False
-        self.best = np.array(0.5 * program.lower + 0.5 * program.upper)
+        self.best = np.array(0.5 * lower + 0.5 * upper)
         self.least = np.inf
+
+    def _make_groups(self, formulas: Formulas) -> None:
+        """Makes a formula for every set of variables, those of one variable first, and every row.
+
+        Formulas of as many variables are a group, rows and costs apart.
+        """
+        summands = formulas.groups()
+        summands[(0,)] = summands.get((0,), []) + summands.pop((), [])
+        costs: list[tuple[int, ...]] = [(i,) for i in range(formulas.lower.size)]
+        costs += [variables for variables in summands if len(variables) > 1]
+        rows = [row for row in formulas.rows if row.variables]
+        sums = [formula_of(summands.get(each, []), each) for each in costs]
+        sums += [formula_of((row,), row.variables) for row in rows]
+        self._tape = make_tape(sums)
+        self._variables = [*costs, *(row.variables for row in rows)]
+        self.cost = SumOfFormulas(self._tape, costs)
+        found: dict[tuple[int, bool], list[int]] = {}
+        for formula, variables in enumerate(self._variables):
+            found.setdefault((len(variables), formula >= len(costs)), []).append(formula)
+        bounds = np.array([[row.lower for row in rows], [row.upper for row in rows]])
+        self._groups = [
+            Group(
+                np.array(numbers),
+                np.array([self._variables[k] for k in numbers]),
+                bounds[:, np.array(numbers) - len(costs)] if is_row else None,
+            )
+            for (_, is_row), numbers in found.items()
+        ]
+        self._costs = [group for group in self._groups if group.rows is None]
+        self._coupled = [group for group in self._costs if group.variables.shape[1] > 1]
 
     def offer(self, x: Floats, value: float) -> None:
         """Takes a feasible point and its value, rounded up, if it is the best so far."""
         if value < self.least:
-            self.least, self.best = value, np.clip(x, self._program.lower, self._program.upper)
+            self.least, self.best = value, x
 
     @property
-    def hull(self) -> tuple[Floats, Floats]:
-        """The smallest box that holds all bins that are left."""
-        low, high = zip(
-            *((a[0], b[-1]) for a, b in zip(self._low, self._high, strict=True)), strict=True
-        )
-        return np.array(low), np.array(high)
+    def hull(self) -> Floats:
+        """Lower and upper ends (2, n) of the smallest box that holds all bins that are left."""
+        return np.array([self._low[self._starts[:-1]], self._high[self._starts[1:] - 1]])
 
     def next_size(self) -> int:
         """Returns how many cells the next step bounds."""
-        counts = [bins.size for bins in self._low]
-        return sum(math.prod(counts[i] for i in each) for each in self._program.variables)
+        counts = np.diff(self._starts).tolist()
+        return sum(math.prod(counts[i] for i in each) for each in self._variables)
 
     def step(self) -> Floats:
         """Bounds all cells, and returns a point of the lowest ones; see `drop`."""
         self._drop_by_slopes()
         bins = self._bins()
-        self._tables = self._fill(bins)
-        self.num_cells += sum(table.size for table in self._tables)
-        self._pass_up()
+        self._pass_up(self._fill(bins), bins)
         if not math.isfinite(self._total):
             self.is_empty = self._total == np.inf
             self.lower_bound = min(self.least, self._total)
             return self.best
         bound = self._total - self._margin
         self.lower_bound = max(self.lower_bound, min(bound, self.least))
-        point = self._pass_down(bins)
-        return point
+        return self._pass_down(bins)
 
     def drop(self) -> None:
         """Drops the bins that hold nothing below the best value, and halves the others."""
-        self._close()
-        for i, marginal in enumerate(self._marginals):
-            keep = marginal - self._margin <= self.least
-            if not np.any(keep):
-                keep = marginal == np.min(marginal)
-            low, high = self._low[i][keep], self._high[i][keep]
-            middle = 0.5 * low + 0.5 * high
-            self._low[i] = np.column_stack([low, middle]).ravel()
-            self._high[i] = np.column_stack([middle, high]).ravel()
-            self._inherit(i, np.repeat(np.flatnonzero(keep), 2))
+        keep = self._marginals - self._margin <= self.least
+        is_any = np.logical_or.reduceat(keep, self._starts[:-1])
+        self._close(keep, bool(np.all(is_any)))
+        counts = np.diff(self._starts)
+        lowest = np.repeat(np.minimum.reduceat(self._marginals, self._starts[:-1]), counts)
+        keep |= ~np.repeat(is_any, counts) & (self._marginals == lowest)
+        self._narrow(keep, 2)
+        middle = 0.5 * self._low + 0.5 * self._high
+        self._low[1::2], self._high[::2] = middle[1::2], middle[::2]
 
     def _drop_by_slopes(self) -> None:
         """Drops bins where f has no minimum along their own variable, whatever the others are.
@@ -174,183 +182,135 @@ class CliqueSearch:
         It rises or falls all over the bin, which is none of the ends; or it is concave. That holds
         however many other variables there are, and however far from the best value the bound is.
         """
-        program = self._program
-        if np.any(program.is_row):
+        if len(self._costs) < len(self._groups):
             return
         for _ in range(_SWEEPS):
-            bins = self._bins()
-            keep = may_hold_minima(program.tape, self._costs, bins, program.lower, program.upper)
+            keep = may_hold_minima(self._tape, self._costs, self._bins(), *self._outer)
             if np.all(keep):
                 return
-            for i, kept in enumerate(np.split(keep, bins.starts[1:-1])):
-                if np.all(kept) or not np.any(kept):
-                    continue
-                self._low[i], self._high[i] = self._low[i][kept], self._high[i][kept]
-                self._inherit(i, np.flatnonzero(kept))
+            is_any = np.logical_or.reduceat(keep, self._starts[:-1])
+            self._narrow(keep | ~np.repeat(is_any, np.diff(self._starts)), 1)
 
-    def _inherit(self, i: int, parents: Ints) -> None:
-        """Gives bins the neighbors of those that they came from."""
-        if self._partners is None:
-            return
-        for formula, local in self._readers[i]:
-            self._partners[formula][local] = self._partners[formula][local][parents]
-
-    @property
-    def _readers(self) -> list[list[tuple[int, int]]]:
-        if not hasattr(self, "_read_by"):
-            found: list[list[tuple[int, int]]] = [[] for _ in self._low]
-            for formula, variables in enumerate(self._program.variables):
-                if len(variables) > 1:
-                    for local, i in enumerate(variables):
-                        found[i].append((formula, local))
-            self._read_by = found
-        return self._read_by
+    def _narrow(self, keep: Bools, times: int) -> None:
+        """Leaves some bins, each as many times; they inherit the neighbors of their own."""
+        bins = self._bins()
+        for group, points in self._partners.items():
+            self._partners[group] = np.repeat(points[keep[group.bins(bins)[-1]]], times, axis=0)
+        kept = np.add.reduceat(keep, self._starts[:-1], dtype=np.int64)
+        self._starts = np.concatenate([[0], np.cumsum(times * kept)])
+        self._low, self._high = (np.repeat(ends[keep], times) for ends in (self._low, self._high))
 
     def _bins(self) -> Bins:
-        starts = np.cumsum([0, *(low.size for low in self._low)])
-        low, high = np.concatenate(self._low), np.concatenate(self._high)
-        points = 0.5 * low + 0.5 * high
-        best = np.repeat(self.best, np.diff(starts))
-        points = np.where((low <= best) & (best <= high), best, points)
-        return Bins(starts, low, high, points)
+        best = np.repeat(self.best, np.diff(self._starts))
+        points = 0.5 * self._low + 0.5 * self._high
+        points = np.where((self._low <= best) & (best <= self._high), best, points)
+        return Bins(self._starts, self._low, self._high, points)
 
     def _fill(self, bins: Bins) -> list[Floats]:
         """Returns a table of bounds for each formula, an axis for each variable."""
-        tape = self._program.tape
         slopes = {
-            group: slopes_of(tape, group, bins, self._partner_points(group, bins))
-            for group in self._costs
-            if group.variables.shape[1] > 1
+            group: slopes_of(self._tape, group, bins, self._slope_points(group, bins))
+            for group in self._coupled
         }
-        moved = moved_slopes(list(slopes.values()), bins.low.size)
-        tables: list[Floats] = [np.empty(0)] * len(self._program.variables)
+        moved = moved_slopes(slopes, bins)
+        tables: list[Floats] = [np.empty(0)] * len(self._variables)
         for group in self._groups:
-            found = bound_cells(tape, group, bins, slopes.get(group), moved)
+            found = bound_cells(self._tape, group, bins, slopes.get(group), moved)
             for formula, table in zip(group.formulas.tolist(), found, strict=True):
                 tables[formula] = table
         return tables
 
-    def _partner_points(self, group: Group, bins: Bins) -> Floats:
+    def _slope_points(self, group: Group, bins: Bins) -> Floats:
         """Returns where each slope is taken: of each bin, all variables of the formula (S, m)."""
-        owners, own = bins_of(group, bins)
-        of, local = np.divmod(owners, group.variables.shape[1])
-        if self._partners is None:
-            points = self.best[group.variables[of]]
-        else:
-            known = (each for k in group.formulas.tolist() for each in self._partners[k])
-            points = np.concatenate(list(known))
+        of, local, own = group.bins(bins)
+        points = self._partners.get(group, self.best[group.variables[of]])
         points[np.arange(own.size), local] = bins.points[own]
         return points
 
-    def _pass_up(self) -> None:
+    def _pass_up(self, tables: Sequence[Floats], bins: Bins) -> None:
         """Adds tables up along the elimination, and sets the total."""
-        counts = [low.size for low in self._low]
-        order = self._order
-        self._sums = [np.zeros([counts[i] for i in clique]) for clique in order]
+        self.num_cells += sum(table.size for table in tables)
+        counts, order = bins.counts, self._order
+        self._sums = [np.zeros(counts[list(clique)]) for clique in order]
         size = 0.0
-        for table, variables, home in zip(
-            self._tables, self._program.variables, self._home, strict=True
-        ):
+        for table, variables, home in zip(tables, self._variables, self._home, strict=True):
             self._sums[home] += _spread(table, variables, order[home])
             finite = np.abs(table[np.isfinite(table)])
             size += float(np.max(finite, initial=0.0))
         # Every addition is off by half a unit of what is never more than all tables' largest.
-        self._margin = (len(self._tables) + 2 * len(order)) * UNIT * size
+        self._margin = (len(tables) + 2 * len(order)) * UNIT * size
         self._messages: list[Floats] = []
         self._total = 0.0
-        for number, clique in enumerate(order):
-            message = self._sums[number].min(axis=0)
+        for sums, clique in zip(self._sums, order, strict=True):
+            message = sums.min(axis=0)
             self._messages.append(message)
             if len(clique) > 1:
-                parent = min(map(self._rank.__getitem__, clique[1:]))
+                parent = self._first(clique[1:])
                 self._sums[parent] += _spread(message, clique[1:], order[parent])
             else:
                 self._total += float(message)
 
+    def _first(self, variables: Sequence[int]) -> int:
+        """Returns the number of the clique with which the first of some variables is eliminated."""
+        return min(map(self._rank.__getitem__, variables))
+
     def _pass_down(self, bins: Bins) -> Floats:
         """Fills min-marginals and the best neighbors, and returns the points of the best bins."""
-        order, counts = self._order, [low.size for low in self._low]
-        outside: list[Floats] = [np.zeros(())] * len(order)
+        order = self._order
         marginals: list[Floats] = [np.empty(0)] * len(order)
         chosen = np.zeros(len(order), dtype=np.int64)
         for number in range(len(order) - 1, -1, -1):
             clique = order[number]
-            if len(clique) > 1:
-                parent = min(map(self._rank.__getitem__, clique[1:]))
+            if len(clique) == 1:
+                outside = self._total - self._messages[number]
+            else:
+                parent = self._first(clique[1:])
                 above = self._sums[parent]
                 own = _spread(self._messages[number], clique[1:], order[parent])
                 with np.errstate(invalid="ignore"):
                     rest = np.where(np.isinf(above), np.inf, above - own)
                 axes = [a for a, i in enumerate(order[parent]) if i not in clique[1:]]
                 kept = [i for i in order[parent] if i in clique[1:]]
-                message = rest.min(axis=tuple(axes)) if axes else rest
-                outside[number] = _spread(message, kept, clique[1:])
-                self._sums[number] = self._sums[number] + outside[number]
-            else:
-                self._sums[number] = self._sums[number] + (self._total - self._messages[number])
-            sums = self._sums[number]
-            i = clique[0]
-            marginals[i] = sums.min(axis=tuple(range(1, sums.ndim)))
+                outside = _spread(rest.min(axis=tuple(axes)), kept, clique[1:])
+            sums = self._sums[number] = self._sums[number] + outside
+            marginals[clique[0]] = sums.min(axis=tuple(range(1, sums.ndim)))
             at = tuple(chosen[list(clique[1:])])
-            chosen[i] = np.argmin(sums[(slice(None), *at)])
-        self._marginals = marginals
-        self._find_partners(bins, counts)
+            chosen[clique[0]] = np.argmin(sums[(slice(None), *at)])
+        self._marginals = np.concatenate(marginals)
+        for group in self._coupled:
+            found = (points for k in group.formulas for points in self._best_points(k, bins))
+            self._partners[group] = np.concatenate(list(found))
         return bins.points[bins.starts[:-1] + chosen]
 
-    def _find_partners(self, bins: Bins, counts: Sequence[int]) -> None:
-        """Sets for each formula, variable and bin of it the points of its neighbors' best bins."""
-        self._partners = []
-        for variables, home in zip(self._program.variables, self._home, strict=True):
-            if len(variables) == 1:
-                self._partners.append([])
-                continue
-            clique, sums = self._order[home], self._sums[home]
-            places = [clique.index(i) for i in variables]
-            found = []
-            for i, place in zip(variables, places, strict=True):
-                flat = np.moveaxis(sums, place, 0)
-                shape = flat.shape[1:]
-                best = np.unravel_index(np.argmin(flat.reshape(counts[i], -1), axis=1), shape)
-                others = [j for j in clique if j != i]
-                columns = [
-                    np.zeros(counts[i])
-                    if j == i
-                    else bins.points[bins.starts[j] + best[others.index(j)]]
-                    for j in variables
-                ]
-                found.append(np.column_stack(columns))
-            self._partners.append(found)
+    def _best_points(self, formula: int, bins: Bins) -> Iterator[Floats]:
+        """Yields for each variable of a formula the points of its bins' best neighbors.
 
-    def _close(self) -> None:
+        All variables of the formula (·, m); what is in the variable's own column does not matter.
+        """
+        variables, home = self._variables[formula], self._home[formula]
+        clique, sums = self._order[home], self._sums[home]
+        for i in variables:
+            flat = np.moveaxis(sums, clique.index(i), 0)
+            best = np.argmin(flat.reshape(len(flat), -1), axis=1)
+            others = [j for j in clique if j != i]
+            places = dict(zip(others, np.unravel_index(best, flat.shape[1:]), strict=True))
+            yield np.column_stack(
+                [bins.points[bins.starts[j] + places.get(j, 0 * best)] for j in variables]
+            )
+
+    def _close(self, keep: Bools, is_any: bool) -> None:
         """Raises the bound to the best value where all bins that are left prove to be convex."""
         if not math.isfinite(self.least):
             return
-        keep = [marginal - self._margin <= self.least for marginal in self._marginals]
-        if not all(map(np.any, keep)):
+        if not is_any:
             self.lower_bound = self.least
             return
-        low = np.array([a[k][0] for a, k in zip(self._low, keep, strict=True)])
-        high = np.array([b[k][-1] for b, k in zip(self._high, keep, strict=True)])
+        low = np.minimum.reduceat(np.where(keep, self._low, np.inf), self._starts[:-1])
+        high = np.maximum.reduceat(np.where(keep, self._high, -np.inf), self._starts[:-1])
         if np.any(self.best < low) or np.any(self.best > high):
             return
-        bound = bound_box(self._program.tape, self._costs, low, high, self.best)
+        bound = bound_box(self._tape, self._costs, low, high, self.best)
         self.lower_bound = max(self.lower_bound, min(bound, self.least))
-
-
-def _make_groups(program: CliqueProgram) -> list[Group]:
-    """Returns the formulas by how many variables they read, rows and costs apart."""
-    found: dict[tuple[int, int], list[int]] = {}
-    for formula, variables in enumerate(program.variables):
-        found.setdefault((len(variables), int(program.is_row[formula])), []).append(formula)
-    rows = np.array([program.lower_rows, program.upper_rows])
-    return [
-        Group(
-            np.array(formulas),
-            np.array([program.variables[k] for k in formulas]),
-            rows[:, formulas] if is_row else None,
-        )
-        for (_, is_row), formulas in found.items()
-    ]
 
 
 def _spread(table: Floats, variables: Sequence[int], clique: Sequence[int]) -> Floats:

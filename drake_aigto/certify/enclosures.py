@@ -1,256 +1,190 @@
-"""Enclosures of a formula over a box: value, gradient and Hessian, by interval arithmetic.
+"""Enclosures of formulas over boxes: values, gradients and Hessians, by interval arithmetic.
 
 Derivatives go forward along the tape (Moore, Kearfott & Cloud 2009, "Introduction to Interval
 Analysis", ch. 9). At a kink within the box, gradients are those of both sides, which makes the
-mean value theorem hold there too (Clarke 1983, ch. 2), and Hessians are all numbers.
+mean value theorem hold there too (Clarke 1983, ch. 2), and Hessians are all numbers. So are all
+derivatives where a root or a logarithm has no value in a part of the box.
+
+A jet of a function of L variables has J intervals (low, high), shape (J, 2): its value, the L of
+its gradient, and its Hessian, of which row i ≥ column j is at 1 + L + i (i + 1)/2 + j. Of order 0
+it ends after the value, of order 1 after the gradient.
 """
 
 from __future__ import annotations
 
-from typing import NamedTuple, cast
+import math
+from collections.abc import Sequence
 
 import numpy as np
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Floats, Ints
+from drake_aigto.certify.formulas import Operation, Tape
 from drake_aigto.certify.intervals import (
+    UNIT,
     Interval,
-    arc_tangent,
     cosine,
     exponential,
-    hyperbolic_tangent,
     logarithm,
+    minus,
     plus,
     power,
     real_power,
     reciprocal,
+    scaled,
     sine,
     times,
+    widened,
 )
-from drake_aigto.certify.tape import Operation, Tape
-from drake_aigto.jit import inner
+from drake_aigto.kernels import inner, kernel
 
-_NUMBER = int(Operation.NUMBER)
-_SHIFT, _SCALE = int(Operation.SHIFT), int(Operation.SCALE)
-_ADD, _MULTIPLY = int(Operation.ADD), int(Operation.MULTIPLY)
-_MAX, _MIN, _ABS = int(Operation.MAX), int(Operation.MIN), int(Operation.ABS)
-_POWER, _REAL_POWER = int(Operation.POWER), int(Operation.REAL_POWER)
-_RECIPROCAL, _EXP, _LOG = int(Operation.RECIPROCAL), int(Operation.EXP), int(Operation.LOG)
-_SIN, _COS = int(Operation.SIN), int(Operation.COS)
-_TANH = int(Operation.TANH)
-
-# No plain integers: Numba would compile `enclose` once for each.
-VALUE, GRADIENT, HESSIAN = (cast(int, np.int64(order)) for order in range(3))
+VALUE, GRADIENT, HESSIAN = range(3)
 
 
-class Scratch(NamedTuple):
-    """Enclosures of all entries of a formula over L variables; the last axis is (low, high).
-
-    Attributes:
-        values: shape (E, 2).
-        gradients: shape (E, L, 2).
-        hessians: shape (E, L (L + 1)/2, 2), row i ≥ column j at i (i + 1)/2 + j.
-    """
-
-    values: Floats
-    gradients: Floats
-    hessians: Floats
-
-
-def make_scratch(tape: Tape, num_variables: int) -> Scratch:
-    """Returns room for the longest formula of a tape."""
-    longest = int(np.max(np.diff(tape.starts), initial=1))
+@inner
+def jet_size(num_variables: int, order: int) -> int:
+    """Returns J."""
     pairs = num_variables * (num_variables + 1) // 2
-    return Scratch(
-        np.empty((longest, 2)),
-        np.empty((longest, num_variables, 2)),
-        np.empty((longest, pairs, 2)),
-    )
+    return 1 + (num_variables if order > 0 else 0) + (pairs if order > 1 else 0)
+
+
+@inner
+def make_scratch(tape: Tape, num_variables: int, order: int) -> Floats:
+    """Returns room for the jets of all entries of the longest formula of a tape (E, J, 2)."""
+    longest = 1
+    for formula in range(tape.starts.size - 1):
+        longest = max(longest, tape.starts[formula + 1] - tape.starts[formula])
+    return np.empty((longest, jet_size(num_variables, order), 2))
+
+
+@inner
+def at(jets: Floats, entry: int, place: int) -> Interval:
+    """Returns an interval of jets (E, J, 2)."""
+    return jets[entry, place, 0], jets[entry, place, 1]
+
+
+@inner
+def put(jets: Floats, entry: int, place: int, x: Interval) -> None:
+    """Sets an interval of jets (E, J, 2)."""
+    jets[entry, place, 0], jets[entry, place, 1] = x
 
 
 @inner
 def _derivatives(
-    operation: int, a: float, b: float, exponent: int, p: float, order: int
+    operation: int, x: Interval, exponent: int, p: float, order: int
 ) -> tuple[Interval, Interval, Interval]:
-    """Returns enclosures of a function of one argument in [a, b], and of its two derivatives."""
-    all_, none = (-np.inf, np.inf), (0.0, 0.0)
-    if operation == _POWER:
-        value = power(a, b, exponent)
+    """Returns enclosures of a function of one argument, and of its two derivatives."""
+    none = 0.0, 0.0
+    if operation == Operation.POWER:
         first = second = none
         if order > 0 and exponent > 0:
-            degree = float(exponent)
-            first = times(degree, degree, *power(a, b, exponent - 1))
+            first = scaled(float(exponent), power(x, exponent - 1))
         if order > 1 and exponent > 1:
-            factor = float(exponent * (exponent - 1))
-            second = times(factor, factor, *power(a, b, exponent - 2))
-        return value, first, second
-    if operation == _EXP:
-        value = exponential(a, b)
+            second = scaled(float(exponent * (exponent - 1)), power(x, exponent - 2))
+        return power(x, exponent), first, second
+    if operation == Operation.EXP:
+        value = exponential(x)
         return value, value, value
-    if operation in (_SIN, _COS):
-        s, c = sine(a, b), cosine(a, b)
-        if operation == _SIN:
-            return s, c, (-s[1], -s[0])
-        return c, (-s[1], -s[0]), (-c[1], -c[0])
-    if operation == _RECIPROCAL:
-        value = reciprocal(a, b)
-        square, cube = power(value[0], value[1], 2), power(value[0], value[1], 3)
-        return value, (-square[1], -square[0]), (2.0 * cube[0], 2.0 * cube[1])
-    if operation == _REAL_POWER:
-        first = times(p, p, *real_power(a, b, p - 1.0))
-        both = times(p, p, *plus(p, p, -1.0, -1.0))
-        second = times(both[0], both[1], *real_power(a, b, p - 2.0))
-        return real_power(a, b, p), first, second
-    if operation == _LOG:
-        first = reciprocal(max(a, 0.0), b)
-        square = power(first[0], first[1], 2)
-        return logarithm(a, b), first, (-square[1], -square[0])
-    if operation == _ABS:
-        if a > 0.0:
-            return (a, b), (1.0, 1.0), none
-        if b < 0.0:
-            return (-b, -a), (-1.0, -1.0), none
-        return (0.0, max(-a, b)), (-1.0, 1.0), all_
-    if operation == _TANH:
-        value = hyperbolic_tangent(a, b)
-        square = power(value[0], value[1], 2)
-        first = plus(1.0, 1.0, -square[1], -square[0])
-        second = times(-2.0 * value[1], -2.0 * value[0], *first)
-        return value, first, second
-    below = plus(1.0, 1.0, *power(a, b, 2))  # tan⁻¹
-    first = reciprocal(*below)
-    second = times(-2.0 * b, -2.0 * a, *power(first[0], first[1], 2))
-    return arc_tangent(a, b), first, second
+    if operation == Operation.SIN:
+        s, c = sine(x), cosine(x)
+        return s, c, minus(s)
+    if operation == Operation.COS:
+        s, c = sine(x), cosine(x)
+        return c, minus(s), minus(c)
+    if operation == Operation.RECIPROCAL:
+        value = reciprocal(x)
+        cube = power(value, 3)
+        return value, minus(power(value, 2)), (2.0 * cube[0], 2.0 * cube[1])
+    if operation == Operation.REAL_POWER:
+        both = scaled(p, plus((p, p), (-1.0, -1.0)))
+        second = times(both, real_power(x, p - 2.0))
+        return real_power(x, p), scaled(p, real_power(x, p - 1.0)), second
+    if operation == Operation.LOG:
+        first = reciprocal((max(x[0], 0.0), x[1]))
+        return logarithm(x), first, minus(power(first, 2))
+    if operation == Operation.ABS:
+        if x[0] > 0.0:
+            return x, (1.0, 1.0), none
+        if x[1] < 0.0:
+            return minus(x), (-1.0, -1.0), none
+        return (0.0, max(-x[0], x[1])), (-1.0, 1.0), (-np.inf, np.inf)
+    if operation == Operation.TANH:
+        value = widened(math.tanh(x[0]), math.tanh(x[1]))
+        first = plus((1.0, 1.0), minus(power(value, 2)))
+        return value, first, times((-2.0 * value[1], -2.0 * value[0]), first)
+    first = reciprocal(plus((1.0, 1.0), power(x, 2)))  # of tan⁻¹
+    second = times((-2.0 * x[1], -2.0 * x[0]), power(first, 2))
+    return widened(math.atan(x[0]), math.atan(x[1])), first, second
 
 
 @inner
 def _apply(
+    jets: Floats,
     to: int,
     of: int,
-    value: Interval,
-    first: Interval,
-    second: Interval,
+    values: tuple[Interval, Interval, Interval],
+    size: int,
     order: int,
-    scratch: Scratch,
 ) -> None:
     """Fills an entry with a function of another, by the chain rule."""
-    values, gradients, hessians = scratch
-    values[to, 0], values[to, 1] = value
-    size = gradients.shape[1]
-    if order == 0:
-        return
-    place = 0
-    for i in range(size):
-        slope = gradients[of, i, 0], gradients[of, i, 1]
-        gradients[to, i, 0], gradients[to, i, 1] = times(first[0], first[1], slope[0], slope[1])
-        if order < 2:
-            continue
-        for j in range(i + 1):
-            other = gradients[of, j, 0], gradients[of, j, 1]
-            if i == j:
-                both = power(slope[0], slope[1], 2)
-            else:
-                both = times(slope[0], slope[1], other[0], other[1])
-            bent = times(second[0], second[1], both[0], both[1])
-            passed = times(first[0], first[1], hessians[of, place, 0], hessians[of, place, 1])
-            hessians[to, place, 0], hessians[to, place, 1] = plus(
-                bent[0], bent[1], passed[0], passed[1]
-            )
+    value, first, second = values
+    put(jets, to, 0, value)
+    place = 1 + size
+    for i in range(size if order > 0 else 0):
+        slope = at(jets, of, 1 + i)
+        put(jets, to, 1 + i, times(first, slope))
+        for j in range(i + 1 if order > 1 else 0):
+            both = power(slope, 2) if i == j else times(slope, at(jets, of, 1 + j))
+            bent = plus(times(second, both), times(first, at(jets, of, place)))
+            put(jets, to, place, bent)
             place += 1
 
 
 @inner
-def _multiply(to: int, a: int, b: int, order: int, scratch: Scratch) -> None:
-    values, gradients, hessians = scratch
-    u, v = (values[a, 0], values[a, 1]), (values[b, 0], values[b, 1])
-    values[to, 0], values[to, 1] = times(u[0], u[1], v[0], v[1])
-    if order == 0:
-        return
-    place = 0
-    for i in range(gradients.shape[1]):
-        ui, vi = (
-            (gradients[a, i, 0], gradients[a, i, 1]),
-            (gradients[b, i, 0], gradients[b, i, 1]),
-        )
-        gradients[to, i, 0], gradients[to, i, 1] = plus(
-            *times(u[0], u[1], vi[0], vi[1]), *times(v[0], v[1], ui[0], ui[1])
-        )
-        if order < 2:
-            continue
-        for j in range(i + 1):
-            uj, vj = (
-                (gradients[a, j, 0], gradients[a, j, 1]),
-                (gradients[b, j, 0], gradients[b, j, 1]),
-            )
-            mixed = plus(*times(ui[0], ui[1], vj[0], vj[1]), *times(uj[0], uj[1], vi[0], vi[1]))
-            passed = plus(
-                *times(u[0], u[1], hessians[b, place, 0], hessians[b, place, 1]),
-                *times(v[0], v[1], hessians[a, place, 0], hessians[a, place, 1]),
-            )
-            hessians[to, place, 0], hessians[to, place, 1] = plus(*mixed, *passed)
+def _multiply(jets: Floats, to: int, a: int, b: int, size: int, order: int) -> None:
+    u, v = at(jets, a, 0), at(jets, b, 0)
+    put(jets, to, 0, times(u, v))
+    place = 1 + size
+    for i in range(size if order > 0 else 0):
+        du, dv = at(jets, a, 1 + i), at(jets, b, 1 + i)
+        put(jets, to, 1 + i, plus(times(u, dv), times(v, du)))
+        for j in range(i + 1 if order > 1 else 0):
+            mixed = plus(times(du, at(jets, b, 1 + j)), times(at(jets, a, 1 + j), dv))
+            passed = plus(times(u, at(jets, b, place)), times(v, at(jets, a, place)))
+            put(jets, to, place, plus(mixed, passed))
             place += 1
 
 
 @inner
-def _copy(to: int, of: int, order: int, scratch: Scratch) -> None:
-    """Fills an entry's derivatives with those of another."""
-    _, gradients, hessians = scratch
-    for end in range(2):
-        for i in range(gradients.shape[1] if order > 0 else 0):
-            gradients[to, i, end] = gradients[of, i, end]
-        for i in range(hessians.shape[1] if order > 1 else 0):
-            hessians[to, i, end] = hessians[of, i, end]
+def _copy(jets: Floats, to: int, of: int, count: int) -> None:
+    for place in range(count):
+        put(jets, to, place, at(jets, of, place))
 
 
 @inner
-def _start(to: int, variable: int, order: int, scratch: Scratch) -> None:
-    """Fills an entry's derivatives with those of a variable, or of a number, which is −1."""
-    _, gradients, hessians = scratch
-    for end in range(2):
-        for i in range(gradients.shape[1] if order > 0 else 0):
-            gradients[to, i, end] = 1.0 if i == variable else 0.0
-        for i in range(hessians.shape[1] if order > 1 else 0):
-            hessians[to, i, end] = 0.0
-
-
-@inner
-def _take_larger(to: int, a: int, b: int, sign: float, order: int, scratch: Scratch) -> None:
+def _take_larger(jets: Floats, to: int, a: int, b: int, sign: float, size: int, count: int) -> None:
     """Fills an entry with the larger of two, or with sign −1 the smaller one."""
-    values, gradients, hessians = scratch
-    for end in range(2):
-        values[to, end] = sign * max(sign * values[a, end], sign * values[b, end])
-    is_a = values[a, 0] > values[b, 1] if sign > 0.0 else values[a, 1] < values[b, 0]
-    is_b = values[b, 0] > values[a, 1] if sign > 0.0 else values[b, 1] < values[a, 0]
+    first, second = at(jets, a, 0), at(jets, b, 0)
+    is_a = first[0] > second[1] if sign > 0.0 else first[1] < second[0]
+    is_b = second[0] > first[1] if sign > 0.0 else second[1] < first[0]
     if is_a or is_b:
-        _copy(to, a if is_a else b, order, scratch)
-        return
-    for i in range(gradients.shape[1]):
-        gradients[to, i, 0] = min(gradients[a, i, 0], gradients[b, i, 0])
-        gradients[to, i, 1] = max(gradients[a, i, 1], gradients[b, i, 1])
-    for i in range(hessians.shape[1]):
-        hessians[to, i, 0], hessians[to, i, 1] = -np.inf, np.inf
+        _copy(jets, to, a if is_a else b, count)
+    else:
+        for place in range(1, count):
+            both, other = at(jets, a, place), at(jets, b, place)
+            is_slope = place <= size
+            put(
+                jets,
+                to,
+                place,
+                (min(both[0], other[0]), max(both[1], other[1])) if is_slope else (-np.inf, np.inf),
+            )
+    for end in range(2):
+        jets[to, 0, end] = sign * max(sign * jets[a, 0, end], sign * jets[b, 0, end])
 
 
 @inner
-def _add(to: int, a: int, b: int, order: int, scratch: Scratch) -> None:
-    values, gradients, hessians = scratch
-    values[to, 0], values[to, 1] = plus(values[a, 0], values[a, 1], values[b, 0], values[b, 1])
-    if order > 0:
-        for i in range(gradients.shape[1]):
-            gradients[to, i, 0], gradients[to, i, 1] = plus(
-                gradients[a, i, 0], gradients[a, i, 1], gradients[b, i, 0], gradients[b, i, 1]
-            )
-    if order > 1:
-        for i in range(hessians.shape[1]):
-            hessians[to, i, 0], hessians[to, i, 1] = plus(
-                hessians[a, i, 0], hessians[a, i, 1], hessians[b, i, 0], hessians[b, i, 1]
-            )
-
-
-@inner
-def enclose(
-    tape: Tape, formula: int, low: Floats, high: Floats, order: int, scratch: Scratch
-) -> int:
-    """Fills a scratch with the enclosures of a formula over low ≤ x ≤ high (L,).
+def enclose(tape: Tape, formula: int, low: Floats, high: Floats, order: int, jets: Floats) -> int:
+    """Fills jets with the enclosures of a formula's entries over low ≤ x ≤ high (L,).
 
     Args:
         tape: holds the formula.
@@ -258,42 +192,111 @@ def enclose(
         low: lower ends.
         high: upper ends.
         order: 0 for values, 1 for gradients too, 2 for Hessians too.
-        scratch: at least as long as the formula.
+        jets: as `make_scratch` returns them, of this order or a higher one.
 
     Returns:
-        Where its own enclosures are; −1 if it has no value anywhere in the box.
+        The entry of the formula itself; −1 if it has no value anywhere in the box.
     """
     operations, first, second, numbers, starts = tape
-    values = scratch.values
-    start, count = starts[formula], starts[formula + 1] - starts[formula]
-    for k in range(count):
+    start, last = starts[formula], starts[formula + 1] - starts[formula] - 1
+    size, count, is_partial = low.size, jet_size(low.size, order), False
+    for k in range(last + 1):
         operation, a, b = operations[start + k], first[start + k], second[start + k]
         p = numbers[start + k]
-        if operation <= _SHIFT:
-            if operation == _SHIFT:
-                values[k, 0], values[k, 1] = plus(values[a, 0], values[a, 1], p, p)
-                _copy(k, a, order, scratch)
-            elif operation == _NUMBER:
-                values[k, 0], values[k, 1] = p, p
-                _start(k, -1, order, scratch)
-            else:
-                values[k, 0], values[k, 1] = low[a], high[a]
-                _start(k, a, order, scratch)
-        elif operation == _SCALE:
-            _apply(
-                k, a, times(p, p, values[a, 0], values[a, 1]), (p, p), (0.0, 0.0), order, scratch
-            )
-        elif operation == _ADD:
-            _add(k, a, b, order, scratch)
-        elif operation == _MULTIPLY:
-            _multiply(k, a, b, order, scratch)
-        elif operation in (_MAX, _MIN):
-            _take_larger(k, a, b, 1.0 if operation == _MAX else -1.0, order, scratch)
+        if operation == Operation.NUMBER or operation == Operation.VARIABLE:
+            for place in range(1, count):
+                put(jets, k, place, (0.0, 0.0))
+            if operation == Operation.NUMBER:
+                put(jets, k, 0, (p, p))
+                continue
+            put(jets, k, 0, (low[a], high[a]))
+            if order > 0:
+                put(jets, k, 1 + a, (1.0, 1.0))
+        elif operation == Operation.SHIFT:
+            _copy(jets, k, a, count)
+            put(jets, k, 0, plus(at(jets, a, 0), (p, p)))
+        elif operation == Operation.SCALE:
+            values = scaled(p, at(jets, a, 0)), (p, p), (0.0, 0.0)
+            _apply(jets, k, a, values, size, order)
+        elif operation == Operation.ADD:
+            for place in range(count):
+                put(jets, k, place, plus(at(jets, a, place), at(jets, b, place)))
+        elif operation == Operation.MULTIPLY:
+            _multiply(jets, k, a, b, size, order)
+        elif operation == Operation.MAX or operation == Operation.MIN:
+            sign = 1.0 if operation == Operation.MAX else -1.0
+            _take_larger(jets, k, a, b, sign, size, count)
         else:
-            value, slope, curvature = _derivatives(
-                operation, values[a, 0], values[a, 1], b, p, order
-            )
-            if value[0] > value[1]:
+            x = at(jets, a, 0)
+            is_root = operation == Operation.LOG or operation == Operation.REAL_POWER
+            is_partial |= is_root and x[0] < 0.0
+            values = _derivatives(operation, x, b, p, order)
+            if values[0][0] > values[0][1]:
                 return -1
-            _apply(k, a, value, slope, curvature, order, scratch)
-    return count - 1
+            _apply(jets, k, a, values, size, order)
+    if is_partial:
+        for place in range(1, count):
+            put(jets, last, place, (-np.inf, np.inf))
+    return last
+
+
+@kernel
+def enclose_all(tape: Tape, formulas: Ints, low: Floats, high: Floats, order: int) -> Floats:
+    """Returns jets (C, J, 2) of formulas, each over a cell of its own.
+
+    Where a formula has no value anywhere in its cell, its value is ∞, and its derivatives are 0.
+
+    Args:
+        tape: holds them.
+        formulas: their numbers (C,).
+        low: lower ends of the cells (C, L), contiguous.
+        high: upper ends.
+        order: 0 for values, 1 for gradients too, 2 for Hessians too.
+    """
+    jets = make_scratch(tape, low.shape[1], order)
+    found = np.zeros((formulas.size, jets.shape[1], 2))
+    for c in range(formulas.size):
+        end = enclose(tape, formulas[c], low[c], high[c], order, jets)
+        if end < 0:
+            put(found, c, 0, (np.inf, np.inf))
+            continue
+        for place in range(jets.shape[1]):
+            put(found, c, place, at(jets, end, place))
+    return found
+
+
+def sum_outward(intervals: Floats, owners: Ints, count: int) -> Floats:
+    """Returns the sums (count, 2) of intervals (C, 2) by their owners (C,), rounded outward."""
+    # Each addition is off by half a unit of what is no more than the sum of sizes.
+    terms = np.bincount(owners, minlength=count)
+    found = np.empty((count, 2))
+    for side, sign in enumerate((-1.0, 1.0)):
+        own = np.ascontiguousarray(intervals[:, side])
+        sizes = np.bincount(owners, np.abs(own), count)
+        found[:, side] = np.bincount(owners, own, count) + sign * (terms + 2) * UNIT * sizes
+    return found
+
+
+class SumOfFormulas:
+    """Σ f_p over the program's variables.
+
+    Args:
+        tape: holds them.
+        variables: those that each of its first formulas reads, which are summed up.
+    """
+
+    def __init__(self, tape: Tape, variables: Sequence[Sequence[int]]) -> None:
+        """Takes the formulas."""
+        self._tape = tape
+        self._read = np.zeros((len(variables), max(1, *map(len, variables), 0)), dtype=np.int64)
+        for row, read in zip(self._read, variables, strict=True):
+            row[: len(read)] = read
+
+    def range(self, low: Floats, high: Floats) -> Interval:
+        """Returns bounds over low ≤ x ≤ high (n,), rounded outward."""
+        formulas = np.arange(self._read.shape[0])
+        found = enclose_all(self._tape, formulas, low[self._read], high[self._read], VALUE)[:, 0]
+        if np.any(found[:, 0] == np.inf):
+            return math.inf, math.inf
+        ((least, most),) = sum_outward(found, np.zeros_like(formulas), 1).tolist()
+        return least, most

@@ -11,16 +11,50 @@ import numpy as np
 import pydrake.symbolic as sym
 
 from drake_aigto.arrays import Floats
-from drake_aigto.certify.clique_cells import expand_all, steps_from
-from drake_aigto.certify.enclosures import GRADIENT, HESSIAN, VALUE
+from drake_aigto.certify.enclosures import GRADIENT, HESSIAN, VALUE, enclose_all
+from drake_aigto.certify.expansions import expand_all, steps_from
+from drake_aigto.certify.formulas import Formula, Tape, make_tape
 from drake_aigto.certify.intervals import UNIT
-from drake_aigto.certify.lines import Line, Wall
-from drake_aigto.certify.tape import Formula, Tape, make_tape
-from drake_aigto.certify.values import enclose_all
 
-# Where along a flight it is looked whether it is through a wall, by this part of the line.
+# Places along a flight, as parts of its time, that have to be between the walls.
 _PLACES = (0.25, 0.5, 0.75, 1.0)
+# A flight that is this far beyond a wall, as a part of the line's length, goes through it.
 _INSIDE = 1e-9
+
+
+@dataclass(frozen=True)
+class Wall:
+    """A wall on a line: where, on which side there is room (±1), and its restitution."""
+
+    position: float
+    side: int
+    restitution: float
+
+
+@dataclass(frozen=True)
+class Line:
+    """The cost ∫₀¹ (ẍ − drift)² dt + weight (x(1) − goal)², a unit of which is worth the price.
+
+    One axis on its own: a mass on a line between walls, in unit time.
+    """
+
+    position: float
+    velocity: float
+    goal: float
+    weight: float
+    price: float
+    walls: tuple[Wall, ...]
+    drift: float
+
+    @property
+    def miss(self) -> float:
+        """Distance to the goal of the uncontrolled motion without walls."""
+        return self.goal - self.position - self.velocity - 0.5 * self.drift
+
+    @property
+    def slack(self) -> float:
+        """Distance that is lost in rounding."""
+        return _INSIDE * (abs(self.goal - self.position) + abs(self.velocity) + abs(self.drift))
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +76,7 @@ class Flights:
     def slopes(self, at: Floats) -> Floats:
         """Returns the gradient of the cost at points (E, m), 0 where it has none."""
         found = enclose_all(self.tape, np.zeros(len(at), dtype=np.int64), at, at, GRADIENT)
-        slopes = np.mean(found.gradients, axis=-1)
+        slopes = np.mean(found[:, 1:], axis=-1)
         return np.where(np.isfinite(slopes), slopes, 0.0)
 
     def bound(self, low: Floats, high: Floats, most: float) -> Floats:
@@ -62,7 +96,7 @@ class Flights:
         return np.where(keep, found, np.inf)
 
     def _values(self, formula: int, low: Floats, high: Floats) -> Floats:
-        return enclose_all(self.tape, np.full(len(low), formula), low, high, VALUE).values
+        return enclose_all(self.tape, np.full(len(low), formula), low, high, VALUE)[:, 0]
 
     def expand(self, low: Floats, high: Floats, slopes: Floats) -> Floats:
         """Returns bounds of cost + s (x − c) over cells, about their middles c (E,).
@@ -74,11 +108,11 @@ class Flights:
         """
         point, cost = 0.5 * low + 0.5 * high, np.zeros(len(low), dtype=np.int64)
         steps, added = steps_from(point, low, high), np.stack([slopes, slopes], axis=-1)
-        at = enclose_all(self.tape, cost, point, point, GRADIENT)
+        about = enclose_all(self.tape, cost, point, point, GRADIENT)
         if self.is_convex:
-            return _least_plane(at.values[:, 0], at.gradients, added, steps)
+            return _least_plane(about[:, 0, 0], about[:, 1:], added, steps)
         over = enclose_all(self.tape, cost, low, high, HESSIAN)
-        return expand_all(at, over, added, steps)
+        return expand_all(about, over, added, steps)
 
 
 def _least_plane(values: Floats, slopes: Floats, others: Floats, steps: Floats) -> Floats:
@@ -91,27 +125,23 @@ def _least_plane(values: Floats, slopes: Floats, others: Floats, steps: Floats) 
 
 
 def _flights(
+    line: Line,
+    wall: Wall,
     variables: Sequence[sym.Variable],
     cost: sym.Expression,
     places: Sequence[sym.Expression],
-    ends: tuple[float, float],
     is_convex: bool = False,
 ) -> Flights:
-    """Returns flights whose places are between the ends."""
+    """Returns flights from or to a wall, whose places are within the room beside it."""
     index = {variable.get_id(): i for i, variable in enumerate(variables)}
     formulas = []
     for each in (cost, *places):
         formula = Formula()
-        formula.join(each, index)
+        formula.add(index, each)
         formulas.append(formula.finish())
-    return Flights(make_tape(formulas), *ends, is_convex)
-
-
-def _room(line: Line, wall: Wall) -> tuple[float, float]:
-    """Returns how far from a wall a mass may be, less and more what is lost in rounding."""
     others = [abs(other.position - wall.position) for other in line.walls if other is not wall]
-    slack = _INSIDE * (abs(line.goal - line.position) + abs(line.velocity) + abs(line.drift))
-    return -slack, min(others, default=math.inf) + slack
+    most = min(others, default=math.inf) + line.slack
+    return Flights(make_tape(formulas), -line.slack, most, is_convex)
 
 
 def _effort(h: Any, way: Any, before: Any, after: Any, pull: float) -> Any:
@@ -135,7 +165,7 @@ def first_flights(line: Line, wall: Wall) -> Flights:
     h, a = sym.Variable("h"), sym.Variable("a")
     y, v = wall.side * (line.position - wall.position), wall.side * line.velocity
     cost = _effort(h, -y, v, -a, -wall.side * line.drift)
-    return _flights((h, a), cost, _cubic(h, (y, 0.0), (v, -a)), _room(line, wall))
+    return _flights(line, wall, (h, a), cost, _cubic(h, (y, 0.0), (v, -a)))
 
 
 def hops(line: Line, wall: Wall, other: Wall) -> Flights:
@@ -146,10 +176,10 @@ def hops(line: Line, wall: Wall, other: Wall) -> Flights:
         # Squares of linear functions over h are convex.
         cost = (pull * h - v - b) ** 2 / h + 3.0 * (v - b) ** 2 / h
         places = _cubic(h, (0.0, 0.0), (v, -b)) if len(line.walls) > 1 else []
-        return _flights((h, a, b), cost, places, _room(line, wall), is_convex=True)
+        return _flights(line, wall, (h, a, b), cost, places, is_convex=True)
     way = abs(other.position - wall.position)
-    cost = _effort(h, way, v, b, pull)
-    return _flights((h, a, b), cost, _cubic(h, (0.0, way), (v, b)), _room(line, wall))
+    places = _cubic(h, (0.0, way), (v, b))
+    return _flights(line, wall, (h, a, b), _effort(h, way, v, b, pull), places)
 
 
 def last_flights(line: Line, wall: Wall) -> Flights:
@@ -163,21 +193,25 @@ def last_flights(line: Line, wall: Wall) -> Flights:
     places = [
         s * left * v - 0.5 * pull * (s * left) ** 2 + 0.5 * (3.0 - s) * s**2 * lift for s in _PLACES
     ]
-    return _flights((t, a), cost, places, _room(line, wall))
+    return _flights(line, wall, (t, a), cost, places)
 
 
 def direct_cost(line: Line) -> float:
-    """Returns what a flight costs that touches nothing; ∞ if it goes through a wall.
+    """Returns what the cheapest flight costs without walls; ∞ if it goes through one.
 
-    Then the cheapest one that touches nothing grazes it.
+    Then the cheapest one that does not grazes a wall, and is bounded as one that touches it.
     """
-    w = line.weight
-    lift = w / (3.0 + w) * line.miss
-    for wall in line.walls:
-        least, most = _room(line, wall)
-        for s in _PLACES:
-            x = line.position + line.velocity * s + 0.5 * line.drift * s**2
-            y = wall.side * (x + 0.5 * (3.0 - s) * s**2 * lift - wall.position)
-            if not least <= y <= most:
-                return math.inf
-    return 3.0 * w / (3.0 + w) * line.miss**2
+    lift = line.weight / (3.0 + line.weight) * line.miss
+    path = np.polynomial.Polynomial(
+        [line.position, line.velocity, 0.5 * line.drift + 1.5 * lift, -0.5 * lift]
+    )
+    turns = [root.real for root in np.atleast_1d(path.deriv().roots()) if abs(root.imag) < 1e-9]
+    times = np.array([1.0, *(time for time in turns if 0.0 < time < 1.0)])
+    if any(np.min(w.side * (path(times) - w.position)) < -line.slack for w in line.walls):
+        return math.inf
+    return goal_price(line.weight) * line.miss**2
+
+
+def goal_price(weight: float) -> float:
+    """Returns what a flight in unit time costs for each squared unit that it has to be moved by."""
+    return 3.0 * weight / (3.0 + weight)

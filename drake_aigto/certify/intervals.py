@@ -12,14 +12,14 @@ import math
 
 import numpy as np
 
-from drake_aigto.jit import inner
+from drake_aigto.kernels import inner
 
 Interval = tuple[float, float]
 
 UNIT = 2.0**-52
+LIBRARY = 4.0 * UNIT
 _UNDERFLOW = 1e-300
-_LIBRARY = 4.0 * UNIT
-# Where a wave has its top is known to so many units of the number of turns.
+# Where a wave has its top is known to this many units of the number of turns.
 _TURN_UNITS = 8.0 * UNIT
 
 
@@ -36,21 +36,22 @@ def up(x: float) -> float:
 
 
 @inner
-def plus(a: float, b: float, c: float, d: float) -> Interval:
-    """Returns [a, b] + [c, d]."""
-    low, high = a + c, b + d
+def plus(x: Interval, y: Interval) -> Interval:
+    """Returns x + y."""
+    low, high = x[0] + y[0], x[1] + y[1]
     # ∞ − ∞ says nothing.
     return (-np.inf if math.isnan(low) else down(low)), (np.inf if math.isnan(high) else up(high))
 
 
 @inner
-def _product(x: float, y: float) -> float:
-    return 0.0 if x == 0.0 or y == 0.0 else x * y
+def _product(a: float, b: float) -> float:
+    return 0.0 if a == 0.0 or b == 0.0 else a * b
 
 
 @inner
-def times(a: float, b: float, c: float, d: float) -> Interval:
-    """Returns [a, b] · [c, d], with 0 · ∞ = 0."""
+def times(x: Interval, y: Interval) -> Interval:
+    """Returns x y, with 0 · ∞ = 0."""
+    (a, b), (c, d) = x, y
     if (a == 0.0 and b == 0.0) or (c == 0.0 and d == 0.0):
         return 0.0, 0.0
     p, q, r, s = _product(a, c), _product(a, d), _product(b, c), _product(b, d)
@@ -61,8 +62,21 @@ def times(a: float, b: float, c: float, d: float) -> Interval:
 
 
 @inner
-def reciprocal(a: float, b: float) -> Interval:
-    """Returns 1 / [a, b]; all numbers where 0 is inside."""
+def scaled(factor: float, x: Interval) -> Interval:
+    """Returns factor · x."""
+    return times((factor, factor), x)
+
+
+@inner
+def minus(x: Interval) -> Interval:
+    """Returns −x, exactly."""
+    return -x[1], -x[0]
+
+
+@inner
+def reciprocal(x: Interval) -> Interval:
+    """Returns 1 / x; all numbers where 0 is inside."""
+    a, b = x
     if a > 0.0 or b < 0.0:
         return down(1.0 / b) - _UNDERFLOW, up(1.0 / a) + _UNDERFLOW
     if a == 0.0 and b > 0.0:
@@ -87,12 +101,13 @@ def _whole_power(x: float, exponent: int) -> Interval:
 
 
 @inner
-def power(a: float, b: float, exponent: int) -> Interval:
-    """Returns [a, b]^p of a whole p ≥ 0."""
+def power(x: Interval, exponent: int) -> Interval:
+    """Returns x^p of a whole p ≥ 0."""
+    a, b = x
     if exponent == 0:
         return 1.0, 1.0
     if exponent == 1:
-        return a, b
+        return x
     first, last = _whole_power(abs(a), exponent), _whole_power(abs(b), exponent)
     if exponent % 2 == 0:
         if a >= 0.0:
@@ -104,79 +119,68 @@ def power(a: float, b: float, exponent: int) -> Interval:
 
 
 @inner
-def _widened(low: float, high: float) -> Interval:
-    a = low - _LIBRARY * abs(low) - _UNDERFLOW if math.isfinite(low) else low
-    b = high + _LIBRARY * abs(high) + _UNDERFLOW if math.isfinite(high) else high
+def widened(low: float, high: float) -> Interval:
+    """Returns an interval that holds what the C library's functions round to its ends."""
+    a = low - LIBRARY * abs(low) - _UNDERFLOW if math.isfinite(low) else low
+    b = high + LIBRARY * abs(high) + _UNDERFLOW if math.isfinite(high) else high
     return a, b
 
 
 @inner
-def real_power(a: float, b: float, exponent: float) -> Interval:
-    """Returns [a, b]^p over the part where the base is 0 or more; upside down if there is none."""
+def real_power(x: Interval, exponent: float) -> Interval:
+    """Returns x^p over the part where the base is 0 or more; upside down if there is none."""
+    base, b = max(x[0], 0.0), x[1]
     if b < 0.0:
         return np.inf, -np.inf
-    base = max(a, 0.0)
     if exponent > 0.0:
-        low, high = _widened(base**exponent, b**exponent)
-        return max(low, 0.0), high
-    low = b**exponent if b > 0.0 else np.inf
-    high = base**exponent if base > 0.0 else np.inf
-    low, high = _widened(low, high)
+        low, high = base**exponent, b**exponent
+    else:
+        low = b**exponent if b > 0.0 else np.inf
+        high = base**exponent if base > 0.0 else np.inf
+    low, high = widened(low, high)
     return max(low, 0.0), high
 
 
 @inner
-def exponential(a: float, b: float) -> Interval:
-    """Returns exp [a, b]."""
-    low, high = _widened(math.exp(a), math.exp(b) if b < 709.0 else np.inf)
+def exponential(x: Interval) -> Interval:
+    """Returns exp x."""
+    low, high = widened(math.exp(x[0]), math.exp(x[1]) if x[1] < 709.0 else np.inf)
     return max(low, 0.0), high
 
 
 @inner
-def logarithm(a: float, b: float) -> Interval:
-    """Returns log [a, b] over the part above 0; upside down if there is none."""
-    if b <= 0.0:
+def logarithm(x: Interval) -> Interval:
+    """Returns log x over the part above 0; upside down if there is none."""
+    if x[1] <= 0.0:
         return np.inf, -np.inf
-    return _widened(math.log(a) if a > 0.0 else -np.inf, math.log(b))
+    return widened(math.log(x[0]) if x[0] > 0.0 else -np.inf, math.log(x[1]))
 
 
 @inner
-def arc_tangent(a: float, b: float) -> Interval:
-    """Returns tan⁻¹ [a, b]."""
-    return _widened(math.atan(a), math.atan(b))
+def cosine(x: Interval) -> Interval:
+    """Returns cos x."""
+    return _wave(x, math.cos(x[0]), math.cos(x[1]), 0.0)
 
 
 @inner
-def hyperbolic_tangent(a: float, b: float) -> Interval:
-    """Returns tanh [a, b]."""
-    return _widened(math.tanh(a), math.tanh(b))
+def sine(x: Interval) -> Interval:
+    """Returns sin x."""
+    return _wave(x, math.sin(x[0]), math.sin(x[1]), 0.25)
 
 
 @inner
-def _has_turn(a: float, b: float, phase: float) -> bool:
-    """Returns whether 2π (k + phase) may be in [a, b] for a whole k."""
-    first, last = a / (2.0 * math.pi) - phase, b / (2.0 * math.pi) - phase
+def _wave(x: Interval, first: float, last: float, top: float) -> Interval:
+    """Returns the range of a wave between its values at both ends; its top is at 2π top."""
+    if not x[1] - x[0] < 6.0:
+        return -1.0, 1.0
+    low, high = widened(min(first, last), max(first, last))
+    low = -1.0 if _has_turn(x, top + 0.5) else max(low, -1.0)
+    return low, (1.0 if _has_turn(x, top) else min(high, 1.0))
+
+
+@inner
+def _has_turn(x: Interval, phase: float) -> bool:
+    """Returns whether 2π (k + phase) may be in x for a whole k."""
+    first, last = x[0] / (2.0 * math.pi) - phase, x[1] / (2.0 * math.pi) - phase
     slack = _TURN_UNITS * (1.0 + max(abs(first), abs(last)))
     return math.floor(last + slack) >= math.ceil(first - slack)
-
-
-@inner
-def cosine(a: float, b: float) -> Interval:
-    """Returns cos [a, b]."""
-    if not b - a < 6.0:
-        return -1.0, 1.0
-    first, last = math.cos(a), math.cos(b)
-    low, high = _widened(min(first, last), max(first, last))
-    low = -1.0 if _has_turn(a, b, 0.5) else max(low, -1.0)
-    return low, (1.0 if _has_turn(a, b, 0.0) else min(high, 1.0))
-
-
-@inner
-def sine(a: float, b: float) -> Interval:
-    """Returns sin [a, b]."""
-    if not b - a < 6.0:
-        return -1.0, 1.0
-    first, last = math.sin(a), math.sin(b)
-    low, high = _widened(min(first, last), max(first, last))
-    low = -1.0 if _has_turn(a, b, 0.75) else max(low, -1.0)
-    return low, (1.0 if _has_turn(a, b, 0.25) else min(high, 1.0))

@@ -14,28 +14,41 @@ some Σ r_α y^α, which is −Σ |r_α| at least. Hence the bound is rigorous, 
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import defaultdict
-from collections.abc import Iterable
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from fractions import Fraction
 
 import numpy as np
 from pydrake.solvers import Binding, ClarabelSolver, MathematicalProgram, MathematicalProgramResult
 
 from drake_aigto.arrays import Floats
-from drake_aigto.certify.box_polynomials import BoxProgram, box_program
+from drake_aigto.certify.cliques import elimination
+from drake_aigto.certify.formulas import Formulas
 from drake_aigto.certify.intervals import UNIT
-from drake_aigto.certify.polynomials import Monomial, NotPolynomialError, Polynomial
-from drake_aigto.certify.program import Formulas
-from drake_aigto.certify.relaxations import Block, Relaxation, TooWideError, relax
+from drake_aigto.certify.polynomials import (
+    ONE,
+    BoxProgram,
+    Monomial,
+    NoSquaresError,
+    Polynomial,
+    box_program,
+    number,
+    times,
+    variables_of,
+)
 
+# Clarabel factors a matrix with a row for each entry of a block: Σ entries³ in an iteration.
+_MOST_WORK = 4e9
+_WIDEST = 60  # block of a clique's variables, and of products of theirs:
+_WIDEST_OF_PRODUCTS = 28
 _UNDERFLOW = 1e-300
 
 
 @dataclass(frozen=True, eq=False)
 class SquaresBound:
-    """What sums of squares say.
+    """Result of sums of squares.
 
     Attributes:
         lower_bound: of the cost; −∞ if there is none, ∞ if there is no feasible point.
@@ -57,10 +70,9 @@ def bound_by_squares(formulas: Formulas, x: Floats) -> SquaresBound:
     """
     try:
         program = box_program(formulas)
-        relaxation = relax(program)
-    except (NotPolynomialError, TooWideError) as error:
+        moments = _Moments(program)
+    except NoSquaresError as error:
         return SquaresBound(-math.inf, reason=str(error))
-    moments = _Moments(program, relaxation)
     result = moments.solve()
     if not result.is_success() and moments.identity({}, result).bound() > 0.0:
         return SquaresBound(math.inf)
@@ -70,26 +82,166 @@ def bound_by_squares(formulas: Formulas, x: Floats) -> SquaresBound:
     return SquaresBound(bound, program.start(moments.means(result), x))
 
 
-class _Moments:
-    """The least mean of the cost over moments of y."""
+@dataclass(frozen=True, eq=False)
+class Block:
+    """factor · mᵀ Z m with Z ⪰ 0, m the monomials of a basis."""
 
-    def __init__(self, program: BoxProgram, relaxation: Relaxation) -> None:
+    factor: Polynomial
+    basis: Sequence[Monomial]
+
+    def entries(self) -> Iterator[tuple[int, int, Polynomial]]:
+        """Yields i, j ≤ i and factor m_i m_j."""
+        for i, own in enumerate(self.basis):
+            for j in range(i + 1):
+                yield i, j, times(self.factor, {_product(own, self.basis[j]): ONE})
+
+
+class _Relaxation:
+    """Squares, and products of squares with rows, that the cost less its bound is a sum of.
+
+    They are of order 2 where cliques are small, else of order 1.
+
+    Args:
+        program: the cost and the rows.
+
+    Attributes:
+        blocks: squares, and products of squares with rows.
+        rows: 0 or more, with a factor λ ≥ 0 each.
+        equalities: 0, with any factor each.
+
+    Raises:
+        NoSquaresError: matrices would be too large.
+    """
+
+    def __init__(self, program: BoxProgram) -> None:
+        self._program, self._cliques = program, _cliques(program)
+        orders = [
+            2 if math.comb(len(c) + 2, 2) <= _WIDEST_OF_PRODUCTS else 1 for c in self._cliques
+        ]
+        bases = self._bases(orders)
+        if _work(bases) > _MOST_WORK:
+            orders = [1] * len(orders)
+            bases = self._bases(orders)
+        if _work(bases) > _MOST_WORK:
+            raise _too_wide(max(map(len, self._cliques)))
+        known = _products(bases)
+        self.blocks = [Block(number(1), basis) for basis in bases]
+        rows = list(program.inequalities)
+        for clique, order in zip(self._cliques, orders, strict=True):
+            if order == 2:
+                self.blocks += self._localized(clique)
+            else:
+                rows += _products_of_bounds(clique)
+        self.rows = [p for p in rows if self._is_of(p, known)]
+        self.equalities = [p for p in self._multiplied(bases) if self._is_of(p, known)]
+
+    def _is_of(self, p: Polynomial, known: set[Monomial]) -> bool:
+        """Returns whether all of p but what is tiny is of these monomials."""
+        own = self._program.main(p)
+        return any(own) and own.keys() <= known
+
+    def _bases(self, orders: Sequence[int]) -> list[tuple[Monomial, ...]]:
+        """Returns monomials of each clique, and of each term that these have no product for."""
+        bases = [_monomials(c, order) for c, order in zip(self._cliques, orders, strict=True)]
+        known = _products(bases)
+        high = [m for m in self._program.main(self._program.cost) if m not in known]
+        for group in sorted({tuple(sorted(set(m))) for m in high}):
+            degree = max(len(m) for m in high if set(m) <= set(group))
+            bases.append(_monomials(group, (degree + 1) // 2))
+        return bases
+
+    def _localized(self, clique: Sequence[int]) -> Iterator[Block]:
+        """Yields squares times what is 0 or more in a clique."""
+        basis = _monomials(clique, 1)
+        for i in clique:
+            yield Block({(): ONE, (i, i): -ONE}, basis)
+        for p in self._program.inequalities:
+            own = self._program.main(p)
+            if variables_of(own) <= set(clique) and max(map(len, own), default=0) <= 2:
+                yield Block(p, basis)
+
+    def _multiplied(self, bases: Sequence[Sequence[Monomial]]) -> Iterator[Polynomial]:
+        """Yields equalities times the monomials of cliques that they are in."""
+        for p in self._program.equalities:
+            own = variables_of(self._program.main(p))
+            near = [b for c, b in zip(self._cliques, bases, strict=False) if own <= set(c)]
+            for m in sorted({m for basis in near for m in basis} | {()}):
+                yield times(p, {m: ONE})
+
+
+def _cliques(program: BoxProgram) -> list[tuple[int, ...]]:
+    """Returns maximal cliques of variables that terms of the cost and rows couple, completed."""
+    rows = [program.main(p) for p in (*program.inequalities, *program.equalities)]
+    coupled = [variables_of(p) for p in rows]
+    coupled += [set(monomial) for monomial in program.main(program.cost)]
+    own = sorted(set().union(*coupled))
+    place = {i: k for k, i in enumerate(own)}
+    order = elimination(len(own), [tuple(place[i] for i in c) for c in coupled], len(own))
+    found: list[set[int]] = []
+    for clique in order or []:
+        if not any(set(clique) <= other for other in found):
+            found.append(set(clique))
+    return [tuple(sorted(own[k] for k in clique)) for clique in found]
+
+
+def _monomials(clique: Sequence[int], order: int) -> tuple[Monomial, ...]:
+    """Returns all products of up to this many factors."""
+    widest = _WIDEST if order == 1 else _WIDEST_OF_PRODUCTS
+    if math.comb(len(clique) + order, order) > widest:
+        raise _too_wide(len(clique))
+    return tuple(
+        m for d in range(order + 1) for m in itertools.combinations_with_replacement(clique, d)
+    )
+
+
+def _too_wide(count: int) -> NoSquaresError:
+    return NoSquaresError(f"{count} variables are coupled all with all")
+
+
+def _work(bases: Sequence[Sequence[Monomial]]) -> float:
+    return sum((0.5 * len(basis) * (len(basis) + 1)) ** 3 for basis in bases)
+
+
+def _products_of_bounds(clique: Sequence[int]) -> Iterator[Polynomial]:
+    """Yields 1 − y_i² and (1 ± y_i)(1 ± y_j)."""
+    for i in clique:
+        yield {(): ONE, (i, i): -ONE}
+    for i, j in itertools.combinations(clique, 2):
+        for a, b in itertools.product((ONE, -ONE), repeat=2):
+            yield {(): ONE, (i,): a, (j,): b, (i, j): a * b}
+
+
+def _product(a: Monomial, b: Monomial) -> Monomial:
+    return tuple(sorted(a + b))
+
+
+def _products(bases: Sequence[Sequence[Monomial]]) -> set[Monomial]:
+    return {_product(a, b) for basis in bases for a in basis for b in basis}
+
+
+class _Moments:
+    """The least mean of the cost over moments of y.
+
+    Args:
+        program: the cost and the rows.
+
+    Raises:
+        NoSquaresError: matrices would be too large.
+    """
+
+    def __init__(self, program: BoxProgram) -> None:
         self._program, self._prog = program, MathematicalProgram()
-        main = (
-            m
-            for block in relaxation.blocks
-            if block.factor == {(): Fraction(1)}
-            for _, _, p in block.entries()
-            for m in p
-        )
-        monomials = sorted({m for m in main if m})
-        y = self._prog.NewContinuousVariables(len(monomials), "moment")
-        self._moments = dict(zip(monomials, y, strict=True))
-        constant, terms = self._linear(program.cost)
-        self._prog.AddLinearCost(list(terms.values()), constant, self._read(terms))
-        self.blocks = [(block, self._add_block(block)) for block in relaxation.blocks]
-        self.rows = [(p, self._add_row(p, math.inf)) for p in relaxation.rows]
-        self.equalities = [(p, self._add_row(p, 0.0)) for p in relaxation.equalities]
+        relaxation = _Relaxation(program)
+        squares = (block for block in relaxation.blocks if block.factor == {(): ONE})
+        monomials = {m for block in squares for *_, p in block.entries() for m in p}
+        own = sorted(monomials - {()})
+        y = self._prog.NewContinuousVariables(len(own), "moment")
+        self._moments = dict(zip(own, y, strict=True))
+        constant, factors, moments = self._linear(program.cost)
+        self._prog.AddLinearCost(factors, constant, moments)
+        self._blocks = [(block, self._add_block(block)) for block in relaxation.blocks]
+        self._rows = [(p, self._add_row(p)) for p in relaxation.rows]
+        self._equalities = [(p, self._add_equality(p)) for p in relaxation.equalities]
 
     def solve(self) -> MathematicalProgramResult:
         return ClarabelSolver().Solve(self._prog)
@@ -97,32 +249,36 @@ class _Moments:
     def identity(self, cost: Polynomial, result: MathematicalProgramResult) -> Identity:
         """Returns a cost less all that is 0 or more, with the multipliers of an answer."""
         identity = Identity(cost)
-        for block, binding in self.blocks:
-            identity.take_squares(block, _matrix(result, binding, len(block.basis)))
-        for row, binding in self.rows:
-            identity.take(row, max(0.0, _dual(result, binding)))
-        for row, binding in self.equalities:
-            identity.take(row, _dual(result, binding))
+        for block, binding in self._blocks:
+            # The dual has the columns of Z's lower triangle, one after the other.
+            matrix = np.zeros((len(block.basis), len(block.basis)))
+            columns, rows = np.triu_indices(len(matrix))
+            matrix[rows, columns] = matrix[columns, rows] = result.GetDualSolution(binding)
+            identity.take_squares(block, matrix)
+        for row, binding in self._rows:
+            identity.take(row, max(0.0, float(result.GetDualSolution(binding)[0])))
+        for row, binding in self._equalities:
+            identity.take(row, float(result.GetDualSolution(binding)[0]))
         return identity
 
     def means(self, result: MathematicalProgramResult) -> dict[int, float]:
         return {m[0]: result.GetSolution(y) for m, y in self._moments.items() if len(m) == 1}
 
-    def _linear(self, p: Polynomial) -> tuple[float, dict[Monomial, float]]:
-        """Returns the constant and the factors of moments."""
+    def _linear(self, p: Polynomial) -> tuple[float, list[float], list[object]]:
+        """Returns the constant, the factors of moments, and these moments."""
         own = {m: float(c) for m, c in self._program.main(p).items()}
-        return own.pop((), 0.0), own
+        constant = own.pop((), 0.0)
+        return constant, list(own.values()), [self._moments[m] for m in own]
 
-    def _read(self, terms: Iterable[Monomial]) -> list[object]:
-        return [self._moments[m] for m in terms]
+    def _add_row(self, p: Polynomial) -> Binding:
+        """Adds 0 ≤ the mean of p."""
+        constant, factors, moments = self._linear(p)
+        return self._prog.AddLinearConstraint(np.array([factors]), [-constant], [math.inf], moments)
 
-    def _add_row(self, p: Polynomial, most: float) -> Binding:
-        """Adds 0 ≤ the mean of p ≤ most."""
-        constant, terms = self._linear(p)
-        row = np.array([list(terms.values())])
-        if most == 0.0:
-            return self._prog.AddLinearEqualityConstraint(row, [-constant], self._read(terms))
-        return self._prog.AddLinearConstraint(row, [-constant], [most], self._read(terms))
+    def _add_equality(self, p: Polynomial) -> Binding:
+        """Adds 0 = the mean of p."""
+        constant, factors, moments = self._linear(p)
+        return self._prog.AddLinearEqualityConstraint(np.array([factors]), [-constant], moments)
 
     def _add_block(self, block: Block) -> Binding:
         size = len(block.basis)
@@ -131,21 +287,8 @@ class _Moments:
             for m, c in self._program.main(p).items():
                 matrices[m][i, j] = matrices[m][j, i] = float(c)
         fixed = matrices.pop((), np.zeros((size, size)))
-        return self._prog.AddLinearMatrixInequalityConstraint(
-            [fixed, *matrices.values()], self._read(matrices)
-        )
-
-
-def _matrix(result: MathematicalProgramResult, binding: Binding, size: int) -> Floats:
-    """Returns Z (size, size), which has its lower triangle's columns one after the other."""
-    matrix = np.zeros((size, size))
-    columns, rows = np.triu_indices(size)
-    matrix[rows, columns] = matrix[columns, rows] = result.GetDualSolution(binding)
-    return matrix
-
-
-def _dual(result: MathematicalProgramResult, binding: Binding) -> float:
-    return float(result.GetDualSolution(binding)[0])
+        moments = [self._moments[m] for m in matrices]
+        return self._prog.AddLinearMatrixInequalityConstraint([fixed, *matrices.values()], moments)
 
 
 class Identity:
@@ -173,14 +316,12 @@ class Identity:
 
     def bound(self) -> float:
         """Returns t, of which all that is left of other terms, and rounding, is taken away."""
-        constant = self._left(())[0]
-        losses = [self._left(m) for m in self._terms if m]
-        # Even powers are 0 or more.
-        parts = [
-            min(0.0, low) if _is_even(m) else -max(abs(low), abs(high))
-            for m, (low, high) in zip((m for m in self._terms if m), losses, strict=True)
-        ]
-        total = math.fsum([constant, *parts])
+        parts = [self._left(())[0]]
+        for m in filter(None, list(self._terms)):
+            low, high = self._left(m)
+            is_even = all(m.count(i) % 2 == 0 for i in m)  # and 0 or more
+            parts.append(min(0.0, low) if is_even else -max(abs(low), abs(high)))
+        total = math.fsum(parts)
         return total - 2.0 * UNIT * abs(total)
 
     def _left(self, monomial: Monomial) -> tuple[float, float]:
@@ -189,10 +330,6 @@ class Identity:
         total = math.fsum(terms)
         error = 4.0 * UNIT * math.fsum(map(abs, terms)) + _UNDERFLOW
         return total - error, total + error
-
-
-def _is_even(monomial: Monomial) -> bool:
-    return all(monomial.count(i) % 2 == 0 for i in monomial)
 
 
 def _made_definite(matrix: Floats) -> Floats:

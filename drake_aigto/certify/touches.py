@@ -32,8 +32,14 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
-from drake_aigto.certify.flights import Flights, direct_cost, first_flights, hops, last_flights
-from drake_aigto.certify.lines import Line
+from drake_aigto.certify.flights import (
+    Flights,
+    Line,
+    direct_cost,
+    first_flights,
+    hops,
+    last_flights,
+)
 
 _FIRST_BINS = 16  # of times, and of speeds
 _MOST = 200_000  # edges of one level, and cells
@@ -46,6 +52,8 @@ _ROUNDING = 1e-13
 @dataclass(frozen=True, eq=False)
 class _Cells:
     """Touches of walls by their times and speeds.
+
+    An array of E edges has shape (2, E): the cells that they come from, and those that they go to.
 
     Attributes:
         walls: which wall each is of (N,).
@@ -66,7 +74,7 @@ class _Cells:
 
     @property
     def gains(self) -> Floats:
-        """What p (z − c) is at most (N,)."""
+        """Upper bound of p (z − c) (N,)."""
         return np.sum(np.abs(self.slopes) * 0.5 * (self.high - self.low), axis=1) * (1.0 + 1e-9)
 
     @property
@@ -74,9 +82,19 @@ class _Cells:
         """Whether a speed of 0 belongs to it (N,)."""
         return self.low[:, 1] == 0.0
 
+    def boxes(self, edges: Ints) -> tuple[Floats, Floats]:
+        """Returns how long flights take, and the speeds of their touches: both ends (E, 3)."""
+        sources, targets = edges
+        least = np.nextafter(self.low[targets, 0] - self.high[sources, 0], -np.inf)
+        most = np.nextafter(self.high[targets, 0] - self.low[sources, 0], np.inf)
+        return (
+            np.column_stack([np.maximum(least, 0.0), self.low[sources, 1], self.low[targets, 1]]),
+            np.column_stack([most, self.high[sources, 1], self.high[targets, 1]]),
+        )
+
 
 class _Costs(NamedTuple):
-    """What flights and rests cost at least.
+    """Lower bounds of what flights and rests cost.
 
     Attributes:
         starts: from the start to each cell (N,).
@@ -89,29 +107,13 @@ class _Costs(NamedTuple):
     edges: Floats
 
 
-class _Edges(NamedTuple):
-    """Ways from cells to cells.
-
-    Attributes:
-        sources: cells that they come from (E,).
-        targets: cells that they go to (E,).
-    """
-
-    sources: Ints
-    targets: Ints
-
-    def part(self, which: Ints | Bools) -> _Edges:
-        """Returns some of them."""
-        return _Edges(self.sources[which], self.targets[which])
-
-
 class _Paths(NamedTuple):
     """Shortest paths through cells.
 
     Attributes:
-        least: what the shortest one costs.
-        cells: what is cheapest by way of each cell (N,).
-        edges: what is cheapest by way of each edge (E,).
+        least: cost of the shortest one.
+        cells: of the shortest one by way of each cell (N,).
+        edges: of the shortest one by way of each edge (E,).
         followers: the next cell on the shortest path from each; −1: none (N,).
     """
 
@@ -131,8 +133,9 @@ class _Walls:
 
     def __init__(self, line: Line, most: float) -> None:
         """Makes the formulas."""
-        self.most, self._walls = most, line.walls
+        self.most = most
         self._pulls = np.array([-wall.side * line.drift for wall in line.walls])
+        self._sticks = np.array([wall.restitution == 0.0 for wall in line.walls])
         self._first = [first_flights(line, wall) for wall in line.walls]
         self._last = [last_flights(line, wall) for wall in line.walls]
         self._hops = {
@@ -140,84 +143,73 @@ class _Walls:
             for i, one in enumerate(line.walls)
             for j, other in enumerate(line.walls)
         }
-        self._sticks = np.array([wall.restitution == 0.0 for wall in line.walls])
 
-    def flat(self, cells: _Cells, edges: _Edges) -> _Costs:
+    def flat(self, cells: _Cells, edges: Ints) -> _Costs:
         """Returns costs without slopes."""
-        starts, ends = np.empty(cells.walls.size), np.empty(cells.walls.size)
-        for found, kinds in ((starts, self._first), (ends, self._last)):
+        count = cells.walls.size
+        costs = _Costs(np.empty(count), np.empty(count), np.empty(edges.shape[1]))
+        for found, kinds in ((costs.starts, self._first), (costs.ends, self._last)):
             for wall, flights in enumerate(kinds):
                 own = cells.walls == wall
                 found[own] = flights.bound(cells.low[own], cells.high[own], self.most)
-        between = np.full(edges.sources.size, np.inf)
         for own, flights in self._hops_of(cells, edges):
-            low, high = _boxes(cells, edges.part(own))
-            between[own] = flights.bound(low, high, self.most)
-        self._add_rests(cells, edges, between)
-        return _Costs(starts, ends, between)
+            costs.edges[own] = flights.bound(*cells.boxes(edges[:, own]), self.most)
+        rests = self._rests(cells, edges)
+        sources, targets = edges[:, rests]
+        time = np.maximum(cells.low[targets, 0] - cells.high[sources, 0], 0.0)
+        costs.edges[rests] = np.minimum(self._pulls[cells.walls[sources]], 0.0) ** 2 * time
+        return costs
 
-    def sloped(self, cells: _Cells, edges: _Edges, flat: _Costs) -> _Costs:
+    def sloped(self, cells: _Cells, edges: Ints, flat: _Costs) -> _Costs:
         """Returns costs with f + p'(z' − c') − p (z − c) in place of f."""
-        starts, ends = flat.starts - cells.gains, flat.ends - cells.gains
-        for found, sign, kinds in ((starts, 1.0, self._first), (ends, -1.0, self._last)):
+        gains, (sources, targets) = cells.gains, edges
+        costs = _Costs(
+            flat.starts - gains, flat.ends - gains, flat.edges - gains[sources] - gains[targets]
+        )
+        for found, sign, kinds in (
+            (costs.starts, 1.0, self._first),
+            (costs.ends, -1.0, self._last),
+        ):
             for wall, flights in enumerate(kinds):
                 own = np.flatnonzero((cells.walls == wall) & np.isfinite(found))
                 slopes = sign * cells.slopes[own]
                 bounds = flights.expand(cells.low[own], cells.high[own], slopes)
                 found[own] = np.fmax(found[own], bounds)
-        between = flat.edges - cells.gains[edges.sources] - cells.gains[edges.targets]
         for own, flights in self._hops_of(cells, edges):
-            own = own[np.isfinite(between[own])]
-            bounds = self._expand_hops(flights, cells, edges.part(own))
-            between[own] = np.fmax(between[own], bounds)
-        return _Costs(starts, ends, between)
+            own = own[np.isfinite(costs.edges[own])]
+            bounds = _expand_hops(flights, cells, edges[:, own])
+            costs.edges[own] = np.fmax(costs.edges[own], bounds)
+        return costs
 
-    def _hops_of(self, cells: _Cells, edges: _Edges) -> Iterator[tuple[Ints, Flights]]:
+    def _hops_of(self, cells: _Cells, edges: Ints) -> Iterator[tuple[Ints, Flights]]:
         """Yields the edges from one wall to another that are no rests."""
-        first, second = cells.walls[edges.sources], cells.walls[edges.targets]
-        moves = ~self._rests(cells, edges)
+        (first, second), moves = cells.walls[edges], ~self._rests(cells, edges)
         for (i, j), flights in self._hops.items():
             yield np.flatnonzero(moves & (first == i) & (second == j)), flights
 
-    def _rests(self, cells: _Cells, edges: _Edges) -> Bools:
+    def _rests(self, cells: _Cells, edges: Ints) -> Bools:
         """Returns which edges a mass may go along by resting (E,)."""
-        first, second = cells.walls[edges.sources], cells.walls[edges.targets]
-        rests = cells.may_rest[edges.sources] | self._sticks[first]
-        return rests & (first == second) & cells.may_rest[edges.targets]
+        (first, second), (before, after) = cells.walls[edges], cells.may_rest[edges]
+        return (before | self._sticks[first]) & (first == second) & after
 
-    def _add_rests(self, cells: _Cells, edges: _Edges, costs: Floats) -> None:
-        own = np.flatnonzero(self._rests(cells, edges))
-        sources, targets = edges.part(own)
-        time = np.maximum(cells.low[targets, 0] - cells.high[sources, 0], 0.0)
-        costs[own] = np.minimum(self._pulls[cells.walls[sources]], 0.0) ** 2 * time
-
-    def _expand_hops(self, flights: Flights, cells: _Cells, edges: _Edges) -> Floats:
-        sources, targets = edges
-        p, q = cells.slopes[sources], cells.slopes[targets]
-        low, high = _boxes(cells, edges)
-        found = flights.expand(low, high, np.column_stack([q[:, 0], -p[:, 1], q[:, 1]]))
-        # With t' = t + h: q (t' − c') − p (t − c) = q (h − m) + q (m − c' + c) + (q − p) (t − c).
-        middles, half = cells.middles[:, 0], 0.5 * (cells.high - cells.low)[sources, 0]
-        moved = 0.5 * (low + high)[:, 0] - middles[targets] + middles[sources]
-        return found + q[:, 0] * moved - np.abs(q[:, 0] - p[:, 0]) * half
-
-    def without_gain(self, cells: _Cells, edges: _Edges, flat: _Costs) -> _Cells:
+    def without_gain(self, cells: _Cells, edges: Ints, flat: _Costs) -> _Cells:
         """Returns cells whose slopes are so small that no path gains by going round.
 
         Only what may take no time leads back. What leads to a cell that way costs no less then than
         its slope gains between two of its points.
         """
-        back = cells.low[edges.targets, 0] <= cells.high[edges.sources, 0]
+        sources, targets = edges
+        back = cells.low[targets, 0] <= cells.high[sources, 0]
         costs = np.full(cells.walls.size, np.inf)
-        np.minimum.at(costs, edges.targets[back], flat.edges[back])
+        np.minimum.at(costs, targets[back], flat.edges[back])
         gains = cells.gains
         parts = np.divide(
             0.499 * costs, gains, out=np.ones_like(gains), where=gains > 0.499 * costs
         )
         return replace(cells, slopes=cells.slopes * parts[:, None])
 
-    def slopes(self, cells: _Cells, walls: Ints, touches: Floats) -> Floats:
-        """Returns p: how what is to come varies with a cell's middle (N, 2).
+    def with_slopes(self, cells: _Cells, walls: Ints, touches: Floats) -> _Cells:
+        """Returns cells with p: how what is to come varies with a cell's middle.
 
         Args:
             cells: whose.
@@ -234,18 +226,18 @@ class _Walls:
             along = flights.slopes(np.column_stack([time, own[:, 1], touches[:, 1]])[at])
             found[at] = np.column_stack([-along[:, 0], along[:, 1]])
         found[cells.may_rest] = 0.0
-        return found
+        return replace(cells, slopes=found)
 
 
-def _boxes(cells: _Cells, edges: _Edges) -> tuple[Floats, Floats]:
-    """Returns how long flights take, and the speeds of their touches: lower and upper ends."""
-    (sources, targets), low, high = edges, cells.low, cells.high
-    least = np.nextafter(low[targets, 0] - high[sources, 0], -np.inf)
-    most = np.nextafter(high[targets, 0] - low[sources, 0], np.inf)
-    return (
-        np.column_stack([np.maximum(least, 0.0), low[sources, 1], low[targets, 1]]),
-        np.column_stack([most, high[sources, 1], high[targets, 1]]),
-    )
+def _expand_hops(flights: Flights, cells: _Cells, edges: Ints) -> Floats:
+    """Returns bounds of f + p'(z' − c') − p (z − c) of flights between cells (E,)."""
+    (sources, targets), (p, q) = edges, cells.slopes[edges]
+    low, high = cells.boxes(edges)
+    found = flights.expand(low, high, np.column_stack([q[:, 0], -p[:, 1], q[:, 1]]))
+    # With t' = t + h: q (t' − c') − p (t − c) = q (h − m) + q (m − c' + c) + (q − p) (t − c).
+    middles, half = cells.middles[:, 0], 0.5 * (cells.high - cells.low)[sources, 0]
+    moved = 0.5 * (low + high)[:, 0] - middles[targets] + middles[sources]
+    return found + q[:, 0] * moved - np.abs(q[:, 0] - p[:, 0]) * half
 
 
 def bound_line(line: Line, most: float) -> float:
@@ -267,16 +259,15 @@ def _search(line: Line, most: float) -> float:
     """Returns a bound of the cost on a line, or the most if no motion costs less."""
     walls, cells = _Walls(line, most), _first_cells(line, most)
     best, last, enough = 0.0, -math.inf, min(most, direct_cost(line))
-    places = np.arange(cells.walls.size)
-    edges = _Edges(*(each.ravel() for each in np.meshgrid(places, places, indexing="ij")))
+    edges = np.indices((cells.walls.size,) * 2).reshape(2, -1)
     for _ in range(_LEVELS):
-        edges = edges.part(cells.high[edges.targets, 0] > cells.low[edges.sources, 0])
-        if max(edges.sources.size, cells.walls.size) > _MOST:
+        edges = edges[:, cells.high[edges[1], 0] > cells.low[edges[0], 0]]
+        if max(edges.shape[1], cells.walls.size) > _MOST:
             break
         flat = walls.flat(cells, edges)
         first = _find_paths(edges, flat)
         left = np.flatnonzero(first.edges <= most)
-        edges, flat = edges.part(left), flat._replace(edges=flat.edges[left])
+        edges, flat = edges[:, left], flat._replace(edges=flat.edges[left])
         cells = walls.without_gain(cells, edges, flat)
         paths = _find_paths(edges, walls.sloped(cells, edges, flat))
         if first.least > paths.least:
@@ -307,16 +298,16 @@ def _first_cells(line: Line, most: float) -> _Cells:
     )
 
 
-def _find_paths(edges: _Edges, costs: _Costs) -> _Paths:
+def _find_paths(edges: Ints, costs: _Costs) -> _Paths:
     """Returns the shortest paths by way of some edges."""
     kept = np.flatnonzero(np.isfinite(costs.edges))
-    (sources, targets), weights = edges.part(kept), costs.edges[kept]
+    (sources, targets), weights = edges[:, kept], costs.edges[kept]
     before = _relax(costs.starts, sources, targets, weights)
     after = _relax(costs.ends, targets, sources, weights)
     followers = np.full(after.size, -1)
     onward = weights + after[targets] <= after[sources] + _ROUNDING * np.abs(after[sources])
     followers[sources[onward]] = targets[onward]
-    through = np.full(edges.sources.size, np.inf)
+    through = np.full(edges.shape[1], np.inf)
     through[kept] = before[sources] + weights + after[targets]
     least = float(np.min(costs.starts + after, initial=math.inf))
     return _Paths(least, before + after, through, followers)
@@ -335,7 +326,7 @@ def _relax(values: Floats, sources: Ints, targets: Ints, weights: Floats) -> Flo
         values = lower
 
 
-def _cut(walls: _Walls, cells: _Cells, edges: _Edges, paths: _Paths) -> tuple[_Cells, _Edges]:
+def _cut(walls: _Walls, cells: _Cells, edges: Ints, paths: _Paths) -> tuple[_Cells, Ints]:
     """Returns a quarter each of the cells that are left, and the edges between them."""
     most = walls.most * (1.0 + 1e-12)
     alive, left = np.flatnonzero(paths.cells <= most), np.flatnonzero(paths.edges <= most)
@@ -351,8 +342,7 @@ def _cut(walls: _Walls, cells: _Cells, edges: _Edges, paths: _Paths) -> tuple[_C
         np.zeros((4 * alive.size, 2)),
     )
     next_walls = np.where(followers < 0, -1, cells.walls[followers])
-    slopes = walls.slopes(parts, np.repeat(next_walls, 4), np.repeat(middles[followers], 4, axis=0))
-    quarter, (first, second) = np.arange(4), (place[each[left]] for each in edges)
-    sources = np.broadcast_to((first[:, None] + quarter)[:, :, None], (left.size, 4, 4))
-    targets = np.broadcast_to((second[:, None] + quarter)[:, None, :], (left.size, 4, 4))
-    return replace(parts, slopes=slopes), _Edges(sources.ravel(), targets.ravel())
+    next_touches = np.repeat(middles[followers], 4, axis=0)
+    parts = walls.with_slopes(parts, np.repeat(next_walls, 4), next_touches)
+    pairs = np.indices((4, 4)).reshape(2, 1, -1)
+    return parts, (place[edges[:, left]][..., None] + pairs).reshape(2, -1)

@@ -1,6 +1,6 @@
 """The command line: parse, load, call, print. A file for each command or few."""
 
-from drake_aigto.cli.entry import main
-from drake_aigto.cli.status import BAD_INPUT, FAULT, FINE, INTERRUPTED, NOTHING_HOLDS, UNREAD
+import lazy_loader
 
-__all__ = ["BAD_INPUT", "FAULT", "FINE", "INTERRUPTED", "NOTHING_HOLDS", "UNREAD", "main"]
+# Loaded when first used: a command waits for none of the others.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

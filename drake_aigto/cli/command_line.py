@@ -7,31 +7,43 @@ import contextlib
 import importlib
 import io
 import os
+import signal
 import sys
+import threading
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 
 from drake_aigto import __version__
-from drake_aigto.cli.flags import add_common, format_examples
-from drake_aigto.cli.log import show_log
-from drake_aigto.cli.parser import Parser
-from drake_aigto.cli.status import BAD_INPUT, FAULT, NOTHING_HOLDS, UNREAD
+from drake_aigto.cli.flags import (
+    BAD_INPUT,
+    FAULT,
+    INTERRUPTED,
+    NOTHING_HOLDS,
+    UNREAD,
+    Parser,
+    add_common,
+    format_examples,
+)
+from drake_aigto.cli.progress import show_log
 from drake_aigto.errors import AigtoError
-from drake_aigto.planning import PlanningError
 
 # Command → the module that adds it, by `add_` and its name. `--help` lists them in this order.
 _COMMANDS = {
-    "table1": "drake_aigto.cli.table1",
+    "table1": "drake_aigto.cli.plan",
     "plan": "drake_aigto.cli.plan",
+    "plan-many": "drake_aigto.cli.plan",
     "replay": "drake_aigto.cli.plan",
     "play": "drake_aigto.cli.play",
     "report": "drake_aigto.cli.play",
     "control": "drake_aigto.cli.control",
-    "bench": "drake_aigto.cli.bench",
 }
+# Command that is gone → where it is now.
+_MOVED = {"bench": "python -m benchmarks, in a checkout of drake_aigto"}
 _EXAMPLES = """\
 drake-aigto plan table1/1 --json plan.json   # plan, and keep the plan
 drake-aigto play plan.json                   # watch it
+drake-aigto plan-many tasks/*.yaml --into plans   # a plan for each, side by side
 drake-aigto report plan.json --html p.html   # a page about it, to mail
 drake-aigto control cart_pole/soft_06 --kick 0.3 1.5 --kick-time 0.5   # plan again as it moves
 drake-aigto -v plan table1/3                 # see what the planner does, step by step
@@ -41,6 +53,36 @@ drake-aigto plan --help                      # all that a command takes
 _STATUSES = """
 exit status: 0 fine, 1 nothing found that holds on rigid walls, 2 bad input, 130 interrupted
 """
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs a command, that of `sys.argv` if None, and returns its exit status.
+
+    0: fine. 1: no plan was found that holds on rigid walls. 2: bad input. 70: a fault of this
+    program. 130: interrupted. 141: nobody read on.
+    """
+    try:
+        return run(arguments)
+    except KeyboardInterrupt:
+        print("drake-aigto: interrupted", file=sys.stderr)
+        return INTERRUPTED
+
+
+@contextmanager
+def _die_of_ctrl_c() -> Iterator[None]:
+    """Has Ctrl-C end the process at once, as the shell knows it.
+
+    Loading Drake takes a second or more, and an exception in the middle becomes errors of its own.
+    """
+    is_usual = signal.getsignal(signal.SIGINT) is signal.default_int_handler
+    if not is_usual or threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    signal.signal(signal.SIGINT, signal.SIG_DFL)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def run(
@@ -54,11 +96,13 @@ def run(
     """
     words = sys.argv[1:] if arguments is None else list(arguments)
     unset = argparse.Namespace(quiet=False, verbose=False)
-    options = (make or make_parser)(words).parse_args(words, unset)
+    with _die_of_ctrl_c():
+        parser = (make or make_parser)(words)
+    options = parser.parse_args(words, unset)
     try:
         with show_log(options):
             return int(options.run(options))
-    except BrokenPipeError:  # Who reads has seen enough, `head` for one.
+    except BrokenPipeError:  # The reader has seen enough, `head` for one.
         _forget_output()
         return UNREAD
     except Exception as error:
@@ -67,6 +111,8 @@ def run(
 
 def _tell(error: Exception, verbose: bool) -> int:
     """Says what went wrong, and returns the exit status."""
+    from drake_aigto.planning import PlanningError
+
     if verbose:
         traceback.print_exception(error)
     if isinstance(error, AigtoError):
@@ -105,6 +151,8 @@ def make_parser(words: Sequence[str] = ()) -> Parser:
     add_common(parser)
     commands = parser.add_commands("COMMAND")
     asked = [word for word in words if not word.startswith("-")][:1]
+    if asked and (now := _MOVED.get(asked[0])):
+        parser.error(f"{asked[0]} has moved to {now}")
     for name in asked if asked and asked[0] in _COMMANDS else _COMMANDS:
-        getattr(importlib.import_module(_COMMANDS[name]), f"add_{name}")(commands)
+        getattr(importlib.import_module(_COMMANDS[name]), f"add_{name.replace('-', '_')}")(commands)
     return parser

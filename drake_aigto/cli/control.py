@@ -6,6 +6,8 @@ import argparse
 from typing import TYPE_CHECKING, Any
 
 from drake_aigto.cli.flags import (
+    FINE,
+    INTERRUPTED,
     add_command,
     add_json,
     add_port,
@@ -16,7 +18,6 @@ from drake_aigto.cli.flags import (
 from drake_aigto.cli.play import wait_at
 from drake_aigto.cli.progress import show_progress
 from drake_aigto.cli.scenario_flags import add_scenario, load_scenario
-from drake_aigto.cli.status import FINE, INTERRUPTED
 from drake_aigto.control import (
     ClosedLoopRun,
     Disturbance,
@@ -25,10 +26,10 @@ from drake_aigto.control import (
     run_in_loop,
 )
 from drake_aigto.errors import ControlError, OptionsError
+from drake_aigto.output import check_writable, write_text
 from drake_aigto.planning import MechanismOptions, Planner, needs_shooting
-from drake_aigto.show.remarks import INTERRUPTED as CUT_SHORT
+from drake_aigto.show import INTERRUPTED as CUT_SHORT
 from drake_aigto.world import Scenario, World
-from drake_aigto.world.files import check_writable, write_text
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat

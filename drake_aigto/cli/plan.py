@@ -1,18 +1,33 @@
-"""``drake-aigto plan`` and ``drake-aigto replay``."""
+"""``drake-aigto plan``, ``replay``, ``plan-many`` and ``table1``."""
 
 from __future__ import annotations
 
 import argparse
+import json
+import sys
 from dataclasses import fields
-from typing import Any, get_args
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, get_args
 
-from drake_aigto.cli.flags import add_command, add_confirm, add_json
+from drake_aigto.cli.flags import (
+    FINE,
+    INTERRUPTED,
+    NOTHING_HOLDS,
+    add_command,
+    add_confirm,
+    add_json,
+    add_workers,
+    natural,
+    positive,
+    read_workers,
+)
 from drake_aigto.cli.progress import show_progress
-from drake_aigto.cli.scenario_flags import add_scenario, load_scenario
-from drake_aigto.cli.status import FINE, INTERRUPTED, NOTHING_HOLDS
+from drake_aigto.cli.scenario_flags import add_scenario, is_file, load_scenario, read_scenario
 from drake_aigto.errors import OptionsError
-from drake_aigto.paper import LiteralOptions, plan_literal
+from drake_aigto.output import check_writable, write_text
+from drake_aigto.paper import ROWS, LiteralOptions, plan_literal, run_table1
 from drake_aigto.paper.options import AlgorithmName
+from drake_aigto.plain import to_plain
 from drake_aigto.planning import (
     MechanismOptions,
     Plan,
@@ -22,9 +37,11 @@ from drake_aigto.planning import (
     needs_shooting,
 )
 from drake_aigto.planning.options import LocalSolverName
-from drake_aigto.show.plans import format_plan, format_replays, told_delay
-from drake_aigto.world import World
-from drake_aigto.world.files import check_writable
+from drake_aigto.show import cost_text, format_plan, format_replays
+from drake_aigto.world import Scenario, World
+
+if TYPE_CHECKING:
+    from drake_aigto.jobs import Answer
 
 # Option → what it is, of rigid plans, of literal ones, or of both.
 _NUMERICS = {
@@ -55,6 +72,23 @@ drake-aigto plan table1/1 --transcription literal                   # as the pap
 _REPLAY_EXAMPLES = """\
 drake-aigto replay plan.json
 drake-aigto replay plan.json --no-confirm   # without Drake's plant
+"""
+_MANY_EXAMPLES = """\
+drake-aigto plan-many table1/1 table1/2 corridor/lossy --into plans
+drake-aigto plan-many tasks/*.yaml --into plans --workers 4
+drake-aigto plan-many tasks/*.yaml --into plans --resume             # go on after Ctrl-C
+drake-aigto plan-many tasks/*.yaml --scheduler tcp://10.0.0.1:8786   # on Dask's workers
+"""
+_MANY_NOTES = """\
+Plans are written as they come: --into plans has plans/table1/1.json for `play` and `report`, and
+plans/answers.jsonl about all. A question without a plan, or whose process dies, does not keep the
+others from theirs. Exit status: 0 all plans hold, 1 some do not, 2 bad input, 130 interrupted.
+"""
+_TABLE_EXAMPLES = """\
+drake-aigto table1                            # all four rows
+drake-aigto table1 --rows 4 --guesses 2       # a first impression
+drake-aigto table1 --json table1.json > table1.txt
+drake-aigto table1 --html table1.html         # a page, to mail
 """
 
 
@@ -140,9 +174,7 @@ def _plan(options: argparse.Namespace) -> int:
 
 
 def _answer_plan(options: argparse.Namespace, plan: Plan) -> int:
-    status = _answer(
-        options, plan, format_plan(plan, contact_delay=told_delay(plan, plan.find_world()))
-    )
+    status = _answer(options, plan, format_plan(plan))
     return INTERRUPTED if plan.is_interrupted else status
 
 
@@ -151,8 +183,7 @@ def _replay(options: argparse.Namespace) -> int:
     plan = Plan.load(options.plan)
     with show_progress(options, "simulating"):
         replayed = plan.replayed(confirm=options.confirm)
-    delay = told_delay(replayed, replayed.find_world())
-    return _answer(options, replayed, format_replays(replayed, contact_delay=delay))
+    return _answer(options, replayed, format_replays(replayed))
 
 
 def _answer(options: argparse.Namespace, plan: Plan, text: str) -> int:
@@ -161,3 +192,99 @@ def _answer(options: argparse.Namespace, plan: Plan, text: str) -> int:
         plan.save(options.json)
     print(text, flush=True)
     return FINE if plan.holds else NOTHING_HOLDS
+
+
+def add_plan_many(commands: Any) -> None:
+    """Adds the command."""
+    text = "plan for many scenarios, side by side"
+    command = add_command(commands, "plan-many", _plan_many, text, _MANY_EXAMPLES, _MANY_NOTES)
+    text = "shipped scenarios by name, or YAML files"
+    command.add_argument("scenarios", nargs="+", metavar="SCENARIO", help=text)
+    command.add_argument("--into", metavar="FOLDER", help="keep plans there, as they come")
+    text = "go on from what is in the folder; what a process died of is tried again"
+    command.add_argument("--resume", action="store_true", help=text)
+    add_workers(command)
+
+
+def _plan_many(options: argparse.Namespace) -> int:
+    from drake_aigto.jobs import plan_many
+
+    questions = _read_questions(options.scenarios)
+    if options.resume and options.into is None:
+        raise OptionsError("--resume", got="no folder", expected="--into FOLDER")
+    where = {"workers": options.workers, "scheduler": options.scheduler}
+    width, status = max(map(len, questions)), FINE
+    try:
+        with show_progress(options, "checking the questions") as progress:
+            kept = {"folder": options.into, "resume": options.resume}
+            for answer in plan_many(questions, **where, **kept, progress=progress):
+                print(f"{answer.name:{width}}  {_format_answer(answer)}", flush=True)
+                status = status if answer.holds else NOTHING_HOLDS
+    except KeyboardInterrupt:
+        if options.into:
+            print(f"drake-aigto: --resume goes on from {options.into}", file=sys.stderr)
+        raise
+    return status
+
+
+def _read_questions(names: list[str]) -> dict[str, Scenario]:
+    """Returns scenarios by name; those of files by the files' names.
+
+    Raises:
+        OptionsError: two of one name.
+        ScenarioError: one can't be read.
+    """
+    questions: dict[str, Scenario] = {}
+    for name in names:
+        short = Path(name).stem if is_file(name) else name
+        if short in questions:
+            raise OptionsError(f"SCENARIO {name}", got="two of one name", expected="each once")
+        questions[short] = read_scenario(name)
+    return questions
+
+
+def _format_answer(answer: Answer) -> str:
+    """Returns the cost of a plan that holds, or why there is none."""
+    if answer.plan is None or not answer.holds:
+        return f"failed  {' '.join((answer.error or '').split())}"
+    cost = cost_text(answer.plan.cost, 3, answer.plan.best.scales.cost)
+    return f"holds  cost {cost:>9}  {answer.seconds:7.2f} s  {answer.plan.best.describe_contacts()}"
+
+
+def add_table1(commands: Any) -> None:
+    """Adds the command."""
+    text = "the paper's Table I, and what each plan does on a rigid wall"
+    table1 = add_command(commands, "table1", _table1, text, _TABLE_EXAMPLES)
+    add = table1.add_argument
+    add("--rows", type=int, nargs="+", choices=ROWS, default=ROWS, help="which rows (default: all)")
+    text = "random guesses of the gradient solver (default: %(default)s)"
+    add("--guesses", type=positive, default=10, help=text)
+    add("--seed", type=natural, default=0, help="of the guesses (default: %(default)s)")
+    add_confirm(table1)
+    add_workers(table1)
+    add_json(table1, "write all plans and figures")
+    add("--html", metavar="FILE", help="write one self-contained page")
+
+
+def _table1(options: argparse.Namespace) -> int:
+    check_writable(options.json)
+    check_writable(options.html)
+    with show_progress(options, "working on the first cells") as progress:
+        table = run_table1(
+            rows=options.rows,
+            num_guesses=options.guesses,
+            seed=options.seed,
+            confirm=options.confirm,
+            executor=read_workers(options),
+            progress=progress,
+        )
+    if options.json:
+        write_text(options.json, json.dumps(to_plain(table)) + "\n")
+    from drake_aigto.show import format_table1, report_table1  # Matplotlib takes its time.
+
+    if options.html:
+        with show_progress(options, "making the page"):
+            page = report_table1(table)
+        write_text(options.html, page)
+    print(format_table1(table), flush=True)
+    return INTERRUPTED if table.num_missing else FINE

@@ -7,14 +7,13 @@ import sys
 import threading
 from typing import TYPE_CHECKING, Any
 
-from drake_aigto.cli.flags import add_command, add_port
+from drake_aigto.cli.flags import FINE, add_command, add_port
 from drake_aigto.cli.progress import show_progress
-from drake_aigto.cli.status import FINE
 from drake_aigto.control import ClosedLoopRun, is_run
 from drake_aigto.errors import OptionsError, PlanFileError
+from drake_aigto.output import check_writable, write_text
 from drake_aigto.plain import read_json
 from drake_aigto.planning import Plan
-from drake_aigto.world.files import check_writable, write_text
 
 if TYPE_CHECKING:
     from pydrake.geometry import Meshcat

@@ -1,20 +1,23 @@
-"""Progress of long work: a line at the bottom of the terminal."""
+"""Progress of long work, a line at the bottom of the terminal; and the log, which -v shows."""
 
 from __future__ import annotations
 
 import argparse
+import logging
 import sys
+import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
-from drake_aigto.count import Count, Notice
+from drake_aigto.progress import Count, Notice
 
 if TYPE_CHECKING:
     from rich.console import Console
     from rich.progress import Progress
 
 _BAR_WIDTH = 20
+_OURS, _DRAKE = logging.getLogger("drake_aigto"), logging.getLogger("drake")
 
 
 @contextmanager
@@ -98,3 +101,38 @@ def _make_console() -> Console:
             return False
 
     return StandardError(stderr=True)
+
+
+class _ToStandardError(logging.Handler):
+    """Writes to what standard error is by then: a progress bar moves aside for that."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._start = time.monotonic()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        seconds = time.monotonic() - self._start
+        try:
+            print(f"{seconds:8.2f} s  {self.format(record)}", file=sys.stderr, flush=True)
+        except Exception:
+            self.handleError(record)
+
+
+@contextmanager
+def show_log(options: argparse.Namespace) -> Iterator[None]:
+    """Writes what the package logs, each line with its time, if the options are verbose.
+
+    If not, of what Drake logs only the warnings are left.
+    """
+    logger = _OURS if options.verbose else _DRAKE
+    handler, level = _ToStandardError(), logger.level
+    if options.verbose:
+        logger.addHandler(handler)
+        logger.propagate = False  # Drake gives the root a handler of its own when it first warns.
+    logger.setLevel(logging.INFO if options.verbose else logging.WARNING)
+    try:
+        yield
+    finally:
+        logger.removeHandler(handler)
+        logger.propagate = True
+        logger.setLevel(level)

@@ -5,10 +5,9 @@ from __future__ import annotations
 import argparse
 import dataclasses
 from pathlib import Path
-from typing import Any, get_args
+from typing import Any, get_args, get_type_hints
 
 from drake_aigto.world import Scenario, scenario_names
-from drake_aigto.world.scenario import Angles, ContactKind
 
 # Field → what it is. Of the kinds of flags below, those of no other take one number.
 _FIELDS = {
@@ -47,7 +46,7 @@ _FIELDS = {
     "stiction_speed": "below which what rubs sticks [m/s, rad/s]",
     "ignored_shapes": "collision shapes that touch nothing, by name",
 }
-_CHOICES = {"angles": get_args(Angles), "contact": get_args(ContactKind)}
+_CHOICES = {name: get_args(get_type_hints(Scenario)[name]) for name in ("angles", "contact")}
 _SWITCHES = ("hard_goal",)
 _PAIRS = ("duration_range",)
 _VECTORS = (
@@ -94,8 +93,16 @@ def _read_row(text: str) -> float | list[float]:
 
 def load_scenario(options: argparse.Namespace) -> Scenario:
     """Returns the named or loaded scenario with the fields that flags change."""
-    name = options.scenario
-    is_file = Path(name).suffix in (".yaml", ".yml")
-    scenario = Scenario.load(name) if is_file else Scenario.named(name)
+    scenario = read_scenario(options.scenario)
     changes = {f: getattr(options, f) for f in _FIELDS if getattr(options, f) is not None}
     return dataclasses.replace(scenario, **changes) if changes else scenario
+
+
+def is_file(name: str) -> bool:
+    """Returns whether a scenario is named by its file, not as one that is shipped."""
+    return Path(name).suffix in (".yaml", ".yml")
+
+
+def read_scenario(name: str) -> Scenario:
+    """Returns the scenario of a YAML file, or a shipped one."""
+    return Scenario.load(name) if is_file(name) else Scenario.named(name)

@@ -16,7 +16,7 @@ from drake_aigto.control.disturbance import Disturbance
 from drake_aigto.control.loop_recorder import LoopController, LoopRecorder
 from drake_aigto.control.loop_run import ClosedLoopRun
 from drake_aigto.errors import ControlError, ModelError
-from drake_aigto.simulation.simulator import start_plant
+from drake_aigto.simulation import start_plant
 from drake_aigto.world import Scenario, World
 
 

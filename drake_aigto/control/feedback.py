@@ -19,12 +19,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.control.flights import Bounce, Flight, split_flights
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.planning import MechanismOptions, MechanismProblem
-from drake_aigto.simulation.compliance import calc_compliance_error
-from drake_aigto.simulation.compliant_wall import simulate_compliant_wall
-from drake_aigto.simulation.controller import Controller, Held
-from drake_aigto.simulation.recording import Recording
-from drake_aigto.simulation.replay import Replay, summarize
-from drake_aigto.simulation.rigid_wall import simulate_rigid_wall
+from drake_aigto.simulation import DRAKE, EVENT_DRIVEN, Controller, Held, Judge, Replay, summarize
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scenario, World
 
@@ -260,7 +255,7 @@ class Tracked:
 
 
 def track_event_driven(world: World, scenario: Scenario, controller: Controller) -> Tracked:
-    """Runs a controller on exactly rigid walls (`RigidWall` has their equations).
+    """Runs a controller on exactly rigid walls (`RigidMotion` has their equations).
 
     World, start, goal, weights and restitution may be others than those of the plan.
 
@@ -268,11 +263,7 @@ def track_event_driven(world: World, scenario: Scenario, controller: Controller)
         ScenarioError: the task asks for more than AIGTO's (`Scenario.is_plain`).
         ModelError: there is friction.
     """
-    scenario.check_plain(_READER)
-    world.check_frictionless(scenario)
-    start = scenario.initial_position, scenario.initial_velocity
-    recording = simulate_rigid_wall(world, world.restitutions(scenario), start, controller)
-    return _summarize("event-driven", world, scenario, controller, recording)
+    return _track(EVENT_DRIVEN, world, scenario, controller)
 
 
 def track_drake(world: World, scenario: Scenario, controller: Controller) -> Tracked:
@@ -284,25 +275,14 @@ def track_drake(world: World, scenario: Scenario, controller: Controller) -> Tra
         ScenarioError: the task asks for more than AIGTO's (`Scenario.is_plain`).
         ModelError: a shape of the contact has no stiffness, or there is friction.
     """
+    return _track(DRAKE, world, scenario, controller)
+
+
+def _track(judge: Judge, world: World, scenario: Scenario, controller: Controller) -> Tracked:
+    """Returns the motion that a judge simulates."""
     scenario.check_plain(_READER)
     world.check_frictionless(scenario)
-    start = scenario.initial_position, scenario.initial_velocity
-    restitutions = world.restitutions(scenario)
-    friction = scenario.friction
-    recording = simulate_compliant_wall(world, start, controller, restitutions, friction)
-    error = calc_compliance_error(world, restitutions, recording)
-    return _summarize("drake", world, scenario, controller, recording, error)
-
-
-def _summarize(
-    simulator: str,
-    world: World,
-    scenario: Scenario,
-    controller: Controller,
-    recording: Recording,
-    compliance_error: float = 0.0,
-) -> Tracked:
+    recording = judge.simulate(world, scenario, controller)
+    replay = summarize(world, scenario, recording, controller.end)
     times = np.append(recording.control_times, controller.end)
-    controls = np.array(recording.controls)
-    replay = summarize(simulator, world, scenario, times, controls, recording, compliance_error)
-    return Tracked(replay, times, controls)
+    return Tracked(replay, times, np.array(recording.controls))

@@ -11,6 +11,7 @@ from pydrake.polynomial import Polynomial
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
+from drake_aigto.contact import calc_saltation, reflect
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scenario, World
@@ -171,20 +172,12 @@ def _continue(knots: Floats, start: float, end: float) -> Floats:
 
 
 def _make_bounce(world: World, scenario: Scenario, trajectory: Trajectory, k: int) -> Bounce:
-    """Returns the bounce at a knot.
-
-    With x⁺ = D x⁻ for the impact, f for ẋ, and the wall at φ(q) = 0,
-
-        Ξ = D + (f⁺ − D f⁻) ∇φᵀ / (∇φᵀ f⁻)
-
-    for a ball that is −φ̃/φ̇ late goes on as before for as long, D f⁻, and has so much less of what
-    comes after, f⁺.
-    """
+    """Returns the bounce at a knot."""
     (contact,) = np.flatnonzero(trajectory.impulses[k])
     inertia, n = world.constant_inertia, world.num_positions
     e = world.restitutions(scenario)[contact]
     D = np.eye(2 * n)
-    D[n:, n:] -= (1 + e) * np.outer(inertia.lifts[contact], inertia.jacobian[contact])
+    D[n:, n:] = reflect(inertia.lifts[contact], inertia.jacobian[contact], e)
     q, v = trajectory.positions[k], trajectory.velocities[k]
     after = D[n:, n:] @ v
     before, later = (
@@ -192,5 +185,5 @@ def _make_bounce(world: World, scenario: Scenario, trajectory: Trajectory, k: in
         for speed, u in ((v, trajectory.controls[k - 1]), (after, trajectory.controls[k]))
     )
     normal = np.concatenate([inertia.jacobian[contact], np.zeros(n)])
-    saltation = D + np.outer(later - D @ before, normal) / float(normal @ before)
+    saltation = calc_saltation(D, before, later, normal)
     return Bounce(float(trajectory.times[k]), int(contact), saltation)

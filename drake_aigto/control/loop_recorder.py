@@ -15,13 +15,16 @@ from drake_aigto.control.disturbance import Disturbance
 from drake_aigto.control.loop_run import ClosedLoopRun, PlannedPath, PlanSwitch
 from drake_aigto.control.predictive import ModelPredictiveController, TickStatus
 from drake_aigto.control.tracking import TrackingController
-from drake_aigto.simulation import Replay
-from drake_aigto.simulation.compliant_wall import ContactTrace
-from drake_aigto.simulation.controller import Held
-from drake_aigto.simulation.drake_springs import StepEnd, read_steps
-from drake_aigto.simulation.recording import Recording
-from drake_aigto.simulation.replay import summarize
-from drake_aigto.simulation.simulator import ContactMonitor
+from drake_aigto.simulation import (
+    ContactMonitor,
+    ContactTrace,
+    Held,
+    Recording,
+    Replay,
+    StepEnd,
+    read_steps,
+    summarize,
+)
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scenario, World
 
@@ -127,9 +130,10 @@ class LoopRecorder:
             is_interrupted: whether it ended early.
         """
         recording = self._record()
+        recording.simulator = "drake"
         times = np.append(recording.control_times, self._rows[-1].time)
         controls = np.array(recording.controls)
-        replay = summarize("drake", self._world, true, times, controls, recording)
+        replay = summarize(self._world, true, recording, self._rows[-1].time)
         replay = _scale_energies(replay, disturbance.mass_factor)
         return ClosedLoopRun(
             method="replanning" if self._ticks else "tracking",

@@ -14,10 +14,10 @@ from drake_aigto.arrays import ArrayRecord, Floats, read_only
 from drake_aigto.control.disturbance import Disturbance
 from drake_aigto.control.predictive import TickStatus
 from drake_aigto.errors import AigtoError, DamagedDataError, ResultsFileError
+from drake_aigto.output import write_text
 from drake_aigto.plain import LEFT_OUT, from_plain, read_json, to_plain
 from drake_aigto.simulation import Replay
 from drake_aigto.world import Scenario, World
-from drake_aigto.world.files import write_text
 
 FORMAT, FORMAT_VERSION = "drake_aigto closed loop", 1
 HEAD = {"format": FORMAT, "version": FORMAT_VERSION, "simulation": True}

@@ -10,12 +10,11 @@ import numpy as np
 from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto.arrays import Floats
+from drake_aigto.contact import calc_saltation, calc_velocity_after
 from drake_aigto.control.feedback import Feedback
 from drake_aigto.control.flights import check_bounces
 from drake_aigto.control.stretches import Cut, Stretch, is_at_rest_on, read_stretches
-from drake_aigto.simulation.controller import Held
-from drake_aigto.simulation.coulomb import calc_velocity_after
-from drake_aigto.simulation.pushes import calc_push
+from drake_aigto.simulation import Held
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scales, Scenario, TaskCost, World
 
@@ -205,7 +204,7 @@ class Sweep:
             if stretch.cut == Cut.HIT:
                 q, v = plan.positions[stretch.last], plan.velocities[stretch.last]
                 speed = abs(float(world.calc_contact_rate(q, v)[contact]))
-                lies = contact in after.held
+                lies = contact in after.closed.contacts
             elif stretch.cut == Cut.STOP:
                 slips = world.rubbing.calc_slips(plan.positions[knots], plan.velocities[knots])
                 speed, lies = float(np.max(np.abs(slips[:, contact]))), True
@@ -253,7 +252,7 @@ class Sweep:
         gain[free] = -np.linalg.solve(curvature[np.ix_(free, free)], cross[free])
         value = stage + F.T @ value @ F + gain.T @ curvature @ gain
         value += gain.T @ cross + cross.T @ gain
-        left = stretch.calc_projection(self._world, x)
+        left = stretch.calc_projection(x)
         return gain @ left, left.T @ ((value + value.T) / 2) @ left
 
     def calc_slopes(
@@ -263,26 +262,26 @@ class Sweep:
         size = len(x)
 
         def go(z: Floats) -> Floats:
-            return _flow(self._world, stretch, z[..., :size], z[..., size:], h)
+            return _flow(stretch, z[..., :size], z[..., size:], h)
 
         slopes = _differentiate(go, np.concatenate([x, u]))
         return slopes[:, :size], slopes[:, size:]
 
     def _continue(self, stretch: Stretch) -> tuple[Floats, Floats, Floats]:
         """Returns knots, states and controls of a phase, and of what is before and after it."""
-        plan, world, first, last = self._plan, self._world, stretch.first, stretch.last
+        plan, first, last = self._plan, stretch.first, stretch.last
         times, controls = plan.times[first : last + 1], plan.controls[first:last]
         states = np.hstack([plan.positions, plan.velocities])[first : last + 1]
         if plan.impulses[first].any():
             states[0] = self._hit(int(np.argmax(plan.impulses[first])), stretch, states[0])
         span, step = _BEYOND * float(plan.times[-1] - plan.times[0]), float(np.mean(np.diff(times)))
         if first > 0:
-            early, ahead = _coast(world, stretch, states[0], controls[0], -step, span)
+            early, ahead = _coast(stretch, states[0], controls[0], -step, span)
             times = np.concatenate([times[0] + early[::-1], times])
             states = np.vstack([ahead[::-1], states])
             controls = np.vstack([*[controls[:1]] * len(early), controls])
         if last < len(plan.controls):
-            late, behind = _coast(world, stretch, states[-1], controls[-1], step, span)
+            late, behind = _coast(stretch, states[-1], controls[-1], step, span)
             times = np.concatenate([times, times[-1] + late])
             states = np.vstack([states, behind])
             controls = np.vstack([controls, *[controls[-1:]] * len(late)])
@@ -311,12 +310,9 @@ class Sweep:
                 return np.asarray(world.rubbing.calc_slips(q, v)[..., [contact]])
 
             normal = _differentiate(slip, x)[0]
-        rates = _calc_rates(world, before, x, plan.controls[k - 1])
-        later = _calc_rates(world, after, end, plan.controls[k])
-        pace = float(normal @ rates)
-        if abs(pace) <= _SLOWLY * float(np.linalg.norm(normal) * np.linalg.norm(rates)):
-            return D
-        return D + np.outer(later - D @ rates, normal) / pace
+        rates = _calc_rates(before, x, plan.controls[k - 1])
+        later = _calc_rates(after, end, plan.controls[k])
+        return calc_saltation(D, rates, later, normal, _SLOWLY)
 
     def _hit(self, contact: int, after: Stretch, x: Floats) -> Floats:
         """Returns the state after an impact, with friction, shape (2n,).
@@ -325,43 +321,40 @@ class Sweep:
         """
         world, (q, v) = self._world, np.split(x, 2)
         e = float(world.restitutions(self._scenario)[contact])
-        e = 0.0 if contact in after.held else e
+        e = 0.0 if contact in after.closed.contacts else e
         friction = float(self._friction[contact])
         M, J = world.calc_mass_matrix(q), world.calc_contact_jacobian(q)[contact]
         T = world.rubbing.calc_tangent_jacobian(q)[contact] if friction else np.zeros_like(J)
         return np.concatenate(
-            [q, after.stop(world, q, calc_velocity_after(M, (J, T), v, e, friction))]
+            [q, after.closed.stop(q, calc_velocity_after(M, (J, T), v, e, friction))]
         )
 
 
-def _calc_rates(world: World, stretch: Stretch, x: Floats, u: Floats) -> Floats:
+def _calc_rates(stretch: Stretch, x: Floats, u: Floats) -> Floats:
     """Returns (q̇, v̇) of states (…, 2n) with the forces of what a stretch holds."""
-    v = x[..., world.num_positions :]
-    push = calc_push(world, x, u, stretch.held, stretch.modes, stretch.friction)
-    return np.concatenate([v, push.acceleration], axis=-1)
+    v = x[..., x.shape[-1] // 2 :]
+    return np.concatenate([v, stretch.closed.calc_push(x, u).acceleration], axis=-1)
 
 
-def _flow(world: World, stretch: Stretch, x: Floats, u: Floats, duration: float) -> Floats:
+def _flow(stretch: Stretch, x: Floats, u: Floats, duration: float) -> Floats:
     """Returns where states (…, 2n) are led to by held controls (…, nu), back in time if < 0."""
     h = duration / _SUBSTEPS
     for _ in range(_SUBSTEPS):
-        k1 = _calc_rates(world, stretch, x, u)
-        k2 = _calc_rates(world, stretch, x + h / 2 * k1, u)
-        k3 = _calc_rates(world, stretch, x + h / 2 * k2, u)
-        k4 = _calc_rates(world, stretch, x + h * k3, u)
+        k1 = _calc_rates(stretch, x, u)
+        k2 = _calc_rates(stretch, x + h / 2 * k1, u)
+        k3 = _calc_rates(stretch, x + h / 2 * k2, u)
+        k4 = _calc_rates(stretch, x + h * k3, u)
         x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
     return x
 
 
 def _coast(
-    world: World, stretch: Stretch, x: Floats, u: Floats, step: float, span: float
+    stretch: Stretch, x: Floats, u: Floats, step: float, span: float
 ) -> tuple[Floats, Floats]:
     """Returns times after a state, and states then, shapes (c,) and (c, 2n); back if step < 0."""
     count = int(np.ceil(span / abs(step)))
     states = list(
-        itertools.accumulate(
-            range(count), lambda x, _: _flow(world, stretch, x, u, step), initial=x
-        )
+        itertools.accumulate(range(count), lambda x, _: _flow(stretch, x, u, step), initial=x)
     )
     return np.array([step * (i + 1) for i in range(count)]), np.array(states[1:])
 

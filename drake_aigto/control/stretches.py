@@ -9,9 +9,7 @@ from enum import Enum
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
-from drake_aigto.simulation.coulomb import Mode
-from drake_aigto.simulation.friction_modes import RANK, calc_directions
-from drake_aigto.simulation.pushes import stack_rows
+from drake_aigto.contact import RANK, Closed, Mode, stack_rows
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import World
 
@@ -39,26 +37,23 @@ class Stretch:
     Attributes:
         first: the knot at which it starts.
         last: the knot at which it ends.
-        held: which contacts are closed, k of them.
-        modes: how each of them goes on.
-        friction: μ of each, shape (k,).
+        closed: the contacts that are, and how each of them goes on.
         cut: what ends it.
         contact: which hits its wall, or stops to slip, then; −1: none.
     """
 
     first: int
     last: int
-    held: Ints
-    modes: tuple[Mode, ...]
-    friction: Floats
+    closed: Closed
     cut: Cut
     contact: int
 
     def find_mode(self, contact: int) -> Mode:
         """Returns how a contact goes on."""
-        return dict(zip(self.held.tolist(), self.modes, strict=True)).get(contact, Mode.OPEN)
+        pairs = zip(self.closed.contacts.tolist(), self.closed.modes, strict=True)
+        return dict(pairs).get(contact, Mode.OPEN)
 
-    def calc_projection(self, world: World, x: Floats) -> Floats:
+    def calc_projection(self, x: Floats) -> Floats:
         """Returns what closed contacts leave of a deviation from a state x, shape (2n, 2n).
 
         Positions go back to walls along M⁻¹ Jᵀ, and velocities as an impact that returns nothing
@@ -66,37 +61,23 @@ class Stretch:
 
             q̃ − M⁻¹ Jᵀ (J M⁻¹ Jᵀ)⁻¹ J q̃,    ṽ − M⁻¹ Dᵀ (C M⁻¹ Dᵀ)⁻¹ (C ṽ + ∂(C v)/∂q q̃)
 
-        where rows of C vanish, J and T of what sticks, and columns of Dᵀ push for that, Jᵀ and Tᵀ,
-        or Jᵀ − μ σ Tᵀ of what slips.
+        with C and D of `Closed`.
         """
-        n, k = world.num_positions, len(self.held)
-        if not k:
+        world, held = self.closed.world, self.closed.contacts
+        n = world.num_positions
+        if not len(held):
             return np.eye(2 * n)
         q, v = np.split(x, 2)
-        J, (arrest, C) = world.calc_contact_jacobian(q)[self.held], self._calc_arrest(world, q)
+        J, (arrest, C) = world.calc_contact_jacobian(q)[held], self.closed.calc_arrest(q)
         lifts = np.linalg.solve(world.calc_mass_matrix(q), J.T)
         place = np.eye(n) - lifts @ np.linalg.pinv(J @ lifts, RANK) @ J
-        vanish, _ = calc_directions(self.modes, self.friction)
+        vanish, _ = self.closed.directions
         ends = q + _DIFFERENCE * np.vstack([np.eye(n), -np.eye(n)])
-        speeds = (stack_rows(world, ends, self.held) @ v)[:, vanish]
+        speeds = (stack_rows(world, ends, held) @ v)[:, vanish]
         bends = (speeds[:n] - speeds[n:]).T / (2 * _DIFFERENCE)
         return np.block(
             [[place, np.zeros((n, n))], [-arrest @ bends @ place, np.eye(n) - arrest @ C]]
         )
-
-    def stop(self, world: World, q: Floats, v: Floats) -> Floats:
-        """Returns velocities after an impact of all closed contacts that returns nothing, (n,)."""
-        if not len(self.held):
-            return v
-        arrest, C = self._calc_arrest(world, q)
-        return np.asarray(v - arrest @ (C @ v))
-
-    def _calc_arrest(self, world: World, q: Floats) -> tuple[Floats, Floats]:
-        """Returns M⁻¹ Dᵀ (C M⁻¹ Dᵀ)⁻¹, shape (n, r), and C, shape (r, n)."""
-        rows, M = stack_rows(world, q, self.held), world.calc_mass_matrix(q)
-        vanish, shares = calc_directions(self.modes, self.friction)
-        pushes, C = np.linalg.solve(M, rows.T @ shares.T), rows[vanish]
-        return pushes @ np.linalg.pinv(C @ pushes, RANK), C
 
 
 def read_stretches(world: World, friction: Floats, trajectory: Trajectory) -> list[Stretch]:
@@ -127,7 +108,8 @@ def read_stretches(world: World, friction: Floats, trajectory: Trajectory) -> li
             stopped = np.flatnonzero(slid & (friction > 0))
             if len(stopped):
                 cut, contact = Cut.STOP, int(stopped[0])
-        found.append(Stretch(first, last, held, kinds, friction[held], cut, contact))
+        closed = Closed(world, held, kinds, friction[held])
+        found.append(Stretch(first, last, closed, cut, contact))
     return found
 
 

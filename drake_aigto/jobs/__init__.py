@@ -1,6 +1,6 @@
-"""Work side by side: jobs on processes of this machine, or on the workers of a Dask scheduler."""
+"""Work side by side: many plans, or any jobs, on processes of this machine or on Dask's workers."""
 
-from drake_aigto.jobs.jobs import Jobs, ProcessDiedError, open_jobs
-from drake_aigto.jobs.workers import open_workers
+import lazy_loader
 
-__all__ = ["Jobs", "ProcessDiedError", "open_jobs", "open_workers"]
+# Loaded when first used: jobs of other kinds need no planner.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

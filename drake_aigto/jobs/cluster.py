@@ -11,7 +11,6 @@ from concurrent.futures import Executor, ThreadPoolExecutor
 import dask
 from distributed import Client, LocalCluster, Security, rpc
 from distributed.cfexecutor import ClientExecutor
-from distributed.utils import silence_logging_cmgr
 from distributed.versions import get_package_info
 
 from drake_aigto.errors import StudyError
@@ -41,9 +40,22 @@ class _Dask(ClientExecutor):
 
 
 @contextlib.contextmanager
+def _silent() -> Iterator[None]:
+    """Silences what Dask logs, wherever that is shown: Drake gives the root logger a handler."""
+    logger = logging.getLogger("distributed")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
+
+
+@contextlib.contextmanager
 def start_cluster(count: int) -> Iterator[Executor]:
     """Yields as many processes of this machine, and ends them at once when the block is left."""
     with contextlib.ExitStack() as stack:
+        stack.enter_context(_silent())
         with dask.config.set(_LOCAL), without_ctrl_c():
             cluster = _start(count)
             stack.callback(_end, cluster)
@@ -110,7 +122,7 @@ def connect(address: str) -> Iterator[Executor]:
         _check_worker(worker, threads[worker], versions[worker], address)
     # That a scheduler is lost is told by its jobs.
     with (
-        silence_logging_cmgr(logging.CRITICAL),
+        _silent(),
         Client(address, timeout=_PATIENCE, set_as_default=False) as client,
     ):
         yield _Dask(client, pure=False)

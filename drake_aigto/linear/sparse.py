@@ -1,7 +1,7 @@
-"""LDLᵀ of sparse symmetric matrices, by SuperLU, and orders in which it fills little.
+"""Sparse symmetric matrices: their patterns, LDLᵀ by SuperLU, and orders of little fill.
 
 SuperLU in its symmetric mode takes every pivot from the diagonal unless it is exactly 0. Then its
-U = D Lᵀ, and the signs of D tell the inertia. Matrices that are definite, or quasidefinite
+U = D Lᵀ, and the signs of D give the inertia. Matrices that are definite, or quasidefinite
 (Vanderbei 1995, "Symmetric quasidefinite matrices", SIAM J. Optim. 5:100-113), have such factors in
 any order of the unknowns; of another, small pivots may spoil them, which residuals show.
 """
@@ -9,20 +9,114 @@ any order of the unknowns; of another, small pivots may spoil them, which residu
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import csc_matrix
 from scipy.sparse.linalg import splu
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.linear.pattern import Pattern
+from drake_aigto.kernels import kernel
 
 # Unknowns coupled to more than this times √size others are eliminated last: an order that looks at
 # them again after each of their neighbors takes a time that grows with the square of the size
 # (Amestoy, Davis & Duff 1996, "An approximate minimum degree ordering algorithm", SIAM J. Matrix
 # Anal. Appl. 17:886-905, sec. 5).
 _DENSE = 10.0
+
+
+class Pattern(NamedTuple):
+    """The lower triangle of a symmetric matrix by columns, behind its diagonal.
+
+    Shape letters: size unknowns, E entries stored. A matrix of the pattern is an array (E,): first
+    its diagonal, so that entry k is (k, k) as in the first row of a band, then the entries below.
+
+    Attributes:
+        rows: Row of each entry, ascending within a column (E,).
+        columns: Its column (E,).
+        starts: Entries below the diagonal in column j are starts[j]:starts[j + 1] (size + 1,).
+        beside: Entries off the diagonal in the row or the column of unknown 0, of unknown 1, …
+            (2 (E − size),).
+        beside_starts: Those of unknown k are beside_starts[k]:beside_starts[k + 1] (size + 1,).
+        whole: Entries of the matrix with both triangles, by columns (2 E − size,).
+        whole_rows: The rows of these.
+        whole_starts: Where the columns start among these (size + 1,).
+    """
+
+    rows: Ints
+    columns: Ints
+    starts: Ints
+    beside: Ints
+    beside_starts: Ints
+    whole: Ints
+    whole_rows: NDArray[np.int32]
+    whole_starts: NDArray[np.int32]
+
+    @property
+    def size(self) -> int:
+        """Number of unknowns."""
+        return self.starts.size - 1
+
+
+def make_pattern(size: int, edges: Ints) -> Pattern:
+    """Returns the pattern with a full diagonal and an entry for each pair in edges (2, P)."""
+    low, high = np.minimum(*edges), np.maximum(*edges)
+    below_columns, below_rows = np.divmod(np.unique((low * size + high)[low != high]), size)
+    diagonal = np.arange(size)
+    rows = np.concatenate([diagonal, below_rows])
+    columns = np.concatenate([diagonal, below_columns])
+    below = np.arange(size, rows.size)
+    in_whole, whole_rows, whole_starts = _by_columns(
+        size, np.concatenate([rows, below_columns]), np.concatenate([columns, below_rows])
+    )
+    entries = np.concatenate([diagonal, below, below])
+    in_both, _, beside_starts = _by_columns(
+        size, np.concatenate([below, below]), np.concatenate([below_columns, below_rows])
+    )
+    return Pattern(
+        rows,
+        columns,
+        size + np.searchsorted(below_columns, np.arange(size + 1)),
+        np.concatenate([below, below])[in_both],
+        beside_starts,
+        entries[in_whole],
+        whole_rows.astype(np.int32),
+        whole_starts.astype(np.int32),
+    )
+
+
+def _by_columns(size: int, rows: Ints, columns: Ints) -> tuple[Ints, Ints, Ints]:
+    """Returns an order of entries by columns and rows, their rows, and where columns start."""
+    order = np.lexsort((rows, columns))
+    return order, rows[order], np.searchsorted(columns[order], np.arange(size + 1))
+
+
+@kernel
+def find_entry(pattern: Pattern, i: int, j: int) -> int:
+    """Returns the place of entry (i, j) of a matrix, which the pattern has to have."""
+    column, row = min(i, j), max(i, j)
+    if column == row:
+        return column
+    low, high = pattern.starts[column], pattern.starts[column + 1] - 1
+    while low < high:
+        middle = (low + high) // 2
+        if pattern.rows[middle] < row:
+            low = middle + 1
+        else:
+            high = middle
+    return low
+
+
+def multiply(pattern: Pattern, values: Floats, x: Floats) -> Floats:
+    """Returns the product of a matrix (E,) with a vector (size,)."""
+    size = pattern.size
+    rows, columns, below = pattern.rows[size:], pattern.columns[size:], values[size:]
+    return (
+        values[:size] * x
+        + np.bincount(rows, below * x[columns], minlength=size)
+        + np.bincount(columns, below * x[rows], minlength=size)
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +133,7 @@ class SparseFactors:
     _factors: Any
 
     def solve(self, right: Floats) -> Floats:
-        """Returns the solution for a right-hand side (size,), as the factors have it."""
+        """Returns the solution for a right-hand side (size,), without refinement."""
         return self._factors.solve(right)
 
 

@@ -1,4 +1,4 @@
-"""Which storage and factorization the Newton systems of a problem get."""
+"""Order, storage and factorization of a problem's Newton systems, by predicted work."""
 
 from __future__ import annotations
 
@@ -13,20 +13,19 @@ from scipy.sparse.csgraph import reverse_cuthill_mckee
 
 from drake_aigto.arrays import Ints, locked
 from drake_aigto.errors import OptionsError
-from drake_aigto.linear.pattern import Pattern, make_pattern
-from drake_aigto.linear.sparse import count_fill, minimum_degree
+from drake_aigto.linear.sparse import Pattern, count_fill, make_pattern, minimum_degree
 
-# Microseconds that factorizations take, measured on one core: what they are predicted from.
+# Microseconds of factorizations, measured on one core, from which others are predicted.
 _BAND_UNIT = 1.4e-4  # times Σ min(b, size − j)²
 _DENSE_UNIT = 2e-5  # times size³: LAPACK's blocks are quicker per entry
 _SPARSE_UNIT = 0.12  # times entries of L
 _SPARSE_CALL = 300.0  # for calling SuperLU at all
-# The sparse one is taken where it is predicted to be so many times as quick as the best other.
+# The sparse one is taken where it is predicted to be this many times as quick as the best other.
 _HYSTERESIS = 2.0
 # Small systems are dense where they may be: LAPACK takes some 40 µs for them however wide the band,
 # and spares a plan, whose polish has ten to sixty unknowns, the seconds for compiling the other.
 _SMALL = 100
-_MOST_DENSITY = 0.25  # of the matrix, beyond which no order is looked for that keeps L sparse
+_MOST_DENSITY = 0.25  # of the matrix, beyond which no order that keeps L sparse is tried
 
 
 class Factorization(enum.Enum):
@@ -39,14 +38,14 @@ class Factorization(enum.Enum):
 
 @dataclass(frozen=True, eq=False)
 class Storage:
-    """The choice for all matrices of one sparsity, and what it was made from.
+    """Storage of all matrices of one sparsity, and the reasons for it.
 
     Attributes:
         factorization: The choice.
         size: Number of unknowns.
         bandwidth: Half bandwidth b of the narrowest band that was found.
         fill: Entries of a sparse L below the diagonal; None where bands were so cheap that no order
-            was looked for.
+            was tried.
         places: Place of each group of unknowns in the order that was chosen (num_groups,).
         pattern: Of a matrix with one unknown in each group, in that order, if it is to be sparse.
     """
@@ -59,7 +58,7 @@ class Storage:
     pattern: Pattern | None = field(repr=False)
 
     @property
-    def is_worth_telling(self) -> bool:
+    def is_large(self) -> bool:
         """Whether systems are so large that it matters how they are solved."""
         return self.size > _SMALL
 
@@ -77,7 +76,7 @@ def choose_storage(
     group_size: int = 1,
     may_be_dense: bool = False,
 ) -> Storage:
-    """Chooses an order of the unknowns and, by predicted work, what their matrices are stored as.
+    """Chooses an order of the unknowns and, by predicted work, a storage of their matrices.
 
     A band takes O(size · b²), a dense matrix O(size³), a sparse one as many operations as its
     order's L asks for. Bands are preferred: the others have to be several times as quick.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from drake_aigto.arrays import Floats
-from drake_aigto.jit import inner
+from drake_aigto.kernels import inner
 
 
 @inner

@@ -1,16 +1,26 @@
-from .builder import Monomial as Monomial
-from .builder import NlpBuilder as NlpBuilder
-from .compile import compile_nlp as compile_nlp
-from .drake_solvers import solve_with_drake as solve_with_drake
+from .drake import compile_nlp as compile_nlp
+from .drake import solve_with_drake as solve_with_drake
 from .interior_point import InteriorPoint as InteriorPoint
-from .newton_lagrange import NewtonLagrange as NewtonLagrange
+from .kkt import BandFactors as BandFactors
+from .kkt import DenseFactors as DenseFactors
+from .kkt import SparseKktFactors as SparseKktFactors
+from .kkt import multiply_symmetric as multiply_symmetric
+from .line_search import Progress as Progress
+from .newton import NewtonLagrange as NewtonLagrange
+from .nlp import LocalIterate as LocalIterate
+from .nlp import LocalResult as LocalResult
+from .nlp import LocalStatus as LocalStatus
+from .nlp import Monomial as Monomial
+from .nlp import NlpBuilder as NlpBuilder
 from .nlp import PolynomialNlp as PolynomialNlp
 from .penalty_ladder import Climb as Climb
 from .penalty_ladder import PenaltyLadder as PenaltyLadder
 from .points import PointTables as PointTables
+from .points import differentiate as differentiate
+from .points import evaluate as evaluate
+from .points import factorize_band as factorize_band
+from .points import make_point_system as make_point_system
 from .points import make_point_tables as make_point_tables
-from .result import LocalIterate as LocalIterate
-from .result import LocalResult as LocalResult
-from .result import LocalStatus as LocalStatus
+from .points import solve_band as solve_band
 
 __all__: list[str]

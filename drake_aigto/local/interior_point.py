@@ -3,20 +3,25 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from drake_aigto.arrays import Floats
-from drake_aigto.errors import OptionsError
-from drake_aigto.local.factors import max_norm
-from drake_aigto.local.line_search import Filter, LineSearch, Progress
-from drake_aigto.local.newton import NewtonSearch, NewtonStep
-from drake_aigto.local.nlp import PolynomialNlp
-from drake_aigto.local.restoration import Restoration
-from drake_aigto.local.result import LocalIterate, LocalResult, LocalStatus
-from drake_aigto.local.scaled import Duals, Linearization, Point, ScaledProblem, longest
+from drake_aigto.errors import OptionsError, check_counts, check_positive
+from drake_aigto.local.kkt import max_norm
+from drake_aigto.local.line_search import Filter, LineSearch, Progress, restore
+from drake_aigto.local.newton import (
+    Duals,
+    Linearization,
+    NewtonSearch,
+    NewtonStep,
+    Point,
+    ScaledProblem,
+    longest,
+)
+from drake_aigto.local.nlp import LocalIterate, LocalResult, LocalStatus, PolynomialNlp
 
 # Wächter & Biegler's names and values.
 _KAPPA_EPSILON = 10.0  # a barrier problem is solved once its error is below κ_ε μ
@@ -68,14 +73,9 @@ class InteriorPoint:
 
     def __post_init__(self) -> None:
         """Checks the ranges."""
-        for name in ("tolerance", "feasibility", "initial_barrier", "cost_unit", "bound_push"):
-            value = getattr(self, name)
-            if not 0.0 < value < np.inf:
-                raise OptionsError(name, got=value, expected="a positive number")
-        if self.bound_push >= 0.5:
-            raise OptionsError("bound_push", got=self.bound_push, expected="less than 0.5")
-        if self.max_iterations < 0:
-            raise OptionsError("max_iterations", got=self.max_iterations, expected="0 or more")
+        check_positive(self, "tolerance", "feasibility", "initial_barrier", "cost_unit")
+        check_positive(self, "bound_push", below=0.5)
+        check_counts(self, max_iterations=0)
 
     @classmethod
     def warm(cls, **options: Any) -> InteriorPoint:
@@ -98,11 +98,10 @@ class InteriorPoint:
                 expected="finite numbers",
                 remedy="Fill in the guess; Drake's initial guess is NaN where nothing was set.",
             )
-        return _Solve(self, nlp, np.clip(start, nlp.lower, nlp.upper)).run()
+        return _InteriorPointRun(self, nlp, np.clip(start, nlp.lower, nlp.upper)).run()
 
 
-@dataclass(frozen=True)
-class _Optimality:
+class _Optimality(NamedTuple):
     """Stationarity and complementarity: eq. (5) without the rows."""
 
     stationarity: float
@@ -114,15 +113,14 @@ class _Optimality:
         return max(self.stationarity, max_norm(self.products - mu) / self.bound_scale)
 
 
-class _Solve:
-    """One run: the iterate, and what the method remembers of the way to it."""
+class _InteriorPointRun:
+    """One run: the iterate, and the memory of the way to it."""
 
     def __init__(self, options: InteriorPoint, nlp: PolynomialNlp, start: Floats) -> None:
         self._options = options
         self._nlp = nlp
         self._problem = ScaledProblem(nlp, start, options.cost_unit)
         self._search = NewtonSearch(self._problem)
-        self._restoration = Restoration(self._problem, self._search)
         has_bounds = self._problem.bounded.size > 0
         self._mu = options.initial_barrier if has_bounds else 0.0
         self._least_mu = options.tolerance / 10 if has_bounds else 0.0
@@ -223,12 +221,12 @@ class _Solve:
         return None, length
 
     def _stuck(self, step: NewtonStep, optimality: _Optimality, rounding: float) -> LocalStatus:
-        """Returns the status of a run that gets no further: converged, as far as rounding allows?
+        """Returns the status where rows hold and no step helps: converged if rounding stops it.
 
         A gradient beyond the tolerance is overlooked where Newton's step changes φ by less than its
         rounding, unless it is the shift that makes the step short.
         """
-        # A step that corrects what rounding leaves of the rows changes φ at the multipliers' price.
+        # A step that corrects rounding of the rows changes φ at the multipliers' price.
         of_rows = self._problem.row_roundings(self._point.y)
         rounding += float(np.abs(self._duals.rows) @ of_rows)
         complementarity = max_norm(optimality.products) / optimality.bound_scale
@@ -236,22 +234,22 @@ class _Solve:
             not step.is_distorted
             and abs(step.slope) <= rounding
             and complementarity <= self._options.tolerance
-            and self._rows_hold()
         )
         return LocalStatus.CONVERGED if is_solution else LocalStatus.STALLED
 
     def _rows_hold(self) -> bool:
-        """Returns whether residuals are within the tolerance, as far as rounding lets one tell."""
+        """Returns whether residuals are within the tolerance, but for rounding."""
         residuals, tolerance = np.abs(self._point.rows), self._options.tolerance
-        if max_norm(residuals) <= tolerance:
-            return True
-        return bool(np.all(residuals <= tolerance + self._problem.row_roundings(self._point.y)))
+        return max_norm(residuals) <= tolerance or bool(
+            np.all(residuals <= tolerance + self._problem.row_roundings(self._point.y))
+        )
 
     def _restore(self) -> LocalStatus | None:
         """Moves to a point of less violation that the filter accepts."""
         violation = self._point.violation
         self._filter.add(violation, self._point.barrier(self._mu))
-        point, taken = self._restoration.run(
+        point, taken = restore(
+            self._search,
             self._point,
             lambda p: (
                 p.violation <= _REQUIRED_REDUCTION * violation

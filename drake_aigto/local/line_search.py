@@ -1,16 +1,16 @@
-"""The filter line search of Wächter & Biegler (2006), sec. 2.3-2.4, and when to give it up."""
+"""Filter line search of Wächter & Biegler (2006), sec. 2.3-2.4, and restoration of feasibility."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from drake_aigto.local.factors import max_norm
-from drake_aigto.local.newton import NewtonStep
-from drake_aigto.local.scaled import ROUNDING, Point, ScaledProblem
+from drake_aigto.local.kkt import max_norm
+from drake_aigto.local.newton import ROUNDING, NewtonSearch, NewtonStep, Point, ScaledProblem
 
 _GAMMA_THETA, _GAMMA_PHI = 1e-5, 1e-8  # margins of θ and φ
 _DELTA, _S_THETA, _S_PHI = 1.0, 1.1, 2.3  # switching condition
@@ -24,6 +24,13 @@ _LOWER = 0.9  # of a violation or an error: lower by more than rounding
 
 
 _Pair = tuple[float, float]
+
+# Of the restoration: the share of any slack that a step may use; dampings ν; ‖Aᵀc‖ / ‖c‖ at which
+# no direction helps; relative rounding of ‖c‖².
+_FRACTION, _ARMIJO = 0.99, 1e-4
+_FIRST_DAMPING, _LEAST_DAMPING, _LARGEST_DAMPING = 1e-4, 1e-12, 1e12
+_HARDER, _SOFTER = 8.0, 0.25
+_STATIONARY, _NOISE = 1e-9, 1e-15
 
 
 class Filter:
@@ -48,7 +55,7 @@ class Filter:
         )
 
     def add(self, violation: float, barrier: float) -> None:
-        """Shuts off what is not better than this by the margins."""
+        """Shuts off points that are not better than this by the margins."""
         entry = (1 - _GAMMA_THETA) * violation, barrier - _GAMMA_PHI * violation
         self._entries.append(entry)
 
@@ -73,7 +80,7 @@ class LineSearch:
 
     @cached_property
     def rounding(self) -> float:
-        """How far φ may be off where the step starts."""
+        """Rounding of φ where the step starts."""
         of_cost = self.problem.cost_rounding(self.point.y)
         return ROUNDING * abs(self.point.barrier(self.mu)) + of_cost
 
@@ -157,7 +164,7 @@ class Progress:
 
     A step is idle where φ changes by no more than its rounding and is no lower than ever since such
     steps began, and neither the violation nor the optimality error falls. For bounds on rounding
-    are generous, and near a degenerate solution the gradient tells the way for long after φ no
+    are generous, and near a degenerate solution the gradient shows the way for long after φ no
     longer does.
     """
 
@@ -180,7 +187,7 @@ class Progress:
         Args:
             violations: θ before and after.
             barriers: φ before and after.
-            rounding: How far φ may be off.
+            rounding: Rounding of φ.
             error: Optimality error before.
         """
         if abs(barriers[1] - barriers[0]) > rounding or violations[1] < _LOWER * violations[0]:
@@ -190,3 +197,55 @@ class Progress:
         self._idle_steps = 0 if has_fallen else self._idle_steps + 1
         self._least_barrier = min(self._least_barrier, barriers[1])
         self._least_error = min(self._least_error, error)
+
+
+def restore(
+    search: NewtonSearch, point: Point, is_done: Callable[[Point], bool], max_steps: int
+) -> tuple[Point | None, int]:
+    """Minimizes ½‖c‖² by Levenberg-Marquardt steps, interior to the bounds.
+
+        minimize over d   ½‖c + A d‖² + ν/2 Σ_i d_i² (1 + Σ 1/slack²)
+
+    The metric keeps steps away from bounds that are near, as in affine scaling (Dikin 1967).
+
+    Returns:
+        The first point that is done, None if none is found, and the number of steps.
+    """
+    damping = _FIRST_DAMPING
+    for taken in range(1, max_steps + 1):
+        moved = _step_to_rows(search, point, damping)
+        if moved is None:
+            return None, taken
+        point, damping = moved
+        if is_done(point):
+            return point, taken
+    return None, max_steps
+
+
+def _step_to_rows(search: NewtonSearch, point: Point, damping: float) -> tuple[Point, float] | None:
+    """Returns the next point and damping; None where c is stationary but for rounding."""
+    problem = search.problem
+    linearization = problem.linearize(point.y, point.rows)
+    gradient = linearization.row_force  # Aᵀc
+    metric = 1.0 + problem.bound_curvature(1.0 / point.slacks**2)
+    steepness = np.linalg.norm(gradient / np.sqrt(metric))
+    if not steepness > _STATIONARY * np.linalg.norm(point.rows):
+        return None
+    band = problem.structure.without_couplings(linearization.band)
+    while damping <= _LARGEST_DAMPING:
+        search.factorize(band, damping * metric, 1.0)
+        step = search.solve(0.0, -point.rows)[0]
+        length = problem.longest(point, step, _FRACTION)
+        change = length * float(gradient @ step)
+        if not change < -_NOISE * _half_square(point):
+            break
+        tried = problem.point(point.y + length * step)
+        if _half_square(tried) <= _half_square(point) + _ARMIJO * change:
+            return tried, max(_SOFTER * damping, _LEAST_DAMPING)
+        damping *= _HARDER
+    return None
+
+
+def _half_square(point: Point) -> float:
+    with np.errstate(over="ignore"):  # Infinite, which no step is taken to.
+        return 0.5 * float(point.rows @ point.rows)

@@ -1,7 +1,7 @@
 """LDLᵀ of symmetric indefinite band matrices: solutions and inertia.
 
 LAPACK has no such factorization that keeps the band: its symmetric indefinite routines fill it, and
-its banded LU does not tell how many eigenvalues are negative. This one eliminates unknowns in order
+its banded LU does not count negative eigenvalues. This one eliminates unknowns in order
 from a small dense front, like a multifrontal method on a chain (Duff & Reid 1983, "The multifrontal
 solution of indefinite sparse symmetric linear equations", ACM TOMS 9:302-325): an unknown may be
 eliminated once every unknown it is coupled to has entered the front; 1×1 and 2×2 pivots must pass a
@@ -13,7 +13,7 @@ Shape letters: size unknowns, half bandwidth b, front capacity F.
 from __future__ import annotations
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.jit import kernel
+from drake_aigto.kernels import kernel
 
 # Relative size that a pivot must have. Small, since the matrices of an interior point method are
 # badly scaled on purpose; refinement makes up for it.

@@ -12,7 +12,7 @@ from drake_aigto.local.nlp import PolynomialNlp
 from drake_aigto.local.penalty_newton import (
     PenaltyIterate,
     PenaltyProgram,
-    Rung,
+    PenaltyRung,
     descend,
     differentiate_at,
 )
@@ -20,10 +20,10 @@ from drake_aigto.local.points import PointTables, make_point_system
 
 _PUSH = 1e-2  # of the distance between two bounds, or of a unit: a start's least slack
 _PROBES, _REACH = 4, 0.6  # points, within this part of the box, where slopes are looked at
-# How steep a scaled cost is on average, per unit; and a scaled row. Those that are relaxed count
-# more, as they are 0 on wide plains.
+# Slope of a scaled cost on average, per unit; and of a relaxed row, others having 1: it counts
+# more, as it is 0 on wide plains.
 _COST, _RELAXED = 150.0, 5.0
-# What a scaled cost is once a point's is known, and how far that may leave the first scale.
+# A scaled cost once a point's is known, and the largest factor from the first scale then.
 _KNOWN_COST, _MOST_RESCALED = 75.0, 1e6
 
 # Measured on the push-bot between soft walls (`benchmarks.staged_programs`): barriers of a lower
@@ -44,7 +44,7 @@ class Climb:
     Attributes:
         x: the point (n,).
         cost: f(x).
-        residual: the largest of scaled rows; inf if it was given up as too dear.
+        residual: the largest of scaled rows; inf if it was given up as it costs too much.
         steps: Newton steps.
     """
 
@@ -59,12 +59,12 @@ class Climb:
         return self.residual <= _FEASIBLE
 
 
-def rungs(relaxation: float, weight: float) -> Iterator[Rung]:
-    """Yields the rungs of a ladder from a first ε, relative to what rows vary by, and weight."""
+def rungs(relaxation: float, weight: float) -> Iterator[PenaltyRung]:
+    """Yields the rungs of a ladder from a first ε, relative to the rows' variation, and weight."""
     count = _FIRST_STEPS
     while True:
         tolerance = 1e-1 if weight < _ROUGH else 1e-2
-        yield Rung(relaxation, weight, _BARRIER * relaxation, count, tolerance)
+        yield PenaltyRung(relaxation, weight, _BARRIER * relaxation, count, tolerance)
         if weight >= _FINE:
             break
         weight = min(_PENALIZED_MORE * weight, _FINE)
@@ -72,7 +72,7 @@ def rungs(relaxation: float, weight: float) -> Iterator[Rung]:
         count = _STEPS
     for number, last in enumerate(_LAST_RELAXATIONS):
         count = _LAST_STEPS // (1 + bool(number))
-        yield Rung(last, _LAST_WEIGHT, _BARRIER * last, count, 1e-3 * 0.1**number)
+        yield PenaltyRung(last, _LAST_WEIGHT, _BARRIER * last, count, 1e-3 * 0.1**number)
 
 
 class PenaltyLadder:
@@ -80,11 +80,14 @@ class PenaltyLadder:
 
     On each, a point that need not be near the rows is moved to a minimizer of f, a barrier of the
     bounds and the rows' augmented Lagrangian (`penalty_newton`). The lowest rungs forget most of
-    where they start, and see past much of what makes a program not convex; the highest hold the
+    where they start, and see past much of a program's nonconvexity; the highest hold the
     rows.
 
     Rows may be relaxed: c_i(x) = ε in place of 0, with ε → 0. Of complementarities λ s = 0 that
     makes a smooth law of a corner.
+
+    Attributes:
+        sizes: variation of rows over the box (m,).
     """
 
     def __init__(
@@ -111,7 +114,7 @@ class PenaltyLadder:
         self._places = tables.places
         self._relaxed, self._system = relaxed, make_point_system(tables)
         self._program = PenaltyProgram(
-            *(tables, nlp.lower.copy(), nlp.upper.copy(), self._units),
+            *(tables, np.array([nlp.lower, nlp.upper]), self._units),
             *(np.ones(nlp.num_rows), is_upper.copy(), 1.0),
         )
         self._scale(center, np.random.default_rng(0))
@@ -132,9 +135,9 @@ class PenaltyLadder:
             np.maximum.at(found, rows, entries)
             slopes += found**2 / _PROBES
             steepness += np.sum((self._system.gradient * by_place) ** 2) / _PROBES
-        self._sizes = np.sqrt(slopes)
-        self._sizes[~(self._sizes > 0.0) | ~np.isfinite(self._sizes)] = 1.0
-        scales = 1.0 / self._sizes
+        self.sizes = np.sqrt(slopes)
+        self.sizes[~(self.sizes > 0.0) | ~np.isfinite(self.sizes)] = 1.0
+        scales = 1.0 / self.sizes
         scales[self._relaxed] *= _RELAXED
         cost = _COST / np.sqrt(steepness) if 0.0 < steepness < np.inf else 1.0
         self._first_scale = float(cost)
@@ -143,46 +146,41 @@ class PenaltyLadder:
     def scale_cost(self, cost: float) -> None:
         """Scales costs anew, by that of a point that is feasible.
 
-        Over a box, penalties that are part of a cost hide what is left of it where they are met.
+        Over a box, penalties that are part of a cost hide its other terms,
+        which remain where they are met.
         """
         most = _MOST_RESCALED * self._first_scale
         scale = min(_KNOWN_COST / max(abs(cost), 1e-300), most)
         self._program = self._program._replace(cost_scale=max(scale, self._first_scale))
 
-    @property
-    def sizes(self) -> Floats:
-        """What rows vary by over the box (m,)."""
-        return self._sizes
-
     def judge(self, x: Floats, steps: int) -> Climb:
-        """Returns a point (n,) that others found as the end of a climb of so many steps."""
+        """Returns a point (n,) that another method found, in these steps, as the end of a climb."""
         cost, rows = self._nlp.evaluate(x)
         return Climb(x, cost, self._residual(rows), steps)
 
-    def climb(self, start: Floats, relaxation: float, weight: float, dear: float = np.inf) -> Climb:
+    def climb(self, start: Floats, relaxation: float, weight: float, most: float = np.inf) -> Climb:
         """Goes up a ladder, until its top or until that is hopeless.
 
         Args:
             start: x (n,); it is moved within the bounds.
-            relaxation: first ε, relative to what rows vary by over the box.
+            relaxation: first ε, relative to the rows' variation over the box.
             weight: first weight of penalties.
-            dear: a cost beyond which nobody asks for the point.
+            most: a cost beyond which the point is of no use.
         """
-        program, x = self._program, self._inside(start)
+        program = self._program
+        lower, upper = program.bounds
+        room = _PUSH * np.minimum(self._units, upper - lower)  # It is strictly within the bounds.
+        x = np.where(self._places < 0, lower, np.clip(start, lower + room, upper - room))
+        slacks = np.where(self._places < 0, 1.0, np.abs(x - program.bounds))
         multipliers = np.zeros(program.row_scales.size)
-        first = next(rungs(relaxation, weight)).barrier
-        iterate = PenaltyIterate(
-            x,
-            multipliers,
-            *(first / np.where(self._places < 0, 1.0, slack) for slack in self._slacks(x)),
-        )
+        iterate = PenaltyIterate(x, multipliers, _BARRIER * relaxation / slacks)
         rows, targets = np.empty(multipliers.size), np.zeros(multipliers.size)
         total, cost, residual = 0, np.inf, np.inf
         for rung in rungs(relaxation, weight):
-            targets[self._relaxed] = rung.relaxation * self._sizes[self._relaxed]
+            targets[self._relaxed] = rung.relaxation * self.sizes[self._relaxed]
             steps, cost = descend(program, targets, rung, iterate, self._system, rows)
             total, residual = total + steps, self._residual(rows)
-            if rung.weight >= _FINE and cost > dear:
+            if rung.weight >= _FINE and cost > most:
                 residual = np.inf
                 break
             if rung.weight == _LAST_WEIGHT and not residual <= _HOPELESS:
@@ -193,12 +191,3 @@ class PenaltyLadder:
         """Returns the largest of scaled rows."""
         over = np.where(self._program.is_upper, np.maximum(rows, 0.0), np.abs(rows))
         return float(np.max(self._program.row_scales * over))
-
-    def _inside(self, x: Floats) -> Floats:
-        """Returns a point (n,) strictly within the bounds."""
-        lower, upper = self._program.lower, self._program.upper
-        room = _PUSH * np.minimum(self._units, upper - lower)
-        return np.where(self._places < 0, lower, np.clip(x, lower + room, upper - room))
-
-    def _slacks(self, x: Floats) -> tuple[Floats, Floats]:
-        return x - self._program.lower, self._program.upper - x

@@ -18,22 +18,23 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats
-from drake_aigto.jit import borrow, inner, kernel
-from drake_aigto.local.band import factorize_band, solve_band
+from drake_aigto.kernels import borrow, inner, kernel
 from drake_aigto.local.points import (
     PointSystem,
     PointTables,
     differentiate,
     evaluate,
+    factorize_band,
+    solve_band,
 )
 
 _TAU = 0.995  # of any slack that a step may use
-_KAPPA = 1e3  # how far multipliers of bounds may leave μ/slack
+_KAPPA = 1e3  # largest factor between multipliers of bounds and μ/slack
 _ARMIJO, _HALVINGS = 1e-4, 12
 # Shifts of the Hessian, in units of the variables: they are tried one after the other.
 _FIRST_SHIFT, _LEAST_SHIFT, _LARGEST_SHIFT = 1e-3, 1e-6, 1e6
 _HARDER, _SOFTER, _AFTER_FAILURE = 5.0, 0.3, 1e-2
-# So many steps go without the rows' curvature once it has made the Hessian indefinite.
+# Steps without the rows' curvature once it has made the Hessian indefinite.
 _CONVEX_STEPS = 3
 
 
@@ -42,8 +43,7 @@ class PenaltyProgram(NamedTuple):
 
     Attributes:
         tables: of its costs and rows.
-        lower: bounds, −∞ where there is none (n,).
-        upper: (n,).
+        bounds: lower and upper ones, infinite where there is none (2, n).
         units: a distance that matters, of each variable (n,).
         row_scales: w, of each row (m,).
         is_upper: rows that are to be at or below ε, all others at it (m,).
@@ -51,8 +51,7 @@ class PenaltyProgram(NamedTuple):
     """
 
     tables: PointTables
-    lower: Floats
-    upper: Floats
+    bounds: Floats
     units: Floats
     row_scales: Floats
     is_upper: Bools
@@ -60,23 +59,21 @@ class PenaltyProgram(NamedTuple):
 
 
 class PenaltyIterate(NamedTuple):
-    """What a rung changes.
+    """A point and its multipliers, which a rung moves.
 
     Attributes:
         x: the point, within its bounds (n,).
         multipliers: y (m,).
-        of_lower: multipliers of lower bounds (n,).
-        of_upper: multipliers of upper bounds (n,).
+        of_bounds: multipliers of lower and upper bounds (2, n).
     """
 
     x: Floats
     multipliers: Floats
-    of_lower: Floats
-    of_upper: Floats
+    of_bounds: Floats
 
 
-class Rung(NamedTuple):
-    """How far a point is to be moved, and on what.
+class PenaltyRung(NamedTuple):
+    """Penalty and barrier, and when to stop.
 
     Attributes:
         relaxation: ε of the rows that are relaxed.
@@ -106,27 +103,30 @@ def _inactive(program: PenaltyProgram, weight: float, multipliers: Floats, i: in
 def _merit(
     program: PenaltyProgram,
     targets: Floats,
-    weight: float,
-    barrier: float,
+    rung: PenaltyRung,
     multipliers: Floats,
     x: Floats,
     values: Floats,
     rows: Floats,
 ) -> tuple[float, float]:
     """Fills rows r(x) (m,), and the functions' values; returns Φ and f."""
-    cost = evaluate(program.tables, x, values, rows)
+    weight, cost = rung.weight, evaluate(program.tables, x, values, rows)
     total = program.cost_scale * cost
     for i in range(rows.size):
         rows[i] = max(rows[i] - targets[i], _inactive(program, weight, multipliers, i))
         scaled = program.row_scales[i] * rows[i]
         total += multipliers[i] * rows[i] + 0.5 * weight * scaled * scaled
     for i in range(x.size):
-        if program.tables.places[i] >= 0:
-            if program.lower[i] > -np.inf:
-                total -= barrier * math.log(x[i] - program.lower[i])
-            if program.upper[i] < np.inf:
-                total -= barrier * math.log(program.upper[i] - x[i])
+        for side in range(2):
+            if program.tables.places[i] >= 0 and math.isfinite(program.bounds[side, i]):
+                total -= rung.barrier * math.log(_slack(program.bounds, side, i, x[i]))
     return total, cost
+
+
+@inner
+def _slack(bounds: Floats, side: int, i: int, x: float) -> float:
+    """Returns the distance of a variable x from a bound, below 0 beyond it."""
+    return x - bounds[side, i] if side == 0 else bounds[side, i] - x
 
 
 @inner
@@ -136,16 +136,11 @@ def _add_bounds(
     """Adds the barrier's gradient and primal-dual Hessian."""
     for i in range(iterate.x.size):
         place = program.tables.places[i]
-        if place < 0:
-            continue
-        if program.lower[i] > -np.inf:
-            slack = iterate.x[i] - program.lower[i]
-            system.gradient[place] -= barrier / slack
-            system.hessian[place, 0] += iterate.of_lower[i] / slack
-        if program.upper[i] < np.inf:
-            slack = program.upper[i] - iterate.x[i]
-            system.gradient[place] += barrier / slack
-            system.hessian[place, 0] += iterate.of_upper[i] / slack
+        for side in range(2):
+            if place >= 0 and math.isfinite(program.bounds[side, i]):
+                slack = _slack(program.bounds, side, i, iterate.x[i])
+                system.gradient[place] -= (1 - 2 * side) * barrier / slack
+                system.hessian[place, 0] += iterate.of_bounds[side, i] / slack
 
 
 @inner
@@ -190,10 +185,9 @@ def _longest(program: PenaltyProgram, x: Floats, step: Floats) -> float:
     """Returns the part of a step, up to 1, that leaves slacks room."""
     length = 1.0
     for i in range(x.size):
-        if step[i] < 0.0 and program.lower[i] > -np.inf:
-            length = min(length, _TAU * (program.lower[i] - x[i]) / step[i])
-        elif step[i] > 0.0 and program.upper[i] < np.inf:
-            length = min(length, _TAU * (program.upper[i] - x[i]) / step[i])
+        bound = program.bounds[int(step[i] > 0.0), i]
+        if abs(step[i]) > 0.0 and math.isfinite(bound):
+            length = min(length, _TAU * (bound - x[i]) / step[i])
     return length
 
 
@@ -214,30 +208,28 @@ def _move(
     for i in range(step.size):
         if program.tables.places[i] < 0:
             continue
-        at = iterate.x[i]
+        for side in range(2):
+            if math.isfinite(program.bounds[side, i]):
+                slack = _slack(program.bounds, side, i, iterate.x[i])
+                change = (1 - 2 * side) * step[i]
+                z = _moved(iterate.of_bounds[side, i], slack, change, barrier)
+                middle = barrier / _slack(program.bounds, side, i, to[i])
+                iterate.of_bounds[side, i] = min(max(z, middle / _KAPPA), middle * _KAPPA)
         iterate.x[i] = to[i]
-        if program.lower[i] > -np.inf:
-            z = _moved(iterate.of_lower[i], at - program.lower[i], step[i], barrier)
-            middle = barrier / (to[i] - program.lower[i])
-            iterate.of_lower[i] = min(max(z, middle / _KAPPA), middle * _KAPPA)
-        if program.upper[i] < np.inf:
-            z = _moved(iterate.of_upper[i], program.upper[i] - at, -step[i], barrier)
-            middle = barrier / (program.upper[i] - to[i])
-            iterate.of_upper[i] = min(max(z, middle / _KAPPA), middle * _KAPPA)
 
 
 @inner
 def _differentiate(
     program: PenaltyProgram,
     iterate: PenaltyIterate,
-    weight: float,
-    barrier: float,
+    rung: PenaltyRung,
     rows: Floats,
     estimates: Floats,
     is_convex: bool,
     system: PointSystem,
 ) -> None:
     """Fills Φ's gradient and Hessian, the latter without the rows' curvature if it is convex."""
+    weight = rung.weight
     for i in range(rows.size):
         estimates[i] = 0.0
         if rows[i] > _inactive(program, weight, iterate.multipliers, i):
@@ -245,7 +237,7 @@ def _differentiate(
             estimates[i] = iterate.multipliers[i] + weight * scale * scale * rows[i]
     curved = np.zeros(rows.size) if is_convex else estimates
     differentiate(program.tables, iterate.x, program.cost_scale, curved, system)
-    _add_bounds(program, iterate, barrier, system)
+    _add_bounds(program, iterate, rung.barrier, system)
     _add_rows(program, weight, estimates, system)
 
 
@@ -260,7 +252,7 @@ def differentiate_at(tables: PointTables, x: Floats, system: PointSystem) -> Non
 def descend(
     program: PenaltyProgram,
     targets: Floats,
-    rung: Rung,
+    rung: PenaltyRung,
     iterate: PenaltyIterate,
     system: PointSystem,
     rows: Floats,
@@ -279,17 +271,16 @@ def descend(
         The number of steps, and f.
     """
     program, iterate, system = borrow(program), borrow(iterate), borrow(system)
-    weight, barrier = rung.weight, rung.barrier
     x, size = iterate.x, system.gradient.size
     tried, step, right = np.empty(x.size), np.zeros(x.size), np.empty(size)
     new_rows, estimates = np.empty(rows.size), np.empty(rows.size)
     factor = np.empty_like(system.hessian)
     places, multipliers = program.tables.places, iterate.multipliers
-    merit, cost = _merit(program, targets, weight, barrier, multipliers, x, system.values, rows)
+    merit, cost = _merit(program, targets, rung, multipliers, x, system.values, rows)
     shift, convex_steps, steps = 0.0, 0, 0
     while steps < rung.max_steps and shift <= _LARGEST_SHIFT:
         is_convex = convex_steps > 0
-        _differentiate(program, iterate, weight, barrier, rows, estimates, is_convex, system)
+        _differentiate(program, iterate, rung, rows, estimates, is_convex, system)
         if is_convex:
             convex_steps -= 1
             shift = _SOFTER * shift if shift > _LEAST_SHIFT else 0.0
@@ -311,21 +302,21 @@ def descend(
         for _ in range(_HALVINGS):
             tried[:] = x + length * step
             new_merit, new_cost = _merit(
-                program, targets, weight, barrier, multipliers, tried, system.values, new_rows
+                program, targets, rung, multipliers, tried, system.values, new_rows
             )
             is_lower = new_merit <= merit + _ARMIJO * length * slope
             if is_lower:
                 break
             length *= 0.5
         if is_lower:
-            _move(program, iterate, barrier, step, tried)
+            _move(program, iterate, rung.barrier, step, tried)
             merit, cost = new_merit, new_cost
             rows[:] = new_rows
         else:
             shift, convex_steps = max(_AFTER_FAILURE, 20.0 * shift), _CONVEX_STEPS
     for i in range(rows.size):
         scale = program.row_scales[i]
-        multipliers[i] += weight * scale * scale * rows[i]
+        multipliers[i] += rung.weight * scale * scale * rows[i]
         if program.is_upper[i]:
             multipliers[i] = max(0.0, multipliers[i])
     return steps, cost

@@ -1,4 +1,4 @@
-"""Sums of terms at points, in compiled code: values, row gradients, and the Hessian as a band.
+"""Sums of terms at points, in compiled code: values, slopes, and Hessians as bands, with factors.
 
 `box.add_means` has the same at half widths of 0, for means of any width, several times slower: a
 function that many terms read is computed once here, whichever sums they belong to.
@@ -15,9 +15,9 @@ from typing import NamedTuple
 import numpy as np
 from scipy.sparse import coo_array
 
-from drake_aigto.arrays import Bools, Floats, Ints
+from drake_aigto.arrays import Bools, Floats, Ints, Records
 from drake_aigto.box import D_C, D_CC, VALUE, factor_mean
-from drake_aigto.jit import inner
+from drake_aigto.kernels import inner
 from drake_aigto.linear import narrow_band
 from drake_aigto.local.nlp import PolynomialNlp
 from drake_aigto.terms import FunctionKind
@@ -25,22 +25,19 @@ from drake_aigto.terms import FunctionKind
 _POWER, _COSINE = int(FunctionKind.POWER), int(FunctionKind.COSINE)
 _SINE = int(FunctionKind.SINE)
 _PARTS = 6  # of a factor's mean
+_LEAST_PIVOT = 1e-14
 
 
 class PointTables(NamedTuple):
-    """What kernels read of a program. What belongs to an entry ends where the next one's starts.
+    """Arrays of a program for kernels. Parts of an entry end where the next one's start.
 
     Attributes:
-        variables: variable of each function (F,).
-        kinds: `FunctionKind` (F,).
-        exponents: (F,).
-        scales: (F,).
-        offsets: (F,).
+        functions: each a `Factor`, whose variable is the program's (F,).
         coefficients: of each term, times its copy's weight (M,).
         first_factors: place of a term's first factor (M + 1,).
         factors: function that a factor is (G,).
         first_terms: place of a copy's first term (C + 1,).
-        num_costs: how many copies are costs.
+        num_costs: number of copies that are costs.
         slots: entry of the rows' Jacobian that a factor's derivative belongs to, or −1 (G,).
         first_entries: first entry of each row (m + 1,).
         entry_places: place of the variable that an entry is a derivative by (E,).
@@ -48,11 +45,7 @@ class PointTables(NamedTuple):
         bandwidth: b.
     """
 
-    variables: Ints
-    kinds: Ints
-    exponents: Ints
-    scales: Floats
-    offsets: Floats
+    functions: Records
     coefficients: Floats
     first_factors: Ints
     factors: Ints
@@ -81,19 +74,13 @@ def make_point_tables(nlp: PolynomialNlp) -> PointTables:
     variable = terms.copy_variables[
         terms.copies["first_variable"][copy_of_factor] + own["variable"]
     ]
-    columns = [variable, own["kind"], own["exponent"], own["scale"], own["offset"]]
-    functions, factors = np.unique(np.column_stack(columns), axis=0, return_inverse=True)
+    own["variable"] = variable
+    functions, factors = np.unique(own, return_inverse=True)
     row = copy_of_factor - nlp.num_costs
     slots, entry_rows, entries = _entries(row, variable, is_free)
     places, bandwidth = _band(nlp, entry_rows, entries, is_free)
-    variables, kinds, exponents = np.ascontiguousarray(functions[:, :3].T).astype(np.int64)
-    scales, offsets = np.ascontiguousarray(functions[:, 3:].T)
     return PointTables(
-        variables=variables,
-        kinds=kinds,
-        exponents=exponents,
-        scales=scales,
-        offsets=offsets,
+        functions=functions,
         coefficients=terms.terms["coefficient"][term] * nlp.copy_weights[copy_of_term],
         first_factors=_starts(term_of_factor, term.size),
         factors=factors.ravel(),
@@ -161,8 +148,8 @@ def _power(y: float, exponent: int) -> float:
 @inner
 def _set_function(tables: PointTables, f: int, x: Floats, parts: Floats) -> None:
     """Fills the value, slope and curvature of a function."""
-    kind, p = tables.kinds[f], tables.exponents[f]
-    scale, offset, at = tables.scales[f], tables.offsets[f], x[tables.variables[f]]
+    own = tables.functions[f]
+    kind, p, scale, offset, at = own.kind, own.exponent, own.scale, own.offset, x[own.variable]
     if kind == _POWER:
         y = scale * at + offset
         parts[VALUE] = _power(y, p)
@@ -178,7 +165,7 @@ def _set_function(tables: PointTables, f: int, x: Floats, parts: Floats) -> None
 
 
 class PointSystem(NamedTuple):
-    """What `differentiate` fills.
+    """Derivatives at a point, as `differentiate` fills them.
 
     Attributes:
         values: of the functions (F,).
@@ -200,7 +187,7 @@ class PointSystem(NamedTuple):
 
 def make_point_system(tables: PointTables) -> PointSystem:
     """Returns room for the derivatives of a program."""
-    num_functions, size = tables.variables.size, tables.size
+    num_functions, size = tables.functions.size, tables.size
     values, slopes, curvatures = np.zeros((3, num_functions))
     return PointSystem(
         values=values,
@@ -260,12 +247,12 @@ def differentiate(
         x: point (n,).
         cost_scale: s.
         multipliers: λ (m,).
-        system: what is filled.
+        system: room for the derivatives.
     """
     _set_derivatives(tables, x, system)
     coefficients, factors, slots = tables.coefficients, tables.factors, tables.slots
     first_factors, first_terms = tables.first_factors, tables.first_terms
-    places, variables = tables.places, tables.variables
+    places, functions = tables.places, tables.functions
     values, slopes, curvatures = system.values, system.slopes, system.curvatures
     gradient, jacobian, hessian = system.gradient, system.jacobian, system.hessian
     for copy in range(first_terms.size - 1):
@@ -275,7 +262,7 @@ def differentiate(
             first, last = first_factors[term], first_factors[term + 1]
             for g in range(first, last):
                 own = factors[g]
-                place = places[variables[own]]
+                place = places[functions[own].variable]
                 if place < 0:
                     continue
                 rest = coefficients[term]
@@ -289,7 +276,7 @@ def differentiate(
                 hessian[place, 0] += weight * rest * curvatures[own]
                 for h in range(g + 1, last):
                     other = factors[h]
-                    other_place = places[variables[other]]
+                    other_place = places[functions[other].variable]
                     if other_place < 0:
                         continue
                     mixed = weight * coefficients[term] * slopes[own] * slopes[other]
@@ -297,3 +284,42 @@ def differentiate(
                         if k != g and k != h:
                             mixed *= values[factors[k]]
                     hessian[min(place, other_place), abs(place - other_place)] += mixed
+
+
+@inner
+def factorize_band(band: Floats) -> bool:
+    """Overwrites a matrix with its factor L, A = L Lᵀ; False if it is not positive definite.
+
+    It has entry (j + d, j) at [j, d], shape (size, b + 1): one row is a column from the diagonal
+    on. SciPy's factors have to be called from Python, which takes as long as those of a small band.
+    """
+    size, width = band.shape
+    for j in range(size):
+        if not band[j, 0] > _LEAST_PIVOT:
+            return False
+        band[j, 0] = math.sqrt(band[j, 0])
+        last = min(width, size - j)
+        inverse = 1.0 / band[j, 0]
+        for d in range(1, last):
+            band[j, d] *= inverse
+        for d in range(1, last):
+            factor = band[j, d]
+            if factor != 0.0:
+                for e in range(d, last):
+                    band[j + d, e - d] -= factor * band[j, e]
+    return True
+
+
+@inner
+def solve_band(band: Floats, right: Floats) -> None:
+    """Overwrites a right-hand side (size,) with the solution, given the factor L."""
+    size, width = band.shape
+    for j in range(size):
+        right[j] /= band[j, 0]
+        for d in range(1, min(width, size - j)):
+            right[j + d] -= band[j, d] * right[j]
+    for j in range(size - 1, -1, -1):
+        total = right[j]
+        for d in range(1, min(width, size - j)):
+            total -= band[j, d] * right[j + d]
+        right[j] = total / band[j, 0]

@@ -9,6 +9,11 @@ from .problem import gradient_from_random as gradient_from_random
 from .problem import gradient_from_zero as gradient_from_zero
 from .problem import make_literal_problem as make_literal_problem
 from .problem import random_guess as random_guess
+from .rigid_optimum import RigidOptimum as RigidOptimum
+from .rigid_optimum import bounce_costs as bounce_costs
+from .rigid_optimum import calc_efforts as calc_efforts
+from .rigid_optimum import refuse_world as refuse_world
+from .rigid_optimum import rigid_optimum as rigid_optimum
 from .single_shooting import SingleShooting as SingleShooting
 from .single_shooting import count_terms as count_terms
 from .table1 import PAPER_COSTS as PAPER_COSTS

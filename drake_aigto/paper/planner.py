@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from drake_aigto.contact import contact_delay
 from drake_aigto.paper.options import LiteralOptions
 from drake_aigto.paper.problem import Knots, LiteralProblem, make_literal_problem
 from drake_aigto.planning import Candidate, Plan, Search, Stopwatch
 from drake_aigto.planning.pool import Progress
-from drake_aigto.simulation.material import contact_delay
 from drake_aigto.transcription import Touch
 from drake_aigto.world import Scenario, World
 

@@ -14,9 +14,8 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from drake_aigto.count import Count
+from drake_aigto.contact import contact_delay
 from drake_aigto.jobs import open_jobs
-from drake_aigto.optima import RigidOptimum, rigid_optimum
 from drake_aigto.paper.options import AlgorithmName, LiteralOptions
 from drake_aigto.paper.planner import plan_literal
 from drake_aigto.paper.problem import (
@@ -25,10 +24,11 @@ from drake_aigto.paper.problem import (
     gradient_from_zero,
     make_literal_problem,
 )
+from drake_aigto.paper.rigid_optimum import RigidOptimum, rigid_optimum
 from drake_aigto.planning import Candidate, Plan, Planner, PlanningError, PlanOptions, Replays
 from drake_aigto.planning.options import LocalSolverName
+from drake_aigto.progress import Count
 from drake_aigto.simulation import Replay
-from drake_aigto.simulation.material import contact_delay
 from drake_aigto.world import Scenario, World
 
 _LOG = logging.getLogger(__name__)

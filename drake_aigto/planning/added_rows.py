@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from pydrake.solvers import Binding, MathematicalProgram
 
 from drake_aigto.local import compile_nlp
-from drake_aigto.solver.tighten import may_be_feasible
+from drake_aigto.solver import may_be_feasible
 from drake_aigto.transcription.additions import Additions
 from drake_aigto.transcription.consistency import check_together
 

@@ -9,14 +9,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from drake_aigto.arrays import Floats, Ints
+from drake_aigto.contact import JointImpact
 from drake_aigto.local import Monomial, NlpBuilder
 from drake_aigto.transcription import NONPENETRATION
-from drake_aigto.transcription.rigid_contact import JointImpact
 from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, RESTITUTION
 
 if TYPE_CHECKING:
+    from drake_aigto.dynamics import ConstantDynamics
     from drake_aigto.transcription import PhaseTranscription
-    from drake_aigto.world.constant import ConstantDynamics
 
     Mask = NDArray[np.bool_]
 

@@ -9,9 +9,7 @@ import numpy as np
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.simulation.contacts import PlannedContact
-from drake_aigto.simulation.recording import find_impacts
-from drake_aigto.simulation.replay import Replay, replay_event_driven
+from drake_aigto.simulation import PlannedContact, Replay, find_impacts, replay_event_driven
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scenario, World
 

@@ -9,8 +9,13 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 from drake_aigto.planning.origin import NO_CONTROL, Origin
-from drake_aigto.simulation.contacts import PlannedContact
-from drake_aigto.simulation.replay import Replay, confirms, replay_drake, replay_event_driven
+from drake_aigto.simulation import (
+    PlannedContact,
+    Replay,
+    confirms,
+    replay_drake,
+    replay_event_driven,
+)
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription.rows import largest_defect
 from drake_aigto.world import Scales, Scenario, World

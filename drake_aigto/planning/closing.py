@@ -8,8 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Floats
+from drake_aigto.contact import CompliantLaw, ContactLaw
 from drake_aigto.shooting import ShootingOptions, Smoothing
-from drake_aigto.world import CompliantLaw, ContactLaw, World
+from drake_aigto.world import World
 
 # What boxes show is closed in a few steps: from walls smoothed by more, it takes longer and ends
 # within 1 % of the best half as often (of 800 boxes around the cart-pole, `cart_pole/soft_06`).

@@ -6,10 +6,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from drake_aigto.arrays import Bools, Floats
+from drake_aigto.contact import CompliantLaw
 from drake_aigto.planning.mechanism_boxes import MechanismBoxes
 from drake_aigto.shooting import Mechanism
 from drake_aigto.transcription import MechanismProgram
-from drake_aigto.world import CompliantLaw, TaskCost, World
+from drake_aigto.world import TaskCost, World
 
 # Programs of boxes that are kept; scenarios may have ever other durations and weights.
 _MOST_PROGRAMS = 32

@@ -8,11 +8,10 @@ from typing import TypeAlias
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
-from drake_aigto.simulation.coulomb import Mode
-from drake_aigto.simulation.pushes import calc_push
-from drake_aigto.simulation.replay import Replay
+from drake_aigto.contact import Closed, ContactLaw, Mode, RigidLaw, calc_drag, calc_pushes
+from drake_aigto.simulation import Replay
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.world import ContactLaw, RigidLaw, World
+from drake_aigto.world import World
 
 # Runge-Kutta steps between two rows of a replay, where contacts neither begin nor end: more where
 # gaps are above this part of the states, until they are none of the steps' own making.
@@ -90,8 +89,8 @@ def _find_rates(world: World, law: ContactLaw, x: Floats, controls: Floats, mode
 
     def yielding(x: Floats) -> tuple[Floats, Floats]:
         q, v = x[:, :n], x[:, n:]
-        forces = world.calc_pushes(law, q, v)
-        drag = world.rubbing.calc_drag(law, q, v, forces)
+        forces = calc_pushes(world, law, q, v)
+        drag = calc_drag(world, law, q, v, forces)
         return np.hstack([v, world.calc_acceleration(q, v, controls, forces, drag)]), forces
 
     if not isinstance(law, RigidLaw):
@@ -123,9 +122,9 @@ def _hold(
 ) -> None:
     """Lets some of the states rest on contacts in modes, of these on those alone that press."""
     n, contacts = world.num_positions, np.flatnonzero(modes != Mode.OPEN)
-    kinds = [Mode(mode) for mode in modes[contacts]]
-    push = calc_push(world, x[rows], controls[rows], contacts, kinds, friction[contacts])
-    pushes = push.forces[:, : len(contacts)]
+    closed = Closed(world, contacts, tuple(map(Mode, modes[contacts])), friction[contacts])
+    push = closed.calc_push(x[rows], controls[rows])
+    pushes = push.normal
     presses = (pushes >= 0) | (friction[contacts] > 0)
     is_held = presses.all(axis=1)
     rates[rows[is_held], n:] = push.acceleration[is_held]

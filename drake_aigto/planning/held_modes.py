@@ -1,4 +1,4 @@
-"""How contacts with friction last: the modes that a motion is in, and what else may be best."""
+"""Modes of contacts with friction that a motion is in, and other ones that may be best."""
 
 from __future__ import annotations
 
@@ -8,9 +8,10 @@ from dataclasses import replace
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
+from drake_aigto.contact import RigidLaw
 from drake_aigto.shooting import ShootingResult
 from drake_aigto.transcription import Touch, TouchSequence
-from drake_aigto.world import RigidLaw, World
+from drake_aigto.world import World
 
 # Slip below this part of the fastest one there is may be none: what sticks on springs creeps.
 CREEP = 0.05
@@ -74,6 +75,15 @@ def split_hold(touch: Touch, times: Floats, modes: Ints) -> list[Touch]:
         else:
             found.append(Touch(float(begin), float(until), touch.contact, mode))
     return found
+
+
+def list_mode_changes(law: RigidLaw, touches: TouchSequence) -> Iterator[TouchSequence]:
+    """Yields sequences in which one touch with friction is in another mode."""
+    for place, touch in enumerate(touches):
+        for mode in (-1, 0, 1) if law.friction[touch.contact] else ():
+            if mode != touch.mode:
+                changed = replace(touch, mode=mode)
+                yield in_order((*touches[:place], changed, *touches[place + 1 :]))
 
 
 def list_hold_changes(law: RigidLaw, touches: TouchSequence) -> Iterator[TouchSequence]:

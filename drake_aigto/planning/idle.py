@@ -8,7 +8,7 @@ from drake_aigto.planning.candidate import LARGEST_DEFECT, Candidate
 from drake_aigto.planning.origin import NO_CONTROL, Origin
 from drake_aigto.planning.problem import PlanningProblem, sample
 from drake_aigto.planning.simulated import calc_defects, read_motion
-from drake_aigto.simulation.contacts import find_contacts, max_penetration
+from drake_aigto.simulation import find_contacts, max_penetration
 from drake_aigto.transcription.rows import largest_defect
 
 # Springs and dampers are integrated: knots become twice as many so often at most until the midpoint

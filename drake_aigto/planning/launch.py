@@ -7,8 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats
+from drake_aigto.contact import CompliantLaw, calc_pushes
 from drake_aigto.shooting import ShootingResult
-from drake_aigto.world import CompliantLaw, World
+from drake_aigto.world import World
 
 # A throw takes this part of the duration at most: in more, control has a say in where it leads.
 _SOON = 0.1
@@ -59,6 +60,6 @@ def find_launch(world: World, law: CompliantLaw, coast: ShootingResult) -> Launc
     q, v = np.split(coast.states, 2, axis=1)
     is_finite = np.isfinite(coast.states).all(axis=1)
     is_soon = is_finite & (coast.times <= _SOON * coast.times[-1])
-    pushes = world.calc_pushes(law, q[is_soon], v[is_soon])
+    pushes = calc_pushes(world, law, q[is_soon], v[is_soon])
     knot = int(np.argmin(np.any(pushes > 0, axis=1)))
     return Launch(knot, float(coast.times[knot]), q[knot], v[knot])

@@ -9,8 +9,7 @@ from typing import Literal
 import numpy as np
 from pydrake.trajectories import PiecewisePolynomial
 
-from drake_aigto.aigo import Annealing, Box, minimize
-from drake_aigto.aigo.newton import newton, point_objective
+from drake_aigto.aigo import Annealing, Box, CenterObjective, minimize
 from drake_aigto.arrays import Bools, Floats, interpolate
 from drake_aigto.box import Order, ParametricPolynomial
 from drake_aigto.transcription import (
@@ -325,11 +324,8 @@ class StartedBoxes:
         known = self.polynomial.weights
         f = self.polynomial.with_weights({name: weights[name] for name in known})
         if how.half_width == 0:
-            found = newton(
-                point_objective(f, is_open, _POINT_TOLERANCE), z[f.order], _POINT_STEPS, 0.0
-            )
-            (z,) = f.to_variables(found.y)
-            return self._center((Box(z, np.zeros_like(z)),), found.steps)
+            found = CenterObjective(f, is_open, _POINT_TOLERANCE).descend(z, _POINT_STEPS)
+            return self._center((Box(found.x, np.zeros_like(z)),), found.steps)
         widths = how.half_width * np.tile(self.widths, self.program.num_steps + 2)
         first = Box(z, np.where(is_open, widths, 0.0))
         result = minimize(f, first, how.annealing(self.temperature_unit))

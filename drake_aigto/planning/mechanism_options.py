@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import ClassVar
 
-from drake_aigto.errors import OptionsError
+from drake_aigto.errors import OptionsError, check_counts
 from drake_aigto.planning.mechanism_boxes import MechanismRung, MechanismStart
 from drake_aigto.planning.options import SearchOptions
 from drake_aigto.world import Scenario, World
@@ -67,10 +67,7 @@ class MechanismOptions(SearchOptions):
     def __post_init__(self) -> None:
         """Checks the numbers."""
         super().__post_init__()
-        self._check_count("renewals", 0)
-        self._check_count("patience", 1)
-        self._check_count("search_steps", 2)
-        self._check_count("seed", 0)
+        check_counts(self, renewals=0, patience=1, search_steps=2, seed=0)
         if not self.ladder:
             raise OptionsError("ladder", got="no rung", expected="at least one")
 

@@ -9,12 +9,12 @@ from typing import NamedTuple
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints, read_only
+from drake_aigto.contact import RigidLaw, read_mode
 from drake_aigto.planning.held_modes import is_closed, read_hold
-from drake_aigto.planning.impact_modes import read_mode
 from drake_aigto.shooting import Phases, ShootingResult
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch, TouchSequence
-from drake_aigto.world import RigidLaw, World
+from drake_aigto.world import World
 
 # No phase starts out shorter than this part of the duration.
 _SHORTEST = 1e-2

@@ -8,6 +8,7 @@ from functools import cache, cached_property
 import numpy as np
 
 from drake_aigto.arrays import Floats, interpolate
+from drake_aigto.contact import CompliantLaw, contact_law
 from drake_aigto.planning.candidate import Candidate, Replays
 from drake_aigto.planning.closing import COOLING, POLISH, RUBBED, Aim, find_closing, find_tight
 from drake_aigto.planning.compiled_mechanism import CompiledMechanism
@@ -31,13 +32,21 @@ from drake_aigto.shooting import (
     ShootingProblem,
     ShootingResult,
 )
-from drake_aigto.simulation.bounds import BOUNDS, calc_excess, narrow_bounds, state_scales
-from drake_aigto.simulation.contacts import find_contacts, max_penetration
-from drake_aigto.simulation.replay import Replay, replay_drake, replay_event_driven
+from drake_aigto.simulation import (
+    BOUNDS,
+    Replay,
+    calc_excess,
+    find_contacts,
+    max_penetration,
+    narrow_bounds,
+    replay_drake,
+    replay_event_driven,
+    state_scales,
+)
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Ends, soften
 from drake_aigto.transcription.rows import INTEGRATION
-from drake_aigto.world import CompliantLaw, Scales, Scenario, TaskCost, World
+from drake_aigto.world import Scales, Scenario, TaskCost, World
 
 # Runge-Kutta steps of a finalist are halved until cost and end change by this part of their scales.
 _EXACT, _MOST_SUBSTEPS = 1e-3, 64
@@ -83,7 +92,7 @@ class MechanismProblem:
         """
         self.world, self.scenario, self.options = world, scenario, options
         self.task, self.bounds = TaskCost.of(world, scenario), world.bounds(scenario)
-        self.law = world.contact_law(scenario)
+        self.law = contact_law(world, scenario)
         self.scales = Scales.of(world, scenario)
         self._compiled = compiled or CompiledMechanism(Mechanism.of(world, self.law), {})
         self._boxes = cache(self._start_boxes)

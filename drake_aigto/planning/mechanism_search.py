@@ -14,7 +14,7 @@ import numpy as np
 
 from drake_aigto.arrays import interpolate
 from drake_aigto.errors import TrajectoryError
-from drake_aigto.jit import tell_compilation
+from drake_aigto.kernels import tell_compilation
 from drake_aigto.planning.branching import scaled
 from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.closing import Aim
@@ -23,7 +23,7 @@ from drake_aigto.planning.mechanism_problem import MechanismProblem
 from drake_aigto.planning.origin import Origin
 from drake_aigto.planning.pool import CandidatePool, Progress, Stopwatch
 from drake_aigto.shooting import ShootingResult
-from drake_aigto.simulation.bounds import BOUNDS
+from drake_aigto.simulation import BOUNDS
 
 _LOG = logging.getLogger(__name__)
 

@@ -8,13 +8,11 @@ from dataclasses import replace
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
+from drake_aigto.contact import Closed, Mode, RigidLaw, find_other_mode
 from drake_aigto.planning.held_modes import CREEP, in_order, split_hold
-from drake_aigto.planning.impact_modes import find_other_mode
 from drake_aigto.planning.mechanism_phases import BouncingResult, find_slopes
-from drake_aigto.simulation.coulomb import Mode
-from drake_aigto.simulation.pushes import calc_push
 from drake_aigto.transcription import Touch, TouchSequence
-from drake_aigto.world import RigidLaw, World
+from drake_aigto.world import World
 
 # What sticks is at the edge where it takes this part of the friction there is.
 _EDGE = 0.98
@@ -31,7 +29,7 @@ def switch_modes(world: World, law: RigidLaw, motion: BouncingResult) -> TouchSe
         other = None
         if knot is not None and not touch.lasts:
             state = motion.states[knot, :n], before[knot - 1]
-            other = find_other_mode(world, law, touch, *state)
+            other = find_other_mode(world, law, touch.contact, touch.mode, *state)
         touches.append(touch if other is None else replace(touch, mode=other))
     return tuple(touches) if tuple(touches) != motion.touches else None
 
@@ -75,11 +73,10 @@ def _calc_forces(
     for row, knot in enumerate(knots.tolist()):
         phase = int(np.searchsorted(motion.knots, knot, side="right"))
         held = np.flatnonzero(motion.held[phase])
-        modes = [
+        modes = tuple(
             Mode(int(motion.modes[phase, i]) if law.friction[i] else Mode.FORWARD) for i in held
-        ]
+        )
         state, control = motion.states[knot], motion.controls[knot]
-        push = calc_push(world, state, control, held, modes, law.friction[held])
-        normal, tangent = np.split(push.forces, 2)
-        found[:, row] = normal[held == contact][0], tangent[held == contact][0]
+        push = Closed(world, held, modes, law.friction[held]).calc_push(state, control)
+        found[:, row] = push.normal[held == contact][0], push.tangent[held == contact][0]
     return found[0], found[1]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pkgutil import resolve_name
 from typing import ClassVar, Literal, get_args
 
-from drake_aigto.errors import OptionsError
+from drake_aigto.errors import OptionsError, check_counts
 from drake_aigto.transcription import NONPENETRATION
 from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, RESTITUTION
 
@@ -94,7 +94,7 @@ class SearchOptions:
 
     def __post_init__(self) -> None:
         """Checks what does not depend on the problem."""
-        self._check_count("finalists", 1)
+        check_counts(self, finalists=1)
         if self.threads is not None and self.threads < 1:
             raise OptionsError("threads", got=self.threads, expected="1 or more, or None")
 
@@ -123,10 +123,6 @@ class SearchOptions:
     def _check_choice(self, name: str, known: tuple[str, ...]) -> None:
         if (got := getattr(self, name)) not in known:
             raise OptionsError(name, got=repr(got), expected=f"one of {', '.join(known)}")
-
-    def _check_count(self, name: str, least: int) -> None:
-        if (count := getattr(self, name)) < least:
-            raise OptionsError(name, got=count, expected=f"{least} or more")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -181,7 +177,6 @@ class PlanOptions(LadderOptions):
     def __post_init__(self) -> None:
         """Checks the numbers."""
         super().__post_init__()
-        self._check_count("aigo_steps", 1)
-        self._check_count("branches", 0)
+        check_counts(self, aigo_steps=1, branches=0)
         if not 0 <= self.relaxation < float("inf"):
             raise OptionsError("relaxation", got=self.relaxation, expected="a number, 0 or more")

@@ -11,15 +11,14 @@ from typing import Any
 
 from drake_aigto.certify import PlanBound
 from drake_aigto.errors import AigtoError, DamagedDataError, ModelError, PlanFileError
+from drake_aigto.output import write_text
 from drake_aigto.plain import LEFT_OUT, from_plain, read_json, to_plain
 from drake_aigto.planning.candidate import Candidate, Replays, Veto
 from drake_aigto.planning.options import SearchOptions
-from drake_aigto.simulation.bounds import BOUNDS, HARD_GOAL
-from drake_aigto.simulation.replay import confirms
+from drake_aigto.simulation import BOUNDS, HARD_GOAL, confirms
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription.rows import largest_defect
 from drake_aigto.world import Fingerprint, Scenario, World
-from drake_aigto.world.files import write_text
 
 FORMAT = "drake_aigto plan"
 FORMAT_VERSION = 4

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from drake_aigto.certify import bound_plans, out_of_reach
+from drake_aigto.contact import contact_delay
 from drake_aigto.errors import ModelError, OptionsError, ProgramError
 from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.coarse import transcribe
@@ -23,7 +24,6 @@ from drake_aigto.planning.rigid import RigidProblem
 from drake_aigto.planning.rigid_mechanism import RigidMechanismProblem, make_mechanism_problem
 from drake_aigto.planning.rigid_mechanism_search import RigidMechanismSearch
 from drake_aigto.planning.rigid_search import RigidSearch
-from drake_aigto.simulation.material import contact_delay
 from drake_aigto.transcription import RigidTranscription
 from drake_aigto.world import Scenario, World
 

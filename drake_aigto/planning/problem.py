@@ -13,7 +13,7 @@ from typing import Any, TypeAlias
 import numpy as np
 from pydrake.solvers import MathematicalProgram
 
-from drake_aigto.aigo import AigoResult, Algorithm, Box, Iterate, PenaltyContinuation, minimize
+from drake_aigto.aigo import AigoResult, Algorithm, Box, Iterate, minimize, raise_penalties
 from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import OptionsError
@@ -29,8 +29,13 @@ from drake_aigto.planning.candidate import Candidate, Replays
 from drake_aigto.planning.compiled import CompiledPrograms
 from drake_aigto.planning.options import LadderOptions, Rung, StartName
 from drake_aigto.planning.origin import Origin
-from drake_aigto.simulation.contacts import find_contacts, max_penetration
-from drake_aigto.simulation.replay import Replay, replay_drake, replay_event_driven
+from drake_aigto.simulation import (
+    Replay,
+    find_contacts,
+    max_penetration,
+    replay_drake,
+    replay_event_driven,
+)
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Samples, Transcription
 from drake_aigto.world import Scales, World
@@ -237,7 +242,7 @@ class PlanningProblem(ABC):
         """Returns a box center pulled towards the constraints by raising the rung's penalties."""
         start, weights = self.start(rung.start), self._weights(rung)
         weighted = start.polynomial.with_weights(weights)
-        return PenaltyContinuation().run(weighted, weights, center, start.box.free)
+        return raise_penalties(weighted, weights, center, start.box.free)
 
     @abstractmethod
     def find_sequences(self, result: AigoResult, rung: Rung) -> list[ContactSequence]:
@@ -273,7 +278,7 @@ class PlanningProblem(ABC):
             max_iterations: of our local solver, which then only runs once.
         """
         if self.options.local_solver != "newton":
-            return solve_with_drake(prog, guess, self.options.local_solver).x
+            return solve_with_drake(prog, guess, self.options.local_solver)
         nlp = compiled() if compiled else compile_nlp(prog)
         for factor in self._cost_units:
             result = self._minimize(nlp, guess, max_iterations or _MAX_ITERATIONS, factor)

@@ -21,7 +21,7 @@ from drake_aigto.planning.problem import sample
 from drake_aigto.planning.rigid_phases import Path, PhaseProblem, Solved
 from drake_aigto.planning.simulated import calc_defects, read_motion
 from drake_aigto.planning.touches import read_sequences
-from drake_aigto.simulation.contacts import find_contacts, max_penetration
+from drake_aigto.simulation import find_contacts, max_penetration
 from drake_aigto.transcription import (
     PhaseTranscription,
     RigidTranscription,

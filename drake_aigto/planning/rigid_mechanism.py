@@ -8,13 +8,13 @@ from functools import cached_property
 import numpy as np
 
 from drake_aigto.arrays import Floats
+from drake_aigto.contact import Mode, RigidLaw, read_mode
 from drake_aigto.planning.bounces import add_impulses, replay_at_knots, with_losses
 from drake_aigto.planning.branching import scaled
 from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.closing import COARSE, Aim
 from drake_aigto.planning.flow import trace
 from drake_aigto.planning.held_modes import in_order, is_closed
-from drake_aigto.planning.impact_modes import read_mode
 from drake_aigto.planning.mechanism_boxes import Center
 from drake_aigto.planning.mechanism_options import MechanismOptions
 from drake_aigto.planning.mechanism_phases import (
@@ -38,13 +38,11 @@ from drake_aigto.shooting import (
     ShootingResult,
     Smoothing,
 )
-from drake_aigto.simulation.coulomb import Mode
-from drake_aigto.simulation.recording import find_impacts
-from drake_aigto.simulation.replay import Replay, replay_event_driven
+from drake_aigto.simulation import Replay, find_impacts, replay_event_driven
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.transcription.rows import INTEGRATION, RESTITUTION
-from drake_aigto.world import RigidLaw, Scenario, World
+from drake_aigto.world import Scenario, World
 
 # A motion that is this deep inside of a wall between knots, as a part of the task's length, has a
 # bounce added there, so often at most.

@@ -9,10 +9,10 @@ from typing import ClassVar, TypeAlias
 
 import numpy as np
 
+from drake_aigto.contact import read_mode
 from drake_aigto.planning.branching import scaled
 from drake_aigto.planning.closing import Aim
-from drake_aigto.planning.held_modes import drop, is_closed, list_hold_changes
-from drake_aigto.planning.impact_modes import list_mode_changes, read_mode
+from drake_aigto.planning.held_modes import drop, is_closed, list_hold_changes, list_mode_changes
 from drake_aigto.planning.mechanism_phases import BouncingResult
 from drake_aigto.planning.mechanism_problem import MechanismProblem
 from drake_aigto.planning.mechanism_search import (

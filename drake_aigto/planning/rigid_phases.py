@@ -20,7 +20,8 @@ from drake_aigto.transcription.guesses import bend, straight_path
 from drake_aigto.transcription.touch import joint_times
 
 if TYPE_CHECKING:
-    from drake_aigto.world import ConstantDynamics, Scenario
+    from drake_aigto.dynamics import ConstantDynamics
+    from drake_aigto.world import Scenario
 
 # Times (K,) [s] and positions (K, nq) [m].
 Path = tuple[Floats, Floats]

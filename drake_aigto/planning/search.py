@@ -11,7 +11,7 @@ from typing import Any
 
 from drake_aigto.aigo import AigoResult, Iterate, Status
 from drake_aigto.arrays import Floats
-from drake_aigto.jit import tell_compilation
+from drake_aigto.kernels import tell_compilation
 from drake_aigto.planning.candidate import Candidate
 from drake_aigto.planning.idle import idle_candidate
 from drake_aigto.planning.options import Rung

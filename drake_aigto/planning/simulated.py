@@ -8,8 +8,7 @@ import scipy  # Not scipy.optimize, which takes a tenth of a second and few need
 
 from drake_aigto.arrays import Floats
 from drake_aigto.planning.candidate import LARGEST_DEFECT
-from drake_aigto.simulation.contacts import max_penetration
-from drake_aigto.simulation.replay import Replay
+from drake_aigto.simulation import Replay, max_penetration
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription.rows import DYNAMICS, FLIGHT, NONPENETRATION
 from drake_aigto.world import World

@@ -9,14 +9,14 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.shooting import ShootingProblem, ShootingResult
-from drake_aigto.simulation.controller import Held, HeldControl
-from drake_aigto.simulation.mechanism import simulate_mechanism
-from drake_aigto.simulation.replay import has_knots, replay_on_springs
-from drake_aigto.world import CompliantLaw, Scenario, World
+from drake_aigto.simulation import EVENT_DRIVEN, Held, HeldControl, has_knots, replay_with
+from drake_aigto.world import Scenario, World
 
 
 class _Correcting(HeldControl):
     """Holds a motion's controls between knots, less what its gains answer at each."""
+
+    is_open_loop = False
 
     def __init__(self, motion: ShootingResult, gains: Floats, bounds: Floats) -> None:
         super().__init__(motion.times, motion.controls)
@@ -49,14 +49,13 @@ def steady(
     """
     gains = problem.calc_gains(motion.controls, motion.substeps)
     controller = _Correcting(motion, gains, problem.control_bounds)
-    law, replay = world.contact_law(scenario), None
-    if isinstance(law, CompliantLaw):
-        replay = replay_on_springs(world, scenario, law, controller)
+    found = None
+    if scenario.contact == "compliant":
+        found = replay_with(EVENT_DRIVEN, world, scenario, controller)
     else:
-        start = scenario.initial_position, scenario.initial_velocity
-        simulate_mechanism(world, law.restitution, start, controller)
+        EVENT_DRIVEN.simulate(world, scenario, controller)
     # Where its cost has kinks between knots, the replay of a plan has knots there, too.
     is_whole = has_knots(scenario, motion.times)
     return dataclasses.replace(
-        motion, controls=controller.controls, replay=replay if is_whole else None
+        motion, controls=controller.controls, replay=found if is_whole else None
     )

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from drake_aigto.world import ConstantDynamics, Scenario, World
+from drake_aigto.dynamics import ConstantDynamics
+from drake_aigto.world import Scenario, World
 
 
 def least_flight_cost(dynamics: ConstantDynamics, scenario: Scenario) -> float:

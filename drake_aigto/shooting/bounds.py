@@ -1,16 +1,65 @@
-"""Bounds at knots as an augmented Lagrangian, and how far they are off."""
+"""What counts at knots: bounds as an augmented Lagrangian, and costs of users."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from drake_aigto.arrays import Floats
-from drake_aigto.jit import inner, kernel
+from drake_aigto.kernels import inner
+from drake_aigto.shooting.acceleration import (
+    find_foremost,
+    find_row,
+    find_slope,
+    run_tape,
+    triangle,
+)
 from drake_aigto.shooting.cones import measure_modes
-from drake_aigto.shooting.layout import triangle
-from drake_aigto.shooting.mechanism import find_foremost
-from drake_aigto.shooting.tables import FLOW, Bounds, Memory, Program
-from drake_aigto.shooting.tape import run_tape
+from drake_aigto.shooting.tables import FLOW, Added, Bounds, Memory, Program
+
+# Returns the penalties, adds their derivatives to the expansion, or returns the largest violation
+# √w dist(s, [a, b]) and has multipliers become ρw (s + y/ρw − its projection on [a, b]), Hestenes'
+# and Powell's rule.
+PENALIZE, EXPAND, MEASURE, UPDATE = range(4)
+# Jacobi's rotations of all pairs after which matrices of ten rows are diagonal to rounding: errors
+# are squared each time.
+_SWEEPS = 8
+
+
+@inner
+def visit_bounds(
+    program: Program, states: Floats, controls: Floats, penalty: float, job: int, memory: Memory
+) -> float:
+    """Does a job for all bounds at knots: returns penalties, or the largest violation."""
+    bounds, l1, l2, total = program.bounds, memory.expansion.l1, memory.expansion.l2, 0.0
+    for k in range(states.shape[0]):
+        if bounds.is_bounded[k, 0]:
+            for i in range(states.shape[1]):
+                value, low, high = states[k, i], bounds.lower[k, i], bounds.upper[k, i]
+                if bounds.does_turn[i] and k == states.shape[0] - 1:
+                    value -= 2 * np.pi * np.round((value - low) / (2 * np.pi))
+                weight = bounds.weights[i]
+                found, push = _visit(bounds, k, i, value, low, high, weight, penalty, job)
+                total = _join(job, total, found)
+                if push != 0.0:
+                    l1[k, i] += push
+                    l2[k, i, i] += penalty * weight
+        if bounds.is_bounded[k, 1]:
+            found = _visit_distances(program, k, states[k], penalty, job, memory)
+            total = _join(job, total, found)
+        if k < program.kinds.size and program.kinds[k] >= 0:
+            total = _join(job, total, _visit_approach(program, k, states[k], penalty, job, memory))
+        u = controls[min(k, controls.shape[0] - 1)]
+        if bounds.is_bounded[k, 2]:
+            total = _join(job, total, _visit_added(program, k, states[k], u, penalty, job, memory))
+        if measure_modes(program, k, states[k], u, job == EXPAND, memory):
+            total = _join(job, total, _visit_modes(program, k, penalty, job, memory))
+    return total
+
+
+@inner
+def _join(job: int, total: float, part: float) -> float:
+    """Returns a sum of penalties, or the larger one of violations."""
+    return max(total, part) if job >= MEASURE else total + part
 
 
 @inner
@@ -20,220 +69,223 @@ def _excess(value: float, lower: float, upper: float) -> float:
 
 
 @inner
-def _unwind(bounds: Bounds, k: int, i: int, value: float) -> float:
-    """Returns a state without the turns that are between it and where it has to end."""
-    if bounds.does_turn[i] and k == bounds.lower.shape[0] - 1:
-        return value - 2 * np.pi * np.round((value - bounds.lower[k, i]) / (2 * np.pi))
-    return value
-
-
-@inner
-def add_bounds(
-    program: Program,
-    states: Floats,
-    controls: Floats,
+def _visit(
+    bounds: Bounds,
+    k: int,
+    row: int,
+    value: float,
+    low: float,
+    high: float,
+    weight: float,
     penalty: float,
-    has_slopes: bool,
-    memory: Memory,
-) -> float:
-    """Returns what all bounds at knots add to the cost; adds to its derivatives if asked."""
-    bounds, l1, l2 = program.bounds, memory.expansion.l1, memory.expansion.l2
-    lower, upper, is_bounded = bounds.lower, bounds.upper, bounds.is_bounded
-    weights, multipliers, cost = bounds.weights, bounds.multipliers, 0.0
-    for k in range(states.shape[0]):
-        if is_bounded[k]:
-            for i in range(states.shape[1]):
-                weight = penalty * weights[i]
-                shifted = _unwind(bounds, k, i, states[k, i]) + multipliers[k, i] / weight
-                off = _excess(shifted, lower[k, i], upper[k, i])
-                cost += weight * off * off / 2
-                if has_slopes and off != 0.0:
-                    l1[k, i] += weight * off
-                    l2[k, i, i] += weight
-        if bounds.is_distance_bounded[k]:
-            cost += _add_distances(program, k, states[k], penalty, has_slopes, memory)
-        if k < program.kinds.size and program.kinds[k] >= 0:
-            cost += _add_approach(program, k, states[k], penalty, has_slopes, memory)
-        u = controls[min(k, controls.shape[0] - 1)]
-        cost += _add_modes(program, k, states[k], u, penalty, has_slopes, memory)
-    return cost
+    job: int,
+) -> tuple[float, float]:
+    """Returns a row's penalty or violation, and the penalty's slope by the value if it expands."""
+    y, stiffness = bounds.multipliers, penalty * weight
+    if job < MEASURE:
+        off = _excess(value + y[k, row] / stiffness, low, high)
+        return stiffness * off * off / 2, stiffness * off if job == EXPAND else 0.0
+    if job == UPDATE and row < bounds.weights.size:
+        y[k, row] = stiffness * _excess(value + y[k, row] / stiffness, low, high)
+    elif job == UPDATE:
+        y[k, row] = min(y[k, row] + stiffness * value, 0.0)
+    return np.sqrt(weight) * abs(_excess(value, low, high)), 0.0
 
 
 @inner
-def _add_distances(
-    program: Program, k: int, z: Floats, penalty: float, has_slopes: bool, memory: Memory
+def _add_slopes(
+    k: int, push: float, stiffness: float, slope: Floats, columns: int, memory: Memory
+) -> None:
+    """Adds a row's derivatives by the first columns of (q, v, u) to those of the cost."""
+    l1, l2 = memory.expansion.l1[k], memory.expansion.l2[k]
+    nx, nz = memory.flow.points.shape[1], memory.states.shape[1]
+    for c in range(columns):
+        i = c if c < nx else nz + c - nx
+        l1[i] += push * slope[c]
+        for d in range(c, columns):
+            l2[i, d if d < nx else nz + d - nx] += stiffness * slope[c] * slope[d]
+
+
+@inner
+def _visit_distances(
+    program: Program, k: int, z: Floats, penalty: float, job: int, memory: Memory
 ) -> float:
-    """Returns what the bounds of φ at knot k add; adds to derivatives if asked."""
-    bounds, cost, n = program.bounds, 0.0, program.mechanics.actuation.shape[0]
-    l1, l2, sums = memory.expansion.l1, memory.expansion.l2, memory.flow.mechanics.sums
-    weight = penalty * bounds.distance_weight
-    phi, m = measure_distances(program, z, False, memory), bounds.lower_distance.shape[1]
+    """Does a job for the bounds of φ at knot k: a solid is left by one of its faces."""
+    bounds, sums, solids = program.bounds, memory.flow.mechanics.sums, program.mechanics.solids
+    n, m, nz, total = memory.flow.points.shape[1] // 2, program.held.shape[1], z.size, 0.0
+    phi = _measure_distances(program, z, False, memory)
     for i in range(m):
-        if not _counts(program, k, i, phi, sums):
+        low, high, weight = bounds.lower[k, nz + i], bounds.upper[k, nz + i], bounds.weights[nz + i]
+        s = np.searchsorted(solids, i, side="right") - 1
+        if high == np.inf and find_foremost(solids[s], solids[s + 1], phi, sums) != i:
             continue
-        shifted = sums[phi + i] + bounds.distance_multipliers[k, i] / weight
-        off = _excess(shifted, bounds.lower_distance[k, i], bounds.upper_distance[k, i])
-        cost += weight * off * off / 2
-        if has_slopes and off != 0.0:
-            row = phi + m + i * n
-            for j in range(n):
-                l1[k, j] += weight * off * sums[row + j]
-                for c in range(n):
-                    l2[k, j, c] += weight * sums[row + j] * sums[row + c]
-    return cost
+        value = sums[phi + i]
+        found, push = _visit(bounds, k, nz + i, value, low, high, weight, penalty, job)
+        total = _join(job, total, found)
+        if push != 0.0:
+            _add_slopes(k, push, penalty * weight, sums[phi + m + i * n :], n, memory)
+    return total
 
 
 @inner
-def _add_approach(
-    program: Program, k: int, z: Floats, penalty: float, has_slopes: bool, memory: Memory
+def _visit_approach(
+    program: Program, k: int, z: Floats, penalty: float, job: int, memory: Memory
 ) -> float:
-    """Returns what a bound of φ̇ adds before the impact at knot k; adds to derivatives if asked.
+    """Does a job for the bound of −φ̇ = −J v before the impact at knot k.
 
     Where φ̇ > 0 a motion would come out of a wall, and be pulled back by the impact.
     """
-    bounds, nx = program.bounds, 2 * program.mechanics.actuation.shape[0]
-    l1, l2, slope = memory.expansion.l1, memory.expansion.l2, memory.flow.points[0]
-    weight = penalty * bounds.approach_weight
-    rate = _measure_approach(program, program.kinds[k], z, has_slopes, memory)
-    off = max(rate + bounds.slowest + bounds.approach_multipliers[k] / weight, 0.0)
-    if has_slopes and off > 0.0:
-        for j in range(nx):
-            l1[k, j] += weight * off * slope[j]
-            for c in range(nx):
-                l2[k, j, c] += weight * slope[j] * slope[c]
-    return weight * off * off / 2
+    bounds, contact, m = program.bounds, program.kinds[k], program.held.shape[1]
+    sums, slope, rate = memory.flow.mechanics.sums, memory.flow.points[0], 0.0
+    n, weight = slope.size // 2, bounds.approach_weight
+    _measure_distances(program, z, job == EXPAND, memory)
+    row = find_row(n, m, contact)
+    for j in range(n):
+        rate += sums[row + j] * z[n + j]
+    value, place = -(rate + bounds.slowest), bounds.weights.size
+    found, push = _visit(bounds, k, place, value, 0.0, np.inf, weight, penalty, job)
+    if push != 0.0:
+        bends = find_slope(n, m, program.closed.shape[1], contact, 0, 0)
+        for c in range(n):
+            slope[c], slope[n + c] = 0.0, -sums[row + c]
+            for j in range(n):
+                slope[c] -= sums[bends + triangle(n, j, c)] * z[n + j]
+        _add_slopes(k, push, penalty * weight, slope, 2 * n, memory)
+    return found
 
 
 @inner
-def _add_modes(
-    program: Program,
-    k: int,
-    z: Floats,
-    u: Floats,
-    penalty: float,
-    has_slopes: bool,
-    memory: Memory,
-) -> float:
-    """Returns what modes ask for at knot k adds; adds to derivatives by (q, v, u) if asked."""
-    if not measure_modes(program, k, z, u, has_slopes, memory):
-        return 0.0
+def _visit_modes(program: Program, k: int, penalty: float, job: int, memory: Memory) -> float:
+    """Does a job for what modes ask for at knot k, which the memory has."""
     values, slopes, weights, _ = memory.modes
-    l1, l2, multipliers = memory.expansion.l1, memory.expansion.l2, program.bounds.mode_multipliers
-    nz, nx, cost = z.size, memory.flow.points.shape[1], 0.0
-    columns = slopes.shape[2]
+    row, total, columns = program.bounds.weights.size + 1, 0.0, slopes.shape[2]
     if k == program.kinds.size or program.kinds[k] != FLOW:
-        columns = nx  # What a phase's start chooses is its duration.
+        columns = memory.flow.points.shape[1]  # What a phase's start chooses is its duration.
     for i in range(values.shape[0]):
-        for side in range(values.shape[1]):
-            weight = penalty * weights[i, side]
-            if weight == 0.0:
-                continue
-            off = min(values[i, side] + multipliers[k, i, side] / weight, 0.0)
-            cost += weight * off * off / 2
-            if has_slopes and off < 0.0:
-                slope = slopes[i, side]
-                for c in range(columns):
-                    row = c if c < nx else nz + c - nx
-                    l1[k, row] += weight * off * slope[c]
-                    for d in range(c, columns):
-                        column = d if d < nx else nz + d - nx
-                        l2[k, row, column] += weight * slope[c] * slope[d]
+        for side in range(3):
+            value, weight = values[i, side], weights[i, side]
+            if weight > 0.0:
+                place = row + 3 * i + side
+                found, push = _visit(
+                    program.bounds, k, place, value, 0.0, np.inf, weight, penalty, job
+                )
+                total = _join(job, total, found)
+                if push != 0.0:
+                    _add_slopes(k, push, penalty * weight, slopes[i, side], columns, memory)
+    return total
+
+
+@inner
+def _visit_added(
+    program: Program, k: int, z: Floats, u: Floats, penalty: float, job: int, memory: Memory
+) -> float:
+    """Does a job for the constraints of users at knot k."""
+    bounds, sums, total = program.bounds, memory.added.sums, 0.0
+    R, C, first = program.added.is_running.size, memory.added.x.size, z.size + program.held.shape[1]
+    _evaluate_added(program.added, z, u, memory)
+    for r in range(R):
+        low, high, weight = bounds.lower[k, first + r], bounds.upper[k, first + r], 0.0
+        if low > -np.inf or high < np.inf:
+            weight = bounds.weights[first + r]
+            found, push = _visit(bounds, k, first + r, sums[r], low, high, weight, penalty, job)
+            total = _join(job, total, found)
+            if push != 0.0:
+                _add_slopes(k, push, penalty * weight, sums[R + r * C :], C, memory)
+    return total
+
+
+@inner
+def _evaluate_added(added: Added, z: Floats, u: Floats, memory: Memory) -> None:
+    """Computes the functions of users at a knot with all derivatives."""
+    x, nx = memory.added.x, memory.flow.points.shape[1]
+    for i in range(x.size):
+        x[i] = z[i] if i < nx else u[i - nx]
+    run_tape(added.code, added.numbers, x, True, memory.added.values, memory.added.sums)
+
+
+@inner
+def add_costs(
+    program: Program, k: int, z: Floats, u: Floats, has_slopes: bool, memory: Memory
+) -> float:
+    """Returns the costs of users at knot k; adds their derivatives if asked, Hessians ≥ 0."""
+    added, sums, gradient = program.added, memory.added.sums, memory.added.gradient
+    A, V, positive = memory.added.tables[0], memory.added.tables[1], memory.added.tables[2]
+    R, C, nx, cost = added.is_running.size, memory.added.x.size, memory.flow.points.shape[1], 0.0
+    has_phases, l1, l2 = z.size > nx, memory.expansion.l1[k], memory.expansion.l2[k]
+    _evaluate_added(added, z, u, memory)
+    for c in range(C + 1):
+        gradient[c] = 0.0
+        for d in range(C + 1):
+            A[c, d] = 0.0
+    for r in range(R):
+        factor, stretches = added.factors[k, r], has_phases and added.is_running[r]
+        length = factor * z[nx] if stretches else factor
+        cost += length * sums[r] if factor != 0.0 else 0.0
+        at = R + R * C + r * (C * (C + 1) // 2)
+        for c in range(C if has_slopes and factor != 0.0 else 0):
+            slope = sums[R + r * C + c]
+            gradient[c] += length * slope
+            if stretches:
+                A[c, C] += factor * slope
+            for d in range(c, C):
+                A[c, d] += length * sums[at]
+                at += 1
+        if stretches:
+            gradient[C] += factor * sums[r]
+    if has_slopes:
+        size = C + 1 if has_phases else C
+        _make_positive(size, A, V, positive)
+        for c in range(size):
+            i = nx if c == C else c if c < nx else z.size + c - nx
+            l1[i] += gradient[c]
+            for d in range(c, size):
+                j = nx if d == C else d if d < nx else z.size + d - nx
+                l2[min(i, j), max(i, j)] += positive[c, d]
     return cost
 
 
 @inner
-def _measure_approach(
-    program: Program, contact: int, z: Floats, has_slopes: bool, memory: Memory
-) -> float:
-    """Returns φ̇ = J v of a contact, and computes its derivative by (q, v) if asked."""
-    n, m = program.mechanics.actuation.shape[0], program.bounds.lower_distance.shape[1]
-    sums, slope, rate = memory.flow.mechanics.sums, memory.flow.points[0], 0.0
-    phi = measure_distances(program, z, has_slopes, memory)
-    row, half = phi + m + contact * n, n * (n + 1) // 2
-    for j in range(n):
-        rate += sums[row + j] * z[n + j]
-    if has_slopes:
-        bends = phi + m + m * n + half * n + 2 * n * n + contact * half
-        for c in range(n):
-            slope[c], slope[n + c] = 0.0, sums[row + c]
-            for j in range(n):
-                slope[c] += sums[bends + triangle(n, j, c)] * z[n + j]
-    return rate
+def _make_positive(size: int, A: Floats, V: Floats, positive: Floats) -> None:
+    """Computes the upper triangle of a symmetric matrix whose eigenvalues below 0 become 0.
 
+    They are found by Jacobi's rotations (Golub & Van Loan, *Matrix Computations*, 8.5).
 
-@inner
-def measure_distances(program: Program, z: Floats, has_slopes: bool, memory: Memory) -> int:
-    """Computes φ and J, with their derivatives if asked, and returns where φ starts in the sums."""
-    n, room = program.mechanics.actuation.shape[0], memory.flow.mechanics
-    mechanics = program.mechanics
-    run_tape(mechanics.code, mechanics.numbers, z[: 2 * n], has_slopes, room.values, room.sums)
-    return n * (n + 1) // 2 + n
-
-
-@inner
-def _counts(program: Program, k: int, i: int, phi: int, sums: Floats) -> bool:
-    """Tells whether the bound of φ_i counts: a solid is left by one of its faces."""
-    if program.bounds.upper_distance[k, i] < np.inf:
-        return True
-    solids = program.mechanics.solids
-    s = np.searchsorted(solids, i, side="right") - 1
-    return find_foremost(solids[s], solids[s + 1], phi, sums) == i
-
-
-@kernel
-def measure_bounds(
-    program: Program,
-    states: Floats,
-    controls: Floats,
-    penalty: float,
-    updates: bool,
-    memory: Memory,
-) -> float:
-    """Returns the largest violation √w dist(s, [a, b]), and updates the multipliers if asked.
-
-    They become ρw (s + y/ρw − its projection on [a, b]), Hestenes' and Powell's rule.
+    Args:
+        size: of the matrix.
+        A: its upper triangle; is overwritten.
+        V: room for its eigenvectors.
+        positive: becomes the result.
     """
-    bounds, worst, sums = program.bounds, 0.0, memory.flow.mechanics.sums
-    for k in range(states.shape[0]):
-        if bounds.is_bounded[k]:
-            for i in range(states.shape[1]):
-                weight = penalty * bounds.weights[i]
-                low, high = bounds.lower[k, i], bounds.upper[k, i]
-                value = _unwind(bounds, k, i, states[k, i])
-                worst = max(worst, np.sqrt(bounds.weights[i]) * abs(_excess(value, low, high)))
-                if updates:
-                    value += bounds.multipliers[k, i] / weight
-                    bounds.multipliers[k, i] = weight * _excess(value, low, high)
-        if bounds.is_distance_bounded[k]:
-            phi = measure_distances(program, states[k], False, memory)
-            weight = penalty * bounds.distance_weight
-            for i in range(bounds.lower_distance.shape[1]):
-                if not _counts(program, k, i, phi, sums):
-                    continue
-                low, high = bounds.lower_distance[k, i], bounds.upper_distance[k, i]
-                value = sums[phi + i]
-                off = abs(_excess(value, low, high))
-                worst = max(worst, np.sqrt(bounds.distance_weight) * off)
-                if updates:
-                    value += bounds.distance_multipliers[k, i] / weight
-                    bounds.distance_multipliers[k, i] = weight * _excess(value, low, high)
-        if k < program.kinds.size and program.kinds[k] >= 0:
-            weight = penalty * bounds.approach_weight
-            rate = _measure_approach(program, program.kinds[k], states[k], False, memory)
-            off = rate + bounds.slowest
-            worst = max(worst, np.sqrt(bounds.approach_weight) * off)
-            if updates:
-                multiplier = bounds.approach_multipliers[k] + weight * off
-                bounds.approach_multipliers[k] = max(multiplier, 0.0)
-        u = controls[min(k, controls.shape[0] - 1)]
-        if not measure_modes(program, k, states[k], u, False, memory):
-            continue
-        values, _, weights, _ = memory.modes
-        for i in range(values.shape[0]):
-            for side in range(values.shape[1]):
-                weight, value = penalty * weights[i, side], values[i, side]
-                worst = max(worst, -np.sqrt(weights[i, side]) * value)
-                if updates and weight > 0.0:
-                    multiplier = bounds.mode_multipliers[k, i, side] + weight * value
-                    bounds.mode_multipliers[k, i, side] = min(multiplier, 0.0)
-    return worst
+    for i in range(size):
+        for j in range(size):
+            A[i, j], V[i, j] = A[min(i, j), max(i, j)], 1.0 if i == j else 0.0
+    for _ in range(_SWEEPS):
+        for p in range(size):
+            for q in range(p + 1, size):
+                if A[p, q] != 0.0:
+                    ratio = (A[q, q] - A[p, p]) / (2 * A[p, q])
+                    tangent = 1 / (abs(ratio) + np.sqrt(ratio * ratio + 1))
+                    tangent = tangent if ratio >= 0.0 else -tangent
+                    cosine = 1 / np.sqrt(tangent * tangent + 1)
+                    sine = tangent * cosine
+                    for i in range(size):
+                        a, b, v, w = A[i, p], A[i, q], V[i, p], V[i, q]
+                        A[i, p], A[i, q] = cosine * a - sine * b, sine * a + cosine * b
+                        V[i, p], V[i, q] = cosine * v - sine * w, sine * v + cosine * w
+                    for i in range(size):
+                        a, b = A[p, i], A[q, i]
+                        A[p, i], A[q, i] = cosine * a - sine * b, sine * a + cosine * b
+                    A[p, q] = A[q, p] = 0.0
+    for i in range(size):
+        for j in range(i, size):
+            positive[i, j] = 0.0
+            for e in range(size):
+                positive[i, j] += max(A[e, e], 0.0) * V[i, e] * V[j, e]
+
+
+@inner
+def _measure_distances(program: Program, z: Floats, has_slopes: bool, memory: Memory) -> int:
+    """Computes φ and J, with their derivatives if asked, and returns where φ starts in the sums."""
+    mechanics, room, nx = program.mechanics, memory.flow.mechanics, memory.flow.points.shape[1]
+    run_tape(mechanics.code, mechanics.numbers, z[:nx], has_slopes, room.values, room.sums)
+    return nx // 2 * (nx // 2 + 1) // 2 + nx // 2

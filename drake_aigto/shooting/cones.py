@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from drake_aigto.arrays import Floats
-from drake_aigto.jit import inner
-from drake_aigto.shooting.hold import press
-from drake_aigto.shooting.layout import find_tangent
-from drake_aigto.shooting.mechanism import factor_mass
-from drake_aigto.shooting.rubbing import COEFFICIENT, find_rub
-from drake_aigto.shooting.strike import strike
-from drake_aigto.shooting.tables import FLOW, Memory, Program
-from drake_aigto.shooting.tape import run_tape
+from drake_aigto.kernels import inner
+from drake_aigto.shooting.acceleration import (
+    accelerate,
+    factor_mass,
+    find_row,
+    find_rub,
+    find_slope,
+    run_tape,
+)
+from drake_aigto.shooting.hold import hold, strike
+from drake_aigto.shooting.tables import COEFFICIENT, FLOW, Memory, Program
 
 # What the columns of `ModeMemory.values` are: both sides of a cone or an equation, or a slip before
 # and after an impact; and a contact's push.
@@ -65,7 +68,8 @@ def _measure_hold(
     mechanics, bounds, room = program.mechanics, program.bounds, memory.flow.mechanics
     values, slopes, weights, _ = memory.modes
     nx, m, rubs = memory.flow.points.shape[1], values.shape[0], mechanics.rubs
-    press(mechanics, program.closed[k], program.leans[k], z[:nx], u, has_slopes, room)
+    accelerate(mechanics, z[:nx], u, 0.0, True, room)
+    hold(program.closed[k], program.leans[k], z[:nx], has_slopes, mechanics, room)
     w = room.grip.shape[1]
     for i in range(m):
         if not program.held[k, i]:
@@ -92,21 +96,8 @@ def _measure_impact(program: Program, k: int, z: Floats, has_slopes: bool, memor
     nx, m, rubs = memory.flow.points.shape[1], values.shape[0], mechanics.rubs
     run_tape(mechanics.code, mechanics.numbers, z[:nx], has_slopes, room.values, room.sums)
     factor_mass(nx // 2, room.sums, room.factor)
-    strike(
-        program.closed[k],
-        program.leans[k],
-        program.restitutions[k],
-        z,
-        has_slopes,
-        rubs,
-        room.sums,
-        room.factor,
-        room.support,
-        room.grip,
-        room.by_force,
-        after,
-        room.slopes,
-    )
+    closed, leans, e = program.closed[k], program.leans[k], program.restitutions[k]
+    strike(closed, leans, e, z, has_slopes, mechanics, room, after)
     for i in range(m):
         rub = find_rub(rubs, i)
         if rub < 0 or not program.closed[k, i]:
@@ -123,7 +114,7 @@ def _measure_impact(program: Program, k: int, z: Floats, has_slopes: bool, memor
             _measure_slip(program, rub, i, _ONE, before, z, has_slopes, memory)
         _measure_slip(program, rub, i, _OTHER, program.modes[k, i], after, has_slopes, memory)
         if has_slopes:
-            row, _ = find_tangent(nx // 2, room.sums.size, rubs.shape[0], rub)
+            row = find_row(nx // 2, m, m + rub)
             for c in range(nx):
                 for j in range(nx // 2):
                     gain = program.modes[k, i] * room.sums[row + j]
@@ -180,7 +171,8 @@ def _measure_slip(
     """Computes a slip velocity with a sign, and its derivatives by (q, v) at constant q and v."""
     values, slopes, weights, _ = memory.modes
     n, sums = memory.flow.points.shape[1] // 2, memory.flow.mechanics.sums
-    row, turns = find_tangent(n, sums.size, program.mechanics.rubs.shape[0], rub)
+    m, w = program.held.shape[1], program.closed.shape[1]
+    row, turns = find_row(n, m, m + rub), find_slope(n, m, w, m + rub, 0, 0)
     weights[i, side], values[i, side] = program.bounds.approach_weight, 0.0
     for j in range(n):
         values[i, side] += sign * sums[row + j] * z[n + j]

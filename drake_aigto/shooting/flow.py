@@ -1,22 +1,18 @@
-"""Motion under a held control by Runge-Kutta steps, and its exact derivatives.
-
-Arrays are handed on one by one, as compiled code counts references to those in tuples. Names are
-those of `tables` and of `mechanism`.
-"""
+"""Stages of a motion with their exact derivatives: flights under a held control, and impacts."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from drake_aigto.arrays import Bools, Floats, Ints
-from drake_aigto.jit import inner
-from drake_aigto.shooting.hold import hold
-from drake_aigto.shooting.mechanism import accelerate
-from drake_aigto.shooting.tables import CHORDAL, MODULO
+from drake_aigto.arrays import Floats
+from drake_aigto.kernels import inner, pasted
+from drake_aigto.shooting.acceleration import accelerate, factor_mass, run_tape
+from drake_aigto.shooting.hold import hold, strike
+from drake_aigto.shooting.tables import CHORDAL, MODULO, FlowMemory, Memory, Program, Task
 
 
 @inner
-def clear(vector: Floats, matrix: Floats) -> None:
+def _clear(vector: Floats, matrix: Floats) -> None:
     """Makes both zero, in loops: slices take seconds to compile."""
     for i in range(vector.size):
         vector[i] = 0.0
@@ -26,116 +22,70 @@ def clear(vector: Floats, matrix: Floats) -> None:
 
 
 @inner
-def find_errors(kinds: Ints, x: Floats, place: Floats, errors: Floats) -> None:
-    """Computes the errors of a state about a place, a chord's as sin e: half its square's slope."""
-    for i in range(place.size):
-        error = x[i] - place[i]
-        if kinds[i] == MODULO:
-            error -= 2 * np.pi * np.round(error / (2 * np.pi))
-        elif kinds[i] == CHORDAL:
-            error = np.sin(error)
-        errors[0, i] = error
+def _find_error(kind: int, error: float) -> tuple[float, float]:
+    """Returns the error of a coordinate, and its square; a chord's is sin e: half its slope."""
+    if kind == MODULO:
+        error -= 2 * np.pi * np.round(error / (2 * np.pi))
+    elif kind == CHORDAL:
+        return np.sin(error), 2 - 2 * np.cos(error)
+    return error, error * error
 
 
-@inner
-def _find_row(times: Floats, time: float) -> int:
-    """Returns which of a reference's pieces a time is in, the nearest one outside of all."""
-    row = 0
-    while row < times.size - 2 and time >= times[row + 1]:
-        row += 1
-    return row
-
-
-@inner
-def _measure(
-    kinds: Ints,
-    weights: Floats,
-    times: Floats,
-    reference: Floats,
-    time: float,
-    y: Floats,
-    errors: Floats,
-) -> float:
+@pasted
+def _measure(task: Task, time: float, y: Floats, errors: Floats) -> float:
     """Returns Σ w e² about the reference, and computes the gradient and the reference's motion."""
-    last, row, share, pace = times.size - 1, 0, 0.0, 0.0
+    weights, times, reference = task.running, task.times, task.reference
+    last, row, share, pace, rate = times.size - 1, 0, 0.0, 0.0, 0.0
     if last > 0:
-        row = _find_row(times, time)
+        while row < last - 1 and time >= times[row + 1]:
+            row += 1
         length = times[row + 1] - times[row]
         share = min(max((time - times[row]) / length, 0.0), 1.0)
         pace = 1 / length if times[0] <= time < times[last] else 0.0
-    rate = 0.0
     for i in range(y.size):
-        if weights[i] == 0.0:
-            errors[1, i] = 0.0
-            continue
-        step = reference[min(row + 1, last), i] - reference[row, i]
-        errors[2, i] = pace * step
-        error = y[i] - reference[row, i] - share * step
-        square = error * error
-        if kinds[i] == MODULO:
-            error -= 2 * np.pi * np.round(error / (2 * np.pi))
-            square = error * error
-        elif kinds[i] == CHORDAL:
-            square = 2 - 2 * np.cos(error)
-            error = np.sin(error)
-        rate += weights[i] * square
-        errors[1, i] = 2 * weights[i] * error
+        errors[1, i] = 0.0
+        if weights[i] != 0.0:
+            step = reference[min(row + 1, last), i] - reference[row, i]
+            off = y[i] - reference[row, i] - share * step
+            error, square = _find_error(task.errors[i], off)
+            rate += weights[i] * square
+            errors[1, i], errors[2, i] = 2 * weights[i] * error, pace * step
     return rate
 
 
-@inner
+@pasted
 def flow(
-    code: Ints,
-    numbers: Floats,
-    actuation: Floats,
-    contacts: Floats,
-    solids: Ints,
-    rubs: Floats,
-    effort: Floats,
-    running: Floats,
-    kinds: Ints,
-    times: Floats,
-    reference: Floats,
-    start: float,
-    share: float,
-    substeps: int,
-    method: Floats,
-    closed: Bools,
-    leans: Floats,
+    program: Program,
+    k: int,
     z: Floats,
     u: Floats,
     eps: float,
     has_slopes: bool,
-    values: Floats,
-    sums: Floats,
-    factor: Floats,
-    force: Floats,
-    rub: Floats,
-    acceleration: Floats,
-    slopes: Floats,
-    support: Floats,
-    grip: Floats,
-    by_force: Floats,
-    points: Floats,
-    by_column: Floats,
-    by_start: Floats,
     after: Floats,
-    F: Floats,
-    l1: Floats,
-    l2: Floats,
+    memory: Memory,
 ) -> float:
-    """Computes where a stage ends, and returns its cost; with derivatives if asked.
+    """Computes where a flight ends, and returns its cost; with derivatives if asked.
 
-    It takes what `Mechanics` and `Task` hold, when the stage starts [s] (of phases the state says
-    it), how long it lasts [s] (of phases, as a share of τ), its Runge-Kutta steps and their method,
-    which rows of contacts are held and how these lean (`hold`), its state z and control u, the
-    smoothing ε [m], whether derivatives are asked for, and what the memories hold. Results are the
-    state after it, shape (nz,); F, its derivative by (z, u), shape (nz, nc); l1, the gradient of
-    the cost, shape (nc,); and l2, the upper triangle of its Gauss-Newton Hessian.
+    Args:
+        program: the problem.
+        k: the stage.
+        z: the state at its start, shape (nz,); of phases it says when that is, and how long they
+            last.
+        u: its control.
+        eps: the smoothing ε [m].
+        has_slopes: whether derivatives are asked for.
+        after: becomes the state at its end, shape (nz,).
+        memory: room, and of the stage F, l1 and the upper triangle of l2.
     """
-    nx, nz, n, columns = points.shape[1], z.size, actuation.shape[0], by_column.size
+    task, method, mechanics, room = program.task, program.method, program.mechanics, memory.flow
+    F, l1, l2 = memory.expansion.F[k], memory.expansion.l1[k], memory.expansion.l2[k]
+    closed, leans, substeps = program.closed[k], program.leans[k], program.substeps
+    points, by_column = room.points, room.by_column
     x, y, slope, total, errors = points[0], points[1], points[2], points[3], points[4:]
-    X, Y, K, sum_K = by_start[0], by_start[1], by_start[2], by_start[3]
+    X, K, sum_K = room.slopes[0], room.slopes[2], room.slopes[3]
+    acceleration = room.mechanics.acceleration
+    nx, nz, n, columns = x.size, z.size, x.size // 2, by_column.size
+    start, share = program.times[k], program.steps[k]
     duration, has_phases, holds = share, nz > nx, bool(closed.any())
     if has_phases:
         duration, start = share * float(z[nx]), float(z[nx + 1])
@@ -143,14 +93,14 @@ def flow(
     for i in range(nx):
         x[i] = z[i]
     if has_slopes:
-        clear(l1, l2)
-        clear(by_column, X)
+        _clear(l1, l2)
+        _clear(by_column, X)
         for i in range(nx):
             X[i, i] = 1.0
     for s in range(substeps):
         for i in range(n):
             slope[i], slope[n + i] = x[n + i], 0.0
-        clear(total, sum_K)
+        _clear(total, sum_K)
         if has_slopes:
             for i in range(n):
                 for c in range(columns):
@@ -159,54 +109,22 @@ def flow(
             ahead, part = method[r, 0], method[r, 1]
             for i in range(nx):
                 y[i] = x[i] + ahead * delta * slope[i]
-            accelerate(
-                code,
-                numbers,
-                actuation,
-                contacts,
-                solids,
-                rubs,
-                y,
-                u,
-                eps,
-                has_slopes or holds,
-                values,
-                sums,
-                factor,
-                force,
-                rub,
-                acceleration,
-                slopes,
-            )
+            accelerate(mechanics, y, u, eps, has_slopes or holds, room.mechanics)
             if holds:
-                hold(
-                    closed,
-                    leans,
-                    y,
-                    has_slopes,
-                    rubs,
-                    sums,
-                    factor,
-                    support,
-                    grip,
-                    by_force,
-                    acceleration,
-                    slopes,
-                )
+                hold(closed, leans, y, has_slopes, mechanics, room.mechanics)
             if has_slopes:
-                _chain(ahead * delta, part, slopes, X, K, Y, sum_K, nz, ahead * unit, slope)
+                _chain(ahead * delta, part, ahead * unit, nz, room)
             for i in range(n):
                 slope[i], slope[n + i] = y[n + i], acceleration[0, i]
             for i in range(nx):
                 total[i] += part * slope[i]
             if part == 0.0:
                 continue
-            time = start + (s + ahead) * delta
-            rate = _measure(kinds, running, times, reference, time, y, errors)
+            rate = _measure(task, start + (s + ahead) * delta, y, errors)
             cost += part * delta * rate
             if has_slopes:
                 lag = (s + ahead) * unit if has_phases else 0.0
-                _add_rate(running, part * delta, nz, lag, Y, errors, by_column, l1, l2)
+                _add_rate(task.running, part * delta, nz, lag, room, l1, l2)
                 if has_phases:
                     _add_duration(nx, part * delta, part * unit, rate, by_column, l1, l2)
         for i in range(nx):
@@ -221,28 +139,32 @@ def flow(
     if has_phases:
         after[nx], after[nx + 1] = z[nx], start + duration
     squares = 0.0
-    for j in range(effort.size):
-        squares += effort[j] * u[j] * u[j]
+    for j in range(task.control.size):
+        squares += task.control[j] * u[j] * u[j]
     if has_slopes:
-        _finish(effort, u, duration, share, squares, nx, nz, X, by_column, F, l1, l2)
+        for i in range(nx):
+            for c in range(columns):
+                F[i, c] = X[i, c]
+        for c in range(columns):
+            by_column[c] = 0.0
+        for j in range(task.control.size):
+            by_column[nz + j] = 2 * task.control[j] * u[j]
+            l1[nz + j] += duration * by_column[nz + j]
+            l2[nz + j, nz + j] += 2 * duration * task.control[j]
+        if has_phases:
+            for c in range(columns):
+                F[nx, c] = F[nx + 1, c] = 0.0
+            F[nx, nx] = F[nx + 1, nx + 1] = 1.0
+            F[nx + 1, nx] = share
+            _add_duration(nx, duration, share, squares, by_column, l1, l2)
     return cost + duration * squares
 
 
-@inner
-def _chain(
-    ahead: float,
-    part: float,
-    slopes: Floats,
-    X: Floats,
-    K: Floats,
-    Y: Floats,
-    sum_K: Floats,
-    nz: int,
-    unit: float,
-    slope: Floats,
-) -> None:
+@pasted
+def _chain(ahead: float, part: float, unit: float, nz: int, room: FlowMemory) -> None:
     """Computes ∂y/∂(z, u) and ∂ẏ/∂(z, u), and adds the latter to the sum."""
-    nx, columns = X.shape
+    X, Y, K, sum_K = room.slopes[0], room.slopes[1], room.slopes[2], room.slopes[3]
+    slopes, slope, (nx, columns) = room.mechanics.slopes, room.points[2], X.shape
     n, nu = nx // 2, columns - nz
     for i in range(nx):
         for c in range(columns):
@@ -264,19 +186,12 @@ def _chain(
             sum_K[i, c] += part * K[i, c]
 
 
-@inner
+@pasted
 def _add_rate(
-    weights: Floats,
-    length: float,
-    nz: int,
-    lag: float,
-    Y: Floats,
-    errors: Floats,
-    by_column: Floats,
-    l1: Floats,
-    l2: Floats,
+    weights: Floats, length: float, nz: int, lag: float, room: FlowMemory, l1: Floats, l2: Floats
 ) -> None:
     """Adds the derivatives of length·Σ w e², and computes those of the sum; upper triangle only."""
+    Y, by_column, errors = room.slopes[1], room.by_column, room.points[4:]
     nx, columns = Y.shape
     for c in range(columns):
         by_column[c] = 0.0
@@ -298,13 +213,7 @@ def _add_rate(
 
 @inner
 def _add_duration(
-    tau: int,
-    length: float,
-    unit: float,
-    rate: float,
-    by_column: Floats,
-    l1: Floats,
-    l2: Floats,
+    tau: int, length: float, unit: float, rate: float, by_column: Floats, l1: Floats, l2: Floats
 ) -> None:
     """Adds what follows from the length's being unit·τ: √length·e is the residual, not e."""
     l1[tau] += unit * rate
@@ -315,65 +224,57 @@ def _add_duration(
     l2[tau, tau] += unit * unit * rate / (2 * length)
 
 
-@inner
-def _finish(
-    effort: Floats,
-    u: Floats,
-    duration: float,
-    share: float,
-    squares: float,
-    nx: int,
-    nz: int,
-    X: Floats,
-    by_column: Floats,
-    F: Floats,
-    l1: Floats,
-    l2: Floats,
+@pasted
+def jump(
+    program: Program, k: int, z: Floats, u: Floats, has_slopes: bool, after: Floats, memory: Memory
 ) -> None:
-    """Adds the effort's derivatives, and completes those of the state."""
-    for i in range(nx):
-        for c in range(by_column.size):
-            F[i, c] = X[i, c]
-    for c in range(by_column.size):
-        by_column[c] = 0.0
-    for j in range(effort.size):
-        by_column[nz + j] = 2 * effort[j] * u[j]
-        l1[nz + j] += duration * by_column[nz + j]
-        l2[nz + j, nz + j] += 2 * duration * effort[j]
-    if nz > nx:
-        for c in range(by_column.size):
-            F[nx, c] = F[nx + 1, c] = 0.0
-        F[nx, nx] = F[nx + 1, nx + 1] = 1.0
-        F[nx + 1, nx] = share
-        _add_duration(nx, duration, share, squares, by_column, l1, l2)
+    """Computes the state (q, v⁺, τ, t) after the start of a phase; with derivatives if asked.
+
+    Contacts that are struck change the velocity (`strike`): the one that is hit, if any, and all
+    that are held from then on. The duration, a control, becomes τ.
+    """
+    F, l1, l2 = memory.expansion.F[k], memory.expansion.l1[k], memory.expansion.l2[k]
+    mechanics, room, closed = program.mechanics, memory.flow.mechanics, program.closed[k]
+    nx, nz = memory.flow.points.shape[1], z.size
+    for i in range(nz):
+        after[i] = z[i]
+    after[nx] = u[0]
+    if has_slopes:
+        _clear(l1, l2)
+        _clear(l1, F)
+        for i in range(nz):
+            F[i, i] = 1.0
+        F[nx, nx], F[nx, nz] = 0.0, 1.0
+    if closed.any():
+        n = nx // 2
+        run_tape(mechanics.code, mechanics.numbers, z[:nx], has_slopes, room.values, room.sums)
+        factor_mass(n, room.sums, room.factor)
+        leans, e = program.leans[k], program.restitutions[k]
+        strike(closed, leans, e, z, has_slopes, mechanics, room, after)
+        for i in range(n if has_slopes else 0):
+            for c in range(2 * n):
+                F[n + i, c] += room.slopes[c, i]
 
 
 @inner
-def measure_end(
-    kinds: Ints,
-    weights: Floats,
-    goal: Floats,
-    z: Floats,
-    has_slopes: bool,
-    errors: Floats,
-    l1: Floats,
-    l2: Floats,
-) -> float:
+def measure_end(task: Task, z: Floats, has_slopes: bool, memory: Memory) -> float:
     """Returns eᵀ W e of the last state, with its derivatives if asked."""
-    nx, cost = goal.size, 0.0
-    find_errors(kinds, z, goal, errors)
+    K, nx, cost = memory.controls.shape[0], task.goal.size, 0.0
+    weights, errors, squares = task.final, memory.flow.points[4], memory.flow.points[5]
+    l1, l2 = memory.expansion.l1[K], memory.expansion.l2[K]
     if has_slopes:
-        clear(l1, l2)
+        _clear(l1, l2)
+    for i in range(nx):
+        errors[i], squares[i] = _find_error(task.errors[i], z[i] - task.goal[i])
     for i in range(nx):
         total = 0.0
         for j in range(nx):
-            total += weights[i, j] * errors[0, j]
+            total += weights[i, j] * errors[j]
             if has_slopes:
                 l2[i, j] = 2 * weights[i, j]
-        cost += total * errors[0, i]
-        if kinds[i] == CHORDAL:
-            chord = 2 - 2 * np.cos(z[i] - goal[i])
-            cost += weights[i, i] * (chord - errors[0, i] * errors[0, i])
+        cost += total * errors[i]
+        if task.errors[i] == CHORDAL:
+            cost += weights[i, i] * (squares[i] - errors[i] * errors[i])
         if has_slopes:
             l1[i] = 2 * total
     return cost

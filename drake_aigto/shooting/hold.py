@@ -9,12 +9,15 @@ contact, shape (m,), 0 where it sticks or does not rub.
 from __future__ import annotations
 
 from drake_aigto.arrays import Bools, Floats
-from drake_aigto.jit import inner
+from drake_aigto.kernels import inner
 from drake_aigto.linear import factor_in_place, solve_factors
-from drake_aigto.shooting.layout import find_row, find_rows, find_slope
-from drake_aigto.shooting.mechanics import Mechanics, MechanicsMemory
-from drake_aigto.shooting.mechanism import accelerate, divide_by_mass
-from drake_aigto.shooting.rubbing import find_rub
+from drake_aigto.shooting.acceleration import (
+    divide_by_mass,
+    find_row,
+    find_rub,
+    find_slope,
+)
+from drake_aigto.shooting.tables import Mechanics, MechanicsMemory
 
 # Pivots of C M⁻¹ Dᵀ are at least this part of its diagonal: contacts may hold without need what
 # others hold.
@@ -22,34 +25,28 @@ _RIDGE = 1e-12
 
 
 @inner
-def clasp(
-    closed: Bools,
-    leans: Floats,
-    n: int,
-    rubs: Floats,
-    sums: Floats,
-    factor: Floats,
-    support: Floats,
-    grip: Floats,
+def _clasp(
+    closed: Bools, leans: Floats, n: int, mechanics: Mechanics, memory: MechanicsMemory
 ) -> None:
     """Computes M⁻¹ D_kᵀ of rows that are closed, and factors C M⁻¹ Dᵀ.
 
-    Rows of `support`, shape (w + 1 + n, n), and of `grip`, shape (w + 1, w). What is not closed has
-    zeros in the one, and a row of the identity in the other.
+    Rows of `support` and of `grip`. What is not closed has zeros in the one, and a row of the
+    identity in the other.
     """
-    m, w, count = leans.size, closed.size, rubs.shape[0]
+    sums, support, grip = memory.sums, memory.support, memory.grip
+    m, w = leans.size, closed.size
     for k in range(w):
-        row, along = find_row(n, m, sums.size, count, k), 0
+        row, along = find_row(n, m, k), 0
         leans_over = k < m and leans[k] != 0.0
         if leans_over:
-            along = find_row(n, m, sums.size, count, m + find_rub(rubs, k))
+            along = find_row(n, m, m + find_rub(mechanics.rubs, k))
         for j in range(n):
             support[k, j] = sums[row + j] if closed[k] else 0.0
             if closed[k] and leans_over:
                 support[k, j] += leans[k] * sums[along + j]
-    divide_by_mass(n, factor, support[:w])
+    divide_by_mass(n, memory.factor, support[:w])
     for k in range(w):
-        row = find_row(n, m, sums.size, count, k)
+        row = find_row(n, m, k)
         for j in range(w):
             total = 1.0 if k == j else 0.0
             if closed[k] and closed[j]:
@@ -61,23 +58,16 @@ def clasp(
 
 
 @inner
-def turn(
-    closed: Bools,
-    leans: Floats,
-    n: int,
-    rubs: Floats,
-    sums: Floats,
-    factor: Floats,
-    support: Floats,
-    grip: Floats,
+def _turn(
+    closed: Bools, leans: Floats, n: int, mechanics: Mechanics, memory: MechanicsMemory
 ) -> None:
-    """Computes the derivative of M⁻¹ Dᵀ λ by q at constant λ, transposed, after `clasp`.
+    """Computes the derivative of M⁻¹ Dᵀ λ by q at constant λ, transposed, after `_clasp`.
 
     λ is the last row of `grip`, the derivative fills the last n rows of `support`.
     """
-    m, w, count = leans.size, closed.size, rubs.shape[0]
-    mass, _ = find_rows(n, m, m)  # Behind the rows of all contacts.
-    total = support[w]
+    sums, support, grip = memory.sums, memory.support, memory.grip
+    m, w = leans.size, closed.size
+    mass, total = find_row(n, m, w), support[w]
     for j in range(n):
         total[j] = 0.0
         for k in range(w):
@@ -90,18 +80,18 @@ def turn(
             if not closed[k]:
                 continue
             for i in range(n):
-                slope[i] += grip[w, k] * sums[find_slope(n, m, sums.size, count, k, i, c)]
+                slope[i] += grip[w, k] * sums[find_slope(n, m, w, k, i, c)]
             if k < m and leans[k] != 0.0:
-                row, pull = m + find_rub(rubs, k), leans[k] * grip[w, k]
+                row, pull = m + find_rub(mechanics.rubs, k), leans[k] * grip[w, k]
                 for i in range(n):
-                    slope[i] += pull * sums[find_slope(n, m, sums.size, count, row, i, c)]
+                    slope[i] += pull * sums[find_slope(n, m, w, row, i, c)]
         for i in range(n):
             for j in range(i, n):
                 slope[i] -= sums[at] * total[j]
                 if j != i:
                     slope[j] -= sums[at] * total[i]
                 at += n
-    divide_by_mass(n, factor, support[w + 1 :])
+    divide_by_mass(n, memory.factor, support[w + 1 :])
 
 
 @inner
@@ -110,14 +100,8 @@ def hold(
     leans: Floats,
     x: Floats,
     has_slopes: bool,
-    rubs: Floats,
-    sums: Floats,
-    factor: Floats,
-    support: Floats,
-    grip: Floats,
-    by_force: Floats,
-    acceleration: Floats,
-    slopes: Floats,
+    mechanics: Mechanics,
+    memory: MechanicsMemory,
 ) -> None:
     """Adds to the acceleration what the forces of contacts do that are held.
 
@@ -128,43 +112,34 @@ def hold(
     (q, v, u) if asked; then that of λ is computed, too, shape (2n + nu, w). λ becomes the last row
     of `grip`.
     """
-    n, m, w, count = acceleration.shape[1], leans.size, closed.size, rubs.shape[0]
-    clasp(closed, leans, n, rubs, sums, factor, support, grip)
-    forces = grip[w]
+    sums, support, acceleration = memory.sums, memory.support, memory.acceleration
+    n, m, w, forces = acceleration.shape[1], leans.size, closed.size, memory.grip[closed.size]
+    _clasp(closed, leans, n, mechanics, memory)
     for k in range(w):
         forces[k] = 0.0
         if closed[k]:
-            row = find_row(n, m, sums.size, count, k)
+            row = find_row(n, m, k)
             for i in range(n):
                 forces[k] -= sums[row + i] * acceleration[0, i]
                 for j in range(n):
-                    bend = sums[find_slope(n, m, sums.size, count, k, i, j)]
+                    bend = sums[find_slope(n, m, w, k, i, j)]
                     forces[k] -= bend * x[n + i] * x[n + j]
-    solve_factors(w, grip, forces)
+    solve_factors(w, memory.grip, forces)
     for k in range(w):
         for i in range(n):
             acceleration[0, i] += support[k, i] * forces[k]
     if has_slopes:
-        turn(closed, leans, n, rubs, sums, factor, support, grip)
-        _differentiate(closed, m, x, count, sums, support, grip, by_force, acceleration, slopes)
+        _turn(closed, leans, n, mechanics, memory)
+        _differentiate_hold(closed, m, x, memory)
 
 
 @inner
-def _differentiate(
-    closed: Bools,
-    m: int,
-    x: Floats,
-    count: int,
-    sums: Floats,
-    support: Floats,
-    grip: Floats,
-    by_force: Floats,
-    acceleration: Floats,
-    slopes: Floats,
-) -> None:
+def _differentiate_hold(closed: Bools, m: int, x: Floats, memory: MechanicsMemory) -> None:
     """Computes the derivatives of λ, and adds those of M⁻¹ Dᵀ λ to the acceleration's."""
+    sums, support, acceleration = memory.sums, memory.support, memory.acceleration
+    by_force, slopes = memory.by_force, memory.slopes
     n, w = acceleration.shape[1], closed.size
-    _, behind = find_rows(n, m, m)
+    behind = find_slope(n, m, w, w, 0, 0)
     for c in range(slopes.shape[0]):
         if c < n:
             for i in range(n):
@@ -173,70 +148,95 @@ def _differentiate(
             by_force[c, k] = 0.0
             if not closed[k]:
                 continue
-            row = find_row(n, m, sums.size, count, k)
+            row = find_row(n, m, k)
             for i in range(n):
                 by_force[c, k] -= sums[row + i] * slopes[c, i]
                 if c < n:
-                    bend = sums[find_slope(n, m, sums.size, count, k, i, c)]
+                    bend = sums[find_slope(n, m, w, k, i, c)]
                     by_force[c, k] -= bend * acceleration[0, i]
                 elif c < 2 * n:
-                    bend = sums[find_slope(n, m, sums.size, count, k, i, c - n)]
-                    bend += sums[find_slope(n, m, sums.size, count, k, c - n, i)]
+                    bend = sums[find_slope(n, m, w, k, i, c - n)]
+                    bend += sums[find_slope(n, m, w, k, c - n, i)]
                     by_force[c, k] -= bend * x[n + i]
             if c < n:
                 by_force[c, k] -= sums[behind + k * n + c]
-        solve_factors(w, grip, by_force[c])
+        solve_factors(w, memory.grip, by_force[c])
         for k in range(w):
             for i in range(n):
                 slopes[c, i] += support[k, i] * by_force[c, k]
 
 
 @inner
-def press(
-    mechanics: Mechanics,
+def strike(
     closed: Bools,
     leans: Floats,
-    x: Floats,
-    u: Floats,
+    restitution: float,
+    z: Floats,
     has_slopes: bool,
+    mechanics: Mechanics,
     memory: MechanicsMemory,
+    after: Floats,
 ) -> None:
-    """Computes the forces of contacts that are held at a state, and their derivatives if asked.
+    """Computes an impact of contacts that stick or slip in one direction throughout.
 
-    The memory has them, v̇ and ∂v̇/∂(q, v, u).
+        v⁺ = v + M⁻¹ Dᵀ p,   J v⁺ = −e J v,   T v⁺ = 0 of what sticks
+
+    Both v⁺ and p are linear in v. Of one contact that is what Routh's construction leads to
+    (`contact.impacts`) where Coulomb's inequalities hold (`cones`).
+
+    Args:
+        closed: which rows of C count: those of what is hit, and of what is held from then on.
+        leans: −μ σ of what slips.
+        restitution: e.
+        z: the state before, (q, v, …).
+        has_slopes: whether derivatives are computed, too.
+        mechanics: the mechanism.
+        memory: with the sums of the tape at the state, of all slopes if derivatives are asked for,
+            and the factor of M. p becomes the last row of `grip`; its derivative by (q, v) that of
+            `by_force`, that of v⁺ − v becomes `slopes`, both transposed.
+        after: v⁺ becomes its entries n … 2n − 1.
     """
-    code, numbers, _, actuation, contacts, solids, rubs = mechanics
-    values, sums, factor, force, rub, acceleration, slopes, support, grip, by_force = memory
-    accelerate(
-        code,
-        numbers,
-        actuation,
-        contacts,
-        solids,
-        rubs,
-        x,
-        u,
-        0.0,
-        True,
-        values,
-        sums,
-        factor,
-        force,
-        rub,
-        acceleration,
-        slopes,
-    )
-    hold(
-        closed,
-        leans,
-        x,
-        has_slopes,
-        rubs,
-        sums,
-        factor,
-        support,
-        grip,
-        by_force,
-        acceleration,
-        slopes,
-    )
+    sums, support, impulses = memory.sums, memory.support, memory.grip[closed.size]
+    n, m, w = support.shape[1], leans.size, closed.size
+    _clasp(closed, leans, n, mechanics, memory)
+    for k in range(w):
+        impulses[k] = 0.0
+        row, gain = find_row(n, m, k), 1 + restitution if k < m else 1.0
+        for i in range(n if closed[k] else 0):
+            impulses[k] -= gain * sums[row + i] * z[n + i]
+    solve_factors(w, memory.grip, impulses)
+    for i in range(n):
+        after[n + i] = z[n + i]
+        for k in range(w):
+            after[n + i] += support[k, i] * impulses[k]
+    if has_slopes:
+        _turn(closed, leans, n, mechanics, memory)
+        _differentiate_strike(closed, m, restitution, z, after, memory)
+
+
+@inner
+def _differentiate_strike(
+    closed: Bools, m: int, restitution: float, z: Floats, after: Floats, memory: MechanicsMemory
+) -> None:
+    """Computes the derivatives of p and of M⁻¹ Dᵀ p by (q, v), transposed."""
+    sums, support, by_force, slopes = memory.sums, memory.support, memory.by_force, memory.slopes
+    n, w = support.shape[1], closed.size
+    for c in range(2 * n):
+        for i in range(n):
+            slopes[c, i] = support[w + 1 + c, i] if c < n else 0.0
+        for k in range(w):
+            by_force[c, k] = 0.0
+            if not closed[k]:
+                continue
+            row, e = find_row(n, m, k), restitution if k < m else 0.0
+            if c >= n:
+                by_force[c, k] = -(1 + e) * sums[row + c - n]
+                continue
+            for i in range(n):
+                bend = sums[find_slope(n, m, w, k, i, c)]
+                by_force[c, k] -= bend * (after[n + i] + e * z[n + i])
+                by_force[c, k] -= sums[row + i] * slopes[c, i]
+        solve_factors(w, memory.grip, by_force[c])
+        for k in range(w):
+            for i in range(n):
+                slopes[c, i] += support[k, i] * by_force[c, k]

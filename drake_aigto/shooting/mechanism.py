@@ -1,25 +1,156 @@
-"""A mechanism as tables of numbers, and its acceleration with all derivatives."""
+"""A mechanism as tables of numbers: sums of products, compiled to a list of multiplications."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from drake_aigto.arrays import Floats, Ints
-from drake_aigto.jit import inner, kernel, pasted
-from drake_aigto.shooting.layout import find_rows, triangle
-from drake_aigto.shooting.mechanics import (
+from drake_aigto.arrays import Bools, Floats, Ints, read_only
+from drake_aigto.contact import ContactLaw, RigidLaw
+from drake_aigto.dynamics import EquationsOfMotion
+from drake_aigto.errors import UnsupportedTermError
+from drake_aigto.kernels import kernel
+from drake_aigto.shooting.acceleration import accelerate, evaluate_tape
+from drake_aigto.shooting.friction import Row, list_rubs
+from drake_aigto.shooting.hold import hold
+from drake_aigto.shooting.tables import (
     Mechanics,
     MechanicsMemory,
     copy_writable,
     make_mechanics_memory,
 )
-from drake_aigto.shooting.rubbing import Row, differentiate_rubs, list_rubs, rub_all
-from drake_aigto.shooting.tape import Sum, Tape, TapeBuilder, run_tape
-from drake_aigto.world import ContactLaw, EquationsOfMotion, RigidLaw, World
+from drake_aigto.terms import Factor, FunctionKind, Term, expression_terms
+from drake_aigto.world import World
+
+# The places of the factors of a product, in order ↦ coefficient.
+Sum = dict[tuple[int, ...], float]
+
+
+class Tape(NamedTuple):
+    """Z sums f: ℝⁿ → ℝᶻ of products, in the order in which they are computed.
+
+    Each value has a place: 1 at 0, then the n coordinates, then cos y and sin y of each of W waves,
+    y = scale·x + offset, then P products of two earlier values each.
+
+    Attributes:
+        code: W, P, how many products come early, how many sums change, and how many of these come
+            early; then x of each wave, two factors of each product, and of each sum that changes
+            its number, the number of its summands and their places. What is early is all that
+            values without derivatives need.
+        numbers: scale and offset of each wave, then the coefficient of each summand.
+        constants: the sums that never change, shape (Z,); others are 0 there.
+    """
+
+    code: Ints
+    numbers: Floats
+    constants: Floats
+
+
+class TapeBuilder:
+    """Reads sums, differentiates them, and compiles them to a `Tape`."""
+
+    def __init__(self, variables: Iterable[Any]) -> None:
+        """Takes the variables of the sums, in their order."""
+        self.variables = list(variables)
+        self._waves: dict[tuple[int, float, float], int] = {}
+
+    def read(self, expression: Any) -> Sum:
+        """Returns a sum of products of powers, sin and cos.
+
+        Raises:
+            UnsupportedTermError: it is none.
+        """
+        terms = expression_terms("the world", expression, self.variables, is_row=True)
+        return self.collect("the world", terms, range(len(self.variables)))
+
+    def collect(self, label: str, terms: Iterable[Term], variables: Sequence[int]) -> Sum:
+        """Returns the sum of terms over these of the variables.
+
+        Raises:
+            UnsupportedTermError: a factor is no power, sin or cos; names it by the label.
+        """
+        found: Sum = {}
+        for term in terms:
+            places = [p for each in term.factors for p in self._find_places(label, each, variables)]
+            _add(found, tuple(sorted(places)), term.coefficient)
+        return found
+
+    def _find_places(self, label: str, factor: Factor, variables: Sequence[int]) -> list[int]:
+        """Returns the places whose product a factor is."""
+        variable = int(variables[factor.variable])
+        powers = [1 + variable] * factor.exponent
+        if factor.kind == FunctionKind.POWER:
+            return powers
+        if factor.kind not in (FunctionKind.COSINE, FunctionKind.SINE):
+            raise UnsupportedTermError(label, got=str(factor), expected="powers, sin and cos")
+        number = self._waves.setdefault((variable, factor.scale, factor.offset), len(self._waves))
+        is_sine = factor.kind == FunctionKind.SINE
+        return [*powers, 1 + len(self.variables) + 2 * number + is_sine]
+
+    def differentiate(self, sum_: Sum, variable: int) -> Sum:
+        """Returns ∂f/∂x of a sum."""
+        found: Sum = {}
+        waves, first = list(self._waves), 1 + len(self.variables)
+        for product, coefficient in sum_.items():
+            for i, place in enumerate(product):
+                rest = product[:i] + product[i + 1 :]
+                if place == 1 + variable:
+                    _add(found, rest, coefficient)
+                elif place >= first and waves[(place - first) // 2][0] == variable:
+                    scale, is_sine = waves[(place - first) // 2][1], (place - first) % 2
+                    other = place - 1 if is_sine else place + 1
+                    slope = coefficient * (scale if is_sine else -scale)
+                    _add(found, tuple(sorted((*rest, other))), slope)
+        return {product: c for product, c in found.items() if c != 0.0}
+
+    def build(self, values: list[Sum], slopes: list[Sum]) -> Tape:
+        """Returns the tape of sums: values and slopes; values can be computed alone."""
+        sums = [*values, *slopes]
+        places = _ProductPlaces(1 + len(self.variables) + 2 * len(self._waves))
+        changing = [
+            (
+                number,
+                {places.find(product): c for product, c in sums[number].items()},
+                len(places.factors),
+            )
+            for number in range(len(sums))
+            if any(sums[number])
+        ]
+        early = [row for row in changing if row[0] < len(values)]
+        waves = list(self._waves)
+        code = [len(waves), len(places.factors), early[-1][2] if early else 0]
+        code += [len(changing), len(early), *(variable for variable, _, _ in waves)]
+        code += [place for pair in places.factors for place in pair]
+        numbers = [number for _, *wave in waves for number in wave]
+        for number, summands, _ in changing:
+            code += [number, len(summands), *summands]
+            numbers += summands.values()
+        constants = [0.0 if any(sum_) else sum_.get((), 0.0) for sum_ in sums]
+        return Tape(read_only(code, np.int64), read_only(numbers), read_only(constants))
+
+
+class _ProductPlaces:
+    """Where products stand, each made of a shorter one and one factor more."""
+
+    def __init__(self, first: int) -> None:
+        self.factors: list[tuple[int, int]] = []
+        self._first = first
+        self._known: dict[tuple[int, ...], int] = {(): 0}
+
+    def find(self, product: tuple[int, ...]) -> int:
+        if len(product) == 1:
+            return product[0]
+        if product not in self._known:
+            self.factors.append((self.find(product[:-1]), product[-1]))
+            self._known[product] = self._first + len(self.factors) - 1
+        return self._known[product]
+
+
+def _add(sum_: Sum, product: tuple[int, ...], coefficient: float) -> None:
+    sum_[product] = sum_.get(product, 0.0) + coefficient
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,10 +232,27 @@ class Mechanism:
             control: u, shape (nu,).
             smoothing: ε [m].
         """
+        m, R = self.num_contacts, len(self.mechanics.rubs)
+        none = np.zeros(m + R, dtype=bool), np.zeros(m)
+        memory = self.press(state, control, *none, smoothing)
+        return memory.acceleration[0], memory.slopes.T
+
+    def press(
+        self, state: Floats, control: Floats, closed: Bools, leans: Floats, smoothing: float = 0.0
+    ) -> MechanicsMemory:
+        """Returns v̇ and forces of contacts that are held, with derivatives.
+
+        Args:
+            state: q and v, shape (2n,).
+            control: u, shape (nu,).
+            closed: which rows of contacts are held, see `hold`.
+            leans: how contacts slip, see `hold`.
+            smoothing: ε [m].
+        """
         memory = make_mechanics_memory(self.mechanics)
         x, u = np.array(state, dtype=float), np.array(control, dtype=float)
-        _accelerate(self.mechanics, x, u, smoothing, True, memory)
-        return memory.acceleration[0], memory.slopes.T
+        _press(self.mechanics, closed, leans, x, u, float(smoothing), memory)
+        return memory
 
     def calc_inertia(self, q: Floats) -> tuple[Floats, Floats]:
         """Returns M(q), shape (n, n), and h(q, 0), shape (n,)."""
@@ -115,10 +263,10 @@ class Mechanism:
         return mass + np.triu(mass, 1).T, sums[half : half + n]
 
     def calc_sums(self, q: Floats) -> Floats:
-        """Returns the sums of the tape at rest, but for those of slopes that change."""
-        n, memory = len(q), make_mechanics_memory(self.mechanics)
-        rest, no_control = np.concatenate([q, np.zeros(n)]), np.zeros(self.num_controls)
-        _accelerate(self.mechanics, rest, no_control, 0.0, False, memory)
+        """Returns the sums of the tape at rest."""
+        memory, of = make_mechanics_memory(self.mechanics), self.mechanics
+        rest = np.concatenate([q, np.zeros(len(q))])
+        evaluate_tape(of.code, of.numbers, rest, memory.values, memory.sums)
         return memory.sums
 
 
@@ -137,242 +285,42 @@ def _compile(world: EquationsOfMotion, is_rigid: bool, rows: Sequence[Row]) -> T
     jacobian = [[differentiate(phi, j) for j in range(n)] for phi in distance]
     slopes = [differentiate(entry, j) for entry in mass for j in range(n)]
     slopes += [differentiate(entry, j) for entry in bias for j in range(2 * n)]
-    bends = [differentiate(row[i], j) for row in jacobian for i, j in zip(*upper, strict=True)]
-    slopes += bends
-    if is_rigid:
-        half = len(upper[0])
-        for first in range(0, len(bends), half):
-            pairs = list(zip(*(each.tolist() for each in upper), strict=True))
-            turns = _contract(bends[first : first + half], pairs, n)
-            slopes += [differentiate(turns, c) for c in range(n)]
+    bends = [[differentiate(row[i], j) for i, j in zip(*upper, strict=True)] for row in jacobian]
     tangents = [builder.read(entry) for row in rows for entry in row]
     spins = [differentiate(entry, c) for entry in tangents for c in range(n)]
+    slopes += [*(bend for each in bends for bend in each), *spins]
     if is_rigid:
-        for first in range(0, len(spins), n * n):
-            turns = _contract(spins[first : first + n * n], list(np.ndindex(n, n)), n)
-            slopes += [differentiate(turns, c) for c in range(n)]
-    slopes += spins
+        of_contacts = [_contract(each, np.transpose(upper).tolist(), n) for each in bends]
+        of_friction = [
+            _contract(spins[first : first + n * n], list(np.ndindex(n, n)), n)
+            for first in range(0, len(spins), n * n)
+        ]
+        slopes += [differentiate(f, c) for f in (*of_contacts, *of_friction) for c in range(n)]
     normals = [entry for row in jacobian for entry in row]
-    return builder.build([*mass, *bias, *distance, *normals], slopes, tangents)
+    return builder.build([*mass, *bias, *distance, *normals, *tangents], slopes)
 
 
-def _contract(bends: Sequence[Sum], places: Sequence[tuple[int, int]], n: int) -> Sum:
+def _contract(bends: Sequence[Sum], places: Sequence[Sequence[int]], n: int) -> Sum:
     """Returns vᵀ S v of the entries of a matrix: all, or a symmetric one's upper triangle."""
     found: Sum = {}
     for bend, (i, j) in zip(bends, places, strict=True):
         for product, coefficient in bend.items():
-            whole = tuple(sorted((*product, 1 + n + int(i), 1 + n + int(j))))
+            whole = tuple(sorted((*product, 1 + n + i, 1 + n + j)))
             twice = len(bends) < n * n and i != j
             found[whole] = found.get(whole, 0.0) + (2 if twice else 1) * coefficient
     return found
 
 
-@inner
-def factor_mass(n: int, sums: Floats, L: Floats) -> None:
-    """Factors M = L Lᵀ, which the tape has computed; 1 / L_ii takes the place of L_ii."""
-    at = 0
-    for i in range(n):
-        for j in range(i, n):
-            total = sums[at]
-            at += 1
-            for k in range(i):
-                total -= L[i, k] * L[j, k]
-            L[j, i] = 1.0 / np.sqrt(total) if j == i else total * L[i, i]
-
-
-@inner
-def divide_by_mass(n: int, L: Floats, y: Floats) -> None:
-    """Replaces each row of y by M⁻¹ times it."""
-    for c in range(y.shape[0]):
-        for i in range(n):
-            for k in range(i):
-                y[c, i] -= L[i, k] * y[c, k]
-            y[c, i] *= L[i, i]
-        for i in range(n - 1, -1, -1):
-            for k in range(i + 1, n):
-                y[c, i] -= L[k, i] * y[c, k]
-            y[c, i] *= L[i, i]
-
-
-@inner
-def find_foremost(first: int, last: int, phi: int, sums: Floats) -> int:
-    """Returns the contact of a solid whose face the sphere is farthest in front of."""
-    foremost = first
-    for i in range(first + 1, last):
-        if sums[phi + i] > sums[phi + foremost]:
-            foremost = i
-    return foremost
-
-
-@inner
-def accelerate(
-    code: Ints,
-    numbers: Floats,
-    actuation: Floats,
-    contacts: Floats,
-    solids: Ints,
-    rubs: Floats,
-    x: Floats,
-    u: Floats,
-    eps: float,
-    has_slopes: bool,
-    values: Floats,
-    sums: Floats,
-    factor: Floats,
-    force: Floats,
-    rub: Floats,
-    acceleration: Floats,
-    slopes: Floats,
-) -> None:
-    """Computes v̇ at a state x = (q, v), and ∂v̇/∂(q, v, u) if asked; see `Mechanics` for names."""
-    n, nu = actuation.shape
-    run_tape(code, numbers, x, has_slopes, values, sums)
-    factor_mass(n, sums, factor)
-    bias = n * (n + 1) // 2
-    for i in range(n):
-        total = -sums[bias + i]
-        for j in range(nu):
-            total += actuation[i, j] * u[j]
-        acceleration[0, i] = total
-    _push(contacts, solids, x, eps, sums, force, acceleration)
-    if rubs.shape[0] > 0:
-        rub_all(rubs, x, eps, sums, force, rub, acceleration)
-    divide_by_mass(n, factor, acceleration)
-    if has_slopes:
-        _differentiate(actuation, rubs, x, sums, factor, force, rub, acceleration, slopes)
-
-
-@pasted
-def _push(
-    contacts: Floats,
-    solids: Ints,
-    x: Floats,
-    eps: float,
-    sums: Floats,
-    force: Floats,
-    total: Floats,
-) -> None:
-    """Computes contact forces and their derivatives by φ and φ̇, and adds Jᵀ f to the total."""
-    n, m = total.shape[1], contacts.shape[0]
-    phi = n * (n + 1) // 2 + n
-    for s in range(solids.size - 1):
-        for i in range(solids[s], solids[s + 1]):
-            force[i, 0] = force[i, 1] = force[i, 2] = force[i, 4] = 0.0
-            force[i, 3] = 1.0
-        i = find_foremost(solids[s], solids[s + 1], phi, sums)
-        row, rate, distance, lever = phi + m + i * n, 0.0, sums[phi + i], 1.0
-        for j in range(n):
-            rate += sums[row + j] * x[n + j]
-        if contacts[i, 3] > 0.0:
-            apart = np.sqrt(max(contacts[i, 3] ** 2 + 2 * contacts[i, 3] * distance, 1e-12))
-            lever = contacts[i, 3] / apart
-            distance, rate = apart - contacts[i, 3], lever * rate
-        root = np.sqrt(distance * distance + eps * eps)
-        stiffness, brake = contacts[i, 0], 1.0 - contacts[i, 1] * rate
-        if stiffness == 0.0 or brake <= 0.0 or root == 0.0:
-            continue
-        # Without cancellation where nothing touches.
-        is_in = distance <= 0.0
-        depth = (root - distance) / 2 if is_in else eps * eps / (2 * (root + distance))
-        force[i, 0] = stiffness * depth * brake
-        force[i, 1] = -stiffness * depth / root * brake
-        force[i, 2] = -stiffness * depth * contacts[i, 1]
-        if contacts[i, 3] > 0.0:
-            bend = -(lever**3) / contacts[i, 3]
-            force[i, 3], force[i, 4] = lever, bend
-            force[i, 1] = lever**2 * force[i, 1] + bend * (force[i, 0] + force[i, 2] * rate)
-            force[i, 0] *= lever
-            force[i, 2] *= lever**2
-        for j in range(n):
-            total[0, j] += force[i, 0] * sums[row + j]
-
-
-@pasted
-def _differentiate(
-    actuation: Floats,
-    rubs: Floats,
-    x: Floats,
-    sums: Floats,
-    factor: Floats,
-    force: Floats,
-    rub: Floats,
-    acceleration: Floats,
-    slopes: Floats,
-) -> None:
-    """Computes ∂v̇/∂(q, v, u) = M⁻¹ (∂r − ∂M v̇), with M v̇ = r."""
-    n, nu = actuation.shape
-    m, half = force.shape[0], n * (n + 1) // 2
-    slope_of_mass = half + n + m + m * n
-    slope_of_bias = slope_of_mass + half * n
-    for c in range(2 * n):
-        for i in range(n):
-            slopes[c, i] = -sums[slope_of_bias + 2 * n * i + c]
-    for j in range(nu):
-        for i in range(n):
-            slopes[2 * n + j, i] = actuation[i, j]
-    at = slope_of_mass
-    for i in range(n):
-        for j in range(i, n):
-            for c in range(n):
-                slope = sums[at]
-                at += 1
-                slopes[c, i] -= slope * acceleration[0, j]
-                if j != i:
-                    slopes[c, j] -= slope * acceleration[0, i]
-    for i in range(m):
-        if force[i, 0] != 0.0:
-            _differentiate_force(n, m, i, x, sums, force, slopes)
-    if rubs.shape[0] > 0:
-        differentiate_rubs(rubs, x, sums, force, rub, slopes)
-    divide_by_mass(n, factor, slopes)
-
-
-@inner
-def _differentiate_force(
-    n: int, m: int, i: int, x: Floats, sums: Floats, force: Floats, slopes: Floats
-) -> None:
-    """Adds ∂(J_iᵀ f_i)/∂(q, v), transposed."""
-    row, bends = find_rows(n, m, i)
-    for c in range(n):
-        rate = 0.0
-        for j in range(n):
-            bend = sums[bends + triangle(n, j, c)]
-            rate += bend * x[n + j]
-            slopes[c, j] += force[i, 0] * bend
-        by_position = force[i, 1] * sums[row + c] + force[i, 2] * rate
-        by_velocity = force[i, 2] * sums[row + c]
-        for j in range(n):
-            slopes[c, j] += by_position * sums[row + j]
-            slopes[n + c, j] += by_velocity * sums[row + j]
-
-
 @kernel
-def _accelerate(
+def _press(
     mechanics: Mechanics,
+    closed: Bools,
+    leans: Floats,
     x: Floats,
     u: Floats,
     eps: float,
-    has_slopes: bool,
     memory: MechanicsMemory,
 ) -> None:
-    code, numbers, _, actuation, contacts, solids, rubs = mechanics
-    values, sums, factor, force, rub, acceleration, slopes, _, _, _ = memory
-    accelerate(
-        code,
-        numbers,
-        actuation,
-        contacts,
-        solids,
-        rubs,
-        x,
-        u,
-        eps,
-        has_slopes,
-        values,
-        sums,
-        factor,
-        force,
-        rub,
-        acceleration,
-        slopes,
-    )
+    accelerate(mechanics, x, u, eps, True, memory)
+    if closed.any():
+        hold(closed, leans, x, True, mechanics, memory)

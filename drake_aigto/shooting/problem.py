@@ -7,35 +7,128 @@ from functools import cached_property
 
 import numpy as np
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Floats, read_only
 from drake_aigto.errors import ProgramError
-from drake_aigto.shooting.bounds import measure_bounds
-from drake_aigto.shooting.descent import clip_controls, descend
-from drake_aigto.shooting.memory import make_memory
-from drake_aigto.shooting.options import ShootingOptions, Smoothing
-from drake_aigto.shooting.phases import Layout
-from drake_aigto.shooting.program import copy_multipliers, count_substeps, make_program
-from drake_aigto.shooting.question import ShootingQuestion
-from drake_aigto.shooting.result import ShootingResult
-from drake_aigto.shooting.tables import FLOW, Program
-
-# Bounds can't be kept near a motion where so many updates in a row, each at a penalty that has
-# grown, leave more than this part of what they are off.
-_PATIENCE, _STUCK = 4, 0.9
-# What a pass that was cut off leaves may still cost so many times less after the next ones: of 280
-# motions of discs that swap places, no dearer one did.
-_FALLING = 2.5
+from drake_aigto.shooting.added import NO_TERMS, AddedTerms
+from drake_aigto.shooting.friction import calc_drag, fit_to_steps
+from drake_aigto.shooting.mechanism import Mechanism
+from drake_aigto.shooting.program import Layout, Phases, make_program
+from drake_aigto.shooting.solve import ShootingOptions, ShootingResult, Smoothing, Solve
+from drake_aigto.shooting.tables import STICTION, Program
+from drake_aigto.world import TaskCost
 
 
 @dataclass(frozen=True, eq=False)
-class ShootingProblem(ShootingQuestion):
+class ShootingProblem:
     """The best held controls u_k for a task from one start.
 
         minimize J   subject to   v̇ = M⁻¹ (B u − h + Jᵀ f),   bounds on u_k, and on q, v at knots
 
     Motion is integrated by Runge-Kutta steps, the cost with it, and the derivatives of both are
     exact.
+
+    Knots t_0 … t_N; n coordinates, nu controls.
+
+    Attributes:
+        mechanism: what moves.
+        cost: the task's weights.
+        times: of the knots, shape (N + 1,) [s].
+        start: q and v at the first knot, shape (2n,).
+        scales: how much of q and v is much, shape (2n,): units of bounds and violations.
+        state_bounds: lower and upper ones of q and v after the first knot, shape (2, 2n).
+        control_bounds: the same of u, shape (2, nu).
+        hard_goal: what q and v have to be at the end, shape (2n,); NaN: anything. Whole turns do
+            not count where the cost does not count them.
+        control_norm: ‖u‖ at most.
+        length: what smoothing and φ are measured in [m].
+        phases: what rigid walls are hit at which knots; None: nothing is hit. Then `times` says how
+            knots divide each phase, and where contacts do not yield φ ≥ 0 at all knots.
+        clearances: of phases, how far φ has to be above 0 at knots, shape (N + 1, m) [m]; None: 0.
+        slowest: of phases, how fast walls are hit at least [m/s].
+        duration: of the whole task, where the knots are no more than its end, so that friction
+            stays what it was [s]; 0: they are all of it.
+        added: costs and constraints of users.
+
+    Raises:
+        ProgramError: a shape or a number does not fit; says which.
     """
+
+    mechanism: Mechanism
+    cost: TaskCost
+    times: Floats
+    start: Floats
+    scales: Floats
+    state_bounds: Floats
+    control_bounds: Floats
+    hard_goal: Floats
+    control_norm: float = np.inf
+    length: float = 1.0
+    phases: Phases | None = None
+    clearances: Floats | None = None
+    slowest: float = 0.0
+    duration: float = 0.0
+    added: AddedTerms = NO_TERMS
+
+    def __post_init__(self) -> None:
+        """Checks shapes and numbers, and makes arrays read-only."""
+        n, nu = self.mechanism.num_positions, self.mechanism.num_controls
+        shapes: dict[str, tuple[int, ...]] = {"times": (len(self.times),)}
+        shapes |= dict.fromkeys(("start", "scales", "hard_goal"), (2 * n,))
+        shapes |= {"state_bounds": (2, 2 * n), "control_bounds": (2, nu)}
+        for name, shape in shapes.items():
+            array = read_only(getattr(self, name))
+            object.__setattr__(self, name, array)
+            if array.shape != shape:
+                raise ProgramError(name, got=f"shape {array.shape}", expected=f"{shape}")
+        self._check_numbers()
+
+    def _check_numbers(self) -> None:
+        """Refuses numbers that mean nothing."""
+        m, N, phases = self.mechanism.num_contacts, len(self.times) - 1, self.phases
+        fits = phases is None or (
+            np.all((phases.knots > 0) & (phases.knots < N))
+            and np.all((phases.contacts >= -1) & (phases.contacts < m))
+            and {phases.held.shape[1], phases.modes.shape[1]} <= {0, m}
+        )
+        is_rising = len(self.times) > 1 and np.all(np.diff(self.times) > 0)
+        (low, high), (least, most) = self.state_bounds, self.control_bounds
+        checks = (
+            ("times", "at least two, rising", is_rising),
+            ("start", "finite numbers", np.all(np.isfinite(self.start))),
+            ("scales", "numbers above 0", np.all(self.scales > 0)),
+            ("state_bounds", "lower ≤ upper", np.all(low <= high)),
+            ("control_bounds", "lower ≤ upper", np.all(least <= most)),
+            ("phases", f"contacts below {m}, knots inside of 0 … {N}", fits),
+            ("control_norm", "a number above 0", self.control_norm > 0),
+            ("length", "a number above 0", self.length > 0),
+            ("slowest", "a number of at least 0", 0 <= self.slowest < np.inf),
+            ("duration", "a number of at least 0", 0 <= self.duration < np.inf),
+        )
+        for name, expected, holds in checks:
+            if not holds:
+                got = np.asarray(getattr(self, name)).tolist() if name != "phases" else phases
+                raise ProgramError(name, got=got, expected=expected)
+
+    @cached_property
+    def cost_scale(self) -> float:
+        """What the task costs where all is off by its scale, controls too; 1 if that is nothing."""
+        n, cost, T = self.mechanism.num_positions, self.cost, np.ptp(self.times)
+        q, v = self.scales[:n], self.scales[n:]
+        running = T * (cost.Q @ q**2 + cost.Qv @ v**2 + cost.R @ self.control_scales**2)
+        return float(running + cost.QT.diagonal() @ q**2 + cost.QTv.diagonal() @ v**2) or 1.0
+
+    @cached_property
+    def control_scales(self) -> Floats:
+        """The control that moves by the scales in time, against friction, and holds the start.
+
+        Its shape is (nu,).
+        """
+        n, T = self.mechanism.num_positions, np.ptp(self.times)
+        mass, bias = self.mechanism.calc_inertia(self.start[:n])
+        inverse = np.abs(np.linalg.pinv(self.mechanism.mechanics.actuation))
+        force = np.abs(mass) @ self.scales[:n] / T**2 + np.abs(bias)
+        force += calc_drag(self.mechanism, self.start[:n])
+        return inverse @ force + np.finfo(float).tiny
 
     def solve(
         self,
@@ -60,7 +153,7 @@ class ShootingProblem(ShootingQuestion):
             ProgramError: a shape does not fit.
         """
         options = options or ShootingOptions()
-        return _Descent(self, controls, states, options, prices).run(most)
+        return Solve(self, controls, states, options, prices).run(most)
 
     def simulate(
         self, controls: Floats, substeps: int, smoothing: float = 0.0, order: int = 4
@@ -77,7 +170,7 @@ class ShootingProblem(ShootingQuestion):
             ProgramError: a shape does not fit.
         """
         options = ShootingOptions((Smoothing(smoothing, 1, 1.0),), substeps, order)
-        return _Descent(self, controls, None, options).finish(is_converged=False)
+        return Solve(self, controls, None, options).finish()
 
     def calc_gains(self, controls: Floats, substeps: int, smoothing: float = 0.0) -> Floats:
         """Returns how held controls best answer deviations of the state, shape (N, nu, 2n).
@@ -94,7 +187,7 @@ class ShootingProblem(ShootingQuestion):
             ProgramError: a shape does not fit, or the motion runs away.
         """
         options = ShootingOptions((Smoothing(smoothing, 1, np.inf),), substeps)
-        return _Descent(self, controls, None, options).find_gains()
+        return Solve(self, controls, None, options).find_gains()
 
     def estimate_error(self, result: ShootingResult) -> float:
         """Returns how far off the steps of a result are: against twice as many of order 4.
@@ -110,28 +203,6 @@ class ShootingProblem(ShootingQuestion):
         error = max(abs(finer.exact_cost - same.exact_cost) / unit, float(off.max()))
         return error if np.isfinite(error) else np.inf
 
-    def refine(
-        self,
-        result: ShootingResult,
-        options: ShootingOptions | None = None,
-        tolerance: float = 1e-3,
-        most_substeps: int = 64,
-    ) -> ShootingResult:
-        """Returns the optimum near a result with as many substeps as its accuracy takes.
-
-        Args:
-            result: of this problem.
-            options: numerics; the last rung alone is run, with twice the substeps each time.
-            tolerance: of `estimate_error`.
-            most_substeps: where it ends anyway.
-        """
-        options = options or ShootingOptions()
-        while result.substeps < most_substeps and self.estimate_error(result) > tolerance:
-            finer = replace(options, rungs=options.rungs[-1:], substeps=2 * result.substeps)
-            problem = self.starting_from(result)
-            result = problem.solve(result.controls, None, finer, result.prices)
-        return result
-
     def make_program(self, options: ShootingOptions) -> Program:
         """Returns the tables that compiled code reads, with multipliers of their own, zero.
 
@@ -140,7 +211,9 @@ class ShootingProblem(ShootingQuestion):
         key = options.order, options.substeps
         if key not in self._programs:
             self._programs[key] = make_program(self, self.layout, options)
-        return copy_multipliers(self._programs[key])
+        program = self._programs[key]
+        multipliers = np.zeros_like(program.bounds.multipliers)
+        return program._replace(bounds=program.bounds._replace(multipliers=multipliers))
 
     @cached_property
     def _programs(self) -> dict[tuple[int, int], Program]:
@@ -151,10 +224,17 @@ class ShootingProblem(ShootingQuestion):
         """Its stages."""
         return Layout.of(self.times, self.phases, self.mechanism.num_contacts)
 
+    def fit_friction(self, substeps: int) -> Floats:
+        """Returns the numbers of friction in so short Runge-Kutta steps, see `fit_to_steps`."""
+        duration = self.duration or float(np.ptp(self.times))
+        step, rubs = np.max(np.diff(self.times)) / substeps, self.mechanism.mechanics.rubs
+        return fit_to_steps(rubs, step, duration, self.length / duration)
+
     @property
     def rubbing_substeps(self) -> int:
         """In how many Runge-Kutta steps between knots friction is as steep as the world has it."""
-        return count_substeps(self)
+        ratios = self.fit_friction(1)[:, STICTION] / self.mechanism.mechanics.rubs[:, STICTION]
+        return int(np.ceil(np.max(ratios, initial=1.0)))
 
     @property
     def knot_times(self) -> Floats:
@@ -164,198 +244,15 @@ class ShootingProblem(ShootingQuestion):
         return self.layout.calc_times(self.phases.durations)
 
     def lasting(self, duration: float) -> ShootingProblem:
-        """Returns the same problem, whose phases, if any, last so long in sum at first [s]."""
+        """Returns the same problem, whose phases, if any, last for a sum at first [s]."""
         if self.phases is None:
             return self
-        durations = self.phases.durations * (duration / self.phases.durations.sum())
-        return replace(self, phases=replace(self.phases, durations=durations))
+        return self._with_durations(duration / self.phases.durations.sum() * self.phases.durations)
 
     def starting_from(self, result: ShootingResult) -> ShootingProblem:
         """Returns the same problem, whose phases last as long at first as those of a result."""
-        if self.phases is None:
-            return self
-        return replace(self, phases=replace(self.phases, durations=result.durations))
+        return self if self.phases is None else self._with_durations(result.durations)
 
-
-class _Descent:
-    """One solve: the motion, the multipliers and the memory."""
-
-    def __init__(
-        self,
-        problem: ShootingProblem,
-        controls: Floats,
-        states: Floats | None,
-        options: ShootingOptions,
-        prices: Floats | None = None,
-    ) -> None:
-        """Takes the motion's shape from the problem."""
-        self._problem, self._options, self._has_gaps = problem, options, states is not None
-        self._layout, self._program = problem.layout, problem.make_program(options)
-        self._controls = self._lay_out_controls(controls)
-        self._states = self._lay_out_states(states)
-        clip_controls(self._program, self._controls)
-        self._memory = make_memory(self._program, len(self._controls), self._states.shape[1])
-        self._penalty, self._violation = options.penalty * problem.cost_scale, np.inf
-        # Of the controls, once a rung has been run.
-        self._cost, self._has_run = np.inf, False
-        if prices is not None:
-            self._take_prices(prices)
-        self._iterations, self._has_ended, self._is_left = 0, False, False
-
-    @property
-    def _multipliers(self) -> tuple[Floats, ...]:
-        """Those of all bounds at knots."""
-        of = self._program.bounds
-        contacts = of.approach_multipliers, of.mode_multipliers
-        return of.multipliers, of.distance_multipliers, *contacts
-
-    def _take_prices(self, prices: Floats) -> None:
-        ends = np.cumsum([1, *(own.size for own in self._multipliers)])
-        self._penalty = float(_take("prices", prices, (int(ends[-1]),))[0])
-        for own, known in zip(self._multipliers, np.split(prices, ends)[1:], strict=False):
-            own[...] = known.reshape(own.shape)
-
-    def _lay_out_controls(self, controls: Floats) -> Floats:
-        """Returns what each stage chooses, shape (K, nu): durations where phases start."""
-        problem, layout = self._problem, self._layout
-        nu = problem.mechanism.num_controls
-        chosen = np.zeros((len(layout.kinds), nu))
-        chosen[layout.flights] = _take("controls", controls, (len(layout.flights), nu))
-        if problem.phases is not None:
-            chosen[layout.starts, 0] = problem.phases.durations
-        return chosen
-
-    def _lay_out_states(self, states: Floats | None) -> Floats:
-        """Returns z at each stage, shape (K + 1, nz), and at the end."""
-        problem, layout = self._problem, self._layout
-        K, N, nx = len(layout.kinds), len(problem.times) - 1, len(problem.start)
-        laid = np.zeros((K + 1, nx + (0 if problem.phases is None else 2)))
-        if states is not None:
-            knots = np.cumsum(layout.kinds == FLOW)
-            laid[:, :nx] = _take("states", states, (N + 1, nx))[np.concatenate([[0], knots])]
-        laid[0, :nx] = problem.start
-        if problem.phases is not None:
-            laid[0, nx:] = problem.phases.durations[0], 0.0
-            phase = np.cumsum(layout.kinds != FLOW) - 1
-            laid[1:, nx] = problem.phases.durations[phase]
-            laid[1:, nx + 1] = np.cumsum(layout.shares * laid[1:, nx])
-        return laid
-
-    def run(self, most: float) -> ShootingResult:
-        """Runs all rungs, then the last one until bounds hold, or J is above the most."""
-        rungs = self._choose_rungs()
-        is_converged = False
-        for rung in rungs:
-            is_converged = self._run_rung(rung)
-        stuck = 0
-        for _ in range(self._options.multiplier_updates if self._program.bounds.is_any else 0):
-            is_done = self._violation <= self._options.feasibility or stuck == _PATIENCE
-            if is_done or self._costs_more(most):
-                break
-            before = self._violation
-            is_converged = self._run_rung(rungs[-1])
-            stuck = stuck + 1 if self._violation > _STUCK * before else 0
-        return self.finish(is_converged)
-
-    def _costs_more(self, most: float) -> bool:
-        """Returns whether J is above the most after the last pass, far above if it was cut off."""
-        return self._cost > (most if self._has_ended else most + (_FALLING - 1) * abs(most))
-
-    def find_gains(self) -> Floats:
-        """Returns the gains of one sweep about the motion: no gain is worth a step here."""
-        cost, _, is_converged, _ = self._descend(self._options.rungs[-1], self._states)
-        if not is_converged:
-            raise ProgramError(
-                "controls", got=f"a motion that costs {cost}", expected="a finite one"
-            )
-        gains = self._memory.sweep.gains[self._layout.flights]
-        return np.array(gains[:, :, : len(self._problem.start)])
-
-    def _choose_rungs(self) -> tuple[Smoothing, ...]:
-        """Returns the rungs; without springs and friction, one."""
-        rungs = self._options.rungs
-        mechanics = self._program.mechanics
-        if np.any(mechanics.contacts[:, 0] > 0) or len(mechanics.rubs):
-            return rungs
-        return (rungs[-1]._replace(iterations=sum(rung.iterations for rung in rungs)),)
-
-    def _run_rung(self, rung: Smoothing) -> bool:
-        """Returns whether a rung ended in its tolerance; updates multipliers."""
-        self._cost, count, is_converged, self._is_left = self._descend(rung, self._states)
-        self._has_run, self._has_ended = True, count < rung.iterations
-        self._iterations, self._has_gaps = self._iterations + count, False
-        if self._program.bounds.is_any:
-            self._update_multipliers()
-        return is_converged
-
-    def _descend(self, rung: Smoothing, states: Floats) -> tuple[float, int, bool, bool]:
-        """Returns the cost without penalties, how many iterations it took, and how they ended."""
-        is_last = rung.smoothing == self._options.rungs[-1].smoothing
-        return descend(
-            self._program,
-            states,
-            self._controls,
-            rung.smoothing * self._problem.length,
-            self._penalty,
-            rung.iterations,
-            rung.tolerance,
-            1e-3 * self._problem.cost_scale,
-            self._has_gaps,
-            self._options.is_wary,
-            self._options.most_promised if is_last else np.inf,
-            self._memory,
-        )
-
-    def _update_multipliers(self) -> None:
-        before = self._violation
-        self._violation = measure_bounds(
-            self._program, self._states, self._controls, self._penalty, True, self._memory
-        )
-        if self._violation > before / 4:
-            self._penalty *= 10
-
-    def finish(self, is_converged: bool) -> ShootingResult:
-        """Returns the motion of the controls, and what it costs."""
-        last = self._options.rungs[-1]._replace(iterations=0)
-        cost = self._cost
-        if not self._has_run:
-            cost, _, _, _ = self._descend(last, self._states)
-        exact = cost
-        if last.smoothing:
-            exact, _, _, _ = self._descend(last._replace(smoothing=0.0), self._states.copy())
-        problem, layout, nx = self._problem, self._layout, len(self._problem.start)
-        at_knots = self._states[[*layout.flights, -1]]
-        return ShootingResult(
-            times=problem.times if problem.phases is None else at_knots[:, nx + 1],
-            states=at_knots[:, :nx],
-            controls=self._controls[layout.flights],
-            cost=cost if np.isfinite(cost) else np.inf,
-            exact_cost=exact if np.isfinite(exact) else np.inf,
-            violation=self._find_violation(),
-            iterations=self._iterations,
-            is_converged=is_converged,
-            smoothing=last.smoothing * self._problem.length,
-            substeps=self._options.substeps,
-            order=self._options.order,
-            durations=self._controls[layout.starts, 0],
-            prices=np.concatenate([[self._penalty], *map(np.ravel, self._multipliers)]),
-            is_left=self._is_left,
-        )
-
-    def _find_violation(self) -> float:
-        """Returns how far bounds are off, which the last rung has measured if there are any."""
-        if self._has_run and self._program.bounds.is_any:
-            return self._violation
-        return measure_bounds(self._program, self._states, self._controls, 1.0, False, self._memory)
-
-
-def _take(name: str, values: Floats, shape: tuple[int, ...]) -> Floats:
-    """Returns a copy to work on.
-
-    Raises:
-        ProgramError: its shape is another.
-    """
-    array = np.array(values, dtype=float)
-    if array.shape != shape:
-        raise ProgramError(name, got=f"shape {array.shape}", expected=f"{shape}")
-    return array
+    def _with_durations(self, durations: Floats) -> ShootingProblem:
+        assert self.phases is not None
+        return replace(self, phases=replace(self.phases, durations=durations))

@@ -1,18 +1,34 @@
-"""A shooting problem as the tables that compiled code reads."""
+"""Phases of a motion, its stages, and the tables that compiled code reads of a problem."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
 import numpy as np
 
-from drake_aigto.arrays import Bools, Floats
-from drake_aigto.shooting.loads import calc_mobilities
-from drake_aigto.shooting.mechanics import copy_writable
-from drake_aigto.shooting.options import ShootingOptions
-from drake_aigto.shooting.phases import Layout
-from drake_aigto.shooting.question import ShootingQuestion
-from drake_aigto.shooting.rubbing import COEFFICIENT, SOURCE, STICTION, fit_to_steps
-from drake_aigto.shooting.tables import CHORDAL, EXACT, FLOW, MODULO, Bounds, Program, Task
+from drake_aigto.arrays import ArrayRecord, Bools, Floats, Ints, read_only
+from drake_aigto.errors import ProgramError
+from drake_aigto.shooting.friction import calc_mobilities
+from drake_aigto.shooting.tables import (
+    CHORDAL,
+    COEFFICIENT,
+    EXACT,
+    FLOW,
+    MODULO,
+    SOURCE,
+    START,
+    Bounds,
+    Mechanics,
+    Program,
+    Task,
+    copy_writable,
+)
 from drake_aigto.world import TaskCost
+
+if TYPE_CHECKING:
+    from drake_aigto.shooting.problem import ShootingProblem
+    from drake_aigto.shooting.solve import ShootingOptions
 
 # When each evaluation of a Runge-Kutta step is, as a part of the step, and its weight. It is ahead
 # of the start by that part of the slope before it; before the first one only positions move. So
@@ -25,19 +41,137 @@ _METHODS = {
 _FLOOR = 1e-6
 # No phase is shorter than this share of the longest total.
 _SHORTEST = 1e-3
+_FIELDS = {
+    "contacts": np.int64,
+    "knots": np.int64,
+    "durations": float,
+    "held": np.bool_,
+    "modes": np.int64,
+}
 
 
-def make_program(problem: ShootingQuestion, layout: Layout, options: ShootingOptions) -> Program:
+@dataclass(frozen=True, eq=False)
+class Phases(ArrayRecord):
+    """Which contact is hit at which knot, with free durations between; P phases, m contacts.
+
+        φ_i(q) = 0,   v⁺ = v⁻ − M⁻¹ Jᵀ (J M⁻¹ Jᵀ)⁻¹ (1 + e) J v⁻     where contact i is hit
+        J v̇ + J̇ v = 0,   M v̇ + h = B u + Jᵀ λ,   λ ≥ 0               while contacts are held
+
+    J has the rows of what is held from then on, too. What is held has been hit before, and e is 0
+    then, whatever the contact's is: so ends what bounces ever faster, or does not bounce at all. Or
+    it has been held from the start on. What rubs does so in a mode, as it is hit and while it is
+    held, and of these the last is λ_t, for impulses likewise:
+
+        T v̇ + Ṫ v = 0,   |λ_t| ≤ μ λ_n                                stick, mode 0
+        λ_t = −σ μ λ_n,   σ T v ≥ 0                                   slip, mode σ = ±1
+
+    Attributes:
+        contacts: what ends each phase but the last, −1 if nothing is hit; shape (P − 1,).
+        knots: where it does, rising, inside of 0 … N, shape (P − 1,).
+        durations: of the phases, to start from, shape (P,) [s].
+        total: the least and the most of their sum [s].
+        held: which contacts are held in each phase, shape (P, m); empty: never any.
+        modes: of contacts that rub, in which they are held in each phase, and hit where it starts:
+            0 if they stick, else the sign of the slip, shape (P, m); empty: all stick.
+    """
+
+    contacts: Ints
+    knots: Ints
+    durations: Floats
+    total: tuple[float, float]
+    held: Bools = field(default_factory=lambda: np.zeros((0, 0), dtype=np.bool_))
+    modes: Ints = field(default_factory=lambda: np.zeros((0, 0), dtype=np.int64))
+
+    def __post_init__(self) -> None:
+        """Makes arrays read-only.
+
+        Raises:
+            ProgramError: numbers do not fit together.
+        """
+        count = len(self.contacts) + 1
+        for name, dtype in _FIELDS.items():
+            array = read_only(getattr(self, name), dtype)
+            if name in ("held", "modes") and not len(array):
+                array = read_only(np.zeros((count, 0)), dtype)
+            object.__setattr__(self, name, array)
+        rows = f"{count} rows"
+        checks = (
+            ("held", rows, len(self.held) == count and self.held.ndim == 2),
+            ("modes", rows, len(self.modes) == count and self.modes.ndim == 2),
+            ("modes", "−1, 0 or 1", bool(np.all(np.abs(self.modes) <= 1))),
+            ("knots", f"{count - 1}, rising", len(self.knots) == count - 1),
+            ("knots", "rising numbers", bool(np.all(np.diff(self.knots) > 0))),
+            ("durations", f"{count} numbers", len(self.durations) == count),
+            ("durations", "numbers above 0", bool(np.all(self.durations > 0))),
+            ("total", "0 < least ≤ most", 0 < self.total[0] <= self.total[1] < np.inf),
+        )
+        for name, expected, holds in checks:
+            if not holds:
+                raise ProgramError(f"phases: {name}", got=getattr(self, name), expected=expected)
+
+    @classmethod
+    def free(cls, duration: float, total: tuple[float, float]) -> Phases:
+        """Returns one phase, which ends where nothing is hit, of free duration [s]."""
+        none = np.zeros(0, dtype=np.int64)
+        return cls(none, none, np.array([duration]), total)
+
+
+@dataclass(frozen=True, eq=False)
+class Layout:
+    """The stages of a problem: flights between knots and, of phases, what starts each."""
+
+    kinds: Ints  # FLOW, START or a contact, of each of K stages, shape (K,)
+    held: Bools  # which contacts are held in each, shape (K, m)
+    modes: Ints  # in which mode each contact is held in each, or hit, shape (K, m)
+    flights: Ints  # which stages are flights, shape (N,)
+    shares: Floats  # how long each lasts [s]; of phases, as a share of its phase; shape (K,)
+
+    @classmethod
+    def of(cls, times: Floats, phases: Phases | None, num_contacts: int) -> Layout:
+        """Returns the stages of knots at these times, shape (N + 1,)."""
+        steps = np.diff(times)
+        if phases is None:
+            never = np.zeros((len(steps), num_contacts), dtype=np.bool_)
+            none = never.astype(np.int64)
+            return cls(np.full(len(steps), FLOW), never, none, np.arange(len(steps)), steps)
+        kinds: list[int] = []
+        shares: list[float] = []
+        ends = [*phases.knots.tolist(), len(steps)]
+        contacts = np.where(phases.contacts < 0, START, phases.contacts).tolist()
+        for kind, first, last in zip([START, *contacts], [0, *ends[:-1]], ends, strict=True):
+            of_phase = steps[first:last]
+            kinds += [kind, *[FLOW] * len(of_phase)]
+            shares += [0.0, *(of_phase / of_phase.sum())]
+        is_flight = np.equal(kinds, FLOW)
+        phase = np.cumsum(~is_flight) - 1
+        held = np.zeros((len(kinds), num_contacts), dtype=np.bool_)
+        modes = np.zeros(held.shape, dtype=np.int64)
+        held[:, : phases.held.shape[1]] = phases.held[phase]
+        modes[:, : phases.modes.shape[1]] = phases.modes[phase]
+        return cls(np.array(kinds), held, modes, np.flatnonzero(is_flight), np.array(shares))
+
+    def calc_times(self, durations: Floats) -> Floats:
+        """Returns when knots are [s], shape (N + 1,), where phases last so long, shape (P,)."""
+        of_phase = np.cumsum(self.kinds != FLOW) - 1
+        steps = (self.shares * durations[of_phase])[self.flights]
+        return np.concatenate([[0.0], np.cumsum(steps)])
+
+    @property
+    def starts(self) -> Ints:
+        """Which stages start a phase, shape (P,); none without phases."""
+        return np.flatnonzero(self.kinds != FLOW)
+
+
+def make_program(problem: ShootingProblem, layout: Layout, options: ShootingOptions) -> Program:
     """Returns the tables of a problem of these stages, its multipliers zero."""
-    mechanics, step = problem.mechanism.mechanics, np.max(np.diff(problem.times))
-    T = _find_duration(problem)
-    rubs = fit_to_steps(mechanics.rubs, step / options.substeps, T, problem.length / T)
-    struck, restitutions = _find_struck(layout, mechanics.contacts[:, 2])
-    closed, leans = _find_closed(layout, struck, mechanics.rubs)
+    mechanics, rubs = problem.mechanism.mechanics, problem.fit_friction(options.substeps)
+    closed, leans, restitutions = _find_closed(layout, mechanics)
+    added, limits = problem.added.lay_out(layout.kinds, layout.shares, problem)
     program = Program(
         mechanics=mechanics._replace(rubs=rubs),
         task=_make_task(problem.cost),
-        bounds=_make_bounds(problem, layout),
+        bounds=_make_bounds(problem, layout, limits),
+        added=added,
         kinds=layout.kinds,
         held=layout.held,
         modes=layout.modes,
@@ -52,46 +186,23 @@ def make_program(problem: ShootingQuestion, layout: Layout, options: ShootingOpt
     return copy_writable(program)
 
 
-def copy_multipliers(program: Program) -> Program:
-    """Returns the same tables, whose multipliers are copies: all that a solve writes to."""
-    of = program.bounds
-    own = {name: getattr(of, name).copy() for name in of._fields if name.endswith("multipliers")}
-    return program._replace(bounds=of._replace(**own))
+def _find_closed(layout: Layout, mechanics: Mechanics) -> tuple[Bools, Floats, Floats]:
+    """Returns which rows vanish in each stage, (K, m + R), how contacts lean, (K, m), and e, (K,).
 
-
-def count_substeps(problem: ShootingQuestion) -> int:
-    """Returns in how many substeps friction keeps its stiction speeds; see `fit_to_steps`."""
-    rubs, step = problem.mechanism.mechanics.rubs, np.max(np.diff(problem.times))
-    fitted = fit_to_steps(rubs, step, 1.0, problem.length / _find_duration(problem))
-    return int(np.ceil(np.max(fitted[:, STICTION] / rubs[:, STICTION], initial=1.0)))
-
-
-def _find_duration(problem: ShootingQuestion) -> float:
-    """Returns how long the task is that the knots are of [s]."""
-    return problem.duration or float(np.ptp(problem.times))
-
-
-def _find_struck(layout: Layout, restitutions: Floats) -> tuple[Bools, Floats]:
-    """Returns what is struck as each stage starts, (K, m), and what e is there, (K,)."""
-    struck, e = np.zeros_like(layout.held), np.zeros(len(layout.kinds))
-    hits = np.flatnonzero(layout.kinds >= 0)
-    contacts = layout.kinds[hits]
-    struck[hits] = layout.held[hits]
-    struck[hits, contacts] = True
-    e[hits] = np.where(layout.held[hits, contacts], 0.0, restitutions[contacts])
-    return struck, e
-
-
-def _find_closed(layout: Layout, struck: Bools, rubs: Floats) -> tuple[Bools, Floats]:
-    """Returns which rows vanish in each stage, shape (K, m + R), and how contacts lean, (K, m)."""
-    touching = np.where((layout.kinds == FLOW)[:, np.newaxis], layout.held, struck)
+    Contacts are held during flights, and struck where something is hit.
+    """
+    hits, e = np.flatnonzero(layout.kinds >= 0), np.zeros(len(layout.kinds))
+    contacts, rubs = layout.kinds[hits], mechanics.rubs
+    touching = layout.held & ((layout.kinds == FLOW) | (layout.kinds >= 0))[:, np.newaxis]
+    touching[hits, contacts] = True
+    e[hits] = np.where(layout.held[hits, contacts], 0.0, mechanics.contacts[contacts, 2])
     sticks, leans = np.zeros((len(touching), len(rubs)), dtype=bool), np.zeros(touching.shape)
     for r in np.flatnonzero(rubs[:, SOURCE] >= 0).tolist():
         contact, friction = int(rubs[r, SOURCE]), rubs[r, COEFFICIENT]
         modes = layout.modes[:, contact]
         sticks[:, r] = touching[:, contact] & (modes == 0)
         leans[:, contact] = np.where(touching[:, contact], -friction * modes, 0.0)
-    return np.hstack([touching, sticks]), leans
+    return np.hstack([touching, sticks]), leans, e
 
 
 def _make_task(cost: TaskCost) -> Task:
@@ -111,38 +222,35 @@ def _make_task(cost: TaskCost) -> Task:
     )
 
 
-def _make_bounds(problem: ShootingQuestion, layout: Layout) -> Bounds:
+def _make_bounds(problem: ShootingProblem, layout: Layout, of_users: Floats) -> Bounds:
     """Returns bounds at knots after the first, the hard goal among them."""
     lower, upper = _bound_states(problem, len(layout.kinds))
     low, high = _bound_distances(problem, layout)
     low_control, high_control = _bound_controls(problem, layout)
-    T, nx = np.ptp(problem.times), len(problem.start)
-    scales = np.concatenate([problem.scales, np.full(lower.shape[1] - nx, T)])
+    T, nx, nz, m = np.ptp(problem.times), len(problem.start), lower.shape[1], low.shape[1]
+    scales = np.concatenate([problem.scales, np.full(nz - nx, T)])
+    units = problem.added.measure_units(np.concatenate([problem.scales, problem.control_scales]))
+    weights = np.concatenate([scales**-2, np.full(m, float(problem.length) ** -2), units**-2])
+    # Turns do not count of hinges whose goal is hard.
+    n, does_turn = nx // 2, np.zeros(nz, dtype=bool)
+    turns = problem.cost.is_modulo | problem.cost.is_chordal
+    does_turn[:n] = turns & np.isfinite(problem.hard_goal[:n])
     floors = np.tile(problem.control_scales**-2.0, (len(layout.kinds), 1))
     floors[layout.starts] = T**-2.0
-    is_bounded, is_distance_bounded = (
-        np.any(np.isfinite(a) | np.isfinite(b), axis=1) for a, b in ((lower, upper), (low, high))
-    )
-    is_bounded[0] = is_distance_bounded[0] = False
+    finite = [np.isfinite(a) | np.isfinite(b) for a, b in ((lower, upper), (low, high), of_users)]
+    is_bounded = np.stack([each.any(axis=1) for each in finite], axis=1)
+    is_bounded[0, :2] = False
     return Bounds(
-        lower=lower,
-        upper=upper,
-        weights=scales**-2,
-        does_turn=_find_turns(problem, lower.shape[1]),
-        multipliers=np.zeros_like(lower),
-        is_any=bool(np.any(is_bounded | is_distance_bounded)),
+        lower=np.hstack([lower, low, of_users[0]]),
+        upper=np.hstack([upper, high, of_users[1]]),
+        weights=weights,
+        does_turn=does_turn,
         is_bounded=is_bounded,
-        lower_distance=low,
-        upper_distance=high,
-        distance_weight=float(problem.length) ** -2,
-        distance_multipliers=np.zeros_like(low),
-        is_distance_bounded=is_distance_bounded,
+        multipliers=np.zeros((1 + len(layout.kinds), len(weights) + 1 + 3 * m)),
         slowest=float(problem.slowest),
         approach_weight=float(T / problem.length) ** 2,
-        approach_multipliers=np.zeros(len(layout.kinds)),
         force_weight=float(T * np.max(problem.cost.R)) / problem.cost_scale,
-        mobilities=calc_mobilities(problem.mechanism, problem.start[: nx // 2]),
-        mode_multipliers=np.zeros((1 + len(layout.kinds), layout.held.shape[1], 3)),
+        mobilities=calc_mobilities(problem.mechanism, problem.start[:n]),
         lower_control=low_control,
         upper_control=high_control,
         norm=float(problem.control_norm),
@@ -150,7 +258,7 @@ def _make_bounds(problem: ShootingQuestion, layout: Layout) -> Bounds:
     )
 
 
-def _bound_states(problem: ShootingQuestion, num_stages: int) -> Floats:
+def _bound_states(problem: ShootingProblem, num_stages: int) -> Floats:
     """Returns lower and upper bounds of z at knots, shape (2, K + 1, nz); of phases the end's."""
     bounds = np.repeat(problem.state_bounds[:, np.newaxis], num_stages + 1, axis=1)
     is_hard = np.isfinite(problem.hard_goal)
@@ -159,20 +267,12 @@ def _bound_states(problem: ShootingQuestion, num_stages: int) -> Floats:
         return bounds
     free = np.full((num_stages + 1, 2), np.inf)
     times = np.stack([-free, free])
-    if problem.phases.is_many:
+    if len(problem.phases.durations) > 1:
         times[:, -1, 1] = problem.phases.total
     return np.concatenate([bounds, times], axis=2)
 
 
-def _find_turns(problem: ShootingQuestion, nz: int) -> Bools:
-    """Returns for which of z turns do not count, shape (nz,): hinges whose goal is hard."""
-    n, does_turn = len(problem.cost.goal), np.zeros(nz, dtype=bool)
-    turns = problem.cost.is_modulo | problem.cost.is_chordal
-    does_turn[:n] = turns & np.isfinite(problem.hard_goal[:n])
-    return does_turn
-
-
-def _bound_distances(problem: ShootingQuestion, layout: Layout) -> Floats:
+def _bound_distances(problem: ShootingProblem, layout: Layout) -> Floats:
     """Returns lower and upper bounds of φ at knots, shape (2, K + 1, m)."""
     m, num_stages = problem.mechanism.num_contacts, len(layout.kinds)
     free = np.full((num_stages + 1, m), np.inf)
@@ -195,7 +295,7 @@ def _bound_distances(problem: ShootingQuestion, layout: Layout) -> Floats:
     return bounds
 
 
-def _bound_controls(problem: ShootingQuestion, layout: Layout) -> Floats:
+def _bound_controls(problem: ShootingProblem, layout: Layout) -> Floats:
     """Returns lower and upper bounds of what stages choose, shape (2, K, nu)."""
     bounds = np.array(problem.control_bounds)
     if bounds.shape[1] == 1:
@@ -204,6 +304,6 @@ def _bound_controls(problem: ShootingQuestion, layout: Layout) -> Floats:
     tiled = np.repeat(bounds[:, np.newaxis], len(layout.kinds), axis=1)
     if problem.phases is not None:
         least, most = problem.phases.total
-        ends = np.array([_SHORTEST * most if problem.phases.is_many else least, most])
+        ends = np.array([_SHORTEST * most if len(problem.phases.durations) > 1 else least, most])
         tiled[:, layout.starts] = ends[:, np.newaxis, np.newaxis]
     return tiled

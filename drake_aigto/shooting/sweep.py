@@ -1,14 +1,25 @@
-"""The backward pass: the best control of each stage by the cost to go, to second order."""
+"""The backward pass: the best bounded control of each stage by the cost to go, to second order."""
 
 from __future__ import annotations
 
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.jit import inner, pasted
+from drake_aigto.kernels import inner, pasted
 from drake_aigto.linear import solve_factored
-from drake_aigto.shooting.controls import clip_control, solve_ball, solve_box
 from drake_aigto.shooting.tables import FLOW, Expansion, Program, SweepMemory
+
+
+@inner
+def clip_control(size: int, u: Floats, lower: Floats, upper: Floats, norm: float) -> None:
+    """Moves a control into its bounds, then towards 0 until its norm is what it may be."""
+    squares = 0.0
+    for j in range(size):
+        u[j] = min(max(u[j], lower[j]), upper[j])
+        squares += u[j] * u[j]
+    if squares > norm * norm:
+        for j in range(size):
+            u[j] *= norm / np.sqrt(squares)
 
 
 @inner
@@ -33,56 +44,49 @@ def sweep_back(
     Returns:
         What the cost falls by in the expansion; −1 if a Hessian is not positive.
     """
-    F, l1, l2, gaps = expansion
-    feedforward, gains, V1, V2, v1, VF, Q1, Q2, H, factor, is_free, room = memory
-    lower, upper = program.bounds.lower_control, program.bounds.upper_control
-    kinds, floors = program.kinds, program.bounds.floors
+    V1, V2, Q1, Q2, H = memory.V1, memory.V2, memory.Q1, memory.Q2, memory.H
+    bounds = program.bounds
+    lower, upper, floors = bounds.lower_control, bounds.upper_control, bounds.floors
     K, nz, nu = controls.shape[0], V1.size, program.task.control.size
     for i in range(nz):
-        V1[i] = l1[K, i]
+        V1[i] = expansion.l1[K, i]
         for j in range(nz):
-            V2[i, j] = l2[K, min(i, j), max(i, j)]
+            V2[i, j] = expansion.l2[K, min(i, j), max(i, j)]
     drop = 0.0
     for k in range(K - 1, -1, -1):
-        size, norm = (nu, program.bounds.norm) if kinds[k] == FLOW else (1, np.inf)
-        _expand_value(k, nz, nz + size, has_gaps, F, l1, l2, gaps, V1, V2, v1, VF, Q1, Q2)
+        size, norm = (nu, bounds.norm) if program.kinds[k] == FLOW else (1, np.inf)
+        _expand_value(k, nz, nz + size, has_gaps, expansion, memory)
         for i in range(size):
             for j in range(size):
                 H[i, j] = Q2[nz + i, nz + j]
             H[i, i] += damping * (H[i, i] + floors[k, i])
-        g, u, du, low, high = Q1[nz:], controls[k], feedforward[k], lower[k], upper[k]
-        if not solve_box(size, g, H, u, low, high, du, is_free, factor, room):
+        u, du, low, high = controls[k], memory.feedforward[k], lower[k], upper[k]
+        if not _solve_box(size, Q1[nz:], u, low, high, du, memory):
             return -1.0
         squares, multiplier = 0.0, 0.0
         for i in range(size):
             squares += (u[i] + du[i]) ** 2
         is_on_ball = squares > norm * norm * (1 + 1e-12)
         if is_on_ball:
-            multiplier = solve_ball(size, g, H, u, norm, du, is_free, factor, room)
-            _stay_within(size, u, low, high, norm, du, room)
-        _find_gains(nz, size, is_on_ball, u, du, Q2, is_free, factor, gains[k], room)
-        drop += _step_back(nz, size, multiplier, du, gains[k], Q1, Q2, V1, V2, room)
+            multiplier = _solve_ball(size, Q1[nz:], u, norm, du, memory)
+            target = memory.room[5]
+            for i in range(size):
+                target[i] = u[i] + du[i]
+            clip_control(size, target, low, high, norm)
+            for i in range(size):
+                du[i] = target[i] - u[i]
+        _find_gains(k, nz, size, is_on_ball, u, du, memory)
+        drop += _step_back(nz, size, multiplier, du, memory.gains[k], memory)
     return drop
 
 
 @pasted
 def _expand_value(
-    k: int,
-    nz: int,
-    nc: int,
-    has_gaps: bool,
-    F: Floats,
-    l1: Floats,
-    l2: Floats,
-    gaps: Floats,
-    V1: Floats,
-    V2: Floats,
-    v1: Floats,
-    VF: Floats,
-    Q1: Floats,
-    Q2: Floats,
+    k: int, nz: int, nc: int, has_gaps: bool, expansion: Expansion, memory: SweepMemory
 ) -> None:
     """Computes gradient and Hessian of the cost from stage k on, by (z, u)."""
+    F, l1, l2, gaps = expansion
+    V1, V2, v1, VF, Q1, Q2 = memory.V1, memory.V2, memory.v1, memory.VF, memory.Q1, memory.Q2
     for i in range(nz):
         v1[i] = V1[i]
         if has_gaps:
@@ -109,34 +113,131 @@ def _expand_value(
             Q2[c, d] = Q2[d, c]
 
 
-@pasted
-def _stay_within(
-    size: int, u: Floats, lower: Floats, upper: Floats, norm: float, du: Floats, room: Floats
-) -> None:
-    """Moves u + du into all bounds at once."""
-    target = room[5]
+@inner
+def _factor_free(size: int, shift: float, H: Floats, is_free: Ints, L: Floats) -> bool:
+    """Factors H + shift I on what is free, the identity elsewhere; False if it is not positive."""
     for i in range(size):
-        target[i] = u[i] + du[i]
-    clip_control(size, target, lower, upper, norm)
+        for j in range(i + 1):
+            if is_free[i] and is_free[j]:
+                total = H[i, j] + (shift if i == j else 0.0)
+            else:
+                total = 1.0 if i == j else 0.0
+            for k in range(j):
+                total -= L[i, k] * L[j, k]
+            if i == j:
+                if not total > 0.0:
+                    return False
+                L[i, i] = np.sqrt(total)
+            else:
+                L[i, j] = total / L[j, j]
+    return True
+
+
+@inner
+def _solve_box(
+    size: int, g: Floats, u: Floats, lower: Floats, upper: Floats, du: Floats, memory: SweepMemory
+) -> bool:
+    """Computes the du that minimizes g·du + ½ duᵀ H du within bounds of u + du.
+
+    Projected Newton steps as of Tassa, Mansard & Todorov (2014), "Control-limited differential
+    dynamic programming". The factor that it leaves behind is of the controls that are free.
+
+    Returns:
+        Whether H is positive on them.
+    """
+    H, is_free, factor = memory.H, memory.is_free, memory.factor
+    step, trial, slope, value = memory.room[0], memory.room[1], memory.room[2], 0.0
     for i in range(size):
-        du[i] = target[i] - u[i]
+        du[i] = 0.0
+    for _ in range(30):
+        for i in range(size):
+            slope[i] = g[i]
+            for j in range(size):
+                slope[i] += H[i, j] * du[j]
+            at_lower = u[i] + du[i] <= lower[i] and slope[i] > 0.0
+            at_upper = u[i] + du[i] >= upper[i] and slope[i] < 0.0
+            is_free[i] = not (at_lower or at_upper)
+            step[i] = -slope[i] if is_free[i] else 0.0
+        if not _factor_free(size, 0.0, H, is_free, factor):
+            return False
+        solve_factored(size, factor, step)
+        length, is_better = 1.0, False
+        for _ in range(20):
+            attempt = 0.0
+            for i in range(size):
+                trial[i] = min(max(u[i] + du[i] + length * step[i], lower[i]), upper[i]) - u[i]
+            for i in range(size):
+                row = 0.0
+                for j in range(size):
+                    row += H[i, j] * trial[j]
+                attempt += trial[i] * (g[i] + row / 2)
+            is_better = attempt < value - 1e-12 * abs(value)
+            if is_better:
+                break
+            length /= 2
+        if not is_better:
+            break
+        value, is_best = attempt, True
+        for i in range(size):
+            # All are free, and nothing is clipped: the least there is.
+            is_best = is_best and is_free[i] and trial[i] == u[i] + du[i] + step[i] - u[i]
+            du[i] = trial[i]
+        if is_best:
+            break
+    return True
+
+
+@inner
+def _solve_ball(
+    size: int, g: Floats, u: Floats, norm: float, du: Floats, memory: SweepMemory
+) -> float:
+    """Computes the du that minimizes g·du + ½ duᵀ H du on ‖u + du‖ = norm, of the free controls.
+
+    Newton steps on 1/‖u + du‖ = 1/norm, as of Moré & Sorensen (1983). Leaves behind the factor of
+    H + ν I.
+
+    Returns:
+        ν, the multiplier.
+    """
+    H, is_free, factor = memory.H, memory.is_free, memory.factor
+    w, y, nu, fixed = memory.room[3], memory.room[4], 0.0, 0.0
+    for i in range(size):
+        if not is_free[i]:
+            fixed += (u[i] + du[i]) ** 2
+    radius = np.sqrt(max(norm * norm - fixed, 0.0))
+    for _ in range(40):
+        _factor_free(size, nu, H, is_free, factor)
+        squares, curve = 0.0, 0.0
+        for i in range(size):
+            w[i] = 0.0
+            if is_free[i]:
+                w[i] = -g[i]
+                for j in range(size):
+                    w[i] += H[i, j] * (u[j] if is_free[j] else -du[j])
+        solve_factored(size, factor, w)
+        for i in range(size):
+            squares += w[i] * w[i]
+            y[i] = w[i]
+        solve_factored(size, factor, y)
+        for i in range(size):
+            curve += w[i] * y[i]
+        length = np.sqrt(squares)
+        if not curve > 0.0 or abs(length - radius) <= 1e-10 * norm or radius == 0.0:
+            break
+        nu = max(nu + squares / curve * (length - radius) / radius, 0.0)
+    for i in range(size):
+        if is_free[i]:
+            du[i] = w[i] - u[i]
+    return nu
 
 
 @pasted
 def _find_gains(
-    nz: int,
-    size: int,
-    is_on_ball: bool,
-    u: Floats,
-    du: Floats,
-    Q2: Floats,
-    is_free: Ints,
-    factor: Floats,
-    gains: Floats,
-    room: Floats,
+    k: int, nz: int, size: int, is_on_ball: bool, u: Floats, du: Floats, memory: SweepMemory
 ) -> None:
     """Computes how the control follows the state: not where clamped, along the ball on it."""
-    y, normal, along = room[0], room[1], 0.0
+    is_free, factor, gains = memory.is_free, memory.factor, memory.gains
+    y, normal, along = memory.room[0], memory.room[1], 0.0
     if is_on_ball:
         for i in range(size):
             normal[i] = u[i] + du[i] if is_free[i] else 0.0
@@ -145,7 +246,7 @@ def _find_gains(
             along += normal[i] * (u[i] + du[i]) if is_free[i] else 0.0
     for c in range(nz):
         for i in range(size):
-            y[i] = -Q2[nz + i, c] if is_free[i] else 0.0
+            y[i] = -memory.Q2[nz + i, c] if is_free[i] else 0.0
         solve_factored(size, factor, y)
         off = 0.0
         if along > 0.0:
@@ -153,24 +254,16 @@ def _find_gains(
                 off += y[i] * (u[i] + du[i]) if is_free[i] else 0.0
             off /= along
         for i in range(size):
-            gains[i, c] = y[i] - (off * normal[i] if along > 0.0 else 0.0)
+            gains[k, i, c] = y[i] - (off * normal[i] if along > 0.0 else 0.0)
 
 
 @pasted
 def _step_back(
-    nz: int,
-    size: int,
-    multiplier: float,
-    du: Floats,
-    gains: Floats,
-    Q1: Floats,
-    Q2: Floats,
-    V1: Floats,
-    V2: Floats,
-    room: Floats,
+    nz: int, size: int, multiplier: float, du: Floats, gains: Floats, memory: SweepMemory
 ) -> float:
     """Computes the cost to go before the stage, and returns what its control gains."""
-    slope, gain = room[0], 0.0
+    Q1, Q2, V1, V2, slope = memory.Q1, memory.Q2, memory.V1, memory.V2, memory.room[0]
+    gain = 0.0
     for i in range(size):
         Hu = 0.0
         for j in range(size):

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
+
+import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints
-from drake_aigto.shooting.mechanics import Mechanics, MechanicsMemory
 
 # What a stage is, in place of the contact that it is an impact at.
 FLOW, START = -1, -2
@@ -13,215 +14,256 @@ FLOW, START = -1, -2
 # How the error of a coordinate is meant.
 EXACT, MODULO, CHORDAL = 0, 1, 2
 
+# In `Rub.numbers` and `Mechanics.rubs`.
+SOURCE, COEFFICIENT, STICTION, BRAKE, PACE = range(5)
 
-class Task(NamedTuple):
-    """The cost, see `ShootingCost`; L times of the reference.
 
-    Attributes:
-        control: R, shape (nu,).
-        running: of the errors of (q, v), the diagonal, shape (2n,).
-        final: of the same at the end, shape (2n, 2n).
-        errors: EXACT, MODULO or CHORDAL, shape (2n,).
-        goal: shape (2n,).
-        times: of the reference, shape (L,) [s].
-        reference: shape (L, 2n).
+class Mechanics(NamedTuple):
+    """What compiled code knows of a mechanism.
+
+    The tape is of M (upper triangle, by rows), h, φ, J, and T, the rows of friction; then of ∂M/∂q,
+    ∂h/∂(q, v), ∂J/∂q (upper triangle) and ∂T/∂q; and where walls are rigid of vᵀ (∂²J/∂q²) v, by
+    contacts, and of vᵀ ∂(∂T/∂q)/∂q v.
     """
 
-    control: Floats
-    running: Floats
-    final: Floats
-    errors: Ints
-    goal: Floats
-    times: Floats
-    reference: Floats
+    code: Ints  # of the tape
+    numbers: Floats  # of the same
+    constants: Floats  # of the same
+    actuation: Floats  # B, shape (n, nu)
+    # Stiffness k [N/m], dissipation d [s/m], restitution e and reach R [m] (see `CompliantLaw`) of
+    # each contact, shape (m, 4).
+    contacts: Floats
+    solids: Ints  # where the contacts of each solid start, shape (S + 1,)
+    rubs: Floats  # friction, shape (R, 5), see `rubbing`
+
+
+class MechanicsMemory(NamedTuple):
+    """Room for one evaluation; w = m + R rows of contacts that are held (`hold`)."""
+
+    values: Floats  # of the tape
+    sums: Floats  # of the tape
+    factor: Floats  # Cholesky's L of M, shape (n, n)
+    # Force of each contact, its derivatives by φ and φ̇, ∂l/∂φ (see `CompliantLaw`) and its
+    # derivative by φ, shape (m, 5).
+    force: Floats
+    rub: Floats  # each friction force, and its derivatives by s and N, shape (R, 3)
+    acceleration: Floats  # v̇, shape (1, n)
+    slopes: Floats  # ∂v̇/∂(q, v, u), transposed, shape (2n + nu, n)
+    # M⁻¹ D_kᵀ, M⁻¹ Dᵀ λ, and its derivative by q at constant λ, transposed, shape (w + 1 + n, n).
+    support: Floats
+    grip: Floats  # the factors of C M⁻¹ Dᵀ, and the forces λ below, shape (w + 1, w)
+    by_force: Floats  # the derivative of λ by (q, v, u), transposed, shape (2n + nu, w)
+
+
+class Task(NamedTuple):
+    """The cost, see `TaskCost`; L times of the reference."""
+
+    control: Floats  # R, shape (nu,)
+    running: Floats  # weights of the errors of (q, v), shape (2n,)
+    final: Floats  # the same at the end, shape (2n, 2n)
+    errors: Ints  # EXACT, MODULO or CHORDAL, shape (2n,)
+    goal: Floats  # shape (2n,)
+    times: Floats  # of the reference, shape (L,) [s]
+    reference: Floats  # shape (L, 2n)
 
 
 class Bounds(NamedTuple):
     """Bounds at knots and their multipliers; equal ones are equations. K stages.
 
-    The row s in [a, b], with weight w and multiplier y, adds ρw/2 dist(s + y/ρw, [a, b])².
-
-    Attributes:
-        lower: of the state at each knot, shape (K + 1, nz).
-        upper: of the same.
-        weights: w, shape (nz,).
-        does_turn: for which the end may be any whole turn off its bounds, shape (nz,).
-        multipliers: y, shape (K + 1, nz).
-        is_any: whether there are bounds at knots at all.
-        is_bounded: whether any of the above is finite, at each knot, shape (K + 1,).
-        lower_distance: of φ, shape (K + 1, m).
-        upper_distance: of the same.
-        distance_weight: w of φ.
-        distance_multipliers: y of φ, shape (K + 1, m).
-        is_distance_bounded: as above.
-        slowest: −φ̇ at least before an impact [m/s].
-        approach_weight: w of that.
-        approach_multipliers: y of that, shape (K,).
-        force_weight: w of forces of what is held; their unit is the control that costs as much as
-            all else.
-        mobilities: T M⁻¹ Tᵀ of what rubs at the start, which makes speeds of impulses, (m,) [1/kg].
-        mode_multipliers: y of what modes ask for (`cones`), shape (K + 1, m, 3).
-        lower_control: shape (K, controls of a stage).
-        upper_control: the same.
-        norm: of a control, at most.
-        floors: curvatures of the cost by the control which count as small, shape as above.
+    The row s in [a, b], with weight w and multiplier y, adds ρw/2 dist(s + y/ρw, [a, b])². Rows are
+    z, φ, R functions of users, −φ̇ before an impact, and inequalities of contact modes (`cones`).
     """
 
-    lower: Floats
-    upper: Floats
-    weights: Floats
-    does_turn: Bools
-    multipliers: Floats
-    is_any: bool
-    is_bounded: Bools
-    lower_distance: Floats
-    upper_distance: Floats
-    distance_weight: float
-    distance_multipliers: Floats
-    is_distance_bounded: Bools
-    slowest: float
-    approach_weight: float
-    approach_multipliers: Floats
-    force_weight: float
-    mobilities: Floats
-    mode_multipliers: Floats
-    lower_control: Floats
-    upper_control: Floats
-    norm: float
-    floors: Floats
+    lower: Floats  # of z, φ and users' functions at each knot, shape (K + 1, nz + m + R)
+    upper: Floats  # of the same
+    weights: Floats  # w of the same, shape (nz + m + R,)
+    does_turn: Bools  # for which the end may be any whole turn off its bounds, shape (nz,)
+    is_bounded: Bools  # whether any bound of z is finite, of φ, and of users, shape (K + 1, 3)
+    multipliers: Floats  # y of all rows, shape (K + 1, nz + m + R + 1 + 3m)
+    slowest: float  # −φ̇ at least before an impact [m/s]
+    approach_weight: float  # w of that
+    force_weight: float  # w of forces of what is held; unit: the control that costs as much as all
+    mobilities: Floats  # T M⁻¹ Tᵀ at the start, which makes speeds of impulses, shape (m,) [1/kg]
+    lower_control: Floats  # shape (K, nu); of starts, of the duration
+    upper_control: Floats  # the same
+    norm: float  # of a control, at most
+    floors: Floats  # curvatures of the cost by the control which count as small, shape (K, nu)
+
+
+class Added(NamedTuple):
+    """Costs and constraints of users at knots: R functions f of x = (q, v, u), C numbers."""
+
+    code: Ints  # of a `Tape` of all f, of ∂f/∂x (C each), and of upper triangles of ∂²f/∂x² by rows
+    numbers: Floats  # of the same
+    constants: Floats  # of the same
+    is_running: Bools  # whether the length of the stage is a factor, shape (R,)
+    factors: Floats  # of costs at each knot, of phases without τ, shape (K + 1, R)
 
 
 class Program(NamedTuple):
-    """A shooting problem of K stages, whose state z is (q, v), or (q, v, τ, t) of phases.
-
-    Attributes:
-        mechanics: the mechanism.
-        task: the cost.
-        bounds: the constraints.
-        kinds: FLOW, START or a contact, of each stage, shape (K,).
-        held: which contacts are held in each stage, from its start, shape (K, m).
-        modes: in which mode they are, or are hit, shape (K, m); see `Phases`.
-        closed: which rows of contacts vanish in each flight, or are struck at the start of a phase,
-            shape (K, m + R); see `hold`.
-        leans: the part −μ σ of their forces that acts along these contacts, shape (K, m).
-        restitutions: the part −e of speeds that is left as a phase starts, shape (K,).
-        steps: how long each stage lasts [s]; of phases, as a share of τ; shape (K,).
-        times: when each stage starts, without phases, shape (K + 1,) [s].
-        substeps: Runge-Kutta steps of a stage.
-        method: when each evaluation of such a step is, a part of it, and its weight, shape (E, 2).
-    """
+    """A shooting problem of K stages, whose state z is (q, v), or (q, v, τ, t) of phases."""
 
     mechanics: Mechanics
     task: Task
     bounds: Bounds
-    kinds: Ints
-    held: Bools
-    modes: Ints
-    closed: Bools
-    leans: Floats
-    restitutions: Floats
-    steps: Floats
-    times: Floats
-    substeps: int
-    method: Floats
+    added: Added
+    kinds: Ints  # FLOW, START or a contact, of each stage, shape (K,)
+    held: Bools  # which contacts are held in each stage, from its start, shape (K, m)
+    modes: Ints  # in which mode they are, or are hit, shape (K, m); see `Phases`
+    closed: Bools  # rows of contacts that vanish in flights, or are struck, (K, m + R); see `hold`
+    leans: Floats  # −μ σ, the part of their forces that acts along these contacts, shape (K, m)
+    restitutions: Floats  # −e, the part of speeds that is left as a phase starts, shape (K,)
+    steps: Floats  # how long each stage lasts [s]; of phases, as a share of τ; shape (K,)
+    times: Floats  # when each stage starts, without phases, shape (K + 1,) [s]
+    substeps: int  # Runge-Kutta steps of a stage
+    method: Floats  # when each evaluation of a step is, a part of it, and its weight, shape (E, 2)
 
 
 class FlowMemory(NamedTuple):
-    """Room for one stage; nx = 2n, and nc = nz + nu columns.
-
-    Attributes:
-        mechanics: room for accelerations.
-        points: x at the start of a Runge-Kutta step, y within it, ẏ, their weighted sum; e, the
-            gradient of the cost's rate by it, and how fast the reference moves; shape (7, nx).
-        by_column: the derivative of the cost's rate by (z, u), shape (nc,).
-        slopes: of the first four by (z, u), shape (4, nx, nc).
-    """
+    """Room for one stage; nx = 2n, and nc = nz + nu columns."""
 
     mechanics: MechanicsMemory
+    # x at the start of a Runge-Kutta step, y within it, ẏ, their weighted sum; e, the gradient of
+    # the cost's rate by it, and how fast the reference moves; shape (7, nx).
     points: Floats
-    by_column: Floats
-    slopes: Floats
+    by_column: Floats  # the derivative of the cost's rate by (z, u), shape (nc,)
+    slopes: Floats  # of the first four points by (z, u), shape (4, nx, nc)
 
 
 class ModeMemory(NamedTuple):
-    """What the modes of contacts ask for at a knot (`cones`).
+    """What the modes of contacts ask for at a knot (`cones`)."""
 
-    Attributes:
-        values: at least 0, shape (m, 3).
-        slopes: of the same by (q, v, u), shape (m, 3, 2n + nu).
-        weights: w of each, 0 where nothing is asked for, shape (m, 3).
-        after: v⁺ of an impact in its entries n … 2n − 1, shape (2n,).
-    """
+    values: Floats  # at least 0, shape (m, 3)
+    slopes: Floats  # of the same by (q, v, u), shape (m, 3, 2n + nu)
+    weights: Floats  # w of each, 0 where nothing is asked for, shape (m, 3)
+    after: Floats  # v⁺ of an impact in its entries n … 2n − 1, shape (2n,)
 
-    values: Floats
-    slopes: Floats
-    weights: Floats
-    after: Floats
+
+class AddedMemory(NamedTuple):
+    """Room for what users added at a knot, C = 2n + nu."""
+
+    x: Floats  # (q, v, u)
+    values: Floats  # of the tape
+    sums: Floats  # of the tape
+    gradient: Floats  # of costs by x and τ, shape (C + 1,)
+    tables: Floats  # their Hessian, its eigenvectors and its positive part, shape (3, C + 1, C + 1)
 
 
 class Expansion(NamedTuple):
-    """The problem to second order about a motion.
+    """The problem to second order about a motion."""
 
-    Attributes:
-        F: ∂z⁺/∂(z, u) of each stage, shape (K, nz, nc).
-        l1: the cost's gradient, shape (K + 1, nc).
-        l2: its Gauss-Newton Hessian, shape (K + 1, nc, nc).
-        gaps: z⁺ − z of the next knot, shape (K, nz).
-    """
-
-    F: Floats
-    l1: Floats
-    l2: Floats
-    gaps: Floats
+    F: Floats  # ∂z⁺/∂(z, u) of each stage, shape (K, nz, nc)
+    l1: Floats  # the cost's gradient, shape (K + 1, nc)
+    l2: Floats  # its Gauss-Newton Hessian, the upper triangle, shape (K + 1, nc, nc)
+    gaps: Floats  # z⁺ − z of the next knot, shape (K, nz)
 
 
 class SweepMemory(NamedTuple):
-    """Room for the backward pass, and its result: u + α feedforward + gains (z⁺ − z).
+    """Room for the backward pass, and its result: u + α feedforward + gains (z⁺ − z)."""
 
-    Attributes:
-        feedforward: shape (K, nu).
-        gains: shape (K, nu, nz).
-        V1: gradient of the cost to go, shape (nz,).
-        V2: its Hessian, shape (nz, nz).
-        v1: the gradient beyond the gap, shape (nz,).
-        VF: shape (nz, nc).
-        Q1: shape (nc,).
-        Q2: shape (nc, nc).
-        H: Hessian by the control, regularized, shape (nu, nu); so is the next one.
-        factor: its Cholesky factor on what is free.
-        is_free: which controls are not at a bound, shape (nu,).
-        room: shape (6, nu).
-    """
-
-    feedforward: Floats
-    gains: Floats
-    V1: Floats
-    V2: Floats
-    v1: Floats
-    VF: Floats
-    Q1: Floats
-    Q2: Floats
-    H: Floats
-    factor: Floats
-    is_free: Ints
-    room: Floats
+    is_free: Ints  # which controls are not at a bound, shape (nu,)
+    feedforward: Floats  # shape (K, nu)
+    gains: Floats  # shape (K, nu, nz)
+    V1: Floats  # gradient of the cost to go, shape (nz,)
+    V2: Floats  # its Hessian, shape (nz, nz)
+    v1: Floats  # the gradient beyond the gap, shape (nz,)
+    VF: Floats  # shape (nz, nc)
+    Q1: Floats  # shape (nc,)
+    Q2: Floats  # shape (nc, nc)
+    H: Floats  # Hessian by the control, regularized, shape (nu, nu)
+    factor: Floats  # its Cholesky factor on what is free, shape (nu, nu)
+    room: Floats  # shape (6, nu)
 
 
 class Memory(NamedTuple):
-    """All of a solver's memory.
+    """All of a solver's memory."""
 
-    Attributes:
-        flow: of one stage.
-        modes: of one knot.
-        expansion: of all stages.
-        sweep: of the backward pass.
-        states: of a trial, shape (K + 1, nz).
-        controls: of a trial, shape (K, nu).
+    flow: FlowMemory  # of one stage
+    modes: ModeMemory  # of one knot
+    added: AddedMemory  # of one knot
+    expansion: Expansion  # of all stages
+    sweep: SweepMemory  # of the backward pass
+    states: Floats  # of a trial, shape (K + 1, nz)
+    controls: Floats  # of a trial, shape (K, nu)
+
+
+class Pass(NamedTuple):
+    """How a motion is improved at one smoothing and penalty."""
+
+    eps: float  # ε, the smoothing of contact [m]
+    penalty: float  # ρ
+    iterations: int  # at most
+    tolerance: float  # of what the expansion promises, as a share of the cost
+    scale: float  # a cost below which costs are small
+    is_wary: bool  # whether steps that close gaps may raise the cost by little only
+    most: float  # what promises to cost more is left
+    updates: bool  # whether multipliers are updated in the end
+
+
+class Outcome(NamedTuple):
+    """What a pass came to."""
+
+    cost: float  # of the roll-out that it ends with, without penalties
+    iterations: int  # how many it took
+    is_converged: bool  # whether it ended in its tolerance
+    is_left: bool  # whether it was left, as it promised to cost too much
+    violation: float  # √w dist(s, [a, b]) of bounds at knots, at most
+
+
+def copy_writable(table: Any) -> Any:
+    """Returns a copy whose arrays are all writable: what cannot be written is of another type.
+
+    Code would be compiled once more for it.
     """
+    if isinstance(table, tuple):
+        return type(table)(*map(copy_writable, table))
+    return np.array(table, order="C") if isinstance(table, np.ndarray) else table
 
-    flow: FlowMemory
-    modes: ModeMemory
-    expansion: Expansion
-    sweep: SweepMemory
-    states: Floats
-    controls: Floats
+
+def make_mechanics_memory(mechanics: Mechanics) -> MechanicsMemory:
+    """Returns room for evaluations."""
+    (n, nu), code, m = mechanics.actuation.shape, mechanics.code, len(mechanics.contacts)
+    w = m + len(mechanics.rubs)
+    return MechanicsMemory(
+        values=np.zeros(1 + 2 * n + 2 * code[0] + code[1]),
+        sums=mechanics.constants.copy(),
+        factor=np.zeros((n, n)),
+        force=np.zeros((m, 5)),
+        rub=np.zeros((len(mechanics.rubs), 3)),
+        acceleration=np.zeros((1, n)),
+        slopes=np.zeros((2 * n + nu, n)),
+        support=np.zeros((w + 1 + n, n)),
+        grip=np.zeros((w + 1, w)),
+        by_force=np.zeros((2 * n + nu, w)),
+    )
+
+
+def make_memory(program: Program) -> Memory:
+    """Returns room for a problem."""
+    (n, nu), K, m = program.mechanics.actuation.shape, len(program.kinds), program.held.shape[1]
+    nx, nz = 2 * n, program.bounds.does_turn.size
+    nc, C, code = nz + nu, nx + nu, program.added.code
+    return Memory(
+        FlowMemory(
+            make_mechanics_memory(program.mechanics),
+            points=np.zeros((7, nx)),
+            by_column=np.zeros(nc),
+            slopes=np.zeros((4, nx, nc)),
+        ),
+        ModeMemory(*map(np.zeros, ((m, 3), (m, 3, nx + nu), (m, 3), nx))),
+        AddedMemory(
+            x=np.zeros(C),
+            values=np.zeros(1 + C + 2 * code[0] + code[1]),
+            sums=program.added.constants.copy(),
+            gradient=np.zeros(C + 1),
+            tables=np.zeros((3, C + 1, C + 1)),
+        ),
+        Expansion(*map(np.zeros, ((K, nz, nc), (K + 1, nc), (K + 1, nc, nc), (K, nz)))),
+        SweepMemory(
+            np.zeros(nu, dtype=np.int64),
+            *map(np.zeros, ((K, nu), (K, nu, nz), nz, (nz, nz), nz, (nz, nc), nc, (nc, nc))),
+            *map(np.zeros, ((nu, nu), (nu, nu), (6, nu))),
+        ),
+        states=np.zeros((K + 1, nz)),
+        controls=np.zeros((K, nu)),
+    )

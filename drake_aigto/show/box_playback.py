@@ -17,10 +17,10 @@ from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError
 from drake_aigto.paper import LiteralOptions, make_literal_problem
 from drake_aigto.planning import Plan, PlanningProblem, PlanOptions, Rung, make_problem
+from drake_aigto.show.board import make_mesh
 from drake_aigto.show.coordinates import coordinate_names, wall_places
-from drake_aigto.show.effects import Film
+from drake_aigto.show.film import Film
 from drake_aigto.show.motion import PALETTE, PLAN_LABEL
-from drake_aigto.show.picture import make_mesh
 from drake_aigto.show.scene import ROOT, clear
 from drake_aigto.transcription import Transcription
 from drake_aigto.world import World
@@ -31,8 +31,8 @@ _FRAMES_PER_SECOND = 60
 _ITERATES, _FRAMES_EACH = 40, 12  # The most that are shown, and how long each takes.
 _HOLD = 180  # frames that the end is held
 
-# The picture that boxes stand on, in inches of figure, of which a meter of scene has so many; the
-# height of a panel for each coordinate, and what is beside and between panels.
+# The picture that boxes stand on, in inches of figure, and how many of these are a meter of the
+# scene; the height of a panel for each coordinate, and what is beside and between panels.
 _INCHES_PER_METER = 6.0
 _WIDTH, _PANEL, _LEFT, _RIGHT, _TOP, _BETWEEN, _BOTTOM = 9.0, 4.2, 0.9, 0.3, 1.1, 0.25, 0.7
 _TITLE_TOP, _LEGEND_TOP, _TEXT_TOP, _TEXT = 0.1, 0.48, 0.68, 0.4  # rows of texts above the panels
@@ -80,7 +80,7 @@ def play_boxes(
 class _Graph:
     """Panels, one above the other, of positions over time, and what stands on them.
 
-    In its frame x is to the right and y up, from the middle; z is towards who looks on.
+    In its frame x is to the right and y up, from the middle; z is towards the viewer.
     """
 
     def __init__(self, run: BoxRun, plan: Plan, world: World) -> None:
@@ -248,7 +248,7 @@ class BoxRun:
     def pick(self, count: int, smallest: float = 0.0) -> list[int]:
         """Returns which iterates show best how the boxes shrink: evenly, by the logarithm of size.
 
-        They are places in `result.history`, increasing, at most so many, the first and the last one
+        They are places in `result.history`, increasing, at most `count`, the first and the last one
         included. Where the widest box around q is narrower than twice the smallest [m], iterates
         count as equal.
         """
@@ -263,7 +263,7 @@ def run_boxes(plan: Plan, world: World | None = None) -> BoxRun:
     """Runs that rung of AIGO's ladder again which the plan came from: the same boxes.
 
     Raises:
-        OptionsError: the boxes can't be had again; says why.
+        OptionsError: the boxes can't be run again; says why.
         ModelError: the world has to be given (`Plan.find_world`).
     """
     world, rung = plan.find_world(world), plan.best.origin.rung

@@ -1,4 +1,4 @@
-"""What the coordinates of a world are called, and where its walls are in them."""
+"""Names of the coordinates of a world, and places of its walls in them."""
 
 from __future__ import annotations
 

@@ -13,8 +13,8 @@ from drake_aigto.control import ClosedLoopRun, PlannedPath
 from drake_aigto.errors import ModelError
 from drake_aigto.show.coordinates import moves_straight
 from drake_aigto.show.figures import ABOVE, plot_controls, plot_path, plot_positions
-from drake_aigto.show.linkage_figures import plot_strobe
 from drake_aigto.show.motion import Motion, color_of
+from drake_aigto.show.plan_figures import plot_strobe
 
 SIMULATED = "simulation in Drake"
 _PLANNED: dict[str, Any] = {"linewidth": 1.6, "linestyle": (0, (4, 2)), "zorder": 3}

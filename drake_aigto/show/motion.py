@@ -5,16 +5,25 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
-from drake_aigto.arrays import Floats, Ints, interpolate, read_only
+from drake_aigto.arrays import Bools, Floats, Ints, interpolate, read_only
+from drake_aigto.contact import (
+    CompliantLaw,
+    RigidLaw,
+    calc_pushes,
+    calc_slips,
+    contact_law,
+    stack_rows,
+)
+from drake_aigto.dynamics import calc_friction_share
 from drake_aigto.planning import Plan
-from drake_aigto.simulation import Replay
-from drake_aigto.simulation.contacts import find_contacts
+from drake_aigto.simulation import Replay, find_contacts
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch
-from drake_aigto.world import CompliantLaw, Scenario, World
+from drake_aigto.world import Scenario, World
 
 # Okabe and Ito's colors, which the color-blind can tell apart; the darkest first.
 PALETTE = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9")
@@ -26,6 +35,8 @@ SIMULATION_LABELS = {
     "drake": "simulation: compliant (Drake)",
 }
 
+# Rows that are nearer to an impact than this part of the motion are at it.
+_AT = 1e-12
 # Between rows farther apart than this a motion is filled in [s].
 _LONGEST_STEP = 0.01
 DOT_SECONDS = 0.05  # From dot to dot, where bodies were.
@@ -185,22 +196,8 @@ def find_held(motion: Motion) -> Ints:
     return np.clip(rows, 0, len(motion.control_times) - 2)
 
 
-def calc_contact_forces(motion: Motion, world: World, scenario: Scenario) -> Floats:
-    """Returns what contacts push with at each row of a motion, shape (K, m) [N].
-
-    Soft ones by their law, wherever the motion comes from; rigid ones as a plan has them, and not
-    at all in simulations, which know their impulses alone.
-    """
-    law = world.contact_law(scenario)
-    if isinstance(law, CompliantLaw):
-        return world.calc_pushes(law, motion.positions, motion.velocities)
-    if motion.forces is None:
-        return np.zeros((len(motion.times), world.num_contacts))
-    return motion.forces[find_held(motion)]
-
-
 def find_dots(motion: Motion) -> Floats:
-    """Returns q every so many seconds and at the end, shape (d, nq) [m]."""
+    """Returns q every 0.05 s and at the end, shape (d, nq) [m]."""
     begin, end = motion.times[0], motion.times[-1]
     return positions_at(motion, np.append(np.arange(begin, end, DOT_SECONDS), end))
 
@@ -222,3 +219,100 @@ def find_legs(motion: Motion) -> list[Floats]:
 def positions_at(motion: Motion, times: Floats) -> Floats:
     """Returns q at times (d,) [s], shape (d, nq)."""
     return interpolate(times, motion.times, motion.positions)
+
+
+def calc_contact_forces(motion: Motion, world: World, scenario: Scenario) -> Floats:
+    """Returns what contacts push with at each row of a motion, shape (K, m) [N].
+
+    Soft ones by their law, wherever the motion comes from; rigid ones as a plan has them, and not
+    at all in simulations, which know their impulses alone.
+    """
+    law = contact_law(world, scenario)
+    if isinstance(law, CompliantLaw):
+        return calc_pushes(world, law, motion.positions, motion.velocities)
+    if motion.forces is None:
+        return np.zeros((len(motion.times), world.num_contacts))
+    return motion.forces[find_held(motion)]
+
+
+class Friction(NamedTuple):
+    """Forces [N], or impulses [N s], of m contacts along a motion of K rows.
+
+    Contacts stick where |s| < v_s; s of an impact is what it leaves.
+    """
+
+    normals: Floats  # f, shape (K, m)
+    tangents: Floats  # against sliding, shape (K, m)
+    largest: Floats  # μ f, shape (K, m)
+    sticks: Bools  # shape (K, m)
+
+
+def calc_friction(motion: Motion, world: World, scenario: Scenario) -> tuple[Friction, Friction]:
+    """Returns forces while contacts last, and impulses of rigid impacts.
+
+    Friction of compliant walls is −μ f σ(s / v_s); of rigid ones, while a plan's contact lasts, by
+    −μ f sign(s), and where they stick by what keeps T v̇ + Ṫ v = 0, within ±μ f; of lasting contact
+    in simulations nothing is known (`calc_contact_forces`). Impulses, of walls with friction
+    alone, are read off the velocity before and after an impact, and stand in the row after it.
+    """
+    law = contact_law(world, scenario)
+    forces = calc_contact_forces(motion, world, scenario)
+    if not law.rubs:
+        nothing = np.zeros_like(forces)
+        smooth = Friction(forces, nothing, nothing, nothing > 0)
+        return smooth, smooth._replace(normals=nothing)
+    slips = calc_slips(world, law, motion.positions, motion.velocities)
+    sticks, largest = np.abs(slips) < world.stiction_speed, law.friction * forces
+    impulses = np.zeros((2, *slips.shape))
+    if isinstance(law, RigidLaw):
+        held = sticks & (largest > 0)
+        tangents = _hold(motion, world, forces, -largest * np.sign(slips), largest, held)
+        impulses = _calc_impulses(motion, world) * (law.friction > 0)
+    else:
+        tangents = -largest * calc_friction_share(slips, world.stiction_speed)
+    lasting = Friction(forces, tangents, largest, sticks)
+    return lasting, Friction(impulses[0], impulses[1], law.friction * impulses[0], sticks)
+
+
+def _hold(
+    motion: Motion, world: World, forces: Floats, tangents: Floats, largest: Floats, held: Bools
+) -> Floats:
+    """Returns the tangents (K, m) [N], where contacts are held those that keep them from sliding.
+
+        T M⁻¹ Tᵀ f_t = −(T v̇₀ + Ṫ v),    |f_t| ≤ μ f
+
+    Here v̇₀ is without friction of what is held.
+    """
+    if motion.controls is None or not held.any():
+        return tangents
+    tangents = np.where(held, 0.0, tangents)
+    controls = motion.controls[find_held(motion)]
+    for row in np.flatnonzero(held.any(axis=1)):
+        q, v, contacts = motion.positions[row], motion.velocities[row], np.flatnonzero(held[row])
+        T = world.rubbing.calc_tangent_jacobian(q)
+        free = world.calc_acceleration(q, v, controls[row], forces[row], tangents[row] @ T)
+        sliding = T[contacts] @ free + world.rubbing.calc_tangent_bias(q, v)[contacts]
+        kicks = np.linalg.solve(world.calc_mass_matrix(q), T[contacts].T)
+        asked = np.linalg.lstsq(T[contacts] @ kicks, -sliding)[0]
+        most = largest[row, contacts]
+        tangents[row, contacts] = np.clip(asked, -most, most)
+    return tangents
+
+
+def _calc_impulses(motion: Motion, world: World) -> Floats:
+    """Returns normal and tangential impulses, shape (2, K, m) [N s]."""
+    found = np.zeros((2, len(motion.times), world.num_contacts))
+    for time in {touch.start for touch in motion.impacts}:
+        rows = np.flatnonzero(np.abs(motion.times - time) <= _AT * motion.times[-1])
+        contacts = np.unique([t.contact for t in motion.impacts if t.start == time])
+        if len(rows):
+            found[:, rows[-1], contacts] = _read_impulses(motion, world, rows, contacts)
+    return found
+
+
+def _read_impulses(motion: Motion, world: World, rows: Ints, contacts: Ints) -> Floats:
+    """Returns what makes of the first row's velocity the last one's, shape (2, contacts) [N s]."""
+    q, change = motion.positions[rows[0]], np.diff(motion.velocities[rows[[0, -1]]], axis=0)[0]
+    kicks = np.linalg.solve(world.calc_mass_matrix(q), stack_rows(world, q, contacts).T)
+    impulses: Floats = np.linalg.lstsq(kicks, change)[0].reshape(2, -1)
+    return impulses

@@ -18,7 +18,7 @@ from matplotlib.figure import Figure
 # The same figure gives the same bytes, and looks the same whatever fonts a reader has.
 _SVG: dict[Any, Any] = {"svg.hashsalt": "drake_aigto", "svg.fonttype": "path"}
 _DPI = 120  # of what is no lines: landscapes of many colors
-# Base64 of so many letters is packed as the bytes that it stands for, which compress better.
+# Base64 of 200 letters or more is packed as the bytes that it stands for, which compress better.
 _RUN = re.compile(r"(?<=base64,)[A-Za-z0-9+/]{200,}={0,2}")
 _LENGTH_BYTES = 4
 
@@ -69,7 +69,7 @@ class Page:
         )
 
     def figure(self, figure: Figure, caption: str) -> None:
-        """Adds a figure as an inline SVG; the caption is its text for who can't see it, too."""
+        """Adds a figure as an inline SVG; the caption is also its text for screen readers."""
         written = io.BytesIO()
         with mpl.rc_context(_SVG):
             figure.savefig(

@@ -97,7 +97,8 @@
   };
 
   // How far the scene ever reaches, across and up, in half the window's height.
-  const measure = ({ animator, camera, scene, scene_tree }) => {
+  const measure = ({ animator, camera, controls, scene, scene_tree }) => {
+    controls.update(); // A camera that has just been placed turns to its target with the next frame.
     const objects = [], most = [0, 0], now = animator.time;
     scene_tree.find(["drake_aigto"]).object.traverse((object) => {
       if (!object.geometry || object.isSprite) return;

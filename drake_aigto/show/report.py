@@ -1,59 +1,73 @@
-"""A plan as one HTML page: question, answer, verdict, recording, figures, and all numbers."""
+"""Plans and runs in the loop as one HTML page: question, answer, verdict, recording, figures."""
 
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import fields
 from importlib import metadata
 
+import numpy as np
 import yaml
-from matplotlib.figure import Figure
+from pydrake.geometry import Meshcat
 
 from drake_aigto import __version__
-from drake_aigto.errors import ModelError, OptionsError
-from drake_aigto.optima import rigid_optimum
+from drake_aigto.control import ClosedLoopRun
+from drake_aigto.errors import OptionsError
+from drake_aigto.plain import to_plain
 from drake_aigto.planning import Candidate, Plan, SearchOptions
 from drake_aigto.show.box_playback import BoxRun, play_boxes, run_boxes
-from drake_aigto.show.coordinates import moves_straight
-from drake_aigto.show.figures import plot_boxes, plot_motions, plot_path, plot_phase_portrait
-from drake_aigto.show.friction_figures import draw_friction
-from drake_aigto.show.landscapes import plot_cost_history, plot_cost_landscape
-from drake_aigto.show.linkage_figures import draw_mechanism
-from drake_aigto.show.motion import motions_of_plan, simulation_label
-from drake_aigto.show.page import Page
-from drake_aigto.show.plans import candidate_texts, format_replays, told_delay
-from drake_aigto.show.playback import open_meshcat, play
-from drake_aigto.show.question import add_question
-from drake_aigto.show.remarks import (
-    INTERRUPTED,
-    describe_bound,
-    describe_duration,
-    describe_idle,
-    describe_steps,
-    describe_unplanned,
-    describe_verdict,
-    describe_vetoes,
+from drake_aigto.show.facts import (
+    MOST_TOUCHES,
+    Fact,
+    answer_facts,
+    name_touch,
+    question_facts,
+    verdict_facts,
+    verdict_items,
 )
+from drake_aigto.show.loop_figures import figures_of_run, motion_of_run, motions_of_switches
+from drake_aigto.show.motion import simulation_label
+from drake_aigto.show.page import Page
+from drake_aigto.show.plain_text import candidate_texts, describe_ticks, run_facts
+from drake_aigto.show.plan_figures import figures_of_plan
+from drake_aigto.show.scene import open_meshcat, play, publish
 from drake_aigto.show.text import (
-    NO_COST,
     contact_names,
     cost_text,
     energy_text,
     length_text,
     miss_text,
     task_items,
+    touch_names,
+    weight_text,
 )
 from drake_aigto.simulation import Replay
-from drake_aigto.world import World
+from drake_aigto.world import Scenario, World
 
 _ANY_PORT = 0
-_MOST_CANDIDATES = 10
-_MOST_TOUCHES = 6
-_COLUMNS = 2  # of a figure that has one for each coordinate: more could not be read
-_SAME_COST = 1e-4  # Costs that differ by this part or less are called the same.
+_MOST_CANDIDATES, _MOST_TICKS, _MOST_MOTIONS = 10, 30, 4
 
-NUMBERS = ("cost J", "dynamics defect", "off the goal", "deepest penetration", "energy ratio")
+_NUMBERS = ("cost J", "dynamics defect", "off the goal", "deepest penetration", "energy ratio")
+
+PROBLEM = """\
+minimize over u   ∫₀ᵀ w_u ‖u(t)‖² dt + w_f ‖q(T) − q_goal‖²
+subject to        M v̇ + h(q, v) = B u + J(q)ᵀ λ,    0 ≤ φ(q) ⊥ λ ≥ 0,    q(0), v(0) given
+                  J v⁺ = −e J v⁻  where a wall is hit"""
+# Of tasks that ask for more than that, with e_q and e_v the errors of q and v.
+_COST = """\
+minimize over u   ∫₀ᵀ uᵀ R u + e_qᵀ Q e_q + e_vᵀ Q_v e_v dt
+                  + e_q(T)ᵀ Q_T e_q(T) + e_v(T)ᵀ Q_vT e_v(T)"""
+_SOFT = """\
+subject to        M v̇ + h(q, v) = B u + J(q)ᵀ λ,    λ = k x max(0, 1 + d ẋ),    x = max(0, −φ(q)),
+                  q(0), v(0) given"""
+_WEIGHTS = {
+    "R": "control_weight",
+    "Q": "position_weight",
+    "Q_v": "velocity_weight",
+    "Q_T": "goal_weight",
+    "Q_vT": "goal_velocity_weight",
+}
 
 
 def report_plan(
@@ -79,8 +93,8 @@ def report_plan(
     start, _, goal, *_ = task_items(plan.scenario, world)
     page = Page(f"Plan: {start}, {goal}")
     add_verdict(page, plan, world)
-    add_question(page, plan.scenario, world, plan.additions)
-    _add_answer(page, plan, world)
+    add_question(page, plan.scenario, world, float(plan.trajectory.times[-1]))
+    add_answer(page, plan, world)
     say("recording the plan, its simulations, and the boxes")
     page.heading("In motion")
     page.scenes(_record(plan, world, run))
@@ -91,79 +105,72 @@ def report_plan(
     if run is None:
         page.paragraph(f"{no_boxes[0].upper()}{no_boxes[1:]}")
     _add_candidates(page, plan, world)
-    page.heading("All numbers")
-    page.code(format_replays(plan, world, told_delay(plan, world)))
     _add_reproduction(page, plan)
     return page.to_html()
 
 
 def add_verdict(page: Page, plan: Plan, world: World) -> None:
-    """Adds whether simulations confirm a plan, and how far they are from it."""
-    verdict = describe_verdict(plan, world)
+    """Adds whether simulations confirm a plan, and what a reader has to know beside that."""
+    _, *others = verdict_facts(plan, world)
+    verdict = ", ".join(verdict_items(plan, contact_names(world)))
     page.verdict(f"{verdict[0].upper()}{verdict[1:]}.", plan.holds)
-    for replay in plan.replay:
-        confirmed = plan.best.is_confirmed_by(replay)
-        label = simulation_label(replay, world)
-        page.paragraph(
-            f"{label[0].upper()}{label[1:]}: {'confirms' if confirmed else 'contradicts'} the "
-            f"plan. {describe_difference(plan.cost, replay)}; it ends "
-            f"{miss_text(replay, plan.scenario, world)} off the goal, the plan "
-            f"{miss_text(plan.best, plan.scenario, world)}."
-        )
-    if plan.is_interrupted:
-        page.paragraph(f"Interrupted: {INTERRUPTED}.")
-    for veto in describe_vetoes(plan, world):
-        page.paragraph(f"Vetoed: {veto}.")
-    if unplanned := describe_unplanned(plan, world):
-        page.paragraph(f"Unplanned: {unplanned}.")
-    if duration := describe_duration(plan):
-        page.paragraph(f"Duration: {duration}.")
-    if steps := describe_steps(plan):
-        page.paragraph(f"Time steps: {steps}.")
-    if bound := describe_bound(plan):
-        page.paragraph(f"{bound[0].upper()}{bound[1:]}.")
-    if idle := describe_idle(plan, world):
-        page.paragraph(f"Without control: {idle}.")
+    _add_facts(page, others)
 
 
-def describe_difference(cost: float, replay: Replay) -> str:
-    """Returns by how much a simulation's cost differs from a plan's, and what explains it."""
-    off = replay.cost - cost
-    if abs(off) <= max(_SAME_COST * cost, NO_COST):
-        return "It costs the same"
-    # Of plans that cost next to nothing, no number of percent tells anything.
-    part = f", {100 * off / cost:+.2f} %" if cost > max(NO_COST, abs(off) / 10) else ""
-    text = f"Its cost differs by {off:+.1e}{part}"
-    if not replay.compliance_cost:
-        return text
-    return (
-        f"{text}: its walls give a little, which delays what follows a contact and explains up to "
-        f"{replay.compliance_cost:.1e}"
-    )
+def _add_facts(page: Page, facts: Iterable[Fact]) -> None:
+    """Adds facts as a table."""
+    page.table(("", ""), [(label, text.replace("\u00a0", " ")) for label, text in facts])
 
 
-def _add_answer(page: Page, plan: Plan, world: World) -> None:
+def add_question(
+    page: Page, scenario: Scenario, world: World, duration: float | None = None
+) -> None:
+    """Adds what was asked; a free duration is the plan's."""
+    page.heading("The question")
+    page.code(_describe_problem(scenario))
+    contacts = ", ".join(contact_names(world)) or "none"
+    more = [
+        ("contacts", contacts),
+        ("weights", _describe_weights(scenario)),
+        ("model", world.model or "a diagram of one's own"),
+    ]
+    _add_facts(page, [*question_facts(scenario, world, duration), *more])
+
+
+def _describe_problem(scenario: Scenario) -> str:
+    """Returns the cost and the equations of a task."""
+    if scenario.is_plain:
+        return PROBLEM
+    rigid = PROBLEM[PROBLEM.index("subject to") :]
+    return "\n".join([_COST, rigid if scenario.contact == "rigid" else _SOFT])
+
+
+def _describe_weights(scenario: Scenario) -> str:
+    """Returns the weights of the cost that are not zero."""
+    if scenario.is_plain:
+        return f"w_u = {scenario.control_weight:g}, w_f = {scenario.goal_weight:g}"
+    found = ((symbol, getattr(scenario, name)) for symbol, name in _WEIGHTS.items())
+    return "; ".join(f"{symbol} = {weight_text(w)}" for symbol, w in found if np.any(w))
+
+
+def add_answer(page: Page, plan: Plan, world: World) -> None:
+    """Adds a plan's contacts and numbers, and those of its simulations."""
     page.heading("The answer")
-    page.paragraph(describe_contacts(plan.best, world))
-    page.table(("", *NUMBERS, "touches"), _number_rows(plan, world))
+    names, contacts = contact_names(world), plan.best.contacts
+    touches = "; ".join(name_touch((each.time, each.index), names) for each in contacts)
+    count = "once" if len(contacts) == 1 else f"{len(contacts)} times"
+    touched = f"touches {count}: {touches}" if contacts else "touches nothing"
+    page.paragraph(f"The plan {touched}.")
+    page.table(("", *_NUMBERS, "touches"), _number_rows(plan, world))
     page.paragraph(
         "The plan is what the optimizer promises. The simulations run its control alone, from the "
         "start: they know nothing else of it."
     )
-
-
-def describe_contacts(best: Candidate, world: World) -> str:
-    """Returns which walls a plan touches, and when, as a sentence."""
-    names = contact_names(world)
-    if not best.contacts:
-        return "The plan touches nothing."
-    touches = [f"{names[c.index]} at {c.time:.3f} s" for c in best.contacts]
-    count = "once" if len(touches) == 1 else f"{len(touches)} times"
-    return f"The plan touches {count}: {'; '.join(touches)}."
+    _add_facts(page, answer_facts(plan, world))
 
 
 def _number_rows(plan: Plan, world: World) -> Iterator[tuple[str, ...]]:
-    """Yields a plan's numbers and those of its simulations, as rows below `NUMBERS`."""
+    """Yields a plan's numbers and those of its simulations, as rows below `_NUMBERS`."""
     best = plan.best
     times = [contact.time for contact in best.contacts]
     numbers = _numbers(plan, best, world, f"{best.max_defect:.0e}", times)
@@ -176,14 +183,14 @@ def _number_rows(plan: Plan, world: World) -> Iterator[tuple[str, ...]]:
 def _numbers(
     plan: Plan, run: Candidate | Replay, world: World, defect: str, times: Sequence[float]
 ) -> tuple[str, ...]:
-    touches = ", ".join(f"{time:.3f} s" for time in times[:_MOST_TOUCHES]) or "none"
+    touches = ", ".join(f"{time:.3f} s" for time in times[:MOST_TOUCHES]) or "none"
     return (
         cost_text(run.cost, 3, plan.best.scales.cost),
         defect,
         miss_text(run, plan.scenario, world),
         length_text(run.max_penetration),
         energy_text(run.energy_ratio),
-        f"{touches}, {len(times) - _MOST_TOUCHES} more" if len(times) > _MOST_TOUCHES else touches,
+        f"{touches}, {len(times) - MOST_TOUCHES} more" if len(times) > MOST_TOUCHES else touches,
     )
 
 
@@ -196,70 +203,6 @@ def _record(plan: Plan, world: World, run: BoxRun | None) -> dict[str, str]:
         return scenes
     play_boxes(plan, meshcat, world, run)
     return {**scenes, "AIGO's boxes": meshcat.StaticHtml()}
-
-
-def figures_of_plan(plan: Plan, world: World, run: BoxRun | None) -> Iterator[tuple[Figure, str]]:
-    """Yields the figures of a report, each with its caption; of boxes, if there are any."""
-    n, motions = world.num_positions, motions_of_plan(plan, world)
-    for first in range(0, n, _COLUMNS):
-        columns = range(first, min(first + _COLUMNS, n))
-        figure = Figure(figsize=(4.5 * max(len(columns), 2), 7), layout="constrained")
-        grid = figure.subplots(3, len(columns), sharex=True)
-        plot_motions(grid, motions, world, plan.scenario, columns)
-        yield figure, "Positions, velocities, controls: the plan, and simulations of its control."
-    if moves_straight(world):
-        yield _draw_states(plan, world)
-        yield from draw_friction(motions[0], world, plan.scenario)
-    else:
-        yield from draw_mechanism(motions, world, plan.scenario)
-    if run is not None:
-        yield _draw_boxes(run, n)
-
-
-def _draw_boxes(run: BoxRun, num_positions: int) -> tuple[Figure, str]:
-    """Returns a figure of the boxes around each coordinate, and of what they cost."""
-    figure = Figure(figsize=(4.5 * (num_positions + 1), 4.2), layout="constrained")
-    *panels, last = figure.subplots(1, num_positions + 1)
-    shown = [run.result.history[i] for i in run.pick(5, smallest=0.01)]
-    for coordinate, axes in enumerate(panels):
-        plot_boxes(axes, run.transcription, shown, coordinate=coordinate)
-    plot_cost_history(last, run)
-    return (
-        figure,
-        "AIGO's boxes, center ± half width, as they shrink, and what that costs. The last center "
-        "only proposes a contact sequence; the plan is polished from it.",
-    )
-
-
-def _draw_states(plan: Plan, world: World) -> tuple[Figure, str]:
-    """Returns a figure of states against each other, and what a touch costs where that is known."""
-    motions, n = motions_of_plan(plan, world), world.num_positions
-    figure = Figure(figsize=(4.5 * max(n + (n > 1), 2), 4.6), layout="constrained")
-    *portraits, last = figure.subplots(1, max(n + (n > 1), 2))
-    for coordinate, axes in enumerate(portraits):
-        plot_phase_portrait(axes, motions, world, plan.scenario, coordinate)
-    if n > 1:
-        plot_path(last, motions, world, plan.scenario)
-        return figure, "Velocity against position, and the path."
-    if not has_landscape(plan, world):
-        figure.delaxes(last)
-        return figure, "Velocity against position."
-    plot_cost_landscape(last, world, plan.scenario, {"plan": plan.best})
-    return figure, (
-        "Velocity against position; and what motions cost that touch the wall once, by when and "
-        "how fast, with the exact optimum, which the planner does not know."
-    )
-
-
-def has_landscape(plan: Plan, world: World) -> bool:
-    """Returns whether the landscape of single touches has the plan on it, and its exact optimum."""
-    if world.num_contacts > 1 or len(plan.best.contacts) > 1:
-        return False
-    try:
-        rigid_optimum(world, plan.scenario)
-    except ModelError:  # None is known for this world.
-        return False
-    return True
 
 
 _CANDIDATE_HEADER = (
@@ -339,3 +282,68 @@ def describe_versions() -> str:
         f"This page was made by drake_aigto {__version__} on Drake {metadata.version('drake')}, "
         f"Python {platform.python_version()}."
     )
+
+
+def report_run(run: ClosedLoopRun, progress: Callable[[str], None] | None = None) -> str:
+    """Returns a page about a run: self-contained, about 1 MB, for any browser since 2023.
+
+    Before each part that takes time, `progress` is called with a line of text.
+    """
+    say = progress or (lambda line: None)
+    start, _, goal, *_ = task_items(run.scenario, run.world)
+    page = Page(f"In the loop: {start}, {goal}")
+    page.paragraph(
+        "What moves here is a simulation: a plant and its controller in Drake's Simulator, with "
+        "Drake's own contact. Plans are shown as what they are, and labeled."
+    )
+    _add_facts(page, run_facts(run))
+    add_question(page, run.scenario, run.world)
+    say("recording the simulation")
+    page.heading("In motion")
+    page.scenes({"Simulation and plans": _record_run(run)})
+    say("drawing figures")
+    page.heading("Figures")
+    for figure, caption in figures_of_run(run):
+        page.figure(figure, caption)
+    if run.ticks:
+        _add_ticks(page, run)
+    page.heading("How to reproduce it")
+    for asked in (run.scenario.to_plain(), {"disturbance": to_plain(run.disturbance)}):
+        page.code(yaml.safe_dump(asked, sort_keys=False, allow_unicode=True))
+    page.paragraph(describe_versions())
+    return page.to_html()
+
+
+def _record_run(run: ClosedLoopRun) -> str:
+    """Returns Meshcat's page of the simulation, and of the plans beside it."""
+    meshcat = open_meshcat(_ANY_PORT)
+    show_run(run, meshcat)
+    return str(meshcat.StaticHtml())
+
+
+def show_run(run: ClosedLoopRun, meshcat: Meshcat) -> None:
+    """Shows a run in Meshcat, with a slider: the simulation, and the first plans beside it."""
+    motions = [motion_of_run(run), *motions_of_switches(run)]
+    publish(motions[:_MOST_MOTIONS], meshcat, run.true_world, run.scenario)
+
+
+def _add_ticks(page: Page, run: ClosedLoopRun) -> None:
+    """Adds the ticks that did more than go on as before."""
+    page.heading("Ticks")
+    names = touch_names(run.world)
+    telling = [tick for tick in run.ticks if tick.reason != "warm"]
+    page.paragraph(
+        f"{describe_ticks(run)}. Of {len(run.ticks)}, these {len(telling[:_MOST_TICKS])} did more "
+        "than improve the last plan."
+    )
+    rows = [
+        (
+            f"{tick.time:.2f} s",
+            cost_text(tick.cost),
+            ", ".join(names[i] for i in tick.touches[:MOST_TOUCHES]) or "nothing",
+            tick.reason,
+            f"{1e3 * tick.seconds:.1f} ms",
+        )
+        for tick in telling[:_MOST_TICKS]
+    ]
+    page.table(("", "cost from there on", "the plan touches", "why", "took"), rows)

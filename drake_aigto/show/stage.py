@@ -1,87 +1,96 @@
-"""What a scene shows of a world: its shapes, and the frame that their motion is watched in."""
+"""A world's shapes at any q, and the frame and the window in which their motion is watched."""
 
 from __future__ import annotations
 
-import itertools
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
-from pydrake.geometry import (
-    Box,
-    GeometryId,
-    GeometrySet,
-    HalfSpace,
-    Rgba,
-    Role,
-    SceneGraphInspector,
-    Shape,
-)
+from pydrake.geometry import Box, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.tree import BodyIndex, RigidBody
+from pydrake.multibody.tree import BodyIndex, JacobianWrtVariable, Joint, PrismaticJoint, RigidBody
 from pydrake.systems.framework import Context
 
-from drake_aigto.arrays import Floats
-from drake_aigto.show.coordinates import wall_places
+from drake_aigto.arrays import Bools, Floats
+from drake_aigto.show.motion import Motion, find_row
+from drake_aigto.show.shapes import (
+    Actor,
+    box_corners,
+    find_hinge,
+    moving_bodies,
+    moving_joints,
+    outboard_joints,
+    read_actors,
+)
+from drake_aigto.transcription import Touch
 from drake_aigto.world import World
 
-GRAY = Rgba(0.6, 0.6, 0.6)  # of what has no color of its own
-# Meshcat draws no half spaces; this much of one is drawn as a slab [m].
-_SLAB = (2.0, 2.0, 0.05)
-# Closer than this to the vertical, or to a line, counts as that.
-_UPRIGHT = 1e-3
-_SIGNS = np.array(list(itertools.product((-1.0, 1.0), repeat=3)))
+# A direction in which points move by less than this part of the largest way is none of motion:
+# of motions in a plane, and along a line. Beyond this cosine with the vertical it is upright.
+_FLAT, _STRAIGHT, _LEVEL = 1e-6, 1e-3, 1 - 1e-3
+# As parts of the motion's size: how far off walls are looked at, what is seen around all, and the
+# thickness of half spaces.
+_REACH, _EDGE, _SLAB = 1.0, 0.04, 0.03
+# Seen above and below what moves along a level line, in its height; and below, in its depth.
+_LANE, _LEAN = 0.5, 0.25
+_SMALL = 0.02  # the radius of what touches where no sphere does, in sizes of the window
+_FROM_FRONT = RotationMatrix.MakeXRotation(np.pi / 2)  # x to the right, z up
+_MOST_ROWS = 40  # of a motion, at which its directions are looked at
 _UP, _FORWARDS, _SIDE = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0]), np.array([1.0, 0, 0])
 
 
-@dataclass(frozen=True)
-class Actor:
-    """One shape of a world's scene graph.
+class Stage:
+    """The shapes of a world, and a frame T to watch their motion in.
 
-    Attributes:
-        name: unique; model, body and shape.
-        shape: what to draw for it.
-        X_BS: its pose in its body's frame.
-        color: its own; None: the model gives none.
-        body: the name of its body, unique.
-        index: of its body.
-        moves: whether this body moves.
-        corners: of a box around the drawn shape, in its frame, shape (8, 3) [m].
-        is_half_space: whether the shape is a slab that stands for one.
-    """
-
-    name: str
-    shape: Shape
-    X_BS: RigidTransform
-    color: Rgba | None
-    body: str
-    index: BodyIndex
-    moves: bool
-    corners: Floats
-    is_half_space: bool = False
-
-    @property
-    def radius(self) -> float:
-        """Half of its longest side [m]."""
-        return float(np.max(np.ptp(self.corners, axis=0))) / 2
-
-
-class Scenery:
-    """A world's shapes, where its joints bring them, and a frame T to watch their motion in.
+    T's x is to the right and y up in the plane of motion, as seen from above or from the front; of
+    a motion that keeps to no plane, as seen from the front. Places in T's x and y are those of the
+    world. Half spaces are slabs as wide as the motion, and boxes that stand still end where they
+    are out of sight.
 
     Attributes:
         actors: all shapes.
         X_WT: T's pose in the world.
+        is_flat: whether the motion keeps to a plane.
+        is_line: whether it keeps to a level line.
+        low: lower left corner of all that is to be seen, in T's x and y, shape (2,) [m].
+        high: the opposite corner [m].
+        depth: how far what moves reaches towards the viewer, from T's origin, which is as far back
+            as anything moves [m].
+        height: of what moves, in T's y [m].
+        tracers: points whose way tells the motion, each of them its body and its place there, shape
+            (3,) [m]: the spheres that touch, or else the ends of links that carry no other link.
     """
 
-    X_WT: RigidTransform
-
-    def __init__(self, world: World) -> None:
-        """Reads the shapes."""
+    def __init__(self, world: World, positions: Floats) -> None:
+        """Reads the shapes, and looks how they move through positions, shape (K, nq)."""
         self._world = world
         self._root = world.create_context()
-        self.actors = _read_actors(world)
+        self.actors = read_actors(world)
+        rows = positions[:: max(1, len(positions) // _MOST_ROWS)]
+        ways = np.vstack([self._ways(q) for q in rows])
+        _, sizes, directions = np.linalg.svd(ways, full_matrices=False)
+        self.is_flat = bool(sizes[2] < _FLAT * sizes[0])
+        is_straight, is_upright = sizes[1] < _STRAIGHT * sizes[0], abs(directions[0] @ _UP) > _LEVEL
+        self.is_line = self.is_flat and bool(is_straight and not is_upright)
+        normal = directions[2]
+        if is_straight:
+            normal = -_FORWARDS if is_upright else np.cross(directions[0], _UP)
+        R_WT = _face(normal) if self.is_flat else _FROM_FRONT
+        self.X_WT = RigidTransform(R_WT, np.zeros(3))
+        self._set_window(positions)
+        self.tracers = list(self._find_tracers())
+
+    @property
+    def size(self) -> float:
+        """The longer side of what is to be seen [m]."""
+        return float(np.max(self.high - self.low))
+
+    @property
+    def radius(self) -> float:
+        """Of the largest sphere that touches something, or what takes its place [m]."""
+        inspector = self._world.scene_graph.model_inspector()
+        spheres = (inspector.GetShape(pair[0]) for pair in self._world.shapes)
+        return max((sphere.radius() for sphere in spheres), default=_SMALL * self.size)
 
     def pose(self, actor: Actor, q: Floats) -> RigidTransform:
         """Returns the pose of an actor's drawn shape in the world, at q of shape (nq,)."""
@@ -95,11 +104,6 @@ class Scenery:
         plant.SetPositions(context, q)
         return context
 
-    def places(self, actor: Actor, positions: Floats) -> Floats:
-        """Returns where in T an actor's middle is, shape (K, 3), at positions of shape (K, nq)."""
-        X_TW = self.X_WT.inverse()
-        return np.array([X_TW.multiply(self.pose(actor, q).translation()) for q in positions])
-
     def extent(self, actors: Iterable[Actor], positions: Floats) -> Floats:
         """Returns opposite corners in T of shapes over positions, shape (2, 3) [m]."""
         found = []
@@ -110,142 +114,220 @@ class Scenery:
         corners = np.vstack(found)
         return np.array([corners.min(axis=0), corners.max(axis=0)])
 
-
-class Stage(Scenery):
-    """The shapes of a world in which nothing turns, and a frame T to watch their motion in.
-
-    Where all that moves keeps to one level line, T's x axis is its direction, with the sign of the
-    positions, and y is level. Otherwise x and y are to the right and up in the plane of motion, as
-    seen from above or from the front. The origin is below, or behind, the first moving shape at
-    q = 0, so that where one joint slides, x, or up y, is its position.
-
-    Attributes:
-        movers: the first moving shape of each body that moves.
-        directions: by how much each mover moves in the world with each coordinate, shape
-            (movers, nq, 3) [m/m].
-        is_line: whether the motion is along a level line.
-        radius: of the first moving shape, half of its longest side [m].
-        lowest: the least x of a moving shape's middle in T over the motions [m].
-        highest: the largest [m].
-    """
-
-    def __init__(self, world: World, positions: Floats) -> None:
-        """Reads the shapes, and looks how they move through positions, shape (K, nq) [m]."""
-        super().__init__(world)
-        # There is one: a world has a shape that moves to its wall.
-        self.movers = list({a.body: a for a in reversed(self.actors) if a.moves}.values())[::-1]
-        lead = self.movers[0]
-        self.radius = lead.radius
-        origin = self.pose(lead, np.zeros(world.num_positions)).translation()
-        self.directions = np.array([self._ways(mover) for mover in self.movers])
-        self.is_line, R_WT = face_motion(self.directions.reshape(-1, 3))
-        self.X_WT = RigidTransform(R_WT, origin - self.radius * R_WT.matrix()[:, 2])
-        along = [self.places(mover, positions)[:, 0] for mover in self.movers]
-        self.lowest, self.highest = float(np.min(along)), float(np.max(along))
-
-    def _ways(self, mover: Actor) -> list[Floats]:
-        """Returns by how much a shape moves in the world with each coordinate."""
-        origin, *moved = (
-            self.pose(mover, q).translation()
-            for q in (np.zeros(self._world.num_positions), *np.eye(self._world.num_positions))
-        )
-        return [place - origin for place in moved]
-
-    def rotation(self, actor: Actor) -> RotationMatrix:
-        """Returns R_WS of an actor's drawn shape: nothing turns as it moves."""
-        return self.pose(actor, np.zeros(self._world.num_positions)).rotation()
-
-    def walls(self) -> list[tuple[float, float]]:
-        """Returns where in T's x walls stop the middles of shapes, and the side that each faces."""
+    def _ways(self, q: Floats) -> Floats:
+        """Returns by how much corners of moving shapes move with each coordinate, (k, 3) [m]."""
+        plant, context = self._world.plant, self._set(q)
         found = []
-        eye = np.eye(self._world.num_positions)
-        for i, direction in enumerate(eye):
-            for _, place, side in wall_places(self._world, i):
-                for mover in self.movers:
-                    zero, one, there = self.places(mover, np.outer([0, 1, place], direction))[:, 0]
-                    if one != zero:
-                        found.append((float(there), side * float(np.sign(one - zero))))
+        for actor in filter(lambda actor: actor.moves, self.actors):
+            J = plant.CalcJacobianTranslationalVelocity(
+                context,
+                JacobianWrtVariable.kV,
+                plant.get_body(actor.index).body_frame(),
+                actor.X_BS.multiply(actor.corners.T),
+                plant.world_frame(),
+                plant.world_frame(),
+            )
+            found.append(J.T.reshape(-1, 3))
+        return np.vstack(found)
+
+    def _set_window(self, positions: Floats) -> None:
+        """Finds what is to be seen: all that moves, and walls where they are near."""
+        low, high = self.extent((actor for actor in self.actors if actor.moves), positions)
+        self.height, self.depth = float(high[1] - low[1]), float(high[2] - low[2])
+        reach = np.full(3, _REACH * float(np.max(high - low)))
+        if self.is_line:
+            reach[1:] = _LANE * self.height
+        self.actors = [self._fit(actor, positions[0], low, high, reach) for actor in self.actors]
+        still = [actor for actor in self.actors if not actor.moves]
+        corners = self.extent(still, positions[:1]) if still else np.array([low, high])
+        near = np.clip(corners, low - reach, high + reach)
+        self.X_WT = self.X_WT @ RigidTransform([0.0, 0.0, low[2]])
+        first, last = np.minimum(low, near[0])[:2], np.maximum(high, near[1])[:2]
+        edge = np.full(2, _EDGE * np.max(last - first))
+        if self.is_line:
+            # Seen a little from above, what is in front covers what is below it.
+            first[1], last[1], edge[1] = (low - reach)[1] - _LEAN * self.depth, (high + reach)[1], 0
+        self.low, self.high = first - edge, last + edge
+
+    def _fit(self, actor: Actor, q: Floats, low: Floats, high: Floats, reach: Floats) -> Actor:
+        """Returns what stands still as far as it is seen: of a half space, just what is touched."""
+        if actor.moves or not isinstance(actor.shape, Box):
+            return actor
+        thick = _SLAB * float(np.max(high - low))
+        room = np.full(3, thick) if actor.is_half_space else reach
+        X_ST = self.pose(actor, q).inverse() @ self.X_WT
+        corners = X_ST.multiply(((low + high) / 2 + box_corners((high - low) / 2 + room)).T).T
+        seen = np.array([corners.min(axis=0), corners.max(axis=0)])
+        own = np.array([actor.corners.min(axis=0), actor.corners.max(axis=0)])
+        if actor.is_half_space:
+            # The face of the slab that was drawn so far is that of the half space.
+            seen[:, 2] = own[1, 2] - thick, own[1, 2]
+        else:
+            seen = np.clip(seen, *own)
+            seen = np.where(np.ptp(seen, axis=0) > 0, seen, own)  # Out of sight altogether.
+        sides, X_SB = np.ptp(seen, axis=0), RigidTransform(seen.mean(axis=0))
+        return replace(
+            actor, shape=Box(*sides), X_BS=actor.X_BS @ X_SB, corners=box_corners(sides / 2)
+        )
+
+    def _find_tracers(self) -> Iterator[tuple[BodyIndex, Floats]]:
+        """Yields the points whose way tells the motion."""
+        inspector, plant = self._world.scene_graph.model_inspector(), self._world.plant
+        shapes = dict.fromkeys(shape for pair in self._world.shapes for shape in pair)
+        for shape in shapes:
+            body = plant.GetBodyFromFrameId(inspector.GetFrameId(shape))
+            if isinstance(inspector.GetShape(shape), Sphere) and not plant.IsAnchored(body):
+                yield body.index(), inspector.GetPoseInFrame(shape).translation()
+        if shapes:
+            return
+        for body in moving_bodies(self._world):
+            if not outboard_joints(self._world, body):
+                yield body.index(), self._find_tip(body)
+
+    def _find_tip(self, body: RigidBody) -> Floats:
+        """Returns the end of a link that is the farthest from its joint, shape (3,) [m]."""
+        origin = find_hinge(self._world, body)
+        ends = []
+        for actor in self.actors:
+            if actor.index == body.index():
+                # The middles of a box's faces, from its corners.
+                middle, half = actor.corners.mean(axis=0), np.ptp(actor.corners, axis=0) / 2
+                faces = middle + np.vstack([np.diag(half), np.diag(-half)])
+                ends.append(actor.X_BS.multiply(faces.T).T)
+        places = np.vstack([*ends, origin])
+        tip: Floats = places[np.argmax(np.linalg.norm(places - origin, axis=1))]
+        return tip
+
+    @property
+    def tracer_names(self) -> list[str]:
+        """The names of the tracers' bodies, without the last word where it is that of all."""
+        bodies = (self._world.plant.get_body(body) for body, _ in self.tracers)
+        names = [body.name().split("_") for body in bodies]
+        is_shared = len({name[-1] for name in names}) == 1
+        return [" ".join(name[:-1] if is_shared else name) for name in names]
+
+    def trace(self, positions: Floats) -> Floats:
+        """Returns where in T the tracers are, shape (tracers, K, 3), at positions (K, nq)."""
+        return np.array([[self._locate(*each, q) for q in positions] for each in self.tracers])
+
+    def _locate(self, body: BodyIndex, place: Floats, q: Floats) -> Floats:
+        plant = self._world.plant
+        X_WB = plant.EvalBodyPoseInWorld(self._set(q), plant.get_body(body))
+        located: Floats = self.X_WT.inverse().multiply(X_WB.multiply(place))
+        return located
+
+    def is_in_the_way(self, actor: Actor) -> bool:
+        """Returns whether a shape that stands still is in the plane of motion, not behind it."""
+        _, high = self.extent([actor], np.zeros((1, self._world.num_positions)))
+        return bool(high[2] > _FLAT * self.size)
+
+    def movers_of(self, body: BodyIndex) -> Bools:
+        """Returns which coordinates move a body, shape (nq,)."""
+        plant = self._world.plant
+        found = np.zeros(self._world.num_positions, dtype=bool)
+        for joint in moving_joints(self._world):
+            bodies = plant.GetBodiesKinematicallyAffectedBy([joint.index()])
+            if body in bodies:
+                start = joint.position_start()
+                found[start : start + joint.num_positions()] = True
         return found
 
+    def touch(self, contact: int, q: Floats) -> tuple[Floats, Floats]:
+        """Returns where a contact's shapes are nearest, and its normal, in the world, (3,) each.
 
-def _read_actors(world: World) -> list[Actor]:
-    """Returns the shapes to draw of each body: those for illustration, or else for contact."""
-    inspector = world.scene_graph.model_inspector()
-    everything = GeometrySet(inspector.GetAllGeometryIds())
-    shown, touched = (
-        [
-            _read_actor(world, inspector, geometry)
-            for geometry in sorted(
-                inspector.GetGeometryIds(everything, role), key=GeometryId.get_value
-            )
+        The place is on what the sphere touches [m]; the normal points from there to the sphere.
+        """
+        self._set(q)
+        sphere, wall = self._world.shapes[contact]
+        scene_graph = self._world.scene_graph
+        query = scene_graph.get_query_output_port().Eval(
+            scene_graph.GetMyContextFromRoot(self._root)
+        )
+        pair = query.ComputeSignedDistancePairClosestPoints(sphere, wall)
+        is_first = pair.id_A == sphere
+        place = query.GetPoseInWorld(wall).multiply(pair.p_BCb if is_first else pair.p_ACa)
+        return place, pair.nhat_BA_W * (1.0 if is_first else -1.0)
+
+    def place_touches(self, motion: Motion, touches: Sequence[Touch]) -> Floats:
+        """Returns where in T's x and y a motion touches something, shape (t, 2) [m]."""
+        X_TW = self.X_WT.inverse()
+        rows = [motion.positions[find_row(motion, touch.start)] for touch in touches]
+        places = [
+            X_TW.multiply(self.touch(touch.contact, q)[0])[:2]
+            for touch, q in zip(touches, rows, strict=True)
         ]
-        for role in (Role.kIllustration, Role.kProximity)
-    )
-    bodies = {actor.body for actor in shown}
-    return [*shown, *(actor for actor in touched if actor.body not in bodies)]
+        return np.reshape(places, (-1, 2))
 
+    def find_tangent(self, contact: int, q: Floats) -> Floats:
+        """Returns the direction in the world in which a contact's s = T v counts, shape (3,).
 
-def _read_actor(world: World, inspector: SceneGraphInspector, geometry: GeometryId) -> Actor:
-    shape, X_BS = inspector.GetShape(geometry), inspector.GetPoseInFrame(geometry)
-    is_half_space = isinstance(shape, HalfSpace)
-    if is_half_space:
-        X_BS, shape = X_BS @ RigidTransform([0.0, 0.0, -_SLAB[2] / 2]), Box(*_SLAB)
-        X_SO, half_widths = RigidTransform(), np.array(_SLAB) / 2
-    else:
-        box = inspector.GetObbInGeometryFrame(geometry)
-        X_SO, half_widths = box.pose(), box.half_width()
-    body = world.plant.GetBodyFromFrameId(inspector.GetFrameId(geometry))
-    name = name_body(world, body)
-    shape_name = inspector.GetName(geometry).split("::")[-1]
-    return Actor(
-        name=f"{name}/{shape_name}",
-        shape=shape,
-        X_BS=X_BS,
-        color=_read_color(inspector, geometry),
-        body=name,
-        index=body.index(),
-        moves=not world.plant.IsAnchored(body),
-        corners=box_corners(half_widths, X_SO),
-        is_half_space=is_half_space,
-    )
+        That of what the sphere's material moves by where it touches, as the wall sees it, when v is
+        along T; zero where nothing can slide.
+        """
+        place, normal = self.touch(contact, q)
+        T = self._world.rubbing.calc_tangent_jacobian(q)[contact]
+        plant, context = self._world.plant, self._set(q)
+        inspector = self._world.scene_graph.model_inspector()
+        sphere, wall = (
+            plant.GetBodyFromFrameId(inspector.GetFrameId(shape)).body_frame()
+            for shape in self._world.shapes[contact]
+        )
+        J = plant.CalcJacobianTranslationalVelocity(
+            context,
+            JacobianWrtVariable.kV,
+            sphere,
+            sphere.CalcPoseInWorld(context).inverse().multiply(place),
+            wall,
+            plant.world_frame(),
+        )
+        along = J @ T
+        along -= normal * (normal @ along)
+        size = float(np.linalg.norm(along))
+        return along / size if size > 0 else along
 
+    def load(self, joint: Joint, q: Floats, forces: Floats) -> tuple[Floats, Floats, Floats]:
+        """Returns where a joint drives, and by what force and torque its generalized forces act.
 
-def name_body(world: World, body: RigidBody) -> str:
-    """Returns the name of a body with its model's, which is unique."""
-    return f"{world.plant.GetModelInstanceName(body.model_instance())}/{body.name()}"
+        Generalized forces are of shape (nv,). All results are in the world, shape (3,) each [m],
+        [N], [N m]. A slider drives the middle of its link, or of what slides on that if it has no
+        shape; another joint drives where it is.
+        """
+        plant, context = self._world.plant, self._set(q)
+        frame = joint.frame_on_child()
+        J = plant.CalcJacobianSpatialVelocity(
+            context,
+            JacobianWrtVariable.kV,
+            frame,
+            np.zeros(3),
+            joint.frame_on_parent(),
+            plant.world_frame(),
+        )
+        moment, push = (J @ forces).reshape(2, 3)
+        driven = self.find_driven(joint) if np.any(push) else None
+        if driven is None:
+            return frame.CalcPoseInWorld(context).translation(), push, moment
+        middle = driven.corners.mean(axis=0)
+        return self.pose(driven, q).multiply(middle), push, moment
 
-
-def box_corners(half_widths: npt.ArrayLike, X_SO: RigidTransform | None = None) -> Floats:
-    """Returns the corners of a box O in a frame S, shape (8, 3) [m]."""
-    corners: Floats = (X_SO or RigidTransform()).multiply((_SIGNS * half_widths).T).T
-    return corners
-
-
-def _read_color(inspector: SceneGraphInspector, geometry: GeometryId) -> Rgba | None:
-    properties = inspector.GetIllustrationProperties(geometry)
-    if properties is None or not properties.HasProperty("phong", "diffuse"):
+    def find_driven(self, joint: Joint) -> Actor | None:
+        """Returns the first shape of the link that a joint moves, or that slides on it."""
+        outward = [joint]
+        for each in outward:
+            for actor in self.actors:
+                if actor.index == each.child_body().index():
+                    return actor
+            others = outboard_joints(self._world, each.child_body())
+            outward += [other for other in others if isinstance(other, PrismaticJoint)]
         return None
-    color: Rgba = properties.GetProperty("phong", "diffuse")
-    return color
 
 
-def _unit(vector: Floats) -> Floats:
-    unit: Floats = vector / np.linalg.norm(vector)
-    return unit
-
-
-def face_motion(ways: Floats) -> tuple[bool, RotationMatrix]:
-    """Returns whether shapes that move in these ways (k, 3) keep to a level line, and R_WT."""
-    _, sizes, directions = np.linalg.svd(ways)
-    first = directions[0] if directions[0] @ ways.sum(axis=0) >= 0 else -directions[0]
-    upright = bool(np.hypot(*first[:2]) < _UPRIGHT)
-    if sizes[1:].max(initial=0.0) < _UPRIGHT * sizes[0] and not upright:
-        y = _unit(np.cross(_UP, first))
-        return True, RotationMatrix(np.column_stack([first, y, np.cross(first, y)]))
-    # Towards who looks on: the plane's normal, up if it can be, or against the world's y axis.
-    normal = directions[2] if sizes[1:].max(initial=0.0) >= _UPRIGHT * sizes[0] else -_FORWARDS
-    level = abs(normal @ _UP) > 1 - _UPRIGHT
-    normal = normal if normal @ (_UP if level else -_FORWARDS - 1e-6 * _SIDE) >= 0 else -normal
-    y = _FORWARDS if level else _UP
-    y = _unit(y - (y @ normal) * normal)
-    return False, RotationMatrix(np.column_stack([np.cross(y, normal), y, normal]))
+def _face(normal: Floats) -> RotationMatrix:
+    """Returns R_WT of a plane of motion with a normal, shape (3,)."""
+    normal = normal / np.linalg.norm(normal)
+    # Towards the viewer: up if it can be, or against the world's y axis.
+    is_level = abs(normal @ _UP) > _LEVEL
+    normal = normal if normal @ (_UP if is_level else -_FORWARDS - 1e-6 * _SIDE) >= 0 else -normal
+    y = _FORWARDS if is_level else _UP
+    y = y - (y @ normal) * normal
+    x = np.cross(y, normal)
+    return RotationMatrix(np.column_stack([each / np.linalg.norm(each) for each in (x, y, normal)]))

@@ -8,16 +8,17 @@ from typing import Any
 import numpy as np
 
 from drake_aigto.arrays import Bools, Floats
+from drake_aigto.contact import RigidLaw, contact_law
 from drake_aigto.planning import Candidate
 from drake_aigto.simulation import Replay
-from drake_aigto.world import RigidLaw, Scenario, TaskCost, World
+from drake_aigto.world import Scenario, TaskCost, World
 
 WIDTH = 100
-# Below it, in the task's scale, a cost is 0 but for rounding; nothing is so many percent of it.
+# Below it, in the task's scale, a cost is 0 but for rounding; no percentage of it says anything.
 NO_COST = 1e-9
 _AGAINST = " against "
 _AS_SHORT: Any = {"float_kind": lambda value: f"{value:g}"}
-# What a task asks for besides that is told where it starts and ends; weights are told elsewhere.
+# What a task asks for, shown beside its start and goal; weights are shown elsewhere.
 _SHOWN = (
     *("hard_goal", "angles", "duration_range", "reference_times", "contact"),
     *("position_lower", "position_upper", "velocity_lower", "velocity_upper"),
@@ -106,7 +107,7 @@ def law_items(scenario: Scenario, world: World) -> list[str]:
     """Returns what contacts push with: restitution, or stiffness and dissipation, if any do."""
     if not world.contacts:
         return []
-    law = world.contact_law(scenario)
+    law = contact_law(world, scenario)
     if isinstance(law, RigidLaw):
         return [f"restitution {scenario.restitution:g}"]
     values = {"stiffness": (law.stiffness, "N/m"), "dissipation": (law.dissipation, "s/m")}

@@ -1,19 +1,6 @@
-"""A control alone, simulated: on exactly rigid walls, and in Drake; and the verdict on a plan."""
+"""Judges: a control alone, or with feedback, simulated by exact laws and in Drake; and verdicts."""
 
-from drake_aigto.simulation.replay import (
-    Replay,
-    confirms,
-    replay_costs,
-    replay_drake,
-    replay_event_driven,
-)
-from drake_aigto.simulation.simulator import make_simulator
+import lazy_loader
 
-__all__ = [
-    "Replay",
-    "confirms",
-    "make_simulator",
-    "replay_costs",
-    "replay_drake",
-    "replay_event_driven",
-]
+# Loaded when first used: Numba, behind the kernels, takes a second.
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

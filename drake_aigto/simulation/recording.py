@@ -1,18 +1,85 @@
-"""What a simulation of a held control saw: states, and contacts with walls."""
+"""Controllers that simulations ask, and recordings of motions: states, and contacts with walls."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.simulation.impacts import CONTACT, PUSH, SPEED, STATE, TIME
-from drake_aigto.simulation.smooth import Samples
+from drake_aigto.simulation.flights import CONTACT, PUSH, SPEED, STATE, TIME
 
 # A list that grows, or an array of what is known at once.
 Rows: TypeAlias = Any
+
+
+class Held(NamedTuple):
+    """A control that is held for a while."""
+
+    control: Floats  # u, shape (nu,) [N]
+    until: float  # when the controller is asked again, at the latest [s]
+
+
+class Controller(ABC):
+    """A digital controller: it samples the state and holds its control until the next sample.
+
+    Attributes:
+        start: of its time [s].
+        end: of its time [s].
+        longest_hold: the longest that a control is held [s].
+        feels_contact: whether it is asked again as soon as a contact has ended, and not while one
+            goes on.
+    """
+
+    start: float
+    end: float
+    longest_hold: float
+    feels_contact: bool
+    is_open_loop = False  # Whether all controls are known before (`HeldControl`).
+
+    @abstractmethod
+    def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
+        """Returns the control from now on, in [start, end) [s].
+
+        Args:
+            time: now [s].
+            x: (q, v), shape (nq + nv,).
+            bounces: the contact of each bounce so far.
+        """
+
+
+class HeldControl(Controller):
+    """A control that was decided before: open loop.
+
+    Attributes:
+        times: of the knots, shape (N+1,) [s].
+        controls: that are held between them, shape (N, nu) [N].
+    """
+
+    feels_contact = False
+    is_open_loop = True
+
+    def __init__(self, times: Floats, controls: Floats) -> None:
+        """Keeps controls (N, nu) [N] that are held between knots (N+1,) [s]."""
+        self.times, self.controls = times, controls
+        self.start, self.end = float(times[0]), float(times[-1])
+        self.longest_hold = float(np.max(np.diff(times)))
+
+    def sample(self, time: float, x: Floats, bounces: Sequence[int]) -> Held:
+        """Returns the control of this interval."""
+        k = int(np.searchsorted(self.times, time, side="right"))
+        return Held(self.controls[k - 1], float(self.times[k]))
+
+
+class Samples(NamedTuple):
+    """A motion at nodes of a quadrature, ∫ f dt ≈ Σ_k weights_k f(times_k, states_k)."""
+
+    times: Floats  # shape (K,) [s]
+    weights: Floats  # shape (K,) [s]
+    states: Floats  # (q, v), shape (K, 2 nv)
 
 
 class Impact(NamedTuple):
@@ -56,6 +123,10 @@ class Recording:
     """Filled while a simulation runs; the last row is its end.
 
     Attributes:
+        simulator: what simulated (`Replay.simulator`).
+        error: how far the end should be at most from where the scenario's own law of contact leads
+            [m, rad].
+        cost_error: what of the cost this explains at most; None: what such an end may cost.
         times: never decreasing; equal before and after an impact that takes no time [s].
         positions: q for each time, shape (nq,) [m].
         velocities: v for each time, shape (nv,) [m/s].
@@ -71,6 +142,9 @@ class Recording:
         samples: of the motion between rows, where it is integrated, and the control meanwhile.
     """
 
+    simulator: str = ""
+    error: float = 0.0
+    cost_error: float | None = None
     times: Rows = field(default_factory=list)
     positions: Rows = field(default_factory=list)
     velocities: Rows = field(default_factory=list)
@@ -118,7 +192,7 @@ class Recording:
 
 
 def list_impacts(log: Floats, mass_matrix: Floats) -> list[Impact]:
-    """Returns the impacts of a log (`impacts.make_log`), by a mass matrix M (nv, nv) [kg]."""
+    """Returns the impacts of a log (`flights.make_log`), by a mass matrix M (nv, nv) [kg]."""
     if not len(log):
         return []
     velocities = log[:, STATE:].reshape(len(log), 3, -1)[:, 1:].transpose(1, 0, 2)

@@ -1,29 +1,23 @@
-"""Replay: a plan's control alone, run from the start against rigid walls."""
+"""Replay: a plan's control alone, run from the start by a judge."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from drake_aigto.arrays import ArrayRecord, Floats, read_only
 from drake_aigto.errors import TrajectoryError
-from drake_aigto.simulation.bounds import calc_violations
-from drake_aigto.simulation.compliance import calc_compliance_error
-from drake_aigto.simulation.compliant_wall import simulate_compliant_wall
-from drake_aigto.simulation.controller import HeldControl
-from drake_aigto.simulation.costs import calc_cost, calc_plain_cost, explain_cost
-from drake_aigto.simulation.drake_springs import simulate_plant
-from drake_aigto.simulation.lateness import calc_lateness
-from drake_aigto.simulation.recording import ContactPhase, Recording
-from drake_aigto.simulation.rigid_wall import simulate_rigid_wall
-from drake_aigto.simulation.rollout import Parabolas
-from drake_aigto.simulation.rubbing_mechanism import simulate_rigid_walls
-from drake_aigto.simulation.springs import Springs
+from drake_aigto.simulation.drake_judge import DrakeJudge
+from drake_aigto.simulation.event_driven import EventDriven
+from drake_aigto.simulation.parabolas import Parabolas
+from drake_aigto.simulation.recording import ContactPhase, Controller, HeldControl, Recording
+from drake_aigto.simulation.verdict import calc_cost, calc_plain_cost, calc_violations, explain_cost
 from drake_aigto.trajectory import check_control
-from drake_aigto.world import CompliantLaw, Scales, Scenario, World
+from drake_aigto.world import Scales, Scenario, World
 
 # What counts as nothing in a simulation, as a part of the task's scales: 2 mm in a task of a meter.
 _NOTHING = 2e-3
@@ -127,18 +121,30 @@ class Replay(ArrayRecord):
         return sum(self.energies_after) / sum(self.energies_before) if self.bounce_times else None
 
 
+class Judge(Protocol):
+    """Simulates what a controller does to a world; knows nothing of plans.
+
+    A file with another one is all that it takes: replays and verdicts take any.
+    """
+
+    def simulate(self, world: World, scenario: Scenario, controller: Controller) -> Recording:
+        """Runs a controller from the scenario's start to its end.
+
+        The recording says how far its end should be at most from where the scenario's law of
+        contact leads (`Recording.error`).
+        """
+
+
+EVENT_DRIVEN, DRAKE = EventDriven(), DrakeJudge()
+
+
 def replay_event_driven(
     world: World, scenario: Scenario, times: ArrayLike, controls: ArrayLike
 ) -> Replay:
     """Replays a held control on walls of our own, rigid or compliant as the scenario says.
 
-    The judge of plans, for any restitution in [0, 1]. Where flight under a held control is a
-    parabola (`World.constant_dynamics`) it is exact but for rounding, by roots alone (`Parabolas`);
-    only hops too short to follow become rest. Where M or J depends on q it is integrated nearly to
-    rounding (`RigidMechanism` has the equations), and so it is with friction (`RubbingMechanism`):
-    what sticks, slips or rolls, and until when, is found by roots, too. Elsewhere Drake's Simulator
-    integrates, and touches shorter than a millionth of the duration may not be noticed. Compliant
-    walls are springs that may be entered (`Springs`), and the replay's simulator is "integrated".
+    The judge of plans, for any restitution in [0, 1] (`EventDriven`). On compliant walls the
+    replay's simulator is "integrated".
 
     Args:
         world: its dynamics and its contacts.
@@ -148,27 +154,28 @@ def replay_event_driven(
 
     Raises:
         TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
-        FrictionError: friction leaves no way to go on, or several (`RubbingMechanism`).
+        FrictionError: friction leaves no way to go on, or several (`SlidingMotion`).
     """
-    times, controls = _refine(scenario, *_check_control(world, times, controls))
-    law = world.contact_law(scenario)
-    if isinstance(law, CompliantLaw):
-        return replay_on_springs(world, scenario, law, HeldControl(times, controls))
-    recording = _simulate_rigidly(world, scenario, times, controls)
-    return summarize("event-driven", world, scenario, times, controls, recording)
+    return replay_with(EVENT_DRIVEN, world, scenario, hold(world, scenario, times, controls))
 
 
-def replay_on_springs(
-    world: World, scenario: Scenario, law: CompliantLaw, controller: HeldControl
-) -> Replay:
-    """Replays a held control on walls that are springs, as `replay_event_driven` does.
+def replay_drake(world: World, scenario: Scenario, times: ArrayLike, controls: ArrayLike) -> Replay:
+    """Replays a held control on the world's own continuous plant in Drake, for its actuation.
 
-    It may be decided while it runs: what counts is what was held, `controller.controls`.
+    Its walls are compliant (`DrakeJudge`): `make_simulator` has the same plant for diagrams of your
+    own. Arguments are those of `replay_event_driven`.
+
+    Raises:
+        ModelError: a shape of the contact has no stiffness.
+        TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
     """
-    start = scenario.initial_position, scenario.initial_velocity
-    recording = Springs(world, law, start, controller.start).run(controller)
-    held = controller.times, controller.controls
-    return summarize("integrated", world, scenario, *held, recording)
+    return replay_with(DRAKE, world, scenario, hold(world, scenario, times, controls))
+
+
+def replay_with(judge: Judge, world: World, scenario: Scenario, controller: Controller) -> Replay:
+    """Returns what a controller does, as a judge simulates it."""
+    recording = judge.simulate(world, scenario, controller)
+    return summarize(world, scenario, recording, controller.end)
 
 
 def replay_costs(world: World, scenario: Scenario, times: ArrayLike, controls: ArrayLike) -> Floats:
@@ -190,42 +197,14 @@ def replay_costs(world: World, scenario: Scenario, times: ArrayLike, controls: A
     columns = u.transpose(1, 0, 2).reshape(u.shape[1], -1)
     t, _ = check_control(times, columns)
     _check_columns(world, u)
-    if not (world.has_constant_dynamics and scenario.is_plain and _is_smooth(world, scenario)):
+    rubs = world.friction_coefficients(scenario).any()
+    if rubs or not (world.has_constant_dynamics and scenario.is_plain):
         return np.array([replay_event_driven(world, scenario, t, control).cost for control in u])
-    ends = _roll_out(world, scenario, t).find_ends(u)
+    start = scenario.initial_position, scenario.initial_velocity
+    flights = Parabolas(world.constant_dynamics, world.restitutions(scenario), start, t)
+    ends = flights.find_ends(u)
     pairs = zip(u, ends, strict=True)
     return np.array([calc_plain_cost(scenario, t, control, end)[0] for control, end in pairs])
-
-
-def replay_drake(world: World, scenario: Scenario, times: ArrayLike, controls: ArrayLike) -> Replay:
-    """Replays a held control on the world's own continuous plant in Drake, for its actuation.
-
-    Its walls are compliant, so each bounce is late by `contact_delay` and dips in by v √(m / k).
-    The restitution that Hunt-Crossley dissipation makes depends on the speed. So it is set before
-    each impact for the speed that is coming (`Replay.matched_speeds`), or to zero for restitution
-    1, in the simulation's context alone, and so is friction if the scenario leaves that out:
-    `make_simulator` has the same plant for diagrams of your own. A ball rolls round the corners of
-    a box, which the event-driven replay takes for sharp. If the scenario's contact is compliant,
-    walls are as the model has them, and nothing is late. Arguments are those of
-    `replay_event_driven`.
-
-    Raises:
-        ModelError: a shape of the contact has no stiffness.
-        TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
-    """
-    times, controls = _refine(scenario, *_check_control(world, times, controls))
-    start = scenario.initial_position, scenario.initial_velocity
-    restitutions = world.restitutions(scenario)
-    held, friction = HeldControl(times, controls), scenario.friction
-    if scenario.contact == "compliant" or not world.num_contacts:
-        recording = simulate_plant(world, start, held, friction)
-        return summarize("drake", world, scenario, times, controls, recording)
-    recording = simulate_compliant_wall(world, start, held, restitutions, friction)
-    if world.has_constant_inertia and _is_smooth(world, scenario):
-        error = calc_compliance_error(world, restitutions, recording)
-        return summarize("drake", world, scenario, times, controls, recording, error)
-    lateness = calc_lateness(world, scenario, times, controls)
-    return summarize("drake", world, scenario, times, controls, recording, *lateness)
 
 
 def confirms(
@@ -267,11 +246,20 @@ def confirms(
     return is_cheap and is_near and all(by <= nothing for by in replay.violations.values())
 
 
-def _check_control(world: World, times: ArrayLike, controls: ArrayLike) -> tuple[Floats, Floats]:
-    """Returns times and controls as arrays that fit each other and the world."""
+def hold(world: World, scenario: Scenario, times: ArrayLike, controls: ArrayLike) -> HeldControl:
+    """Returns a held control that fits the world, with knots where a reference has its own.
+
+    Costs have kinks there. Arguments are those of `replay_event_driven`.
+
+    Raises:
+        TrajectoryError: shapes that do not fit, times that do not increase, NaN or infinity.
+    """
     t, u = check_control(times, controls)
     _check_columns(world, u)
-    return t, u
+    if has_knots(scenario, t):
+        return HeldControl(t, u)
+    knots = np.union1d(t, _find_kinks(scenario, t))
+    return HeldControl(knots, u[np.searchsorted(t, knots[:-1], side="right") - 1])
 
 
 def _check_columns(world: World, controls: Floats) -> None:
@@ -282,35 +270,6 @@ def _check_columns(world: World, controls: Floats) -> None:
             got=f"shape {controls.shape}",
             expected=f"{world.num_actuators} columns, one for each actuator",
         )
-
-
-def _simulate_rigidly(
-    world: World, scenario: Scenario, times: Floats, controls: Floats
-) -> Recording:
-    """Returns what a control does on exactly rigid walls, by the quickest road."""
-    is_smooth = _is_smooth(world, scenario)
-    if world.has_constant_dynamics and is_smooth:
-        return _roll_out(world, scenario, times).record(controls)
-    start, held = (
-        (scenario.initial_position, scenario.initial_velocity),
-        HeldControl(times, controls),
-    )
-    if world.has_constant_inertia and scenario.is_plain and is_smooth:
-        return simulate_rigid_wall(world, world.restitutions(scenario), start, held)
-    return simulate_rigid_walls(world, scenario, start, held)
-
-
-def _is_smooth(world: World, scenario: Scenario) -> bool:
-    """Returns whether no contact rubs."""
-    return not world.friction_coefficients(scenario).any()
-
-
-def _refine(scenario: Scenario, times: Floats, controls: Floats) -> tuple[Floats, Floats]:
-    """Returns the same control with more knots where a reference has its own: costs have kinks."""
-    if has_knots(scenario, times):
-        return times, controls
-    knots = np.union1d(times, _find_kinks(scenario, times))
-    return knots, controls[np.searchsorted(times, knots[:-1], side="right") - 1]
 
 
 def has_knots(scenario: Scenario, times: Floats) -> bool:
@@ -331,32 +290,16 @@ def _find_kinks(scenario: Scenario, times: Floats) -> Floats:
     return scenario.reference_times[inside]
 
 
-def _roll_out(world: World, scenario: Scenario, times: Floats) -> Parabolas:
-    start = scenario.initial_position, scenario.initial_velocity
-    return Parabolas(world.constant_dynamics, world.restitutions(scenario), start, times)
-
-
-def summarize(
-    simulator: str,
-    world: World,
-    scenario: Scenario,
-    times: Floats,
-    controls: Floats,
-    recording: Recording,
-    compliance_error: float = 0.0,
-    compliance_cost: float | None = None,
-) -> Replay:
-    """Returns the replay that a simulator's recording of a held control shows.
-
-    Its end is off by the compliance error [m] at most, as walls are compliant, and its cost by the
-    compliance cost; None: by what such an end may cost.
-    """
+def summarize(world: World, scenario: Scenario, recording: Recording, end: float) -> Replay:
+    """Returns the replay that a recording of held controls until an end [s] shows."""
+    times = np.append(recording.control_times, end)
+    controls = np.array(recording.controls)
     cost, goal_error = calc_cost(world, scenario, times, controls, recording)
+    compliance_cost = recording.cost_error
     if compliance_cost is None:
-        end = recording.positions[-1]
-        compliance_cost = explain_cost(world, scenario, end, compliance_error)
+        compliance_cost = explain_cost(world, scenario, recording.positions[-1], recording.error)
     return Replay(
-        simulator=simulator,
+        simulator=recording.simulator,
         cost=cost,
         goal_error=goal_error,
         max_penetration=recording.max_penetration,
@@ -364,7 +307,7 @@ def summarize(
         bounce_contacts=tuple(impact.contact for impact in recording.impacts),
         energies_before=tuple(impact.energy_before for impact in recording.impacts),
         energies_after=tuple(impact.energy_after for impact in recording.impacts),
-        compliance_error=compliance_error,
+        compliance_error=recording.error,
         compliance_cost=compliance_cost,
         matched_speeds=tuple(recording.matched_speeds),
         times=recording.times,

@@ -4,25 +4,22 @@ from __future__ import annotations
 
 import math
 import weakref
-from typing import TYPE_CHECKING
 
 import numpy as np
+from pydrake.geometry import GeometryId
 from pydrake.systems.analysis import ApplySimulatorConfig, Simulator, SimulatorConfig
+from pydrake.systems.framework import Context
 
 from drake_aigto.arrays import Floats
-from drake_aigto.simulation.contact_motion import Clearance, ContactMotion, calc_time_to_wall
-from drake_aigto.simulation.material import (
+from drake_aigto.contact import (
+    Clearance,
+    ContactMotion,
     calc_delays,
     calc_dissipation,
+    calc_time_to_wall,
     contact_delays,
-    set_dissipation,
-    set_stiffness,
 )
-
-if TYPE_CHECKING:
-    from pydrake.systems.framework import Context
-
-    from drake_aigto.world import Scenario, World
+from drake_aigto.world import DISSIPATION, STIFFNESS, Scenario, World, read_given, set_material
 
 # Radau's rule at this accuracy returns the energy of an elastic bounce to 1e-5. At such stiffness
 # explicit rules make energy from nothing (2.9 times the speed), and so does implicit Euler.
@@ -356,3 +353,44 @@ def calc_acceleration(
     q, v = np.split(x, 2)
     touched = [near.contact for near in clearances if near.distance <= 0 and near.contact != but]
     return motion.calc_supported(world.calc_acceleration(q, v, control), touched)
+
+
+def set_dissipation(world: World, root: Context, contact: int, dissipation: float) -> None:
+    """Gives a contact a Hunt-Crossley dissipation [s/m], in this context only.
+
+    Drake weighs those of the two shapes by the other one's stiffness. Where one shape belongs to
+    other contacts too, as a ball between walls, its own becomes 0 and the other one's makes up for
+    it, so that no other contact which is going on is another.
+    """
+    shapes = world.shapes[contact]
+    k = [read_given(world.scene_graph, shape, STIFFNESS) for shape in shapes]
+    alone = [_is_alone(world, shape) for shape in shapes]
+    values = [dissipation, dissipation]
+    if alone[0] != alone[1]:
+        own = alone.index(True)
+        values[1 - own] = 0.0
+        values[own] = dissipation * (k[0] + k[1]) / k[1 - own]
+    source = world.plant.get_source_id()
+    for shape, value in zip(shapes, values, strict=True):
+        set_material(world.scene_graph, source, root, shape, DISSIPATION, value)
+
+
+def set_stiffness(world: World, root: Context, contact: int, factor: float) -> None:
+    """Gives a contact this part, at most 1, of its own stiffness, in this context only.
+
+    Where one shape belongs to other contacts too, the other one yields for both, so that no other
+    contact is another. Where both do, nothing is changed.
+    """
+    shapes = [shape for shape in world.shapes[contact] if _is_alone(world, shape)]
+    whole = world.stiffness[contact]
+    source = world.plant.get_source_id()
+    for shape in shapes:
+        k = read_given(world.scene_graph, shape, STIFFNESS)
+        # 1/k of all is (Σ 1/k_i): what is added to it falls to those that may yield.
+        value = 1 / (1 / k + (1 / factor - 1) / whole / len(shapes))
+        set_material(world.scene_graph, source, root, shape, STIFFNESS, value)
+
+
+def _is_alone(world: World, shape: GeometryId) -> bool:
+    """Returns whether a shape can touch but one other."""
+    return sum(shape in pair for pair in set(world.shapes)) == 1

@@ -1,9 +1,10 @@
-"""Smooth motion, integrated nearly to rounding, until something that is watched falls to zero."""
+"""Motion that is smooth between events, integrated nearly to rounding under a controller."""
 
 from __future__ import annotations
 
 import itertools
 import math
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterator
 from typing import Any, NamedTuple, TypeAlias
 
@@ -13,6 +14,8 @@ from numpy.polynomial import chebyshev, legendre
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import TrajectoryError
+from drake_aigto.simulation.recording import Controller, Recording, Samples
+from drake_aigto.world import World
 
 # Of one step, relative and absolute: in flight a thousand of them are off by 1e-10.
 _TOLERANCE = 1e-13
@@ -29,20 +32,16 @@ _ABSCISSAE, _WEIGHTS = legendre.leggauss(10)
 # A root of the polynomial whose imaginary part is smaller is real but for rounding.
 _REAL = 1e-6
 
+# The most pieces of a motion, and how many more for each hold of the control and each event. Motion
+# that takes more goes ever faster. A swing of a pendulum is some ten of them.
+_MOST_PIECES_IN_ALL, _MOST_EACH = 30_000, 500
+
 # (q, v) of shape (…, 2 nv) → its rate of change, and → what is watched, shape (…, E).
 Rates: TypeAlias = Callable[[Floats], Floats]
 Watched: TypeAlias = Callable[[Floats], Floats]
 
 
-class Samples(NamedTuple):
-    """A motion at nodes of a quadrature, ∫ f dt ≈ Σ_k weights_k f(times_k, states_k)."""
-
-    times: Floats  # shape (K,) [s]
-    weights: Floats  # shape (K,) [s]
-    states: Floats  # (q, v), shape (K, 2 nv)
-
-
-class Stretch(NamedTuple):
+class Course(NamedTuple):
     """How a motion went on, at most until something that is watched fell to zero."""
 
     end: float  # [s]
@@ -78,7 +77,7 @@ def follow(
     state: Floats,
     first_step: float = np.inf,
     most: float = np.inf,
-) -> Stretch:
+) -> Course:
     """Integrates ẋ = f(x) until a watched value falls to zero, or to the end.
 
     By the eighth-order rule of Dormand and Prince in SciPy, with dense output. On each piece of it
@@ -106,8 +105,8 @@ def follow(
         if len(samples) > most:
             raise _refuse(time)
         if fallen >= 0:
-            return Stretch(time, piece.states(np.array([time]))[0], fallen, samples, longest)
-    return Stretch(end, last, -1, samples, longest)
+            return Course(time, piece.states(np.array([time]))[0], fallen, samples, longest)
+    return Course(end, last, -1, samples, longest)
 
 
 def _integrate(
@@ -182,3 +181,71 @@ def _refuse(time: float) -> TrajectoryError:
         expected="one that can be integrated until the end",
         remedy="Check the control's size.",
     )
+
+
+class HybridMotion(ABC):
+    """A world's motion from a start, recorded.
+
+    Attributes:
+        world: its dynamics and its contacts.
+        time: now [s].
+        x: the state (q, v), shape (2 nv,).
+        recording: of what happened so far.
+    """
+
+    def __init__(self, world: World, state: tuple[Floats, Floats], time: float) -> None:
+        """Starts with (q, v) at a time [s]."""
+        self.world, self.time, self.x = world, time, np.concatenate(state)
+        self.recording = Recording()
+        self.recording.add(time, *state)
+        # Knots are close: mostly one step leads to the next, which a guess would halve.
+        self._step = np.inf
+
+    def run(self, controller: Controller) -> Recording:
+        """Runs a controller, of an open or a closed loop, to its end.
+
+        Returns:
+            The states whenever the controller is asked, at the end, and at events; and samples of
+            all motion between.
+
+        Raises:
+            TrajectoryError: the motion runs away to infinity, or goes so fast that it would take
+                minutes to follow.
+        """
+        while self.time < controller.end:
+            held = controller.sample(self.time, self.x, self.recording.bounces)
+            self.recording.hold(self.time, held.control)
+            self._advance(held.control, held.until, controller.feels_contact)
+            self.recording.add(self.time, *self._split())
+        self.recording.max_penetration = self._find_depth()
+        return self.recording
+
+    @abstractmethod
+    def _advance(self, control: Floats, until: float, feels_contact: bool) -> None:
+        """Moves on under a control, shape (nu,) [N], until a time [s].
+
+        If the controller feels contact, only until one has ended.
+        """
+
+    @abstractmethod
+    def _find_depth(self) -> float:
+        """Returns the deepest −φ, at least 0 [m]."""
+
+    def _follow(self, rates: Rates, watched: Watched, control: Floats, until: float) -> int:
+        """Moves on smoothly until a watched value falls to zero.
+
+        Returns:
+            Which did; −1 if none.
+        """
+        seen = self.recording
+        most = _MOST_PIECES_IN_ALL + _MOST_EACH * len(seen.times) - len(seen.samples)
+        course = follow(rates, watched, self.time, until, self.x, self._step, most)
+        self.time, self.x = course.end, course.state
+        self._step = course.step if course.fallen < 0 else np.inf
+        self.recording.samples += [(samples, control) for samples in course.samples]
+        return course.fallen
+
+    def _split(self) -> tuple[Floats, Floats]:
+        """Returns q and v."""
+        n = self.world.num_positions
+        return self.x[:n], self.x[n:]

@@ -1,7 +1,5 @@
 """AIGO for any polynomial MathematicalProgram, called as Drake's own solvers are."""
 
-from drake_aigto.solver.options import AigoOptions
-from drake_aigto.solver.result import AigoDetails, AigoStatus
-from drake_aigto.solver.solver import AigoSolver
+import lazy_loader
 
-__all__ = ["AigoDetails", "AigoOptions", "AigoSolver", "AigoStatus"]
+__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

@@ -1,34 +1,52 @@
-"""Complementarities 0 ≤ λ ⊥ s ≥ 0 in a program's rows, however they are written."""
+"""Complementarities 0 ≤ λ ⊥ s ≥ 0 in a program's rows, however written, and λ s ≤ ε instead."""
 
 from __future__ import annotations
 
 import itertools
 import math
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 
-from drake_aigto.arrays import Bools
+from drake_aigto.arrays import Bools, Floats
+from drake_aigto.local import InteriorPoint, LocalResult, PolynomialNlp
 from drake_aigto.solver.program import AigoProgram
 from drake_aigto.solver.ranges import sum_range
-from drake_aigto.terms import FunctionKind, Part, Sum, from_terms, with_own_variables
+from drake_aigto.terms import (
+    FunctionKind,
+    Part,
+    Sum,
+    TermBlock,
+    add,
+    from_terms,
+    function,
+    multiply,
+    with_own_variables,
+)
 
 # A product that may be larger than this part of its variable's largest value is a row like others.
 _LARGEST_PART = 1e-2
 _ROUNDING = 1e-9
 
+_TIGHTENED, _LAST, _STEPS = 0.01, 1e-5, 100  # how ε falls, its last value, and steps on each
+_BARRIER, _PUSH = 1e-4, 1e-6  # from a point of a larger ε
+
+# The terms of a sum without its constant, divided by the first one's coefficient.
+_Form = frozenset[tuple[tuple[Part, ...], float]]
+
 
 @dataclass(frozen=True, eq=False)
 class Complementarity:
-    """A row that says λ s ≤ ε of λ, s ≥ 0, in whatever signs.
+    """A row λ s ≤ ε of λ, s ≥ 0, in whatever signs.
 
     Attributes:
         row: its number among the program's rows.
         variable: λ or −λ, one of y.
-        gap: s or −s, the sign such that the product is not below 0; by the variable of the row that
-            keeps it above 0, if it has one.
+        gap: s or −s, the sign such that the product is not below 0; by the slack variable of the
+            row that keeps it above 0, if it has one.
         allowed: ε; 0 of a row that says λ s = 0.
         slack: variable of y that the row itself has as an inequality; −1 if it is an equality.
     """
@@ -40,45 +58,51 @@ class Complementarity:
     slack: int = -1
 
     @property
-    def product(self) -> Sum:
-        """λ s over y."""
-        return {_times(parts, self.variable): a for parts, a in self.gap.items()}
+    def _own(self) -> Sum:
+        """λ over y."""
+        return function(self.variable, FunctionKind.POWER)
+
+    @property
+    def sides(self) -> tuple[_Form, _Form]:
+        """Forms of λ and s, by which those of others are known to be the same."""
+        unit = abs(next(iter(self.gap.values())))
+        gap = frozenset((parts, round(a / unit, 9)) for parts, a in self.gap.items())
+        return _normal_form(self._own)[0], gap
+
+    def product_row(self, total: Sum) -> TermBlock:
+        """Returns the row λ s + total = 0."""
+        return as_row(add(multiply(self.gap, self._own), total))
+
+
+def as_row(total: Sum) -> TermBlock:
+    """Returns a sum as a row of one copy."""
+    terms, read = with_own_variables(total)
+    return TermBlock("complementarity", terms, [read])
 
 
 def are_shared(found: Sequence[Complementarity]) -> Bools:
-    """Returns which complementarities have a side, λ or s, that others have too, or both are (k,).
+    """Returns whether complementarities share a side, λ or s, with others, or within (k,).
 
     Equations λ s = ε of all of them leave less than they should: of f between −m and m, of which
     v > 0 lets only −m and w > 0 only m, three equations v w = w (m − f) = v (m + f) = ε determine
     all three variables; and so does λ (1 − λ) = ε.
     """
-    counts: dict[_Form, int] = {}
-    sides = [_sides(each) for each in found]
-    for side in itertools.chain.from_iterable(sides):
-        counts[side] = counts.get(side, 0) + 1
+    counts = Counter(itertools.chain.from_iterable(each.sides for each in found))
     of_one = [{part.variable for parts in each.gap for part in parts} for each in found]
     return np.array(
         [
-            read == {each.variable} or any(counts[side] > 1 for side in own)
-            for each, own, read in zip(found, sides, of_one, strict=True)
+            read == {each.variable} or any(counts[side] > 1 for side in each.sides)
+            for each, read in zip(found, of_one, strict=True)
         ],
         dtype=bool,
     )
 
 
-def _sides(each: Complementarity) -> tuple[_Form, _Form]:
-    """Returns what tells the sides of a complementarity from those of others."""
-    own: Sum = {(Part(each.variable, FunctionKind.POWER),): 1.0}
-    unit = abs(next(iter(each.gap.values())))
-    gap = frozenset((parts, round(a / unit, 9)) for parts, a in each.gap.items())
-    return _normal_form(own)[0], gap
-
-
 class _Side(NamedTuple):
-    """What an inequality keeps at or above 0: sign · (unit · form − bound), by a slack variable.
+    """The sum that an inequality keeps at or above 0: sign · (unit · form − bound), by a slack.
 
     Attributes:
-        unit: what the normal form of its terms was divided by.
+        unit: divisor of its terms in normal form.
         bound: of the terms without their constant.
         sign: 1 for a lower bound, −1 for an upper one.
         constant: of the terms, by which slack and terms differ.
@@ -92,10 +116,6 @@ class _Side(NamedTuple):
     slack: int
 
 
-# The terms of a sum without its constant, divided by the first one's coefficient.
-_Form = frozenset[tuple[tuple[Part, ...], float]]
-
-
 def find_complementarities(program: AigoProgram) -> tuple[Complementarity, ...]:
     """Returns the rows that are complementarities.
 
@@ -103,77 +123,64 @@ def find_complementarities(program: AigoProgram) -> tuple[Complementarity, ...]:
     bounds of its variables, or from a row lower ≤ g ≤ upper with s = a (g − lower) or
     a (upper − g). The row says that their product is 0, or is not above a small number.
     """
-    return tuple(_Search(program).run())
+    return tuple(_ComplementaritySearch(program).run())
 
 
-class _Search:
+class _ComplementaritySearch:
     """One run."""
 
     def __init__(self, program: AigoProgram) -> None:
-        question = program.reduced.question
-        self._lower, self._upper = question.lower, question.upper
-        first = question.lower.size
-        self._slacks = {slack.row: first + i for i, slack in enumerate(program.slacks)}
+        parsed = program.reduced.parsed
+        self._lower, self._upper = parsed.lower, parsed.upper
+        self._slacks = {slack.row: i for i, slack in enumerate(program.slacks, self._lower.size)}
         self._rows = [
             (from_terms(each.row.terms, copy), each.row.lower, each.row.upper)
-            for each in question.rows
+            for each in parsed.rows
             for copy in each.block.variables.tolist()
         ]
         self._sides: dict[_Form, list[_Side]] = {}
         for number, slack in self._slacks.items():
-            self._add_sides(slack, *self._rows[number])
-
-    def _add_sides(self, slack: int, total: Sum, lower: float, upper: float) -> None:
-        form, unit = _normal_form(total)
-        for sign, bound in ((1.0, lower), (-1.0, upper)):
-            if math.isfinite(bound):
-                value = total.get((), 0.0)
-                side = _Side(unit, bound - value, sign, value, slack)
-                self._sides.setdefault(form, []).append(side)
+            total, lower, upper = self._rows[number]
+            form, unit = _normal_form(total)
+            value = total.get((), 0.0)
+            for sign, bound in ((1.0, lower), (-1.0, upper)):
+                if math.isfinite(bound):
+                    side = _Side(unit, bound - value, sign, value, slack)
+                    self._sides.setdefault(form, []).append(side)
 
     def run(self) -> Iterator[Complementarity]:
         """Yields them in the rows' order."""
         for number, (total, lower, upper) in enumerate(self._rows):
             value = total.get((), 0.0)
             product = {parts: a for parts, a in total.items() if parts and a}
-            bounds = lower - value, upper - value
             for variable in sorted({part.variable for parts in product for part in parts}):
-                found = self._split(number, product, variable, *bounds)
+                found = self._split(number, product, variable, (lower - value, upper - value))
                 if found is not None:
                     yield found
                     break
 
     def _split(
-        self, number: int, product: Sum, variable: int, lower: float, upper: float
+        self, number: int, product: Sum, variable: int, bounds: tuple[float, float]
     ) -> Complementarity | None:
         """Returns a row as a product of a variable and a sum, if that is a complementarity."""
-        sign = self._sign(variable)
+        low, high = float(self._lower[variable]), float(self._upper[variable])
+        sign = 0.0 if low == high else float(low == 0.0) or -float(high == 0.0)
         rest = _divide(product, variable)
         if sign == 0.0 or rest is None:
             return None
+        largest = max(abs(low), abs(high))
+        most = max(1.0, largest) if math.isfinite(largest) else 1.0
         for direction, distance in self._distances(rest):
             oriented = sign * direction
-            allowed = upper if oriented > 0.0 else -lower
-            if not (-_ROUNDING <= allowed <= _LARGEST_PART * self._most(variable)):
-                continue
-            gap = {parts: oriented * a for parts, a in distance.items()}
-            slack = self._slacks.get(number, -1)
-            return Complementarity(number, variable, gap, max(0.0, allowed), slack)
+            allowed = bounds[1] if oriented > 0.0 else -bounds[0]
+            if -_ROUNDING <= allowed <= _LARGEST_PART * most:
+                gap = {parts: oriented * a for parts, a in distance.items()}
+                slack = self._slacks.get(number, -1)
+                return Complementarity(number, variable, gap, max(0.0, allowed), slack)
         return None
 
-    def _most(self, variable: int) -> float:
-        """Returns the largest size of a variable, at least 1; 1 if it has no bound."""
-        most = float(max(abs(self._lower[variable]), abs(self._upper[variable])))
-        return max(1.0, most) if math.isfinite(most) else 1.0
-
-    def _sign(self, variable: int) -> float:
-        """Returns which sign a variable has, 0 if it may have both, or is not 0 at its bound."""
-        if self._lower[variable] == self._upper[variable]:
-            return 0.0
-        return float(self._lower[variable] == 0.0) or -float(self._upper[variable] == 0.0)
-
     def _distances(self, rest: Sum) -> Iterator[tuple[float, Sum]]:
-        """Yields the sign that a sum keeps, and the sum by variables that tell it."""
+        """Yields the sign that a sum keeps, and the sum by variables that show it."""
         terms, read = with_own_variables(rest)
         if not read:
             return
@@ -186,16 +193,12 @@ class _Search:
         form, unit = _normal_form(rest)
         for side in self._sides.get(form, ()):
             scale = unit / side.unit
-            at_bound = scale * side.bound + rest.get((), 0.0)
-            if abs(at_bound) <= rounding:
-                yield math.copysign(1.0, scale) * side.sign, _affine(scale, side)
-
-
-def _affine(scale: float, side: _Side) -> Sum:
-    """Returns scale · (s − bound) of a slack variable s."""
-    total: Sum = {(Part(side.slack, FunctionKind.POWER),): scale}
-    bound = side.bound + side.constant
-    return total | {(): -scale * bound} if bound else total
+            if abs(scale * side.bound + rest.get((), 0.0)) <= rounding:
+                # scale · (s − bound) of the slack variable s
+                total: Sum = {(Part(side.slack, FunctionKind.POWER),): scale}
+                bound = side.bound + side.constant
+                total |= {(): -scale * bound} if bound else {}
+                yield math.copysign(1.0, scale) * side.sign, total
 
 
 def _normal_form(total: Sum) -> tuple[_Form, float]:
@@ -219,13 +222,60 @@ def _divide(product: Sum, variable: int) -> Sum | None:
     return found
 
 
-def _times(parts: tuple[Part, ...], variable: int) -> tuple[Part, ...]:
-    """Returns a product of powers and functions times a variable."""
-    powers = {part.variable: part for part in parts}
-    own = powers.get(variable)
-    powers[variable] = (
-        Part(variable, FunctionKind.POWER)
-        if own is None
-        else own._replace(exponent=own.exponent + 1)
-    )
-    return tuple(powers[each] for each in sorted(powers))
+class TightenedProgram:
+    """A program with a variable p for each product λ s, which a bound ε keeps small.
+
+    Scholtes (2001), "Convergence properties of a regularization scheme for mathematical programs
+    with complementarity constraints", SIAM J. Optim. 11:918-936: λ s ≤ ε has an inside, however
+    many complementarities share a λ or s, where equations λ s = ε may have none in common.
+    """
+
+    def __init__(self, nlp: PolynomialNlp, found: Sequence[Complementarity]) -> None:
+        """Adds variables.
+
+        Args:
+            nlp: costs and all other rows, over y (n,).
+            found: the complementarities (k,).
+        """
+        self._size, count = nlp.num_variables, len(found)
+        self._allowed = np.array([each.allowed for each in found])
+        rows = [
+            each.product_row({(Part(number, FunctionKind.POWER),): -1.0})
+            for number, each in enumerate(found, self._size)
+        ]
+        self._nlp = PolynomialNlp(
+            *(self._size + count, nlp.costs, (*nlp.blocks[len(nlp.costs) :], *rows)),
+            np.append(nlp.lower, np.full(count, -np.inf)),
+            np.append(nlp.upper, np.full(count, np.inf)),
+        )
+
+    def solve(self, local: InteriorPoint, y: Floats, most: Floats | float) -> LocalResult:
+        """Returns an optimum from y (n,) for bounds ε (k,) of the products, over (y, p)."""
+        upper = self._nlp.upper.copy()
+        upper[self._size :] = np.maximum(most, self._allowed)
+        nlp = self._nlp.with_bounds(self._nlp.lower, upper)
+        start = np.append(y, np.zeros(self._allowed.size))
+        start[self._size :] = nlp.evaluate(start)[1][nlp.num_rows - self._allowed.size :]
+        return local.solve(nlp, np.clip(start, nlp.lower, nlp.upper))
+
+    def tighten(self, y: Floats, sizes: Floats, first: float, is_warm: bool) -> tuple[Floats, int]:
+        """Returns the point that y (n,) becomes on ever smaller ε, and steps.
+
+        Args:
+            y: the start.
+            sizes: how far the products vary (k,).
+            first: the largest ε, relative to `sizes`.
+            is_warm: whether y is near an optimum already.
+        """
+        steps, relaxation = 0, first
+        while True:
+            local = InteriorPoint(max_iterations=_STEPS)
+            if steps or is_warm:
+                local = InteriorPoint.warm(
+                    max_iterations=_STEPS, initial_barrier=_BARRIER, bound_push=_PUSH
+                )
+            found = self.solve(local, y, relaxation * sizes)
+            y, steps = found.x[: self._size], steps + found.iterations
+            if relaxation <= _LAST:
+                return y, steps
+            relaxation = max(_LAST, _TIGHTENED * relaxation)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 
@@ -14,20 +14,22 @@ from pydrake.solvers import (
     EvaluatorBase,
     ExpressionConstraint,
     ExpressionCost,
+    LinearConstraint,
     MathematicalProgram,
 )
 from pydrake.symbolic import Expression, ExpressionKind, Variable
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import UnsupportedTermError
-from drake_aigto.solver.formulas import formulas_of, ranges_of, rows_of
-from drake_aigto.solver.intervals import interval
-from drake_aigto.solver.signs import Signs
+from drake_aigto.solver.ranges import RowRange, Signs, interval
 from drake_aigto.terms import (
+    CONES,
+    NORM_COSTS,
     evaluator_label,
     evaluator_name,
     expression_terms,
     operands,
+    read_bounds,
     shown,
 )
 
@@ -41,18 +43,13 @@ class Lifted:
 
     Attributes:
         prog: over (x, z).
-        rows: what each of the source's constraints became, in order.
-        formulas: what each z_i is, over x and those before it.
+        rows: the constraints that each of the source's constraints became, in order.
+        formulas: of each z_i, over x and those before it.
     """
 
     prog: MathematicalProgram
     rows: tuple[tuple[EvaluatorBase, ...], ...]
     formulas: tuple[Expression, ...] = ()
-
-    @classmethod
-    def of(cls, prog: MathematicalProgram) -> Lifted:
-        """Returns a program as it is."""
-        return cls(prog, tuple((each.evaluator(),) for each in prog.GetAllConstraints()))
 
     def extend(self, x: Floats) -> Floats:
         """Returns (x, z) of x (n,): NaN where a formula has no value."""
@@ -71,7 +68,7 @@ class Lifted:
 def lift(prog: MathematicalProgram) -> Lifted:
     """Returns a program in which all functions have means in closed form.
 
-    A variable z stands for a function of others, and a row, or two, say of which:
+    A variable z stands for a function of others, which a row, or two, define:
 
         a/b          z b = a                       where b is not 0
         b^(p/q)      z^p,  z^q = b,  z ≥ 0         where b ≥ 0
@@ -82,7 +79,7 @@ def lift(prog: MathematicalProgram) -> Lifted:
         |a|          z ≥ a,  z ≥ −a                where less of it is better; else z² = a²
         max(a, b)    z ≥ a,  z ≥ b                 likewise; else (a + b + |a − b|)/2
 
-    Ranges of z follow from those of what it is of, by interval arithmetic.
+    Ranges of z follow from those of its function's arguments, by interval arithmetic.
 
     Raises:
         UnsupportedTermError: a function may have no value within the bounds, or is none of these.
@@ -90,21 +87,53 @@ def lift(prog: MathematicalProgram) -> Lifted:
     return _Lift(prog).run()
 
 
+def _formulas(binding: Binding) -> Sequence[Expression] | None:
+    """Returns the formulas of a symbolic cost or constraint, a norm or a cone; None of others."""
+    evaluator, variables = binding.evaluator(), binding.variables()
+    if isinstance(evaluator, (*NORM_COSTS, *CONES)):
+        formulas: Sequence[Expression] = evaluator.Eval(variables)
+        return formulas
+    if isinstance(evaluator, ExpressionConstraint):
+        formulas = evaluator.expressions()
+    elif isinstance(evaluator, ExpressionCost):
+        formulas = [evaluator.expression()]
+    else:
+        return None
+    both = zip(evaluator.vars(), variables, strict=True)
+    pairs = {own: Expression(bound) for own, bound in both if not own.EqualTo(bound)}
+    return [each.Substitute(pairs) if pairs else each for each in formulas]
+
+
+def _rows(binding: Binding) -> Iterator[RowRange]:
+    """Yields formulas and bounds of a linear or symbolic constraint, or a cone."""
+    evaluator, variables = binding.evaluator(), binding.variables()
+    formulas = _formulas(binding)
+    if isinstance(evaluator, LinearConstraint):
+        formulas = [
+            sum((a * x for a, x in zip(row, variables, strict=True)), Expression(0.0))
+            for row in evaluator.GetDenseA().tolist()
+        ]
+    if formulas is not None:
+        yield from zip(formulas, evaluator.lower_bound(), evaluator.upper_bound(), strict=True)
+
+
 class _Lift:
-    """One run: the new program, what stands for what, and the ranges of its variables."""
+    """One run: the new program, its variables that stand for formulas, and all ranges."""
 
     def __init__(self, prog: MathematicalProgram) -> None:
+        variables = prog.decision_variables()
         self._source, self._prog = prog, MathematicalProgram()
-        self._prog.AddDecisionVariables(prog.decision_variables())
+        self._prog.AddDecisionVariables(variables)
         self._known: dict[str, Variable] = {}
         self._formulas: list[Expression] = []
-        self._ranges = ranges_of(prog)
-        rows = (row for binding in prog.GetAllConstraints() for row in rows_of(binding))
+        bounds = zip(*(side.tolist() for side in read_bounds(prog)), strict=True)
+        self._ranges = {x.get_id(): pair for x, pair in zip(variables, bounds, strict=True)}
+        rows = (row for binding in prog.GetAllConstraints() for row in _rows(binding))
         self._signs = Signs(rows, self._ranges)
         self._label, self._is_row = "", False
 
     def run(self) -> Lifted:
-        """Copies what has means, and lifts the rest."""
+        """Copies costs and constraints that have means, and lifts the others."""
         for binding in self._source.GetAllCosts():
             self._add_cost(binding)
         constraints = self._source.GetAllConstraints()
@@ -112,28 +141,25 @@ class _Lift:
         return Lifted(self._prog, rows, tuple(self._formulas))
 
     def _add_cost(self, binding: Binding) -> None:
-        evaluator = binding.evaluator()
         self._label, self._is_row = evaluator_label(binding), False
-        formulas = formulas_of(binding)
+        formulas = _formulas(binding)
         if formulas is None:
             self._prog.AddCost(binding)
             return
         (formula,) = formulas
         cost = ExpressionCost(self._lift(formula, 1))
-        cost.set_description(evaluator_name(evaluator))
+        cost.set_description(evaluator_name(binding.evaluator()))
         self._prog.AddCost(cost, vars=cost.vars())
 
     def _add_constraint(self, binding: Binding) -> Iterator[EvaluatorBase]:
-        """Adds what a constraint becomes, and yields it."""
+        """Adds the constraints that one becomes, and yields them."""
         evaluator = binding.evaluator()
         self._label, self._is_row = evaluator_label(binding), True
-        formulas = formulas_of(binding)
-        if formulas is None:
+        if _formulas(binding) is None:
             self._prog.AddConstraint(binding)
             yield evaluator
             return
-        bounds = evaluator.lower_bound(), evaluator.upper_bound()
-        for formula, low, high in zip(formulas, *bounds, strict=True):
+        for formula, low, high in _rows(binding):
             # Where only less of it, or more, breaks the row.
             sign = int(math.isinf(low)) - int(math.isinf(high))
             yield self._add_row(evaluator_name(evaluator), self._lift(formula, sign), low, high)
@@ -151,11 +177,11 @@ class _Lift:
             return False
         return True
 
-    def _lift(self, e: Expression, sign: int) -> Expression:
+    def _lift(self, e: Expression, sign: int = 0) -> Expression:
         """Returns an expression that has a mean.
 
         Args:
-            e: what it stands for.
+            e: the expression that it stands for.
             sign: 1 where less of it is better whatever else there is, −1 where more is; else 0.
         """
         if self._has_mean(e):
@@ -170,6 +196,8 @@ class _Lift:
             return self._lift(above, sign if self._evaluate(below) > 0 else -sign) / below
         if kind in _WAVES:
             return _WAVES[kind](self._alone(operands(e)[0]))
+        if kind in _FORMULAS:
+            return self._lift(_FORMULAS[kind](operands(e)[0]), sign)
         rule = _RULES.get(kind)
         if rule is None:
             raise self._refusal(e, "which has no equation of means", "Write it by other functions.")
@@ -188,7 +216,7 @@ class _Lift:
         return found
 
     def _lift_for_row(self, e: Expression, sign: int = 0) -> Expression:
-        """Returns what may stand in a row for an expression, wherever that is."""
+        """Returns an expression that may stand in a row, wherever the given one is."""
         was_row, self._is_row = self._is_row, True
         lifted = self._lift(e, sign)
         self._is_row = was_row
@@ -199,20 +227,20 @@ class _Lift:
         lifted = self._lift_for_row(e)
         if lifted.is_polynomial() and sym.Polynomial(lifted).TotalDegree() <= 1:
             return lifted
-        return self._variable(e, lambda z: [(z - lifted, 0.0, 0.0)])
+        return self._variable(e, lambda z: [z - lifted])
 
     def _variable(
         self,
         e: Expression,
-        rows: Callable[[Expression], list[tuple[Expression, float, float]]],
+        rows: Callable[[Expression], list[Expression]],
         is_bound: bool = False,
     ) -> Expression:
         """Returns the variable that stands for an expression, with rows that say so.
 
         Args:
             e: the expression.
-            rows: formulas of the variable, and their bounds.
-            is_bound: whether they hold it no more than above e.
+            rows: formulas of the variable that are 0.
+            is_bound: whether they are only at or above 0, and hold it no more than above e.
         """
         name = f"bound of {e}" if is_bound else str(e)
         if name not in self._known:
@@ -223,22 +251,22 @@ class _Lift:
             self._ranges[z.get_id()] = low, high
             self._formulas.append(e)
             self._known[name] = z
-            for formula, least, most in rows(Expression(z)):
-                self._add_row(shown(f"{e} in {self._label}"), formula, least, most)
+            for formula in rows(Expression(z)):
+                most = np.inf if is_bound else 0.0
+                self._add_row(shown(f"{e} in {self._label}"), formula, 0.0, most)
         return Expression(self._known[name])
 
     def _require(self, e: Expression, function: Expression, is_strict: bool = True) -> None:
         """Refuses a function of e where e may be too low for it."""
-        if self._signs.are_positive(e, is_strict):
-            return
-        relation = ">" if is_strict else ">="
+        if self._signs.find(e, is_strict) <= 0:
+            need = f"{shown(e)} {'>' if is_strict else '>='} 0"
+            remedy = f"Bound its variables such that {need}, or add that as a constraint."
+            expected = f"an argument {'>' if is_strict else '>='} 0"
+            raise self._refusal(function, self._where(e), remedy, expected)
+
+    def _where(self, e: Expression) -> str:
         low, high = interval(e, self._ranges)
-        raise self._refusal(
-            function,
-            f"where {shown(e)} is in [{low:g}, {high:g}] for all that bounds say",
-            f"Bound its variables such that {shown(e)} {relation} 0, or add that as a constraint.",
-            f"an argument {relation} 0",
-        )
+        return f"where {shown(e)} is in [{low:g}, {high:g}] for all that bounds say"
 
     def _refusal(
         self, e: Expression, got: str, remedy: str, expected: str | None = None
@@ -248,7 +276,7 @@ class _Lift:
         )
 
     def _evaluate(self, e: Expression) -> float:
-        """Returns what an expression without variables is."""
+        """Returns the value of an expression without variables."""
         try:
             return e.Evaluate()
         except RuntimeError as error:  # NaN, or a division by zero
@@ -256,7 +284,7 @@ class _Lift:
             raise self._refusal(e, "which is no number", remedy, "finite numbers") from error
 
     def _split_number(self, e: Expression) -> tuple[float, Expression]:
-        """Returns the number that an expression is a multiple of, and what is multiplied."""
+        """Returns the numeric factor of an expression, and its other factors."""
         if e.get_kind() != ExpressionKind.Mul:
             return 1.0, e
         factors = operands(e)
@@ -264,112 +292,91 @@ class _Lift:
         others = (each for each in factors if each.GetVariables())
         return number, math.prod(others, start=Expression(1.0))
 
-    def _lift_quotient(self, e: Expression, _: int) -> Expression:
+    def _lift_quotient(self, e: Expression, _: int = 0) -> Expression:
         above, below = operands(e)
         number, rest = self._split_number(above)
         if number not in (0.0, 1.0):
-            return number * self._lift_quotient(rest / below, 0)
-        if not self._signs.keeps(below):
-            low, high = interval(below, self._ranges)
-            raise self._refusal(
-                e,
-                f"where {shown(below)} is in [{low:g}, {high:g}] for all that bounds say",
-                f"Bound its variables such that {shown(below)} keeps its sign and is not 0.",
-                "a divisor that is not 0",
-            )
+            return number * self._lift_quotient(rest / below)
+        if not self._signs.find(below):
+            remedy = f"Bound its variables such that {shown(below)} keeps its sign and is not 0."
+            raise self._refusal(e, self._where(below), remedy, "a divisor that is not 0")
         top, bottom = self._lift_for_row(above), self._lift_for_row(below)
-        return self._variable(e, lambda z: [(z * bottom - top, 0.0, 0.0)])
+        return self._variable(e, lambda z: [z * bottom - top])
 
     def _lift_power(self, e: Expression, _: int) -> Expression:
         base, exponent = operands(e)
         if exponent.GetVariables():
-            return self._lift(sym.exp(exponent * sym.log(base)), 0)
+            return self._lift(sym.exp(exponent * sym.log(base)))
         p = exponent.Evaluate()
         if p < 0.0:
-            return self._lift_quotient(1.0 / sym.pow(base, -p), 0)
+            return self._lift_quotient(1.0 / sym.pow(base, -p))
         if p == int(p):
             return sym.pow(self._alone(base), p)
         part = Fraction(p).limit_denominator(_HIGHEST_ROOT)
         if float(part) != p and abs(float(part) - p) > 1e-12:
-            return self._lift(sym.exp(p * sym.log(base)), 0)
+            return self._lift(sym.exp(p * sym.log(base)))
         return self._root(e, base, part)
-
-    def _lift_square_root(self, e: Expression, _: int) -> Expression:
-        return self._root(e, operands(e)[0], Fraction(1, 2))
 
     def _root(self, e: Expression, base: Expression, part: Fraction) -> Expression:
         self._require(base, e, is_strict=False)
         right, q = self._lift_for_row(base), part.denominator
         root = sym.sqrt(base) if q == 2 else sym.pow(base, 1.0 / q)
-        z = self._variable(root, lambda z: [(sym.pow(z, q) - right, 0.0, 0.0)])
-        return sym.pow(z, part.numerator)
+        return sym.pow(self._variable(root, lambda z: [sym.pow(z, q) - right]), part.numerator)
 
-    def _lift_log(self, e: Expression, _: int) -> Expression:
+    def _lift_inverse(self, e: Expression, _: int) -> Expression:
         (argument,) = operands(e)
-        self._require(argument, e)
-        right = self._lift_for_row(argument)
-        return self._variable(e, lambda z: [(sym.exp(z) - right, 0.0, 0.0)])
-
-    def _lift_tangent(self, e: Expression, _: int) -> Expression:
-        (angle,) = operands(e)
-        return self._lift_quotient(sym.sin(angle) / sym.cos(angle), 0)
+        if e.get_kind() == ExpressionKind.Log:
+            self._require(argument, e)
+        else:
+            self._require(1.0 - argument, e, is_strict=False)
+            self._require(1.0 + argument, e, is_strict=False)
+        wave, right = _INVERSES[e.get_kind()], self._lift_for_row(argument)
+        return self._variable(e, lambda z: [wave(z) - right])
 
     def _lift_inverse_tangent(self, e: Expression, _: int) -> Expression:
         above = self._lift_for_row(operands(e)[0])
-        return self._variable(e, lambda z: [(sym.sin(z) - above * sym.cos(z), 0.0, 0.0)])
-
-    def _lift_inverse_wave(self, e: Expression, _: int) -> Expression:
-        (argument,) = operands(e)
-        self._require(1.0 - argument, e, is_strict=False)
-        self._require(1.0 + argument, e, is_strict=False)
-        wave, right = _INVERSES[e.get_kind()], self._lift_for_row(argument)
-        return self._variable(e, lambda z: [(wave(z) - right, 0.0, 0.0)])
-
-    def _lift_hyperbolic_tangent(self, e: Expression, sign: int) -> Expression:
-        return self._lift(1.0 - 2.0 / (sym.exp(2.0 * operands(e)[0]) + 1.0), sign)
-
-    def _lift_hyperbola(self, e: Expression, sign: int) -> Expression:
-        (a,) = operands(e)
-        side = 1.0 if e.get_kind() == ExpressionKind.Cosh else -1.0
-        return self._lift((sym.exp(a) + side * sym.exp(-a)) / 2.0, sign if side > 0.0 else 0)
+        return self._variable(e, lambda z: [sym.sin(z) - above * sym.cos(z)])
 
     def _lift_abs(self, e: Expression, sign: int) -> Expression:
         (argument,) = operands(e)
         if sign > 0:
             a = self._lift_for_row(argument)
-            return self._variable(e, lambda z: [(z - a, 0.0, np.inf), (z + a, 0.0, np.inf)], True)
+            return self._variable(e, lambda z: [z - a, z + a], is_bound=True)
         own = self._alone(argument)
-        return self._variable(e, lambda z: [(z**2 - own**2, 0.0, 0.0)])
+        return self._variable(e, lambda z: [z**2 - own**2])
 
     def _lift_max(self, e: Expression, sign: int) -> Expression:
         a, b = operands(e)
-        return self._larger(e, a, b, sign)
+        if sign > 0:
+            sides = [self._lift_for_row(each, sign) for each in (a, b)]
+            return self._variable(e, lambda z: [z - each for each in sides], is_bound=True)
+        return self._lift((a + b + sym.abs(a - b)) / 2, sign)
 
     def _lift_min(self, e: Expression, sign: int) -> Expression:
         a, b = operands(e)
-        return -self._larger(sym.max(-a, -b), -a, -b, -sign)
-
-    def _larger(self, e: Expression, a: Expression, b: Expression, sign: int) -> Expression:
-        if sign > 0:
-            sides = [self._lift_for_row(each, sign) for each in (a, b)]
-            return self._variable(e, lambda z: [(z - each, 0.0, np.inf) for each in sides], True)
-        return self._lift((a + b + sym.abs(a - b)) / 2, sign)
+        return -self._lift_max(sym.max(-a, -b), -sign)
 
 
 _WAVES = {ExpressionKind.Sin: sym.sin, ExpressionKind.Cos: sym.cos, ExpressionKind.Exp: sym.exp}
-_INVERSES = {ExpressionKind.Asin: sym.sin, ExpressionKind.Acos: sym.cos}
+# Functions by formulas of others.
+_FORMULAS: Mapping[ExpressionKind, Callable[[Expression], Expression]] = {
+    ExpressionKind.Tan: lambda a: sym.sin(a) / sym.cos(a),
+    ExpressionKind.Tanh: lambda a: 1.0 - 2.0 / (sym.exp(2.0 * a) + 1.0),
+    ExpressionKind.Sinh: lambda a: (sym.exp(a) + -1.0 * sym.exp(-a)) / 2.0,
+    ExpressionKind.Cosh: lambda a: (sym.exp(a) + 1.0 * sym.exp(-a)) / 2.0,
+}
+# Waves that give a function's argument.
+_INVERSES: Mapping[ExpressionKind, Callable[[Expression], Expression]] = {
+    ExpressionKind.Log: sym.exp,
+    ExpressionKind.Asin: sym.sin,
+    ExpressionKind.Acos: sym.cos,
+}
 _RULES: Mapping[ExpressionKind, Callable[[_Lift, Expression, int], Expression]] = {
+    **dict.fromkeys(_INVERSES, _Lift._lift_inverse),
     ExpressionKind.Div: _Lift._lift_quotient,
     ExpressionKind.Pow: _Lift._lift_power,
-    ExpressionKind.Sqrt: _Lift._lift_square_root,
-    ExpressionKind.Log: _Lift._lift_log,
-    ExpressionKind.Tan: _Lift._lift_tangent,
+    ExpressionKind.Sqrt: lambda lift, e, _: lift._root(e, operands(e)[0], Fraction(1, 2)),
     ExpressionKind.Atan: _Lift._lift_inverse_tangent,
-    ExpressionKind.Asin: _Lift._lift_inverse_wave,
-    ExpressionKind.Acos: _Lift._lift_inverse_wave,
-    ExpressionKind.Sinh: _Lift._lift_hyperbola,
-    ExpressionKind.Cosh: _Lift._lift_hyperbola,
-    ExpressionKind.Tanh: _Lift._lift_hyperbolic_tangent,
     ExpressionKind.Abs: _Lift._lift_abs,
     ExpressionKind.Max: _Lift._lift_max,
     ExpressionKind.Min: _Lift._lift_min,

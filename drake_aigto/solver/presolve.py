@@ -7,12 +7,12 @@ from collections import Counter
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
-from drake_aigto.solver.question import Question, Row
+from drake_aigto.solver.parsed import ParsedProgram, ParsedRow
 from drake_aigto.solver.ranges import sum_range
 from drake_aigto.terms import (
     ConstraintRow,
@@ -30,22 +30,22 @@ from drake_aigto.terms import (
     with_own_variables,
 )
 
-# What a variable is divided by may be so much smaller than other coefficients of its row.
+# The least coefficient of a variable that its row defines, relative to the row's largest one.
 _LEAST_PIVOT = 1e-4
-# A row that defines a variable may have so many terms, as its powers are multiplied out.
+# The most terms of a row that defines a variable, as its powers are multiplied out.
 _MOST_TERMS = 60
-# It is not tried where so many times more terms than before would be multiplied out.
+# The most terms that multiplying out may lead to, relative to those before.
 _MOST_MULTIPLIED = 10
 # A program of few variables may grow, for all of them meet anyway, but not without end.
 _FEW, _MOST_COST_TERMS, _MOST_DEGREE = 40, 500, 16
 
 
 @dataclass(frozen=True, eq=False)
-class Piece:
+class BoundedSum:
     """A cost, or one row.
 
     Attributes:
-        label: how messages call it.
+        label: name of it in messages.
         name: of the cost or constraint that it came from.
         total: its terms over x.
         bounds: of a row; None for a cost.
@@ -58,8 +58,8 @@ class Piece:
 
     @cached_property
     def variables(self) -> list[int]:
-        """Which of x it reads, rising."""
-        return _variables(self.total)
+        """Variables of x that it reads, rising."""
+        return sorted({part.variable for parts in self.total for part in parts})
 
     @property
     def is_equality(self) -> bool:
@@ -68,7 +68,7 @@ class Piece:
 
     @property
     def size(self) -> int:
-        """How many terms boxes see of it at most: of a row, those of its square."""
+        """The most terms of it that boxes see: of a row, those of its square."""
         count = len(self.total)
         return count if self.bounds is None else (count + 1) * (count + 2) // 2
 
@@ -78,8 +78,7 @@ class Piece:
         return max((sum(part.exponent for part in parts) for parts in self.total), default=0)
 
 
-@dataclass(frozen=True, eq=False)
-class Definition:
+class Definition(NamedTuple):
     """x_j = Σ terms of other variables.
 
     Attributes:
@@ -96,44 +95,37 @@ class Reduced:
     """A program without the variables that its rows define.
 
     Attributes:
-        question: what is left, over z.
-        kept: which of x are z.
+        parsed: the program that remains, over z.
+        kept: indices of z among x.
         definitions: in the order of their making, each over variables that were there by then.
         lower: bounds of x, shape (n,).
         upper: shape (n,).
     """
 
-    question: Question
+    parsed: ParsedProgram
     kept: Ints
     definitions: tuple[Definition, ...]
     lower: Floats
     upper: Floats
 
-    @property
-    def defined(self) -> list[int]:
-        """Which of x were left out, in that order."""
-        return [definition.variable for definition in self.definitions]
-
     def restore(self, z: Floats) -> Floats:
-        """Returns x (n,) within its bounds, with the values of what was left out."""
+        """Returns x (n,) within its bounds, with the variables that were left out."""
         x = np.zeros(self.lower.size)
         x[self.kept] = z
         x = np.clip(x, self.lower, self.upper)
-        for definition in reversed(self.definitions):
-            j = definition.variable
+        for j, total in reversed(self.definitions):
             with np.errstate(over="ignore", invalid="ignore"):  # Far out a definition may overflow.
-                value = evaluate(definition.total, x)
-            x[j] = np.clip(value, self.lower[j], self.upper[j])
+                x[j] = np.clip(evaluate(total, x), self.lower[j], self.upper[j])
         return x
 
 
-def keep_all(question: Question) -> Reduced:
+def keep_all(parsed: ParsedProgram) -> Reduced:
     """Returns a program as it is."""
-    lower, upper = question.lower, question.upper
-    return Reduced(question, np.arange(lower.size), (), lower, upper)
+    lower, upper = parsed.lower, parsed.upper
+    return Reduced(parsed, np.arange(lower.size), (), lower, upper)
 
 
-def substitute(question: Question) -> Reduced:
+def substitute(parsed: ParsedProgram) -> Reduced:
     """Returns a program without variables that equality rows define.
 
     A row a x_j + g = 0, where a is a number and g has no x_j, has −g/a stand wherever x_j stood: in
@@ -147,55 +139,49 @@ def substitute(question: Question) -> Reduced:
     Raises:
         ContradictionError: a row that is left is one of constants, and does not hold.
     """
-    if not any(each.row.lower == each.row.upper for each in question.rows):
-        return keep_all(question)
-    lower, upper = question.lower, question.upper
-    pieces, definitions = _Substitution(_split(question), lower, upper).run()
-    gone = {definition.variable for definition in definitions}
-    kept = np.array([i for i in range(lower.size) if i not in gone], dtype=np.int64)
+    if not any(each.is_equality for each in parsed.rows):
+        return keep_all(parsed)
+    lower, upper = parsed.lower, parsed.upper
+    pieces, definitions = _Substitution(_split(parsed), lower, upper).run()
+    kept = np.delete(np.arange(lower.size), [each.variable for each in definitions])
     reduced = _join(pieces, kept, lower, upper)
-    reduced.row_sizes = question.row_sizes
+    reduced.row_sizes = parsed.row_sizes
     return Reduced(reduced, kept, definitions, lower, upper)
 
 
-def _split(question: Question) -> Iterator[Piece]:
+def _split(parsed: ParsedProgram) -> Iterator[BoundedSum]:
     """Yields every copy of all costs and rows."""
-    for block in question.costs:
+    costs = ((block.name, block, None) for block in parsed.costs)
+    rows = ((each.label, each.block, (each.row.lower, each.row.upper)) for each in parsed.rows)
+    for label, block, bounds in (*costs, *rows):
         for copy in block.variables.tolist():
-            yield Piece(block.name, block.name, from_terms(block.terms, copy))
-    for each in question.rows:
-        bounds = each.row.lower, each.row.upper
-        for copy in each.block.variables.tolist():
-            total = from_terms(each.row.terms, copy)
-            yield Piece(each.label, each.block.name, total, bounds)
+            yield BoundedSum(label, block.name, from_terms(block.terms, copy), bounds)
 
 
-def _join(pieces: Iterable[Piece], kept: Ints, lower: Floats, upper: Floats) -> Question:
-    """Returns the question of pieces over z, alike ones as copies of one sum."""
+def _join(pieces: Iterable[BoundedSum], kept: Ints, lower: Floats, upper: Floats) -> ParsedProgram:
+    """Returns the program of pieces over z, alike ones as copies of one sum."""
     place = {variable: i for i, variable in enumerate(kept.tolist())}
     alike: dict[tuple[Any, ...], list[list[int]]] = {}
     for piece in pieces:
         terms, read = with_own_variables(piece.total)
         copies = alike.setdefault((piece.label, piece.name, piece.bounds, terms), [])
         copies.append([place[variable] for variable in read])
-    question = Question(kept.size)
-    question.lower, question.upper = lower[kept], upper[kept]
-    costs = []
+    parsed = ParsedProgram(kept.size)
+    parsed.lower, parsed.upper = lower[kept], upper[kept]
     for (label, name, bounds, terms), copies in alike.items():
         block = TermBlock(name, terms, copies)
         if bounds is None:
-            costs.append(block)
+            parsed.costs += (block,)
         else:
-            question.add(Row(label, ConstraintRow(terms, *bounds), block))
-    question.costs = tuple(costs)
-    return question
+            parsed.add(ParsedRow(label, ConstraintRow(terms, *bounds), block))
+    return parsed
 
 
 class _Substitution:
     """One run: pieces by number, and the numbers of those that read a variable."""
 
-    def __init__(self, pieces: Iterable[Piece], lower: Floats, upper: Floats) -> None:
-        self._pieces: dict[int, Piece] = {}
+    def __init__(self, pieces: Iterable[BoundedSum], lower: Floats, upper: Floats) -> None:
+        self._pieces: dict[int, BoundedSum] = {}
         self._readers: dict[int, set[int]] = {}
         self._lower, self._upper = lower, upper
         self._definitions: list[Definition] = []
@@ -204,7 +190,7 @@ class _Substitution:
         for piece in pieces:
             self._add(piece)
 
-    def run(self) -> tuple[list[Piece], tuple[Definition, ...]]:
+    def run(self) -> tuple[list[BoundedSum], tuple[Definition, ...]]:
         """Goes over the rows until none defines anything more."""
         changed = True
         while changed:
@@ -222,28 +208,29 @@ class _Substitution:
         before, self._tried[number] = self._tried.get(number), newest
         return newest != before
 
-    def _add(self, piece: Piece) -> None:
+    def _add(self, piece: BoundedSum) -> None:
         self._pieces[self._num_added] = piece
         for variable in piece.variables:
             self._readers.setdefault(variable, set()).add(self._num_added)
         self._num_added += 1
 
-    def _remove(self, number: int) -> None:
-        for variable in self._pieces.pop(number).variables:
-            self._readers[variable].discard(number)
-
     def _use(self, number: int) -> bool:
         """Substitutes one of the variables that a row defines, if it pays for any."""
         row = self._pieces[number]
         for definition in sorted(_define(row), key=self._cheapness):
-            readers = self._readers[definition.variable] - {number}
-            before = [self._pieces[reader] for reader in sorted(readers)]
+            readers = sorted(self._readers[definition.variable])
+            before = [self._pieces[reader] for reader in readers if reader != number]
             after = _insert(before, definition)
             if after is None:
                 continue
             kept = self._bound(row, definition)
             if self._fits([*before, row], after, kept):
-                self._replace(definition, [*after, *kept])
+                for reader in readers:
+                    for variable in self._pieces.pop(reader).variables:
+                        self._readers[variable].discard(reader)
+                for piece in (*after, *kept):
+                    self._add(piece)
+                self._definitions.append(definition)
                 return True
         return False
 
@@ -253,15 +240,7 @@ class _Substitution:
         is_open = bool(np.isinf(self._lower[j]) and np.isinf(self._upper[j]))
         return not is_open, len(self._readers[j])
 
-    def _replace(self, definition: Definition, pieces: Iterable[Piece]) -> None:
-        """Has pieces stand for all that read a variable."""
-        for reader in sorted(self._readers[definition.variable]):
-            self._remove(reader)
-        for piece in pieces:
-            self._add(piece)
-        self._definitions.append(definition)
-
-    def _bound(self, row: Piece, definition: Definition) -> list[Piece]:
+    def _bound(self, row: BoundedSum, definition: Definition) -> list[BoundedSum]:
         """Returns the row that keeps a substituted variable within its bounds, if one has to."""
         terms, read = with_own_variables(definition.total)
         least, most = sum_range(terms, self._lower[read], self._upper[read])
@@ -270,33 +249,37 @@ class _Substitution:
             return []
         return [replace(row, total=definition.total, bounds=(low, high))]
 
-    def _fits(self, before: Sequence[Piece], after: Sequence[Piece], kept: Sequence[Piece]) -> bool:
+    def _fits(
+        self, before: Sequence[BoundedSum], after: Sequence[BoundedSum], kept: Sequence[BoundedSum]
+    ) -> bool:
         """Returns whether boxes see no more terms after than before, or few variables.
 
         A row that stays to keep bounds does not count, for it replaces one that is as long.
         """
         if _size(after) <= _size(before):
             return True
-        costs = [piece for piece in after if piece.bounds is None]
+        of_rows = [
+            _size(piece for piece in pieces if piece.bounds is not None)
+            for pieces in (before, [*after, *kept])
+        ]
         num_variables = len(self._readers) - len(self._definitions)
         return (
             num_variables <= _FEW
-            and _size_of_rows([*after, *kept]) <= _size_of_rows(before)
-            and all(piece.size <= _MOST_COST_TERMS for piece in costs)
-            and all(piece.degree <= _MOST_DEGREE for piece in costs)
+            and of_rows[1] <= of_rows[0]
+            and all(
+                piece.size <= _MOST_COST_TERMS and piece.degree <= _MOST_DEGREE
+                for piece in after
+                if piece.bounds is None
+            )
         )
 
 
-def _size(pieces: Iterable[Piece]) -> int:
+def _size(pieces: Iterable[BoundedSum]) -> int:
     return sum(piece.size for piece in pieces)
 
 
-def _size_of_rows(pieces: Iterable[Piece]) -> int:
-    return _size(piece for piece in pieces if piece.bounds is not None)
-
-
-def _define(row: Piece) -> Iterator[Definition]:
-    """Yields what a row has each variable be that stands once, alone and linearly."""
+def _define(row: BoundedSum) -> Iterator[Definition]:
+    """Yields the definitions of variables that stand in a row once, alone and linearly."""
     if row.bounds is None or len(row.total) > _MOST_TERMS:
         return
     counts = Counter(part.variable for parts in row.total for part in parts)
@@ -309,7 +292,7 @@ def _define(row: Piece) -> Iterator[Definition]:
             yield Definition(j, add(rest, constant(row.bounds[0] / a)))
 
 
-def _insert(pieces: Iterable[Piece], definition: Definition) -> list[Piece] | None:
+def _insert(pieces: Iterable[BoundedSum], definition: Definition) -> list[BoundedSum] | None:
     """Returns pieces without the variable that is defined; None where one would have no mean."""
     found = []
     for piece in pieces:
@@ -328,8 +311,3 @@ def _insert(pieces: Iterable[Piece], definition: Definition) -> list[Piece] | No
             return None
         found.append(replace(piece, total=total))
     return found
-
-
-def _variables(total: Sum) -> list[int]:
-    """Returns the variables that a sum reads, rising."""
-    return sorted({part.variable for parts in total for part in parts})

@@ -14,12 +14,10 @@ from drake_aigto.box import BoxPolynomial
 from drake_aigto.errors import UnsupportedTermError
 from drake_aigto.local import PolynomialNlp
 from drake_aigto.solver.lift import Lifted, lift
+from drake_aigto.solver.parsed import ParsedProgram, ParsedRow, tighten
 from drake_aigto.solver.presolve import Reduced, keep_all, substitute
-from drake_aigto.solver.question import Question, Row
 from drake_aigto.solver.ranges import LARGEST
-from drake_aigto.solver.tighten import tighten
 from drake_aigto.terms import (
-    ConstraintRow,
     Factor,
     FunctionKind,
     NoClosedFormError,
@@ -32,7 +30,7 @@ from drake_aigto.terms import (
     to_terms,
 )
 
-# What a row misses by less is far below what an answer may.
+# Violations below it are far below the tolerance of an answer.
 _NOTICED = 1e-9
 
 
@@ -56,20 +54,33 @@ class PenalizedRow:
     """Copies of an equality row r(y) = 0.
 
     Attributes:
-        label: how messages call it.
+        source: the row that it came from.
         name: of its square, unlike all costs'.
-        row: what it came from.
-        block: r, and which variables each copy is of.
+        block: r, and the variables of each copy.
     """
 
-    label: str
+    source: ParsedRow
     name: str
-    row: ConstraintRow
     block: TermBlock
 
     def square(self) -> TermBlock:
-        """Returns r² of all copies."""
-        terms = _square(self.label, self.row, self.block.terms)
+        """Returns r² of all copies.
+
+        Raises:
+            UnsupportedTermError: it has no mean in closed form; by name.
+        """
+        label, row = self.source.label, self.source.row
+        try:
+            terms = to_terms(power(from_terms(self.block.terms), 2))
+        except NoClosedFormError as error:
+            raise UnsupportedTermError(
+                f"{label} can't be penalized",
+                got=f"the row {row}, in whose square {error}",
+                expected="rows whose square has a mean in closed form",
+                remedy="Give one of the two functions a variable s of its own: s == exp(x).",
+            ) from None
+        except TooManyTermsError as error:
+            raise error.refusal(label, f"in the square of the row {row}") from None
         return TermBlock(self.name, terms, self.block.variables)
 
 
@@ -83,13 +94,13 @@ class AigoProgram:
     Inequalities that are affine in one variable are bounds.
 
     Attributes:
-        source: the program that was asked, over x.
+        source: the program as it was given, over x.
         lifted: the same with variables of their own for functions that have no mean.
-        reduced: what presolve made of it.
+        reduced: the same after presolve.
         nlp: f, r and bounds over y, for a local solver.
         costs: f over y.
         rows: r over y.
-        slacks: what each s_i stands for.
+        slacks: the function that each s_i stands for.
     """
 
     source: MathematicalProgram
@@ -112,7 +123,7 @@ class AigoProgram:
     @cached_property
     def largest_coefficient(self) -> float:
         """The largest one of all rows, in absolute value; 0 without rows."""
-        terms = (term for row in self.rows for term in row.row.terms)
+        terms = (term for row in self.rows for term in row.source.row.terms)
         return max((abs(term.coefficient) for term in terms), default=0.0)
 
     def presolved(self) -> AigoProgram:
@@ -121,15 +132,10 @@ class AigoProgram:
         Raises:
             ContradictionError: constants alone leave no feasible point.
         """
-        reduced = substitute(self.reduced.question)
-        if reduced.question is self.reduced.question:
+        reduced = substitute(self.reduced.parsed)
+        if reduced.parsed is self.reduced.parsed:
             return self
-        return _Rows(self.source, self.lifted, reduced).finish()
-
-    @property
-    def num_rows(self) -> int:
-        """Number of equality rows r."""
-        return self.nlp.num_rows
+        return _assemble(self.source, self.lifted, reduced)
 
     def cost(self, x: Floats) -> float:
         """Returns f at x (n,); infinite where a formula has no value."""
@@ -146,11 +152,11 @@ class AigoProgram:
     def violation(self, x: Floats) -> float:
         """Returns the largest violation of the source's constraints at x (n,); 0 without any.
 
-        It is relative to a row's size where that is below 1 (`Question.row_sizes`), and what
-        rounding of x alone may change a row by is none.
+        It is relative to a row's size where that is below 1 (`ParsedProgram.row_sizes`), and
+        without the change of a row that rounding of x alone may lead to.
         """
         worst = 0.0
-        sizes = self.reduced.question.row_sizes
+        sizes = self.reduced.parsed.row_sizes
         for binding, rows in zip(self.source.GetAllConstraints(), self.lifted.rows, strict=True):
             evaluator = binding.evaluator()
             value = self._value(binding, x)
@@ -190,98 +196,69 @@ def read_program(prog: MathematicalProgram) -> AigoProgram:
             not continuous; by name.
         ContradictionError: bounds or constants alone leave no feasible point.
     """
-    lifted = Lifted.of(prog)
+    lifted = Lifted(prog, tuple((each.evaluator(),) for each in prog.GetAllConstraints()))
     try:
-        question = Question.of(prog)
+        parsed = ParsedProgram.of(prog)
     except UnsupportedTermError:
         lifted = lift(prog)
-        question = Question.of(lifted.prog)
-    program = _Rows(prog, lifted, keep_all(question)).finish()
-    if program.num_rows:
-        bounds = (side[: question.lower.size] for side in tighten(program.nlp))
-        if question.scale_rows(*bounds):
-            return _Rows(prog, lifted, keep_all(question)).finish()
+        parsed = ParsedProgram.of(lifted.prog)
+    program = _assemble(prog, lifted, keep_all(parsed))
+    if program.rows:
+        bounds = (side[: parsed.lower.size] for side in tighten(program.nlp))
+        if parsed.scale_rows(*bounds):
+            return _assemble(prog, lifted, keep_all(parsed))
     return program
 
 
 def _rounding(evaluator: EvaluatorBase, x: Floats) -> Floats:
-    """Returns what rounding of x (n,) may change rows g (m,) by: 4 ε Σ_j |∂g/∂x_j x_j|."""
+    """Returns the change of rows g (m,) that rounding of x (n,) may make: 4 ε Σ_j |∂g/∂x_j x_j|."""
     try:
         slopes = ExtractGradient(evaluator.Eval(InitializeAutoDiff(x)))
     except (RuntimeError, ValueError):  # A slope has no value there, as that of √x at 0.
         return np.zeros(evaluator.num_constraints())
-    with np.errstate(invalid="ignore"):  # An infinite slope at 0: no bound of what it changes.
+    with np.errstate(invalid="ignore"):  # An infinite slope at 0: no bound of its change.
         changes = 4 * np.finfo(float).eps * np.sum(np.abs(slopes * x), axis=1)
     return np.where(np.isfinite(changes), changes, 0.0)
 
 
-class _Rows:
-    """Collects equality rows and slacks."""
-
-    def __init__(self, source: MathematicalProgram, lifted: Lifted, reduced: Reduced) -> None:
-        self._source, self._lifted, self._reduced = source, lifted, reduced
-        self._rows: list[PenalizedRow] = []
-        self._slacks: list[Slack] = []
-        self._lower, self._upper = reduced.question.lower, reduced.question.upper
-        self._prefix = self._row_prefix()
-        self._num_rows = 0
-
-    def _row_prefix(self) -> str:
-        """Returns how rows' names begin, as no cost's does: weights are given by name."""
-        costs = [evaluator_name(cost.evaluator()) for cost in self._source.GetAllCosts()]
-        prefix = "row "
-        while any(name.startswith(prefix) for name in costs):
-            prefix = f"constraint {prefix}"
-        return prefix
-
-    def _add(self, copies: Row) -> None:
-        """Adds copies of an equality, or of an inequality with a slack each."""
-        row, block = copies.row, copies.block
-        variables, count = block.variables, len(block.variables)
-        if row.lower == row.upper:
-            rest = Term(-row.lower, ())
-        else:
-            first = self._lower.size
+def _assemble(source: MathematicalProgram, lifted: Lifted, reduced: Reduced) -> AigoProgram:
+    """Returns the program with equality rows, and slacks for inequalities."""
+    parsed = reduced.parsed
+    rows: list[PenalizedRow] = []
+    slacks: list[Slack] = []
+    lower, upper = [parsed.lower], [parsed.upper]
+    prefix, size, number = _row_prefix(source), parsed.lower.size, 0
+    for each in parsed.rows:
+        row, variables, count = each.row, each.block.variables, len(each.block.variables)
+        rest = Term(-row.lower, ())
+        if not each.is_equality:
             rest = Term(-1.0, (Factor(variables.shape[1], FunctionKind.POWER),))
-            for number, copy in enumerate(variables.tolist(), self._num_rows):
-                self._slacks.append(Slack(number, row.terms, tuple(copy)))
-            own = np.arange(first, first + count)
-            variables = np.column_stack([variables, own])
-            self._lower = np.append(self._lower, np.full(count, row.lower))
-            self._upper = np.append(self._upper, np.full(count, row.upper))
-        terms = (*row.terms, rest)
-        name = f"{self._prefix}{self._num_rows}"
-        own_block = TermBlock(block.name, terms, variables)
-        self._rows.append(PenalizedRow(copies.label, name, row, own_block))
-        self._num_rows += count
-
-    def finish(self) -> AigoProgram:
-        """Returns the program."""
-        for row in self._reduced.question.rows:
-            self._add(row)
-        size, costs = self._lower.size, self._reduced.question.costs
-        blocks = tuple(row.block for row in self._rows)
-        return AigoProgram(
-            source=self._source,
-            lifted=self._lifted,
-            reduced=self._reduced,
-            nlp=PolynomialNlp(size, costs, blocks, self._lower, self._upper),
-            costs=BoxPolynomial(size, costs),
-            rows=tuple(self._rows),
-            slacks=tuple(self._slacks),
-        )
+            copies = enumerate(variables.tolist(), number)
+            slacks += [Slack(place, row.terms, tuple(copy)) for place, copy in copies]
+            variables = np.column_stack([variables, np.arange(size, size + count)])
+            size += count
+            lower.append(np.full(count, row.lower))
+            upper.append(np.full(count, row.upper))
+        block = TermBlock(each.block.name, (*row.terms, rest), variables)
+        rows.append(PenalizedRow(each, f"{prefix}{number}", block))
+        number += count
+    bounds = np.concatenate(lower), np.concatenate(upper)
+    blocks = tuple(row.block for row in rows)
+    return AigoProgram(
+        source=source,
+        lifted=lifted,
+        reduced=reduced,
+        nlp=PolynomialNlp(size, parsed.costs, blocks, *bounds),
+        costs=BoxPolynomial(size, parsed.costs),
+        rows=tuple(rows),
+        slacks=tuple(slacks),
+    )
 
 
-def _square(label: str, row: ConstraintRow, terms: tuple[Term, ...]) -> tuple[Term, ...]:
-    """Returns the terms of a row's square, the row's penalty."""
-    try:
-        return to_terms(power(from_terms(terms), 2))
-    except NoClosedFormError as error:
-        raise UnsupportedTermError(
-            f"{label} can't be penalized",
-            got=f"the row {row}, in whose square {error}",
-            expected="rows whose square has a mean in closed form",
-            remedy="Give one of the two functions a variable s of its own: s == exp(x).",
-        ) from None
-    except TooManyTermsError as error:
-        raise error.refusal(label, f"in the square of the row {row}") from None
+def _row_prefix(source: MathematicalProgram) -> str:
+    """Returns the first part of rows' names, which no cost's has: weights are given by name."""
+    costs = [evaluator_name(cost.evaluator()) for cost in source.GetAllCosts()]
+    prefix = "row "
+    while any(name.startswith(prefix) for name in costs):
+        prefix = f"constraint {prefix}"
+    return prefix

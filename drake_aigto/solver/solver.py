@@ -17,17 +17,17 @@ from pydrake.solvers import (
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError
-from drake_aigto.solver.options import AigoOptions
-from drake_aigto.solver.program import read_program
-from drake_aigto.solver.question import ContradictionError
-from drake_aigto.solver.result import (
+from drake_aigto.solver.details import (
     SOLVER_ID,
     AigoDetails,
+    AigoOptions,
     AigoProgramResult,
     AigoStatus,
     fill_result,
 )
-from drake_aigto.solver.solve import Observer, Solve
+from drake_aigto.solver.parsed import ContradictionError
+from drake_aigto.solver.program import read_program
+from drake_aigto.solver.solve import Solve
 from drake_aigto.solver.staged import StagedProgram
 
 _SUPPORTED = {
@@ -68,7 +68,7 @@ class AigoSolver(SolverInterface):
     and met in the answer (`AigoDetails.complementarities`). Such programs, and chains of stages
     that follow from each other by equalities, are searched by ladders of penalties from many
     starts, and by renewing stretches of stages; where complementarities share a λ or s, by interior
-    points too. How many ladders ended at the answer's cost, `AigoDetails.repeats` tells: a search
+    points too. `AigoDetails.repeats` counts the ladders that ended at the answer's cost: a search
     by chance has no better sign that it is over. Then come boxes; where there are stages with
     complementarities, only if that led to no feasible point.
 
@@ -82,7 +82,7 @@ class AigoSolver(SolverInterface):
     """
 
     def __init__(self, options: AigoOptions | None = None) -> None:
-        """Sets what holds unless a program's or a call's SolverOptions say otherwise."""
+        """Sets options that SolverOptions of a program or of a call may replace."""
         super().__init__()
         self.options = options or AigoOptions()
 
@@ -106,12 +106,12 @@ class AigoSolver(SolverInterface):
     def AreProgramAttributesSatisfied(self, prog: MathematicalProgram) -> bool:
         """Returns whether the kinds of costs, constraints and variables are supported.
 
-        Their formulas are looked at by `Solve` only, which names what it can't integrate.
+        Their formulas are read by `Solve` only, which names those that it can't integrate.
         """
         return prog.required_capabilities() <= _SUPPORTED
 
     def ExplainUnsatisfiedProgramAttributes(self, prog: MathematicalProgram) -> str:
-        """Returns what is not supported, or an empty string."""
+        """Returns a sentence that names unsupported kinds, or an empty string."""
         missing = sorted(a.name[1:] for a in prog.required_capabilities() - _SUPPORTED)
         return f"AigoSolver can't solve programs with {', '.join(missing)}." if missing else ""
 
@@ -142,19 +142,27 @@ class AigoSolver(SolverInterface):
             OptionsError: an unknown option, a bad value, or a guess of another size.
         """
         options, prints = self._merge(prog, solver_options)
-        guess = _check_guess(prog, initial_guess)
-        filled = AigoProgramResult() if result is None else result
+        guess = np.array(prog.initial_guess() if initial_guess is None else initial_guess, float)
+        if guess.shape != (prog.num_vars(),):
+            expected = f"({prog.num_vars()},)"
+            raise OptionsError("initial_guess", got=f"shape {guess.shape}", expected=expected)
+
+        def observe(x: Floats, line: str) -> None:
+            for callback in prog.visualization_callbacks():
+                prog.EvalBinding(callback, x)
+            if prints:
+                print(line)
+
         try:
             program = read_program(prog)
             staged = StagedProgram(program, options.feasibility)
             if options.presolve and not staged.is_beyond_boxes:
                 program = program.presolved()
+            x, cost, details = Solve(program, staged, options, guess, observe).run()
         except ContradictionError:
-            x = np.where(np.isfinite(guess), guess, 0.0)
+            x, cost = np.where(np.isfinite(guess), guess, 0.0), np.inf
             details = AigoDetails.of_nothing(AigoStatus.CONTRADICTORY_BOUNDS, x)
-            fill_result(filled, prog, x, np.inf, details)
-            return filled if result is None else None
-        x, cost, details = Solve(program, staged, options, guess, _observers(prog, prints)).run()
+        filled = AigoProgramResult() if result is None else result
         fill_result(filled, prog, x, cost, details)
         return filled if result is None else None
 
@@ -169,23 +177,3 @@ class AigoSolver(SolverInterface):
                 values |= source.options.get(SOLVER_ID.name(), {})
                 common |= source.options.get("Drake", {})
         return self.options.with_solver_options(values), bool(common.get("kPrintToConsole", 0))
-
-
-def _check_guess(prog: MathematicalProgram, guess: ArrayLike | None) -> Floats:
-    values = np.array(prog.initial_guess() if guess is None else guess, dtype=float)
-    if values.shape != (prog.num_vars(),):
-        raise OptionsError(
-            "initial_guess", got=f"shape {values.shape}", expected=f"({prog.num_vars()},)"
-        )
-    return values
-
-
-def _observers(prog: MathematicalProgram, prints: bool) -> list[Observer]:
-    """Returns what is called with every better point, and a line about it."""
-    observers: list[Observer] = []
-    callbacks = prog.visualization_callbacks()
-    if callbacks:
-        observers.append(lambda x, _: [prog.EvalBinding(callback, x) for callback in callbacks])
-    if prints:
-        observers.append(lambda _, line: print(line))
-    return observers

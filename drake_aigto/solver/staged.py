@@ -20,39 +20,43 @@ from drake_aigto.local import (
     PolynomialNlp,
     make_point_tables,
 )
-from drake_aigto.solver.complementarity import are_shared, find_complementarities
-from drake_aigto.solver.options import AigoOptions
+from drake_aigto.solver.complementarity import (
+    TightenedProgram,
+    are_shared,
+    as_row,
+    find_complementarities,
+)
+from drake_aigto.solver.details import AigoOptions
 from drake_aigto.solver.program import AigoProgram
-from drake_aigto.solver.tightened import TightenedProgram
-from drake_aigto.terms import Sum, TermBlock, add, constant, evaluate, with_own_variables
+from drake_aigto.terms import TermBlock, constant, evaluate
 
-# A chain is so many times longer than its half bandwidth, and has more variables than a few.
+# Least length of a chain relative to its half bandwidth, and its least number of variables.
 _LEAST_LENGTH, _FEW = 6, 40
-# Stages are linked by so many equalities, relative to the variables: where there are fewer, much is
-# free, and boxes see more of it.
+# Least number of equalities, relative to the variables, that link stages: where there are fewer,
+# much is free, and boxes see more of it.
 _LEAST_EQUALITIES = 1 / 3
 # Programs whose systems take longer to factorize, in multiplications, are left to boxes.
 _MOST_WORK = 3e7
-# λ s ends at this part of what an answer may violate.
+# λ s ends at this part of the violation that an answer may have.
 _PART_OF_FEASIBILITY = 0.1
-# So many points are kept, no two of which cost the same but for this part; and so much better,
-# relative to the best, is better.
+# Number of points that are kept, no two of which cost the same but for the second of these, which
+# is also the gain, relative to the best cost, that makes a point better.
 _MOST_KEPT, _SAME = 4, 1e-3
 # Costs this much above the best one, relative to it, are of no use.
-_DEAR = 0.05
-# Starts reach so far over the box; ladders begin at these powers of ten.
+_TOO_COSTLY = 0.05
+# Reach of starts over the box; ladders begin at these powers of ten.
 _REACH = 0.6
 _START_TIGHTENED, _RENEWED_TIGHTENED = (-2.0, 0.0), (-3.0, 0.0)
-# What led to the best point is left for the other way of climbing so often; interior points count
-# as so many ladders of penalties, and take about twice as long as those.
+# Share of climbs by the other way than the one that led to the best point; ladders of penalties
+# that a climb by interior points, which takes about twice as long, counts as.
 _OTHER, _TIGHTENED_WORK = 0.25, 3
 _START_RELAXATIONS, _START_WEIGHTS = (-2.2, -0.7), (2.5, 5.0)
 _RENEWED_RELAXATIONS, _RENEWED_WEIGHTS, _SHIFTS = (-3.7, -1.2), (3.5, 6.0), (-1.5, 0.0)
-# Points are kept anew, as those that are renewed are of few basins, until so many populations, and
-# so many ladders, ended at the best cost; each lasts until this part of the patience is over.
+# Points are kept anew, as those that are renewed are of few basins, until this many populations,
+# and ladders, ended at the best cost; each lasts until this part of the patience is over.
 _AGREEING, _REPEATS, _PART_OF_PATIENCE = 2, 8, 0.375
 _MOST_BENDS = 6  # of a smooth start
-_RENEWED_PART = 0.7  # of what comes after the first starts
+_RENEWED_PART = 0.7  # of all climbs after the first starts
 
 
 class StagedProgram:
@@ -69,12 +73,16 @@ class StagedProgram:
 
         Args:
             program: as it was read.
-            feasibility: how much an answer may violate a row.
+            feasibility: largest violation of a row in an answer.
         """
         self.program = program
-        self.complementarities = find_complementarities(program) if program.num_rows else ()
+        self.complementarities = find_complementarities(program) if program.rows else ()
         self._least = _PART_OF_FEASIBILITY * feasibility
-        self.nlp = self._relax()
+        rows = [
+            each.product_row(constant(-max(self._least, each.allowed)))
+            for each in self.complementarities
+        ]
+        self.nlp = self._with_rows(rows, [])
 
     @property
     def relaxed(self) -> Ints:
@@ -84,7 +92,7 @@ class StagedProgram:
 
     @cached_property
     def is_upper(self) -> Bools:
-        """Which rows of `nlp` are λ s ≤ ε: of complementarities of which several share a side."""
+        """Whether rows of `nlp` are λ s ≤ ε: of complementarities that share a side (m,)."""
         found = np.zeros(self.nlp.num_rows, dtype=bool)
         found[self.relaxed] = are_shared(self.complementarities)
         return found
@@ -105,51 +113,41 @@ class StagedProgram:
 
     @cached_property
     def tables(self) -> PointTables:
-        """What local solves read."""
+        """Tables of `nlp` that penalty ladders read."""
         return make_point_tables(self.nlp)
 
-    @property
-    def is_chain(self) -> bool:
+    @cached_property
+    def _is_chain(self) -> bool:
         """Whether this is a chain of stages: its band is narrow beside its length."""
-        if self.nlp.num_variables < _FEW or not self.program.num_rows:
+        if self.nlp.num_variables < _FEW or not self.program.rows:
             return False
         return bool(self.tables.size >= max(_FEW, _LEAST_LENGTH * self.tables.bandwidth))
 
-    @property
-    def is_linked(self) -> bool:
-        """Whether this is a chain whose stages follow from each other by equalities."""
-        num_equalities = self.nlp.num_rows - len(self.program.slacks)
-        return self.is_chain and num_equalities >= _LEAST_EQUALITIES * self.tables.size
-
-    @property
+    @cached_property
     def is_worth_ladders(self) -> bool:
-        """Whether there are complementarities, or linked stages, and Newton steps are quick."""
-        if not (self.complementarities or self.is_linked):
+        """Whether there are complementarities, or a chain linked by rows, and steps are quick."""
+        num_equalities = self.nlp.num_rows - len(self.program.slacks)
+        if not self.complementarities and not (
+            self._is_chain and num_equalities >= _LEAST_EQUALITIES * self.tables.size
+        ):
             return False
         return self.tables.size * self.tables.bandwidth**2 <= _MOST_WORK
 
     @property
     def is_beyond_boxes(self) -> bool:
         """Whether ladders alone search it: stages with contact, of which boxes see the mean."""
-        return self.is_worth_ladders and self.is_chain and bool(self.complementarities)
-
-    def _relax(self) -> PolynomialNlp:
-        rows = [
-            _block("complementarity", add(each.product, constant(-max(self._least, each.allowed))))
-            for each in self.complementarities
-        ]
-        return self._with_rows(rows, [])
+        return self.is_worth_ladders and self._is_chain and bool(self.complementarities)
 
     def at_corners(self, y: Floats) -> PolynomialNlp:
         """Returns the program in which of each λ and s the one that is smaller at y (n,) is 0."""
         rows, held = [], []
         for each in self.complementarities:
             if each.allowed:
-                rows.append(_block("complementarity", add(each.product, constant(-each.allowed))))
+                rows.append(each.product_row(constant(-each.allowed)))
             elif abs(evaluate(each.gap, y)) >= abs(y[each.variable]):
                 held.append(each.variable)
             else:
-                rows.append(_block("complementarity", each.gap))
+                rows.append(as_row(each.gap))
         return self._with_rows(rows, held)
 
     def _with_rows(self, rows: list[TermBlock], held: list[int]) -> PolynomialNlp:
@@ -160,21 +158,14 @@ class StagedProgram:
         gone = {each.row for each in found}
         others, number = [], 0
         for block in nlp.blocks[len(nlp.costs) :]:
-            numbers = range(number, number + len(block.variables))
-            number = numbers.stop
-            kept = [i for i, row in enumerate(numbers) if row not in gone]
+            kept = [i for i in range(len(block.variables)) if number + i not in gone]
+            number += len(block.variables)
             if kept:
                 others.append(TermBlock(block.name, block.terms, block.variables[kept]))
         lower, upper = nlp.lower.copy(), nlp.upper.copy()
         unused = held + [each.slack for each in found if each.slack >= 0]
         lower[unused] = upper[unused] = np.clip(0.0, lower[unused], upper[unused])
         return PolynomialNlp(nlp.num_variables, nlp.costs, (*others, *rows), lower, upper)
-
-
-def _block(name: str, total: Sum) -> TermBlock:
-    """Returns a sum as a block of one copy."""
-    terms, read = with_own_variables(total)
-    return TermBlock(name, terms, [read])
 
 
 def find_quantities(nlp: PolynomialNlp, places: Ints) -> list[Ints]:
@@ -201,13 +192,12 @@ def find_quantities(nlp: PolynomialNlp, places: Ints) -> list[Ints]:
 class StagedSearch:
     """Ladders of penalties from many starts, and from renewed stretches of the best points.
 
-    What is drawn depends on the seed alone; work is cut off by counts.
+    Random numbers depend on the seed alone; work is cut off by counts.
 
     Attributes:
         first: the box that starts are drawn from.
-        climbs: how many ladders were begun.
-        steps: their Newton steps.
-        repeats: how many of them ended at the cost of the best point.
+        climbs: number of ladders.
+        repeats: number of those that ended at the cost of the best point.
         best: cost of the best point; inf if none was nearly feasible.
     """
 
@@ -227,7 +217,7 @@ class StagedSearch:
             polish: called with points y that are nearly feasible, if they are better than others;
                 returns the point that each becomes, or None if that is not feasible.
         """
-        self.climbs = self.steps = self.repeats = self._work = 0
+        self.climbs = self.repeats = self._work = 0
         self.best, self._is_tightened = np.inf, True
         self._options, self._polish = options, polish
         self._guess, self._program, self._staged = guess, staged.program, staged
@@ -246,7 +236,7 @@ class StagedSearch:
         self._rng = np.random.default_rng(options.seed)
 
     def _box(self) -> Box:
-        """Returns where starts are drawn: between bounds, or around the guess or a bound."""
+        """Returns the box of starts: between bounds, or around the guess or a bound."""
         lower, upper = self._nlp.lower, self._nlp.upper
         guess = np.zeros(lower.size)
         guess[: self._guess.size] = np.nan_to_num(self._guess)
@@ -291,7 +281,7 @@ class StagedSearch:
             else:
                 self._climb(self._renewed(), "a renewed stretch", renewed=True)
             now = self._kept[0][0] if self._kept else np.inf
-            if not self._kept or now < best - _SAME * abs(best) or np.isinf(best):
+            if not self._kept or self._is_better(now, best):
                 better = self._work
             best = min(now, best)
 
@@ -327,8 +317,8 @@ class StagedSearch:
     def _climb(self, start: Floats, name: str, renewed: bool) -> None:
         """Goes up a ladder, and keeps where it ends.
 
-        Where several complementarities share sides, interior points climb too: mostly what led to
-        the best point does.
+        Where several complementarities share sides, interior points climb too. Mostly the way is
+        chosen that led to the best point.
         """
         tightened, is_tightened = self._staged.tightened, self._is_tightened
         if tightened is not None and self.climbs and self._rng.random() < _OTHER:
@@ -339,26 +329,31 @@ class StagedSearch:
         else:
             found = self._penalize(start, renewed)
             self._work += 1
-        self.climbs, self.steps = self.climbs + 1, self.steps + found.steps
+        self.climbs += 1
         if not found.is_nearly_feasible:
             return
         cost, x = found.cost, found.x
-        if cost < self.best - _SAME * abs(self.best) or np.isinf(self.best):
+        if self._is_better(cost, self.best):
             polished = self._polish(x, name)
             if polished is None:
                 return
             cost, x = self._nlp.evaluate(polished)[0], polished
             self._is_tightened = is_tightened
             self._ladder.scale_cost(cost)
-        self._keep(cost, x)
+        if self._is_better(cost, self.best):
+            self.repeats = 0
+        self.repeats += int(cost <= self.best + _SAME * abs(self.best) or self.repeats == 0)
+        self.best = min(self.best, cost)
+        if all(abs(cost - other) > _SAME * abs(other) for other, _ in self._kept):
+            self._kept = sorted([*self._kept, (cost, x)], key=lambda pair: pair[0])[:_MOST_KEPT]
 
     def _penalize(self, start: Floats, renewed: bool) -> Climb:
         """Returns where a ladder of penalties ends."""
         relaxations = _RENEWED_RELAXATIONS if renewed else _START_RELAXATIONS
         weights = _RENEWED_WEIGHTS if renewed else _START_WEIGHTS
         relaxation, weight = (10 ** self._rng.uniform(*each) for each in (relaxations, weights))
-        dear = self.best + _DEAR * abs(self.best)
-        return self._ladder.climb(start, relaxation, weight, dear)
+        most = self.best + _TOO_COSTLY * abs(self.best)
+        return self._ladder.climb(start, relaxation, weight, most)
 
     def _tighten(self, tightened: TightenedProgram, start: Floats, renewed: bool) -> Climb:
         """Returns where an interior point's optima of falling ε end."""
@@ -368,11 +363,7 @@ class StagedSearch:
         y, steps = tightened.tighten(y, sizes, first, renewed)
         return self._ladder.judge(y, steps)
 
-    def _keep(self, cost: float, x: Floats) -> None:
-        """Keeps a point if it is among the best, and no other costs the same."""
-        if cost < self.best - _SAME * abs(self.best) or np.isinf(self.best):
-            self.repeats = 0
-        self.repeats += int(cost <= self.best + _SAME * abs(self.best) or self.repeats == 0)
-        self.best = min(self.best, cost)
-        if all(abs(cost - other) > _SAME * abs(other) for other, _ in self._kept):
-            self._kept = sorted([*self._kept, (cost, x)], key=lambda pair: pair[0])[:_MOST_KEPT]
+    @staticmethod
+    def _is_better(cost: float, best: float) -> bool:
+        """Whether a cost is lower by enough to count, or the first one."""
+        return bool(cost < best - _SAME * abs(best) or np.isinf(best))

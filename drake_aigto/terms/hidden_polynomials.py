@@ -48,8 +48,8 @@ def read_polynomial(cost: EvaluatorBase) -> tuple[Term, ...]:
     Monomials are found one variable after another, those that follow held at random numbers
     (Zippel, *Probabilistic algorithms for sparse polynomials*, 1979), and only of variables that
     change each other's slope. Coefficients are least squares of relative errors over points whose
-    sizes range over six powers of ten. What is found has to give the values at points that were not
-    used.
+    sizes range over six powers of ten. The polynomial has to give the values at points that were
+    not used.
 
     Args:
         cost: of variables x (n,).
@@ -76,7 +76,11 @@ class _Reader:
             if len(powers) > _MOST_MONOMIALS:
                 raise HiddenError(f"it has more than {_MOST_MONOMIALS} monomials")
         powers, coefficients = self._fit(powers)
-        self._check(powers, coefficients)
+        points = np.concatenate([self._draw_far(powers, _HELD_OUT), self._draw(_HELD_OUT)])
+        sizes = _monomials(points, powers)
+        errors = np.abs(sizes @ coefficients - self._evaluate(points))
+        if np.any(errors > _ALIKE * (np.abs(sizes) @ np.abs(coefficients))):
+            raise HiddenError("rounding hides some of its monomials")
         return tuple(
             Term(
                 value,
@@ -108,16 +112,14 @@ class _Reader:
 
     def _find_neighbors(self) -> Bools:
         """Returns which variables (n, n) share a monomial: one changes the other's slope."""
-        slopes = self._slopes(self._held)
-        near = np.zeros((self._num_variables,) * 2, dtype=bool)
-        for variable, changed in enumerate(self._held + np.diag(self._draw(1)[0])):
-            found = self._slopes(changed)
-            near[variable] = np.abs(found - slopes) > _PRESENT * (np.abs(found) + np.abs(slopes))
+        changed = self._held + np.diag(self._draw(1)[0])
+        slopes, *found = (
+            ExtractGradient(self._cost.Eval(InitializeAutoDiff(x)))[0]
+            for x in (self._held, *changed)
+        )
+        sizes = np.abs(found) + np.abs(slopes)
+        near: Bools = np.abs(found - slopes) > _PRESENT * sizes
         return near | near.T
-
-    def _slopes(self, x: Floats) -> Floats:
-        slopes: Floats = ExtractGradient(self._cost.Eval(InitializeAutoDiff(x)))[0]
-        return slopes
 
     def _degree(self, variables: slice | int) -> int:
         """Returns the degree in some variables together, from how fast values grow with them."""
@@ -164,16 +166,9 @@ class _Reader:
             weights = np.divide(1.0, totals, out=np.zeros_like(totals), where=totals > 0.0)
             coefficients = _least_squares(weights[:, None] * sizes, weights * values)
             shares = np.max(weights[:, None] * np.abs(sizes * coefficients), axis=0)
-            counts = shares > _ALIKE  # What counts nowhere is rounding.
+            counts = shares > _ALIKE  # The others are rounding.
             powers, sizes, coefficients = powers[counts], sizes[:, counts], coefficients[counts]
         return powers, np.array([_shortest(value) for value in coefficients.tolist()])
-
-    def _check(self, powers: Ints, coefficients: Floats) -> None:
-        points = np.concatenate([self._draw_far(powers, _HELD_OUT), self._draw(_HELD_OUT)])
-        sizes = _monomials(points, powers)
-        errors = np.abs(sizes @ coefficients - self._evaluate(points))
-        if np.any(errors > _ALIKE * (np.abs(sizes) @ np.abs(coefficients))):
-            raise HiddenError("rounding hides some of its monomials")
 
 
 def _monomials(points: Floats, powers: Ints) -> Floats:
@@ -182,7 +177,7 @@ def _monomials(points: Floats, powers: Ints) -> Floats:
 
 
 def _least_squares(matrix: Floats, values: Floats) -> Floats:
-    """Returns what solves it best, columns divided by their sizes first."""
+    """Returns the least squares solution, columns divided by their sizes first."""
     sizes = np.linalg.norm(matrix, axis=0)
     found: Floats = lstsq(matrix / sizes, values, lapack_driver="gelsy")[0]
     return found / sizes

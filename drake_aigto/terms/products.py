@@ -19,7 +19,7 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import UnsupportedTermError
-from drake_aigto.terms.sums import Factor, FunctionKind, Term
+from drake_aigto.terms.sums import Factor, FunctionKind, Term, with_own_numbers
 
 # More terms than this are refused: 1e6 take some 10 s and 1 GB to parse.
 MAX_TERMS = 1_000_000
@@ -43,7 +43,7 @@ class TooManyTermsError(Exception):
         self.count = count
 
     def refusal(self, label: str, where: str) -> UnsupportedTermError:
-        """Returns the error that tells a user what has so many terms, and where."""
+        """Returns the error for a user: the number of terms, what has them, and where."""
         return UnsupportedTermError(
             f"{label} has too many terms",
             got=f"{self.count:,} {where}",
@@ -218,19 +218,11 @@ def evaluate(total: Sum, x: Floats) -> Floats:
     return values
 
 
-def to_terms(sums: Sum) -> tuple[Term, ...]:
+def to_terms(total: Sum) -> tuple[Term, ...]:
     """Returns a sum as terms of floats."""
     return tuple(
-        Term(
-            coefficient,
-            tuple(
-                Factor(
-                    part.variable, part.kind, part.exponent, float(part.scale), float(part.offset)
-                )
-                for part in parts
-            ),
-        )
-        for parts, coefficient in sums.items()
+        Term(a, tuple(Factor(*part[:3], float(part.scale), float(part.offset)) for part in parts))
+        for parts, a in total.items()
     )
 
 
@@ -251,13 +243,7 @@ def from_terms(terms: Iterable[Term], places: Sequence[int] | None = None) -> Su
 
 def with_own_variables(total: Sum) -> tuple[tuple[Term, ...], list[int]]:
     """Returns a sum's terms over variables 0 … L−1, and which ones these are, rising."""
-    read = sorted({part.variable for parts in total for part in parts})
-    number = {variable: i for i, variable in enumerate(read)}
-    renamed = {
-        tuple(part._replace(variable=number[part.variable]) for part in parts): a
-        for parts, a in total.items()
-    }
-    return to_terms(renamed), read
+    return with_own_numbers(to_terms(total))
 
 
 def _sum(a: Fraction | float, b: Fraction | float) -> Fraction | float:

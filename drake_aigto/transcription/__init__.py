@@ -1,6 +1,6 @@
 """Contact problems as MathematicalPrograms, and their constraints as polynomial penalties."""
 
-from drake_aigto.transcription.additions import Additions, Samples
+from drake_aigto.transcription.additions import Addition, Additions, Place, Samples
 from drake_aigto.transcription.facings import Facing, find_facings
 from drake_aigto.transcription.mechanism_program import (
     COST,
@@ -24,11 +24,13 @@ __all__ = [
     "GOAL",
     "NONPENETRATION",
     "ROWS",
+    "Addition",
     "Additions",
     "Ends",
     "Facing",
     "MechanismProgram",
     "PhaseTranscription",
+    "Place",
     "RigidTranscription",
     "Samples",
     "Touch",

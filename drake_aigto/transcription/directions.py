@@ -9,7 +9,7 @@ import numpy as np
 import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
 
 from drake_aigto.arrays import Bools, Floats
-from drake_aigto.world import ConstantInertia
+from drake_aigto.dynamics import ConstantInertia
 
 # Jacobians are parallel, or directions dependent, within this.
 _PARALLEL = 1e-9

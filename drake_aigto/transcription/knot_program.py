@@ -16,9 +16,10 @@ from pydrake.symbolic import Expression, MakeVectorVariable, Variable
 
 from drake_aigto.arrays import Ints
 from drake_aigto.errors import ProgramError
+from drake_aigto.terms import read_bounds
 from drake_aigto.transcription.knots import Knots
 from drake_aigto.transcription.parameters import Parameters
-from drake_aigto.transcription.penalties import Bounds, read_bounds
+from drake_aigto.transcription.penalties import Bounds
 from drake_aigto.transcription.shared import SharedEvaluator, substitutions
 from drake_aigto.world import Scenario, World
 

@@ -12,8 +12,7 @@ from pydrake.solvers import MathematicalProgram
 from drake_aigto.arrays import Bools, Floats, Ints
 from drake_aigto.errors import ProgramError
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.world import Scales, Scenario, World
-from drake_aigto.world.scales import calc_inertia
+from drake_aigto.world import Scales, Scenario, World, calc_inertia
 
 # A time is that of a knot but for this part of the duration: rounding.
 _ON_KNOT = 1e-9

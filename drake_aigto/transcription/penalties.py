@@ -13,6 +13,7 @@ from pydrake.symbolic import Expression, MakeVectorVariable
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import UnsupportedTermError
+from drake_aigto.terms import read_bounds
 from drake_aigto.transcription.shared import (
     SharedEvaluator,
     as_expression,
@@ -99,16 +100,6 @@ def cut_to(bounds: Bounds, center: ArrayLike, half_width: ArrayLike) -> tuple[Fl
     low = np.clip(center - half_width, lower, upper)
     high = np.clip(center + half_width, lower, upper)
     return (low + high) / 2, (high - low) / 2
-
-
-def read_bounds(prog: MathematicalProgram) -> Bounds:
-    """Returns the tightest lower and upper bound of each decision variable."""
-    lower, upper = np.full(prog.num_vars(), -np.inf), np.full(prog.num_vars(), np.inf)
-    for binding in prog.bounding_box_constraints():
-        index = prog.FindDecisionVariableIndices(binding.variables())
-        np.maximum.at(lower, index, binding.evaluator().lower_bound())
-        np.minimum.at(upper, index, binding.evaluator().upper_bound())
-    return lower, upper
 
 
 def _penalty(

@@ -12,15 +12,12 @@ from pydrake.solvers import LinearEqualityConstraint
 from pydrake.symbolic import Expression, MakeVectorVariable, Variable
 
 from drake_aigto.arrays import Bools, Floats, Ints
+from drake_aigto.contact import JointImpact
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription.additions import NO_ADDITIONS, Additions
 from drake_aigto.transcription.facings import Facing, find_facings
 from drake_aigto.transcription.guesses import make_guess, straight_path
-from drake_aigto.transcription.rigid_contact import (
-    ImpactTranscription,
-    JointImpact,
-    rigid_defects,
-)
+from drake_aigto.transcription.rigid_contact import ImpactTranscription, rigid_defects
 from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, NONPENETRATION, RESTITUTION
 from drake_aigto.transcription.settling import find_settlings
 from drake_aigto.transcription.shared import SharedEvaluator, as_expression, shared_constraint

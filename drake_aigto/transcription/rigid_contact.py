@@ -1,74 +1,15 @@
-"""What a rigid contact does to a motion: impact map, exact flight, and how far a motion is off."""
+"""How far a motion is off one with rigid contact."""
 
 from __future__ import annotations
-
-from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from drake_aigto.arrays import Bools, Floats
-from drake_aigto.errors import OptionsError
+from drake_aigto.arrays import Floats
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, NONPENETRATION, RESTITUTION
 from drake_aigto.transcription.transcription import Transcription
-from drake_aigto.world import ConstantInertia, Scenario, World
-
-# Least eigenvalue of J_C M⁻¹ J_Cᵀ in units of their masses, 1 if they don't feel each other.
-_DEPENDENT = 1e-9
-
-
-@dataclass(frozen=True, eq=False)
-class JointImpact:
-    """What contacts that are struck together do: Newton's law for all of them at once.
-
-        v⁺ = R v⁻ = v⁻ + M⁻¹ J_Cᵀ p,    p = P v⁻ = −(J_C M⁻¹ J_Cᵀ)⁻¹ (I + E) J_C v⁻
-
-    so that J_C v⁺ = −E J_C v⁻. Contacts that rest take part: their impulse keeps them at rest.
-    Where contacts are coupled, J_C M⁻¹ J_Cᵀ not diagonal, it is a convention of its own: impacts
-    one after the other would end in other velocities, that depend on the order.
-
-    Attributes:
-        impulses: P, shape (c, nv) [kg].
-        velocities: R, shape (nv, nv).
-        coupled: which of the contacts have an impulse that another one's speed changes, shape (c,).
-    """
-
-    impulses: Floats
-    velocities: Floats
-    coupled: Bools
-
-    @classmethod
-    @lru_cache(maxsize=64)  # A search asks for the same few again and again.
-    def of(
-        cls, inertia: ConstantInertia, contacts: tuple[int, ...], restitutions: tuple[float, ...]
-    ) -> JointImpact:
-        """Returns the impact of c of all contacts, given their restitutions.
-
-        Raises:
-            OptionsError: J_C has dependent rows: how they share an impulse is not defined.
-        """
-        chosen = list(contacts)
-        J, kicks = inertia.jacobian[chosen], inertia.kicks[chosen].T
-        # In units of the contacts' own masses.
-        root = np.sqrt(inertia.masses[chosen])
-        coupling = root[:, np.newaxis] * (J @ kicks) * root
-        if np.linalg.eigvalsh(coupling)[0] < _DEPENDENT:
-            raise OptionsError(
-                "sequence",
-                got=f"{len(J)} contacts at once that can't all be told apart",
-                expected="contacts with independent Jacobians",
-                remedy="Leave out those that the others imply.",
-            )
-        closing = (1 + np.asarray(restitutions))[:, np.newaxis] * J
-        impulses = -root[:, np.newaxis] * np.linalg.solve(coupling, root[:, np.newaxis] * closing)
-        others = np.abs(coupling - np.diag(np.diag(coupling)))
-        return cls(
-            impulses=impulses,
-            velocities=np.eye(J.shape[1]) + kicks @ impulses,
-            coupled=np.any(others > _DEPENDENT, axis=1),
-        )
+from drake_aigto.world import Scenario, World
 
 
 class ImpactTranscription(Transcription):

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from drake_aigto.arrays import Floats
+from drake_aigto.dynamics import ConstantInertia
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription.timeline import Timeline
 from drake_aigto.transcription.touch import TouchSequence
-from drake_aigto.world import ConstantInertia
 
 
 @dataclass(frozen=True)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from drake_aigto.simulation.contact_motion import calc_time_to_wall
+from drake_aigto.contact import calc_time_to_wall
 from drake_aigto.world import Scenario, World
 
 # What is touched within this part of the duration without control is touched whatever the control:

@@ -19,16 +19,22 @@ from pydrake.math import RigidTransform
 from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, MultibodyPlant
 from pydrake.multibody.tree import Joint
+from pydrake.symbolic import Expression, MakeVectorVariable
+from pydrake.symbolic import max as largest
+from pydrake.symbolic import min as least
 from pydrake.systems.framework import Context, Diagram, DiagramBuilder
+from pydrake.systems.primitives import SymbolicVectorSystem
 
 from drake_aigto.arrays import Floats
+from drake_aigto.dynamics import STICTION_SPEED, smooth_sign
 from drake_aigto.errors import ModelError
+from drake_aigto.world.fields import check_size
 from drake_aigto.world.files import find_model, package_map
-from drake_aigto.world.fit import check_size
-from drake_aigto.world.friction import STICTION_SPEED, add_dry_friction
 
 # What Drake says of joints that form a loop.
 _LOOP = "loops in the system graph"
+# By how much positions differ from their defaults where nothing cancels by chance.
+_ANYWHERE = 0.37
 
 # Joints that can be read, and which of their positions are angles.
 _HINGES = {
@@ -69,7 +75,7 @@ def build_diagram(
             raise _refuse_loop(f"a loop of joints in {path}") from error
         raise ModelError(f"Drake can't parse the model {path}", got=error) from error
     if dry_friction is not None:
-        check_size("dry_friction", len(dry_friction), plant.num_velocities())
+        check_size("dry_friction", dry_friction, plant.num_velocities())
         add_dry_friction(builder, plant, dry_friction, stiction_speed)
     builder.ExportInput(plant.get_actuation_input_port(), "actuation")
     builder.ExportOutput(plant.get_state_output_port(), "state")
@@ -78,13 +84,59 @@ def build_diagram(
     return builder.Build()
 
 
+def add_dry_friction(
+    builder: DiagramBuilder,
+    plant: MultibodyPlant,
+    dry_friction: Floats,
+    stiction_speed: float = STICTION_SPEED,
+) -> SymbolicVectorSystem:
+    """Adds −F σ(v / v_s) to the forces on a plant's joints, and returns the system that does.
+
+    Args:
+        builder: of the plant's diagram.
+        plant: finalized, with q̇ = v.
+        dry_friction: F of each coordinate, shape (nv,) [N, N m].
+        stiction_speed: v_s [m/s, rad/s].
+    """
+    n = plant.num_velocities()
+    state = MakeVectorVariable(2 * n, "x")
+    forces = []
+    for F, v in zip(dry_friction, state[n:], strict=True):  # As `calc_friction_share` has it.
+        x = largest(-1.0, least(1.0, v / stiction_speed))
+        forces.append(-F * smooth_sign(x))
+    # A state that stays where it is: without any, Drake 1.51 aborts when it asks for derivatives.
+    still = MakeVectorVariable(1, "still")
+    system = builder.AddSystem(
+        SymbolicVectorSystem(
+            state=still, input=state, dynamics=np.array([Expression(0.0)]), output=np.array(forces)
+        )
+    )
+    builder.Connect(plant.get_state_output_port(), system.get_input_port())
+    builder.Connect(system.get_output_port(), plant.get_applied_generalized_force_input_port())
+    return system
+
+
+def check_friction_acts(plant: MultibodyPlant, diagram: Diagram) -> None:
+    """Refuses a diagram in which nothing makes dry friction act on its plant."""
+    context = plant.GetMyContextFromRoot(diagram.CreateDefaultContext())
+    if not plant.get_applied_generalized_force_input_port().HasValue(context):
+        raise ModelError(
+            "dry_friction",
+            got="a diagram in which nothing applies forces to the plant's joints",
+            expected="a system that does",
+            remedy="Make it with add_dry_friction(builder, plant, dry_friction).",
+        )
+
+
 def find_plant(diagram: Diagram) -> tuple[MultibodyPlant, SceneGraph]:
     """Returns the plant and the scene graph of a diagram, at any depth.
 
     Raises:
         ModelError: not exactly one of each.
     """
-    systems = list(_walk(diagram))
+    systems: list[Any] = [diagram]
+    for system in systems:  # It grows meanwhile.
+        systems += system.GetSystems() if isinstance(system, Diagram) else ()
     found = []
     for kind in (MultibodyPlant, SceneGraph):
         matches = [system for system in systems if isinstance(system, kind)]
@@ -158,6 +210,14 @@ def find_joint(plant: MultibodyPlant, position_index: int) -> Joint:
     raise IndexError(position_index)
 
 
+def find_anywhere(plant: MultibodyPlant) -> Floats:
+    """Returns positions at which nothing cancels by chance, as it may at the default ones, (nq,).
+
+    There an arm may be stretched out along the normal of a wall.
+    """
+    return plant.GetDefaultPositions() + _ANYWHERE * np.arange(1, plant.num_positions() + 1)
+
+
 def move_shape(diagram: Diagram, shape: GeometryId, translation: Floats) -> Diagram:
     """Returns a copy of a diagram with one shape, in all of its roles, elsewhere on its body.
 
@@ -211,14 +271,6 @@ def hide_half_space_warning() -> Iterator[None]:
         logger.removeFilter(is_other)
 
 
-def _walk(system: Any) -> Iterator[Any]:
-    """Yields a system and all of its subsystems."""
-    yield system
-    if isinstance(system, Diagram):
-        for subsystem in system.GetSystems():
-            yield from _walk(subsystem)
-
-
 def _check_actuators(plant: MultibodyPlant) -> None:
     """Refuses a plant that nothing drives, or that something else drives than the control."""
     if plant.num_actuators() == 0:
@@ -251,8 +303,11 @@ def _check_velocities(plant: MultibodyPlant) -> None:
         block = N[joint.position_start() :, joint.velocity_start() :][:nq, :nv]
         if nq == nv and np.allclose(block, np.eye(nq)):
             continue
+        what = f"joint {joint.name()!r} ({joint.type_name()})"
+        if joint.is_ephemeral():
+            what = f"no joint attaches link {joint.child_body().name()!r}, so it floats"
         raise ModelError(
-            _describe(joint),
+            what,
             got="velocities v that are not q̇",
             expected="q̇ = v",
             remedy="Attach the link by prismatic, revolute or planar joints.",
@@ -267,9 +322,3 @@ def _refuse_loop(got: str) -> ModelError:
         expected="a tree: one joint between each link and its parent, and nothing else",
         remedy="Leave out the joint or the constraint that closes a loop, or couples joints.",
     )
-
-
-def _describe(joint: Joint) -> str:
-    if joint.is_ephemeral():
-        return f"no joint attaches link {joint.child_body().name()!r}, so it floats"
-    return f"joint {joint.name()!r} ({joint.type_name()})"

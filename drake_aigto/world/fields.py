@@ -1,9 +1,9 @@
-"""Typed fields of frozen dataclasses, checked as they are set."""
+"""Typed fields of frozen dataclasses, checked as they are set; and checks of several at once."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from numbers import Real
 from typing import Any, Generic, TypeGuard, TypeVar, overload
 
@@ -51,44 +51,39 @@ def as_number(
     return number
 
 
-def as_vector(name: str, value: object) -> Floats:
+def as_vector(name: str, value: Any, **bounds: Any) -> Floats:
     """Returns a read-only array (n,) of finite floats, n ≥ 1, from a scalar or a sequence.
 
+    Bounds of each are those of `as_number`.
+
     Raises:
-        ScenarioError: not numbers, NaN or infinity among them, empty, or of two dimensions.
+        ScenarioError: not numbers, NaN or infinity among them, empty, of two dimensions, or one
+            out of bounds.
     """
-    if _is_fine(value):
-        return read_only(value)
-    items = np.array(value, dtype=object, ndmin=1)
-    if items.ndim != 1 or items.size == 0:
-        raise ScenarioError(
-            name,
-            got=f"an array of shape {items.shape}",
-            expected="a number, or a sequence of one number per coordinate",
-        )
-    return read_only([as_number(name, item) for item in items])
+    is_array = isinstance(value, np.ndarray) and value.dtype == np.float64 and value.ndim == 1
+    # An array of finite numbers already, as that of another scenario is.
+    if not (is_array and np.size(value) and np.isfinite(value).all()):
+        items = np.array(value, dtype=object, ndmin=1)
+        if items.ndim != 1 or items.size == 0:
+            raise ScenarioError(
+                name,
+                got=f"an array of shape {items.shape}",
+                expected="a number, or a sequence of one number per coordinate",
+            )
+        value = [as_number(name, item) for item in items]
+    vector = read_only(value)
+    for number in vector if bounds else ():
+        as_number(name, number, **bounds)
+    return vector
 
 
-def _is_fine(value: object) -> TypeGuard[Floats]:
-    """Returns whether a value is such an array already, as that of another scenario is."""
-    if not (isinstance(value, np.ndarray) and value.dtype == np.float64 and value.ndim == 1):
-        return False
-    return value.size > 0 and bool(np.isfinite(value).all())
-
-
-def as_weight(
-    name: str, value: object, *, above: float = -math.inf, at_least: float = -math.inf
-) -> float | Floats:
+def as_weight(name: str, value: object, **bounds: float) -> float | Floats:
     """Returns a weight on a vector's square: a number for all coordinates, or one for each, (n,).
 
     Raises:
-        ScenarioError: not numbers, NaN or infinity among them, or one out of bounds.
+        ScenarioError: as `as_vector` does.
     """
-    if isinstance(value, Real):
-        return as_number(name, value, above=above, at_least=at_least)
-    weights = as_vector(name, value)
-    for weight in weights:
-        as_number(name, weight, above=above, at_least=at_least)
+    weights = as_vector(name, value, **bounds)
     return float(weights[0]) if weights.size == 1 else weights
 
 
@@ -134,18 +129,6 @@ def as_bound(name: str, value: object) -> float | Floats:
     return float(bounds[0]) if bounds.size == 1 else locked(bounds)
 
 
-def as_sizes(name: str, value: object) -> Floats:
-    """Returns a read-only array (n,) of finite floats that are not below zero.
-
-    Raises:
-        ScenarioError: not numbers, or one of them is below zero, NaN or infinite.
-    """
-    sizes = as_vector(name, value)
-    for size in sizes:
-        as_number(name, size, at_least=0.0)
-    return sizes
-
-
 def as_table(name: str, value: object) -> Floats:
     """Returns a read-only array (K, n) of finite floats; of numbers, one a row.
 
@@ -183,28 +166,6 @@ def as_range(name: str, value: object, unit: str) -> tuple[float, float]:
             name, got=f"from {least:g} to {most:g} {unit}", expected="the least first"
         )
     return least, most
-
-
-def as_flag(name: str, value: object) -> bool:
-    """Returns True or False.
-
-    Raises:
-        ScenarioError: something else.
-    """
-    if isinstance(value, bool | np.bool_):
-        return bool(value)
-    raise ScenarioError(name, got=repr(value), expected="true or false")
-
-
-def as_choice(name: str, value: object, choices: tuple[str, ...]) -> str:
-    """Returns one of the choices.
-
-    Raises:
-        ScenarioError: something else.
-    """
-    if isinstance(value, str) and value in choices:
-        return value
-    raise ScenarioError(name, got=repr(value), expected=f"one of {', '.join(map(repr, choices))}")
 
 
 def as_names(name: str, value: object) -> tuple[str, ...]:
@@ -251,3 +212,82 @@ class ArrayField(Generic[_Held]):
         """Checks and stores; a frozen dataclass calls this once, from ``__init__``."""
         is_default = value is self._default
         instance.__dict__[self._name] = value if is_default else self._check(self._name, value)
+
+
+def check_counts(name: str, weighed_by: Mapping[str, Any], what: str) -> None:
+    """Refuses a field that is given, where all that would weigh it is zero or false.
+
+    Raises:
+        ScenarioError: it counts for nothing; says what would count.
+    """
+    if any(np.any(weight) for weight in weighed_by.values()):
+        return
+    raise ScenarioError(
+        name,
+        got=", ".join(f"{other} = {weight}" for other, weight in weighed_by.items()),
+        expected=f"{what} that counts",
+        remedy=f"Without {' or '.join(weighed_by)} it counts for nothing.",
+    )
+
+
+def check_size(name: str, values: Floats, size: int) -> None:
+    """Refuses a vector, or rows of a table or a matrix, of another size than the model's.
+
+    Raises:
+        ScenarioError: it has another number of values than the model has coordinates or actuators.
+    """
+    got = values.shape[-1]
+    if got != size:
+        of_what = "actuator" if name == "control_weight" else "coordinate"
+        raise ScenarioError(
+            name,
+            got=f"{got} value{'s' if got > 1 else ''}{' a row' if values.ndim > 1 else ''}",
+            expected=f"{size}, one for each {of_what} of the model",
+        )
+
+
+def check_bounds(quantity: str, least: float | Floats | None, most: float | Floats | None) -> None:
+    """Refuses a lower bound above the upper one, and bounds that leave nothing.
+
+    Raises:
+        ScenarioError: they are crossed, or of different sizes.
+    """
+    name, other = f"{quantity}_lower", f"{quantity}_upper"
+    lower = np.atleast_1d(-np.inf if least is None else least)
+    upper = np.atleast_1d(np.inf if most is None else most)
+    if lower.size != upper.size and min(lower.size, upper.size) > 1:
+        raise ScenarioError(
+            name,
+            got=f"{lower.size} numbers, and {upper.size} in {other}",
+            expected="as many in both, or one number for all",
+        )
+    for low, high in np.broadcast(lower, upper):
+        if low > high or low == np.inf or high == -np.inf:
+            raise ScenarioError(
+                name,
+                got=f"{low:g}, with {other} = {high:g}",
+                expected="a lower bound that is not above the upper one",
+            )
+
+
+def check_reference(times: Floats | None, tables: Mapping[str, Floats]) -> None:
+    """Refuses a reference without times, times alone, and tables of another number of rows.
+
+    Raises:
+        ScenarioError: times and tables do not go together.
+    """
+    if times is None and not tables:
+        return
+    if times is None or not tables:
+        raise ScenarioError(
+            "reference_times",
+            got="none" if times is None else "them alone",
+            expected="times, with reference_positions or reference_velocities at them",
+        )
+    if np.any(np.diff(times) <= 0):
+        raise ScenarioError("reference_times", got=times.tolist(), expected="increasing times")
+    for name, table in tables.items():
+        if len(table) != len(times):
+            raise ScenarioError(
+                name, got=f"{len(table)} rows", expected=f"{len(times)}, one for each time"
+            )

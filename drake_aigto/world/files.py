@@ -1,16 +1,21 @@
-"""Where the shipped models lie, how a model's name becomes a file, and how files are written."""
+"""Files of models and scenarios: the shipped ones and the user's."""
 
 from __future__ import annotations
 
+import difflib
 import os
 from importlib import resources
 from pathlib import Path
 
+import yaml
+from pydrake.common.yaml import yaml_load_data
 from pydrake.multibody.parsing import PackageMap
 
-from drake_aigto.errors import ModelError, OutputFileError
+from drake_aigto.errors import ModelError, ScenarioError
 
 _URI_SCHEME = "package://"
+# Fields of a scenario that are texts; all others are made of numbers.
+_TEXTS = ("model", "angles", "contact", "ignored_shapes")
 
 
 def models_directory() -> Path:
@@ -72,56 +77,41 @@ def find_model(model: str) -> Path:
     return path
 
 
-def write_text(path: str | os.PathLike[str], text: str) -> None:
-    """Writes a text file whole or not at all (`write_bytes`)."""
-    write_bytes(path, text.encode())
+def scenario_names() -> list[str]:
+    """Returns the names that `Scenario.named` knows, sorted."""
+    directory = models_directory() / "scenarios"
+    paths = directory.glob("**/*.yaml")
+    return sorted(path.relative_to(directory).with_suffix("").as_posix() for path in paths)
 
 
-def write_bytes(path: str | os.PathLike[str], data: bytes) -> None:
-    """Writes a file whole or not at all: to a neighbor first, which then takes its name.
+def suggest(word: str, known: list[str]) -> str | None:
+    """Returns the known word that is meant, as a question, if one is near."""
+    close = difflib.get_close_matches(word, known, n=1)
+    return f"Did you mean {close[0]!r}?" if close else None
 
-    Raises:
-        OutputFileError: it can't be written.
-    """
-    path = Path(path)
-    temporary = _temporary(path)
+
+def read_scenario(path: str | os.PathLike[str]) -> object:
+    """Returns what is in a YAML file; what is no text may be numbers."""
     try:
-        temporary.write_bytes(data)
-        temporary.replace(path)
-    except OSError as error:
-        raise _refuse_output(path, error.strerror or error) from error
-    finally:
-        temporary.unlink(missing_ok=True)
+        data = yaml_load_data(Path(path).read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError) as error:
+        raise ScenarioError(f"scenario file {path} can't be read", got=error) from error
+    except yaml.YAMLError as error:
+        raise ScenarioError(
+            f"{path} is not valid YAML", got=" ".join(str(error).split())
+        ) from error
+    if not isinstance(data, dict):
+        return data
+    return {k: v if k in _TEXTS else _parse_numbers(v) for k, v in data.items()}
 
 
-def check_writable(path: str | os.PathLike[str] | None) -> None:
-    """Refuses a file that could not be written once long work is done; None passes.
-
-    Raises:
-        OutputFileError: its folder does not exist or may not be written to, or it is a folder.
-    """
-    if path is None:
-        return
-    path = Path(path)
-    if path.is_dir():
-        raise _refuse_output(path, "a folder")
-    if not path.parent.is_dir():
-        raise _refuse_output(path, f"no folder {path.parent}")
-    temporary = _temporary(path)
-    try:
-        temporary.touch()
-        temporary.unlink()
-    except OSError as error:
-        raise _refuse_output(path, error.strerror or error) from error
-
-
-def _temporary(path: Path) -> Path:
-    return path.with_name(f".{path.name}.{os.getpid()}.tmp")
-
-
-def _refuse_output(path: Path, reason: object) -> OutputFileError:
-    return OutputFileError(
-        f"{path} can't be written",
-        got=reason,
-        remedy="Name a file in a folder that exists and may be written to.",
-    )
+def _parse_numbers(value: object) -> object:
+    """Reads numbers that YAML 1.1 takes for text, such as 1e-3; leaves anything else alone."""
+    if isinstance(value, list):
+        return [_parse_numbers(item) for item in value]
+    if isinstance(value, str):
+        try:
+            return float(value)
+        except ValueError:
+            return value
+    return value

@@ -1,17 +1,17 @@
-"""What tells one world from another, small enough for a file."""
+"""Fingerprint of a world: names and numbers that fit into a file."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
+from pydrake.multibody.plant import MultibodyPlant
 
+from drake_aigto.dynamics import EquationsOfMotion
 from drake_aigto.errors import ModelError
-from drake_aigto.world.equations import EquationsOfMotion
 from drake_aigto.world.limits import Limits
 
 _Rows = tuple[tuple[float, ...], ...]
@@ -38,9 +38,9 @@ class Fingerprint:
         jacobian: J = ∂φ/∂q, (m, nv).
         kicks: M⁻¹ J_iᵀ, what 1 N s of each contact changes, (m, nv) [m/s].
         materials: stiffness [N/m] and dissipation [s/m] of both shapes of each contact, (m, 4),
-            None where the model gives none; None: a file that does not tell.
-        limits: lower and upper ones of q, v and u; None: a file that does not tell.
-        friction: μ of each contact, and where spheres are stuck; None: a file that does not tell.
+            None where the model gives none; None: a file without any.
+        limits: lower and upper ones of q, v and u; None: a file without any.
+        friction: μ of each contact, and where spheres are stuck; None: a file without any.
     """
 
     model: str | None
@@ -60,21 +60,20 @@ class Fingerprint:
     def of(
         cls,
         motion: EquationsOfMotion,
+        plant: MultibodyPlant,
         model: str | None,
-        coordinates: Sequence[str],
-        actuators: Sequence[str],
         materials: tuple[tuple[float | None, ...], ...],
         limits: Limits,
         friction: ArrayLike,
     ) -> Fingerprint:
-        """Returns that of a world: of its equations, its model, and what these lack."""
+        """Returns that of a world."""
         numbers = np.arange(1.0, 1.0 + motion.num_positions)
         q, v = np.sin(numbers), np.cos(numbers)
         controls = np.vstack([np.zeros(motion.num_actuators), np.eye(motion.num_actuators)])
         return cls(
             model=model,
-            coordinates=tuple(coordinates),
-            actuators=tuple(actuators),
+            coordinates=tuple(plant.GetPositionNames()),
+            actuators=tuple(plant.GetActuatorNames()),
             contacts=tuple(contact.name for contact in motion.contacts),
             restitutions=tuple(contact.restitution for contact in motion.contacts),
             accelerations=_rows(motion.calc_acceleration(q, v, controls)),
@@ -92,18 +91,12 @@ class Fingerprint:
         Raises:
             ModelError: it is not; names the first thing that differs, and the remedy.
         """
-        for name, expected, got in self._differences(other):
-            raise ModelError(
-                "the world has changed", got=f"{name} {got}", expected=expected, remedy=remedy
-            )
-
-    def _differences(self, other: Fingerprint) -> Iterator[tuple[str, Any, Any]]:
-        """Yields what differs: its name, its value here, and its value there."""
-        for field in dataclasses.fields(self):
+        for field in dataclasses.fields(self)[1:]:  # All but the model.
             mine, yours = getattr(self, field.name), getattr(other, field.name)
-            is_told = field.default is dataclasses.MISSING or None not in (mine, yours)
-            if field.name != "model" and is_told and not _is_same(mine, yours):
-                yield field.name, mine, yours
+            is_known = field.default is dataclasses.MISSING or None not in (mine, yours)
+            if is_known and not _is_same(mine, yours):
+                got = f"{field.name} {yours}"
+                raise ModelError("the world has changed", got, expected=mine, remedy=remedy)
 
 
 def _rows(values: ArrayLike) -> _Rows:

@@ -1,16 +1,16 @@
-"""How far joints and actuators of a model go."""
+"""Limits of a model's joints and actuators, and whether a scenario fits a model at all."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, fields
 from functools import cached_property
 
 import numpy as np
 from pydrake.multibody.plant import MultibodyPlant
 
-from drake_aigto.arrays import Bools, Floats, locked
+from drake_aigto.arrays import Bools, Floats, locked, read_only
 from drake_aigto.errors import ModelError, ScenarioError
+from drake_aigto.world.fields import check_size
 from drake_aigto.world.scenario import Scenario
 
 _TURN = 2.0 * np.pi
@@ -33,15 +33,11 @@ class Limits:
     @classmethod
     def of(cls, plant: MultibodyPlant) -> Limits:
         """Returns those of a plant's joints and actuators."""
-        pairs = (
-            (plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()),
-            (plant.GetVelocityLowerLimits(), plant.GetVelocityUpperLimits()),
-            (plant.GetEffortLowerLimits(), plant.GetEffortUpperLimits()),
+        return cls(
+            read_only([plant.GetPositionLowerLimits(), plant.GetPositionUpperLimits()]),
+            read_only([plant.GetVelocityLowerLimits(), plant.GetVelocityUpperLimits()]),
+            read_only([plant.GetEffortLowerLimits(), plant.GetEffortUpperLimits()]),
         )
-        arrays = [np.array(pair, dtype=float) for pair in pairs]
-        for array in arrays:
-            array.flags.writeable = False
-        return cls(*arrays)
 
     def narrowed(self, scenario: Scenario) -> Limits:
         """Returns these bounds and a scenario's, whichever is narrower.
@@ -49,10 +45,9 @@ class Limits:
         Raises:
             ScenarioError: the scenario's are of another size, or leave nothing.
         """
-        names = [field.name for field in fields(self)]
-        if all(getattr(scenario, bound) is None for name in names for bound in _bounds_of(name)):
-            return self
-        return Limits(*(_narrow(scenario, name, getattr(self, name)) for name in names))
+        mine = {field.name: getattr(self, field.name) for field in fields(self)}
+        found = {name: _narrow(scenario, name, bounds) for name, bounds in mine.items()}
+        return self if all(found[name] is mine[name] for name in mine) else Limits(**found)
 
     def check_task(self, scenario: Scenario, is_hinge: Bools) -> None:
         """Refuses a start or a goal that is out of these bounds.
@@ -64,7 +59,10 @@ class Limits:
         """
         goal = scenario.goal_position
         if scenario.angles != "exact":
-            goal = np.where(is_hinge, _turn_into(goal, self.position), goal)
+            lower, upper = self.position
+            up = np.ceil(np.maximum(0.0, lower - goal) / _TURN)
+            down = np.ceil(np.maximum(0.0, goal - upper) / _TURN)
+            goal = goal + _TURN * np.where(is_hinge, np.where(up > 0, up, -down), 0.0)
         self.check_within("initial_position", self.position, scenario.initial_position)
         self.check_within("initial_velocity", self.velocity, scenario.initial_velocity)
         self.check_within("goal_position", self.position, goal)
@@ -99,41 +97,37 @@ class Limits:
             ModelError: there is one; names it.
         """
         # Asked at every tick of a controller, and a plant is slow to be looked through.
-        for what, name, bounds in self._find(plant) if self.are_any else ():
-            raise ModelError(
-                what,
-                got=f"{name} limits from {bounds[0]:g} to {bounds[1]:g}",
-                expected="none, for balls are planned for without limits",
-                remedy="Leave <limit> out of the model, and bound the program's variables instead.",
-            )
-
-    def _find(self, plant: MultibodyPlant) -> Iterator[tuple[str, str, Floats]]:
-        """Yields whose limits are finite, what they limit, and both."""
-        for index in plant.GetJointActuatorIndices():
-            actuator = plant.get_joint_actuator(index)
-            joint = f"actuator {actuator.name()!r} of joint {actuator.joint().name()!r}"
-            bounds = self.control[:, actuator.input_start()]
-            if np.any(np.isfinite(bounds)):
-                yield joint, "effort", bounds
-        for index in plant.GetJointIndices():
-            joint = plant.get_joint(index)
-            for name, array, start, size in (
-                ("position", self.position, joint.position_start(), joint.num_positions()),
-                ("velocity", self.velocity, joint.velocity_start(), joint.num_velocities()),
-            ):
-                for bounds in array[:, start : start + size].T:
-                    if np.any(np.isfinite(bounds)):
-                        yield f"joint {joint.name()!r}", name, bounds
-
-
-def _bounds_of(name: str) -> tuple[str, str]:
-    """Returns a scenario's fields that bound positions, velocities or controls."""
-    return f"{name}_lower", f"{name}_upper"
+        if not self.are_any:
+            return
+        actuators = map(plant.get_joint_actuator, plant.GetJointActuatorIndices())
+        joints = map(plant.get_joint, plant.GetJointIndices())
+        found = [
+            (f"actuator {each.name()!r} of joint {each.joint().name()!r}", "effort", bounds)
+            for each in actuators
+            for bounds in [self.control[:, each.input_start()]]
+        ]
+        for joint in joints:
+            q, v = joint.position_start(), joint.velocity_start()
+            parts = {
+                "position": self.position[:, q : q + joint.num_positions()],
+                "velocity": self.velocity[:, v : v + joint.num_velocities()],
+            }
+            what = f"joint {joint.name()!r}"
+            found += [(what, name, bounds) for name, part in parts.items() for bounds in part.T]
+        what, name, (lower, upper) = next(row for row in found if np.isfinite(row[-1]).any())
+        raise ModelError(
+            what,
+            got=f"{name} limits from {lower:g} to {upper:g}",
+            expected="none, for balls are planned for without limits",
+            remedy="Leave <limit> out of the model, and bound the program's variables instead.",
+        )
 
 
 def _narrow(scenario: Scenario, name: str, limits: Floats) -> Floats:
     """Returns a model's limits (2, n) cut to a scenario's bounds."""
-    bounds, narrowed = _bounds_of(name), limits.copy()
+    bounds, narrowed = (f"{name}_lower", f"{name}_upper"), limits.copy()
+    if all(getattr(scenario, bound) is None for bound in bounds):
+        return limits
     for row, bound, narrower in zip(narrowed, bounds, (np.maximum, np.minimum), strict=True):
         given = getattr(scenario, bound)
         if given is None:
@@ -153,9 +147,15 @@ def _narrow(scenario: Scenario, name: str, limits: Floats) -> Floats:
     return locked(narrowed)
 
 
-def _turn_into(angles: Floats, bounds: Floats) -> Floats:
-    """Returns angles but for turns, within bounds where any turn leads there."""
-    lower, upper = bounds
-    up = np.ceil(np.maximum(0.0, lower - angles) / _TURN)
-    down = np.ceil(np.maximum(0.0, angles - upper) / _TURN)
-    return angles + _TURN * np.where(up > 0, up, -down)
+def check_sizes(plant: MultibodyPlant, scenario: Scenario) -> None:
+    """Refuses vectors whose length is not the plant's.
+
+    Raises:
+        ScenarioError: one is; says which.
+    """
+    for name, size in (
+        ("initial_position", plant.num_positions()),
+        ("initial_velocity", plant.num_velocities()),
+        ("goal_position", plant.num_positions()),
+    ):
+        check_size(name, getattr(scenario, name), size)

@@ -1,139 +1,111 @@
-"""What shapes are made of, as Drake's plant uses it; and where friction acts."""
+"""Materials of shapes, as Drake's plant uses them."""
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Iterable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from pydrake.geometry import GeometryId, ProximityProperties, RoleAssign, SceneGraph, SourceId
-from pydrake.multibody.plant import (
-    CalcContactFrictionFromSurfaceProperties,
-    CoulombFriction,
-    MultibodyPlant,
-)
-from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.systems.framework import Context
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Floats, read_only
 from drake_aigto.errors import ModelError
-from drake_aigto.world.contact import SphereAndFace
+from drake_aigto.world.pairs import ReachableFace
 
 FRICTION = ("material", "coulomb_friction")
 STIFFNESS = ("material", "point_contact_stiffness")
-COMPLIANCE = ("hydroelastic", "compliance_type")
 DISSIPATION = ("material", "hunt_crossley_dissipation")
+_COMPLIANCE = ("hydroelastic", "compliance_type")
 
-# Rates along a face below this part of the largest entry are rounding.
-_ROUNDING = 1e-9
-# By how much positions differ from their defaults where nothing cancels by chance.
-_ANYWHERE = 0.37
-
-
-def read_friction(
-    plant: MultibodyPlant, scene_graph: SceneGraph, root: Context, face: SphereAndFace
-) -> CoulombFriction:
-    """Returns the friction that acts on a sphere at a face.
-
-    It is what the plant computes with, μ = 2 μ₁ μ₂ / (μ₁ + μ₂): of a shape that gives none, Drake's
-    default, which is in contexts only. Where the sphere can't move along the face, as a ball on a
-    line across it, friction has nothing to act on, and both coefficients are 0.
-    """
-    materials = [read_material(scene_graph, root, shape) for shape in face.shapes]
-    # What `GetProperty` returns lives no longer than the properties.
-    surfaces = [material.GetProperty(*FRICTION) for material in materials]
-    friction = CalcContactFrictionFromSurfaceProperties(*surfaces)
-    # The dynamic one is never the larger of the two.
-    acts = friction.static_friction() > 0 and can_slide(plant, face)
-    return friction if acts else CoulombFriction(0.0, 0.0)
+# Property → what Drake takes where a model gives none, and what to do.
+_UNGIVEN = {
+    STIFFNESS: (
+        "so Drake's default, which hardly rebounds",
+        "Give both shapes theirs: 2e9 N/m for a nearly rigid wall, less for a soft one.",
+    ),
+    DISSIPATION: (
+        "so Drake's default, 50 s/m",
+        "Give both shapes theirs: 0 s/m, for a wall that returns all energy.",
+    ),
+}
 
 
-def can_slide(plant: MultibodyPlant, face: SphereAndFace) -> bool:
-    """Returns whether a sphere's point of contact can move along the face."""
-    context = plant.CreateDefaultContext()
-    plant.SetPositions(context, find_anywhere(plant))
-    body, wall = face.sphere_body.body_frame(), face.face_body.body_frame()
-    edges, normal = np.split(face.X_BF.rotation().matrix(), [2], axis=1)
-    normal = plant.CalcRelativeTransform(context, body, wall).rotation().matrix() @ normal
-    touch = face.p_SC - face.radius * normal[:, 0]
-    rates = plant.CalcJacobianTranslationalVelocity(
-        context, JacobianWrtVariable.kV, body, touch, wall, wall
-    )
-    along = edges.T @ rates
-    return bool(np.any(np.abs(along) > _ROUNDING * np.max(np.abs(rates), initial=0.0)))
+class Springs(NamedTuple):
+    """Numbers of compliant contacts, shape (m,) each (`CompliantLaw` has the letters)."""
+
+    stiffness: Floats  # k [N/m]
+    dissipation: Floats  # d [s/m]
+    reaches: Floats  # R of two spheres that move about each other, else 0 [m]
 
 
-def find_anywhere(plant: MultibodyPlant) -> Floats:
-    """Returns positions at which nothing cancels by chance, as it may at the default ones, (nq,).
+def read_springs(scene_graph: SceneGraph, reachable: Sequence[ReachableFace]) -> Springs:
+    """Returns stiffness and dissipation of contacts as their shapes have it.
 
-    There an arm may be stretched out along the normal of a wall.
-    """
-    return plant.GetDefaultPositions() + _ANYWHERE * np.arange(1, plant.num_positions() + 1)
-
-
-def set_friction(
-    scene_graph: SceneGraph,
-    source: SourceId,
-    root: Context,
-    shape: GeometryId,
-    friction: float | None,
-) -> None:
-    """Gives a shape one coefficient of friction, in this context only; None: its dynamic one."""
-    if friction is None:
-        own = read_material(scene_graph, root, shape).GetProperty(*FRICTION)
-        friction = own.dynamic_friction()
-    value = CoulombFriction(friction, friction)
-    set_material(scene_graph, source, root, shape, FRICTION, value)
-
-
-def read_stiffness(scene_graph: SceneGraph, shape: GeometryId) -> float:
-    """Returns the stiffness that a model gives a shape [N/m].
+        k = k₁ k₂ / (k₁ + k₂),    d = (k₂ d₁ + k₁ d₂) / (k₁ + k₂)
 
     Raises:
-        ModelError: it gives none.
+        ModelError: a shape lacks stiffness or dissipation; or the force is not what Drake
+            simulates: of several faces of one box, and where both shapes are hydroelastic.
     """
-    remedy = "Give both shapes theirs: 2e9 N/m for a nearly rigid wall, less for a soft one."
-    return _read_given(
-        scene_graph, shape, STIFFNESS, "so Drake's default, which hardly rebounds", remedy
-    )
+    for each in reachable:
+        _check_simulated(scene_graph, each)
+    dissipation = []
+    for each in reachable:
+        k1, k2 = (read_given(scene_graph, shape, STIFFNESS) for shape in each.face.shapes)
+        d1, d2 = (read_given(scene_graph, shape, DISSIPATION) for shape in each.face.shapes)
+        dissipation.append((k2 * d1 + k1 * d2) / (k1 + k2))
+    reaches = np.array([each.reach for each in reachable])
+    return Springs(read_stiffness(scene_graph, reachable), np.array(dissipation), reaches)
 
 
-def read_dissipation(scene_graph: SceneGraph, shape: GeometryId) -> float:
-    """Returns the Hunt-Crossley dissipation that a model gives a shape [s/m].
+def read_stiffness(scene_graph: SceneGraph, reachable: Sequence[ReachableFace]) -> Floats:
+    """Returns k₁ k₂ / (k₁ + k₂) of contacts, shape (m,) [N/m].
 
     Raises:
-        ModelError: it gives none.
+        ModelError: a shape has none.
     """
-    remedy = "Give both shapes theirs: 0 s/m, for a wall that returns all energy."
-    return _read_given(scene_graph, shape, DISSIPATION, "so Drake's default, 50 s/m", remedy)
+    pairs = [
+        [read_given(scene_graph, shape, STIFFNESS) for shape in each.face.shapes]
+        for each in reachable
+    ]
+    return read_only([1 / sum(1 / k for k in pair) for pair in pairs])
+
+
+def read_property(
+    scene_graph: SceneGraph, shape: GeometryId, name: tuple[str, str]
+) -> float | None:
+    """Returns the stiffness [N/m] or the dissipation [s/m] of a shape; None where none is given."""
+    inspector: Any = scene_graph.model_inspector()
+    properties = inspector.GetProximityProperties(shape)
+    return float(properties.GetProperty(*name)) if properties.HasProperty(*name) else None
 
 
 def read_materials(
-    scene_graph: SceneGraph, shapes: tuple[GeometryId, GeometryId]
+    scene_graph: SceneGraph, shapes: Iterable[GeometryId]
 ) -> tuple[float | None, ...]:
-    """Returns stiffness and dissipation that a model gives two shapes; None where it gives none."""
-    inspector: Any = scene_graph.model_inspector()
-    materials = [inspector.GetProximityProperties(shape) for shape in shapes]
-    return tuple(
-        float(each.GetProperty(*name)) if each.HasProperty(*name) else None
-        for name in (STIFFNESS, DISSIPATION)
-        for each in materials
-    )
+    """Returns the stiffness of shapes, then their dissipation; None where none is given."""
+    names = STIFFNESS, DISSIPATION
+    return tuple(read_property(scene_graph, shape, name) for name in names for shape in shapes)
 
 
-def _read_given(
-    scene_graph: SceneGraph, shape: GeometryId, name: tuple[str, str], default: str, remedy: str
-) -> float:
-    """Returns a property that a shape has to have of its own."""
-    inspector: Any = scene_graph.model_inspector()
-    properties = inspector.GetProximityProperties(shape)
-    if not properties.HasProperty(*name):
+def read_given(scene_graph: SceneGraph, shape: GeometryId, name: tuple[str, str]) -> float:
+    """Returns the same of a shape that has to have it.
+
+    Raises:
+        ModelError: the model gives none.
+    """
+    found = read_property(scene_graph, shape, name)
+    if found is None:
+        default, remedy = _UNGIVEN[name]
+        inspector: Any = scene_graph.model_inspector()
         raise ModelError(
             f"collision shape {inspector.GetName(shape)!r}",
             got=f"no {name[1].split('_')[-1]}, {default}",
             expected=f"<drake:{name[1]}>",
             remedy=remedy,
         )
-    return float(properties.GetProperty(*name))
+    return found
 
 
 def read_material(scene_graph: SceneGraph, root: Context, shape: GeometryId) -> ProximityProperties:
@@ -158,3 +130,19 @@ def set_material(
     properties.UpdateProperty(*name, value)
     context = scene_graph.GetMyMutableContextFromRoot(root)
     scene_graph.AssignRole(context, source, shape, properties, RoleAssign.kReplace)
+
+
+def _check_simulated(scene_graph: SceneGraph, reachable: ReachableFace) -> None:
+    """Refuses a contact of which Drake's force is another function than `CompliantLaw`'s."""
+    face, contact = reachable.face, reachable.contact
+    inspector: Any = scene_graph.model_inspector()
+    of_shapes = (inspector.GetProximityProperties(shape) for shape in face.shapes)
+    if contact.name != face.pair:
+        got, remedy = "a box of which several faces can be reached", "Make it of half spaces."
+    elif all(each.HasProperty(*_COMPLIANCE) for each in of_shapes):
+        got = "hydroelastic shapes, whose force is that of a pressure field"
+        remedy = "Leave <drake:compliant_hydroelastic> or <drake:rigid_hydroelastic> out of one."
+    else:
+        return
+    expected = "a sphere against a half space, or against one face of a box"
+    raise ModelError(f"compliant contact of {face.pair}", got, expected, remedy)

@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.multibody.plant import MultibodyPlant
 from pydrake.multibody.tree import MultibodyForces, RigidBody
-from pydrake.symbolic import Expression, MakeVectorVariable
+from pydrake.symbolic import Expression, MakeVectorVariable, cos, sin
 
-from drake_aigto.arrays import Floats
+from drake_aigto.arrays import Bools, Floats
+from drake_aigto.dynamics import SumMap, evaluate, tidy
 from drake_aigto.errors import ModelError
-from drake_aigto.world.contact import SphereAndFace
 from drake_aigto.world.diagram import find_hinges, find_joint
-from drake_aigto.world.interpolation import TooManySamples, interpolate
-from drake_aigto.world.sums import SumMap, evaluate, tidy
 
-# What Drake's recursive dynamics and the sums may differ by, relative to the largest value.
-_ROUNDING = 1e-9
-_NUM_CHECKS = 3  # States at which both are compared.
+# q of shape (nq,) ↦ numbers of any one shape.
+Function = Callable[[Floats], Floats]
+
+# Largest difference of Drake's recursive dynamics and the sums, relative to the largest value.
+_TOLERANCE = 1e-9
+# Largest difference of equal entries by rounding, relative to the largest.
+_ROUNDING = 1e-12
+_NUM_PROBES = 3  # Positions, or states, at which functions are compared: one might agree by chance.
+MAX_SAMPLES = 100_000  # Of one function, some second's worth.
 
 
 class PlantReader:
@@ -47,34 +54,13 @@ class PlantReader:
         """Replaces a body's mass [kg]; its inertia scales along."""
         body.SetMass(self._context, mass)
 
-    def calc_place(self, face: SphereAndFace) -> NDArray[Any]:
-        """Returns where a sphere is before a face, (x, y, φ), shape (3,) [m].
-
-        x and y are its center's coordinates along the edges. A face without any has none: zeros.
-        """
-
-        def calc_center(q: Floats) -> Floats:
-            self._plant.SetPositions(self._context, q)
-            return face.calc_center(self._plant, self._context)
-
-        place = self._read(calc_center, degree=1, what=f"the place of {face.pair}")
-        place[2] -= face.radius
-        if face.is_unbounded:
-            place[:2] = Expression(0.0)
-        return tidy(place)
-
     def calc_mass_matrix(self) -> NDArray[Any]:
         """Returns M(q), shape (nv, nv) [kg, kg m, kg m²].
 
         Raises:
             ModelError: it is singular at the default positions, or depends on too many joints.
         """
-
-        def calc(q: Floats) -> Floats:
-            self._plant.SetPositions(self._context, q)
-            return self._plant.CalcMassMatrix(self._context)
-
-        M = tidy(self._read(calc, degree=2, what="the mass matrix"))
+        M = tidy(self.read(MultibodyPlant.CalcMassMatrix, degree=2, what="the mass matrix"))
         values = evaluate(M, dict(zip(self.q, self._plant.GetDefaultPositions(), strict=True)))
         if np.linalg.matrix_rank(values) < len(values):
             raise ModelError(
@@ -95,23 +81,14 @@ class PlantReader:
         Raises:
             ModelError: a force is none of these: names the joint that it acts on.
         """
-
-        def calc_weight(q: Floats) -> Floats:
-            self._plant.SetPositions(self._context, q)
-            return -self._plant.CalcGravityGeneralizedForces(self._context)
-
-        weight = self._read(calc_weight, degree=1, what="gravity")
+        gravity = self.read(MultibodyPlant.CalcGravityGeneralizedForces, degree=1, what="gravity")
         with np.errstate(invalid="ignore"):  # As Drake's arithmetic on Expressions looks for NaN.
-            h = tidy(self._calc_coriolis(mass_matrix) + weight + self._read_springs())
+            slopes = np.array([[each.Jacobian(self.q) for each in row] for row in mass_matrix])
+            momentum_rate = slopes @ self.v @ self.v
+            energy_slope = slopes.T @ self.v @ self.v / 2  # M is symmetric.
+            h = tidy(momentum_rate - energy_slope - gravity + self._read_springs())
         self._check_bias(h)
         return h
-
-    def _calc_coriolis(self, M: NDArray[Any]) -> NDArray[Any]:
-        """Returns Ṁ v − ½ ∂(vᵀ M v)/∂q, shape (nv,)."""
-        slopes = np.array([[each.Jacobian(self.q) for each in row] for row in M])  # ∂M_ij/∂q_k
-        momentum_rate = slopes @ self.v @ self.v
-        energy_slope = slopes.T @ self.v @ self.v / 2  # M is symmetric.
-        return np.asarray(momentum_rate - energy_slope)
 
     def _read_springs(self) -> NDArray[Any]:
         """Returns K q + D v + constant, the forces of joints, shape (nv,)."""
@@ -142,12 +119,12 @@ class PlantReader:
 
     def _check_bias(self, h: NDArray[Any]) -> None:
         """Refuses forces that are no sums of what is read, by the joint that they act on."""
-        compiled = SumMap(h, np.concatenate([self.q, self.v]))
-        for q, v in np.random.default_rng(1).uniform(-1.0, 1.0, (_NUM_CHECKS, 2, len(self.q))):
+        compiled = SumMap(h, self.q, self.v)
+        for q, v in np.random.default_rng(1).uniform(-1.0, 1.0, (_NUM_PROBES, 2, len(self.q))):
             expected = self._calc_bias(q, v)
-            errors = np.abs(compiled(np.concatenate([q, v])) - expected)
+            errors = np.abs(compiled(q, v) - expected)
             worst = int(np.argmax(errors))
-            if errors[worst] > _ROUNDING * max(1.0, np.abs(expected).max()):
+            if errors[worst] > _TOLERANCE * max(1.0, np.abs(expected).max()):
                 joint = find_joint(self._plant, worst)
                 raise ModelError(
                     f"joint {joint.name()!r} ({joint.type_name()})",
@@ -156,10 +133,24 @@ class PlantReader:
                     "root: put spring and damping on a joint).",
                 )
 
-    def _read(self, function: Callable[[Floats], Floats], degree: int, what: str) -> NDArray[Any]:
-        """Returns a function of q as expressions."""
+    def read(self, function: Callable[[Any, Any], Floats], degree: int, what: str) -> NDArray[Any]:
+        """Returns a function of q as expressions (`interpolate`).
+
+        Args:
+            function: takes the plant and a context at q, returns numbers of any shape.
+            degree: see `interpolate`.
+            what: the function's name in an error.
+
+        Raises:
+            ModelError: it depends on too many joints.
+        """
+
+        def calc(q: Floats) -> Floats:
+            self._plant.SetPositions(self._context, q)
+            return function(self._plant, self._context)
+
         try:
-            return interpolate(function, self.q, self._is_hinge, degree)
+            return interpolate(calc, self.q, self._is_hinge, degree)
         except TooManySamples as error:
             joints = [find_joint(self._plant, i).name() for i in error.coordinates]
             raise ModelError(
@@ -168,3 +159,120 @@ class PlantReader:
                 expected="some six at most",
                 remedy="Weld joints that a plan can do without.",
             ) from None
+
+
+@dataclass(frozen=True)
+class TooManySamples(Exception):
+    """A function of too many coordinates at once.
+
+    Attributes:
+        coordinates: the positions that one of its values depends on.
+    """
+
+    coordinates: tuple[int, ...]
+
+
+def interpolate(
+    function: Function, q: NDArray[Any], is_hinge: Sequence[bool], degree: int
+) -> NDArray[Any]:
+    """Returns a function of q as expressions, exact but for rounding.
+
+    Each of its values has to be a polynomial of the degree in every slider's position, and one in
+    the sine and cosine of every hinge's angle: a point on a link has degree 1, as each joint
+    between two links moves it once, and M = Σ JᵀmJ has degree 2. Such a function is known from
+    degree + 1 positions of each slider, and 2 · degree + 1 angles of each hinge,
+
+        f(q) = Σ_k a_k ∏_i b_{k_i}(q_i),    b ∈ {1, q, q², …} or {1, cos q, sin q, cos 2q, …}.
+
+    Whether it is one, the caller has to check.
+
+    Args:
+        function: takes q of shape (nq,), returns numbers of any shape.
+        q: the variables, shape (nq,).
+        is_hinge: whether each of them is an angle.
+        degree: the most in any coordinate.
+
+    Raises:
+        TooManySamples: a value depends on too many coordinates at once.
+    """
+    example = function(np.zeros(len(q)))
+    result = np.empty(example.size, dtype=object)
+    bases = [_Basis.of(hinge, degree) for hinge in is_hinge]
+    depends = _find_dependence(function, len(q))
+    for pattern in np.unique(depends, axis=0):
+        entries = np.flatnonzero((depends == pattern).all(axis=1))
+        coordinates = np.flatnonzero(pattern).tolist()
+        if math.prod(bases[i].nodes.size for i in coordinates) > MAX_SAMPLES:
+            raise TooManySamples(tuple(coordinates))
+        point, nodes = np.zeros(len(q)), [bases[i].nodes for i in coordinates]
+        values = []
+        for place in itertools.product(*nodes):
+            point[coordinates] = place
+            values.append(function(point).ravel()[entries])
+        grid = np.array(values).reshape(*(each.size for each in nodes), entries.size)
+        for axis, i in enumerate(coordinates):
+            grid = np.moveaxis(np.tensordot(bases[i].weights, grid, (1, axis)), 0, axis)
+        functions = [bases[i].express(q[i]) for i in coordinates]
+        for entry, coefficients in zip(entries, np.moveaxis(grid, -1, 0), strict=True):
+            result[entry] = _sum_up(coefficients, functions)
+    return result.reshape(example.shape)
+
+
+@dataclass(frozen=True)
+class _Basis:
+    """Functions of one coordinate, and the nodes that tell them apart.
+
+    Attributes:
+        is_hinge: whether they are waves, or powers.
+        nodes: as many as functions (b,).
+        weights: W of shape (b, b): coefficients are W times the values at the nodes.
+    """
+
+    is_hinge: bool
+    nodes: NDArray[Any]
+    weights: NDArray[Any]
+
+    @classmethod
+    def of(cls, is_hinge: bool, degree: int) -> _Basis:
+        """Returns powers or waves up to a degree."""
+        if not is_hinge:
+            nodes = np.linspace(-1.0, 1.0, degree + 1)
+            return cls(is_hinge, nodes, np.linalg.inv(np.vander(nodes, increasing=True)))
+        count = 2 * degree + 1
+        nodes = np.array([2.0 * np.pi * j / count for j in range(count)])
+        waves = [np.full(count, 0.5)]
+        for k in range(1, degree + 1):
+            waves += [np.cos(k * nodes), np.sin(k * nodes)]
+        return cls(is_hinge, nodes, 2.0 / count * np.array(waves))
+
+    def express(self, x: Any) -> list[Expression]:
+        """Returns the functions of a variable."""
+        count = self.nodes.size
+        if not self.is_hinge:
+            return [Expression(1.0), *(x**k * Expression(1.0) for k in range(1, count))]
+        waves = [[cos(k * x), sin(k * x)] for k in range(1, count // 2 + 1)]
+        return [Expression(1.0), *itertools.chain(*waves)]
+
+
+def _find_dependence(function: Function, num_positions: int) -> Bools:
+    """Returns whether each value changes with each coordinate alone, (values, nq)."""
+    rng = np.random.default_rng(0)
+    found = []
+    for _ in range(_NUM_PROBES):
+        q, other = rng.uniform(-1.0, 1.0, (2, num_positions))
+        here = function(q).ravel()
+        moved = [np.where(np.arange(num_positions) == i, other, q) for i in range(num_positions)]
+        changes = np.array([function(each).ravel() - here for each in moved])
+        found.append(np.abs(changes.T) > _ROUNDING * np.abs(here).max(initial=0.0))
+    return np.logical_or.reduce(found)
+
+
+def _sum_up(coefficients: Floats, functions: list[list[Expression]]) -> Expression:
+    """Returns Σ coefficient · ∏ functions, without rounding."""
+    total = Expression(0.0)
+    for place in np.argwhere(np.abs(coefficients) > _ROUNDING * np.abs(coefficients).max()):
+        product = Expression(float(coefficients[tuple(place)]))
+        for choice, options in zip(place, functions, strict=True):
+            product *= options[choice]
+        total += product
+    return total

@@ -1,28 +1,39 @@
-"""Where contacts rub: friction as the model or a scenario has it, and how what rubs slips."""
+"""Friction of contacts as the model or a scenario has it, and the velocity at which they slide."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydrake.geometry import GeometryId
-from pydrake.multibody.plant import CoulombFriction
+from pydrake.multibody.plant import (
+    CalcContactFrictionFromSurfaceProperties,
+    CoulombFriction,
+    MultibodyPlant,
+)
+from pydrake.multibody.tree import JacobianWrtVariable
 from pydrake.symbolic import Expression
 from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Floats, read_only
+from drake_aigto.dynamics import EquationsOfMotion, SumMap, calc_turning, tidy
 from drake_aigto.errors import ModelError, ScenarioError
-from drake_aigto.world.contact import SphereAndFace
-from drake_aigto.world.diagram import find_plant, hide_half_space_warning
-from drake_aigto.world.friction import calc_friction_share
-from drake_aigto.world.law import CompliantLaw, ContactLaw, calc_levers
-from drake_aigto.world.material import can_slide, read_friction, set_friction
-from drake_aigto.world.reach import ReachableFace
-from drake_aigto.world.sums import SumMap, calc_turning
-from drake_aigto.world.tangent import read_tangent
+from drake_aigto.world.diagram import (
+    find_anywhere,
+    find_hinges,
+    find_plant,
+    hide_half_space_warning,
+)
+from drake_aigto.world.material import FRICTION, read_material, set_material
+from drake_aigto.world.pairs import SphereAndFace
+from drake_aigto.world.plant_reader import TooManySamples, interpolate
+
+# Parts of the largest entry below this are rounding.
+_ROUNDING = 1e-9
+_NUM_PROBES = 4  # Positions at which directions and sums are looked at.
 
 
 class Rubbing:
@@ -34,40 +45,23 @@ class Rubbing:
     """
 
     def __init__(
-        self,
-        diagram: Diagram,
-        q: NDArray[Any],
-        v: NDArray[Any],
-        reachable: Sequence[ReachableFace],
-        stuck: Sequence[SphereAndFace],
-        stiction_speed: float,
+        self, motion: EquationsOfMotion, diagram: Diagram, faces: tuple[SphereAndFace, ...]
     ) -> None:
         """Reads nothing yet.
 
         Args:
+            motion: the contacts, and the variables of positions and velocities.
             diagram: of the plant and its scene graph.
-            q: the variables of positions, shape (nq,).
-            v: the variables of velocities, shape (n,).
-            reachable: the contacts, m.
-            stuck: faces that spheres are stuck in, s.
-            stiction_speed: v_s of friction in the plant [m/s].
+            faces: those of the contacts, then those that spheres are stuck in, m + s.
         """
-        self._diagram, self._q, self._v = diagram, q, v
+        self._q, self._v = motion.positions, motion.velocities
+        self._num_contacts = motion.num_contacts
+        self._diagram, self._faces = diagram, faces
         self._plant, self._scene_graph = find_plant(diagram)
-        self._faces = *(each.face for each in reachable), *stuck
-        self._num_contacts = len(reachable)
-        self._distances = np.array([each.contact.signed_distance for each in reachable])
-        self._reaches = np.array([each.reach for each in reachable])
-        self._stiction_speed = stiction_speed
-
-    @cached_property
-    def _distance_map(self) -> SumMap:
-        """φ(q), shape (m,)."""
-        return SumMap(self._distances, self._q)
 
     @cached_property
     def frictions(self) -> Mapping[str, float]:
-        """The model's μ, by pair of shapes: those alone in which anything can slide, and rubs.
+        """The model's μ, by pair of shapes: those alone in which anything can slide with friction.
 
         Of a shape that gives none it is Drake's default, of two shapes 2 μ₁ μ₂ / (μ₁ + μ₂). Shapes
         that overlap wherever the joints are slide, too, though they are no contact.
@@ -89,7 +83,13 @@ class Rubbing:
         coefficients = self._calc_all(friction)[: self._num_contacts]
         for i in np.flatnonzero(coefficients):
             if self._tangents[i] is None:
-                raise _refuse_two_directions(self._faces[i].pair, float(coefficients[i]))
+                raise ModelError(
+                    f"friction of {self._faces[i].pair}",
+                    got=f"μ = {coefficients[i]:g} where the sphere can slide in two directions",
+                    expected="motion in one plane, so that it slides along one line in the face",
+                    remedy="Lock the joints that lead out of the plane, or leave friction out by "
+                    "the scenario's friction: 0 (--friction 0).",
+                )
         return coefficients
 
     @cached_property
@@ -97,74 +97,39 @@ class Rubbing:
         """T(q) of each contact, shape (m, n), Expressions: the slip velocity is s = T v [m/s].
 
         That of the sphere's material where it touches, as the face sees it, along the one direction
-        in which it can slide (`read_tangent`). Zero where it can't, or can in two.
+        in which it can slide (`_read_tangent`). Zero where it can't, or can in two.
         """
         return self._stack(self._tangents)
 
     @cached_property
     def soft_tangents(self) -> NDArray[Any]:
-        """The same where walls yield: at the point on which the plant's contact force acts."""
-        return self._stack(self._read_tangents(yields=True))
+        """The same of compliant walls: at the point on which the plant's contact force acts."""
+        return self._stack(self._read_tangents(is_compliant=True))
 
-    def calc_tangent_jacobian(self, q: Floats, yields: bool = False) -> Floats:
-        """Returns T(q), shape (…, m, n), at q of shape (…, nq), where walls yield or do not."""
-        read = self.soft_tangent_map if yields else self._tangent_map
-        return read(q).reshape(*q.shape[:-1], self._num_contacts, self._v.size)
+    def calc_tangent_jacobian(self, q: Floats, is_compliant: bool = False) -> Floats:
+        """Returns T(q), shape (…, m, n), at q of shape (…, nq), of rigid or of compliant walls."""
+        return self.soft_tangent_map(q) if is_compliant else self._tangent_map(q)
 
-    def calc_slips(self, q: Floats, v: Floats, yields: bool = False) -> Floats:
-        """Returns s, shape (…, m) [m/s], where walls yield or do not.
-
-        That is T v, and T v R/l of two spheres that move about each other and yield (see
-        `CompliantLaw`).
-        """
-        slips = (self.calc_tangent_jacobian(q, yields) @ v[..., np.newaxis])[..., 0]
-        if yields and self._reaches.any():
-            slips *= calc_levers(self._reaches, self._distance_map(q))
-        return slips
+    def calc_slips(self, q: Floats, v: Floats, is_compliant: bool = False) -> Floats:
+        """Returns s = T v, shape (…, m) [m/s], of rigid or of compliant walls."""
+        return (self.calc_tangent_jacobian(q, is_compliant) @ v[..., np.newaxis])[..., 0]
 
     def calc_tangent_bias(self, q: Floats, v: Floats) -> Floats:
         """Returns Ṫ v, which makes ṡ = T v̇ + Ṫ v, (…, m) [m/s²], at q (…, nq), v (…, n)."""
-        return self._turning_map(np.concatenate([q, v], axis=-1))
-
-    def calc_drag(self, law: ContactLaw, q: Floats, v: Floats, forces: Floats) -> Floats | None:
-        """Returns friction where walls yield as forces on q, −Tᵀ μ f σ(s / v_s), shape (…, n) [N].
-
-        None where no wall yields and rubs. T is that of `soft_tangents`, s of
-        `calc_slips`, σ of `calc_friction_share`.
-
-        Args:
-            law: of contact.
-            q: shape (…, nq) [m].
-            v: shape (…, n) [m/s].
-            forces: f that contacts push with, shape (…, m) [N].
-        """
-        if not (isinstance(law, CompliantLaw) and law.rubs):
-            return None
-        T = self.calc_tangent_jacobian(q, yields=True)
-        shares = calc_friction_share(self.calc_slips(q, v, yields=True), self._stiction_speed)
-        return -((law.friction * forces * shares)[..., np.newaxis, :] @ T)[..., 0, :]
-
-    def _stack(self, rows: Sequence[NDArray[Any] | None]) -> NDArray[Any]:
-        """Returns rows as an array, zero where there is none."""
-        nothing = np.full(self._v.size, Expression(0.0))
-        stacked = [nothing if row is None else row for row in rows]
-        return np.array(stacked, dtype=object).reshape(self._num_contacts, nothing.size)
+        return self._turning_map(q, v)
 
     @cached_property
     def _tangent_map(self) -> SumMap:
-        """T(q), row by row, shape (m n,)."""
-        return SumMap(self.tangents.ravel(), self._q)
+        return SumMap(self.tangents, self._q)
 
     @cached_property
     def soft_tangent_map(self) -> SumMap:
-        """The same of walls that yield."""
-        return SumMap(self.soft_tangents.ravel(), self._q)
+        """T(q) of compliant walls, shape (m, n)."""
+        return SumMap(self.soft_tangents, self._q)
 
     @cached_property
     def _turning_map(self) -> SumMap:
-        """Ṫ v of q and v, shape (m,)."""
-        turns = calc_turning(self.tangents, self._q, self._v)
-        return SumMap(turns, np.concatenate([self._q, self._v]))
+        return SumMap(calc_turning(self.tangents, self._q, self._v), self._q, self._v)
 
     def impose(self, root: Context, friction: float | None) -> None:
         """Gives all that slides one coefficient of friction, in this context only.
@@ -173,9 +138,14 @@ class Rubbing:
             root: of the whole diagram.
             friction: μ; None: static coefficients become the dynamic ones.
         """
-        source = self._plant.get_source_id()
+        scene_graph, source = self._scene_graph, self._plant.get_source_id()
         for shape in self._find_unlike(friction):
-            set_friction(self._scene_graph, source, root, shape, friction)
+            value = friction
+            if value is None:
+                own = read_material(scene_graph, root, shape)
+                value = own.GetProperty(*FRICTION).dynamic_friction()
+            material = CoulombFriction(value, value)
+            set_material(scene_graph, source, root, shape, FRICTION, material)
 
     def check(self, friction: float | None) -> None:
         """Checks that friction can act as it is asked for (`calc_coefficients`).
@@ -185,38 +155,51 @@ class Rubbing:
             ModelError: it acts where a sphere can slide in two directions, or is stuck in a shape.
         """
         if friction and not self._slides.any():
-            raise _refuse_idle(friction)
+            raise ScenarioError(
+                "friction",
+                got=f"{friction:g}, in a world where no sphere can slide along anything",
+                expected="0, or None, the model's",
+                remedy="It would count for nothing.",
+            )
         self.calc_coefficients(friction)
-        self._refuse_any(friction, range(self._num_contacts, len(self._faces)))
+        self.check_none(friction, first=self._num_contacts)
 
-    def check_none(self, friction: float | None) -> None:
-        """Checks that there is none, for who plans without it.
+    def check_none(self, friction: float | None, first: int = 0) -> None:
+        """Checks that there is none from this face on, for planning without it.
 
         Raises:
             ModelError: there is; says where.
         """
-        self._refuse_any(friction, range(len(self._faces)))
-
-    def _refuse_any(self, friction: float | None, indices: Sequence[int]) -> None:
-        """Refuses friction at these faces."""
-        coefficients = self._calc_all(friction)
-        worst = max(indices, key=coefficients.__getitem__, default=None)
-        if worst is not None and coefficients[worst] > 0:
-            raise _refuse_friction(self._faces[worst].pair, float(coefficients[worst]))
+        coefficients = self._calc_all(friction)[first:]
+        if coefficients.any():
+            worst = first + int(np.argmax(coefficients))
+            raise ModelError(
+                f"friction of {self._faces[worst].pair}",
+                got=f"μ = {coefficients[worst - first]:g} where the sphere can slide (Drake's "
+                "default, if the shapes give none)",
+                expected="0, for what plans here knows of no friction",
+                remedy="Give one of both shapes <drake:mu_static>0</drake:mu_static> and "
+                "<drake:mu_dynamic>0</drake:mu_dynamic>; or leave friction out of simulations by "
+                "the scenario's friction: 0 (--friction 0).",
+            )
 
     def _calc_all(self, friction: float | None) -> Floats:
         """Returns μ of each contact, and of each face that a sphere is stuck in, shape (m + s,)."""
-        if friction is None:
-            return self.model_coefficients
-        return friction * self._slides if friction else np.zeros(len(self._faces))
+        return self.model_coefficients if friction is None else friction * self._slides
 
     @cached_property
     def _friction(self) -> tuple[CoulombFriction, ...]:
+        """Friction that acts on a sphere at each face: 0 where it can't move along it."""
         with hide_half_space_warning():
-            root = self._diagram.CreateDefaultContext()
-        return tuple(
-            read_friction(self._plant, self._scene_graph, root, face) for face in self._faces
-        )
+            root = self._diagram.CreateDefaultContext()  # Drake's defaults are in contexts only.
+        found = []
+        for face, slides in zip(self._faces, self._slides, strict=True):
+            materials = [read_material(self._scene_graph, root, shape) for shape in face.shapes]
+            # What `GetProperty` returns lives no longer than the properties.
+            surfaces = [material.GetProperty(*FRICTION) for material in materials]
+            friction = CalcContactFrictionFromSurfaceProperties(*surfaces)
+            found.append(friction if slides else CoulombFriction(0.0, 0.0))
+        return tuple(found)
 
     @cached_property
     def model_coefficients(self) -> Floats:
@@ -225,23 +208,26 @@ class Rubbing:
 
     @cached_property
     def _none(self) -> Floats:
-        """No friction of each contact, shape (m,)."""
         return read_only(np.zeros(self._num_contacts))
 
     @cached_property
     def _slides(self) -> Floats:
         """1 for each face along which a sphere can slide, else 0."""
-        return np.array([float(can_slide(self._plant, face)) for face in self._faces])
+        return np.array([float(_can_slide(self._plant, face)) for face in self._faces])
 
     @cached_property
     def _tangents(self) -> list[NDArray[Any] | None]:
-        return self._read_tangents(yields=False)
+        return self._read_tangents(is_compliant=False)
 
-    def _read_tangents(self, yields: bool) -> list[NDArray[Any] | None]:
-        return [
-            read_tangent(self._plant, self._scene_graph, face, self._q, yields)
-            for face in self._faces[: self._num_contacts]
-        ]
+    def _read_tangents(self, is_compliant: bool) -> list[NDArray[Any] | None]:
+        faces = self._faces[: self._num_contacts]
+        return [_read_tangent(self._plant, face, self._q, is_compliant) for face in faces]
+
+    def _stack(self, rows: Sequence[NDArray[Any] | None]) -> NDArray[Any]:
+        """Returns rows as an array, zero where there is none."""
+        nothing = np.full(self._v.size, Expression(0.0))
+        stacked = [nothing if row is None else row for row in rows]
+        return np.array(stacked, dtype=object).reshape(-1, nothing.size)
 
     def _find_unlike(self, friction: float | None) -> set[GeometryId]:
         """Returns the shapes that slide with other friction than they should."""
@@ -254,35 +240,152 @@ class Rubbing:
         return {face.shapes[0] for face, mu in pairs if mu.static_friction() > 0}
 
 
-def _refuse_friction(pair: str, friction: float) -> ModelError:
-    """Returns the error of friction that would act in Drake, and in no plan."""
-    return ModelError(
-        f"friction of {pair}",
-        got=f"μ = {friction:g} where the sphere can slide (Drake's default, if the "
-        "shapes give none)",
-        expected="0, for what plans here knows of no friction",
-        remedy="Give one of both shapes <drake:mu_static>0</drake:mu_static> and "
-        "<drake:mu_dynamic>0</drake:mu_dynamic>; or leave friction out of simulations by the "
-        "scenario's friction: 0 (--friction 0).",
+def _can_slide(plant: MultibodyPlant, face: SphereAndFace) -> bool:
+    """Returns whether a sphere's point of contact can move along the face."""
+    context = plant.CreateDefaultContext()
+    plant.SetPositions(context, find_anywhere(plant))
+    body, wall = face.sphere_body.body_frame(), face.face_body.body_frame()
+    edges, normal = np.split(face.X_BF.rotation().matrix(), [2], axis=1)
+    normal = plant.CalcRelativeTransform(context, body, wall).rotation().matrix() @ normal
+    touch = face.p_SC - face.radius * normal[:, 0]
+    rates = plant.CalcJacobianTranslationalVelocity(
+        context, JacobianWrtVariable.kV, body, touch, wall, wall
     )
+    along = edges.T @ rates
+    return bool(np.any(np.abs(along) > _ROUNDING * np.max(np.abs(rates), initial=0.0)))
 
 
-def _refuse_two_directions(pair: str, friction: float) -> ModelError:
-    """Returns the error of friction where a sphere does not slide to and fro alone."""
-    return ModelError(
-        f"friction of {pair}",
-        got=f"μ = {friction:g} where the sphere can slide in two directions",
-        expected="motion in one plane, so that it slides along one line in the face",
-        remedy="Lock the joints that lead out of the plane, or leave friction out by the "
-        "scenario's friction: 0 (--friction 0).",
-    )
+def _read_tangent(
+    plant: MultibodyPlant, face: SphereAndFace, q: NDArray[Any], is_compliant: bool
+) -> NDArray[Any] | None:
+    """Returns T(q), the slip velocity s = T v of a sphere on a face, shape (nv,) Expressions.
+
+    Of the sphere's body S as the face's body sees it, with the velocity v_C of the sphere's center
+    and the angular velocity ω,
+
+        s = d · (v_C − l ω × n),    l = r,    or r + φ/2 if compliant,
+
+    n being the face's normal and d the direction of sliding, which is fixed in the face. The second
+    lever is that of the point at which the contact force of Drake's continuous plant acts, in the
+    middle of the overlap. Two spheres that move about each other have n = p/R, with p from center
+    to center and R the sum of radii, and d = e × n about the normal e of the plane of motion:
+
+        s = d · v_C − l e · ω,    l = r,    or r + R x + (r − R/2)(x − x²/2) if compliant,
+
+    x = φ/R, which is (R + ψ)/R (r + ψ/2) up to terms of third order in the distance ψ of their
+    surfaces. Compliant ones slip by s R/(R + ψ).
+
+    Args:
+        plant: whose joints move both.
+        face: the sphere and the face.
+        q: the variables, shape (nq,).
+        is_compliant: whether the shapes are, and overlap.
+
+    Returns:
+        T; zeros where nothing can slide, and None if there is more than one direction.
+
+    Raises:
+        ModelError: it depends on too many joints.
+    """
+    motion = _Motion(plant, face)
+    if motion.is_off_line:
+        rates = motion.find_turning(is_compliant)
+    else:
+        rates = motion.find_sliding(0.5 if is_compliant else 0.0)
+    if rates is None:
+        return None
+    degree = (4 if is_compliant else 2) if motion.is_off_line else 1
+    try:
+        tangent = tidy(interpolate(rates, q, find_hinges(plant), degree))
+    except TooManySamples as error:
+        raise ModelError(
+            f"the slip velocity of {face.pair}",
+            got=f"a function of {len(error.coordinates)} coordinates at once",
+            expected="some six at most",
+            remedy="Weld joints that a plan can do without, or leave friction out.",
+        ) from None
+    compiled, probes = SumMap(tangent, q), motion.probes
+    errors = [np.max(np.abs(compiled(probe) - rates(probe))) for probe in probes]
+    size = max(np.max(np.abs(rates(probe))) for probe in probes)
+    return tangent if max(errors) <= _ROUNDING * max(1.0, size) else None
 
 
-def _refuse_idle(friction: float) -> ScenarioError:
-    """Returns the error of friction that a scenario asks for where nothing slides."""
-    return ScenarioError(
-        "friction",
-        got=f"{friction:g}, in a world where no sphere can slide along anything",
-        expected="0, or None, the model's",
-        remedy="It would count for nothing.",
-    )
+class _Motion:
+    """How a sphere moves before a face, as numbers."""
+
+    def __init__(self, plant: MultibodyPlant, face: SphereAndFace) -> None:
+        self._plant, self._face = plant, face
+        self._context = plant.CreateDefaultContext()
+        steps = np.random.default_rng(0).uniform(-1.0, 1.0, (_NUM_PROBES, plant.num_positions()))
+        self.probes = plant.GetDefaultPositions() + steps
+        centers = np.array([self._calc_center(q) for q in self.probes])
+        # Two spheres are no flat wall to each other, unless on one line.
+        self.is_off_line = face.is_ball and bool(np.any(np.abs(centers[:, :2]) > _ROUNDING))
+
+    def find_sliding(self, share: float) -> Callable[[Floats], Floats] | None:
+        """Returns q → T along the one direction in a flat face, or None if there are two.
+
+        The lever is r and this share of φ.
+        """
+        n = self._plant.num_velocities()
+
+        def calc_slip(q: Floats) -> Floats:
+            center, turning, moving = self._calc_center(q), *self._calc_rates(q)
+            lever = self._face.radius + share * (center[2] - self._face.radius)
+            return moving[:2] - lever * np.stack([turning[1], -turning[0]])
+
+        slips = np.hstack([calc_slip(q) for q in self.probes])
+        directions, sizes, _ = np.linalg.svd(slips, full_matrices=False)
+        if sizes[0] <= _ROUNDING:
+            return lambda q: np.zeros(n)
+        direction = _point(directions[:, 0])
+        return None if sizes[1] > _ROUNDING * sizes[0] else lambda q: direction @ calc_slip(q)
+
+    def find_turning(self, is_compliant: bool) -> Callable[[Floats], Floats] | None:
+        """Returns q → T of two spheres that move about each other; None if not in one plane."""
+        face = self._face
+        middle, R = np.array([0.0, 0.0, -face.wall_radius]), face.sum_of_radii
+        arms = np.array([self._calc_center(q) - middle for q in self.probes])
+        _, sizes, axes = np.linalg.svd(arms)
+        e = _point(axes[2])
+        turns = np.hstack([self._calc_rates(q)[0] for q in self.probes])
+        is_planar = sizes[2] <= _ROUNDING * sizes[0]
+        if not is_planar or np.any(np.abs(turns - np.outer(e, e @ turns)) > _ROUNDING):
+            return None
+
+        def calc_slip(q: Floats) -> Floats:
+            turning, moving = self._calc_rates(q)
+            arm = self._calc_center(q) - middle
+            d, lever = np.cross(e, arm) / R, face.radius
+            if is_compliant:
+                x, share = (arm @ arm / R**2 - 1) / 2, face.radius - R / 2
+                lever += R * x + share * (x - x**2 / 2)
+            return np.asarray(d @ moving - lever * (e @ turning))
+
+        return calc_slip
+
+    def _calc_center(self, q: Floats) -> Floats:
+        """Returns the sphere's center in the face's frame, shape (3,) [m]."""
+        self._plant.SetPositions(self._context, q)
+        return self._face.calc_center(self._plant, self._context)
+
+    def _calc_rates(self, q: Floats) -> tuple[Floats, Floats]:
+        """Returns Jacobians of ω and v_C in the face's frame, shape (3, nv) each."""
+        face = self._face
+        self._plant.SetPositions(self._context, q)
+        wall = face.face_body.body_frame()
+        rates = self._plant.CalcJacobianSpatialVelocity(
+            self._context,
+            JacobianWrtVariable.kV,
+            face.sphere_body.body_frame(),
+            face.p_SC,
+            wall,
+            wall,
+        )
+        R_FB = face.X_BF.rotation().matrix().T
+        return R_FB @ rates[:3], R_FB @ rates[3:]
+
+
+def _point(direction: Floats) -> Floats:
+    """Returns a direction, turned so that its largest part is positive."""
+    return direction * np.sign(direction[np.argmax(np.abs(direction))])

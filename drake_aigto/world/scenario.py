@@ -13,35 +13,24 @@ import numpy as np
 import yaml
 
 from drake_aigto.arrays import ArrayRecord, Floats
+from drake_aigto.dynamics import STICTION_SPEED
 from drake_aigto.errors import ScenarioError
+from drake_aigto.output import write_text
 from drake_aigto.world.fields import (
     ArrayField,
     as_bound,
-    as_choice,
-    as_flag,
     as_names,
     as_number,
     as_range,
-    as_sizes,
     as_table,
     as_vector,
     as_weight,
     as_weight_matrix,
-)
-from drake_aigto.world.files import write_text
-from drake_aigto.world.friction import STICTION_SPEED
-from drake_aigto.world.scenario_files import (
-    read_scenario,
-    scenario_names,
-    scenarios_directory,
-    suggest,
-)
-from drake_aigto.world.task_checks import (
     check_bounds,
     check_counts,
-    check_duration,
     check_reference,
 )
+from drake_aigto.world.files import models_directory, read_scenario, scenario_names, suggest
 
 DEFAULT_MODEL = "package://drake_aigto_models/point_mass_and_wall.sdf"
 
@@ -151,8 +140,8 @@ class Scenario(ArrayRecord):
             model's.
         friction: μ of every pair that can slide, in place of the model's; 0 leaves friction out,
             None keeps the model's (`World.friction_coefficients`).
-        dry_friction: F ≥ 0 of each coordinate, shape (nv,) [N, N m]: joints rub by −F σ(v / v_s),
-            see `calc_friction_share`, which belongs to h(q, v) above; None: they do not.
+        dry_friction: F ≥ 0 of each coordinate, shape (nv,) [N, N m]: joints have friction
+            −F σ(v / v_s), see `calc_friction_share`, which belongs to h(q, v) above; None: none.
         stiction_speed: v_s > 0 of all friction, Drake's stiction tolerance [m/s, rad/s].
         ignored_shapes: collision shapes that touch nothing, neither in plans nor in simulations,
             such as meshes, which can't be planned for: "shape" or "model::shape".
@@ -195,7 +184,9 @@ class Scenario(ArrayRecord):
     restitution: float = 1.0
     mass: float | None = None  # [kg]
     friction: float | None = None
-    dry_friction: ArrayField[Floats | None] = ArrayField(as_sizes, None)  # [N, N m]
+    dry_friction: ArrayField[Floats | None] = ArrayField(
+        partial(as_vector, at_least=0.0), None
+    )  # [N, N m]
     stiction_speed: float = STICTION_SPEED  # [m/s, rad/s]
     ignored_shapes: ArrayField[tuple[str, ...]] = ArrayField(as_names, ())
 
@@ -211,8 +202,12 @@ class Scenario(ArrayRecord):
             if name not in _OPTIONAL or value is not None:
                 checked[name] = as_number(name, value, **bounds)
         for name, choices in _CHOICES.items():
-            checked[name] = as_choice(name, getattr(self, name), choices)
-        self.__dict__.update(checked, hard_goal=as_flag("hard_goal", self.hard_goal))
+            if not isinstance(value := getattr(self, name), str) or value not in choices:
+                expected = f"one of {', '.join(map(repr, choices))}"
+                raise ScenarioError(name, got=repr(value), expected=expected)
+        if not isinstance(self.hard_goal, bool | np.bool_):
+            raise ScenarioError("hard_goal", got=repr(self.hard_goal), expected="true or false")
+        self.__dict__.update(checked, hard_goal=bool(self.hard_goal))
         self._check_steps()
         if not self.is_plain:
             self._check_task()
@@ -221,8 +216,14 @@ class Scenario(ArrayRecord):
         """Refuses fields that contradict each other, or would count for nothing."""
         for name in ("position", "velocity", "control"):
             check_bounds(name, getattr(self, f"{name}_lower"), getattr(self, f"{name}_upper"))
-        if self.duration_range is not None:
-            check_duration(self.duration, self.duration_range)
+        least, most = self.duration_range or (0.0, math.inf)
+        if not least <= self.duration <= most:
+            raise ScenarioError(
+                "duration",
+                got=f"{self.duration:g} s",
+                expected=f"within duration_range, {least:g} to {most:g} s",
+                remedy="The search starts from it.",
+            )
         self._check_targets()
         if self.contact == "compliant" and self.restitution != 1.0:
             raise ScenarioError(
@@ -285,13 +286,18 @@ class Scenario(ArrayRecord):
         """The fields that ask for more than a plain task does."""
         values = self.__dict__
         weights = (name for name in _WEIGHTS if isinstance(values[name], np.ndarray))
-        return (*weights, *(name for name in _EXTRAS if _is_given(name, values[name])))
+        given = (
+            name
+            for name in _EXTRAS
+            if isinstance(values[name], np.ndarray) or values[name] != _DEFAULTS[name]
+        )
+        return (*weights, *given)
 
     def check_plain(self, reader: str = "What plans for balls") -> None:
-        """Refuses a task that is not plain, for a reader who would not see what it asks for more.
+        """Refuses a task that is not plain, for code that would ignore what else it asks for.
 
         Args:
-            reader: who it is, as the error names it.
+            reader: name of that code in the error.
 
         Raises:
             ScenarioError: the task is not plain; names the first field that asks for more.
@@ -306,7 +312,7 @@ class Scenario(ArrayRecord):
             )
 
     def in_steps(self, num_steps: int) -> Scenario:
-        """Returns the same, its duration cut into so many time steps."""
+        """Returns the same with its duration cut into this number of time steps."""
         other = object.__new__(Scenario)
         other.__dict__.update(self.__dict__, time_step=self.duration / num_steps)
         return other
@@ -360,7 +366,7 @@ class Scenario(ArrayRecord):
                 expected=f"one of {', '.join(names)}",
                 remedy=suggest(str(name), names),
             )
-        return cls.load(scenarios_directory() / f"{name}.yaml")
+        return cls.load(models_directory() / "scenarios" / f"{name}.yaml")
 
     @classmethod
     def load(cls, path: str | os.PathLike[str]) -> Scenario:
@@ -383,10 +389,6 @@ class Scenario(ArrayRecord):
 
 
 _DEFAULTS = {field.name: field.default for field in dataclasses.fields(Scenario)}
-
-
-def _is_given(name: str, value: Any) -> bool:
-    return isinstance(value, np.ndarray) or value != _DEFAULTS[name]
 
 
 def _as_plain(value: Any) -> Any:

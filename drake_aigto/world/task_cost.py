@@ -1,4 +1,4 @@
-"""What a motion costs: the one place where the task's formula is."""
+"""Cost of a motion: the one place where the task's formula is; and the units that a task has."""
 
 from __future__ import annotations
 
@@ -8,11 +8,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from drake_aigto.arrays import ArrayRecord, Bools, Floats, interpolate, read_only
+from drake_aigto.dynamics import EquationsOfMotion
 from drake_aigto.errors import ScenarioError
-from drake_aigto.world.equations import EquationsOfMotion
+from drake_aigto.world.fields import check_size
 from drake_aigto.world.scenario import Scenario
 
 _TURN = 2.0 * np.pi
+# When a reference is looked at, over the duration.
+_LOOKS = 21
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +38,8 @@ class TaskCost(ArrayRecord):
         QTv: weight of the final velocity, (n, n).
         goal: where q(T) should be, (n,).
         goal_velocity: what v(T) should be, (n,).
-        is_modulo: of which coordinates turns do not count, (n,).
-        is_chordal: of which coordinates the error is a chord, (n,).
+        is_modulo: whether turns of a coordinate do not count, (n,).
+        is_chordal: whether the error of a coordinate is a chord, (n,).
         times: of the reference, (K,) [s]; before the first and after the last it stands still.
         positions: q_ref at these times, (K, n), piecewise linear between; the goal's if none.
         velocities: v_ref, (K, n); the goal's.
@@ -146,7 +149,7 @@ def _square(error: Floats, weights: Floats) -> Floats:
 
 
 def _weigh(scenario: Scenario, name: str, is_angle: Bools) -> Floats:
-    """Returns a weight as a matrix, of coordinates of which some are angles."""
+    """Returns a weight as a matrix, of coordinates some of which are angles."""
     weight, n = getattr(scenario, name), len(is_angle)
     if isinstance(weight, float):
         if weight > 0 and len(set(is_angle.tolist())) > 1:
@@ -156,27 +159,15 @@ def _weigh(scenario: Scenario, name: str, is_angle: Bools) -> Floats:
                 expected=f"{n} numbers, as their units differ",
             )
         return weight * np.eye(n)
-    _check_size(name, weight, n)
+    check_size(name, weight, n)
     return np.diag(weight) if weight.ndim == 1 else weight
-
-
-def _check_size(name: str, values: Floats, n: int) -> None:
-    """Refuses a vector, or a table's or a matrix's rows, of another size."""
-    of_what = "actuator" if name == "control_weight" else "coordinate"
-    if values.shape[-1] != n:
-        raise ScenarioError(
-            name,
-            got=f"{values.shape[-1]} value{'s' if values.shape[-1] > 1 else ''}"
-            f"{' a row' if values.ndim > 1 else ''}",
-            expected=f"{n}, one for each {of_what} of the model",
-        )
 
 
 def _find_goal_velocity(scenario: Scenario, n: int) -> Floats:
     """Returns the goal's velocity, zero if none is given, (n,)."""
     if scenario.goal_velocity is None:
         return np.zeros(n)
-    _check_size("goal_velocity", scenario.goal_velocity, n)
+    check_size("goal_velocity", scenario.goal_velocity, n)
     return scenario.goal_velocity
 
 
@@ -190,7 +181,7 @@ def _find_reference(scenario: Scenario, n: int) -> tuple[Floats, Floats, Floats]
     ):
         table = getattr(scenario, name)
         if table is not None:
-            _check_size(name, table, n)
+            check_size(name, table, n)
         tables.append(np.tile(goal, (len(times), 1)) if table is None else table)
     return times, tables[0], tables[1]
 
@@ -211,3 +202,56 @@ def _check_angles(angles: str, final: Floats, is_hinge: Bools) -> None:
             expected="nothing off the diagonal for angles",
             remedy="A chord changes its sign with each turn: drop these, or take angles: modulo.",
         )
+
+
+@dataclass(frozen=True)
+class Scales:
+    """Units in which tolerances are given, so that a verdict is the same at every size.
+
+    Angles count as lengths, at 1 m from the hinge.
+
+    Attributes:
+        length: L, the longest of the ways to the goal and, from both ends, to the walls; 1 m if
+            there is no way to go [m].
+        time: T, the duration [s].
+        cost: w_f L², what it costs to end L off the goal, and of a task with other terms, what it
+            costs to stay at the start. If that is nothing, w_u T (m L/T²)², with m the `inertia`.
+    """
+
+    length: float
+    time: float
+    cost: float
+
+    @classmethod
+    def of(cls, world: EquationsOfMotion, scenario: Scenario) -> Scales:
+        """Returns the scales of a scenario in its world."""
+        length, T = _calc_length(world, scenario), scenario.duration
+        push = calc_inertia(world, scenario.initial_position) * length / T**2
+        effort = float(np.max(scenario.control_weight)) * T * push**2
+        if scenario.is_plain:
+            return cls(length, T, scenario.goal_weight * length**2 or effort)
+        cost = TaskCost.of(world, scenario)
+        state = scenario.initial_position, scenario.initial_velocity
+        times, no_control = np.linspace(0.0, T, _LOOKS), np.zeros(world.num_actuators)
+        staying = T * np.mean(cost.running(times, *state, no_control)) + cost.final(*state)
+        return cls(length, T, float(staying) or effort)
+
+    @property
+    def velocity(self) -> float:
+        """L/T [m/s]."""
+        return self.length / self.time
+
+
+def calc_inertia(world: EquationsOfMotion, q: Floats) -> float:
+    """Returns the largest entry of B⁺ M(q): control per acceleration [kg]."""
+    return float(np.abs(world.inverse_actuation @ world.calc_mass_matrix(q)).max())
+
+
+def _calc_length(world: EquationsOfMotion, scenario: Scenario) -> float:
+    q0, goal = scenario.initial_position, scenario.goal_position
+    # A slider askew to the wall has to go farther than φ; of a hinge no such factor is the same
+    # all the way.
+    jacobian = world.calc_contact_jacobian(q0)
+    steepness = 1.0 if world.is_hinge.any() else np.linalg.norm(jacobian, axis=1)
+    ways = world.calc_signed_distance(np.array([q0, goal])) / steepness
+    return float(max(np.max(np.abs(goal - q0)), np.max(ways, initial=0.0))) or 1.0

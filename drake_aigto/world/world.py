@@ -14,10 +14,11 @@ from pydrake.symbolic import MakeVectorVariable
 from pydrake.systems.framework import Context, Diagram
 
 from drake_aigto.arrays import Bools, Floats, read_only
-from drake_aigto.errors import ModelError
-from drake_aigto.world.contact import SphereAndFace, find_shapes
+from drake_aigto.dynamics import STICTION_SPEED, EquationsOfMotion, SumMap
+from drake_aigto.errors import ModelError, ScenarioError
 from drake_aigto.world.diagram import (
     build_diagram,
+    check_friction_acts,
     check_plant,
     exclude_shapes,
     find_hinges,
@@ -25,33 +26,27 @@ from drake_aigto.world.diagram import (
     hide_half_space_warning,
     move_shape,
 )
-from drake_aigto.world.equations import EquationsOfMotion
 from drake_aigto.world.fields import as_number
 from drake_aigto.world.fingerprint import Fingerprint
-from drake_aigto.world.fit import (
-    check_made_for,
-    check_sizes,
+from drake_aigto.world.limits import Limits, check_sizes
+from drake_aigto.world.material import Springs, read_materials, read_springs, read_stiffness
+from drake_aigto.world.pairs import (
+    ReachableFace,
+    SphereAndFace,
+    find_reach,
+    find_shapes,
+    find_sphere_body,
     refuse_beside,
     refuse_inside,
+    refuse_no_contact,
     refuse_out_of_reach,
 )
-from drake_aigto.world.friction import STICTION_SPEED, check_friction_acts
-from drake_aigto.world.law import CompliantLaw, ContactLaw, RigidLaw, calc_stiffness
-from drake_aigto.world.limits import Limits
-from drake_aigto.world.material import read_materials
 from drake_aigto.world.plant_reader import PlantReader
-from drake_aigto.world.reach import (
-    ReachableFace,
-    find_reach,
-    find_sphere_body,
-    refuse_no_contact,
-)
 from drake_aigto.world.rubbing import Rubbing
 from drake_aigto.world.scenario import Scenario
-from drake_aigto.world.sums import SumMap
 from drake_aigto.world.task_cost import TaskCost
 
-# What is this near to a wall that rubs lies against it, however its place was rounded [m].
+# A sphere this near to a wall with friction lies against it, however its place was rounded [m].
 _TOUCHING = 1e-9
 
 
@@ -183,16 +178,14 @@ class World(EquationsOfMotion):
 
     @cached_property
     def fingerprint(self) -> Fingerprint:
-        """What tells it from other worlds."""
-        names = self.plant.GetPositionNames(), self.plant.GetActuatorNames()
+        """Names and numbers that no other world has."""
         materials = tuple(read_materials(self.scene_graph, pair) for pair in self.shapes)
         friction = self.rubbing.model_coefficients
-        return Fingerprint.of(self, self.model, *names, materials, self.limits, friction)
+        return Fingerprint.of(self, self.plant, self.model, materials, self.limits, friction)
 
     def is_on_face(self, q: Floats) -> Bools:
         """Returns whether the sphere's center projects onto each face, shape (m,)."""
-        off = self._lateral_map(q).reshape(-1, 2)
-        return np.logical_and.reduce(np.abs(off) <= self._half_extents, axis=1)
+        return np.logical_and.reduce(np.abs(self._lateral_map(q)) <= self._half_extents, axis=1)
 
     def restitutions(self, scenario: Scenario) -> Floats:
         """Returns the restitution of each contact, shape (m,): the model's own, or the scenario's.
@@ -214,26 +207,17 @@ class World(EquationsOfMotion):
         Raises:
             ModelError: a shape has none.
         """
-        return calc_stiffness(self.scene_graph, self.shapes)
+        return read_stiffness(self.scene_graph, self._reachable)
 
-    def contact_law(self, scenario: Scenario) -> ContactLaw:
-        """Returns what contacts push with, rigid or compliant as the scenario says.
+    @cached_property
+    def springs(self) -> Springs:
+        """Stiffness, dissipation and reaches of compliant contacts.
 
         Raises:
-            ModelError: a shape lacks stiffness or dissipation for compliant contact, or Drake's
-                plant would have another force there.
+            ModelError: a shape lacks stiffness or dissipation, or Drake's plant would have another
+                force there than `CompliantLaw`.
         """
-        if scenario.contact == "rigid":
-            friction = self.friction_coefficients(scenario)
-            return RigidLaw(self.restitutions(scenario), friction)
-        law = CompliantLaw.of(self.scene_graph, self._reachable)
-        return dataclasses.replace(law, friction=self.friction_coefficients(scenario))
-
-    def calc_pushes(self, law: ContactLaw, q: Floats, v: Floats) -> Floats:
-        """Returns what contacts push with in states (…, n) each, shape (…, m) [N]: rigid ones 0."""
-        if isinstance(law, RigidLaw):
-            return np.zeros((*q.shape[:-1], self.num_contacts))
-        return law.calc_forces(self.calc_signed_distance(q), self.calc_contact_rate(q, v))
+        return read_springs(self.scene_graph, self._reachable)
 
     def bounds(self, scenario: Scenario) -> Limits:
         """Returns within which bounds a motion has to stay: the model's and the scenario's.
@@ -247,9 +231,9 @@ class World(EquationsOfMotion):
 
     @cached_property
     def rubbing(self) -> Rubbing:
-        """Where and how strongly contacts rub, and the velocity at which they slip."""
-        q, v = self.positions, self.velocities
-        return Rubbing(self.diagram, q, v, self._reachable, self._stuck, self.stiction_speed)
+        """Friction of contacts, and the velocity at which they slip."""
+        faces = (*(each.face for each in self._reachable), *self._stuck)
+        return Rubbing(self, self.diagram, faces)
 
     @property
     def frictions(self) -> Mapping[str, float]:
@@ -330,15 +314,16 @@ class World(EquationsOfMotion):
                 cost makes no sense here (`TaskCost.of`), or start or goal touches the wall, is
                 inside or behind it, or beside its face, or is beyond joint limits.
             ModelError: friction acts where a sphere can slide in two directions, or is stuck in a
-                shape; a wall is out of reach of all spheres; or the model lacks what the scenario's
-                law of contact takes (`contact_law`).
+                shape; a wall is out of reach of all spheres; or the model lacks what compliant
+                contact takes (`springs`).
         """
         check_sizes(self.plant, scenario)
         TaskCost.of(self, scenario)
         self.bounds(scenario)
-        made_with = self.mass, self.ignored_shapes, self.dry_friction, self.stiction_speed
-        check_made_for(scenario, *made_with)
-        self.contact_law(scenario)
+        self._check_made_for(scenario)
+        if scenario.contact == "compliant":
+            _ = self.springs
+        self.friction_coefficients(scenario)
         if self._out_of_reach:
             raise refuse_out_of_reach(*self._out_of_reach)
         self.rubbing.check(scenario.friction)
@@ -346,33 +331,52 @@ class World(EquationsOfMotion):
             self._check_place(name, getattr(scenario, name), scenario)
 
     def check_frictionless(self, scenario: Scenario) -> None:
-        """Refuses friction, for who plans without it, so that it is not dropped in silence.
+        """Refuses friction, for planning without it, so that it is not dropped in silence.
 
         Raises:
             ModelError: a sphere can slide with friction, and the scenario does not leave it out.
         """
         self.rubbing.check_none(scenario.friction)
 
+    def _check_made_for(self, scenario: Scenario) -> None:
+        """Refuses a scenario with another mass or friction, or other ignored shapes, than here."""
+        given, mine = scenario.dry_friction, self.dry_friction
+        masses = [
+            "None, the model's" if mass is None else f"{mass:g} kg"
+            for mass in (scenario.mass, self.mass)
+        ]
+        shapes = [", ".join(names) for names in (scenario.ignored_shapes, self.ignored_shapes)]
+        speeds = [f"{each.stiction_speed:g} m/s" for each in (scenario, self)]
+        frictions = ["none" if each is None else each.tolist() for each in (given, mine)]
+        is_other_shape = set(scenario.ignored_shapes) != set(self.ignored_shapes)
+        own = 0.0 if mine is None else mine
+        for name, is_other, (got, expected) in (
+            ("mass", scenario.mass not in (None, self.mass), masses),
+            ("ignored_shapes", scenario.ignored_shapes and is_other_shape, shapes),
+            ("dry_friction", given is not None and not np.array_equal(given, own), frictions),
+            ("stiction_speed", scenario.stiction_speed != self.stiction_speed, speeds),
+        ):
+            if is_other:
+                remedy = "The world was made with that; make it of this scenario."
+                raise ScenarioError(name, got, expected or "none", remedy)
+
     @cached_property
     def _out_of_reach(self) -> tuple[SphereAndFace, float] | None:
         """A wall that is farther off than the model's joints go, as far as bounds tell, or None."""
         least, _ = self._signed_distance_map.calc_range(*self.limits.position)
-        away: dict[GeometryId, list[float]] = {}
-        for faces in self.solids:
-            wall = self._reachable[faces[0]].face.shapes[1]
-            away.setdefault(wall, []).append(max(least[i] for i in faces))
+        walls: dict[GeometryId, list[tuple[float, SphereAndFace]]] = {}
         for faces in self.solids:
             face = self._reachable[faces[0]].face
-            if (distance := min(away[face.shapes[1]])) > 0:
-                return face, distance
-        return None
+            walls.setdefault(face.shapes[1], []).append((max(least[i] for i in faces), face))
+        nearest = ((solids[0][1], min(away for away, _ in solids)) for solids in walls.values())
+        return next((found for found in nearest if found[1] > 0), None)
 
     def _check_place(self, name: str, q: Floats, scenario: Scenario) -> None:
         """Refuses a position inside or against a solid, or beside the one face that it has.
 
         Compliant half spaces may be entered: they have no far side to be pushed out of. So may
-        boxes, while the sphere's center is outside, which tells the side. What rubs may lie against
-        a wall, to slide along it.
+        boxes, while the sphere's center is outside, so that its side is known. With friction a
+        sphere may lie against a wall, to slide along it.
         """
         friction = self.friction_coefficients(scenario)
         for faces, distance in zip(self.solids, self.calc_clearance(q), strict=True):
@@ -383,13 +387,13 @@ class World(EquationsOfMotion):
             if distance <= 0 and not (is_soft or lies):
                 raise refuse_inside(name, face, distance, len(faces), self.plant)
             if len(faces) == 1 and not self.is_on_face(q)[faces[0]]:
-                off = self._lateral_map(q).reshape(-1, 2)[faces[0]]
-                raise refuse_beside(name, face, off)
+                raise refuse_beside(name, face, self._lateral_map(q)[faces[0]])
 
     @cached_property
     def _lateral_map(self) -> SumMap:
-        laterals = (each.lateral for each in self._reachable)
-        return SumMap(np.concatenate([[], *laterals]), self.positions)
+        """Centers of spheres along the edges of the faces, shape (m, 2) [m]."""
+        laterals = [each.lateral for each in self._reachable]
+        return SumMap(np.array(laterals, dtype=object).reshape(-1, 2), self.positions)
 
     @cached_property
     def _half_extents(self) -> Floats:

@@ -1,0 +1,182 @@
+"""What scripts that measure share: flags, and jobs and plans that are run side by side and kept."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import math
+import pickle
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import Future
+from pathlib import Path
+from typing import Any, NoReturn
+
+from drake_aigto import AigtoError, Answer, OptionsError, Scenario
+from drake_aigto.cli import BAD_INPUT, add_workers, read_workers
+from drake_aigto.jobs import open_jobs, plan_many
+
+# Flags that change where and for how long jobs run, and not what comes of them.
+_WHERE = ("workers", "scheduler", "minutes", "keep")
+
+
+def read_flags(
+    doc: str | None,
+    words: Sequence[str] | None = None,
+    *,
+    workers: int | None = 1,
+    place: tuple[str, Mapping[str, Any]] | None = None,
+    **flags: tuple[Any, ...],
+) -> argparse.Namespace:
+    """Returns the parsed flags of a script, whose docstring begins with what it measures.
+
+    Args:
+        doc: the docstring.
+        words: what was typed; None takes it from `sys.argv`.
+        workers: how many processes run jobs if nothing is said; None: there are no jobs.
+        place: name of what stands without a flag, and what argparse takes.
+        flags: name → default, which tells the type (of a tuple's items, if it is one), what it is,
+            and, if need be, what else argparse takes.
+    """
+    parser = argparse.ArgumentParser(description=(doc or "").partition("\n")[0])
+    if place is not None:
+        parser.add_argument(place[0], **place[1])
+    for name, (default, text, *more) in flags.items():
+        look: dict[str, Any] = {"default": default, "help": text}
+        if isinstance(default, bool):
+            look["action"] = "store_true"
+        elif isinstance(default, tuple):
+            look |= {"type": type(default[0]), "nargs": "*"}
+        elif isinstance(default, list):
+            look |= {"type": type(default[0])} if default else {}
+        elif default is not None:
+            look["type"] = type(default)
+        flag = f"--{name.replace('_', '-')}"
+        parser.add_argument(flag, **{**look, **(more[0] if more else {})})
+    if workers is not None:
+        add_workers(parser, workers)
+        text = "then what runs is ended, the rest reported"
+        parser.add_argument("--minutes", type=float, default=math.inf, help=text)
+        text = "keep what is done in this file, and go on from it"
+        parser.add_argument("--keep", type=Path, metavar="FILE", help=text)
+    return parser.parse_args(words)
+
+
+def run_jobs(
+    work: Callable[[Any], Any], jobs: Sequence[Any], options: argparse.Namespace
+) -> Iterator[tuple[int, Future[Any]]]:
+    """Starts jobs in this order and yields each one's number as it ends, with result or exception.
+
+    Jobs that have not ended when time is up are not yielded: nobody knows what would have come of
+    them.
+
+    Args:
+        work: a function of a module.
+        jobs: what it is called with; they are told apart by how they are printed.
+        options: of `read_flags`.
+
+    Raises:
+        OptionsError: what was kept is of other flags.
+    """
+    kept = _Kept(options)
+    names = list(map(repr, jobs))
+    for number, name in enumerate(names):
+        if name in kept.results:
+            done: Future[Any] = Future()
+            done.set_result(kept.results[name])
+            yield number, done
+    with open_jobs(read_workers(options)) as under_way:
+        left = {number for number, name in enumerate(names) if name not in kept.results}
+        for number in sorted(left):
+            under_way.start(number, work, jobs[number])
+        try:
+            for number, future in under_way.ended(60.0 * options.minutes):
+                left.discard(number)
+                if not future.exception():
+                    kept.add(names[number], future.result())
+                yield number, future
+        except TimeoutError:
+            print(f"TIME IS UP: {len(left)} jobs not done", flush=True)
+
+
+class _Kept:
+    """Results of jobs by name, in a file that grows with each: flags first, then pairs."""
+
+    def __init__(self, options: argparse.Namespace) -> None:
+        """Reads the file, if there is one; one that was cut short ends where it is whole."""
+        self._path: Path | None = options.keep
+        self.results: dict[str, Any] = {}
+        if self._path is None:
+            return
+        flags = {name: value for name, value in vars(options).items() if name not in _WHERE}
+        there = []
+        if self._path.exists():
+            with self._path.open("rb") as file:
+                try:
+                    while True:
+                        there.append(pickle.load(file))
+                except (EOFError, pickle.UnpicklingError):
+                    pass
+        if there and there[0] != flags:
+            raise OptionsError(f"--keep {self._path}", got=there[0], expected=flags)
+        self.results = dict(there[1:])
+        self._path.write_bytes(b"".join(map(pickle.dumps, [flags, *there[1:]])))
+
+    def add(self, name: str, result: Any) -> None:
+        """Keeps a result."""
+        self.results[name] = result
+        if self._path is not None:
+            with self._path.open("ab") as file:
+                pickle.dump((name, result), file)
+
+
+def run_all(
+    work: Callable[[Any], Any], jobs: Sequence[Any], options: argparse.Namespace
+) -> list[Any]:
+    """Runs jobs, tells which fail, and returns the results of the others in the order of the jobs.
+
+    The arguments are those of `run_jobs`.
+    """
+    done: dict[int, Any] = {}
+    for number, future in run_jobs(work, jobs, options):
+        if error := future.exception():
+            print(f"FAILED {jobs[number]}: {error!r}", flush=True)
+        else:
+            done[number] = future.result()
+    return [done[number] for number in sorted(done)]
+
+
+def plan_all(
+    scenarios: Mapping[str, Scenario],
+    plan_options: Any,
+    options: argparse.Namespace,
+    what: str = "plans",
+) -> dict[str, Answer]:
+    """Returns the answers to questions (`plan_many`), those that come before time is up.
+
+    Args:
+        scenarios: by name.
+        plan_options: of every plan.
+        options: of `read_flags`; plans are kept in a folder beside their file.
+        what: ending of that folder's name.
+    """
+    end, found = time.monotonic() + 60.0 * options.minutes, {}
+    folder = options.keep and options.keep.with_suffix(f".{what}")
+    count = None if options.scheduler else options.workers
+    where: dict[str, Any] = {"workers": count, "scheduler": options.scheduler}
+    for answer in plan_many(scenarios, plan_options, **where, folder=folder, resume=True):
+        found[answer.name] = answer
+        if time.monotonic() > end:
+            print(f"TIME IS UP: {len(scenarios) - len(found)} plans not made", flush=True)
+            break
+    return found
+
+
+def run_as(name: str) -> NoReturn:
+    """Runs `main` of a module under its name, by which workers find its functions, and exits."""
+    try:
+        sys.exit(importlib.import_module(name).main())
+    except AigtoError as error:
+        print(f"{name}: {error}", file=sys.stderr)
+        sys.exit(BAD_INPUT)

@@ -1,0 +1,400 @@
+"""A MathematicalProgram as formulas, and formulas as tapes: one operation after the other."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from enum import IntEnum
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydrake.solvers import (
+    Binding,
+    BoundingBoxConstraint,
+    ExpressionConstraint,
+    ExpressionCost,
+    LinearConstraint,
+    LinearCost,
+    MathematicalProgram,
+    QuadraticConstraint,
+    QuadraticCost,
+)
+from pydrake.symbolic import Expression, ExpressionKind
+
+from drake_aigto.arrays import Floats, Ints
+from drake_aigto.errors import UnsupportedTermError
+from drake_aigto.terms import CONES, NORM_COSTS, evaluator_kind, evaluator_label, operands, shown
+
+# Evaluators that give their formulas back, what they are called, and the remedy for others.
+_COSTS = (
+    (LinearCost, QuadraticCost, ExpressionCost, *NORM_COSTS),
+    "a LinearCost, a QuadraticCost, an ExpressionCost or a norm",
+    "Add it as `c = ExpressionCost(expression); prog.AddCost(c, vars=c.vars())`.",
+)
+_ROWS = (
+    (LinearConstraint, QuadraticConstraint, ExpressionConstraint, *CONES),
+    "bounds, a cone, or a linear, quadratic or expression constraint",
+    "Write it symbolically.",
+)
+
+# Id of a variable ↦ its index in the program, or its place in a formula.
+Index = Mapping[int, int]
+
+
+class Operation(IntEnum):
+    """Functions of earlier entries a and b of a tape, and of a number p."""
+
+    NUMBER = 0  # p
+    VARIABLE = 1  # x_a
+    SHIFT = 2  # a + p
+    SCALE = 3  # p a
+    ADD = 4  # a + b
+    MULTIPLY = 5  # a b
+    RECIPROCAL = 6  # 1 / a
+    POWER = 7  # a^b of a whole number b
+    REAL_POWER = 8  # a^p, a ≥ 0
+    EXP = 9
+    LOG = 10
+    SIN = 11
+    COS = 12
+    ABS = 13
+    MAX = 14
+    MIN = 15
+    TANH = 16
+    ATAN = 17
+
+
+# Operation, a, b and p.
+Entry = tuple[int, int, int, float]
+
+
+class Tape(NamedTuple):
+    """Formulas, one behind the other.
+
+    Attributes:
+        operations: `Operation` of each entry (E,).
+        a: its first argument, counted from its formula's first entry (E,).
+        b: its second argument, or an exponent (E,).
+        numbers: its p (E,).
+        starts: first entry of each formula, and E (F + 1,). A formula's value is its last entry.
+    """
+
+    operations: Ints
+    a: Ints
+    b: Ints
+    numbers: Floats
+    starts: Ints
+
+
+@dataclass(frozen=True, eq=False)
+class Summand:
+    """A summand of the cost.
+
+    Attributes:
+        binding: the cost that it came from; of a row, the constraint.
+        expression: its formula.
+        index: of its variables.
+        variables: indices of those that it reads, rising.
+    """
+
+    binding: Binding
+    expression: Expression
+    index: Index
+    variables: tuple[int, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class Row(Summand):
+    """lower ≤ formula ≤ upper."""
+
+    lower: float
+    upper: float
+
+
+@dataclass(frozen=True, eq=False)
+class Formulas:
+    """A program as a sum of formulas, rows and bounds.
+
+    Attributes:
+        names: of the variables (n,).
+        summands: of the cost; those of one binding follow each other.
+        rows: all constraints but bounds.
+        lower: bounds of x (n,).
+        upper: shape (n,).
+    """
+
+    names: tuple[str, ...]
+    summands: tuple[Summand, ...]
+    rows: tuple[Row, ...]
+    lower: Floats
+    upper: Floats
+
+    def groups(self) -> dict[tuple[int, ...], list[Summand]]:
+        """Returns the summands by the variables that they read."""
+        found: dict[tuple[int, ...], list[Summand]] = {}
+        for each in self.summands:
+            found.setdefault(each.variables, []).append(each)
+        return found
+
+
+def read_formulas(prog: MathematicalProgram) -> Formulas:
+    """Returns the formulas of a program.
+
+    Raises:
+        UnsupportedTermError: a cost or a row has no formula that Drake gives back.
+    """
+    index = {variable.get_id(): i for i, variable in enumerate(prog.decision_variables())}
+    lower, upper = np.full(prog.num_vars(), -np.inf), np.full(prog.num_vars(), np.inf)
+    summands: list[Summand] = []
+    rows: list[Row] = []
+    for binding in prog.GetAllCosts():
+        (total,), own = _expressions(binding, index, *_COSTS)
+        parts = operands(total) if total.get_kind() == ExpressionKind.Add else [total]
+        summands += [Summand(binding, part, own, _read(part, own)) for part in parts]
+    for binding in prog.GetAllConstraints():
+        evaluator = binding.evaluator()
+        bounds = evaluator.lower_bound(), evaluator.upper_bound()
+        if isinstance(evaluator, BoundingBoxConstraint):
+            places = [index[variable.get_id()] for variable in binding.variables()]
+            np.maximum.at(lower, places, bounds[0])
+            np.minimum.at(upper, places, bounds[1])
+            continue
+        formulas, own = _expressions(binding, index, *_ROWS)
+        for formula, low, high in zip(formulas, *(b.tolist() for b in bounds), strict=True):
+            rows.append(Row(binding, formula, own, _read(formula, own), low, high))
+    for row in rows:
+        _bound_by(row, lower, upper)
+    names = tuple(variable.get_name() for variable in prog.decision_variables())
+    return Formulas(names, tuple(summands), tuple(rows), lower, upper)
+
+
+def _expressions(
+    binding: Binding, index: Index, kinds: tuple[Any, ...], expected: str, remedy: str
+) -> tuple[Any, Index]:
+    """Returns the formulas of a cost or constraint, and the indices of their variables."""
+    evaluator, variables = binding.evaluator(), binding.variables()
+    if not isinstance(evaluator, kinds):
+        raise UnsupportedTermError(
+            f"{evaluator_label(binding)} can't be bounded",
+            got=f"a {evaluator_kind(evaluator)}, whose formula Drake does not give back",
+            expected=expected,
+            remedy=remedy,
+        )
+    if not isinstance(evaluator, (ExpressionCost, ExpressionConstraint)):
+        return evaluator.Eval(variables), index
+    own = {
+        local.get_id(): index[bound.get_id()]
+        for local, bound in zip(evaluator.vars(), variables, strict=True)
+    }
+    is_cost = isinstance(evaluator, ExpressionCost)
+    return [evaluator.expression()] if is_cost else evaluator.expressions(), own
+
+
+def _read(e: Expression, index: Index) -> tuple[int, ...]:
+    return tuple(sorted({index[variable.get_id()] for variable in e.GetVariables()}))
+
+
+def _bound_by(row: Row, lower: Floats, upper: Floats) -> None:
+    """Bounds a variable by a row a x ≤ b, rounded outward."""
+    e = row.expression
+    if len(row.variables) != 1 or not e.is_polynomial():
+        return
+    (i,), (variable,) = row.variables, e.GetVariables()
+    slope = e.Differentiate(variable)
+    if slope.get_kind() != ExpressionKind.Constant or e.Evaluate({variable: 0.0}) != 0.0:
+        return
+    low, high = sorted(side / slope.Evaluate() for side in (row.lower, row.upper))
+    lower[i] = max(lower[i], math.nextafter(low, -math.inf))
+    upper[i] = min(upper[i], math.nextafter(high, math.inf))
+
+
+def formula_of(parts: Sequence[Summand], variables: Sequence[int]) -> list[Entry]:
+    """Returns the sum of some summands as a formula over some of the program's variables.
+
+    Raises:
+        UnsupportedTermError: one has a function without an enclosure, by name.
+    """
+    place = {variable: k for k, variable in enumerate(variables)}
+    formula = Formula()
+    # Summands of one binding are added again, as powers of one variable are bounded together.
+    for _, alike in itertools.groupby(parts, lambda part: id(part.binding)):
+        first, *others = alike
+        total = sum((part.expression for part in others), first.expression)
+        try:
+            formula.add({i: place[j] for i, j in first.index.items() if j in place}, total)
+        except _NoEnclosureError as error:
+            raise UnsupportedTermError(
+                f"{evaluator_label(first.binding)} can't be bounded",
+                got=f"{error} in {shown(total)}",
+                expected="sums, products, quotients, powers, roots, exp, log, sin, cos, tan, tan⁻¹,"
+                " tanh, |x|, max and min",
+            ) from None
+    return formula.finish()
+
+
+def make_tape(formulas: Iterable[Sequence[Entry]]) -> Tape:
+    """Returns formulas as one tape."""
+    lists = list(formulas)
+    entries = [entry for each in lists for entry in each]
+    columns = list(zip(*entries, strict=True)) or [(), (), (), ()]
+    operations, a, b = (np.array(column, dtype=np.int64) for column in columns[:3])
+    starts = np.cumsum([0, *map(len, lists)], dtype=np.int64)
+    return Tape(operations, a, b, np.array(columns[3], dtype=float), starts)
+
+
+class _NoEnclosureError(Exception):
+    """A formula has a function without an enclosure; its message is the function."""
+
+
+_FUNCTIONS = {
+    ExpressionKind.Exp: Operation.EXP,
+    ExpressionKind.Log: Operation.LOG,
+    ExpressionKind.Sin: Operation.SIN,
+    ExpressionKind.Cos: Operation.COS,
+    ExpressionKind.Abs: Operation.ABS,
+    ExpressionKind.Tanh: Operation.TANH,
+    ExpressionKind.Atan: Operation.ATAN,
+    ExpressionKind.Max: Operation.MAX,
+    ExpressionKind.Min: Operation.MIN,
+}
+
+
+class Formula:
+    """A sum of expressions as entries of a tape, each made once."""
+
+    def __init__(self) -> None:
+        """Starts empty."""
+        self._place: Index = {}
+        self._known: dict[Entry, int] = {}
+        self._last: int | None = None
+
+    def add(self, place_of: Index, e: Expression) -> None:
+        """Adds an expression to the sum.
+
+        Args:
+            place_of: id of a variable ↦ its place among the formula's.
+            e: the expression.
+        """
+        self._place = place_of
+        place = self._enter(e)
+        self._last = place if self._last is None else self._put(Operation.ADD, self._last, place)
+
+    def finish(self) -> list[Entry]:
+        """Returns the entries, that of the sum last."""
+        last = self._put(Operation.NUMBER) if self._last is None else self._last
+        entries = list(self._known)
+        if last < len(entries) - 1:
+            entries.append((int(Operation.SHIFT), last, 0, 0.0))
+        return entries
+
+    def _put(self, operation: Operation, a: int = 0, b: int = 0, number: float = 0.0) -> int:
+        return self._known.setdefault((int(operation), a, b, number), len(self._known))
+
+    def _enter(self, e: Expression) -> int:
+        """Enters an expression, and returns the place of its value."""
+        kind = e.get_kind()
+        if kind == ExpressionKind.Constant:
+            return self._put(Operation.NUMBER, number=e.Evaluate())
+        if kind == ExpressionKind.Var:
+            (variable,) = e.GetVariables()
+            return self._put(Operation.VARIABLE, self._place[variable.get_id()])
+        parts = operands(e)
+        if kind in _FUNCTIONS:
+            return self._put(_FUNCTIONS[kind], *map(self._enter, parts))
+        if kind == ExpressionKind.Add:
+            return self._sum(parts)
+        if kind == ExpressionKind.Mul:
+            number, others = _split_number(parts, 1.0)
+            return self._scaled(self._fold(Operation.MULTIPLY, others), number)
+        if kind == ExpressionKind.Pow:
+            return self._power(*parts)
+        if kind == ExpressionKind.Sqrt:
+            return self._put(Operation.REAL_POWER, self._enter(parts[0]), number=0.5)
+        if kind == ExpressionKind.Tan:
+            place = self._enter(parts[0])
+            return self._divide(self._put(Operation.SIN, place), self._put(Operation.COS, place))
+        if kind == ExpressionKind.Div:
+            return self._divide(*map(self._enter, parts))
+        raise _NoEnclosureError(kind.name)
+
+    def _sum(self, parts: Sequence[Expression]) -> int:
+        """Adds summands, numbers last: x − a is one entry; powers of one variable as Horner does.
+
+        Of an interval, a x² + b x + c is wider than (a x + b) x + c, and ∞ − ∞ if that has no end.
+        """
+        if powers := _powers_of_one(parts):
+            return self._nested(*powers)
+        number, others = _split_number(parts, 0.0)
+        total = self._fold(Operation.ADD, others)
+        return self._put(Operation.SHIFT, total, 0, number) if number else total
+
+    def _fold(self, operation: Operation, parts: Sequence[Expression]) -> int:
+        """Enters a sum or a product, from left to right."""
+        total = self._enter(parts[0])
+        for part in parts[1:]:
+            total = self._put(operation, total, self._enter(part))
+        return total
+
+    def _nested(self, variable: Expression, coefficients: Mapping[int, float]) -> int:
+        """Adds Σ a_p x^p: x^r (… (a_p x^(p−q) + a_q) …)."""
+        x = self._enter(variable)
+        exponents = sorted(coefficients, reverse=True)
+        total = self._scaled(self._put(Operation.NUMBER, number=1.0), coefficients[exponents[0]])
+        for p, q in itertools.pairwise([*exponents, 0]):
+            if p > q:
+                factor = x if p == q + 1 else self._put(Operation.POWER, x, p - q)
+                total = self._put(Operation.MULTIPLY, factor, total)
+            if q in coefficients and q < p:
+                total = self._put(Operation.SHIFT, total, 0, coefficients[q])
+        return total
+
+    def _scaled(self, place: int, number: float) -> int:
+        return self._put(Operation.SCALE, place, 0, number) if number != 1.0 else place
+
+    def _power(self, base: Expression, exponent: Expression) -> int:
+        if exponent.get_kind() != ExpressionKind.Constant:
+            raise _NoEnclosureError("power with an exponent that is no number")
+        p = exponent.Evaluate()
+        place = self._enter(base)
+        if p != int(p):
+            return self._put(Operation.REAL_POWER, place, number=p)
+        if p >= 0:
+            return self._put(Operation.POWER, place, int(p))
+        return self._put(Operation.RECIPROCAL, self._put(Operation.POWER, place, int(-p)))
+
+    def _divide(self, above: int, below: int) -> int:
+        return self._put(Operation.MULTIPLY, above, self._put(Operation.RECIPROCAL, below))
+
+
+def _split_number(parts: Sequence[Expression], neutral: float) -> tuple[float, list[Expression]]:
+    """Returns the number among some parts, of which Drake keeps one, and the others."""
+    numbers = [part.Evaluate() for part in parts if part.get_kind() == ExpressionKind.Constant]
+    others = [part for part in parts if part.get_kind() != ExpressionKind.Constant]
+    return (numbers[0] if numbers else neutral), others
+
+
+def _powers_of_one(parts: Sequence[Expression]) -> tuple[Expression, dict[int, float]] | None:
+    """Returns the variable and the coefficients of Σ a_p x^p; None if it is another sum."""
+    found: dict[int, float] = {}
+    base: Expression | None = None
+    for part in parts:
+        is_product = part.get_kind() == ExpressionKind.Mul
+        number, factors = _split_number(operands(part) if is_product else [part], 1.0)
+        exponent = 0
+        for factor in factors:
+            x, p = factor, 1
+            if factor.get_kind() == ExpressionKind.Pow:
+                x, power = operands(factor)
+                p = int(power.Evaluate()) if power.get_kind() == ExpressionKind.Constant else -1
+                if p < 0 or p != power.Evaluate():
+                    return None
+            is_other = base is not None and not base.EqualTo(x)
+            if x.get_kind() != ExpressionKind.Var or exponent or is_other:
+                return None
+            base, exponent = x, p
+        if exponent in found:
+            return None
+        found[exponent] = number
+    return None if base is None else (base, found)

@@ -1,0 +1,193 @@
+"""Contact laws: impulses that return a part of the speed, or springs; and friction of both."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import TypeAlias
+
+import numpy as np
+import scipy  # Not scipy.optimize, which takes a tenth of a second and few need.
+
+from drake_aigto.arrays import ArrayRecord, Floats, read_only
+from drake_aigto.dynamics import calc_friction_share
+from drake_aigto.world import Scenario, World
+
+# Centers of spheres that rounding has brought nearer than a micron count as that far apart [m²].
+NO_ROOM = 1e-12
+# No finite dissipation takes all of the speed; below this restitution it is this.
+LEAST_RESTITUTION = 1e-3
+# This close to 1 the equation for the dissipation cancels, and its series is exact to 1e-8.
+_NEARLY_ELASTIC = 1e-4
+
+
+@dataclass(frozen=True, eq=False)
+class RigidLaw(ArrayRecord):
+    """Walls that nothing enters, and impacts that last no time: φ̇⁺ = −e φ̇⁻, |p_t| ≤ μ p_n.
+
+    Attributes:
+        restitution: e of each contact, shape (m,), in [0, 1].
+        friction: μ of each contact, shape (m,); none given: zero.
+    """
+
+    restitution: Floats
+    friction: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        """Makes the arrays read-only."""
+        if not len(self.friction):
+            object.__setattr__(self, "friction", read_only(np.zeros_like(self.restitution)))
+        for name in ("restitution", "friction"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    @property
+    def rubs(self) -> bool:
+        """Whether any contact has friction."""
+        return bool(self.friction.any())
+
+
+@dataclass(frozen=True, eq=False)
+class CompliantLaw(ArrayRecord):
+    """Springs with Hunt-Crossley's dissipation and friction, as Drake's point contact has them.
+
+        f = k x max(0, 1 + d ẋ),    x = max(0, −φ),    ẋ = −φ̇,    f_t = −μ f σ(s / v_s)
+
+    Of two shapes k = k₁ k₂ / (k₁ + k₂) and d = (k₂ d₁ + k₁ d₂) / (k₁ + k₂). Of two spheres that
+    move about each other, whose φ = (l² − R²) / 2R is not the distance l − R of their surfaces
+    (l from center to center, R the sum of radii), that distance takes the place of φ above, and f
+    is the force times R/l = ∂l/∂φ, so that Jᵀ f is what acts.
+
+    Attributes:
+        stiffness: k of each contact, shape (m,) [N/m].
+        dissipation: d of each contact, shape (m,) [s/m].
+        friction: μ of each contact, shape (m,); none given: zero.
+        reaches: R of two spheres that move about each other, else 0, shape (m,) [m]; none given:
+            zero.
+    """
+
+    stiffness: Floats
+    dissipation: Floats
+    friction: Floats = field(default_factory=lambda: np.zeros(0))
+    reaches: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def __post_init__(self) -> None:
+        """Makes the arrays read-only."""
+        for name in ("friction", "reaches"):
+            if not len(getattr(self, name)):
+                object.__setattr__(self, name, np.zeros_like(self.stiffness))
+        for name in ("stiffness", "dissipation", "friction", "reaches"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    @property
+    def rubs(self) -> bool:
+        """Whether any contact has friction."""
+        return bool(self.friction.any())
+
+    def calc_forces(self, distances: Floats, rates: Floats) -> Floats:
+        """Returns f, shape (…, m) [N], given φ (…, m) [m] and φ̇ (…, m) [m/s]."""
+        gaps, speeds, levers = self.find_gaps(distances, rates)
+        depths = np.maximum(0.0, -gaps)
+        return self.stiffness * depths * np.maximum(0.0, 1.0 - self.dissipation * speeds) * levers
+
+    def find_gaps(self, distances: Floats, rates: Floats) -> tuple[Floats, Floats, Floats]:
+        """Returns distances of surfaces [m], their rates [m/s] and ∂l/∂φ, shape (…, m) each.
+
+        Args:
+            distances: φ, shape (…, m) [m].
+            rates: φ̇, shape (…, m) [m/s].
+        """
+        levers = calc_levers(self.reaches, distances)
+        if not self.reaches.any():
+            return distances, rates, levers
+        gaps = np.where(self.reaches > 0, self.reaches / levers - self.reaches, distances)
+        return gaps, rates * levers, levers
+
+
+def calc_levers(reaches: Floats, distances: Floats) -> Floats:
+    """Returns R/l = ∂l/∂φ of two spheres that move about each other, else 1, shape (…, m).
+
+    Args:
+        reaches: see `CompliantLaw`, shape (m,) [m].
+        distances: φ, shape (…, m) [m].
+    """
+    R, levers = reaches, np.ones_like(distances)
+    apart = np.sqrt(np.maximum(R**2 + 2 * R * distances, NO_ROOM))
+    return np.divide(R, apart, out=levers, where=R > 0)
+
+
+ContactLaw: TypeAlias = RigidLaw | CompliantLaw
+
+
+def contact_law(world: World, scenario: Scenario) -> ContactLaw:
+    """Returns the law of a world's contacts, rigid or compliant as the scenario says.
+
+    Raises:
+        ModelError: a shape lacks stiffness or dissipation for compliant contact, or Drake's plant
+            would have another force there (`World.springs`); or friction acts where a sphere can
+            slide in two directions.
+    """
+    if scenario.contact == "rigid":
+        return RigidLaw(world.restitutions(scenario), world.friction_coefficients(scenario))
+    springs = world.springs
+    friction = world.friction_coefficients(scenario)
+    return CompliantLaw(springs.stiffness, springs.dissipation, friction, springs.reaches)
+
+
+def calc_pushes(world: World, law: ContactLaw, q: Floats, v: Floats) -> Floats:
+    """Returns the forces of contacts in states (…, n) each, shape (…, m) [N]: of rigid ones 0."""
+    if isinstance(law, RigidLaw):
+        return np.zeros((*q.shape[:-1], world.num_contacts))
+    return law.calc_forces(world.calc_signed_distance(q), world.calc_contact_rate(q, v))
+
+
+def calc_slips(world: World, law: ContactLaw, q: Floats, v: Floats) -> Floats:
+    """Returns s, shape (…, m) [m/s]: T v, and T v R/l of compliant spheres about each other."""
+    if isinstance(law, RigidLaw):
+        return world.rubbing.calc_slips(q, v)
+    slips = world.rubbing.calc_slips(q, v, is_compliant=True)
+    if law.reaches.any():
+        slips *= calc_levers(law.reaches, world.calc_signed_distance(q))
+    return slips
+
+
+def calc_drag(world: World, law: ContactLaw, q: Floats, v: Floats, forces: Floats) -> Floats | None:
+    """Returns friction of compliant contacts as forces on q, −Tᵀ μ f σ(s / v_s), shape (…, n) [N].
+
+    None where no such contact has friction. T is that of `Rubbing.soft_tangents`, s of
+    `calc_slips`, σ of `calc_friction_share`.
+
+    Args:
+        world: has T.
+        law: of contact.
+        q: shape (…, nq) [m].
+        v: shape (…, n) [m/s].
+        forces: f of contacts (`calc_pushes`), shape (…, m) [N].
+    """
+    if isinstance(law, RigidLaw) or not law.rubs:
+        return None
+    T = world.rubbing.calc_tangent_jacobian(q, is_compliant=True)
+    shares = calc_friction_share(calc_slips(world, law, q, v), world.stiction_speed)
+    return -((law.friction * forces * shares)[..., np.newaxis, :] @ T)[..., 0, :]
+
+
+def calc_dissipation(restitution: float, speed: float) -> float:
+    """Returns the Hunt-Crossley dissipation that makes an impact's restitution e [s/m].
+
+    With f = k x (1 + d ẋ) an impact at speed v > 0 [m/s] returns e v where y = d v solves
+
+        y − ln(1 + y) = −e y − ln(1 − e y)
+
+    so that it depends on the speed: other impacts have another restitution. Below 1e-3, e is
+    taken for that.
+    """
+    e = max(restitution, LEAST_RESTITUTION)
+    if 1 - e < _NEARLY_ELASTIC:
+        return 1.5 * (1 - e**2) / (1 + e**3) / speed
+
+    def excess(z: float) -> float:
+        # With z = −ln(1 − e y), which stays apart from its end where e y is 1 to rounding.
+        y = -math.expm1(-z) / e
+        return y - math.log1p(y) + e * y - z
+
+    z = scipy.optimize.brentq(excess, _NEARLY_ELASTIC / 10, 2 / e + 2, xtol=1e-15)
+    return -math.expm1(-z) / e / speed

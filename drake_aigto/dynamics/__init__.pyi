@@ -1,0 +1,14 @@
+from .constant import ConstantDynamics as ConstantDynamics
+from .constant import ConstantInertia as ConstantInertia
+from .equations import Contact as Contact
+from .equations import EquationsOfMotion as EquationsOfMotion
+from .friction import STICTION_SPEED as STICTION_SPEED
+from .friction import calc_friction_share as calc_friction_share
+from .friction import smooth_sign as smooth_sign
+from .sum_kernels import divide_by_masses as divide_by_masses
+from .sum_kernels import evaluate_sums as evaluate_sums
+from .sums import SumMap as SumMap
+from .sums import calc_turning as calc_turning
+from .sums import evaluate as evaluate
+from .sums import is_constant as is_constant
+from .sums import tidy as tidy

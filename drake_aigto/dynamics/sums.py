@@ -1,0 +1,205 @@
+"""Sums of products of powers, sin and cos: read, tidied once, and compiled to arrays."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import cache
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.symbolic import Expression, cos, sin
+
+from drake_aigto.arrays import Floats, Ints
+from drake_aigto.terms import Factor, FunctionKind, Term, expression_terms
+
+# Coefficients below this, relative to the largest, are rounding left by rotations such as
+# cos(π/2) = 6e-17, not physics. They would make constants look like functions.
+_ROUNDING = 1e-13
+# Digits that rounding leaves of a coefficient: 0.7 read as a difference is 0.70000000000000018.
+_DIGITS = 14
+
+
+def tidy(expressions: NDArray[Any]) -> NDArray[Any]:
+    """Returns expressions multiplied out and rid of rounding, as a read-only array.
+
+    Args:
+        expressions: any shape; each a sum of products of powers, sin and cos.
+
+    Raises:
+        UnsupportedTermError: one is none.
+    """
+    found = {v.get_id(): v for expression in expressions.flat for v in expression.GetVariables()}
+    variables = list(found.values())
+    sums = [_read(expression, variables) for expression in expressions.flat]
+    largest = max((abs(term.coefficient) for sum_ in sums for term in sum_), default=0.0)
+    result = np.empty(expressions.size, dtype=object)
+    for i, sum_ in enumerate(sums):
+        kept = (term for term in sum_ if abs(term.coefficient) > _ROUNDING * largest)
+        result[i] = sum((_express(term, variables) for term in kept), Expression(0.0))
+    result.flags.writeable = False
+    return result.reshape(expressions.shape)
+
+
+def calc_turning(rows: Iterable[NDArray[Any]], q: NDArray[Any], v: NDArray[Any]) -> NDArray[Any]:
+    """Returns J̇ v of each row J(q), (nv,), of velocities J v: what they change by at constant v.
+
+    Args:
+        rows: m of them.
+        q: the variables of positions, shape (nq,).
+        v: the variables of velocities, shape (nv,), v = q̇.
+    """
+    turns = [_dot(_dot(row, v).Jacobian(q), v) for row in rows]
+    return tidy(np.array(turns, dtype=object))
+
+
+def _dot(row: NDArray[Any], variables: NDArray[Any]) -> Expression:
+    """Returns Σ_k row_k variable_k; NumPy's product of objects warns at random."""
+    return sum((a * b for a, b in zip(row, variables, strict=True)), Expression(0.0))
+
+
+def is_constant(expressions: Any) -> bool:
+    """Returns whether expressions, one or an array of them, have no variable."""
+    return all(expression.GetVariables().empty() for expression in np.ravel(expressions))
+
+
+def evaluate(expressions: NDArray[Any], at: dict[Any, float] | None = None) -> Floats:
+    """Returns the values of expressions, of the same shape.
+
+    Args:
+        expressions: any shape.
+        at: the value of each of their variables.
+    """
+    values = [expression.Evaluate(at or {}) for expression in expressions.flat]
+    return np.array(values, dtype=float).reshape(expressions.shape)
+
+
+def _read(expression: Expression, variables: Iterable[Any]) -> tuple[Term, ...]:
+    """Returns the terms of an expression, each variable being its place."""
+    return expression_terms("the world", expression, variables, is_row=True)
+
+
+def _express(term: Term, variables: list[Any]) -> Expression:
+    """Returns a term as an expression."""
+    product = Expression(float(f"{term.coefficient:.{_DIGITS}g}"))
+    for factor in term.factors:
+        x = variables[factor.variable]
+        if factor.kind != FunctionKind.POWER:
+            wave = cos if factor.kind == FunctionKind.COSINE else sin
+            product *= wave(factor.scale * x + factor.offset)
+        if factor.exponent:
+            product *= x**factor.exponent
+    return product
+
+
+class SumMap:
+    """Sums of products f: ℝⁿ → ℝᵐ compiled to arrays, f(x)ⱼ = Σₖ Cⱼₖ ∏ᵢ gₖᵢ(x).
+
+    A simulator calls this in every derivative; it takes a few microseconds.
+
+    Attributes:
+        coefficients: C, shape (m, products).
+    """
+
+    def __init__(self, expressions: NDArray[Any], *variables: NDArray[Any]) -> None:
+        """Compiles.
+
+        Args:
+            expressions: any shape of m entries, which values have, too; sums of products of powers,
+                sin and cos of the variables.
+            variables: arrays of n in all.
+        """
+        self._shape, names = expressions.shape, np.concatenate(variables)
+        sums = [_read(expression, names) for expression in expressions.flat]
+        products = list(dict.fromkeys(term.factors for sum_ in sums for term in sum_))
+        row = {product: k for k, product in enumerate(products)}
+        self.coefficients = np.zeros((len(sums), len(products)))
+        for j, sum_ in enumerate(sums):
+            for term in sum_:
+                self.coefficients[j, row[term.factors]] += term.coefficient
+        self._compile_factors(products)
+        self._compile_affine(products, len(names))
+
+    def _compile_factors(self, products: list[tuple[Factor, ...]]) -> None:
+        """Lists the functions g, and which of them each product has; beyond the last one: none."""
+        factors = list(dict.fromkeys(factor for product in products for factor in product))
+        place = {factor: i for i, factor in enumerate(factors)}
+        most = max(map(len, products), default=0)
+        self._members = np.full((len(products), most), len(factors))
+        for k, product in enumerate(products):
+            self._members[k, : len(product)] = [place[factor] for factor in product]
+        rows = [(f.variable, f.exponent, f.kind) for f in factors]
+        self._factors = np.array(rows, dtype=np.int64).reshape(-1, 3)
+        self._waves = np.array([(f.scale, f.offset) for f in factors], dtype=float).reshape(-1, 2)
+
+    def _compile_affine(self, products: list[tuple[Factor, ...]], num_variables: int) -> None:
+        """Finds whether f is affine, and its slope and constant."""
+        degrees = [
+            sum(f.exponent if f.kind == FunctionKind.POWER else np.inf for f in product)
+            for product in products
+        ]
+        self._is_affine = max(degrees, default=0) <= 1
+        self._constant = self.coefficients @ np.equal(degrees, 0)
+        self._slope = np.zeros((len(self.coefficients), num_variables))
+        for k, product in enumerate(products):
+            if degrees[k] == 1:
+                self._slope[:, product[0].variable] = self.coefficients[:, k]
+
+    @property
+    def tables(self) -> tuple[Ints, Floats, Ints, Floats]:
+        """Factors, waves, members and coefficients, for compiled code (`evaluate_sums`)."""
+        return self._factors, self._waves, self._members, self.coefficients
+
+    def __call__(self, *x: Floats) -> Floats:
+        """Returns f, shape (…, *shape of the expressions), of variables (…, n) in all."""
+        points = x[0] if len(x) == 1 else np.concatenate(x, axis=-1)
+        values: Floats
+        if self._is_affine:
+            values = points @ self._slope.T + self._constant
+            if len(self._shape) == 1:  # Simulations ask for distances in every step.
+                return values
+        else:
+            rows = np.ascontiguousarray(points, dtype=float).reshape(-1, points.shape[-1])
+            values = load_kernels().evaluate_sums(rows, *self.tables)
+        return values.reshape(*points.shape[:-1], *self._shape)
+
+    def calc_range(self, low: Floats, high: Floats) -> Floats:
+        """Returns lower and upper bounds of f(x) over low ≤ x ≤ high, shape (2, m).
+
+        Each product by itself, waves between −1 and 1: f may not come near them.
+
+        Args:
+            low: shape (n,), −∞ where there is no bound.
+            high: shape (n,).
+        """
+        ranges = [_find_range(int(kind), low[i], high[i], int(p)) for i, p, kind in self._factors]
+        total = np.zeros((2, len(self.coefficients)))
+        for members, column in zip(self._members, self.coefficients.T, strict=True):
+            ends = (1.0, 1.0)
+            for member in members[members < len(ranges)]:
+                ends = _multiply(ends, ranges[member])
+            total += np.array([_multiply((a, a), ends) for a in column]).T
+        return total
+
+
+def _find_range(kind: int, low: float, high: float, exponent: int) -> tuple[float, float]:
+    """Returns the range of x^p, times a wave if there is one, over low ≤ x ≤ high."""
+    ends = float(low) ** exponent, float(high) ** exponent
+    least = 0.0 if exponent and exponent % 2 == 0 and low <= 0 <= high else min(ends)
+    most = max(ends)
+    return (least, most) if kind == FunctionKind.POWER else _multiply((least, most), (-1.0, 1.0))
+
+
+def _multiply(a: tuple[float, float], b: tuple[float, float]) -> tuple[float, float]:
+    """Returns the range of x y over x in a and y in b, with 0 · ∞ = 0."""
+    products = [x * y if x and y else 0.0 for x in a for y in b]
+    return min(products), max(products)
+
+
+@cache
+def load_kernels() -> ModuleType:
+    """Returns the compiled code when it is needed, as Numba takes a second to load."""
+    from drake_aigto.dynamics import sum_kernels
+
+    return sum_kernels

@@ -1,0 +1,249 @@
+"""Compiled functions: Numba's compiler, with a cache on disk that is never stale."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import re
+import signal
+import sys
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import Any, TypeVar, cast
+
+import llvmlite
+import numba
+from numba.core import types
+from numba.core.caching import FunctionCache
+from numba.core.event import Event, Listener, install_listener
+from numba.extending import intrinsic
+
+from drake_aigto.progress import Notice
+
+_Function = TypeVar("_Function", bound=Callable[..., Any])
+_Borrowed = TypeVar("_Borrowed")
+
+# `python -m benchmarks.start_time` measures 10 to 15 s on idle cores of servers; shooting takes 60.
+_COMPILES = "compiling machine code, up to a minute or so (Ctrl-C waits for that); "
+_KEPT = "it is kept for next time"
+_LOST = "it can be kept nowhere: NUMBA_CACHE_DIR may name a folder"
+
+_PACKAGE = __name__.partition(".")[0]
+_IMPORT = re.compile(
+    r"^[ \t]*(?:from|import)[ \t]+(\.*)([\w.]*)(?:[ \t]+import[ \t]+(\([^)]*\)|.*))?", re.M
+)
+
+
+def njit(**options: Any) -> Callable[[_Function], _Function]:
+    """Returns `numba.njit` with these options and a cache, as a decorator.
+
+    Numba keeps machine code beside the source, else in ``NUMBA_CACHE_DIR`` or the user's cache
+    folder. Where it can write to none of them, as in a package that root installed, run by a user
+    without a home, each process compiles for itself.
+
+    No function gets a C entry, which nothing here calls and which takes time to compile.
+    """
+    options["no_cfunc_wrapper"] = True
+
+    def compile_later(function: _Function) -> _Function:
+        compiled = numba.njit(**options)(function)
+        _forget_literals(compiled)
+        compiled.compile = _undisturbed()(compiled.compile)
+        try:
+            compiled._cache = _SourceCache(function)  # As njit(cache=True) does with its own.
+        except RuntimeError as error:
+            # Numba has no class of its own for this.
+            if not str(error).startswith("cannot cache function"):
+                raise
+        return compiled
+
+    return compile_later
+
+
+def _forget_literals(compiled: Any) -> None:
+    """Lets calls with a constant share the code of those with any value: it is compiled once.
+
+    Of Python's own constants, Numba would compile a function anew for each.
+    """
+    find_template = compiled.get_call_template
+
+    def find_shared_template(args: Any, kws: Any) -> Any:
+        return find_template(tuple(map(types.unliteral, args)), kws)
+
+    compiled.get_call_template = find_shared_template
+
+
+@contextmanager
+def _undisturbed() -> Iterator[None]:
+    """Makes Ctrl-C wait for the end of a call; signals reach the main thread alone.
+
+    LLVM calls Python back, and swallows what is raised there: the function would be half compiled.
+    """
+    handle = signal.getsignal(signal.SIGINT)
+    if threading.current_thread() is not threading.main_thread() or not callable(handle):
+        yield
+        return
+    caught: list[tuple[Any, ...]] = []
+    signal.signal(signal.SIGINT, lambda *arguments: caught.append(arguments))
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, handle)
+        if caught:
+            handle(*caught[0])
+
+
+# For functions that Python calls.
+kernel = njit(nogil=True, error_model="numpy")
+
+# For functions that compiled code alone calls: without an entry for Python, which takes as long to
+# compile as the function itself if that is short. Python must not call it: Numba does not check
+# that.
+inner = njit(nogil=True, error_model="numpy", no_cpython_wrapper=True)
+
+# For functions that one place in compiled code calls, and that call many: Numba pastes them there.
+# On their own, LLVM would optimize them once more. Short functions gain nothing by it, and many in
+# one lose, as Numba's time grows faster than a function's length.
+pasted = njit(nogil=True, error_model="numpy", inline="always")
+
+
+def _borrow(_: Any, value: Any) -> Any:
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _forget_owners(context, builder, signature.args[0], arguments[0])
+
+    return value(value), generate
+
+
+def _forget_owners(context: Any, builder: Any, kind: Any, value: Any) -> Any:
+    if isinstance(kind, types.Array):
+        array = context.make_array(kind)(context, builder, value)
+        array.meminfo = array.meminfo.type(None)
+        array.parent = array.parent.type(None)
+        return array._getvalue()
+    if isinstance(kind, types.BaseTuple):
+        each: Any
+        for i, each in enumerate(kind):  # type: ignore[arg-type]
+            part = _forget_owners(context, builder, each, builder.extract_value(value, i))
+            value = builder.insert_value(value, part, i)
+    return value
+
+
+# Returns arrays, or tuples of them, whose references are not counted. A kernel may call it first on
+# what Python holds meanwhile, and must return none of it. Else each view of an array, and each
+# function that takes one, counts up and down: atomic operations of some 20 cycles.
+borrow: Callable[[_Borrowed], _Borrowed] = cast(Any, intrinsic(_borrow))
+
+
+@contextmanager
+def tell_compilation(tell: Callable[[Notice], None]) -> Iterator[None]:
+    """Reports the first compilation in a `with` block; nothing if none is needed.
+
+    Args:
+        tell: called once, in the thread that compiles, before it does.
+    """
+    with install_listener("numba:compile", _FirstCompilation(tell)):
+        yield
+
+
+class _FirstCompilation(Listener):
+    """Listener that reports the first compilation."""
+
+    def __init__(self, tell: Callable[[Notice], None]) -> None:
+        self._tell: Callable[[Notice], None] | None = tell
+
+    def on_start(self, event: Event) -> None:
+        if self._tell:
+            tell, self._tell = self._tell, None
+            is_kept = isinstance(event.data["dispatcher"]._cache, FunctionCache)
+            tell(Notice(_COMPILES + (_KEPT if is_kept else _LOST)))
+
+    def on_end(self, event: Event) -> None:
+        pass
+
+
+class _SourceCache(FunctionCache):
+    """Numba's cache of a function, which is fresh while all sources that it may use are.
+
+    Machine code holds the functions that it calls, the constants that it reads and the layout of
+    its arguments, wherever these are defined. Numba itself looks at the function's file alone.
+    """
+
+    def __init__(self, function: Callable[..., Any]) -> None:
+        """Adds a digest of those sources to what Numba compares first, which is its version.
+
+        It does not even read what other versions cached: classes named there may be gone.
+        """
+        super().__init__(function)  # type: ignore[no-untyped-call]
+        file, package = function.__code__.co_filename, function.__module__.partition(".")[0]
+        used = _digest(os.path.abspath(file), package)
+        self._cache_file._version = numba.__version__, llvmlite.__version__, used
+
+
+@cache
+def _digest(file: str, package: str) -> str:
+    """Returns a digest of a file and all that it imports, directly or by way of others.
+
+    Only sources of its own package and of ours count, also those imported for type checkers alone.
+    """
+    paths = {name: getattr(sys.modules.get(name), "__path__", None) for name in (package, _PACKAGE)}
+    folders = tuple((name, path[0]) for name, path in paths.items() if path)
+    files, digest = [file], hashlib.sha256()
+    for each in files:  # It grows meanwhile.
+        digest.update(hashlib.sha256(_read(each)).digest())
+        files += [found for found in _imported_files(each, folders) if found not in files]
+    return digest.hexdigest()
+
+
+@cache
+def _read(file: str) -> bytes:
+    with open(file, "rb") as source:
+        return source.read()
+
+
+@cache
+def _imports(file: str) -> tuple[tuple[str, str, tuple[str, ...]], ...]:
+    """Returns what a file imports: leading dots, a module, and names in it (or none)."""
+    found = _IMPORT.findall(_read(file).decode())
+    return tuple((dots, module, tuple(re.findall(r"\w+", names))) for dots, module, names in found)
+
+
+@cache
+def _imported_files(file: str, folders: tuple[tuple[str, str], ...]) -> tuple[str, ...]:
+    """Returns the files that a file imports from packages in these folders, by name."""
+    found = (
+        origin
+        for dots, module, names in _imports(file)
+        for name in names or ("",)
+        for origin in _origins(file, folders, dots, module, name)
+    )
+    return tuple(dict.fromkeys(found))
+
+
+def _origins(
+    file: str, folders: tuple[tuple[str, str], ...], dots: str, module: str, name: str
+) -> tuple[str, ...]:
+    """Returns the files that a name comes from: beyond a package's door, where it is passed on."""
+    root, _, rest = module.partition(".")
+    base = dict(folders).get(root)
+    if dots:
+        base, rest = os.path.join(os.path.dirname(file), *[".."] * (len(dots) - 1)), module
+    if base is None:
+        return ()
+    stem = os.path.normpath(os.path.join(base, *rest.split(".")))
+    submodule = _sources(os.path.join(stem, name))
+    if submodule:
+        return submodule
+    for door in _sources(stem):
+        for dots, module, names in _imports(door) if name else ():
+            if name in names:
+                return _origins(door, folders, dots, module, name)
+    return _sources(stem)
+
+
+@cache
+def _sources(stem: str) -> tuple[str, ...]:
+    """Returns the files of a module or package, the stub of a lazy door among them."""
+    names = (f"{stem}.py", os.path.join(stem, "__init__.py"), os.path.join(stem, "__init__.pyi"))
+    return tuple(name for name in names if os.path.isfile(name))

@@ -1,0 +1,19 @@
+from .sparse import Pattern as Pattern
+from .sparse import SparseFactors as SparseFactors
+from .sparse import count_fill as count_fill
+from .sparse import factorize as factorize
+from .sparse import find_entry as find_entry
+from .sparse import make_pattern as make_pattern
+from .sparse import minimum_degree as minimum_degree
+from .sparse import multiply as multiply
+from .storage import Factorization as Factorization
+from .storage import Storage as Storage
+from .storage import as_order as as_order
+from .storage import choose_storage as choose_storage
+from .storage import narrow_band as narrow_band
+from .storage import spread as spread
+from .triangular import factor_in_place as factor_in_place
+from .triangular import solve_factored as solve_factored
+from .triangular import solve_factors as solve_factors
+
+__all__: list[str]

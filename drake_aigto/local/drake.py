@@ -1,0 +1,119 @@
+"""Drake's MathematicalProgram: read as a `PolynomialNlp`, or solved by Drake's gradient solvers."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydrake.solvers import IpoptSolver, MathematicalProgram, SnoptSolver, SolverOptions
+
+from drake_aigto.arrays import Floats
+from drake_aigto.errors import UnsupportedTermError
+from drake_aigto.local.nlp import PolynomialNlp, check_bounds
+from drake_aigto.terms import (
+    ConstraintRow,
+    Term,
+    TermBlock,
+    affine_terms,
+    as_bound,
+    evaluator_name,
+    parse_costs,
+    parse_rows,
+    shared_evaluators,
+    term_blocks,
+)
+
+# Rows are multiplied by distances of 1e-4 m near the wall: asked this tight, the true defects end
+# below 1e-8.
+_FEASIBILITY = 1e-11
+_OPTIMALITY = 1e-8
+_ITERATIONS = 200  # major ones
+
+# Solvers' names of these three.
+_SOLVERS: dict[str, tuple[Any, str, str, str]] = {
+    "snopt": (
+        SnoptSolver,
+        *("Major feasibility tolerance", "Major optimality tolerance", "Major iterations limit"),
+    ),
+    "ipopt": (IpoptSolver, "constr_viol_tol", "tol", "max_iter"),
+}
+
+
+def compile_nlp(prog: MathematicalProgram, order: ArrayLike | None = None) -> PolynomialNlp:
+    """Compiles costs, equality constraints and bounds of a program; a shared evaluator once.
+
+    Rows that are affine in one variable become bounds, and equal bounds hold their variable.
+
+    Args:
+        prog: Costs as in `parse_costs`; constraints as in `parse_rows`, and equalities unless
+            they are affine in one variable.
+        order: Elimination order of the decision variables, as in `BoxPolynomial`. Default:
+            reverse Cuthill-McKee.
+
+    Raises:
+        UnsupportedTermError: A cost or constraint without such a form (it is named), or bounds that
+            contradict each other.
+    """
+    costs = parse_costs(prog)
+    lower, upper = np.full(prog.num_vars(), -np.inf), np.full(prog.num_vars(), np.inf)
+    rows: list[TermBlock] = []
+    for label, evaluator, copies in shared_evaluators(prog, prog.GetAllConstraints()):
+        for row, variables in parse_rows(label, evaluator, copies):
+            if np.isneginf(row.lower) and np.isposinf(row.upper):
+                continue
+            bound = as_bound(row)
+            if bound is not None:
+                local, low, high = bound
+                np.maximum.at(lower, variables[:, local], low)
+                np.minimum.at(upper, variables[:, local], high)
+            else:
+                terms = _equality_terms(label, row)
+                rows.extend(term_blocks(evaluator_name(evaluator), terms, variables.tolist()))
+    check_bounds(lower, upper, lambda i: str(prog.decision_variable(i)))
+    return PolynomialNlp(prog.num_vars(), costs, tuple(rows), lower, upper, order)
+
+
+def _equality_terms(label: str, row: ConstraintRow) -> tuple[Term, ...]:
+    """Returns the terms of row − value = 0."""
+    if row.lower != row.upper:
+        raise UnsupportedTermError(
+            f"{label} can't be compiled",
+            got=f"an inequality of several variables, or not affine: {row.lower:g} ≤ {row} ≤ "
+            f"{row.upper:g}",
+            expected="equalities, and bounds on single variables",
+            remedy="Give the expression a variable s of its own: expression == s, s ≥ 0.",
+        )
+    return (*row.terms, *affine_terms((), -row.lower))
+
+
+def solve_with_drake(prog: MathematicalProgram, guess: Floats, solver: str) -> Floats:
+    """Returns the point (n,) where SNOPT or IPOPT ends; the guess if it is not finite.
+
+    Args:
+        prog: the constrained program.
+        guess: all decision variables (n,).
+        solver: "snopt" or "ipopt".
+    """
+    kind, *names = _SOLVERS[solver]
+    options = SolverOptions()
+    for name, value in zip(names, (_FEASIBILITY, _OPTIMALITY, _ITERATIONS), strict=True):
+        options.SetOption(kind.id(), name, value)
+    with _quiet():
+        x: Floats = kind().Solve(prog, guess, options).get_x_val()
+    return x if np.all(np.isfinite(x)) else guess
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keeps Drake from logging that a solver ran out of iterations: candidates may fail."""
+    logger = logging.getLogger("drake")
+    level = logger.level
+    logger.setLevel(logging.ERROR)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)

@@ -1,0 +1,122 @@
+"""Friction of a mechanism: what joints and contacts have, and how much at rigid contacts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+from pydrake.symbolic import Expression
+
+from drake_aigto.arrays import Floats
+from drake_aigto.contact import CompliantLaw, ContactLaw
+from drake_aigto.shooting.tables import BRAKE, COEFFICIENT, PACE, SOURCE, STICTION
+from drake_aigto.world import World
+
+if TYPE_CHECKING:
+    from drake_aigto.shooting.mechanism import Mechanism
+
+# What hardly moves away from a wall bears no weight there [1/kg].
+_IMMOBILE = 1e-12
+# Expressions of q, shape (n,).
+Row: TypeAlias = NDArray[Any]
+
+
+class Rub(NamedTuple):
+    """One friction, −Tᵀ c N σ(s / w), with s = T(q) v and σ of `calc_friction_share`.
+
+    Of two spheres that move about each other, s is T v R/l (see `CompliantLaw`).
+
+    Its stiction speed w is that of the world, smoothed over a length ε as contact forces are, and
+    no slower than what it takes from s in one Runge-Kutta step h, for steps not to swing about
+    rest: w² = max(v_s, a h)² + (ε/T)², with T the duration.
+
+    Attributes:
+        row: T(q).
+        numbers: which contact's force N is, or −1 where N = 1; c; v_s [m/s, rad/s]; a, by which
+            friction slows s [m/s², rad/s²], of contacts per speed of approach [1/s]; 1/T [1/s],
+            which a program sets (`fit_to_steps`).
+    """
+
+    row: Row
+    numbers: tuple[float, ...]
+
+
+def list_rubs(world: World, law: ContactLaw) -> list[Rub]:
+    """Returns the friction of a world's joints and of its walls, which, rigid, rub in impacts."""
+    rubs = [] if world.dry_friction is None else list(_list_dry(world, world.dry_friction))
+    if isinstance(law, CompliantLaw) and law.rubs:
+        rubs += _list_touching(world, law)
+    elif law.rubs:
+        for i in np.flatnonzero(law.friction).tolist():
+            numbers = float(i), law.friction[i], world.stiction_speed, 0.0, 0.0
+            rubs.append(Rub(world.rubbing.tangents[i], numbers))
+    return rubs
+
+
+def _list_dry(world: World, friction: Floats) -> Iterator[Rub]:
+    along = np.vectorize(Expression)(np.eye(len(friction)))
+    mobility = np.diag(np.linalg.inv(world.calc_mass_matrix(world.plant.GetDefaultPositions())))
+    for i in np.flatnonzero(friction > 0).tolist():
+        F = friction[i]
+        yield Rub(along[i], (-1.0, F, world.stiction_speed, F * mobility[i], 0.0))
+
+
+def _list_touching(world: World, law: CompliantLaw) -> Iterator[Rub]:
+    """Yields that of contacts, whose brake is per speed of approach: that of a half swing."""
+    q = world.plant.GetDefaultPositions()
+    J, T = world.calc_contact_jacobian(q), world.rubbing.calc_tangent_jacobian(q, is_compliant=True)
+    M = world.calc_mass_matrix(q)
+    along, across = (np.einsum("ij,ji->i", A, np.linalg.solve(M, A.T)) for A in (T, J))
+    rates = law.friction * np.sqrt(law.stiffness) * along / np.sqrt(np.maximum(across, along))
+    for i in np.flatnonzero(law.friction > 0).tolist():
+        numbers = float(i), law.friction[i], world.stiction_speed, rates[i], 0.0
+        yield Rub(world.rubbing.soft_tangents[i], numbers)
+
+
+def fit_to_steps(rubs: Floats, step: float, duration: float, speed: float) -> Floats:
+    """Returns the numbers of rubs, shape (R, 5), for Runge-Kutta steps of a length [s].
+
+    Contacts are approached at about the speed [m/s].
+    """
+    fitted, is_dry = rubs.copy(), rubs[:, SOURCE] < 0
+    brakes = rubs[:, BRAKE] * np.where(is_dry, 1.0, speed)
+    fitted[:, STICTION] = np.maximum(rubs[:, STICTION], brakes * step)
+    fitted[:, PACE] = 1 / duration
+    return fitted
+
+
+def calc_mobilities(mechanism: Mechanism, q: Floats) -> Floats:
+    """Returns T M⁻¹ Tᵀ of each contact that rubs, 0 of others, shape (m,) [1/kg]."""
+    tangents, (mass, _) = _read_tangents(mechanism, q), mechanism.calc_inertia(q)
+    return np.einsum("ij,ji->i", tangents, np.linalg.solve(mass, tangents.T))
+
+
+def calc_drag(mechanism: Mechanism, q: Floats) -> Floats:
+    """Returns the friction of all rigid contacts, each of which bears the weight, (n,) [N, N m].
+
+    That is Σ |T_i| μ_i N_i with N = |J M⁻¹ h| / (J M⁻¹ Jᵀ), whether it touches or not.
+    """
+    (n, m), of = (len(q), mechanism.num_contacts), mechanism.mechanics
+    mass, bias = mechanism.calc_inertia(q)
+    first = n * (n + 1) // 2 + n + m
+    J = mechanism.calc_sums(q)[first : first + m * n].reshape(m, n)
+    kicks, friction = np.linalg.solve(mass, J.T), np.zeros(m)
+    for rub in of.rubs:
+        if rub[SOURCE] >= 0 and of.contacts[int(rub[SOURCE]), 0] == 0:
+            friction[int(rub[SOURCE])] = rub[COEFFICIENT]
+    loads = np.abs(bias @ kicks) / np.maximum(np.einsum("ij,ji->i", J, kicks), _IMMOBILE)
+    return np.asarray((friction * loads) @ np.abs(_read_tangents(mechanism, q)))
+
+
+def _read_tangents(mechanism: Mechanism, q: Floats) -> Floats:
+    """Returns T of each contact that rubs, zero of others, shape (m, n)."""
+    rubs, sums = mechanism.mechanics.rubs, mechanism.calc_sums(q)
+    found = np.zeros((mechanism.num_contacts, len(q)))
+    (n, m), R = (len(q), mechanism.num_contacts), len(rubs)
+    rows = sums[n * (n + 1) // 2 + n + m + m * n :][: R * n].reshape(R, n)
+    for T, source in zip(rows, rubs[:, SOURCE].astype(int), strict=True):
+        if source >= 0:
+            found[source] = T
+    return found

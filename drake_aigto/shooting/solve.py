@@ -1,0 +1,304 @@
+"""How a shooting problem is solved: options, one solve, and its answer."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from drake_aigto.arrays import ArrayRecord, Floats, read_only
+from drake_aigto.errors import OptionsError, ProgramError, check_counts, check_positive
+from drake_aigto.shooting.descent import descend
+from drake_aigto.shooting.tables import FLOW, Outcome, Pass, make_memory
+from drake_aigto.simulation import Replay
+
+if TYPE_CHECKING:
+    from drake_aigto.shooting.problem import ShootingProblem
+
+# Of 69 boxes around arms of three links, 5 are closed to motions that are better than no control in
+# steps that may raise the cost by much, 14 in such as may not, and 24 if Runge-Kutta steps are so
+# many times shorter as well. Around a cart-pole between soft walls the former lead to better plans.
+_SHORTER = 2
+# Bounds can't be kept near a motion where so many updates in a row, each at a penalty that has
+# grown, leave more than this part of what they are off.
+_PATIENCE, _STUCK = 4, 0.9
+# What a pass that was cut off leaves may still cost so many times less after the next ones: of 280
+# motions of discs that swap places, no dearer one did.
+_FALLING = 2.5
+
+
+class Smoothing(NamedTuple):
+    """A pass at one smoothing.
+
+    Attributes:
+        smoothing: ε in units of the problem's length.
+        iterations: at most so many.
+        tolerance: of what the next step promises, as a share of the cost.
+    """
+
+    smoothing: float
+    iterations: int
+    tolerance: float
+
+
+@dataclass(frozen=True)
+class ShootingOptions:
+    """Options of `ShootingProblem.solve`.
+
+    Attributes:
+        rungs: passes at falling smoothing. Where nothing yields, the last one with all iterations
+            takes the place of all.
+        substeps: Runge-Kutta steps of a stage.
+        order: of their error: 4, or 2 with half as many evaluations.
+        penalty: ρ at first, in units of cost per squared scale.
+        multiplier_updates: further passes of the last rung, until bounds at knots hold.
+        feasibility: how far they may be off, in units of the state's scales.
+        is_wary: whether a step that closes the gaps of a guess may raise the cost by little only.
+            Most motions are found sooner without; where they diverge, few are found.
+        most_promised: what promises to cost more in the last pass, with what bounds are off, is
+            left where it is.
+
+    Raises:
+        OptionsError: an option is out of its range.
+    """
+
+    rungs: tuple[Smoothing, ...] = (
+        Smoothing(0.1, 40, 1e-3),
+        Smoothing(0.01, 40, 1e-3),
+        Smoothing(0.001, 60, 1e-5),
+    )
+    substeps: int = 1
+    order: int = 4
+    penalty: float = 10.0
+    multiplier_updates: int = 12
+    feasibility: float = 1e-4
+    is_wary: bool = False
+    most_promised: float = math.inf
+
+    def __post_init__(self) -> None:
+        """Checks the ranges."""
+        rungs = tuple(Smoothing(*rung) for rung in self.rungs)
+        object.__setattr__(self, "rungs", rungs)
+        check_positive(self, "penalty", "feasibility")
+        check_counts(self, substeps=1, multiplier_updates=0)
+        checks = (
+            ("rungs", rungs, "at least one", len(rungs) > 0),
+            ("smoothing", rungs, "numbers of at least 0", all(r.smoothing >= 0 for r in rungs)),
+            ("iterations", rungs, "at least 1", all(r.iterations >= 1 for r in rungs)),
+            ("tolerance", rungs, "numbers above 0", all(r.tolerance > 0 for r in rungs)),
+            ("order", self.order, "2 or 4", self.order in (2, 4)),
+            ("most_promised", self.most_promised, "a number", not math.isnan(self.most_promised)),
+        )
+        for name, got, expected, holds in checks:
+            if not holds:
+                raise OptionsError(name, got, expected)
+
+    @property
+    def wary(self) -> ShootingOptions:
+        """The same for what diverges."""
+        return replace(self, substeps=_SHORTER * self.substeps, is_wary=True)
+
+
+@dataclass(frozen=True, eq=False)
+class ShootingResult(ArrayRecord):
+    """A motion, exactly that of its controls, as far as its steps are.
+
+    Attributes:
+        times: of the knots, shape (N + 1,) [s].
+        states: q and v at the knots, shape (N + 1, 2n); after impacts.
+        controls: u between them, shape (N, nu).
+        cost: with the contact law smoothed as it was at the end; infinite if the start's controls
+            lead nowhere.
+        exact_cost: of the same controls, contact as it is.
+        violation: of bounds at knots, in units of the state's scales, at most.
+        iterations: how many it took.
+        is_converged: whether nothing was left to gain at the end.
+        smoothing: ε at the end [m].
+        substeps: Runge-Kutta steps between knots.
+        order: of their error.
+        durations: of phases, shape (P,) [s]; none without phases.
+        prices: of bounds at knots: ρ, then all multipliers.
+        is_left: whether it was left half-way (`ShootingOptions.most_promised`).
+        replay: of the controls, where they were simulated on the way to this; None: they were not.
+    """
+
+    times: Floats
+    states: Floats
+    controls: Floats
+    cost: float
+    exact_cost: float
+    violation: float
+    iterations: int
+    is_converged: bool
+    smoothing: float
+    substeps: int
+    order: int
+    durations: Floats
+    prices: Floats
+    is_left: bool = field(default=False, kw_only=True)
+    replay: Replay | None = field(default=None, kw_only=True)
+
+    def __post_init__(self) -> None:
+        """Makes the arrays read-only."""
+        for name in ("times", "states", "controls", "durations", "prices"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+
+class Solve:
+    """One solve: the motion, the multipliers and the memory."""
+
+    def __init__(
+        self,
+        problem: ShootingProblem,
+        controls: Floats,
+        states: Floats | None,
+        options: ShootingOptions,
+        prices: Floats | None = None,
+    ) -> None:
+        """Takes the motion's shape from the problem."""
+        self._problem, self._options, self._has_gaps = problem, options, states is not None
+        self._layout, self._program = problem.layout, problem.make_program(options)
+        self._controls = self._lay_out_controls(controls)
+        self._states = self._lay_out_states(states)
+        self._memory = make_memory(self._program)
+        self._is_bounded = bool(self._program.bounds.is_bounded.any())
+        self._penalty, self._iterations = float(options.penalty * problem.cost_scale), 0
+        if prices is not None:
+            own = self._program.bounds.multipliers
+            known = _take("prices", prices, (1 + own.size,))
+            self._penalty, own[...] = float(known[0]), known[1:].reshape(own.shape)
+
+    def _lay_out_controls(self, controls: Floats) -> Floats:
+        """Returns what each stage chooses, shape (K, nu): durations where phases start.
+
+        Controls are moved into their bounds, then towards 0 until their norm is within its own.
+        """
+        problem, layout, bounds = self._problem, self._layout, self._program.bounds
+        nu, (low, high) = (
+            problem.mechanism.num_controls,
+            (bounds.lower_control, bounds.upper_control),
+        )
+        chosen, flights = np.zeros((len(layout.kinds), nu)), layout.flights
+        taken = _take("controls", controls, (len(flights), nu))
+        taken = np.minimum(np.maximum(taken, low[flights]), high[flights])
+        squares = sum((column**2 for column in taken.T), np.zeros(len(flights)))
+        is_off = squares > bounds.norm**2
+        taken[is_off] *= (bounds.norm / np.sqrt(squares[is_off]))[:, np.newaxis]
+        chosen[flights] = taken
+        if problem.phases is not None:
+            starts = layout.starts
+            chosen[starts, 0] = np.clip(problem.phases.durations, low[starts, 0], high[starts, 0])
+        return chosen
+
+    def _lay_out_states(self, states: Floats | None) -> Floats:
+        """Returns z at each stage, shape (K + 1, nz), and at the end."""
+        problem, layout = self._problem, self._layout
+        K, N, nx = len(layout.kinds), len(problem.times) - 1, len(problem.start)
+        laid = np.zeros((K + 1, nx + (0 if problem.phases is None else 2)))
+        if states is not None:
+            knots = np.cumsum(layout.kinds == FLOW)
+            laid[:, :nx] = _take("states", states, (N + 1, nx))[np.concatenate([[0], knots])]
+        laid[0, :nx] = problem.start
+        if problem.phases is not None:
+            laid[0, nx:] = problem.phases.durations[0], 0.0
+            phase = np.cumsum(layout.kinds != FLOW) - 1
+            laid[1:, nx] = problem.phases.durations[phase]
+            laid[1:, nx + 1] = np.cumsum(layout.shares * laid[1:, nx])
+        return laid
+
+    def run(self, most: float) -> ShootingResult:
+        """Runs all rungs, then the last one until bounds hold, or J is above the most."""
+        rungs, before, stuck = self._choose_rungs(), np.inf, 0
+        for rung in rungs:
+            outcome = self._run_rung(rung, before)
+            before = outcome.violation
+        for _ in range(self._options.multiplier_updates if self._is_bounded else 0):
+            before, has_ended = outcome.violation, outcome.iterations < rungs[-1].iterations
+            limit = most if has_ended else most + (_FALLING - 1) * abs(most)
+            is_done = before <= self._options.feasibility or stuck == _PATIENCE
+            if is_done or outcome.cost > limit:
+                break
+            outcome = self._run_rung(rungs[-1], before)
+            stuck = stuck + 1 if outcome.violation > _STUCK * before else 0
+        return self.finish(outcome)
+
+    def find_gains(self) -> Floats:
+        """Returns the gains of one sweep about the motion: no gain is worth a step here."""
+        outcome = self._descend(self._options.rungs[-1], self._states, False)
+        if not outcome.is_converged:
+            got = f"a motion that costs {outcome.cost}"
+            raise ProgramError("controls", got=got, expected="a finite one")
+        gains = self._memory.sweep.gains[self._layout.flights]
+        return np.array(gains[:, :, : len(self._problem.start)])
+
+    def _choose_rungs(self) -> tuple[Smoothing, ...]:
+        """Returns the rungs; without springs and friction, one."""
+        rungs = self._options.rungs
+        mechanics = self._program.mechanics
+        if np.any(mechanics.contacts[:, 0] > 0) or len(mechanics.rubs):
+            return rungs
+        return (rungs[-1]._replace(iterations=sum(rung.iterations for rung in rungs)),)
+
+    def _run_rung(self, rung: Smoothing, before: float) -> Outcome:
+        """Returns how a rung ended; ρ grows where bounds are violated as much as before it."""
+        outcome = self._descend(rung, self._states, self._is_bounded)
+        self._iterations, self._has_gaps = self._iterations + outcome.iterations, False
+        if self._is_bounded and outcome.violation > before / 4:
+            self._penalty *= 10
+        return outcome
+
+    def _descend(self, rung: Smoothing, states: Floats, updates: bool) -> Outcome:
+        """Returns how a pass ended, which multipliers are updated after if asked."""
+        is_last = rung.smoothing == self._options.rungs[-1].smoothing
+        settings = Pass(
+            eps=float(rung.smoothing * self._problem.length),
+            penalty=self._penalty,
+            iterations=rung.iterations,
+            tolerance=float(rung.tolerance),
+            scale=float(1e-3 * self._problem.cost_scale),
+            is_wary=self._options.is_wary,
+            most=float(self._options.most_promised if is_last else np.inf),
+            updates=updates,
+        )
+        has_gaps, memory = self._has_gaps, self._memory
+        return descend(self._program, states, self._controls, has_gaps, settings, memory)
+
+    def finish(self, outcome: Outcome | None = None) -> ShootingResult:
+        """Returns the motion of the controls, and what it costs; None: of no pass."""
+        last = self._options.rungs[-1]._replace(iterations=0)
+        found = outcome or self._descend(last, self._states, False)
+        exact = found.cost
+        if last.smoothing:
+            exact = self._descend(last._replace(smoothing=0.0), self._states.copy(), False).cost
+        problem, layout, nx = self._problem, self._layout, len(self._problem.start)
+        at_knots = self._states[[*layout.flights, -1]]
+        return ShootingResult(
+            times=problem.times if problem.phases is None else at_knots[:, nx + 1],
+            states=at_knots[:, :nx],
+            controls=self._controls[layout.flights],
+            cost=found.cost if np.isfinite(found.cost) else np.inf,
+            exact_cost=exact if np.isfinite(exact) else np.inf,
+            violation=found.violation,
+            iterations=self._iterations,
+            is_converged=outcome is not None and outcome.is_converged,
+            smoothing=last.smoothing * self._problem.length,
+            substeps=self._options.substeps,
+            order=self._options.order,
+            durations=self._controls[layout.starts, 0],
+            prices=np.concatenate([[self._penalty], self._program.bounds.multipliers.ravel()]),
+            is_left=found.is_left,
+        )
+
+
+def _take(name: str, values: Floats, shape: tuple[int, ...]) -> Floats:
+    """Returns a copy to work on.
+
+    Raises:
+        ProgramError: its shape is another.
+    """
+    array = np.array(values, dtype=float)
+    if array.shape != shape:
+        raise ProgramError(name, got=f"shape {array.shape}", expected=f"{shape}")
+    return array

@@ -1,0 +1,325 @@
+"""Facts about plans and simulations of their control, in words.
+
+A fact is a label and a text, the same on the terminal and in pages. Items of a text, which lines
+are not to break, have no-break spaces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from string import ascii_lowercase
+
+from drake_aigto.arrays import interpolate
+from drake_aigto.contact import contact_delay, contact_delays
+from drake_aigto.planning import Candidate, Plan, Veto
+from drake_aigto.show.text import (
+    NO_COST,
+    contact_names,
+    cost_text,
+    energy_text,
+    friction_items,
+    law_items,
+    length_text,
+    miss_text,
+    task_items,
+    time_text,
+    touch_names,
+)
+from drake_aigto.simulation import PlannedContact, Replay
+from drake_aigto.transcription.rows import UNITS
+from drake_aigto.world import Scenario, World
+
+Fact = tuple[str, str]
+
+INTERRUPTED = "the search was ended by Ctrl-C; this is the best of what it had found by then"
+
+MOST_TOUCHES = 6
+_MOST_VETOES, _MOST_CONTACTS = 3, 12
+_AT_END = 1e-6  # of a duration: as near as rounding to an end of its range
+_SAME_COST = 1e-4  # Costs that differ by this part or less are called the same.
+
+
+def join_items(items: Iterable[str]) -> str:
+    """Returns items as the text of a fact."""
+    return ", ".join(item.replace(" ", "\u00a0") for item in items)
+
+
+def list_facts(label: str, items: Iterable[str]) -> Iterator[Fact]:
+    """Yields a fact of items, if there are any."""
+    if text := join_items(items):
+        yield label, text
+
+
+def verdict_facts(plan: Plan, world: World) -> Iterator[Fact]:
+    """Yields whether simulations confirm a plan, and what a reader has to know beside that."""
+    names, scale = contact_names(world), plan.best.scales.cost
+    yield "verdict", join_items(verdict_items(plan, names))
+    costs = (f"{name_simulator(r, names)} {cost_text(r.cost, 3, scale)}" for r in plan.replay)
+    yield "", join_items([f"cost {cost_text(plan.cost, 3, scale)}", *costs])
+    if plan.is_interrupted:
+        yield "interrupted", INTERRUPTED
+    vetoes = sorted(plan.vetoes, key=lambda veto: veto.candidate.cost)
+    for veto in vetoes[:_MOST_VETOES]:
+        yield "vetoed", _describe_veto(veto, plan.scenario, world)
+    if len(vetoes) > _MOST_VETOES:
+        yield "vetoed", f"{len(vetoes) - _MOST_VETOES} more candidates that promise less"
+    if plan.idle is not None:
+        yield "no control", _describe_idle(plan, plan.idle.replay, world)
+    if plan.bound is not None:
+        yield "bound", _describe_bound(plan)
+
+
+def question_facts(
+    scenario: Scenario, world: World, duration: float | None = None
+) -> Iterator[Fact]:
+    """Yields what was asked; a free duration is the plan's."""
+    names = contact_names(world)
+    T = duration if duration and scenario.duration_range else scenario.duration
+    span = f"T = {T:.6g} s in {scenario.num_steps} steps"
+    mass = [] if scenario.mass is None else [f"mass {scenario.mass:g} kg"]
+    items = [*task_items(scenario, world), *mass, *law_items(scenario, world)]
+    yield "scenario", join_items([*items, span])
+    # Of several contacts, each has its letter, and its restitution if the model has one.
+    owns = (contact.restitution for contact in world.contacts)
+    pairs = (
+        f"{_letter(i)} {name}" + ("" if own is None else f" (restitution {own:g})")
+        for i, (name, own) in enumerate(zip(names, owns, strict=True))
+    )
+    yield from list_facts("pairs", pairs if len(names) > 1 else ())
+    yield from list_facts("friction", friction_items(scenario, world))
+
+
+def answer_facts(plan: Plan, world: World) -> Iterator[Fact]:
+    """Yields a plan's numbers, and those of simulations of its control."""
+    best, scenario, names = plan.best, plan.scenario, contact_names(world)
+    literal = [f"ε = {scenario.epsilon:g} J", f"δ = {scenario.delta:g} m"]
+    items = [
+        f"{plan.transcription} transcription",
+        *(literal if plan.transcription == "literal" else []),
+        f"cost {cost_text(plan.cost, 3, best.scales.cost)}",
+        f"ends {miss_text(best, scenario, world)} off the goal",
+        f"deepest penetration {length_text(best.max_penetration)}",
+    ]
+    yield "plan", join_items(items)
+    steps, asked = len(plan.trajectory.controls), scenario.num_steps
+    if steps != asked and not best.is_idle:
+        few = "which are too few for its phases"
+        why = few if steps > asked else "with which it was not polished"
+        yield "steps", f"{steps} instead of {asked}, {why}"
+    if scenario.duration_range is not None:
+        yield "duration", _describe_duration(plan, scenario.duration_range)
+    limits = (name for name in best.replay.violations if name not in plan.additions)
+    yield from list_facts("limits", _misses(plan, limits))
+    yield from list_facts("added", _additions(plan))
+    yield from list_facts("defects", _defects(best))
+    yield "contacts", join_items(_contacts(best, names, world))
+    if best.unplanned and not best.is_idle:
+        yield "unplanned", _describe_unplanned(best, touch_names(world))
+    delay = _find_delay(plan, world)
+    for replay in plan.replay:
+        yield "simulated", join_items(_simulation(plan, replay, world, delay))
+
+
+def verdict_items(plan: Plan, names: Sequence[str]) -> Iterator[str]:
+    """Yields whether simulations confirm a plan, and what is wrong with it."""
+    against = [replay for replay in plan.replay if not plan.best.is_confirmed_by(replay)]
+    where = " and ".join(name_simulator(replay, names) for replay in against or plan.replay)
+    if against:
+        yield f"fails: the control alone misses the plan's promise {where}"
+        broken = dict.fromkeys(name for replay in against for name in replay.broken)
+        yield from (f"breaks '{name}'" for name in broken)
+    elif plan.is_beaten:
+        yield f"fails: {name_simulator(plan.replay.event_driven, names)} doing nothing costs less"
+    else:
+        yield f"holds: the control alone keeps the plan's promise {where}"
+
+
+def name_simulator(replay: Replay, names: Sequence[str]) -> str:
+    """Returns where a control was simulated; contacts have names."""
+    if replay.simulator == "drake":
+        return "on Drake's plant"
+    if replay.simulator == "integrated" or not names:
+        return "by integration"
+    return "on a rigid wall" if len(names) == 1 else "on rigid walls"
+
+
+def _describe_veto(veto: Veto, scenario: Scenario, world: World) -> str:
+    """Returns what a candidate promises, and what is wrong with it."""
+    candidate, replay, names = veto.candidate, veto.replay, touch_names(world)
+    where = name_simulator(replay, names)
+    times = [f"{contact.time:.3f}" for contact in candidate.contacts[:MOST_TOUCHES]]
+    more = ", …" if len(candidate.contacts) > MOST_TOUCHES else ""
+    contacts = f"contacts at {', '.join(times)}{more} s" if times else "no contact"
+    text = (
+        f"a candidate with {contacts} promises {candidate.cost:.2e}, but {where} costs "
+        f"{replay.cost:.2e} and ends {miss_text(replay, scenario, world)} off the goal"
+    )
+    if replay.broken:
+        return f"{text}, and breaks {', '.join(map(repr, replay.broken))}"
+    planned, simulated = veto.first_difference
+    if planned == simulated:
+        return f"{text}, though with the same contacts"
+    instead = f" instead of {name_touch(planned, names)}" if planned else ""
+    return f"{text}: it touches {name_touch(simulated, names)}{instead}"
+
+
+def name_touch(contact: tuple[float, int] | None, names: Sequence[str]) -> str:
+    """Returns what is touched when; contacts have names."""
+    return f"{names[contact[1]]} at {contact[0]:.3f} s" if contact else "nothing"
+
+
+def _describe_idle(plan: Plan, replay: Replay, world: World) -> str:
+    """Returns what doing nothing costs, as simulated."""
+    if plan.best.is_idle:
+        return "this is the plan: nothing that was found and holds costs less"
+    less = "doing nothing is better: " if plan.is_beaten else ""
+    miss = miss_text(replay, plan.scenario, world)
+    return f"{less}it costs {replay.cost:.3e} and ends {miss} off the goal"
+
+
+def _describe_bound(plan: Plan) -> str:
+    """Returns how far a plan is above any other at most."""
+    assert plan.bound is not None
+    if plan.gap is None:
+        return f"no lower bound: {plan.bound.reason}"
+    of = " of the task's scale" if plan.bound.is_nothing else ""
+    return (
+        f"at most {100 * plan.gap:.2g} %{of} above any plan, as simulated: no control does it for "
+        f"less than {plan.bound.lower_bound:.4e}"
+    )
+
+
+def _describe_unplanned(best: Candidate, names: Sequence[str]) -> str:
+    """Returns which contacts a plan's control has on rigid walls, and its trajectory has not."""
+    found = [name_touch(each, names) for each in best.unplanned]
+    more = f", and {len(found) - MOST_TOUCHES} more" if len(found) > MOST_TOUCHES else ""
+    touches = ", ".join(found[:MOST_TOUCHES])
+    return f"{name_simulator(best.replay, names)} it also touches {touches}{more}"
+
+
+def _describe_duration(plan: Plan, ends: tuple[float, float]) -> str:
+    """Returns how long a plan lasts, and if no longer or shorter one was allowed."""
+    T = plan.trajectory.times[-1]
+    for end, word, other in zip(ends, ("least", "most"), ("less", "more"), strict=True):
+        if abs(T - end) <= _AT_END * end:
+            return f"{T:.4g} s, the {word} that it may be: with {other}, a plan may cost less"
+    return f"{T:.4g} s, as it was free"
+
+
+def _simulation(plan: Plan, replay: Replay, world: World, delay: float | None) -> Iterator[str]:
+    """Yields what a simulation made of a plan's control."""
+    names, confirms = contact_names(world), plan.best.is_confirmed_by(replay)
+    cost = cost_text(replay.cost, 3, plan.best.scales.cost)
+    judged = "confirms" if confirms else "contradicts"
+    yield f"{name_simulator(replay, names)}: {judged} the plan"
+    yield f"cost {cost}{describe_difference(plan.cost, replay)}"
+    known = f" (its compliance explains {length_text(replay.compliance_error)})"
+    known = known if replay.compliance_error else ""
+    yield f"ends {miss_text(replay, plan.scenario, world)} off the goal{known}"
+    yield f"deepest penetration {length_text(replay.max_penetration)}"
+    if not replay.bounce_times:
+        yield "no bounce"
+        return
+    each = " a bounce" if len(replay.bounce_times) > 1 else ""
+    yield f"energy ratio {energy_text(replay.energy_ratio)}{each}"
+    yield _bounces(replay, names)
+    if replay.matched_speeds:
+        speeds = ", ".join(f"{speed:.2f}" for speed in replay.matched_speeds[:MOST_TOUCHES])
+        yield f"restitution matched for impacts at {speeds} m/s"
+    if replay.simulator == "drake" and delay is not None:
+        most = "up to " if len(names) > 1 else ""
+        yield f"each {most}{time_text(delay)} late (π √(m / k))"
+
+
+def describe_difference(cost: float, replay: Replay) -> str:
+    """Returns by how much a simulation's cost differs from a plan's, and what explains it."""
+    off = replay.cost - cost
+    if abs(off) <= max(_SAME_COST * cost, NO_COST):
+        return ""
+    # Of plans that cost next to nothing, a percentage says nothing.
+    part = f", {100 * off / cost:+.2f} %" if cost > max(NO_COST, abs(off) / 10) else ""
+    # Walls that give a little delay what follows a contact.
+    why = f"; its compliance explains up to {replay.compliance_cost:.1e}"
+    return f" ({off:+.1e}{part}{why if replay.compliance_cost else ''})"
+
+
+def _bounces(replay: Replay, names: Sequence[str]) -> str:
+    """Returns when the first bounces are; of several contacts, with their letters."""
+    letters = [f"{_letter(i)} " if len(names) > 1 else "" for i in replay.bounce_contacts]
+    bounces = list(zip(letters, replay.bounce_times, strict=True))
+    more = len(bounces) - MOST_TOUCHES
+    times = ", ".join(f"{letter}{time:.4f}" for letter, time in bounces[:MOST_TOUCHES])
+    return f"bounces at {times} s" + (f" and {more} times more" if more > 0 else "")
+
+
+def _defects(candidate: Candidate) -> Iterator[str]:
+    for name, defect in candidate.defects.items():
+        unit = UNITS.get(name, "of the task's scales")
+        yield f"{name} {defect:.0e} {unit}" if defect else f"{name} 0 {unit}"
+
+
+def _additions(plan: Plan) -> Iterator[str]:
+    """Yields costs and constraints that users added, and what simulations make of them."""
+    best = plan.best
+    for name, cost in best.added_costs.items():
+        yield f"{name} {cost:.3e}"
+    constraints = [name for name in plan.additions if name not in best.added_costs]
+    known = best.added_costs.keys(), best.replay.violations.keys()
+    if any((each.added_costs.keys(), each.violations.keys()) != known for each in plan.replay):
+        yield from constraints
+        yield "of which a plan file has the names alone: simulated and compared without"
+        return
+    yield from _misses(plan, constraints)
+
+
+def _misses(plan: Plan, names: Iterable[str]) -> Iterator[str]:
+    """Yields by how much simulations miss bounds, a hard goal, or constraints with these names."""
+    for name in names:
+        missed = max(replay.violations[name] for replay in plan.replay)
+        yield f"{name} missed by {missed:.0e} of the task's scales" if missed else f"{name} met"
+
+
+def _find_delay(plan: Plan, world: World) -> float | None:
+    """Returns by how much the plan's contacts are late in Drake at most [s], if it ran there."""
+    if plan.scenario.contact != "rigid" or not world.contacts or plan.replay.drake is None:
+        return None
+    if world.has_constant_inertia or not plan.best.contacts:
+        return contact_delay(world)
+    times, rows = plan.trajectory.times, plan.trajectory.positions
+    touches = [(interpolate(each.time, times, rows), each.index) for each in plan.best.contacts]
+    return max(contact_delays(world, q)[index] for q, index in touches)
+
+
+def _contacts(candidate: Candidate, names: Sequence[str], world: World) -> Iterator[str]:
+    if not candidate.contacts:
+        yield "none"
+        return
+    for contact in candidate.contacts[:_MOST_CONTACTS]:
+        where = f"{names[contact.index]} at " if len(names) > 1 else ""
+        change = f" (Δv {contact.velocity_change:.2f} m/s)"
+        yield f"{where}{_when(contact)} s{'' if world.is_hinge.any() else change}"
+    if (more := len(candidate.contacts) - _MOST_CONTACTS) > 0:
+        yield f"{more} more"
+    all_of_them = " in all" if len(candidate.contacts) > 1 else ""
+    yield f"kinetic energy after / before {energy_text(candidate.energy_ratio)}{all_of_them}"
+
+
+def sequence_text(candidate: Candidate, world: World) -> str:
+    """Returns which contacts a candidate has when, in short."""
+    times = ", ".join(map(_when, candidate.contacts))
+    if len(world.contacts) > 1:
+        times = " at ".join(["".join(_letter(c.index) for c in candidate.contacts), times])
+    contacts = f"{times} s" if candidate.contacts else "none"
+    return f"no control: {contacts}" if candidate.is_idle else contacts
+
+
+def _letter(contact: int) -> str:
+    """Returns the letter of a contact, with a number after the alphabet is used up."""
+    again, index = divmod(contact, len(ascii_lowercase))
+    return f"{ascii_lowercase[index]}{again or ''}"
+
+
+def _when(contact: PlannedContact) -> str:
+    """Returns the time of a bounce, or the times of a contact that lasts [s]."""
+    times = [f"{time:.3f}" for time in (contact.time, contact.last_time)]
+    return "–".join(dict.fromkeys(times))

@@ -1,0 +1,368 @@
+"""Drake's judge: the continuous plant with its compliant walls, simulated and recorded."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import NamedTuple
+
+import numpy as np
+from pydrake.systems.framework import Context, EventStatus
+
+from drake_aigto.arrays import Floats
+from drake_aigto.contact import (
+    Clearance,
+    ContactMotion,
+    calc_delays,
+    calc_time_to_wall,
+    read_clearances,
+)
+from drake_aigto.simulation.lateness import calc_compliance_error, calc_lateness
+from drake_aigto.simulation.recording import Controller, Held, Impact, Recording, Rest
+from drake_aigto.simulation.simulator import (
+    SETTLED,
+    ContactMonitor,
+    calc_acceleration,
+    start_simulator,
+    start_soft_simulator,
+)
+from drake_aigto.simulation.springs import find_depth, read_touch
+from drake_aigto.simulation.verdict import sample_steps
+from drake_aigto.world import Scenario, World
+
+
+class DrakeJudge:
+    """Simulates the world's own continuous plant in Drake, for its actuation (a `Judge`).
+
+    Its walls are compliant, so each bounce is late by `contact_delay` and dips in by v √(m / k).
+    The restitution that Hunt-Crossley dissipation makes depends on the speed. So it is set before
+    each impact for the speed that is coming (`Recording.matched_speeds`), or to zero for
+    restitution 1, in the simulation's context alone, and so is friction if the scenario leaves that
+    out. A ball rolls round the corners of a box, which our own judge takes for sharp. If the
+    scenario's contact is compliant, walls are as the model has them, and nothing is late.
+    """
+
+    def simulate(self, world: World, scenario: Scenario, controller: Controller) -> Recording:
+        """Runs a controller from the scenario's start.
+
+        Raises:
+            ModelError: a shape of the contact has no stiffness.
+        """
+        if scenario.contact == "compliant" or not world.num_contacts:
+            recording = simulate_plant(world, scenario, controller)
+        else:
+            recording = simulate_compliant_wall(world, scenario, controller)
+            friction = world.friction_coefficients(scenario)
+            if world.has_constant_inertia and not friction.any():
+                restitutions = world.restitutions(scenario)
+                recording.error = calc_compliance_error(world, restitutions, recording)
+            else:
+                times = np.append(recording.control_times, controller.end)
+                lateness = calc_lateness(world, scenario, times, np.array(recording.controls))
+                recording.error, recording.cost_error = lateness
+        recording.simulator = "drake"
+        return recording
+
+
+def simulate_compliant_wall(world: World, scenario: Scenario, controller: Controller) -> Recording:
+    """Runs a controller on the world's own plant, by Radau's implicit rule.
+
+    Each contact gets, just before an impact, the dissipation that makes its restitution at the
+    speed that is coming (`ContactMonitor`). The plant and its scene graph stay as they are.
+
+    A controller that feels contact is asked again when one ends. While one goes on it is not, for
+    no plan says how fast the ball should be inside a wall; unless it lasts so long that it is rest.
+
+    Returns:
+        The states whenever the controller is asked, at the end, and where each contact begins, is
+        deepest, and ends.
+
+    Raises:
+        ModelError: a shape has no stiffness.
+    """
+    plant = world.plant
+    start = scenario.initial_position, scenario.initial_velocity
+    simulator = start_simulator(world, start, controller.start, scenario.friction)
+    root = simulator.get_mutable_context()
+    context = plant.GetMyMutableContextFromRoot(root)
+    duration = controller.end - controller.start
+    contacts = ContactMonitor(world, simulator, world.restitutions(scenario), duration)
+    trace = ContactTrace(world)
+
+    def watch(root: Context) -> EventStatus:
+        # Of what belongs to the simulator it knows but this: neither would ever be freed.
+        now = root.get_time()
+        trace.add(now, plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(root)))
+        if trace.is_due(now, controller.feels_contact):
+            return EventStatus.ReachedTermination(world.diagram, "the controller is asked again")
+        contacts(root)
+        return EventStatus.DidNothing()
+
+    simulator.set_monitor(watch)
+    while (now := context.get_time()) < controller.end:
+        if trace.is_due(now, controller.feels_contact):
+            x = plant.GetPositionsAndVelocities(context)
+            held = controller.sample(now, x, trace.bounces)
+            trace.hold(now, held)
+            plant.get_actuation_input_port().FixValue(context, held.control)
+            contacts.plan(root)
+        simulator.AdvanceTo(held.until if held.until > now else controller.end)
+    recording = trace.read(controller.end)
+    recording.matched_speeds = contacts.speeds
+    return recording
+
+
+class _Sample(NamedTuple):
+    """The end of a step, and the control that led to it."""
+
+    time: float
+    x: Floats
+    control: Floats
+    clearances: list[Clearance]  # of each solid
+
+
+class _Row(NamedTuple):
+    """A moment of a contact."""
+
+    time: float
+    x: Floats
+    push: float  # φ̈ without this contact [m/s²]
+
+
+class ContactTrace:
+    """Every step of a simulation between stiff walls, and the contacts that are read off it.
+
+    Attributes:
+        bounces: the contact of each touch that has ended so far.
+    """
+
+    def __init__(self, world: World) -> None:
+        """Begins with nothing; the first control has to be held before the first step."""
+        self._world = world
+        self._motion_at = ContactMotion.reader(world)
+        self._samples: list[_Sample] = []
+        self._held: Held | None = None
+        self._recording = Recording()
+        # Of each solid that is touched: when it is rest [s], and which face.
+        self._touched: dict[int, tuple[float, int]] = {}
+        self.bounces: list[int] = []
+        self._known = 0  # of them when the controller was asked
+
+    def add(self, time: float, x: Floats) -> None:
+        """Appends a step's end."""
+        clearances = self._find_clearances(x)
+        assert self._held is not None, "a control is held from the start"
+        self._samples.append(_Sample(time, x, self._held.control, clearances))
+        for solid, near in enumerate(clearances):
+            if near.distance <= 0:
+                if solid not in self._touched:
+                    delay = calc_delays(self._motion_at(x), self._world.stiffness)[near.contact]
+                    self._touched[solid] = time + SETTLED * delay, near.contact
+            elif solid in self._touched:
+                self.bounces.append(self._touched.pop(solid)[1])
+
+    def _find_clearances(self, x: Floats) -> list[Clearance]:
+        """Returns that of each solid, without a mass matrix that only contacts need."""
+        if self._world.has_constant_inertia:
+            return self._motion_at(x).calc_clearances(x)
+        return read_clearances(self._world, x)
+
+    def hold(self, time: float, held: Held) -> None:
+        """Appends a control, held from now on."""
+        self._recording.hold(time, held.control)
+        self._held, self._known = held, len(self.bounces)
+
+    def is_due(self, time: float, feels_contact: bool) -> bool:
+        """Returns whether a controller is to be asked again, or for the first time."""
+        if self._held is None:
+            return True
+        if feels_contact:
+            if len(self.bounces) > self._known:
+                return True
+            if any(time < settled for settled, _ in self._touched.values()):
+                return False
+        return time >= self._held.until
+
+    def read(self, end: float) -> Recording:
+        """Returns the states at samples and about contacts, and the impacts."""
+        recording = self._recording
+        columns = (np.array([sample[k] for sample in self._samples]) for k in range(3))
+        recording.samples.append(sample_steps(*columns))
+        at_samples = {*recording.control_times, end}
+        rows = [(sample.time, sample.x) for sample in self._samples if sample.time in at_samples]
+        for solid in range(self._world.num_solids):
+            depth = self._calc_depth(solid)
+            recording.max_penetration = max(recording.max_penetration, depth)
+            for first, last in self._find_contacts(solid):
+                touch, release = self._find_touch(solid, first), self._find_release(solid, last)
+                deepest = min(
+                    self._samples[first : last + 1],
+                    key=lambda sample: sample.clearances[solid].distance,
+                )
+                rows += [(row.time, row.x) for row in (touch, deepest, release)]
+                impact = self._calc_impact(self._face(solid, first), touch, release)
+                if impact is not None:
+                    recording.impacts.append(impact)
+                elif touch.push < 0:
+                    recording.rests.append(Rest(touch.time, self._face(solid, first)))
+        recording.impacts.sort(key=lambda impact: impact.time)
+        recording.rests.sort(key=lambda rest: rest.time)
+        for time, x in sorted(rows, key=lambda row: row[0]):
+            recording.add(time, *np.split(x, 2))
+        return recording
+
+    def _face(self, solid: int, index: int) -> int:
+        """Returns which face of a solid a sample is at."""
+        return self._samples[index].clearances[solid].contact
+
+    def _is_on_face(self, solid: int, index: int) -> bool:
+        """Returns whether Drake sees a contact: past an edge the ball rounds the corner."""
+        q, _ = np.split(self._samples[index].x, 2)
+        return bool(self._world.is_on_face(q)[self._face(solid, index)])
+
+    def _find_contacts(self, solid: int) -> list[tuple[int, int]]:
+        """Returns the first and the last sample of each stretch with φ ≤ 0."""
+        inside = np.array([sample.clearances[solid].distance <= 0 for sample in self._samples])
+        edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]])))
+        stretches = [(int(first), int(after) - 1) for first, after in edges.reshape(-1, 2)]
+        return [
+            (first, last)
+            for first, last in stretches
+            if any(self._is_on_face(solid, index) for index in (first, last))
+        ]
+
+    def _find_touch(self, solid: int, first: int) -> _Row:
+        """Returns when and how contact began: from the flight before it, or the very start."""
+        before = self._samples[max(first - 1, 0)]
+        control, face = self._samples[first].control, self._face(solid, first)
+        return self._extrapolate(before, control, face, 1.0 if first else 0.0)
+
+    def _find_release(self, solid: int, last: int) -> _Row:
+        """Returns when and how contact ended: from the flight after it, or the very end."""
+        ends = last == len(self._samples) - 1
+        after = self._samples[last if ends else last + 1]
+        return self._extrapolate(after, after.control, self._face(solid, last), float(ends) - 1)
+
+    def _extrapolate(self, sample: _Sample, control: Floats, face: int, direction: float) -> _Row:
+        """Returns when and how flight is at the wall, forward (+1) or backward (−1); 0: as is."""
+        x = sample.x
+        clearances = sample.clearances
+        motion = self._motion_at(x)
+        acceleration = calc_acceleration(self._world, motion, x, control, clearances, but=face)
+        push = motion.calc_pushes(acceleration)[face]
+        distances, rates = motion.calc_distances(x)
+        t = calc_time_to_wall(max(distances[face], 0.0), direction * rates[face], push)
+        t = direction * t if direction and math.isfinite(t) else 0.0
+        q, v = np.split(x, 2)
+        moved = np.concatenate([q + t * v + t**2 / 2 * acceleration, v + t * acceleration])
+        return _Row(sample.time + t, moved, push)
+
+    def _calc_impact(self, contact: int, touch: _Row, release: _Row) -> Impact | None:
+        """Returns the impact, or None if the control alone could stop so slow a ball in contact."""
+        motion = self._motion_at(touch.x)
+        speed = -motion.calc_distances(touch.x)[1][contact]
+        if speed <= abs(touch.push) * calc_delays(motion, self._world.stiffness)[contact]:
+            return None
+        energies = (
+            float(self._world.calc_kinetic_energy(*np.split(row.x, 2))) for row in (touch, release)
+        )
+        return Impact(touch.time, contact, speed, touch.push, *energies)
+
+    def _calc_depth(self, solid: int) -> float:
+        """Returns the deepest penetration, of the parabola wherever φ̇ turns positive."""
+        deepest = 0.0
+        for index, (before, after) in enumerate(itertools.pairwise(self._samples)):
+            a, b = before.clearances[solid], after.clearances[solid]
+            depth = -b.distance
+            if a.contact == b.contact and a.rate < 0 < b.rate:
+                t = (after.time - before.time) * a.rate / (a.rate - b.rate)
+                depth = max(depth, -a.distance - a.rate * t / 2)
+            if depth > deepest and self._is_on_face(solid, index + 1):
+                deepest = depth
+        return deepest
+
+
+class StepEnd(NamedTuple):
+    """The end of a step."""
+
+    time: float  # [s]
+    x: Floats  # (q, v)
+    control: Floats  # that led there
+
+
+def simulate_plant(world: World, scenario: Scenario, controller: Controller) -> Recording:
+    """Runs a controller on the world's own plant, whose walls are as the model has them.
+
+    Returns:
+        The states whenever the controller is asked, at the end, and where each contact begins and
+        ends; and samples of all motion between.
+    """
+    span = controller.start, controller.end
+    state = scenario.initial_position, scenario.initial_velocity
+    simulator = start_soft_simulator(world, state, span, scenario.friction)
+    plant, root = world.plant, simulator.get_mutable_context()
+    context = plant.GetMyMutableContextFromRoot(root)
+    recording, control = Recording(), np.zeros(world.num_actuators)
+    rows = [StepEnd(controller.start, np.concatenate(state), control)]
+
+    def watch(root: Context) -> EventStatus:
+        x = plant.GetPositionsAndVelocities(plant.GetMyContextFromRoot(root))
+        if root.get_time() > rows[-1].time:
+            rows.append(StepEnd(root.get_time(), x, control))
+        return EventStatus.DidNothing()
+
+    simulator.set_monitor(watch)
+    recording.add(controller.start, *state)
+    while (now := context.get_time()) < controller.end:
+        held = controller.sample(now, plant.GetPositionsAndVelocities(context), recording.bounces)
+        recording.hold(now, held.control)
+        control = held.control
+        plant.get_actuation_input_port().FixValue(context, control)
+        simulator.AdvanceTo(held.until)
+        recording.add(held.until, *np.split(rows[-1].x, 2))
+    read_steps(world, rows, recording)
+    return recording
+
+
+def read_steps(world: World, rows: list[StepEnd], recording: Recording) -> None:
+    """Adds samples, contacts and depth to a recording, read off the ends of steps."""
+    times, states = np.array([row.time for row in rows]), np.array([row.x for row in rows])
+    controls = np.array([row.control for row in rows])
+    recording.samples.append(sample_steps(times, states, controls))
+    q, v = np.split(states, 2, axis=1)
+    distances, rates = world.calc_signed_distance(q), world.calc_contact_rate(q, v)
+    recording.max_penetration = find_depth(times, distances, rates)
+    for contact in range(world.num_contacts):
+        _read_contact(world, rows, contact, distances[:, contact], rates[:, contact], recording)
+    recording.impacts.sort(key=lambda impact: impact.time)
+
+
+def _read_contact(
+    world: World,
+    rows: list[StepEnd],
+    contact: int,
+    distances: Floats,
+    rates: Floats,
+    recording: Recording,
+) -> None:
+    """Adds the touches of one contact, given φ and φ̇ at each row, shape (K,)."""
+    outside = distances > 0
+    for before in np.flatnonzero(outside[:-1] & ~outside[1:]):
+        a, b = rows[before], rows[before + 1]
+        push = (rates[before + 1] - rates[before]) / (b.time - a.time)
+        wait = calc_time_to_wall(distances[before], rates[before], push)
+        time, x = _interpolate(a, b, wait)
+        touch = read_touch(world, time, x, contact, b.control)
+        after = np.flatnonzero(outside[before + 1 :])
+        end = rows[before + 1 + after[0]] if len(after) else rows[-1]
+        energy = float(world.calc_kinetic_energy(*np.split(end.x, 2)))
+        recording.impacts.append(touch._replace(energy_after=energy))
+
+
+def _interpolate(a: StepEnd, b: StepEnd, wait: float) -> tuple[float, Floats]:
+    """Returns time and state a wait [s] after one row, at most at the next."""
+    step = b.time - a.time
+    t = min(wait, step) if math.isfinite(wait) else step
+    (q, v), (_, later) = np.split(a.x, 2), np.split(b.x, 2)
+    acceleration = (later - v) / step
+    return a.time + t, np.concatenate([q + t * (v + t / 2 * acceleration), v + t * acceleration])

@@ -1,0 +1,55 @@
+"""Our own judge: exact laws of contact, by the quickest of four simulations that can."""
+
+from __future__ import annotations
+
+from drake_aigto.arrays import Floats
+from drake_aigto.contact import CompliantLaw, contact_law
+from drake_aigto.simulation.parabolas import Flights, Parabolas
+from drake_aigto.simulation.recording import Controller, HeldControl, Recording
+from drake_aigto.simulation.rigid import RigidMotion
+from drake_aigto.simulation.sliding import SlidingMotion
+from drake_aigto.simulation.springs import Springs
+from drake_aigto.world import Scenario, World
+
+
+class EventDriven:
+    """Simulates walls that are rigid or compliant as the scenario says, exactly (a `Judge`).
+
+    Where flight under a held control is a parabola (`World.constant_dynamics`) it is exact but for
+    rounding, by roots alone (`Parabolas`, `Flights`); only hops too short to follow become rest.
+    Elsewhere it is integrated nearly to rounding (`RigidMotion` has the equations), and so it is
+    with friction (`SlidingMotion`): what sticks, slips or rolls, and until when, is found by roots,
+    too. Compliant walls are springs that may be entered (`Springs`).
+    """
+
+    def simulate(
+        self,
+        world: World,
+        scenario: Scenario,
+        controller: Controller,
+        state: tuple[Floats, Floats] | None = None,
+    ) -> Recording:
+        """Runs a controller from the scenario's start, or from another state (q, v).
+
+        Raises:
+            TrajectoryError: the motion runs away to infinity.
+            FrictionError: friction leaves no way to go on, or several (`find_modes`).
+        """
+        law, span = contact_law(world, scenario), (controller.start, controller.end)
+        start = state or (scenario.initial_position, scenario.initial_velocity)
+        if isinstance(law, CompliantLaw):
+            recording = Springs(world, law, start, controller.start).run(controller)
+            recording.simulator = "integrated"
+            return recording
+        if law.rubs:
+            motion = SlidingMotion(world, law.restitution, law.friction, start, span)
+            recording = motion.run(controller)
+        elif not world.has_constant_dynamics:
+            recording = RigidMotion(world, law.restitution, start, span).run(controller)
+        elif isinstance(controller, HeldControl) and controller.is_open_loop:
+            flights = Parabolas(world.constant_dynamics, law.restitution, start, controller.times)
+            recording = flights.record(controller.controls)
+        else:
+            recording = Flights(world, law.restitution, start, span).run(controller)
+        recording.simulator = "event-driven"
+        return recording

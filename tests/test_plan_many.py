@@ -1,0 +1,229 @@
+"""Many questions at once: plans as they come, kept, gone on from; one that fails stops no other."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Callable
+from concurrent.futures import BrokenExecutor
+from pathlib import Path
+from typing import Any
+
+import pytest
+from refusals import check_refused
+from scenario_studies import Inline
+
+from drake_aigto import (
+    AigtoError,
+    OptionsError,
+    Plan,
+    Planner,
+    PlanningError,
+    PlanOptions,
+    Scenario,
+    plan,
+    plan_many,
+)
+from drake_aigto.cli import FINE, INTERRUPTED, NOTHING_HOLDS, main
+from drake_aigto.jobs import Answer, load_answers, many
+
+QUESTIONS = {
+    name: dataclasses.replace(Scenario.named(name), time_step=0.02)
+    for name in ("table1/1", "table1/2", "table1/3")
+}
+FAST = PlanOptions(confirm=False, threads=1)
+
+
+@pytest.fixture(autouse=True)
+def inline(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(many, "open_workers", Inline)
+
+
+def refuse_work(*arguments: Any) -> Answer:
+    raise AssertionError("work was begun")
+
+
+def dies_of(name: str) -> Callable[..., Answer]:
+    """Returns what plans, but for one question, whose process it kills."""
+
+    def answer(asked: str, *arguments: Any) -> Answer:
+        if asked == name:
+            raise BrokenExecutor
+        return WORK(asked, *arguments)
+
+    return answer
+
+
+WORK = many.answer_question
+
+
+def test_answers_are_the_plans_of_each_question_alone() -> None:
+    told: list[str] = []
+    answers = {each.name: each for each in plan_many(QUESTIONS, FAST, progress=told.append)}
+    assert answers.keys() == QUESTIONS.keys()
+    for name, scenario in QUESTIONS.items():
+        answer, alone = answers[name], plan(scenario, FAST)
+        assert answer.holds and answer.plan is not None and answer.seconds > 0
+        assert answer.plan.candidates == alone.candidates
+    assert told == [f"{k} of 3 questions; {k} plans hold" for k in (1, 2, 3)]
+    (first, *_) = plan_many(QUESTIONS.values(), FAST)
+    assert first.name == "0" and first.scenario == QUESTIONS["table1/1"]
+
+
+def test_by_default_each_plan_takes_one_thread() -> None:
+    (answer,) = plan_many([QUESTIONS["table1/2"]])
+    assert answer.plan is not None
+    assert answer.plan.options == PlanOptions(threads=1)
+
+
+def test_what_is_kept_is_gone_on_from(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "plans"
+    two = {name: QUESTIONS[name] for name in ("table1/1", "table1/2")}
+    done = list(plan_many(two, FAST, folder=folder))
+    assert load_answers(folder) == done
+    lines = (folder / "answers.jsonl").read_text(encoding="utf-8")
+    (folder / "answers.jsonl").write_text(f'{lines}{{"name": "cut sh', encoding="utf-8")
+
+    monkeypatch.setattr(many, "answer_question", dies_of("table1/3"))
+    *again, died = plan_many(QUESTIONS, FAST, folder=folder, resume=True)
+    assert again == done
+    assert died.died and not died.holds and "two processes that died of it" in str(died.error)
+    assert load_answers(folder) == [*done, died]
+
+    monkeypatch.setattr(many, "answer_question", WORK)
+    *_, last = plan_many(QUESTIONS, FAST, folder=folder, resume=True)
+    assert last.name == "table1/3" and last.holds
+    monkeypatch.setattr(many, "answer_question", refuse_work)
+    assert list(plan_many(QUESTIONS, FAST, folder=folder, resume=True)) == [*done, last]
+
+
+def test_a_question_that_fails_takes_no_other_with_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    best = plan(QUESTIONS["table1/1"], FAST)
+    well = Planner.plan
+
+    def fail(planner: Planner) -> Plan:
+        if planner.scenario == QUESTIONS["table1/1"]:
+            error = PlanningError("no plan passed simulation")
+            error.plan = best
+            raise error
+        if planner.scenario == QUESTIONS["table1/2"]:
+            raise ZeroDivisionError("a fault")
+        return well(planner)
+
+    monkeypatch.setattr(Planner, "plan", fail)
+    answers = list(plan_many(QUESTIONS, FAST, folder=tmp_path))
+    assert [each.error for each in answers] == [
+        "no plan passed simulation.",
+        "ZeroDivisionError: a fault",
+        None,
+    ]
+    assert [each.plan == best for each in answers] == [True, False, False]
+    assert load_answers(tmp_path) == answers
+
+
+@pytest.mark.parametrize(
+    ("scenarios", "options", "message"),
+    [
+        ([], {}, r"^scenarios: got none, expected one or more"),
+        ({"../x": QUESTIONS["table1/1"]}, {}, r"^the name of a question: got '\.\./x', expected"),
+        (
+            {"wrong": Scenario(initial_position=-1.0, initial_velocity=0.0, goal_position=1.0)},
+            {},
+            r"^wrong: initial_position is inside, behind or against",
+        ),
+        (
+            {"swing": Scenario.named("cart_pole/soft_06")},
+            {"options": FAST},
+            r"^swing: options: got PlanOptions, expected MechanismOptions",
+        ),
+        (QUESTIONS, {"folder": "/no/such/folder"}, r"^/no/such/folder can't be written: got no f"),
+    ],
+)
+def test_bad_questions_are_refused_before_any_work(
+    scenarios: Any, options: Any, message: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(many, "open_jobs", refuse_work)
+    with pytest.raises(AigtoError, match=message):
+        plan_many(scenarios, **options)
+
+
+def test_other_answers_are_never_written_over(tmp_path: Path) -> None:
+    one = {"a": QUESTIONS["table1/1"]}
+    list(plan_many(one, FAST, folder=tmp_path))
+    for changed, resume, message in (
+        ({}, False, r"got one that has answers\. Go on from them \(--resume\)"),
+        ({"options": None}, True, r"has other answers: got options \{.*expected options None"),
+        ({"scenarios": {"a": QUESTIONS["table1/2"]}}, True, "answer to another question of the na"),
+    ):
+        asked: dict[str, Any] = {"scenarios": one, "options": FAST, **changed}
+        with pytest.raises(AigtoError, match=message):
+            plan_many(**asked, folder=tmp_path, resume=resume)
+    (tmp_path / "answers.jsonl").write_text("{}\n")
+    with pytest.raises(AigtoError, match=r"answers\.jsonl can't be read, or is damaged"):
+        load_answers(tmp_path)
+
+
+def test_fewer_than_one_worker_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.undo()
+    with pytest.raises(OptionsError, match="workers: got 0"):
+        next(plan_many(QUESTIONS, FAST, workers=0))
+
+
+def test_the_command_prints_each_answer_and_keeps_it(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    task = tmp_path / "mine.yaml"
+    QUESTIONS["table1/3"].save(task)
+    folder = tmp_path / "plans"
+    command = ["plan-many", "table1/2", str(task), "--into", str(folder), "--quiet"]
+    assert main(command) == FINE
+    rows = [line.split() for line in capsys.readouterr().out.splitlines()]
+    assert [row[:3] for row in rows] == [["table1/2", "holds", "cost"], ["mine", "holds", "cost"]]
+    monkeypatch.setattr(many, "answer_question", dies_of("table1/1"))
+    assert main(["plan-many", "table1/1", *command[1:], "--resume"]) == NOTHING_HOLDS
+    *_, last = capsys.readouterr().out.splitlines()
+    assert last.startswith("table1/1  failed  table1/1: got two processes that died of it")
+    assert main(["replay", str(folder / "mine.json"), "--no-confirm"]) == FINE
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["table1/1", "table1/1"], "SCENARIO table1/1: got two of one name, expected each once"),
+        (["table1/1", "nowhere"], "unknown scenario 'nowhere'"),
+        (["no.yaml"], "no.yaml"),
+        (["table1/1", "--resume"], "--resume: got no folder, expected --into FOLDER"),
+    ],
+)
+def test_bad_input_is_one_line_and_status_2(
+    arguments: list[str], message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    check_refused(["plan-many", *arguments], message, capsys)
+
+
+@pytest.mark.slow
+def test_ctrl_c_ends_the_work_and_what_is_done_is_kept(tmp_path: Path) -> None:
+    folder = tmp_path / "plans"
+    command = "import sys; from drake_aigto.cli import main; sys.exit(main(sys.argv[1:]))"
+    names = [*(f"table1/{row}" for row in (1, 2, 3, 4)), "acrobot/swing_up"]
+    arguments = ["plan-many", *names, "--workers", "1", "--into", str(folder)]
+    with subprocess.Popen(
+        [sys.executable, "-c", command, *arguments],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        assert process.stdout and process.stdout.readline().startswith("table1/1 ")
+        process.send_signal(signal.SIGINT)
+        _, told = process.communicate()
+    assert process.returncode == INTERRUPTED
+    assert told.endswith(f"--resume goes on from {folder}\ndrake-aigto: interrupted\n")
+    done = load_answers(folder)
+    assert done and all(answer.holds for answer in done)
+    head = json.loads((folder / "answers.jsonl").read_text(encoding="utf-8").splitlines()[0])
+    assert head["options"] is None
