@@ -158,7 +158,7 @@ def test_lateness_stays_lateness_through_later_bounces(bounces: int, part: float
     hop = 2 * speed / g
     impacts = [Impact(n * hop, 0, speed, -g, 2.0, 2.0) for n in range(bounces)]
     end = (bounces - 1 + part) * hop
-    recording = Recording([0.0, end], [np.zeros(1), np.ones(1)], impacts=impacts)
+    recording = Recording(times=[0.0, end], positions=[np.zeros(1), np.ones(1)], impacts=impacts)
     error = calc_compliance_error(world, np.ones(1), recording)
     # Whatever comes before rest is over with it.
     at_rest = dataclasses.replace(recording, rests=[Rest(impacts[-1].time + 1e-3, 0)])

@@ -98,14 +98,14 @@ def test_deviations_end_where_simulations_lead_them(name: str) -> None:
     sweep = Sweep(world, scenario, trajectory)
     assert [stretch.find_mode(0) for stretch in sweep.stretches] == modes
     times, x = trajectory.times, np.concatenate([q, v])
-    whole = left = sweep.stretches[0].calc_projection(world, x)
+    whole = left = sweep.stretches[0].calc_projection(x)
     for stretch, phase in zip(sweep.stretches, sweep.run(), strict=True):
         if stretch.first > 0:
             whole = sweep.calc_saltation(stretch.first) @ whole
         for k in range(stretch.first, stretch.last):
             state, h = phase.calc_state(times[k]), times[k + 1] - times[k]
             F, _ = sweep.calc_slopes(stretch, state, trajectory.controls[k], h)
-            whole = F @ stretch.calc_projection(world, state) @ whole
+            whole = F @ stretch.calc_projection(state) @ whole
     controls, h = trajectory.controls[:, 0], 1e-4
     ends = [end(replay(world, scenario, times, controls, x + h * dx)) for dx in (*left.T, *-left.T)]
     slopes = np.subtract(*np.split(np.array(ends), 2)).T / (2 * h)
@@ -121,9 +121,9 @@ def test_a_gain_of_one_period_is_the_best_answer_in_simulations(spin: float, til
     trajectory = make_plan(world, scenario, times, [push])
     sweep, h = Sweep(world, scenario, trajectory), 1e-4
     (stretch,), (phase,) = sweep.stretches, sweep.run()
-    assert stretch.modes == (STICK if spin else FORWARD,)
+    assert stretch.closed.modes == (STICK if spin else FORWARD,)
     x = np.concatenate([scenario.initial_position, scenario.initial_velocity])
-    left = stretch.calc_projection(world, x)
+    left = stretch.calc_projection(x)
     ends = [
         end(replay(world, scenario, times, [push + h * du], x + h * dx))
         for sign in (1, -1)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from pydrake.solvers import MathematicalProgram
@@ -17,9 +17,6 @@ from drake_aigto.shooting.mechanism import Sum, Tape, TapeBuilder
 from drake_aigto.shooting.tables import FLOW, Added
 from drake_aigto.terms import parse_costs, parse_rows
 from drake_aigto.transcription import Addition, Additions
-
-if TYPE_CHECKING:
-    from drake_aigto.shooting.problem import ShootingProblem
 
 # Where a function counts that is not bound to a time.
 EVERYWHERE, AT_END = -1.0, float(np.inf)
@@ -106,22 +103,20 @@ class AddedTerms:
             units = np.maximum(units, np.abs(slopes) @ scales)
         return np.where(np.isfinite(units) & (units > 0), units, 1.0)
 
-    def lay_out(
-        self, kinds: Ints, shares: Floats, problem: ShootingProblem
-    ) -> tuple[Added, Floats]:
+    def lay_out(self, kinds: Ints, shares: Floats, times: Floats | None) -> tuple[Added, Floats]:
         """Returns what kernels know of costs, and bounds at knots, shape (2, K + 1, R).
 
         Args:
             kinds: of the K stages, see `Program`.
             shares: how long they last, see `Program`.
-            problem: whose knots these are.
+            times: of the knots [s]; None: phases have free durations.
 
         Raises:
             ProgramError: a function is bound to a time, and knots are free to move.
         """
         places = np.zeros((len(kinds) + 1, len(self.rows)), dtype=np.bool_)
         for r, row in enumerate(self.rows):
-            places[_find_stages(row, kinds, problem), r] = True
+            places[_find_stages(row, kinds, times), r] = True
         factors = np.where([row.is_cost for row in self.rows], places, 0.0)
         is_running = np.array([row.is_running for row in self.rows], dtype=np.bool_)
         factors[:-1, is_running] *= shares[:, np.newaxis]
@@ -130,7 +125,7 @@ class AddedTerms:
         return Added(*self.tape, is_running, factors), np.stack(bounds)
 
 
-def _find_stages(row: AddedRow, kinds: Ints, problem: ShootingProblem) -> Ints:
+def _find_stages(row: AddedRow, kinds: Ints, times: Floats | None) -> Ints:
     """Returns the stages at whose start a function counts, K where it does at the end."""
     flights = np.append(np.flatnonzero(kinds == FLOW), len(kinds))
     if row.time == AT_END:
@@ -139,14 +134,14 @@ def _find_stages(row: AddedRow, kinds: Ints, problem: ShootingProblem) -> Ints:
         return flights[:-1]
     if row.time == EVERYWHERE:
         return np.flatnonzero(np.concatenate([[0], np.cumsum(kinds == FLOW)]))
-    if problem.phases is not None:
+    if times is None:
         raise ProgramError(
             f"'{row.name}' can't be planned",
             got=f"a function of the knot at {row.time:g} s, and phases of free durations",
             expected="one of every knot, or of the last",
             remedy="Use AddConstraintToAllKnotPoints, AddRunningCost or AddFinalCost.",
         )
-    return flights[[np.argmin(np.abs(problem.times - row.time))]]
+    return flights[[np.argmin(np.abs(times - row.time))]]
 
 
 NO_TERMS = AddedTerms((), TapeBuilder([]).build([], []))

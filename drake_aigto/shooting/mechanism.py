@@ -17,6 +17,8 @@ from drake_aigto.shooting.acceleration import accelerate, evaluate_tape
 from drake_aigto.shooting.friction import Row, list_rubs
 from drake_aigto.shooting.hold import hold
 from drake_aigto.shooting.tables import (
+    COEFFICIENT,
+    SOURCE,
     Mechanics,
     MechanicsMemory,
     copy_writable,
@@ -25,6 +27,8 @@ from drake_aigto.shooting.tables import (
 from drake_aigto.terms import Factor, FunctionKind, Term, expression_terms
 from drake_aigto.world import World
 
+# What hardly moves away from a wall bears no weight there [1/kg].
+_IMMOBILE = 1e-12
 # The places of the factors of a product, in order ↦ coefficient.
 Sum = dict[tuple[int, ...], float]
 
@@ -261,6 +265,37 @@ class Mechanism:
         mass = np.zeros((n, n))
         mass[np.triu_indices(n)] = sums[:half]
         return mass + np.triu(mass, 1).T, sums[half : half + n]
+
+    def calc_mobilities(self, q: Floats) -> Floats:
+        """Returns T M⁻¹ Tᵀ of each contact that rubs, 0 of others, shape (m,) [1/kg]."""
+        tangents, (mass, _) = self._read_tangents(q), self.calc_inertia(q)
+        return np.einsum("ij,ji->i", tangents, np.linalg.solve(mass, tangents.T))
+
+    def calc_drag(self, q: Floats) -> Floats:
+        """Returns the friction of all rigid contacts where each bears the weight, (n,) [N, N m].
+
+        That is Σ |T_i| μ_i N_i with N = |J M⁻¹ h| / (J M⁻¹ Jᵀ), whether it touches or not.
+        """
+        (n, m), of = (len(q), self.num_contacts), self.mechanics
+        mass, bias = self.calc_inertia(q)
+        first = n * (n + 1) // 2 + n + m
+        J = self.calc_sums(q)[first : first + m * n].reshape(m, n)
+        kicks, friction = np.linalg.solve(mass, J.T), np.zeros(m)
+        for rub in of.rubs:
+            if rub[SOURCE] >= 0 and of.contacts[int(rub[SOURCE]), 0] == 0:
+                friction[int(rub[SOURCE])] = rub[COEFFICIENT]
+        loads = np.abs(bias @ kicks) / np.maximum(np.einsum("ij,ji->i", J, kicks), _IMMOBILE)
+        return np.asarray((friction * loads) @ np.abs(self._read_tangents(q)))
+
+    def _read_tangents(self, q: Floats) -> Floats:
+        """Returns T of each contact that rubs, zero of others, shape (m, n)."""
+        (n, m), rubs, sums = (len(q), self.num_contacts), self.mechanics.rubs, self.calc_sums(q)
+        found, R = np.zeros((m, n)), len(rubs)
+        rows = sums[n * (n + 1) // 2 + n + m + m * n :][: R * n].reshape(R, n)
+        for T, source in zip(rows, rubs[:, SOURCE].astype(int), strict=True):
+            if source >= 0:
+                found[source] = T
+        return found
 
     def calc_sums(self, q: Floats) -> Floats:
         """Returns the sums of the tape at rest."""

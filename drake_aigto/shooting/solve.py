@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from drake_aigto.arrays import ArrayRecord, Floats, read_only
 from drake_aigto.errors import OptionsError, ProgramError, check_counts, check_positive
 from drake_aigto.shooting.descent import descend
-from drake_aigto.shooting.tables import FLOW, Outcome, Pass, make_memory
+from drake_aigto.shooting.optimal_control import OptimalControlProblem
+from drake_aigto.shooting.tables import FLOW, Outcome, Pass, Program, make_memory
 from drake_aigto.simulation import Replay
-
-if TYPE_CHECKING:
-    from drake_aigto.shooting.problem import ShootingProblem
 
 # Of 69 boxes around arms of three links, 5 are closed to motions that are better than no control in
 # steps that may raise the cost by much, 14 in such as may not, and 24 if Runge-Kutta steps are so
@@ -151,15 +149,16 @@ class Solve:
 
     def __init__(
         self,
-        problem: ShootingProblem,
+        problem: OptimalControlProblem,
+        program: Program,
         controls: Floats,
         states: Floats | None,
         options: ShootingOptions,
         prices: Floats | None = None,
     ) -> None:
-        """Takes the motion's shape from the problem."""
+        """Takes the motion's shape from the problem, whose tables it fills."""
         self._problem, self._options, self._has_gaps = problem, options, states is not None
-        self._layout, self._program = problem.layout, problem.make_program(options)
+        self._layout, self._program = problem.layout, program
         self._controls = self._lay_out_controls(controls)
         self._states = self._lay_out_states(states)
         self._memory = make_memory(self._program)
