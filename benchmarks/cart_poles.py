@@ -46,7 +46,7 @@ from benchmarks.collections.cart_poles import (
 )
 from benchmarks.measure import machine
 from benchmarks.script import read_flags, run_all, run_as
-from drake_aigto import MechanismOptions, ModelPredictiveController, Planner
+from drake_aigto import ModelPredictiveController, Planner, PlanOptions
 from drake_aigto.control import TickStatus
 
 PERIOD = 0.005  # [s]
@@ -54,7 +54,7 @@ _SHOVED = 0.05  # between jumps of velocities [s]
 _UPRIGHT, _SETTLED = np.pi / 4, 1.0
 # Of the estimate of q and v.
 _NOISE = np.array([1e-4, 1e-4, 1e-3, 1e-3])
-_OPTIONS = MechanismOptions(renewals=8, patience=8, search_steps=STEPS, confirm=False)
+_OPTIONS = PlanOptions(renewals=8, patience=8, search_steps=STEPS, confirm=False)
 
 
 class Regulator(LeafSystem):

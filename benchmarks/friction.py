@@ -21,7 +21,7 @@ import numpy as np
 from benchmarks.friction_forms import list_forms
 from benchmarks.listed_modes import ListOfModes
 from benchmarks.script import plan_all, read_flags, run_all, run_as
-from drake_aigto import Answer, MechanismOptions, Scenario, World
+from drake_aigto import Answer, PlanOptions, Scenario, World
 
 # Seeds that settings were chosen on, and those that are reported.
 _TUNING, _REPORTED = 0, 1000
@@ -90,7 +90,7 @@ def _collect(shots: Sequence[int], renewals: int, options: argparse.Namespace) -
     smooth = {
         str(seed): dataclasses.replace(scenarios[str(seed)], friction=0.0) for seed in compared
     }
-    usual = MechanismOptions(renewals=renewals, threads=1)
+    usual = PlanOptions(renewals=renewals, threads=1)
     plans = plan_all(scenarios, usual, options)
     unconfirmed = dataclasses.replace(usual, confirm=False)
     smooth_plans = plan_all(smooth, unconfirmed, options, "smooth_plans")
@@ -152,7 +152,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         arguments,
         shots=(100, "how many shots", {"metavar": "N"}),
         tuning=(False, "shots to choose settings on"),
-        renewals=(0, "`MechanismOptions.renewals`"),
+        renewals=(0, "`PlanOptions.renewals`"),
     )
     forms = list_forms()
     for name, error in forms:

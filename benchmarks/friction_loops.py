@@ -26,10 +26,10 @@ from benchmarks.in_the_loop import OFF, OpenLoop
 from benchmarks.measure import machine
 from benchmarks.script import read_flags, run_all, run_as
 from drake_aigto import (
-    MechanismOptions,
     ModelPredictiveController,
     Plan,
     Planner,
+    PlanOptions,
     Scenario,
     TrackingController,
 )
@@ -64,7 +64,7 @@ def draw(seed: int, number: int) -> Disturbance:
 @cache
 def prepare(name: str, renewals: int) -> tuple[Planner, Plan]:
     """Returns a world's planner and plan."""
-    planner = Planner(Scenario.named(name), MechanismOptions(renewals=renewals, threads=1))
+    planner = Planner(Scenario.named(name), PlanOptions(renewals=renewals, threads=1))
     return planner, planner.plan()
 
 

@@ -26,8 +26,8 @@ from drake_aigto.arrays import Floats
 from drake_aigto.contact import CompliantLaw, contact_law
 from drake_aigto.dynamics import SumMap
 from drake_aigto.errors import TrajectoryError
-from drake_aigto.planning import MechanismOptions, MechanismProblem, Origin
-from drake_aigto.planning.closing import find_tight
+from drake_aigto.planning import MechanismTask, Origin, PlanOptions
+from drake_aigto.planning.mechanisms.closing import find_tight
 from drake_aigto.simulation import state_scales
 from drake_aigto.terms import FunctionKind
 from drake_aigto.world import Scenario, TaskCost, World
@@ -198,7 +198,7 @@ class RubbingProgram:
         return line + off * state_scales(world, scenario)[:n]
 
 
-def solve_from_many(scenario: Scenario, options: MechanismOptions, seconds: float) -> float:
+def solve_from_many(scenario: Scenario, options: PlanOptions, seconds: float) -> float:
     """Returns what the best costs in simulation, of starts that end in time, of one at least.
 
     Args:
@@ -217,10 +217,10 @@ def solve_from_many(scenario: Scenario, options: MechanismOptions, seconds: floa
             break
     if not found:
         return np.inf
-    return finish(MechanismProblem(world, scenario, options), min(found, key=itemgetter(0)))
+    return finish(MechanismTask(world, scenario, options), min(found, key=itemgetter(0)))
 
 
-def finish(problem: MechanismProblem, motion: Motion) -> float:
+def finish(problem: MechanismTask, motion: Motion) -> float:
     """Returns what a motion costs in simulation, polished; inf if it leaves its bounds there."""
     count = problem.scenario.num_steps
     often = len(motion.controls) // count

@@ -36,7 +36,7 @@ from benchmarks.script import read_flags, run_all, run_as
 from benchmarks.staged_programs import FEASIBLE, GLOBAL, Ipopt, cost_of
 from drake_aigto import Plan, Planner, Scenario
 from drake_aigto.arrays import Floats
-from drake_aigto.planning import MechanismOptions
+from drake_aigto.planning import PlanOptions
 from drake_aigto.solver import StagedProgram, read_program
 
 WORLDS = (
@@ -138,7 +138,7 @@ def run(name: str, *, renewals: int | None) -> Run:
     if renewals is None:
         renewals = _RENEWALS.get(family, _USUAL_RENEWALS)
     scenario = ask_payload(int(number)) if family == "payload" else Scenario.named(name)
-    options = MechanismOptions(renewals=renewals, threads=1)
+    options = PlanOptions(renewals=renewals, threads=1)
     planner = Planner(scenario, options)
     if family != "payload" or not number.strip("0"):
         planner.plan()

@@ -29,7 +29,7 @@ import numpy as np
 from benchmarks.measure import clock, is_met, write_csv
 from benchmarks.script import read_flags
 from drake_aigto.aigo import Annealing
-from drake_aigto.planning import PlanOptions, make_problem
+from drake_aigto.planning import PlanOptions, make_ball_task
 from drake_aigto.world import Scenario, World
 
 STEPS = (50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000)
@@ -103,8 +103,9 @@ def measure(steps: int) -> Growth:
 def anneal(world: World, steps: int) -> tuple[float, int, float]:
     """Returns seconds to build, the number of Newton iterations, and their seconds."""
     scenario = dataclasses.replace(Scenario.named("table1/1"), time_step=1.0 / steps)
-    problem, building = clock(lambda: make_problem(world, scenario, PlanOptions(aigo_steps=steps)))
-    rung = problem.options.ladder[0]
+    options = PlanOptions(aigo_steps=steps)
+    problem, building = clock(lambda: make_ball_task(world, scenario, options))
+    rung = problem.ladder[0]
     algorithm = problem.make_algorithm(rung)
     assert isinstance(algorithm, Annealing)
     last = algorithm.initial_temperature * algorithm.cooling ** (TEMPERATURES - 1)

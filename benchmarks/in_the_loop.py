@@ -40,7 +40,6 @@ from benchmarks.measure import Spread, machine
 from benchmarks.script import read_flags, run_all, run_as
 from drake_aigto import (
     AigtoError,
-    MechanismOptions,
     ModelPredictiveController,
     Plan,
     Planner,
@@ -74,7 +73,7 @@ MARGIN = 0.02  # By which another sequence is better; that of controllers.
 # So many kicks are drawn at most, each harder than the last by KICK over HARDER.
 MOST_KICKS, HARDER = 60, 20
 BALLS = PlanOptions(branches=0, finalists=1, threads=1, aigo_steps=30)
-MECHANISMS = MechanismOptions(renewals=24, search_steps=30)
+MECHANISMS = PlanOptions(renewals=24, search_steps=30)
 BEST = "knows the truth"
 _CART_POLE = "package://drake_aigto_models/cart_pole.sdf"
 

@@ -41,7 +41,7 @@ from benchmarks.local_peers import casadi, sum_blocks
 from benchmarks.measure import Spread, clock, is_met, take_turns, write_csv
 from benchmarks.script import read_flags
 from drake_aigto.box import BoxPolynomial
-from drake_aigto.planning import PlanningProblem, PlanOptions, make_problem
+from drake_aigto.planning import PlanOptions, ProgramTask, make_ball_task
 from drake_aigto.terms import Factor, FunctionKind, TermBlock
 from drake_aigto.world import Scenario, World
 
@@ -87,16 +87,16 @@ def main() -> int:
     return 0 if is_met("an iteration / its banded Cholesky", ratio, MOST_FACTORIZATIONS) else 1
 
 
-def make_boxes(steps: int) -> PlanningProblem:
+def make_boxes(steps: int) -> ProgramTask:
     """Returns Table I's first problem, its boxes at so many time steps."""
     scenario = dataclasses.replace(Scenario.named("table1/1"), time_step=1.0 / steps)
     options = PlanOptions(aigo_steps=steps)
-    return make_problem(World.from_scenario(scenario), scenario, options)
+    return make_ball_task(World.from_scenario(scenario), scenario, options)
 
 
-def time_iterations(problem: PlanningProblem, repeats: int) -> list[float]:
+def time_iterations(problem: ProgramTask, repeats: int) -> list[float]:
     """Returns seconds a Newton iteration, of whole annealings."""
-    rung = problem.options.ladder[0]
+    rung = problem.ladder[0]
     problem.run_aigo(rung)  # Loads compiled code.
     found = []
     for _ in range(repeats):
@@ -105,7 +105,7 @@ def time_iterations(problem: PlanningProblem, repeats: int) -> list[float]:
     return found
 
 
-def make_works(problem: PlanningProblem, with_c: bool) -> dict[str, Callable[[], Any]]:
+def make_works(problem: ProgramTask, with_c: bool) -> dict[str, Callable[[], Any]]:
     """Returns what takes turns."""
     f, box = problem.polynomial, problem.box
     free = box.free

@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 from drake_aigto.paper import (
     LiteralOptions,
     gradient_from_random,
-    make_literal_problem,
+    make_literal_task,
     plan_literal,
 )
 from drake_aigto.planning import Candidate, Origin
@@ -81,7 +81,7 @@ def paper_methods(
     origin = Origin(options.algorithm, boxes.rung)
     shrunk = boxes.problem.judge(origin, center, boxes.transcription, center)
     snopt = dataclasses.replace(options, local_solver="snopt")
-    problem = make_literal_problem(world, scenario, snopt)
+    problem = make_literal_task(world, scenario, snopt)
     random = gradient_from_random(problem, np.random.default_rng(seed))
     return {AIGTO: shrunk, FROM_AIGTO: plan.best, FROM_RANDOM: random}
 

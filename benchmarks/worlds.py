@@ -43,7 +43,7 @@ from benchmarks.optima import ContactOptimum
 from benchmarks.script import read_flags, run_all, run_as
 from benchmarks.world_scenarios import WORLDS
 from drake_aigto.errors import AigtoError, OptionsError
-from drake_aigto.planning import Planner, PlanOptions, RigidProblem, make_problem
+from drake_aigto.planning import BallTask, Planner, PlanOptions, make_ball_task
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import Scenario, World, find_model
 
@@ -141,18 +141,18 @@ def run(job: Job) -> Outcome:
     start = time.perf_counter()
     cost = plan(world, scenario)
     seconds = time.perf_counter() - start
-    problem = make_problem(world, scenario, OPTIONS)
+    problem = make_ball_task(world, scenario, OPTIONS)
     read = read_boxes(problem, optimum)
     budget = job.factor * seconds
     peers = {name: run_peer(name, problem, scenario, budget) for name in job.peers}
     return Outcome(scenario, job.ratio, optimum, cost, seconds, read, peers)
 
 
-def read_boxes(problem: RigidProblem, optimum: ContactOptimum) -> tuple[bool, ...]:
+def read_boxes(problem: BallTask, optimum: ContactOptimum) -> tuple[bool, ...]:
     """Returns, by rung, whether one of the sequences that the boxes propose is the optimum's."""
     world, known = problem.transcription.world, known_sequence(optimum)
     found = []
-    for rung in OPTIONS.ladder:
+    for rung in OPTIONS.ball_ladder:
         proposed = problem.find_sequences(problem.run_aigo(rung), rung)
         found.append(any(is_equivalent(world, each, known) for each in proposed))
     return tuple(found)
@@ -177,7 +177,7 @@ def is_equivalent(world: World, one: Sequence[Touch], other: Sequence[Touch]) ->
 
 
 def run_peer(
-    name: str, problem: RigidProblem, scenario: Scenario, seconds: float
+    name: str, problem: BallTask, scenario: Scenario, seconds: float
 ) -> tuple[float, float]:
     """Returns the least replayed cost of a peer's sequences, and the seconds that it took."""
     recorder = Recorder(problem.transcription.world, scenario, seconds)
@@ -187,7 +187,7 @@ def run_peer(
     return recorder.cost, recorder.seconds
 
 
-def coasting_sequences(problem: RigidProblem) -> Iterator[TouchSequence]:
+def coasting_sequences(problem: BallTask) -> Iterator[TouchSequence]:
     """Yields the bounces of a motion without control, and the first ones of them."""
     coast = problem.coast
     bounces = tuple(map(Touch.bounce, coast.bounce_times, coast.bounce_contacts))
@@ -243,7 +243,7 @@ def report_sequences(outcomes: list[Outcome]) -> None:
     lengths = Counter(len(outcome.optimum.touches) for outcome in outcomes)
     print("contacts of the optimum: " + ", ".join(f"{n}: {k}" for n, k in sorted(lengths.items())))
     print("a sequence that boxes alone propose, before the polish, is the optimum's:")
-    for number, rung in enumerate(OPTIONS.ladder):
+    for number, rung in enumerate(OPTIONS.ball_ladder):
         right = sum(outcome.read[number] for outcome in outcomes)
         print(f"  rung {number + 1}: {right} of {count} ({rung.describe('annealing')})")
     print(f"  any rung: {sum(any(outcome.read) for outcome in outcomes)} of {count}")

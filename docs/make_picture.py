@@ -21,7 +21,7 @@ from drake_aigto import Planner, Scenario, World
 from drake_aigto.paper import (
     LiteralOptions,
     gradient_from_zero,
-    make_literal_problem,
+    make_literal_task,
     plan_literal,
 )
 from drake_aigto.planning import Candidate
@@ -45,7 +45,7 @@ def make_runs(world: World, scenario: Scenario) -> Iterator[tuple[str, Candidate
     """Yields the three plans, each with its title."""
     options = LiteralOptions(nonpenetration=False)
     snopt = dataclasses.replace(options, local_solver="snopt")
-    problem = make_literal_problem(world, scenario, snopt)
+    problem = make_literal_task(world, scenario, snopt)
     yield "SNOPT, no boxes: brakes and turns", gradient_from_zero(problem)
     yield "AIGTO as in the paper: overshoots", plan_literal(scenario, options, world).best
     yield "with impulses at knots: holds", Planner(scenario, world=world).plan().best

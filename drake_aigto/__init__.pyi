@@ -17,7 +17,6 @@ from .errors import UnsupportedTermError as UnsupportedTermError
 from .jobs import Answer as Answer
 from .jobs import plan_many as plan_many
 from .planning import Candidate as Candidate
-from .planning import MechanismOptions as MechanismOptions
 from .planning import Plan as Plan
 from .planning import Planner as Planner
 from .planning import PlanningError as PlanningError

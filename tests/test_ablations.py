@@ -36,7 +36,7 @@ from drake_aigto import OptionsError, PlanOptions, Scenario, jobs
 from drake_aigto.cli import FINE
 from drake_aigto.paper import rigid_optimum
 from drake_aigto.planning import Rung
-from drake_aigto.planning.options import RIGID_LADDER
+from drake_aigto.planning.rungs import BALL_LADDER
 from drake_aigto.show import WIDTH
 
 BARE = VARIANTS["bare"].options
@@ -79,14 +79,14 @@ def test_no_two_variants_are_the_same() -> None:
 def test_bare_variants_start_in_no_simulation_and_try_no_neighbours() -> None:
     for name, variant in VARIANTS.items():
         if name.startswith("bare"):
-            assert {rung.start for rung in variant.options.ladder} == {"line"}
+            assert {rung.start for rung in variant.options.ball_ladder} == {"line"}
             assert variant.options.branches == 0
     starts = [rung.start for name in ("line only", "coast only") for rung in _rungs(name)]
-    assert sorted(starts) == sorted(rung.start for rung in RIGID_LADDER)
+    assert sorted(starts) == sorted(rung.start for rung in BALL_LADDER)
 
 
 def _rungs(name: str) -> tuple[Rung, ...]:
-    return VARIANTS[name].options.ladder
+    return VARIANTS[name].options.ball_ladder
 
 
 def run(name: str) -> tuple[bool, MethodRun]:
@@ -164,7 +164,7 @@ def test_a_study_survives_its_file_and_goes_on(tmp_path: Path) -> None:
     assert study.is_complete
     for result in study.results:
         assert study.succeeds(result, "default", 1.0)
-        assert len(result.runs["default"].boxes) == len(RIGID_LADDER)
+        assert len(result.runs["default"].boxes) == len(BALL_LADDER)
         usual = ScenarioQuestion(num_steps=20).scenario(result.number)
         assert study.question.scenario(result.number) == usual
 

@@ -14,7 +14,7 @@ from pydrake.symbolic import sin
 from replay_worlds import shipped_world
 
 from drake_aigto.errors import AigtoError, ProgramError, UnsupportedTermError
-from drake_aigto.planning import RigidProblem
+from drake_aigto.planning import BallTask
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch, TouchSequence
 from drake_aigto.transcription.additions import Samples
 from drake_aigto.world import Scenario
@@ -155,7 +155,7 @@ def test_kinds_that_cannot_be_carried_are_refused_by_name(add: Add, message: str
     transcription = transcribe()
     add(transcription)
     with pytest.raises(UnsupportedTermError, match=re.escape(message)):
-        RigidProblem(transcription)
+        BallTask(transcription)
 
 
 def slack_of_ones_own(t: RigidTranscription) -> None:
@@ -240,5 +240,5 @@ def test_what_cannot_be_met_is_one_clear_error(add: Add, message: str) -> None:
     transcription = transcribe()
     with pytest.raises(ProgramError, match=re.escape(message)) as caught:
         add(transcription)
-        RigidProblem(transcription)
+        BallTask(transcription)
     assert isinstance(caught.value, AigtoError)

@@ -16,7 +16,7 @@ from drake_aigto.aigo import AigoResult, FullGradient, SlowMotion, minimize
 from drake_aigto.errors import OptionsError
 from drake_aigto.paper import LiteralOptions, plan_literal
 from drake_aigto.paper.options import LITERAL_LADDER
-from drake_aigto.planning import Origin, make_problem
+from drake_aigto.planning import Origin, make_ball_task
 from drake_aigto.show import ROOT, BoxRun, make_mesh, play_boxes, run_boxes
 
 OPTIONS = PlanOptions(aigo_steps=20, confirm=False, finalists=1)
@@ -41,7 +41,7 @@ def meshcat(plan: Plan, run: BoxRun) -> Meshcat:
 
 
 def test_the_rung_that_the_plan_came_from_is_run_again(plan: Plan, run: BoxRun) -> None:
-    assert plan.best.origin.rung == run.rung in OPTIONS.ladder
+    assert plan.best.origin.rung == run.rung in OPTIONS.ball_ladder
     last = run.problem.run_aigo(run.rung).box
     # Newton step by Newton step it comes to the same.
     np.testing.assert_allclose(run.result.box.center, last.center, atol=1e-6)
@@ -146,8 +146,8 @@ def test_each_coordinate_has_its_panel_and_nothing_passes_for_a_motion(
 
 
 def test_slow_motion_ends_where_annealing_does(plan: Plan) -> None:
-    problem = make_problem(World.from_scenario(plan.scenario), plan.scenario, OPTIONS)
-    annealing: Any = problem.make_algorithm(OPTIONS.ladder[2])
+    problem = make_ball_task(World.from_scenario(plan.scenario), plan.scenario, OPTIONS)
+    annealing: Any = problem.make_algorithm(OPTIONS.ball_ladder[2])
     results: list[AigoResult] = [
         minimize(problem.polynomial, problem.box, algorithm)
         for algorithm in (annealing, SlowMotion(annealing))

@@ -15,10 +15,10 @@ from pydrake.systems.analysis import Simulator
 
 from drake_aigto import (
     ControlError,
-    MechanismOptions,
     ModelPredictiveController,
     Plan,
     Planner,
+    PlanOptions,
     Scenario,
     TrackingController,
     World,
@@ -40,7 +40,7 @@ def make_plan() -> Plan:
 
 @cache
 def make_planner() -> Planner:
-    return Planner(POLE, MechanismOptions(renewals=4))
+    return Planner(POLE, PlanOptions(renewals=4))
 
 
 def make_controller() -> ModelPredictiveController:

@@ -12,11 +12,11 @@ from mechanisms import WORLD_AT, build_world, joint, link
 from scipy.optimize import minimize_scalar
 
 from drake_aigto import Plan, Planner, Scenario, World
-from drake_aigto.planning import MechanismOptions
+from drake_aigto.planning import PlanOptions
 from drake_aigto.show import format_plan
 
 DISTANCE, PACE, WEIGHT = 1.0, 0.8, 3.0
-QUICK = MechanismOptions(renewals=8, finalists=1)
+QUICK = PlanOptions(renewals=8, finalists=1)
 
 
 @cache

@@ -101,12 +101,12 @@ def test_friction_whose_impacts_are_not_planned_is_refused_before_any_work(
     rough_room: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     rough = dataclasses.replace(Scenario.named("room/bank_shot"), model=str(rough_room))
-    monkeypatch.setattr(planner, "RigidProblem", refuse_work)
+    monkeypatch.setattr(planner, "BallTask", refuse_work)
     pendulum = dataclasses.replace(Scenario.named("pendulum/off_the_wall"), friction=0.2)
     with pytest.raises(ModelError, match=r"got friction 0.2 and a mechanism of one coordinate"):
         Planner(pendulum)
-    with pytest.raises(OptionsError, match=r"expected MechanismOptions"):
-        Planner(rough, PlanOptions())
+    with pytest.raises(OptionsError, match=r"aigo_steps: got 9 for a mechanism"):
+        Planner(rough, PlanOptions(aigo_steps=9))
 
 
 def test_friction_that_is_left_out_as_asked_changes_nothing_and_is_told(rough_room: Path) -> None:

@@ -20,8 +20,8 @@ from drake_aigto import Scenario, World
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import calc_drag, calc_pushes, contact_law
 from drake_aigto.errors import MissingExtraError
-from drake_aigto.planning import MechanismOptions, MechanismProblem
-from drake_aigto.planning.closing import Aim
+from drake_aigto.planning import MechanismTask, PlanOptions
+from drake_aigto.planning.mechanisms.closing import Aim
 
 _STEPS = 199
 
@@ -29,8 +29,8 @@ _STEPS = 199
 def test_boxes_that_know_no_friction_close_near_a_plan_that_slides_to_its_goal() -> None:
     """As walls are closed, they end at 7.2 and more."""
     scenario = ask_payload(11)
-    problem = MechanismProblem(World.from_scenario(scenario), scenario, MechanismOptions())
-    closed = (problem.close(problem.run_aigo(rung), Aim()) for rung in problem.options.ladder)
+    problem = MechanismTask(World.from_scenario(scenario), scenario, PlanOptions())
+    closed = (problem.close(problem.run_aigo(rung), Aim()) for rung in problem.ladder)
     best = min(closed, key=problem.rank)
     assert best.violation == 0
     assert best.cost < 0.5

@@ -10,14 +10,15 @@ import pytest
 from rubbing_worlds import RADIUS, make_discs
 from test_shooting_phases import weigh
 
-from drake_aigto import MechanismOptions, Scenario, World, plan
+from drake_aigto import PlanOptions, Scenario, World, plan
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import Closed, Mode, RigidLaw
-from drake_aigto.planning.held_modes import drop, in_order, is_closed, list_hold_changes
-from drake_aigto.planning.mechanism_phases import BouncingResult, lay_out
-from drake_aigto.planning.mode_edges import lead_over_edges
-from drake_aigto.planning.origin import COASTING, Origin
-from drake_aigto.planning.rigid_mechanism import RigidMechanismProblem, make_mechanism_problem
+from drake_aigto.planning import MECHANISM_LADDER
+from drake_aigto.planning.candidate import COASTING, Origin
+from drake_aigto.planning.mechanisms.mode_edges import lead_over_edges
+from drake_aigto.planning.mechanisms.modes import drop, in_order, is_closed, list_hold_changes
+from drake_aigto.planning.mechanisms.phases import BouncingResult, lay_out
+from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask, make_mechanism_task
 from drake_aigto.shooting import (
     Mechanism,
     Phases,
@@ -234,8 +235,8 @@ LEAST = 4 / 3 * (MU * G) ** 2 * UNTIL
 
 
 def test_the_cheapest_push_to_rest_lets_the_floor_brake() -> None:
-    problem = make_mechanism_problem(World.from_scenario(BLOCK), BLOCK, MechanismOptions())
-    assert isinstance(problem, RigidMechanismProblem)
+    problem = make_mechanism_task(World.from_scenario(BLOCK), BLOCK, PlanOptions())
+    assert isinstance(problem, RigidMechanismTask)
     assert [(touch.start, touch.mode) for touch in problem.coasting] == [(0.0, 0)]
     near = problem.bounce((Touch(0.0, 1.0, 0, -1), Touch(1.0, 2.0, 0, 0)), problem.idle_motion)
     found = problem.polish(near)
@@ -262,8 +263,8 @@ def test_a_ball_that_is_pushed_and_rolls_is_as_dear_as_seven_fifths_of_its_mass(
         goal_position=[1.0, RADIUS, 1 / RADIUS],
         goal_velocity=[0.0] * 3,
     )
-    problem = make_mechanism_problem(world, scenario, MechanismOptions())
-    assert isinstance(problem, RigidMechanismProblem)
+    problem = make_mechanism_task(world, scenario, PlanOptions())
+    assert isinstance(problem, RigidMechanismTask)
     assert [(touch.start, touch.mode) for touch in problem.coasting] == [(0.0, 0)]
     near = problem.bounce(problem.coasting, problem.idle_motion)
     found = problem.polish(near)
@@ -275,7 +276,7 @@ def test_a_ball_that_is_pushed_and_rolls_is_as_dear_as_seven_fifths_of_its_mass(
 
 @pytest.mark.slow
 def test_a_plan_finds_the_cheapest_push_and_both_replays_agree() -> None:
-    options = MechanismOptions(ladder=MechanismOptions().ladder[:2], renewals=0)
+    options = PlanOptions(ladder=MECHANISM_LADDER[:2], renewals=0)
     found = plan(BLOCK, options)
     drake = found.replay.drake
     assert found.holds

@@ -12,9 +12,9 @@ from several_walls import make_task, shipped
 from benchmarks.optima import masses_optimum
 from benchmarks.world_scenarios import WORLDS
 from drake_aigto import PlanOptions, Scenario, World, plan
-from drake_aigto.planning import RigidSearch, make_problem
-from drake_aigto.planning.insertions import find_insertions
-from drake_aigto.planning.touches import kinds
+from drake_aigto.planning import BallSearch, make_ball_task
+from drake_aigto.planning.balls.neighbors import find_insertions
+from drake_aigto.planning.sequences import kinds
 from drake_aigto.transcription import PhaseTranscription, Touch, TouchSequence
 
 QUICK = PlanOptions(confirm=False)
@@ -69,8 +69,8 @@ def test_a_bounce_that_no_box_shows_is_inserted() -> None:
 
 def test_a_polish_passes_the_block_on_the_way_to_the_goal_where_the_box_center_misses_it() -> None:
     (*_, scenario) = WORLDS["room_with_block"].draw(5, seed=21)
-    problem = make_problem(World.from_scenario(scenario), scenario, QUICK)
-    rung = next(rung for rung in QUICK.ladder if rung.start == "coast")
+    problem = make_ball_task(World.from_scenario(scenario), scenario, QUICK)
+    rung = next(rung for rung in QUICK.ball_ladder if rung.start == "coast")
     result = problem.run_aigo(rung)
     sequence = problem.find_sequences(result, rung)[0]
     center = problem.transcription.split(result.box.center)[0]
@@ -84,16 +84,17 @@ def test_no_neighbor_is_tried_whose_contacts_a_plan_has_that_holds(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     scenario = Scenario.named("corridor/three_bounces")
-    problem = make_problem(World.from_scenario(scenario), scenario, QUICK)
-    search = RigidSearch(problem)
-    search.add_rungs(QUICK.ladder)
+    problem = make_ball_task(World.from_scenario(scenario), scenario, QUICK)
+    search = BallSearch(problem)
+    search.close([search.propose_boxes(rung) for rung in QUICK.ball_ladder])
     held = [kinds(each) for each, it in search.by_sequence.items() if it.is_confirmed]
     tried: list[list[tuple[int, bool]]] = []
 
-    def refuse(self: RigidSearch, other: TouchSequence, path: object) -> None:
+    def refuse(self: BallSearch, other: TouchSequence, path: object) -> None:
         tried.append(kinds(other))
 
-    monkeypatch.setattr(RigidSearch, "_try", refuse)
-    search.branch()
+    monkeypatch.setattr(BallSearch, "_try", refuse)
+    for wave in search.vary():
+        search.close(wave)
     assert tried
     assert not [each for each in tried if each in held]

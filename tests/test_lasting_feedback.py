@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from rubbing_worlds import RADIUS, make_discs
 
-from drake_aigto import MechanismOptions, Scenario, TrackingController, World, plan
+from drake_aigto import PlanOptions, Scenario, TrackingController, World, plan
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import Mode
 from drake_aigto.control import (
@@ -21,6 +21,7 @@ from drake_aigto.control import (
     run_in_loop,
 )
 from drake_aigto.control.phase_feedback import Sweep
+from drake_aigto.planning import MECHANISM_LADDER
 from drake_aigto.simulation import EVENT_DRIVEN, Controller, Replay, replay_event_driven
 from drake_aigto.trajectory import Trajectory
 
@@ -200,7 +201,7 @@ def test_phases_end_as_walls_are_reached_and_slips_end_not_when_that_was_planned
 
 @pytest.mark.slow
 def test_a_plan_along_the_floor_is_tracked_where_masses_and_friction_are_others() -> None:
-    options = MechanismOptions(ladder=MechanismOptions().ladder[:2], renewals=0)
+    options = PlanOptions(ladder=MECHANISM_LADDER[:2], renewals=0)
     found = plan(Scenario.named("sliding_block/to_rest"), options)
     controller = TrackingController(found)
     assert isinstance(controller.feedback, PhaseFeedback)

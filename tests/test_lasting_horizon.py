@@ -8,12 +8,13 @@ from functools import cache
 import numpy as np
 import pytest
 
-from drake_aigto import MechanismOptions, ModelPredictiveController, Planner, Scenario, World
+from drake_aigto import ModelPredictiveController, Planner, PlanOptions, Scenario, World
 from drake_aigto.arrays import Floats
 from drake_aigto.control import Disturbance, run_in_loop
 from drake_aigto.control.motion import Motion
 from drake_aigto.control.rigid_mechanism_horizon import RigidMechanismHorizon
-from drake_aigto.planning.rigid_mechanism import RigidMechanismProblem
+from drake_aigto.planning import MECHANISM_LADDER
+from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask
 from drake_aigto.simulation import EVENT_DRIVEN, HeldControl, replay_event_driven
 from drake_aigto.transcription import Touch
 
@@ -25,7 +26,7 @@ find_world = cache(lambda: World.from_scenario(BLOCK))
 @cache
 def find_plan() -> Motion:
     """Returns the cheapest push over a meter, which slides to rest."""
-    problem = RigidMechanismProblem(find_world(), BLOCK, MechanismOptions())
+    problem = RigidMechanismTask(find_world(), BLOCK, PlanOptions())
     slides, lies = Touch(0.0, 1.0, 0, -1), Touch(1.0, 2.0, 0, 0)
     found = problem.polish(problem.bounce((slides, lies), problem.idle_motion))
     return Motion(found.as_trajectory(find_world()), found.cost, found.touches)
@@ -33,7 +34,7 @@ def find_plan() -> Motion:
 
 @cache
 def find_horizon(is_receding: bool = False) -> RigidMechanismHorizon:
-    return RigidMechanismHorizon(find_world(), BLOCK, MechanismOptions(), is_receding, 15, STEP)
+    return RigidMechanismHorizon(find_world(), BLOCK, PlanOptions(), is_receding, 15, STEP)
 
 
 def push(now: float, x: Floats, control: Floats, friction: float) -> Floats:
@@ -93,7 +94,7 @@ def test_what_lies_at_a_wall_is_not_inside_of_it(
 
 @pytest.mark.slow
 def test_a_block_is_planned_for_again_in_drake_where_masses_and_friction_are_others() -> None:
-    options = MechanismOptions(ladder=MechanismOptions().ladder[:2], renewals=0)
+    options = PlanOptions(ladder=MECHANISM_LADDER[:2], renewals=0)
     planner = Planner(BLOCK, options)
     for other in (Disturbance(mass_factor=1.1, friction_factor=0.9), Disturbance(mass_factor=0.9)):
         controller = ModelPredictiveController(

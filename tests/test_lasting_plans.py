@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from drake_aigto import Planner, Scenario
-from drake_aigto.planning import MechanismOptions
-from drake_aigto.planning.mechanism_options import MECHANISM_LADDER
-from drake_aigto.planning.mechanism_phases import lay_out
+from drake_aigto.planning import PlanOptions
+from drake_aigto.planning.mechanisms.phases import lay_out
+from drake_aigto.planning.rungs import MECHANISM_LADDER
 from drake_aigto.transcription import Touch
 
 MODELS = Path(__file__).parents[1] / "models"
@@ -18,7 +18,7 @@ MODELS = Path(__file__).parents[1] / "models"
 
 @pytest.mark.slow
 def test_carts_are_pushed_apart_one_after_the_other() -> None:
-    options = MechanismOptions(renewals=0, confirm=False)
+    options = PlanOptions(renewals=0, confirm=False)
     plan = Planner(Scenario.named("three_carts/apart"), options).plan()
     assert plan.holds
     assert plan.cost < 147.0
@@ -50,7 +50,7 @@ def test_carts_in_a_row_press_both_contacts_at_once(tmp_path: Path) -> None:
         goal_weight=[100.0, 100.0, 100.0],
         goal_velocity_weight=[10.0, 10.0, 10.0],
     )
-    options = MechanismOptions(renewals=0, ladder=MECHANISM_LADDER[:6], confirm=False)
+    options = PlanOptions(renewals=0, ladder=MECHANISM_LADDER[:6], confirm=False)
     plan = Planner(scenario, options).plan()
     assert plan.holds
     assert plan.cost < 40.0

@@ -8,20 +8,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from drake_aigto.planning import MechanismOptions, MechanismRung, Renewal
-from drake_aigto.planning.closing import Aim
-from drake_aigto.planning.launch import Launch
-from drake_aigto.planning.mechanism_problem import MechanismProblem
+from drake_aigto.planning import MechanismRung, PlanOptions, Renewal
+from drake_aigto.planning.mechanisms.closing import Aim, Launch
+from drake_aigto.planning.mechanisms.task import MechanismTask
 from drake_aigto.world import Scenario, World
 
 # 0.37 m deep in the right wall, and free.
 DEEP, FREE = {"initial_position": [0.77, 0.24]}, {"initial_position": [0.2, 0.24]}
 
 
-def pose(**changes: Any) -> MechanismProblem:
+def pose(**changes: Any) -> MechanismTask:
     changes = {"initial_velocity": [-0.7, 1.2], **changes}
     scenario = replace(Scenario.named("cart_pole/soft_06"), **changes)
-    return MechanismProblem(World.from_scenario(scenario), scenario, MechanismOptions())
+    return MechanismTask(World.from_scenario(scenario), scenario, PlanOptions())
 
 
 def test_boxes_begin_where_a_wall_has_thrown_the_start_off() -> None:
@@ -80,5 +79,5 @@ def test_what_turns_fast_once_thrown_off_is_renewed_in_shorter_steps() -> None:
 
 
 def test_patience_is_twice_as_long_where_what_was_thrown_off_turns_fast() -> None:
-    assert pose(**FREE).patience == MechanismOptions().patience
-    assert pose(**DEEP).patience == 2 * MechanismOptions().patience
+    assert pose(**FREE).patience == PlanOptions().patience
+    assert pose(**DEEP).patience == 2 * PlanOptions().patience

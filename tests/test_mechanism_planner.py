@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 import pytest
@@ -14,23 +14,23 @@ from pydrake.multibody.plant import AddMultibodyPlantSceneGraph, CoulombFriction
 from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInertia
 from pydrake.systems.framework import DiagramBuilder
 
-from drake_aigto import Plan, Planner, PlanningError, PlanOptions, Scenario, World
+from drake_aigto import Plan, Planner, PlanningError, Scenario, World
 from drake_aigto.errors import OptionsError, ProgramError
 from drake_aigto.planning import (
     Center,
-    MechanismOptions,
     MechanismRung,
     MechanismSearch,
+    PlanOptions,
     Renewal,
 )
 from drake_aigto.planning.candidate import Candidate, Replays
-from drake_aigto.planning.closing import Aim
-from drake_aigto.planning.mechanism_options import MECHANISM_LADDER
-from drake_aigto.planning.mechanism_problem import MechanismProblem
+from drake_aigto.planning.mechanisms.closing import Aim
+from drake_aigto.planning.mechanisms.task import MechanismTask
+from drake_aigto.planning.rungs import BALL_LADDER, MECHANISM_LADDER
 from drake_aigto.shooting import ShootingResult
 from drake_aigto.simulation import replay_event_driven
 
-QUICK = MechanismOptions(renewals=16, finalists=1)
+QUICK = PlanOptions(renewals=16, finalists=1)
 
 
 @pytest.fixture(scope="module")
@@ -40,7 +40,7 @@ def cart_pole() -> Planner:
 
 @pytest.fixture(scope="module")
 def plan(cart_pole: Planner) -> Plan:
-    return Planner(cart_pole.scenario, MechanismOptions(), cart_pole.world).plan()
+    return Planner(cart_pole.scenario, PlanOptions(), cart_pole.world).plan()
 
 
 def test_the_pole_pushes_off_a_wall_to_stand_up(plan: Plan) -> None:
@@ -72,7 +72,7 @@ def test_bounds_hold_in_both_simulations(cart_pole: Planner) -> None:
 
 def test_what_passes_its_bounds_between_knots_has_narrower_ones_there(cart_pole: Planner) -> None:
     scenario = dataclasses.replace(cart_pole.scenario, velocity_upper=[np.inf, 3.5])
-    problem = MechanismProblem(cart_pole.world, scenario, QUICK)
+    problem = MechanismTask(cart_pole.world, scenario, QUICK)
     motion = problem.coast
     replay = replay_event_driven(cart_pole.world, scenario, motion.times, motion.controls)
     fastest = float(np.max(replay.velocities[:, 1]))
@@ -92,13 +92,13 @@ def test_what_simulations_contradict_gives_way_to_what_was_left_out_for_it(
     first, seen = cart_pole.plan(), list[Candidate]()
     assert len(first.candidates) == 2 and first.candidates[1].is_idle
 
-    def contradict_the_first(problem: MechanismProblem, candidate: Candidate) -> Replays:
+    def contradict_the_first(problem: MechanismTask, candidate: Candidate) -> Replays:
         seen.append(candidate)
         replay = candidate.replay
         worse = dataclasses.replace(replay, simulator="drake", cost=2 * replay.cost)
         return Replays(replay, worse if candidate is seen[0] else None)
 
-    monkeypatch.setattr(MechanismProblem, "confirm", contradict_the_first)
+    monkeypatch.setattr(MechanismTask, "confirm", contradict_the_first)
     other = cart_pole.plan()
     assert other.best is seen[1] and other.holds and not other.best.is_idle
     assert other.cost > first.cost
@@ -117,7 +117,7 @@ def test_a_hard_goal_is_met_in_both_simulations() -> None:
 @pytest.mark.slow
 def test_what_misses_a_hard_goal_is_no_plan(cart_pole: Planner) -> None:
     scenario = dataclasses.replace(cart_pole.scenario, hard_goal=True, control_upper=0.1)
-    options = dataclasses.replace(QUICK, renewals=0, ladder=QUICK.ladder[:2])
+    options = dataclasses.replace(QUICK, renewals=0, ladder=MECHANISM_LADDER[:2])
     with pytest.raises(PlanningError, match=r"there it breaks .*'hard goal'"):
         Planner(scenario, options, cart_pole.world).plan()
 
@@ -134,7 +134,7 @@ def test_forces_give_what_the_momentum_lacks(plan: Plan) -> None:
 
 @pytest.mark.slow
 def test_a_plan_is_that_of_any_number_of_threads(cart_pole: Planner, plan: Plan) -> None:
-    options = MechanismOptions(threads=1)
+    options = PlanOptions(threads=1)
     other = Planner(cart_pole.scenario, options, cart_pole.world).plan()
     np.testing.assert_array_equal(other.trajectory.controls, plan.trajectory.controls)
 
@@ -205,7 +205,7 @@ def test_light_links_that_cheap_controls_fling_about_are_led_to_the_goal_with_ca
         time_step=0.025,
         contact="compliant",
     )
-    problem = MechanismProblem(make_light_arm(), scenario, MechanismOptions())
+    problem = MechanismTask(make_light_arm(), scenario, PlanOptions())
     centers = [problem.run_aigo(rung) for rung in MECHANISM_LADDER[-6:]]
     rough = [problem.close(center, Aim(is_patient=False)) for center in centers]
     careful = [problem.close(center, Aim()) for center in centers]
@@ -218,7 +218,7 @@ def test_light_links_that_cheap_controls_fling_about_are_led_to_the_goal_with_ca
 
 
 def test_a_search_closes_what_may_be_kept_and_no_more_than_it_has_to() -> None:
-    class Watched(MechanismProblem):
+    class Watched(MechanismTask):
         aims: ClassVar[list[Aim]] = []
 
         def close(self, center: Center, aim: Aim) -> ShootingResult:
@@ -236,31 +236,50 @@ def test_a_search_closes_what_may_be_kept_and_no_more_than_it_has_to() -> None:
 def test_a_search_without_boxes_has_none_in_renewals_either(
     cart_pole: Planner, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    widths, draw, run = [], MechanismProblem.renew, MechanismProblem.run_aigo
+    widths, draw, run = [], MechanismTask.renew, MechanismTask.run_aigo
 
-    def renew(self: MechanismProblem, motion: ShootingResult, renewal: Renewal) -> Center:
+    def renew(self: MechanismTask, motion: ShootingResult, renewal: Renewal) -> Center:
         widths.append(renewal.half_width)
         return draw(self, motion, renewal)
 
-    def run_aigo(self: MechanismProblem, rung: MechanismRung) -> Center:
+    def run_aigo(self: MechanismTask, rung: MechanismRung) -> Center:
         widths.append(rung.half_width)
         return run(self, rung)
 
-    monkeypatch.setattr(MechanismProblem, "renew", renew)
-    monkeypatch.setattr(MechanismProblem, "run_aigo", run_aigo)
+    monkeypatch.setattr(MechanismTask, "renew", renew)
+    monkeypatch.setattr(MechanismTask, "run_aigo", run_aigo)
     for half_width in (0.0, 0.5):
         rung = MechanismRung(half_width=half_width, num_steps=15)
-        options = MechanismOptions(ladder=(rung,), renewals=2, finalists=1, confirm=False)
+        options = PlanOptions(ladder=(rung,), renewals=2, finalists=1, confirm=False)
         Planner(cart_pole.scenario, options, cart_pole.world).plan()
     assert widths[:3] == [0.0, 0.0, 0.0]
     assert min(widths[3:]) > 0
 
 
-def test_options_of_another_road_are_refused() -> None:
-    with pytest.raises(OptionsError, match="got PlanOptions, expected MechanismOptions"):
-        Planner(Scenario.named("cart_pole/soft_06"), PlanOptions())
-    with pytest.raises(OptionsError, match="got MechanismOptions, expected PlanOptions"):
-        Planner(Scenario.named("table1/1"), MechanismOptions())
+@pytest.mark.parametrize(
+    ("name", "given", "message"),
+    [
+        ("cart_pole/soft_06", {"aigo_steps": 9}, "aigo_steps: got 9 for a mechanism, expected the"),
+        ("cart_pole/soft_06", {"ladder": BALL_LADDER}, "ladder: got a Rung for a mechanism"),
+        (
+            "cart_pole/rigid_06",
+            {"local_solver": "ipopt"},
+            "local_solver: got ipopt",
+        ),
+        (
+            "table1/1",
+            {"renewals": 9},
+            "renewals: got 9 for balls between",
+        ),
+        ("table1/1", {"seed": 1}, "seed: got 1 for balls .*It counts only for a mechanism"),
+        ("table1/1", {"ladder": MECHANISM_LADDER}, "ladder: got a MechanismRung for balls"),
+    ],
+)
+def test_options_that_would_not_count_are_refused(
+    name: str, given: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(OptionsError, match=message):
+        Planner(Scenario.named(name), PlanOptions(**given))
 
 
 def test_what_shooting_has_no_room_for_is_refused_by_name(cart_pole: Planner) -> None:

@@ -18,7 +18,7 @@ from test_direct_replay import draw_task, follows_chatter, roll_out, world_of
 
 from drake_aigto import Scenario, TrajectoryError, World
 from drake_aigto.contact import Closed, Mode, RigidLaw
-from drake_aigto.planning.flow import _find_rates, _integrate
+from drake_aigto.planning.mechanisms.traces import _find_rates, _integrate
 from drake_aigto.simulation import (
     HeldControl,
     Replay,

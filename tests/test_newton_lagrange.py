@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from drake_aigto import Scenario
 from drake_aigto.local import InteriorPoint, NewtonLagrange, NlpBuilder, PolynomialNlp
-from drake_aigto.planning import PlanOptions, make_problem
+from drake_aigto.planning import PlanOptions, make_ball_task
 from drake_aigto.transcription import Touch
 from drake_aigto.world import World
 
@@ -98,7 +98,7 @@ def test_a_polish_is_the_interior_points(
     sequence: tuple[Touch, ...], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     scenario = dataclasses.replace(Scenario.named("table1/1"), time_step=0.02)
-    problem = make_problem(World.from_scenario(scenario), scenario, PlanOptions(confirm=False))
+    problem = make_ball_task(World.from_scenario(scenario), scenario, PlanOptions(confirm=False))
     quick = problem.polish(problem.box.center, sequence)
     with monkeypatch.context() as patch:
         patch.setattr(NewtonLagrange, "solve", lambda *arguments: None)

@@ -26,10 +26,10 @@ from drake_aigto import (
 )
 from drake_aigto.cli import BAD_INPUT, FINE, main
 from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal
-from drake_aigto.planning.options import RIGID_LADDER
+from drake_aigto.planning.rungs import BALL_LADDER
 from drake_aigto.show import format_plan, play, play_boxes, report_plan, run_boxes
 
-QUICK = PlanOptions(aigo_steps=20, finalists=1, ladder=RIGID_LADDER[:2])
+QUICK = PlanOptions(aigo_steps=20, finalists=1, ladder=BALL_LADDER[:2])
 LITERAL = LiteralOptions(ladder=LITERAL_LADDER[2:3], knot_steps=(2,), finalists=1)
 FLIGHT = Scenario(
     initial_position=1.0, initial_velocity=-0.3, goal_position=1.2, time_step=0.02, epsilon=1e-9
@@ -198,7 +198,7 @@ def test_a_file_of_a_plan_of_ones_own_diagram_takes_that_and_no_other(
     replayed = loaded.replayed(again)
     assert replayed.replay == own.replay
     assert replayed.world is again
-    assert run_boxes(loaded, again).rung in QUICK.ladder
+    assert run_boxes(loaded, again).rung in QUICK.ball_ladder
 
 
 @pytest.mark.parametrize("command", ["replay", "play", "report"])

@@ -138,8 +138,8 @@ def test_a_question_that_fails_takes_no_other_with_it(
         ),
         (
             {"swing": Scenario.named("cart_pole/soft_06")},
-            {"options": FAST},
-            r"^swing: options: got PlanOptions, expected MechanismOptions",
+            {"options": PlanOptions(aigo_steps=9)},
+            r"^swing: aigo_steps: got 9 for a mechanism",
         ),
         (QUESTIONS, {"folder": "/no/such/folder"}, r"^/no/such/folder can't be written: got no f"),
     ],

@@ -15,7 +15,7 @@ from drake_aigto.errors import OptionsError
 from drake_aigto.paper import (
     LITERAL_LADDER,
     LiteralOptions,
-    LiteralProblem,
+    LiteralTask,
     LiteralTranscription,
     plan_literal,
 )
@@ -150,7 +150,7 @@ def test_costs_and_bounds_of_a_user_count() -> None:
     transcription.AddFinalCost(1.0 * v**2, "stop")
     transcription.AddConstraintToAllKnotPoints(u <= 2.0)
     transcription.AddConstraintToAllKnotPoints(u >= -2.0)
-    problem = LiteralProblem(transcription, QUICK)
+    problem = LiteralTask(transcription, QUICK)
     result = problem.run_aigo(QUICK.ladder[0])
     knots = problem.find_sequences(result, QUICK.ladder[0])[0]
     _, x = problem.polish(result.box.center, knots)
@@ -177,10 +177,10 @@ def test_ctrl_c_keeps_the_candidates_so_far() -> None:
 def test_nothing_feasible_is_an_error_that_says_what_was_tried(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def unpolished(problem: LiteralProblem, center: Any, knots: Any) -> Any:
+    def unpolished(problem: LiteralTask, center: Any, knots: Any) -> Any:
         return problem.transcription, center
 
-    monkeypatch.setattr(LiteralProblem, "polish", unpolished)
+    monkeypatch.setattr(LiteralTask, "polish", unpolished)
     message = r"no candidate meets .* got \d+ candidates from 2 rungs, the smallest defect"
     with pytest.raises(PlanningError, match=message):
         plan_literal(BOUNCE, QUICK)

@@ -14,7 +14,7 @@ from replay_worlds import make_diagram
 from drake_aigto import Plan, Planner, PlanOptions, Scenario, World
 from drake_aigto.cli import main
 from drake_aigto.errors import ProgramError
-from drake_aigto.planning import PlanningError, RigidProblem, make_problem
+from drake_aigto.planning import BallTask, PlanningError, make_ball_task
 from drake_aigto.show import format_plan
 from drake_aigto.transcription import Touch
 
@@ -113,9 +113,9 @@ def test_a_cost_at_one_knot_draws_the_motion_there() -> None:
 
 def test_a_plan_moves_its_bounce_past_a_time_that_is_bound() -> None:
     # A cost that changes next to nothing, but phases have to meet at its time.
-    program = make_problem(World.from_scenario(SCENARIO), SCENARIO).transcription
+    program = make_ball_task(World.from_scenario(SCENARIO), SCENARIO).transcription
     program.prog().AddCost(1e-9 * program.state(program.knot_at(0.5))[0])
-    held = RigidProblem(program)
+    held = BallTask(program)
     path = held.transcription.GetSampleTimes(), held.transcription.split(held.box.center)[0]
     for time in (0.45, 0.5, 0.55):
         phases, x = held.polish_along(path, (Touch.bounce(time),))

@@ -15,7 +15,7 @@ from benchmarks.study import ScenarioQuestion
 from benchmarks.world_scenarios import WORLDS
 from drake_aigto import Scenario, World
 from drake_aigto.errors import ScenarioError
-from drake_aigto.planning import Plan, Planner, PlanOptions, compiled, make_problem
+from drake_aigto.planning import Plan, Planner, PlanOptions, make_ball_task, programs
 from drake_aigto.terms import TermBlock, parse_costs
 from drake_aigto.transcription import RigidTranscription
 
@@ -133,7 +133,7 @@ def test_programs_are_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
         parsed.append(prog.num_vars())
         return parse_costs(prog)
 
-    monkeypatch.setattr(compiled, "parse_costs", count)
+    monkeypatch.setattr(programs, "parse_costs", count)
     first, *others = draw("point mass", 6, seed=3)
     planner = Planner(first, dataclasses.replace(UNCONFIRMED, aigo_steps=10))
     for scenario in (first, *others, first):
@@ -150,10 +150,10 @@ def test_programs_are_compiled_once(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_boxes_know_what_walls_return_and_where_they_stand(world: str) -> None:
     scenario = draw(world, 1, seed=5)[0]
     here = World.from_scenario(scenario)
-    problem = make_problem(here, scenario, UNCONFIRMED)
+    problem = make_ball_task(here, scenario, UNCONFIRMED)
     there = here.with_walls_nearer(np.linspace(0.02, -0.01, here.num_contacts))
     after = dataclasses.replace(scenario, restitution=0.7)
-    again, new = problem.in_world(there).again(after), make_problem(there, after, UNCONFIRMED)
+    again, new = problem.in_world(there).again(after), make_ball_task(there, after, UNCONFIRMED)
     rng = np.random.default_rng(3)
     box = rng.normal(size=problem.box.center.size), rng.uniform(size=problem.box.center.size)
     assert again.polynomial.mean(*box) == pytest.approx(new.polynomial.mean(*box), rel=1e-12)

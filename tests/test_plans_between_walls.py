@@ -13,7 +13,7 @@ from benchmarks.optima import walls_optimum
 from benchmarks.world_scenarios import WORLDS
 from benchmarks.worlds import load_unequal
 from drake_aigto import PlanOptions, Scenario, World, plan, scenario_names
-from drake_aigto.planning import Origin, RigidSearch, make_problem
+from drake_aigto.planning import BallSearch, Origin, make_ball_task
 from drake_aigto.transcription import PhaseTranscription, Touch
 
 QUICK = PlanOptions(confirm=False)
@@ -82,7 +82,9 @@ def test_a_block_that_the_motion_without_control_bounces_off_may_be_passed() -> 
 
 def test_masses_are_mirrors_to_each_other_if_they_are_equal() -> None:
     scenario = Scenario.named("two_masses/apart")
-    unfold = [make_problem(load_unequal(scenario, ratio), scenario).unfolds for ratio in (1.0, 3.0)]
+    unfold = [
+        make_ball_task(load_unequal(scenario, ratio), scenario).unfolds for ratio in (1.0, 3.0)
+    ]
     assert unfold == [True, False]
 
 
@@ -107,15 +109,15 @@ def test_the_same_scenario_gives_the_same_bits() -> None:
     assert one.trajectory.positions.tobytes() == other.trajectory.positions.tobytes()
 
 
-def search_of(name: str, **changes: float) -> RigidSearch:
+def search_of(name: str, **changes: float) -> BallSearch:
     scenario = dataclasses.replace(Scenario.named(name), **changes)  # type: ignore[arg-type]
-    problem = make_problem(World.from_scenario(scenario), scenario, QUICK)
-    return RigidSearch(problem)
+    problem = make_ball_task(World.from_scenario(scenario), scenario, QUICK)
+    return BallSearch(problem)
 
 
 def test_touches_that_no_motion_has_are_refused_once_and_stop_nothing() -> None:
     search = search_of("corridor/three_bounces")
-    center = search.problem.box.center
+    center = search.task.box.center
     at_once = (Touch.bounce(0.5, 0), Touch.bounce(0.5, 1))
     search.add(Origin("by hand"), center, at_once)
     assert not search.by_sequence
@@ -130,8 +132,9 @@ def test_a_touch_too_many_is_dropped() -> None:
     search = search_of("corridor/three_bounces")
     times = np.linspace(0, scenario.duration, len(optimum.contacts) + 3)[1:-1]
     more = (*optimum.contacts, 1 - optimum.contacts[-1])
-    search.add(Origin("by hand"), search.problem.box.center, tuple(map(Touch.bounce, times, more)))
-    search.branch()
+    search.add(Origin("by hand"), search.task.box.center, tuple(map(Touch.bounce, times, more)))
+    for wave in search.vary():
+        search.close(wave)
     best = search.ranked()[0]
     assert [contact.index for contact in best.contacts] == list(optimum.contacts)
     assert best.replay.cost <= 1.01 * optimum.cost + 1e-7
@@ -156,7 +159,7 @@ def test_bounces_in_the_wrong_order_change_places() -> None:
         Touch.bounce(second.start, first.contact),
     ]
     search = search_of("room/two_walls")
-    search.add(Origin("by hand"), search.problem.box.center, tuple(touches))
+    search.add(Origin("by hand"), search.task.box.center, tuple(touches))
     best = search.ranked()[0]
     assert [contact.index for contact in best.contacts] == list(optimum.contacts)
     assert best.replay.cost <= 1.01 * optimum.cost + 1e-7
@@ -189,7 +192,7 @@ def test_a_motion_that_keeps_off_a_wall_by_control_grazes_it() -> None:
         time_step=0.025,
     )
     world = World.from_scenario(scenario)
-    problem = make_problem(world, scenario, QUICK)
+    problem = make_ball_task(world, scenario, QUICK)
     phases, x = problem.polish(problem.box.center, ())
     (graze,) = phases.grazes(x)
     assert graze.contact == 0

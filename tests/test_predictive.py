@@ -16,7 +16,6 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto import (
     ControlError,
-    MechanismOptions,
     ModelPredictiveController,
     Planner,
     PlanOptions,
@@ -26,11 +25,12 @@ from drake_aigto import (
 )
 from drake_aigto.control import ClosedLoopRun, Disturbance, TickStatus, run_in_loop
 from drake_aigto.control.horizons import make_horizon
+from drake_aigto.planning import MECHANISM_LADDER
 from drake_aigto.simulation import make_simulator
 from drake_aigto.world import TaskCost
 
 SCENARIO = Scenario.named("cart_pole/soft_06")
-OPTIONS = MechanismOptions(renewals=16)
+OPTIONS = PlanOptions(renewals=16)
 BALL = Scenario.named("table1/1")
 QUICK = PlanOptions(branches=0, finalists=1, confirm=False)
 PENDULUM = Scenario.named("pendulum/off_the_wall")
@@ -261,7 +261,7 @@ def start_at(x: list[float]) -> None:
 def swing(scenario: Scenario, truth: Disturbance, renewals: int) -> ClosedLoopRun:
     """Returns a run of a mechanism between rigid walls."""
     world = World.from_scenario(scenario)
-    options = MechanismOptions(renewals=renewals, search_steps=30, threads=1)
+    options = PlanOptions(renewals=renewals, search_steps=30, threads=1)
     planner = Planner(scenario, options, world)
     controller = ModelPredictiveController(planner, 0.02, "shrinking")
     return run_in_loop(controller, scenario, world, truth)
@@ -302,7 +302,7 @@ def calc_spent(run: ClosedLoopRun, until: float) -> float:
 
 
 def test_a_mechanism_is_not_planned_for_from_inside_of_a_rigid_wall() -> None:
-    planner = Planner(PENDULUM, MechanismOptions(renewals=0))
+    planner = Planner(PENDULUM, PlanOptions(renewals=0))
     inside = np.array([-0.7, 0.0])
     assert planner.world.calc_signed_distance(inside[:1])[0] < 0
     builder = DiagramBuilder()
@@ -319,8 +319,8 @@ SPIN_SHOT = Scenario.named("billiard/spin_shot")
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["tracking", "replanning"])
 def test_a_ball_with_spin_is_brought_off_a_rigid_wall_that_rubs(method: str) -> None:
-    ladder = MechanismOptions().ladder[:2]
-    options = MechanismOptions(renewals=0, ladder=ladder, finalists=1, confirm=False, threads=1)
+    ladder = MECHANISM_LADDER[:2]
+    options = PlanOptions(renewals=0, ladder=ladder, finalists=1, confirm=False, threads=1)
     planner = Planner(SPIN_SHOT, options)
     planned = planner.plan()
     assert planned.cost < 0.44 and len(planned.best.contacts) == 1  # 0.638 without friction
@@ -338,8 +338,8 @@ SPINNER = Scenario.named("spinner/two_radians")
 
 
 def test_ticks_along_a_push_with_friction_are_no_dearer_than_the_one_before() -> None:
-    ladder = MechanismOptions().ladder[4:5]
-    planner = Planner(SPINNER, MechanismOptions(renewals=0, ladder=ladder, threads=1))
+    ladder = MECHANISM_LADDER[4:5]
+    planner = Planner(SPINNER, PlanOptions(renewals=0, ladder=ladder, threads=1))
     horizon = make_horizon(planner, is_receding=False, iterations=5, period=SPINNER.time_step)
     start = np.concatenate([SPINNER.initial_position, SPINNER.initial_velocity])
     motion = horizon.search(0.0, start)
@@ -359,7 +359,7 @@ def test_ticks_along_a_push_with_friction_are_no_dearer_than_the_one_before() ->
 def test_a_spinner_is_turned_where_mass_and_friction_are_others(
     mass: float, friction: float
 ) -> None:
-    planner = Planner(SPINNER, MechanismOptions(renewals=0, threads=1))
+    planner = Planner(SPINNER, PlanOptions(renewals=0, threads=1))
     controller = ModelPredictiveController(
         planner, SPINNER.time_step, "shrinking", iterations=15, surprise=np.inf
     )

@@ -9,16 +9,16 @@ import numpy as np
 import pytest
 
 from drake_aigto import Plan, Planner, Scenario
-from drake_aigto.planning import MechanismOptions
-from drake_aigto.planning.mechanism_options import MECHANISM_LADDER
-from drake_aigto.planning.mechanism_phases import lay_out
-from drake_aigto.planning.pool import Progress
-from drake_aigto.planning.rigid_mechanism import RigidMechanismProblem
-from drake_aigto.planning.rigid_mechanism_search import RigidMechanismSearch
+from drake_aigto.planning import PlanOptions
+from drake_aigto.planning.mechanisms.phases import lay_out
+from drake_aigto.planning.mechanisms.rigid_search import RigidMechanismSearch
+from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask
+from drake_aigto.planning.rungs import MECHANISM_LADDER
+from drake_aigto.planning.search import Progress
 from drake_aigto.simulation import replay_event_driven
 from drake_aigto.transcription import Touch
 
-QUICK = MechanismOptions(renewals=8, finalists=2)
+QUICK = PlanOptions(renewals=8, finalists=2)
 
 
 @pytest.fixture(scope="module")
@@ -139,8 +139,8 @@ def test_what_costs_more_than_a_finalist_that_holds_is_left_before_it_meets_its_
             self.motions = search.motions
 
     planner, few = Planner(Scenario.named("paddle/bat")), MECHANISM_LADDER[2:4]
-    options = MechanismOptions(renewals=0, ladder=few)
-    problem = RigidMechanismProblem(planner.world, planner.scenario, options)
+    options = PlanOptions(renewals=0, ladder=few)
+    problem = RigidMechanismTask(planner.world, planner.scenario, options)
     search, thorough = Search(problem), ThoroughSearch(problem)
     search.run()
     thorough.run()

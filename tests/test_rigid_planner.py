@@ -15,17 +15,17 @@ from table1_plans import COARSE, UNCONFIRMED, bounce_plan, table1
 from drake_aigto import Scenario, World
 from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal, rigid_optimum
 from drake_aigto.planning import (
+    BallTask,
     Origin,
     Plan,
     Planner,
     PlanOptions,
-    RigidProblem,
-    make_problem,
+    make_ball_task,
     plan,
-    rigid,
-    rigid_phases,
 )
-from drake_aigto.planning.options import RIGID_LADDER
+from drake_aigto.planning.balls import phases as ball_phases
+from drake_aigto.planning.balls import task as ball_task
+from drake_aigto.planning.rungs import BALL_LADDER
 from drake_aigto.show import format_plan
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription, Touch
 
@@ -50,8 +50,8 @@ def test_which_contacts_a_plan_has_does_not_depend_on_the_time_step(name: str, s
 def test_a_plan_that_arcs_do_not_lead_to_has_so_many_steps_at_most_and_says_so(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(rigid_phases, "solve_in_arcs", lambda *_: None)
-    monkeypatch.setattr(rigid, "_MOST_GENERAL", 80)
+    monkeypatch.setattr(ball_phases, "solve_in_arcs", lambda *_: None)
+    monkeypatch.setattr(ball_task, "_MOST_GENERAL", 80)
     found = plan(table1(1, time_step=1e-3), UNCONFIRMED, shipped_world())
     assert len(found.trajectory.controls) == 80
     assert found.cost == pytest.approx(2.1805e-4, rel=1e-3)
@@ -156,7 +156,7 @@ def test_a_handful_of_steps_is_enough_for_some_plan(steps: int) -> None:
 
 
 def test_touches_at_the_very_start_or_end_are_left_out() -> None:
-    problem = make_problem(shipped_world(), table1(1, time_step=0.25), UNCONFIRMED)
+    problem = make_ball_task(shipped_world(), table1(1, time_step=0.25), UNCONFIRMED)
     assert problem.fits(()) and problem.fits((Touch.bounce(0.2), Touch(0.6, 0.8)))
     for t in (0.0, 1e-9, 1.0 - 1e-9, 1.0):
         assert not problem.fits((Touch.bounce(t),))
@@ -166,9 +166,9 @@ def test_boxes_get_steps_enough_to_tell_a_bounce_from_the_start() -> None:
     world = shipped_world()
     fast = table1(1, initial_position=0.06, initial_velocity=-3.0)
     for scenario, steps in ((table1(1), 50), (fast, 150), (table1(1, time_step=0.05), 50)):
-        problem = make_problem(world, scenario, PlanOptions())
+        problem = make_ball_task(world, scenario, PlanOptions())
         assert problem.transcription.num_samples() == steps + 1
-    assert make_problem(world, table1(1), PlanOptions(aigo_steps=7)).box.center.size == 3 * 8 - 1
+    assert make_ball_task(world, table1(1), PlanOptions(aigo_steps=7)).box.center.size == 3 * 8 - 1
 
 
 # Any plant.
@@ -233,9 +233,9 @@ def test_what_users_add_shapes_boxes_and_phases() -> None:
     transcription.AddConstraintToAllKnotPoints(u <= limit)
     transcription.AddConstraintToAllKnotPoints(u >= -limit)
     transcription.AddFinalCost(1.0 * v**2, "arrive slowly")
-    problem = RigidProblem(transcription)
-    center = problem.run_aigo(RIGID_LADDER[0]).box.center
-    (sequence, *_) = problem.find_sequences(problem.run_aigo(RIGID_LADDER[0]), RIGID_LADDER[0])
+    problem = BallTask(transcription)
+    center = problem.run_aigo(BALL_LADDER[0]).box.center
+    (sequence, *_) = problem.find_sequences(problem.run_aigo(BALL_LADDER[0]), BALL_LADDER[0])
     assert len(sequence) == 1
     phases, x = problem.polish(center, sequence)
     bounded = phases.trajectory(x)
@@ -273,7 +273,7 @@ def test_a_plan_with_a_contact_that_lasts_reads_back(tmp_path: Path) -> None:
     scenario = table1(1, restitution=0.0, **COARSE)
     phases = PhaseTranscription(shipped_world(), scenario, [Touch(0.4, 0.6)])
     guess = phases.vector(phases.guess([[0.0], [0.0]]))
-    problem = make_problem(shipped_world(), scenario, UNCONFIRMED)
+    problem = make_ball_task(shipped_world(), scenario, UNCONFIRMED)
     x = problem.solve_program(phases.prog(), guess)
     candidate = problem.judge(Origin("by hand"), problem.box.center, phases, x)
     found = dataclasses.replace(bounce_plan(), candidates=(candidate,))

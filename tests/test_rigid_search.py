@@ -21,17 +21,17 @@ from drake_aigto import World
 from drake_aigto.aigo import AigoResult, Iterate, Status
 from drake_aigto.errors import OptionsError
 from drake_aigto.planning import (
+    BallSearch,
+    BallTask,
     Origin,
     Plan,
     Planner,
     PlanOptions,
-    RigidProblem,
-    RigidSearch,
     Rung,
-    make_problem,
+    make_ball_task,
     plan,
 )
-from drake_aigto.planning.options import RIGID_LADDER
+from drake_aigto.planning.rungs import BALL_LADDER
 from drake_aigto.transcription import RigidTranscription, Touch, TouchSequence
 
 
@@ -44,13 +44,13 @@ def all_candidates() -> Plan:
 
 
 def test_every_candidate_was_read_off_a_box() -> None:
-    problem = make_problem(shipped_world(), table1(1, **COARSE), UNCONFIRMED)
+    problem = make_ball_task(shipped_world(), table1(1, **COARSE), UNCONFIRMED)
     read = {
         tuple(touch.lasts for touch in sequence)
-        for rung in RIGID_LADDER
+        for rung in BALL_LADDER
         for sequence in problem.find_sequences(problem.run_aigo(rung), rung)
     }
-    origins = [Origin("annealing", rung) for rung in RIGID_LADDER]
+    origins = [Origin("annealing", rung) for rung in BALL_LADDER]
     for candidate in (each for each in all_candidates().candidates if not each.is_idle):
         assert candidate.origin in origins
         assert tuple(False for _ in candidate.contacts) in read
@@ -76,15 +76,15 @@ def test_rungs_that_are_left_out_would_find_nothing_better(number: int) -> None:
 
 
 def test_rungs_are_left_out_by_what_the_others_show() -> None:
-    problem = make_problem(shipped_world(), table1(1, **COARSE), UNCONFIRMED)
+    problem = make_ball_task(shipped_world(), table1(1, **COARSE), UNCONFIRMED)
 
     def run(shown: Mapping[int, TouchSequence]) -> list[int]:
         """Returns the places of the rungs that are run, if these show that."""
-        search = RigidSearch(problem)
+        search = BallSearch(problem)
         places = []
         for lot in search.rungs():
             for rung in lot:
-                places.append(RIGID_LADDER.index(rung))
+                places.append(BALL_LADDER.index(rung))
                 search.shown.append((rung, [shown[places[-1]]]))
         return places
 
@@ -101,7 +101,7 @@ def test_rungs_are_left_out_by_what_the_others_show() -> None:
 def test_no_flight_costs_less_than_its_bound(gravity: float, goal: float) -> None:
     world = World.from_diagram(make_diagram(gravity=gravity))
     scenario = table1(1, initial_velocity=0.3, goal_position=goal, time_step=0.01)
-    problem = make_problem(world, scenario, UNCONFIRMED)
+    problem = make_ball_task(world, scenario, UNCONFIRMED)
     phases, x = problem.polish(problem.box.center, ())
     # Held over N = 100 steps, a control costs 1/(4 N²) more than a free one, of its linear part.
     assert 0 < problem.least_flight_cost < phases.scenario_cost(x)
@@ -112,7 +112,7 @@ def test_a_flight_has_no_bound_where_something_was_added() -> None:
     scenario = table1(1, **COARSE)
     transcription = RigidTranscription(shipped_world(), scenario)
     transcription.AddRunningCost(transcription.input()[0] ** 2, "more effort")
-    assert RigidProblem(transcription, UNCONFIRMED).least_flight_cost == 0.0
+    assert BallTask(transcription, UNCONFIRMED).least_flight_cost == 0.0
 
 
 def test_colder_rungs_are_left_out_once_only_a_flight_is_left() -> None:
@@ -129,11 +129,11 @@ def test_a_flight_that_cannot_win_is_left_out_and_told() -> None:
 
 
 def test_under_gravity_every_rung_is_run() -> None:
-    problem = make_problem(
+    problem = make_ball_task(
         World.from_diagram(make_diagram(gravity=9.81)), table1(1, **COARSE), UNCONFIRMED
     )
-    search = RigidSearch(problem)
-    assert list(search.rungs()) == [RIGID_LADDER]
+    search = BallSearch(problem)
+    assert list(search.rungs()) == [BALL_LADDER]
 
 
 def test_candidates_are_ranked_by_their_replay() -> None:
@@ -150,7 +150,7 @@ def test_ctrl_c_keeps_the_candidates_so_far() -> None:
 
     options = dataclasses.replace(UNCONFIRMED, threads=1, exhaustive=True)
     found = Planner(table1(1, **COARSE), options).plan(progress=interrupt)
-    first = Origin("annealing", RIGID_LADDER[0])
+    first = Origin("annealing", BALL_LADDER[0])
     assert found.is_interrupted
     assert all(each.origin == first for each in found.candidates if not each.is_idle)
 
@@ -175,7 +175,7 @@ def test_boxes_of_many_variables_get_threads() -> None:
     scenario = table1(1, time_step=1e-3)
     several: list[dict[str, Any]] = [{}, {"aigo_steps": 500}, {"aigo_steps": 500, "threads": 3}]
     problems = [
-        make_problem(shipped_world(), scenario, dataclasses.replace(UNCONFIRMED, **changes))
+        make_ball_task(shipped_world(), scenario, dataclasses.replace(UNCONFIRMED, **changes))
         for changes in several
     ]
     cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
@@ -183,7 +183,7 @@ def test_boxes_of_many_variables_get_threads() -> None:
 
 
 def test_ctrl_c_ends_all_threads_and_keeps_what_they_have(monkeypatch: pytest.MonkeyPatch) -> None:
-    run_aigo, statuses, interrupts = RigidProblem.run_aigo, list[Status](), iter([True])
+    run_aigo, statuses, interrupts = BallTask.run_aigo, list[Status](), iter([True])
     both_run = threading.Barrier(2)
 
     main_thread = threading.main_thread().ident
@@ -203,7 +203,7 @@ def test_ctrl_c_ends_all_threads_and_keeps_what_they_have(monkeypatch: pytest.Mo
         statuses.append(result.status)
         return result
 
-    monkeypatch.setattr(RigidProblem, "run_aigo", run_until_stopped)
+    monkeypatch.setattr(BallTask, "run_aigo", run_until_stopped)
     options = dataclasses.replace(UNCONFIRMED, threads=2, exhaustive=True)
     found = Planner(table1(1, **COARSE), options).plan()
     assert statuses and set(statuses) == {Status.INTERRUPTED}

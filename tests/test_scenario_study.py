@@ -105,7 +105,7 @@ def test_boxes_alone_are_read_if_asked_for() -> None:
     (result,) = study.results
     each, either, count = count_right_boxes(study.results)
     assert count == 1
-    assert len(each) == len(result.runs["aigto"].boxes) == len(scenario_runs.OPTIONS.ladder)
+    assert len(each) == len(result.runs["aigto"].boxes) == len(scenario_runs.OPTIONS.ball_ladder)
     assert either == (0 in result.runs["aigto"].boxes)  # The optimum is a flight.
 
 

@@ -13,7 +13,7 @@ from mechanisms import MECHANISMS, build
 from scipy.optimize import minimize
 
 from drake_aigto.contact import CompliantLaw, RigidLaw
-from drake_aigto.planning import MechanismOptions, MechanismProblem
+from drake_aigto.planning import MechanismTask, PlanOptions
 from drake_aigto.shooting import (
     Mechanism,
     ShootingOptions,
@@ -314,7 +314,7 @@ def test_the_estimated_error_of_a_motion_falls_with_shorter_steps() -> None:
 def test_friction_is_the_same_at_the_end_of_a_task_as_in_the_whole() -> None:
     scenario = Scenario.named("pushed_block/slide")
     world = World.from_scenario(scenario)
-    whole = MechanismProblem(world, scenario, MechanismOptions()).shooting(40)
+    whole = MechanismTask(world, scenario, PlanOptions()).shooting(40)
     controls = np.full((40, 1), 2.0)
     path = whole.simulate(controls, 8)
     end = replace(whole, times=whole.times[30:], start=path.states[30])
@@ -327,7 +327,7 @@ def test_friction_is_the_same_at_the_end_of_a_task_as_in_the_whole() -> None:
 def test_finer_steps_than_friction_asks_for_leave_it_as_it_is() -> None:
     scenario = Scenario.named("pushed_block/slide")
     world = World.from_scenario(scenario)
-    problem = MechanismProblem(world, scenario, MechanismOptions()).shooting(40)
+    problem = MechanismTask(world, scenario, PlanOptions()).shooting(40)
     rubs = problem.mechanism.mechanics.rubs
     count = problem.rubbing_substeps
     assert count > 1

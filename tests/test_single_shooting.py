@@ -19,7 +19,7 @@ from benchmarks.equal_widths import EqualWidths
 from drake_aigto import ModelError, OptionsError, Scenario, UnsupportedTermError, World
 from drake_aigto.aigo import Annealing, Box, minimize
 from drake_aigto.paper import (
-    LiteralProblem,
+    LiteralTask,
     LiteralTranscription,
     PolynomialLaw,
     SingleShooting,
@@ -89,7 +89,7 @@ def test_aigo_and_polish_reach_the_optimum_of_multiple_shooting(
     assert boxes.is_converged
     found = minimize(f, Box(boxes.box.center, 1.0), POINTS).box.center  # type: ignore[arg-type]
     rows = transcription.multiple_shooting
-    problem = LiteralProblem(rows)
+    problem = LiteralTask(rows)
     x = problem.solve_locally(rows.initial_box()[0])
     assert max(rows.defects(x).values()) < 1e-9
     assert transcription.scenario_cost(found) == pytest.approx(rows.scenario_cost(x), rel=1e-9)

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from drake_aigto import Planner, Scenario, World
 from drake_aigto.contact import CompliantLaw, calc_drag, calc_pushes, contact_law
 from drake_aigto.dynamics import calc_friction_share
-from drake_aigto.planning import MechanismOptions
-from drake_aigto.planning.mechanism_problem import MechanismProblem
-from drake_aigto.planning.steadying import steady
+from drake_aigto.planning import PlanOptions
+from drake_aigto.planning.mechanisms.closing import steady
+from drake_aigto.planning.mechanisms.task import MechanismTask
 from drake_aigto.shooting import Mechanism
 from drake_aigto.show import Motion, plot_friction
 from drake_aigto.simulation import compile_springs, replay_drake, replay_event_driven
@@ -106,7 +106,7 @@ def test_compiled_rates_are_those_of_the_world(name: str) -> None:
 
 def test_a_replay_on_the_way_is_that_of_the_controls_that_were_held() -> None:
     scenario = dataclasses.replace(ask(), duration=0.3, time_step=0.05)
-    problem = MechanismProblem(read(), scenario, MechanismOptions())
+    problem = MechanismTask(read(), scenario, PlanOptions())
     found = problem.shooting(6).simulate(np.tile([1.0, 0.05], (6, 1)), 4)
     steadied = steady(read(), scenario, problem.shooting(6), found)
     assert np.abs(steadied.controls - found.controls).max() > 1e-9
@@ -187,7 +187,7 @@ def test_a_figure_tells_stick_from_slip_by_its_marks_and_has_friction_within_its
 @pytest.mark.slow
 def test_the_ball_spins_against_a_wall_to_go_where_nothing_drives_it() -> None:
     scenario = Scenario.named("spinning_ball/off_the_wall")
-    plan = Planner(scenario, MechanismOptions(renewals=24)).plan()
+    plan = Planner(scenario, PlanOptions(renewals=24)).plan()
     assert plan.holds
     assert plan.best.contacts
     for replay in plan.replay:
@@ -199,7 +199,7 @@ def test_the_ball_spins_against_a_wall_to_go_where_nothing_drives_it() -> None:
 
 @pytest.mark.slow
 def test_a_pusher_goes_round_a_disc_to_push_it_to_where_it_started() -> None:
-    plan = Planner(Scenario.named("push_circle/round_it"), MechanismOptions(renewals=24)).plan()
+    plan = Planner(Scenario.named("push_circle/round_it"), PlanOptions(renewals=24)).plan()
     assert plan.holds
     # Standing still costs 225, and so does all that local solvers find from there.
     assert plan.cost < 0.6
@@ -209,7 +209,7 @@ def test_a_pusher_goes_round_a_disc_to_push_it_to_where_it_started() -> None:
 
 @pytest.mark.slow
 def test_a_finger_turns_a_spinner_that_nothing_else_drives() -> None:
-    plan = Planner(Scenario.named("spinner/two_radians"), MechanismOptions(renewals=24)).plan()
+    plan = Planner(Scenario.named("spinner/two_radians"), PlanOptions(renewals=24)).plan()
     assert plan.holds
     assert plan.cost < 3.2
     for replay in plan.replay:
@@ -219,7 +219,7 @@ def test_a_finger_turns_a_spinner_that_nothing_else_drives() -> None:
 @pytest.mark.slow
 def test_a_block_is_pushed_up_to_a_stop_and_slides_on_to_its_goal() -> None:
     scenario = Scenario.named("pushed_block/slide")
-    plan = Planner(scenario, MechanismOptions(renewals=16)).plan()
+    plan = Planner(scenario, PlanOptions(renewals=16)).plan()
     assert plan.holds
     for replay in plan.replay:
         assert replay.positions[-1, 1] == pytest.approx(1.0, abs=0.01)
@@ -231,7 +231,7 @@ def test_a_block_is_pushed_up_to_a_stop_and_slides_on_to_its_goal() -> None:
 
 @pytest.mark.slow
 def test_a_hopper_hops_to_its_goal() -> None:
-    plan = Planner(Scenario.named("hopper/hop"), MechanismOptions(renewals=8, finalists=1)).plan()
+    plan = Planner(Scenario.named("hopper/hop"), PlanOptions(renewals=8, finalists=1)).plan()
     assert plan.holds
     for replay in plan.replay:
         np.testing.assert_allclose(replay.positions[-1, :2], [0.7, 0.5], atol=0.05)

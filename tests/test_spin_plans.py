@@ -12,11 +12,12 @@ from matplotlib.patches import Rectangle
 from rubbing_worlds import make_discs
 from test_shooting_phases import weigh
 
-from drake_aigto import MechanismOptions, Plan, Scenario, World, plan
+from drake_aigto import Plan, PlanOptions, Scenario, World, plan
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import Mobility, RigidLaw, calc_impulse
 from drake_aigto.errors import ProgramError
-from drake_aigto.planning.rigid_mechanism import RigidMechanismProblem, make_mechanism_problem
+from drake_aigto.planning import MECHANISM_LADDER
+from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask, make_mechanism_task
 from drake_aigto.shooting import (
     Mechanism,
     Phases,
@@ -110,7 +111,7 @@ def test_modes_that_are_no_signs_are_refused() -> None:
         Phases(0 * one, one, np.ones(2), (1.0, 1.0), modes=np.full((2, 1), 2))
 
 
-BRIEF = MechanismOptions(ladder=MechanismOptions().ladder[:2], renewals=0)
+BRIEF = PlanOptions(ladder=MECHANISM_LADDER[:2], renewals=0)
 
 
 @cache
@@ -134,10 +135,10 @@ def test_a_shot_with_spin_costs_less_than_any_without_friction_and_holds_in_both
 
 
 @cache
-def problem() -> RigidMechanismProblem:
+def problem() -> RigidMechanismTask:
     scenario = Scenario.named("billiard/spin_shot")
-    found = make_mechanism_problem(World.from_scenario(scenario), scenario, BRIEF)
-    assert isinstance(found, RigidMechanismProblem)
+    found = make_mechanism_task(World.from_scenario(scenario), scenario, BRIEF)
+    assert isinstance(found, RigidMechanismTask)
     return found
 
 

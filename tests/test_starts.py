@@ -8,18 +8,18 @@ import numpy as np
 import pytest
 
 from drake_aigto import OptionsError, PlanOptions, Scenario, World
-from drake_aigto.planning import make_problem
-from drake_aigto.planning.options import RIGID_LADDER, Rung
-from drake_aigto.planning.rigid import RigidProblem
-from drake_aigto.planning.touches import read_sequences
+from drake_aigto.planning import make_ball_task
+from drake_aigto.planning.balls.task import BallTask
+from drake_aigto.planning.rungs import BALL_LADDER, Rung
+from drake_aigto.planning.sequences import read_sequences
 from drake_aigto.simulation import replay_event_driven
 
-COASTING = [rung for rung in RIGID_LADDER if rung.start == "coast"]
+COASTING = [rung for rung in BALL_LADDER if rung.start == "coast"]
 
 
-def problem_of(name: str) -> RigidProblem:
+def problem_of(name: str) -> BallTask:
     scenario = Scenario.named(name)
-    problem = make_problem(World.from_scenario(scenario), scenario, PlanOptions())
+    problem = make_ball_task(World.from_scenario(scenario), scenario, PlanOptions())
     return problem
 
 
@@ -78,7 +78,7 @@ def test_cool_boxes_around_the_coast_keep_its_bounces(velocity: float, restituti
     coast = replay_event_driven(world, scenario, times, np.zeros((300, 1)))
     # What costs nothing is the best plan.
     scenario = dataclasses.replace(scenario, goal_position=coast.positions[-1])
-    problem = make_problem(world, scenario, PlanOptions())
+    problem = make_ball_task(world, scenario, PlanOptions())
     rung = COASTING[0]
     sequences = problem.find_sequences(problem.run_aigo(rung), rung)
     assert list(coast.bounce_contacts) in [[t.contact for t in s] for s in sequences]

@@ -22,11 +22,11 @@ from drake_aigto.paper import (
     RigidWithForces,
     SingleShooting,
     bounce_costs,
-    make_literal_problem,
+    make_literal_task,
     plan_literal,
     rigid_optimum,
 )
-from drake_aigto.planning import make_problem
+from drake_aigto.planning import make_ball_task
 from drake_aigto.simulation import HeldControl
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription
 from drake_aigto.world import Scales
@@ -48,8 +48,8 @@ CONTROLLER = HeldControl(*hold(0.0))
 NO_PLAN: Any = None
 DOORS: dict[str, Callable[[World, Scenario], Any]] = {
     "plan_literal": lambda world, task: plan_literal(task, world=world),
-    "make_literal_problem": make_literal_problem,
-    "make_problem": make_problem,
+    "make_literal_task": make_literal_task,
+    "make_ball_task": make_ball_task,
     "SingleShooting": SingleShooting,
     "LiteralWithForces": LiteralWithForces,
     "RigidWithForces": RigidWithForces,

@@ -17,10 +17,10 @@ from pydrake.trajectories import PiecewisePolynomial
 
 from drake_aigto import (
     ControlError,
-    MechanismOptions,
     ModelError,
     Plan,
     Planner,
+    PlanOptions,
     Scenario,
     TrackingController,
     TrajectoryError,
@@ -29,11 +29,11 @@ from drake_aigto import (
 from drake_aigto.control import Disturbance, KnotFeedback, PhaseFeedback, run_in_loop
 from drake_aigto.control.flights import split_flights
 from drake_aigto.control.phase_feedback import Sweep
-from drake_aigto.planning import MechanismProblem
+from drake_aigto.planning import MechanismTask
 from drake_aigto.simulation import make_simulator, replay_drake, replay_event_driven
 from drake_aigto.trajectory import Trajectory
 
-QUICK = MechanismOptions(renewals=48, finalists=1, confirm=False)
+QUICK = PlanOptions(renewals=48, finalists=1, confirm=False)
 
 
 @cache
@@ -122,7 +122,7 @@ def test_gains_are_those_of_the_discrete_riccati_equation() -> None:
         initial_position=0.9, initial_velocity=0.0, goal_position=1.0, duration=0.8, time_step=0.1
     )
     scenario = dataclasses.replace(scenario, **weights)
-    task = MechanismProblem(drop_ball(), scenario, MechanismOptions()).shooting(8)
+    task = MechanismTask(drop_ball(), scenario, PlanOptions()).shooting(8)
     expected = solve_riccati(0.1, 8, 2.0, weights)
     # A descent's first damping is a millionth of the curvature.
     np.testing.assert_allclose(task.calc_gains(np.zeros((8, 1)), 8), expected, rtol=2e-6)
@@ -169,7 +169,7 @@ def test_gains_that_know_of_no_impact_are_not_used_at_one() -> None:
 
 
 def test_a_mechanism_that_bounces_is_brought_back_to_its_plan() -> None:
-    options = MechanismOptions(renewals=0, confirm=False)
+    options = PlanOptions(renewals=0, confirm=False)
     swing = Planner(Scenario.named("pendulum/off_the_wall"), options).plan()
     world, scenario = swing.find_world(), swing.scenario
     assert isinstance(TrackingController(swing).feedback, PhaseFeedback)

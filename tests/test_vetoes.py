@@ -17,9 +17,8 @@ from table1_plans import COARSE, UNCONFIRMED, bounce_plan, table1
 from drake_aigto import Scenario, World, plan
 from drake_aigto.cli import INTERRUPTED, main
 from drake_aigto.paper import LITERAL_LADDER, LiteralOptions, plan_literal, rigid_optimum
-from drake_aigto.planning import Plan, Planner, PlanningError, PlanningProblem, RigidProblem
-from drake_aigto.planning import problem as planning_problem
-from drake_aigto.planning.idle import idle_candidate
+from drake_aigto.planning import BallTask, Plan, Planner, PlanningError, ProgramTask
+from drake_aigto.planning import program_task as planning_problem
 from drake_aigto.show import Page, add_verdict, format_plan
 from drake_aigto.simulation import Replay, replay_event_driven
 
@@ -134,8 +133,8 @@ def test_nothing_that_holds_is_an_error_that_says_what_was_tried(
 def test_where_no_polish_succeeds_there_is_still_doing_nothing(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr(RigidProblem, "_has_arcs", False)
-    monkeypatch.setattr(RigidProblem, "solve_program", lambda self, prog, guess, *_: guess)
+    monkeypatch.setattr(BallTask, "_has_arcs", False)
+    monkeypatch.setattr(BallTask, "solve_program", lambda self, prog, guess, *_: guess)
     found = plan(table1(1, **COARSE))
     assert found.best.is_idle
     assert not any(candidate.is_feasible for candidate in found.candidates[1:])
@@ -193,9 +192,9 @@ def test_doing_nothing_obeys_the_rows_of_a_plan(world: World | None, fields: Any
     ends = {"initial_position": 0.5, "initial_velocity": 0.0, **fields}
     goal = np.full(np.size(ends["initial_position"]), 0.7)
     scenario = Scenario(**ends, goal_position=goal)
-    problem = Planner(scenario, UNCONFIRMED, world)._problem
-    assert isinstance(problem, PlanningProblem)
-    idle = idle_candidate(problem)
+    problem = Planner(scenario, UNCONFIRMED, world).task
+    assert isinstance(problem, ProgramTask)
+    idle = problem.idle_candidate()
     assert idle.is_feasible and idle.is_confirmed and idle.is_idle
     assert not np.any(idle.trajectory.controls)
     assert np.any(idle.trajectory.impulses) == bool(idle.replay.bounce_times)
@@ -207,12 +206,12 @@ def test_doing_nothing_obeys_the_rows_of_a_plan(world: World | None, fields: Any
 def test_ctrl_c_gives_the_best_so_far_and_says_so(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def interrupt(self: RigidProblem, candidate: Any) -> Any:
+    def interrupt(self: BallTask, candidate: Any) -> Any:
         raise KeyboardInterrupt
 
     whole = bounce_plan()
     assert not whole.is_interrupted
-    monkeypatch.setattr(RigidProblem, "confirm", interrupt)
+    monkeypatch.setattr(BallTask, "confirm", interrupt)
     out = tmp_path / "plan.json"
     assert main(["plan", "table1/1", "--time-step", "0.02", "--json", str(out)]) == INTERRUPTED
     saved = Plan.load(out)

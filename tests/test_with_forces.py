@@ -19,15 +19,15 @@ from drake_aigto.aigo import Annealing
 from drake_aigto.box import BoxPolynomial
 from drake_aigto.paper import (
     LiteralOptions,
-    LiteralProblem,
     LiteralSearch,
+    LiteralTask,
     LiteralTranscription,
     LiteralWithForces,
     RigidWithForces,
     rigid_optimum,
 )
-from drake_aigto.planning import PlanOptions, RigidProblem, RigidSearch, Rung, run_search
-from drake_aigto.planning.options import RIGID_LADDER
+from drake_aigto.planning import BallSearch, BallTask, PlanOptions, Rung, run_search
+from drake_aigto.planning.rungs import BALL_LADDER
 from drake_aigto.transcription import RigidTranscription, Transcription
 
 Array = npt.NDArray[np.float64]
@@ -35,7 +35,7 @@ Array = npt.NDArray[np.float64]
 EXACT = 1e-9
 # The optimum bounces, and boxes of the hot rung find it without forces as variables.
 BOUNCE = dataclasses.replace(Scenario.named("table1/3"), time_step=0.02)
-HOT = RIGID_LADDER[0]
+HOT = BALL_LADDER[0]
 
 
 def is_met(transcription: Transcription, x: Array) -> bool:
@@ -138,7 +138,7 @@ def read(transcription: RigidTranscription, rung: Rung) -> tuple[int, float]:
 
     Annealed slowly, so that what is seen is the transcription's doing.
     """
-    problem = RigidProblem(transcription)
+    problem = BallTask(transcription)
     start = rung.temperature * transcription.cost_scale()
     slowly = Annealing(initial_temperature=start, final_temperature=1e-7 * start)
     result = problem.run_aigo(rung, algorithm=slowly)
@@ -171,11 +171,11 @@ def test_they_do_not_always_collapse() -> None:
 
 def test_a_plan_with_forces_is_polished_like_any_other() -> None:
     variant = Variant("forces", force_variables=True)
-    search = RigidSearch(VariantProblem(variant, shipped_world(), BOUNCE))
+    search = BallSearch(VariantProblem(variant, shipped_world(), BOUNCE))
     found = run_search(search, BOUNCE)
     exact = rigid_optimum(shipped_world(), BOUNCE).cost
     assert found.replay.event_driven.cost == pytest.approx(exact, rel=1e-3)
-    assert len(found.stats.box_contacts) == len(RIGID_LADDER)
+    assert len(found.stats.box_contacts) == len(BALL_LADDER)
     # The boxes around the coasting motion start in the bounce; those around the line lose it.
     assert found.stats.box_contacts == (0, 0, 0, 1, 1)
 
@@ -183,7 +183,7 @@ def test_a_plan_with_forces_is_polished_like_any_other() -> None:
 def test_literal_plans_with_forces_keep_the_penalty_of_their_row() -> None:
     ladder = (Rung(1e-4, {"contact": 1e4, "kinematics": 1e3, "dynamics": 1e-2}),)
     options = LiteralOptions(ladder=ladder, knot_steps=())
-    search = LiteralSearch(LiteralProblem(LiteralWithForces(shipped_world(), BOUNCE), options))
+    search = LiteralSearch(LiteralTask(LiteralWithForces(shipped_world(), BOUNCE), options))
     search.run()
     best = search.find_feasible()[0]
     assert max(best.defects.values()) < 1e-6
@@ -199,9 +199,9 @@ def test_widths_that_are_none_are_refused(transcribe: Any) -> None:
 
 def test_weights_of_impulse_rows_need_impulses_as_variables() -> None:
     options = PlanOptions(ladder=(Rung(1.0, {"push": 1.0}),))
-    RigidProblem(RigidWithForces(shipped_world(), BOUNCE), options)
+    BallTask(RigidWithForces(shipped_world(), BOUNCE), options)
     with pytest.raises(OptionsError, match="got a weight for 'push', expected names of rows: fli"):
-        RigidProblem(RigidTranscription(shipped_world(), BOUNCE), options)
+        BallTask(RigidTranscription(shipped_world(), BOUNCE), options)
 
 
 def test_what_users_add_is_kept_along_another_path() -> None:

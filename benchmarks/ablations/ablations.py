@@ -17,15 +17,15 @@ from drake_aigto.aigo import AigoResult, Algorithm, Alternating, FullGradient
 from drake_aigto.errors import OptionsError
 from drake_aigto.paper import RigidWithForces
 from drake_aigto.planning import (
+    BallSearch,
+    BallTask,
     Origin,
     PlanOptions,
-    RigidProblem,
-    RigidSearch,
     Rung,
     coarsen,
     run_search,
 )
-from drake_aigto.planning.options import RIGID_LADDER
+from drake_aigto.planning.rungs import BALL_LADDER
 from drake_aigto.simulation import replay_event_driven
 from drake_aigto.transcription import RigidTranscription, Touch, TouchSequence
 from drake_aigto.transcription.rows import CONTACT, DYNAMICS, RESTITUTION
@@ -62,7 +62,7 @@ class Variant:
 
 
 def _of(start: str) -> tuple[Rung, ...]:
-    return tuple(rung for rung in RIGID_LADDER if rung.start == start)
+    return tuple(rung for rung in BALL_LADDER if rung.start == start)
 
 
 def _reweighed(rungs: Iterable[Rung], **weights: float) -> tuple[Rung, ...]:
@@ -77,7 +77,7 @@ def _with(options: PlanOptions, **changes: object) -> PlanOptions:
 _BARE = _with(EXHAUSTIVE, ladder=_of("line"), branches=0)
 # Hot rungs under which forces as variables find bounces too.
 _LIGHT = _reweighed(
-    (dataclasses.replace(RIGID_LADDER[0], temperature=T) for T in (30.0, 10.0, 3.0)),
+    (dataclasses.replace(BALL_LADDER[0], temperature=T) for T in (30.0, 10.0, 3.0)),
     **{DYNAMICS: 30.0, CONTACT: 30.0, RESTITUTION: 0.02},
 )
 # A local optimum of the penalized cost itself.
@@ -106,7 +106,7 @@ def _make_variants() -> dict[str, Variant]:
     found["bare"] = Variant("boxes, bare", _BARE)
     for name, (algorithm, pull) in _SHRINKING.items():
         found[f"bare, {name}"] = Variant("boxes, bare", _BARE, algorithm, pull)
-    for number, rung in enumerate(RIGID_LADDER, 1):
+    for number, rung in enumerate(BALL_LADDER, 1):
         found[f"rung {number} alone"] = Variant("ladder", _with(EXHAUSTIVE, ladder=(rung,)))
     for steps in (25, 100, 200, 400):
         found[f"{steps} box steps"] = Variant("steps", _with(EXHAUSTIVE, aigo_steps=steps))
@@ -116,7 +116,7 @@ def _make_variants() -> dict[str, Variant]:
         options = _with(EXHAUSTIVE, relaxation=relaxation)
         found[f"relaxation {relaxation:.0e}"] = Variant("rows", options)
     for name, options in {"": EXHAUSTIVE, "bare, ": _BARE}.items():
-        ladder = _reweighed(options.ladder, **{RESTITUTION: 0.0})
+        ladder = _reweighed(options.ball_ladder, **{RESTITUTION: 0.0})
         found[f"{name}no restitution row"] = Variant("rows", _with(options, ladder=ladder))
     found |= {
         "no polish": Variant("polish", way="replay"),
@@ -190,7 +190,7 @@ def run_variant(world: World, job: Job) -> MethodRun:
 _Found: TypeAlias = tuple[float, tuple[int, ...]]
 
 
-class VariantProblem(RigidProblem):
+class VariantProblem(BallTask):
     """The planner's problem with one part changed."""
 
     def __init__(self, variant: Variant, world: World, scenario: Scenario) -> None:
@@ -221,7 +221,7 @@ class VariantProblem(RigidProblem):
 
 def _plan(world: World, scenario: Scenario, variant: Variant) -> _Found:
     """Returns a plan's cost when replayed, and how many contacts the box of each rung shows."""
-    plan = run_search(RigidSearch(VariantProblem(variant, world, scenario)), scenario)
+    plan = run_search(BallSearch(VariantProblem(variant, world, scenario)), scenario)
     return plan.replay.event_driven.cost, read_boxes(plan)
 
 
@@ -229,7 +229,7 @@ def _replay_boxes(world: World, scenario: Scenario, variant: Variant) -> _Found:
     """Returns the least cost of what AIGO's boxes hold, replayed without any polish."""
     problem = VariantProblem(variant, world, scenario)
     costs, contacts = [], []
-    for rung in variant.options.ladder:
+    for rung in variant.options.ball_ladder:
         result = problem.run_aigo(rung)
         center = problem.pull(result.box.center, rung) if variant.pull else result.box.center
         sequences = problem.find_sequences(result, rung)
@@ -243,7 +243,7 @@ def _replay_boxes(world: World, scenario: Scenario, variant: Variant) -> _Found:
 def _polish_listed(world: World, scenario: Scenario, variant: Variant) -> _Found:
     """Returns the cost of the best of flight and one bounce, polished as AIGO's sequences are."""
     problem = VariantProblem(variant, world, scenario)
-    search = RigidSearch(problem)
+    search = BallSearch(problem)
     bounce = Touch.bounce(scenario.duration / 2)
     listed: tuple[TouchSequence, ...] = ((), (bounce,))
     for sequence in listed:

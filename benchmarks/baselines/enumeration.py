@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.baselines.baseline import Baseline, Recorder
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import AigtoError
-from drake_aigto.planning import RigidProblem, make_problem
+from drake_aigto.planning import BallTask, make_ball_task
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import World
 
@@ -29,7 +29,7 @@ class Enumeration(Baseline):
 
     def search(self, recorder: Recorder, generator: np.random.Generator) -> None:
         """Goes through the list, which ends; there is no chance in it."""
-        problem = make_problem(recorder.world, recorder.scenario)
+        problem = make_ball_task(recorder.world, recorder.scenario)
         sequences = list_sequences(recorder.world, recorder.scenario.duration)
         offer_polished(recorder, problem, sequences, problem.box.center)
 
@@ -49,7 +49,7 @@ def list_sequences(world: World, duration: float) -> Iterator[TouchSequence]:
 
 
 def offer_polished(
-    recorder: Recorder, problem: RigidProblem, sequences: Iterable[TouchSequence], x: Floats
+    recorder: Recorder, problem: BallTask, sequences: Iterable[TouchSequence], x: Floats
 ) -> None:
     """Polishes sequence after sequence of contacts until it is over, and offers the controls.
 

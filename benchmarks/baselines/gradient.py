@@ -8,8 +8,8 @@ from typing import Literal
 import numpy as np
 
 from benchmarks.baselines.baseline import Baseline, Recorder
-from drake_aigto.paper import LiteralOptions, make_literal_problem, random_guess
-from drake_aigto.planning import PlanningProblem, PlanOptions, make_problem
+from drake_aigto.paper import LiteralOptions, make_literal_task, random_guess
+from drake_aigto.planning import PlanOptions, ProgramTask, make_ball_task
 from drake_aigto.planning.candidate import LARGEST_DEFECT
 from drake_aigto.transcription.rows import largest_defect
 
@@ -45,8 +45,8 @@ class GradientBaseline(Baseline):
             claim = transcription.scenario_cost(x) if self._is_literal and is_met else math.inf
             recorder.offer(transcription.GetSampleTimes(), transcription.split(x)[2], claim)
 
-    def _make_problem(self, recorder: Recorder) -> PlanningProblem:
+    def _make_problem(self, recorder: Recorder) -> ProgramTask:
         question = recorder.world, recorder.scenario
         if self._is_literal:
-            return make_literal_problem(*question, LiteralOptions(local_solver=self._solver))
-        return make_problem(*question, PlanOptions(relaxation=0.0, local_solver=self._solver))
+            return make_literal_task(*question, LiteralOptions(local_solver=self._solver))
+        return make_ball_task(*question, PlanOptions(relaxation=0.0, local_solver=self._solver))

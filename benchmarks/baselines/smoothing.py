@@ -12,7 +12,7 @@ from benchmarks.baselines.enumeration import offer_polished
 from drake_aigto.aigo import Box, Iterate
 from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial
-from drake_aigto.planning import PlanOptions, make_problem
+from drake_aigto.planning import PlanOptions, make_ball_task
 
 # Adam's, of the gradient and of its square (D. P. Kingma and J. Ba, 2015, but for 0.999: runs are
 # short).
@@ -102,7 +102,7 @@ class Smoothing(Baseline):
     One descent after another, over the rungs of the planner's ladder in turn. What is offered of
     each is its control as it is, and what a local solver makes of its end:
 
-        "smoothing"           penalties are raised (`PlanningProblem.pull`), then the rigid program
+        "smoothing"           penalties are raised (`ProgramTask.pull`), then the rigid program
                               is solved, as the gradient baselines do but by our interior point
         "smoothing polished"  contact sequences are read off it and polished as AIGO's are
 
@@ -119,11 +119,11 @@ class Smoothing(Baseline):
     def search(self, recorder: Recorder, generator: np.random.Generator) -> None:
         """Descends again and again."""
         question = recorder.world, recorder.scenario
-        problem = solved = make_problem(*question)
+        problem = solved = make_ball_task(*question)
         if not self._is_polished:
-            solved = make_problem(*question, PlanOptions(relaxation=0.0))
+            solved = make_ball_task(*question, PlanOptions(relaxation=0.0))
         transcription = problem.transcription
-        for rung in itertools.cycle(problem.options.ladder):
+        for rung in itertools.cycle(problem.ladder):
             if recorder.is_over:
                 return
             seed = int(generator.integers(2**63))

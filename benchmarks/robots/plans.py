@@ -11,12 +11,13 @@ from benchmarks.robots.judge import Control
 from benchmarks.robots.shooting import world_of
 from benchmarks.robots.worlds import Question, scenario_of
 from drake_aigto.errors import AigtoError
-from drake_aigto.planning import MechanismOptions, Planner
+from drake_aigto.planning import Planner, PlanOptions
 from drake_aigto.simulation import replay_drake
 
-_OPTIONS = MechanismOptions(confirm=False, threads=1)
+_OPTIONS = PlanOptions(confirm=False, threads=1)
 _POINTS = dataclasses.replace(
-    _OPTIONS, ladder=tuple(dataclasses.replace(rung, half_width=0.0) for rung in _OPTIONS.ladder)
+    _OPTIONS,
+    ladder=tuple(dataclasses.replace(rung, half_width=0.0) for rung in _OPTIONS.mechanism_ladder),
 )
 
 

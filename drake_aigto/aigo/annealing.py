@@ -10,7 +10,7 @@ import numpy as np
 
 from drake_aigto.aigo.algorithm import Box, Iterate
 from drake_aigto.aigo.descent import NewtonProblem, descend
-from drake_aigto.aigo.newton import make_problem
+from drake_aigto.aigo.newton import make_ball_task
 from drake_aigto.arrays import Floats
 from drake_aigto.box import BoxPolynomial, Order
 from drake_aigto.errors import OptionsError, check_counts, check_positive
@@ -87,7 +87,7 @@ class Annealing:
             lower[0::2] -= box.half_width[f.order]
             upper[0::2] += box.half_width[f.order]
             lower[1::2] = -np.inf
-        problem = make_problem(f, Order.BOXES, box.free, 0.0, bounds)
+        problem = make_ball_task(f, Order.BOXES, box.free, 0.0, bounds)
         return Iterate(box, mean, start, memory=AnnealingMemory(problem, unit, start))
 
     def step(self, f: BoxPolynomial, iterate: Iterate) -> Iterate:

@@ -20,7 +20,7 @@ _RAISES, _RAISE = 5, 10.0
 _RAISED_STEPS, _RAISED_TOLERANCE = 10, 1e-10
 
 
-def make_problem(
+def make_ball_task(
     f: BoxPolynomial,
     order: Order,
     free: Bools,
@@ -82,7 +82,7 @@ class CenterObjective:
         """Puts variables in elimination order."""
         within = _NO_BOUNDS if bounds is None else (bounds[0][f.order], bounds[1][f.order])
         self._f, self._tolerance = f, tolerance
-        self._problem = make_problem(f, Order.CENTERS, free, half_width, within)
+        self._problem = make_ball_task(f, Order.CENTERS, free, half_width, within)
 
     def descend(self, x: Floats, max_steps: int, damping: float = 0.0) -> NewtonResult:
         """Minimizes from x (n,) by damped steps, see `descent.descend`."""

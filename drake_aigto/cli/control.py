@@ -27,7 +27,7 @@ from drake_aigto.control import (
 )
 from drake_aigto.errors import ControlError, OptionsError
 from drake_aigto.output import check_writable, write_text
-from drake_aigto.planning import MechanismOptions, Planner, needs_shooting
+from drake_aigto.planning import Planner, PlanOptions
 from drake_aigto.show import INTERRUPTED as CUT_SHORT
 from drake_aigto.world import Scenario, World
 
@@ -109,7 +109,8 @@ def _control(options: argparse.Namespace) -> int:
     _check_flags(options, disturbance)
     world = World.from_scenario(scenario)
     disturbance.apply(world, scenario)  # Refused before long work.
-    planner = Planner(scenario, _read_planning(options, world, scenario), world)
+    numerics = None if options.renewals is None else PlanOptions(renewals=options.renewals)
+    planner = Planner(scenario, numerics, world)
     meshcat = _open_live(options)
     with show_progress(options, "planning") as progress:
         controller = _make_controller(options, planner)
@@ -146,18 +147,6 @@ def _check_flags(options: argparse.Namespace, disturbance: Disturbance) -> None:
                 flag = f"--{name.replace('_', '-')}"
                 expected = "--method replanning, whose flag it is"
                 raise OptionsError(flag, got="--method tracking", expected=expected)
-
-
-def _read_planning(
-    options: argparse.Namespace, world: World, scenario: Scenario
-) -> MechanismOptions | None:
-    """Returns the numerics that were given; None: the defaults."""
-    if options.renewals is None:
-        return None
-    if not needs_shooting(world, scenario):
-        got, expected = "balls between rigid walls", "another task, whose search has renewals"
-        raise OptionsError("--renewals", got=got, expected=expected)
-    return MechanismOptions(renewals=options.renewals)
 
 
 def _make_controller(

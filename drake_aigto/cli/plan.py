@@ -29,12 +29,10 @@ from drake_aigto.paper import ROWS, LiteralOptions, plan_literal, run_table1
 from drake_aigto.paper.options import AlgorithmName
 from drake_aigto.plain import to_plain
 from drake_aigto.planning import (
-    MechanismOptions,
     Plan,
     Planner,
     PlanningError,
     PlanOptions,
-    needs_shooting,
 )
 from drake_aigto.planning.options import LocalSolverName
 from drake_aigto.show import cost_text, format_plan, format_replays
@@ -43,24 +41,23 @@ from drake_aigto.world import Scenario, World
 if TYPE_CHECKING:
     from drake_aigto.jobs import Answer
 
-# Option → what it is, of rigid plans, of literal ones, or of both.
+# Option → what it is; for balls between rigid walls, any other task, or the paper's plans.
 _NUMERICS = {
-    "local_solver": "what polishes AIGO's results",
+    "local_solver": "balls, literal: what refines AIGO's results",
     "finalists": "how many of the best candidates are improved",
     "threads": "how many starts of AIGO run at once (default: more than one where it pays)",
-    "relaxation": "rigid: how much walls push from afar while boxes shrink",
-    "aigo_steps": "rigid: the most time steps that boxes have",
-    "certify": "rigid, shooting: say how far at most the plan is above any other",
-    "exhaustive": "rigid: also run starts, and polish flights, that can hardly win",
-    "renewals": "shooting: how many times at most motions are opened to boxes again, or begun anew",
-    "patience": "shooting: after how many of these that find nothing better the search ends",
-    "search_steps": "shooting: the most time steps that motions are searched with",
-    "seed": "shooting: of what is drawn",
+    "relaxation": "balls: how much walls push from afar while boxes shrink",
+    "aigo_steps": "balls: the most time steps that boxes have",
+    "certify": "say how far at most the plan is above any other",
+    "exhaustive": "balls: also run starts, and polish flights, that can hardly win",
+    "renewals": "mechanisms: the most times that motions are opened to boxes again, or begun anew",
+    "patience": "mechanisms: after how many of these that find nothing better the search ends",
+    "search_steps": "mechanisms: the most time steps that motions are searched with",
+    "seed": "mechanisms: of what is drawn",
     "nonpenetration": "literal: ask for φ(q) ≥ 0 at the knots",
     "algorithm": "literal: how boxes shrink",
 }
 _CHOICES = {"local_solver": get_args(LocalSolverName), "algorithm": get_args(AlgorithmName)}
-_OPTIONS = {"rigid": PlanOptions, "shooting": MechanismOptions, "literal": LiteralOptions}
 
 _PLAN_EXAMPLES = """\
 drake-aigto plan table1/1 --json plan.json
@@ -111,12 +108,9 @@ def add_replay(commands: Any) -> None:
 
 
 def _add_numerics(group: Any) -> None:
-    text = (
-        "rigid: for balls between rigid walls, and their default; shooting: for any other task, "
-        "and its default; literal: the paper's"
-    )
-    group.add_argument("--transcription", choices=_OPTIONS, help=text)
-    kinds = LiteralOptions(), MechanismOptions(), PlanOptions()
+    text = "literal: plan as the paper does; left out: as the world asks for"
+    group.add_argument("--transcription", metavar="literal", help=text)
+    kinds = LiteralOptions(), PlanOptions()
     defaults = {name: value for each in kinds for name, value in vars(each).items()}
     for name, text in _NUMERICS.items():
         flag, default = f"--{name.replace('_', '-')}", defaults[name]
@@ -133,33 +127,37 @@ def _add_numerics(group: Any) -> None:
         group.add_argument(flag, **more)
 
 
-def _read_options(
-    options: argparse.Namespace, name: str
-) -> PlanOptions | MechanismOptions | LiteralOptions:
-    """Returns the numerics that were given, for a transcription.
+def _read_options(options: argparse.Namespace) -> PlanOptions | LiteralOptions:
+    """Returns the numerics that were given.
 
     Raises:
-        OptionsError: some are of another transcription.
+        OptionsError: some are of the other kind of plan, or there is no such transcription.
     """
-    known = {each: {field.name for field in fields(kind)} for each, kind in _OPTIONS.items()}
+    if options.transcription not in (None, "literal"):
+        raise OptionsError(
+            "--transcription",
+            got=options.transcription,
+            expected="literal",
+            remedy="Leave it out: whether balls or a mechanism are planned for, the world says.",
+        )
+    literal = "--transcription literal"
+    kind: type[PlanOptions | LiteralOptions] = PlanOptions
+    got, expected = f"no {literal}", f"{literal}, whose option it is"
+    if options.transcription:
+        kind, got, expected = LiteralOptions, literal, "another plan, whose option it is"
+    known = {field.name for field in fields(kind)}
     given = {name: value for name, value in vars(options).items() if name in _NUMERICS}
     for option in given:
-        if option not in known[name]:
-            takers = (other for other, names in known.items() if option in names)
-            raise OptionsError(
-                f"--{option.replace('_', '-')}",
-                got=f"--transcription {name}",
-                expected=f"--transcription {' or '.join(takers)}, whose option it is",
-            )
-    return _OPTIONS[name](confirm=options.confirm, **given)
+        if option not in known:
+            raise OptionsError(f"--{option.replace('_', '-')}", got=got, expected=expected)
+    return kind(confirm=options.confirm, **given)
 
 
 def _plan(options: argparse.Namespace) -> int:
     check_writable(options.json)
     scenario = load_scenario(options)
     world = World.from_scenario(scenario)
-    default = "shooting" if needs_shooting(world, scenario) else "rigid"
-    chosen = _read_options(options, options.transcription or default)
+    chosen = _read_options(options)
     try:
         with show_progress(options, "transcribing") as progress:
             if isinstance(chosen, LiteralOptions):

@@ -14,13 +14,13 @@ from drake_aigto.control.motion import Motion
 from drake_aigto.control.touches_left import choose, find_left
 from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
 from drake_aigto.planning import (
+    BallSearch,
+    BallTask,
     PlanningError,
     PlanOptions,
-    RigidProblem,
-    RigidSearch,
-    make_problem,
+    make_ball_task,
 )
-from drake_aigto.planning.rigid_phases import Path
+from drake_aigto.planning.balls.phases import Path
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import Scales, Scenario, World
 
@@ -67,12 +67,12 @@ class BallHorizon(Horizon):
             period: between ticks [s].
         """
         super().__init__(world, scenario, is_receding, scenario.num_steps)
-        self._problem = make_problem(world, scenario, options).in_brief(_SEARCHED)
+        self._problem = make_ball_task(world, scenario, options).in_brief(_SEARCHED)
         self._period = period
         scales = Scales.of(world, scenario)
         self._length, self._doubt = scales.length, (_DOUBT * scales.velocity) ** 2
         self._bounced: int | None = None
-        self._kept: dict[tuple[float, ...], RigidProblem] = {}
+        self._kept: dict[tuple[float, ...], BallTask] = {}
 
     @property
     def cost_scale(self) -> float:
@@ -114,7 +114,7 @@ class BallHorizon(Horizon):
             learned.world = learned._problem.world
         return learned
 
-    def _move_walls(self, places: tuple[float, ...]) -> RigidProblem:
+    def _move_walls(self, places: tuple[float, ...]) -> BallTask:
         """Returns the problem with walls nearer by these parts of the task's length."""
         if places not in self._kept:
             if len(self._kept) >= _MOST_KEPT:
@@ -124,7 +124,7 @@ class BallHorizon(Horizon):
             self._kept[places] = self._problem.in_world(moved)
         return self._kept[places]
 
-    def _pose(self, now: float, x: Floats) -> RigidProblem:
+    def _pose(self, now: float, x: Floats) -> BallTask:
         """Returns the task from a state on."""
         left = self.end(now) - now
         changed = dataclasses.replace(
@@ -158,7 +158,7 @@ class BallHorizon(Horizon):
 
     def search(self, now: float, x: Floats) -> Motion | None:
         """Returns the best motion that boxes, neighbors and polishes lead to; None if none."""
-        search = RigidSearch(self._pose(now, x))
+        search = BallSearch(self._pose(now, x))
         try:
             search.run()
             best = search.find_best()
@@ -173,7 +173,7 @@ class BallHorizon(Horizon):
 
 
 def _polish(
-    problem: RigidProblem, path: Path, touches: TouchSequence, max_iterations: int
+    problem: BallTask, path: Path, touches: TouchSequence, max_iterations: int
 ) -> Motion | None:
     """Returns the local optimum with these touches; None if no motion has them, or none is met."""
     try:

@@ -18,7 +18,7 @@ from pydrake.trajectories import Trajectory as DrakeTrajectory
 from drake_aigto.arrays import Floats
 from drake_aigto.control.flights import Bounce, Flight, split_flights
 from drake_aigto.errors import TrajectoryError
-from drake_aigto.planning import MechanismOptions, MechanismProblem
+from drake_aigto.planning import MechanismTask, PlanOptions
 from drake_aigto.simulation import DRAKE, EVENT_DRIVEN, Controller, Held, Judge, Replay, summarize
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scenario, World
@@ -158,7 +158,7 @@ class KnotFeedback(Feedback):
 def _calc_knot_gains(world: World, scenario: Scenario, trajectory: Trajectory) -> Floats:
     """Returns K_k, shape (N, nu, 2n)."""
     times = trajectory.times
-    task = MechanismProblem(world, scenario, MechanismOptions()).shooting(len(times) - 1)
+    task = MechanismTask(world, scenario, PlanOptions()).shooting(len(times) - 1)
     problem = replace(task, times=times, phases=None)
     return problem.calc_gains(trajectory.controls, _SUBSTEPS, _SMOOTHING)
 

@@ -7,7 +7,7 @@ from drake_aigto.control.horizon import Horizon
 from drake_aigto.control.mechanism_horizon import MechanismHorizon
 from drake_aigto.control.rigid_mechanism_horizon import RigidMechanismHorizon
 from drake_aigto.errors import ControlError
-from drake_aigto.planning import Planner, PlanOptions
+from drake_aigto.planning import Planner
 
 _ASKED = "the planner of a controller that plans again"
 
@@ -33,7 +33,7 @@ def make_horizon(planner: Planner, is_receding: bool, iterations: int, period: f
             expected="one that is given",
             remedy="Leave duration_range out.",
         )
-    if isinstance(options, PlanOptions):
+    if planner.is_of_balls:
         if planner.transcription.additions():
             raise ControlError(
                 _ASKED,

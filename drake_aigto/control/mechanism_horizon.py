@@ -10,7 +10,7 @@ from drake_aigto.arrays import Floats
 from drake_aigto.control.motion import Motion
 from drake_aigto.control.shooting_horizon import ShootingHorizon
 from drake_aigto.control.touches_left import choose
-from drake_aigto.planning import MechanismOptions, MechanismProblem, MechanismSearch
+from drake_aigto.planning import MechanismSearch, MechanismTask, PlanOptions
 from drake_aigto.shooting import ShootingOptions, ShootingResult, Smoothing
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch
@@ -39,7 +39,7 @@ class MechanismHorizon(ShootingHorizon):
         self,
         world: World,
         scenario: Scenario,
-        options: MechanismOptions,
+        options: PlanOptions,
         is_receding: bool,
         iterations: int,
     ) -> None:
@@ -52,7 +52,7 @@ class MechanismHorizon(ShootingHorizon):
             is_receding: whether the horizon always lasts as long as the scenario, or ends with it.
             iterations: of the descent in a tick, at most.
         """
-        super().__init__(MechanismProblem(world, scenario, options), is_receding)
+        super().__init__(MechanismTask(world, scenario, options), is_receding)
         task = self._problem.shooting(self._num_steps)
         self._task = dataclasses.replace(task, duration=scenario.duration)
         self._rubs = task.mechanism.rubs

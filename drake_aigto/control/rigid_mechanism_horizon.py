@@ -12,9 +12,9 @@ from drake_aigto.control.shooting_horizon import ShootingHorizon
 from drake_aigto.control.touches_left import choose, find_left, keep_apart
 from drake_aigto.planning import (
     BouncingResult,
-    MechanismOptions,
-    RigidMechanismProblem,
+    PlanOptions,
     RigidMechanismSearch,
+    RigidMechanismTask,
     find_deepest,
     lay_onto,
 )
@@ -54,13 +54,13 @@ class RigidMechanismHorizon(ShootingHorizon):
     modes of the last plan, but for a slip that is seen to be another.
     """
 
-    _problem: RigidMechanismProblem
+    _problem: RigidMechanismTask
 
     def __init__(
         self,
         world: World,
         scenario: Scenario,
-        options: MechanismOptions,
+        options: PlanOptions,
         is_receding: bool,
         iterations: int,
         period: float,
@@ -75,7 +75,7 @@ class RigidMechanismHorizon(ShootingHorizon):
             iterations: of a descent in a tick, at most.
             period: between ticks [s].
         """
-        super().__init__(RigidMechanismProblem(world, scenario, options), is_receding)
+        super().__init__(RigidMechanismTask(world, scenario, options), is_receding)
         self._period = period
         rungs = (Smoothing(0.0, iterations, _TOLERANCE),)
         self._options = dataclasses.replace(_MORE, rungs=rungs, multiplier_updates=_UPDATES)
@@ -183,7 +183,7 @@ class RigidMechanismHorizon(ShootingHorizon):
     def search(self, now: float, x: Floats) -> Motion | None:
         """Returns the best motion that boxes, renewals and neighbors lead to; None if none."""
         problem = self._problem.again(self._ask(now, x))
-        assert isinstance(problem, RigidMechanismProblem)
+        assert isinstance(problem, RigidMechanismTask)
         search = RigidMechanismSearch(problem)
         search.explore()
         if not search.motions:

@@ -9,7 +9,7 @@ import numpy as np
 from drake_aigto.arrays import Floats
 from drake_aigto.control.horizon import OVER, Horizon
 from drake_aigto.control.motion import Motion
-from drake_aigto.planning import MechanismProblem
+from drake_aigto.planning import MechanismTask
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.world import Scenario
 
@@ -17,7 +17,7 @@ from drake_aigto.world import Scenario
 class ShootingHorizon(Horizon):
     """A task of a mechanism, whose motions a descent leads from one tick to the next."""
 
-    def __init__(self, problem: MechanismProblem, is_receding: bool) -> None:
+    def __init__(self, problem: MechanismTask, is_receding: bool) -> None:
         """Takes the planner's problem."""
         super().__init__(problem.world, problem.scenario, is_receding, problem.search_steps)
         self._problem = problem

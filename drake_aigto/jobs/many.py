@@ -13,14 +13,14 @@ from drake_aigto.errors import AigtoError, OptionsError
 from drake_aigto.jobs.answers import Answer, AnswerFolder
 from drake_aigto.jobs.jobs import ProcessDiedError, open_jobs
 from drake_aigto.jobs.workers import open_workers
-from drake_aigto.planning import MechanismOptions, Planner, PlanningError, PlanOptions
+from drake_aigto.planning import Planner, PlanningError, PlanOptions
 from drake_aigto.progress import Count
 from drake_aigto.world import Scenario
 
 
 def plan_many(
     scenarios: Mapping[str, Scenario] | Iterable[Scenario],
-    options: PlanOptions | MechanismOptions | None = None,
+    options: PlanOptions | None = None,
     *,
     workers: int | None = None,
     scheduler: str | None = None,
@@ -65,9 +65,7 @@ def _numbered(scenarios: Iterable[Scenario]) -> Iterator[tuple[str, Scenario]]:
     return ((str(number), scenario) for number, scenario in enumerate(scenarios))
 
 
-def _check(
-    scenarios: Mapping[str, Scenario], options: PlanOptions | MechanismOptions | None
-) -> None:
+def _check(scenarios: Mapping[str, Scenario], options: PlanOptions | None) -> None:
     """Refuses what would fail in the middle of long work."""
     if not scenarios:
         raise OptionsError("scenarios", got="none", expected="one or more")
@@ -83,7 +81,7 @@ def _check(
 
 def _answer(
     scenarios: Mapping[str, Scenario],
-    options: PlanOptions | MechanismOptions | None,
+    options: PlanOptions | None,
     executor: AbstractContextManager[Executor],
     kept: AnswerFolder | None,
     done: Mapping[str, Answer],
@@ -111,9 +109,7 @@ def _answer(
             yield answer
 
 
-def answer_question(
-    name: str, scenario: Scenario, options: PlanOptions | MechanismOptions | None = None
-) -> Answer:
+def answer_question(name: str, scenario: Scenario, options: PlanOptions | None = None) -> Answer:
     """Plans in this process, and returns the plan, or what it failed with."""
     start, plan, error = time.process_time(), None, None
     try:

@@ -4,10 +4,10 @@ from .options import LITERAL_LADDER as LITERAL_LADDER
 from .options import LiteralOptions as LiteralOptions
 from .planner import LiteralSearch as LiteralSearch
 from .planner import plan_literal as plan_literal
-from .problem import LiteralProblem as LiteralProblem
+from .problem import LiteralTask as LiteralTask
 from .problem import gradient_from_random as gradient_from_random
 from .problem import gradient_from_zero as gradient_from_zero
-from .problem import make_literal_problem as make_literal_problem
+from .problem import make_literal_task as make_literal_task
 from .problem import random_guess as random_guess
 from .rigid_optimum import RigidOptimum as RigidOptimum
 from .rigid_optimum import bounce_costs as bounce_costs

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import ClassVar, Literal, get_args
+from typing import Literal, get_args
 
-from drake_aigto.planning import LadderOptions, Rung
+from drake_aigto.errors import OptionsError
+from drake_aigto.planning import Rung, SearchOptions
 from drake_aigto.transcription import NONPENETRATION
 from drake_aigto.transcription.rows import DYNAMICS, KINEMATICS
 
@@ -31,11 +32,12 @@ LITERAL_LADDER = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class LiteralOptions(LadderOptions):
+class LiteralOptions(SearchOptions):
     """Numerics of a plan in the paper's transcription (`LiteralTranscription`).
 
     Attributes:
-        ladder: see `LadderOptions`, as local_solver, finalists, threads and confirm.
+        ladder: the starts of AIGO; candidates come out of each. Local_solver, finalists, threads
+            and confirm: see `SearchOptions`.
         nonpenetration: whether φ(q_k) ≥ 0 is asked for. The paper's figures need it off.
         algorithm: "annealing"; or "full gradient", the paper's Algorithm 1, or "alternating", the
             one before it.
@@ -47,9 +49,9 @@ class LiteralOptions(LadderOptions):
     algorithm: AlgorithmName = "annealing"
     knot_steps: tuple[int, ...] = (16, 8, 4, 2, 1)
 
-    transcription: ClassVar[str] = "literal"
-
     def __post_init__(self) -> None:
         """Checks the choices."""
         super().__post_init__()
         self._check_choice("algorithm", get_args(AlgorithmName))
+        if not self.ladder:
+            raise OptionsError("ladder", got="no rung", expected="at least one")

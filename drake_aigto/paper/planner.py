@@ -6,9 +6,9 @@ from collections.abc import Iterator
 
 from drake_aigto.contact import contact_delay
 from drake_aigto.paper.options import LiteralOptions
-from drake_aigto.paper.problem import Knots, LiteralProblem, make_literal_problem
-from drake_aigto.planning import Candidate, Plan, Search, Stopwatch
-from drake_aigto.planning.pool import Progress
+from drake_aigto.paper.problem import Knots, LiteralTask, make_literal_task
+from drake_aigto.planning import Candidate, Plan, SequenceSearch, Stopwatch
+from drake_aigto.planning.search import Progress
 from drake_aigto.transcription import Touch
 from drake_aigto.world import Scenario, World
 
@@ -40,7 +40,7 @@ def plan_literal(
     if options.confirm:
         contact_delay(world)  # A wall without stiffness is refused before long work.
     with clock("build"):
-        problem = make_literal_problem(world, scenario, options)
+        problem = make_literal_task(world, scenario, options)
     search = LiteralSearch(problem, clock)
     search.run(progress)
     best = search.find_feasible()[0]
@@ -49,17 +49,17 @@ def plan_literal(
     return search.make_plan(scenario, best)
 
 
-class LiteralSearch(Search):
+class LiteralSearch(SequenceSearch):
     """AIGO proposes contact knots, and those of the best candidates are moved."""
 
-    problem: LiteralProblem
+    task: LiteralTask
 
     def improve(self, sequence: Knots) -> None:
         """Moves a candidate's contact to and fro by so many knots, while that helps.
 
         Each of the options' knot steps is repeated until it does not help any more.
         """
-        for step in self.problem.options.knot_steps:
+        for step in self.task.options.knot_steps:
             while (best := min(self._around(sequence, step), key=self.rank_of)) != sequence:
                 sequence = best
 
@@ -85,7 +85,7 @@ class LiteralSearch(Search):
     def _around(self, sequence: Knots, step: int) -> Iterator[Knots]:
         """Yields a sequence and those with its contact moved, which are candidates by then."""
         yield sequence
-        (knot,), times = sequence, self.problem.transcription.GetSampleTimes()
+        (knot,), times = sequence, self.task.transcription.GetSampleTimes()
         for moved in (knot - step, knot + step):
             if 0 < moved < len(times) - 1:
                 if (moved,) not in self.by_sequence:

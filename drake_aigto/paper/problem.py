@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from typing import ClassVar
 
 import numpy as np
 
@@ -10,7 +11,7 @@ from drake_aigto.aigo import AigoResult, Algorithm, Alternating, Annealing, Full
 from drake_aigto.arrays import Floats, interpolate
 from drake_aigto.paper.literal import LiteralTranscription
 from drake_aigto.paper.options import LiteralOptions
-from drake_aigto.planning import Candidate, Origin, PlanningProblem, Rung
+from drake_aigto.planning import Candidate, Origin, ProgramTask, Rung
 from drake_aigto.transcription import Transcription
 from drake_aigto.world import Scenario, World
 
@@ -25,25 +26,28 @@ _ALGORITHMS: Mapping[str, Algorithm] = {
 Knots = tuple[int, ...]
 
 
-def make_literal_problem(
+def make_literal_task(
     world: World, scenario: Scenario, options: LiteralOptions | None = None
-) -> LiteralProblem:
+) -> LiteralTask:
     """Returns the scenario, literally transcribed and compiled."""
     options = options or LiteralOptions()
-    return LiteralProblem(LiteralTranscription(world, scenario, options.nonpenetration), options)
+    return LiteralTask(LiteralTranscription(world, scenario, options.nonpenetration), options)
 
 
-class LiteralProblem(PlanningProblem):
+class LiteralTask(ProgramTask):
     """The literal transcription: a contact sequence is the knot at the wall, or ()."""
 
     transcription: LiteralTranscription
     options: LiteralOptions
 
+    transcription_name: ClassVar[str] = "literal"
+
     def __init__(
         self, transcription: LiteralTranscription, options: LiteralOptions | None = None
     ) -> None:
         """Compiles; whether φ ≥ 0 is asked for is the transcription's."""
-        super().__init__(transcription, options or LiteralOptions())
+        options = options or LiteralOptions()
+        super().__init__(transcription, options, options.ladder)
 
     def make_algorithm(self, rung: Rung) -> Algorithm:
         """Returns the options' algorithm."""
@@ -106,13 +110,13 @@ def ballistic_guess(transcription: Transcription, x: Floats, knots: Knots) -> Fl
     return transcription.vector_of(path, velocities, np.zeros(controls.shape))
 
 
-def gradient_from_zero(problem: LiteralProblem) -> Candidate:
+def gradient_from_zero(problem: LiteralTask) -> Candidate:
     """Returns what the problem's local solver makes of a guess of zeros."""
     start = np.zeros(problem.transcription.prog().num_vars())
     return _run(problem, "zero", start)
 
 
-def gradient_from_random(problem: LiteralProblem, generator: np.random.Generator) -> Candidate:
+def gradient_from_random(problem: LiteralTask, generator: np.random.Generator) -> Candidate:
     """Returns what the local solver makes of a guess, uniform over the first box of AIGO."""
     return _run(problem, "random", random_guess(problem.transcription, generator))
 
@@ -123,6 +127,6 @@ def random_guess(transcription: Transcription, generator: np.random.Generator) -
     return generator.uniform(center - half_width, center + half_width)
 
 
-def _run(problem: LiteralProblem, proposer: str, start: Floats) -> Candidate:
+def _run(problem: LiteralTask, proposer: str, start: Floats) -> Candidate:
     x = problem.solve_locally(start)
     return problem.judge(Origin(proposer), start, problem.transcription, x)

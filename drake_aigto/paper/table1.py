@@ -19,10 +19,10 @@ from drake_aigto.jobs import open_jobs
 from drake_aigto.paper.options import AlgorithmName, LiteralOptions
 from drake_aigto.paper.planner import plan_literal
 from drake_aigto.paper.problem import (
-    LiteralProblem,
+    LiteralTask,
     gradient_from_random,
     gradient_from_zero,
-    make_literal_problem,
+    make_literal_task,
 )
 from drake_aigto.paper.rigid_optimum import RigidOptimum, rigid_optimum
 from drake_aigto.planning import Candidate, Plan, Planner, PlanningError, PlanOptions, Replays
@@ -259,9 +259,9 @@ def _gradient_methods(
     num_guesses: int,
     generator: np.random.Generator,
 ) -> Iterator[Method]:
-    def problem_for(solver: LocalSolverName) -> LiteralProblem:
+    def problem_for(solver: LocalSolverName) -> LiteralTask:
         chosen = dataclasses.replace(options, local_solver=solver)
-        return make_literal_problem(world, scenario, chosen)
+        return make_literal_task(world, scenario, chosen)
 
     for solver in GRADIENT_SOLVERS:
         name = f"{solver.upper()}, from zero"
@@ -273,8 +273,8 @@ def _gradient_methods(
 
 def _run_gradient(
     name: str,
-    problem: LiteralProblem,
-    run: Callable[[LiteralProblem], Candidate],
+    problem: LiteralTask,
+    run: Callable[[LiteralTask], Candidate],
     num_guesses: int | None = None,
 ) -> Method:
     """Returns a run of a gradient solver, or several, with those replayed that are shown."""

@@ -1,14 +1,16 @@
-"""One start of a search: solved locally, replayed, and judged against its replays."""
+"""Candidates: where they came from, what they promise, and what simulations say of them."""
 
 from __future__ import annotations
 
+import dataclasses
 import itertools
 import math
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Literal
 
-from drake_aigto.planning.origin import NO_CONTROL, Origin
+from drake_aigto.planning.rungs import MechanismRung, Rung
 from drake_aigto.simulation import (
     PlannedContact,
     Replay,
@@ -17,9 +19,24 @@ from drake_aigto.simulation import (
     replay_event_driven,
 )
 from drake_aigto.trajectory import Trajectory
+from drake_aigto.transcription import TouchSequence
 from drake_aigto.transcription.rows import largest_defect
 from drake_aigto.world import Scales, Scenario, World
 
+ChangeName = Literal["seen", "dropped", "added", "swapped", "moved", "mode", "left out"]
+
+_WORDS: dict[ChangeName, str] = {
+    "seen": "with a bounce seen in its replay",
+    "dropped": "a touch dropped",
+    "added": "a touch added",
+    "swapped": "touches swapped",
+    "moved": "contacts moved",
+    "mode": "a touch in another mode",
+    "left out": "left out at first",
+}
+
+# The proposers of doing nothing, and of the contacts that this has.
+NO_CONTROL, COASTING = "no control", "contacts of the motion without control"
 # A candidate whose rows are off by more than this part of the task's scales is no solution.
 LARGEST_DEFECT = 1e-6
 # Touches that are no farther apart than this part of the duration are one.
@@ -27,6 +44,57 @@ _SAME_TIME = 1e-3
 
 # When [s], and which of the world's contacts.
 TimedContact = tuple[float, int]
+
+
+@dataclass(frozen=True)
+class Change:
+    """One step from a candidate to one near it.
+
+    Attributes:
+        kind: "seen", a bounce added that the replay has and the plan lacks; "dropped" or "added", a
+            touch less or more; "swapped", bounces at one moment in the other order; "moved",
+            contacts at other knots; "mode", a touch with friction that sticks or slips instead;
+            "left out", a flight that was not expected to win, and is
+            tried as nothing that was holds.
+        of: the contact sequence that was changed.
+    """
+
+    kind: ChangeName
+    of: TouchSequence
+
+
+@dataclass(frozen=True)
+class Origin:
+    """Where a candidate came from.
+
+    Attributes:
+        proposer: AIGO's algorithm, as the options name it, or another's guess: "zero", "random",
+            or "no control", which is what the world does by itself, or that motion's contacts.
+        rung: where AIGO started; None for another's guess, and in plan files of version 3, whose
+            whole sentence is the proposer.
+        changes: of the contact sequence that was proposed, in order.
+        renewals: how many times a stretch of the motion was opened to boxes again.
+    """
+
+    proposer: str
+    rung: Rung | MechanismRung | None = None
+    changes: tuple[Change, ...] = ()
+    renewals: int = 0
+
+    def changed(self, kind: ChangeName, of: TouchSequence) -> Origin:
+        """Returns the origin of a candidate whose sequence was made by changing this one's."""
+        return dataclasses.replace(self, changes=(*self.changes, Change(kind, of)))
+
+    def renewed(self) -> Origin:
+        """Returns the origin of a motion of which a stretch of this one's was opened again."""
+        return dataclasses.replace(self, renewals=self.renewals + 1)
+
+    def __str__(self) -> str:
+        """Returns it in words; a change that was made several times is told once."""
+        first = self.rung.describe(self.proposer) if self.rung else self.proposer
+        changes = dict.fromkeys(_WORDS[each.kind] for each in self.changes)
+        renewed = [f"renewed {self.renewals} times"] if self.renewals else []
+        return "; ".join([first, *changes, *renewed])
 
 
 @dataclass(frozen=True)

@@ -2,76 +2,26 @@
 
 from __future__ import annotations
 
+import dataclasses
 import os
-from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pkgutil import resolve_name
-from typing import ClassVar, Literal, get_args
+from typing import Literal, get_args
 
 from drake_aigto.errors import OptionsError, check_counts
-from drake_aigto.transcription import NONPENETRATION
-from drake_aigto.transcription.rows import CONTACT, DYNAMICS, FLIGHT, RESTITUTION
+from drake_aigto.planning.rungs import BALL_LADDER, MECHANISM_LADDER, MechanismRung, Rung
 
 LocalSolverName = Literal["newton", "ipopt", "snopt"]
-StartName = Literal["line", "coast"]
 
 # Transcription → its options, by name, as the paper's are further down the road than this.
 _KINDS = {
     "rigid": "drake_aigto.planning.options:PlanOptions",
     "literal": "drake_aigto.paper.options:LiteralOptions",
-    "shooting": "drake_aigto.planning.mechanism_options:MechanismOptions",
+    "shooting": "drake_aigto.planning.options:PlanOptions",
 }
-
-
-@dataclass(frozen=True)
-class Rung:
-    """One start of AIGO: how hot, and how much each kind of row weighs while boxes shrink.
-
-    Weights and temperature are in units of the transcription's `cost_scale`.
-
-    Attributes:
-        temperature: first temperature μ of the annealing; other algorithms have none.
-        weights: constraint name → weight of its penalty r²/dt.
-        others: weight of rows that have no name there, such as those that users add.
-        start: what the first box is around: "line", the straight line from start to goal, as far
-            as the walls; or "coast", the motion without control in simulation, narrow at first and
-            wider with time.
-    """
-
-    temperature: float
-    weights: Mapping[str, float]
-    others: float = 1.0
-    start: StartName = "line"
-
-    def __post_init__(self) -> None:
-        """Checks the start."""
-        if self.start not in (known := get_args(StartName)):
-            raise OptionsError("start", got=repr(self.start), expected=f"one of {known}")
-
-    def describe(self, algorithm: str) -> str:
-        """Returns an algorithm's start here, in words; only "annealing" has a temperature."""
-        weights = ", ".join(f"{name} {weight:g}" for name, weight in self.weights.items())
-        hot = f" from temperature {self.temperature:g}" if algorithm == "annealing" else ""
-        return f"{algorithm}{hot}; around the {self.start}; weights {weights}"
-
-
-def _rigid_rung(temperature: float, restitution: float, start: StartName = "line") -> Rung:
-    weights = {FLIGHT: 3e2, DYNAMICS: 3e2, CONTACT: 3e2, RESTITUTION: restitution}
-    return Rung(temperature, {**weights, NONPENETRATION: 3e3}, others=3e2, start=start)
-
-
-# Hot boxes under a light restitution row find the wall, whether a bounce pays or not; cold ones
-# under a heavy row, which no impulse pleases while boxes are wide, the free flight; the rung in
-# between often tells which is better. What is best is only known after the polish. Between several
-# walls, boxes around the straight line hold every sequence at once and lose all of them; those
-# around the coasting motion keep its bounces, or one more or less near the end.
-RIGID_LADDER = (
-    _rigid_rung(3.0, 2.0),
-    _rigid_rung(0.5, 5.0),
-    _rigid_rung(0.03, 1000.0),
-    _rigid_rung(0.1, 50.0, "coast"),
-    _rigid_rung(1.0, 5.0, "coast"),
-)
+# Options that count for one kind of task only.
+_OF_BALLS = ("local_solver", "relaxation", "aigo_steps", "exhaustive", "branches")
+_OF_MECHANISMS = ("renewals", "patience", "search_steps", "seed")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,6 +29,8 @@ class SearchOptions:
     """Numerics of any search for a plan.
 
     Attributes:
+        local_solver: refines AIGO's results where they are solutions of programs: "newton"
+            (`local.InteriorPoint`), or "ipopt" or "snopt" through Drake.
         finalists: how many of the best candidates are improved.
         threads: how many starts are run at once, in threads of this process: plans are the same to
             the last bit. None: as many as it has cores where that pays, else one.
@@ -86,14 +38,14 @@ class SearchOptions:
             always run.
     """
 
+    local_solver: LocalSolverName = "newton"
     finalists: int = 2
     threads: int | None = None
     confirm: bool = True
 
-    transcription: ClassVar[str]
-
     def __post_init__(self) -> None:
-        """Checks what does not depend on the problem."""
+        """Checks what does not depend on the task."""
+        self._check_choice("local_solver", get_args(LocalSolverName))
         check_counts(self, finalists=1)
         if self.threads is not None and self.threads < 1:
             raise OptionsError("threads", got=self.threads, expected="1 or more, or None")
@@ -126,57 +78,107 @@ class SearchOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
-class LadderOptions(SearchOptions):
-    """Numerics of a search that polishes the contact sequences of a ladder of boxes.
+class PlanOptions(SearchOptions):
+    """Numerics of a plan, for every world.
+
+    Some count only for balls between rigid walls, others only for any other task, a mechanism's;
+    where they do not count, only their defaults are accepted.
 
     Attributes:
-        ladder: the starts of AIGO; candidates come out of each.
-        local_solver: polishes AIGO's results: "newton" (`local.InteriorPoint`), or "ipopt" or
-            "snopt" through Drake.
-        finalists: see `SearchOptions`, as threads and confirm. Threads pay where boxes are of a
-            thousand variables or more; for less, starting them takes longer than it saves.
+        ladder: the starts of AIGO; candidates come out of each. `Rung` for balls, `MechanismRung`
+            for mechanisms, where the center of each last box is closed by shooting; None: those of
+            `BALL_LADDER` or `MECHANISM_LADDER`. If no rung of a mechanism has a half width,
+            renewals have none either: a search without boxes.
+        finalists: how many of the best candidates are improved; of mechanisms at most: fewer where
+            the next ones promise no less than what was found, and between rigid walls not to the
+            end where they cost more.
+        certify: whether a lower bound of all plans is found, too (`Plan.lower_bound`), or it is
+            said why there is none.
+        local_solver: balls: see `SearchOptions`, as for threads and confirm. Threads pay where
+            boxes are of a thousand variables or more; for less, starting them takes longer than it
+            saves.
+        relaxation: balls: ε of the complementarity φ p = dt ε, which the wall pushes from afar with
+            while boxes shrink (`RigidTranscription`).
+        aigo_steps: balls: how many time steps boxes have: coarse ones show the contact sequence,
+            and the last refinement, of finalists, has the scenario's. Candidates are judged with as
+            many or more; only the plan itself has the scenario's where these are fewer, or one a
+            phase.
+        exhaustive: balls: whether rungs are run, too, that can hardly tell anything new
+            (`BallSearch.rungs`), and flights refined that cost too much (`BallSearch.add`).
+        branches: balls: of how many candidates neighbors are tried, with a bounce more or less.
+        renewals: mechanisms: how many times at most a stretch of a candidate is opened to boxes
+            again, or boxes are drawn around another start.
+        patience: mechanisms: renewals in a row that find nothing better, after which there are no
+            more; twice as many where something turns fast at the start, or once a wall has thrown
+            it off.
+        search_steps: mechanisms: how many time steps candidates have at most; finalists have the
+            scenario's.
+        seed: mechanisms: of what is drawn.
     """
 
-    ladder: tuple[Rung, ...] = field(repr=False)
-    local_solver: LocalSolverName = "newton"
-
-    def __post_init__(self) -> None:
-        """Checks what does not depend on the problem."""
-        self._check_choice("local_solver", get_args(LocalSolverName))
-        super().__post_init__()
-        if not self.ladder:
-            raise OptionsError("ladder", got="no rung", expected="at least one")
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlanOptions(LadderOptions):
-    """Numerics of a plan that holds on rigid walls.
-
-    Attributes:
-        ladder: see `LadderOptions`, as local_solver, finalists, threads and confirm.
-        relaxation: ε of the complementarity φ p = dt ε, which the wall pushes from afar with while
-            boxes shrink (`RigidTranscription`).
-        aigo_steps: how many time steps boxes have: coarse ones show the contact sequence, and the
-            last polish, of finalists, has the scenario's. Candidates are judged with as many or
-            more; only the plan itself has the scenario's where these are fewer, or one a phase.
-        exhaustive: whether rungs are run, too, that can hardly tell anything new
-            (`RigidSearch.rungs`), and flights polished that cost too much (`RigidSearch.add`).
-        branches: of how many candidates neighbors are tried, with a bounce more or less.
-        certify: whether a lower bound of all plans is found, too (`Plan.lower_bound`).
-    """
-
-    ladder: tuple[Rung, ...] = field(default=RIGID_LADDER, repr=False)
+    ladder: tuple[Rung | MechanismRung, ...] | None = field(default=None, repr=False)
+    certify: bool = False
     relaxation: float = 1e-4
     aigo_steps: int = 50
     exhaustive: bool = False
     branches: int = 3
-    certify: bool = False
-
-    transcription: ClassVar[str] = "rigid"
+    renewals: int = 240
+    patience: int = 72
+    search_steps: int = 60
+    seed: int = 0
 
     def __post_init__(self) -> None:
-        """Checks the numbers."""
+        """Checks what does not depend on the task."""
         super().__post_init__()
-        check_counts(self, aigo_steps=1, branches=0)
+        counts = {"aigo_steps": 1, "branches": 0, "renewals": 0, "patience": 1, "search_steps": 2}
+        check_counts(self, **counts, seed=0)
+        if self.ladder is not None and not self.ladder:
+            raise OptionsError("ladder", got="no rung", expected="at least one")
         if not 0 <= self.relaxation < float("inf"):
             raise OptionsError("relaxation", got=self.relaxation, expected="a number, 0 or more")
+
+    @property
+    def ball_ladder(self) -> tuple[Rung, ...]:
+        """The starts of AIGO for balls."""
+        return tuple(rung for rung in self.ladder or BALL_LADDER if isinstance(rung, Rung))
+
+    @property
+    def mechanism_ladder(self) -> tuple[MechanismRung, ...]:
+        """The starts of AIGO for mechanisms."""
+        rungs = self.ladder or MECHANISM_LADDER
+        return tuple(rung for rung in rungs if isinstance(rung, MechanismRung))
+
+    def check_for_balls(self) -> None:
+        """Refuses what does not count for balls between rigid walls.
+
+        Raises:
+            OptionsError: an option is not at its default, or a rung is a mechanism's.
+        """
+        self._refuse_others(_OF_MECHANISMS, Rung, "balls between rigid walls", "a mechanism")
+
+    def check_for_mechanisms(self) -> None:
+        """Refuses what does not count for a task that is not one of balls between rigid walls.
+
+        Raises:
+            OptionsError: an option is not at its default, or a rung is of balls.
+        """
+        kinds = "a mechanism", "balls between rigid walls"
+        self._refuse_others(_OF_BALLS, MechanismRung, *kinds)
+
+    def _refuse_others(self, names: tuple[str, ...], rung: type, task: str, other: str) -> None:
+        defaults = {each.name: each.default for each in dataclasses.fields(self)}
+        for name in names:
+            if (got := getattr(self, name)) != defaults[name]:
+                raise OptionsError(
+                    name,
+                    got=f"{got} for {task}",
+                    expected=f"the default, {defaults[name]}",
+                    remedy=f"It counts only for {other}: leave it out here.",
+                )
+        for each in self.ladder or ():
+            if not isinstance(each, rung):
+                raise OptionsError(
+                    "ladder",
+                    got=f"a {type(each).__name__} for {task}",
+                    expected=f"every one a {rung.__name__}",
+                )

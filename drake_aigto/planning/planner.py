@@ -12,25 +12,24 @@ from numpy.typing import ArrayLike
 from drake_aigto.certify import bound_plans, out_of_reach
 from drake_aigto.contact import contact_delay
 from drake_aigto.errors import ModelError, OptionsError, ProgramError
+from drake_aigto.planning.balls.phases import transcribe
+from drake_aigto.planning.balls.search import BallSearch
+from drake_aigto.planning.balls.task import BallTask
 from drake_aigto.planning.candidate import Candidate
-from drake_aigto.planning.coarse import transcribe
-from drake_aigto.planning.mechanism_options import MechanismOptions, needs_shooting
-from drake_aigto.planning.mechanism_problem import MechanismProblem
-from drake_aigto.planning.mechanism_search import MechanismSearch
+from drake_aigto.planning.mechanisms.rigid_search import RigidMechanismSearch
+from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask, make_mechanism_task
+from drake_aigto.planning.mechanisms.search import MechanismSearch
+from drake_aigto.planning.mechanisms.task import MechanismTask
 from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.plan import Plan, PlanningError
-from drake_aigto.planning.pool import Progress, Stopwatch
-from drake_aigto.planning.rigid import RigidProblem
-from drake_aigto.planning.rigid_mechanism import RigidMechanismProblem, make_mechanism_problem
-from drake_aigto.planning.rigid_mechanism_search import RigidMechanismSearch
-from drake_aigto.planning.rigid_search import RigidSearch
+from drake_aigto.planning.search import Progress, Search, Stopwatch
 from drake_aigto.transcription import RigidTranscription
 from drake_aigto.world import Scenario, World
 
 
 def plan(
     scenario: Scenario,
-    options: PlanOptions | MechanismOptions | None = None,
+    options: PlanOptions | None = None,
     world: World | None = None,
 ) -> Plan:
     """Plans for a scenario: `Planner(scenario, options, world).plan()`."""
@@ -42,24 +41,23 @@ class Planner:
 
     Args:
         scenario: the question.
-        options: numerics, `PlanOptions` for balls between rigid walls and `MechanismOptions` for
-            any other task (`needs_shooting`); the defaults if None.
+        options: numerics; the defaults if None.
         world: a plant of your own (`World.from_diagram`); built from the scenario's model if None.
 
     Raises:
-        OptionsError: options of another transcription.
+        OptionsError: an option does not count for this task, or they are no `PlanOptions`.
         ScenarioError, ModelError: the scenario does not fit the world, or the model can't be used.
     """
 
     def __init__(
         self,
         scenario: Scenario,
-        options: PlanOptions | MechanismOptions | None = None,
+        options: PlanOptions | None = None,
         world: World | None = None,
     ) -> None:
         """Builds the world, and checks the scenario against it; programs are compiled later."""
         self.scenario = scenario
-        if not isinstance(options, PlanOptions | MechanismOptions | None):
+        if not isinstance(options, PlanOptions | None):
             raise OptionsError(
                 "options",
                 got=type(options).__name__,
@@ -69,13 +67,18 @@ class Planner:
         self.world = world or World.from_scenario(scenario)
         self.world.check(scenario)
         _check_friction(self.world, scenario)
-        self.options = _choose_options(self.world, scenario, options)
+        self.options = options or PlanOptions()
+        self.is_of_balls = not needs_shooting(self.world, scenario)
+        if self.is_of_balls:
+            self.options.check_for_balls()
+        else:
+            self.options.check_for_mechanisms()
         if self.options.confirm and scenario.contact == "rigid" and self.world.contacts:
             contact_delay(self.world)  # A wall without stiffness is refused before long work.
         self._build_clock = Stopwatch()
         self._transcription: RigidTranscription | None = None
         with self._build_clock("build"):
-            if isinstance(self.options, PlanOptions):
+            if self.is_of_balls:
                 self._transcription = transcribe(self.world, scenario, self.options)
 
     @property
@@ -96,22 +99,21 @@ class Planner:
         if self._transcription is None:
             raise ProgramError(
                 "the planner's transcription",
-                got=f"a task for shooting ({type(self.options).__name__})",
+                got="a task for shooting",
                 expected="balls between rigid walls",
                 remedy="Say what counts by the scenario's weights and bounds.",
             )
         return self._transcription
 
     @cached_property
-    def _problem(self) -> RigidProblem | MechanismProblem:
-        """The program, compiled; nothing can be added from now on."""
+    def task(self) -> BallTask | MechanismTask:
+        """The task, compiled; nothing can be added from now on."""
         with self._build_clock("build"):
-            if isinstance(self.options, MechanismOptions):
-                return make_mechanism_problem(self.world, self.scenario, self.options)
-            num_steps = self.scenario.num_steps
-            problem = RigidProblem(self.transcription, self.options, num_steps)
+            if not self.is_of_balls:
+                return make_mechanism_task(self.world, self.scenario, self.options)
+            task = BallTask(self.transcription, self.options, self.scenario.num_steps)
         self.transcription.freeze()
-        return problem
+        return task
 
     def plan(
         self,
@@ -165,19 +167,35 @@ class Planner:
             self._transcription.check_frozen()
         return run_search(self._start_search(scenario), scenario, progress)
 
-    def _start_search(self, scenario: Scenario) -> RigidSearch | MechanismSearch:
-        clock = Stopwatch()
-        problem = self._problem
+    def _start_search(self, scenario: Scenario) -> Search:
+        clock, task = Stopwatch(), self.task
         if scenario is self.scenario:
             clock.seconds.update(self._build_clock.seconds)
         else:
             with clock("build"):
-                problem = problem.again(scenario)
-        if isinstance(problem, RigidMechanismProblem):
-            return RigidMechanismSearch(problem, clock)
-        if isinstance(problem, MechanismProblem):
-            return MechanismSearch(problem, clock)
-        return RigidSearch(problem, clock)
+                task = task.again(scenario)
+        return start_search(task, clock)
+
+
+def needs_shooting(world: World, scenario: Scenario) -> bool:
+    """Returns whether a task is more than one of balls between rigid walls.
+
+    Where something turns, M or J depends on q, something has limits or rubs, contact is compliant,
+    or the task is not AIGTO's (`Scenario.is_plain`). Balls that nothing can touch stay theirs, for
+    whoever asks for AIGTO's task has forgotten a wall.
+    """
+    is_free = world.has_constant_inertia and not (world.limits.are_any or world.is_hinge.any())
+    rubs = scenario.contact == "rigid" and world.friction_coefficients(scenario).any()
+    return not (is_free and not rubs and scenario.is_plain)
+
+
+def start_search(task: BallTask | MechanismTask, clock: Stopwatch | None = None) -> Search:
+    """Returns the search of a task, which has not begun."""
+    if isinstance(task, BallTask):
+        return BallSearch(task, clock)
+    if isinstance(task, RigidMechanismTask):
+        return RigidMechanismSearch(task, clock)
+    return MechanismSearch(task, clock)
 
 
 def _check_friction(world: World, scenario: Scenario) -> None:
@@ -200,31 +218,7 @@ def _check_friction(world: World, scenario: Scenario) -> None:
         )
 
 
-def _choose_options(
-    world: World, scenario: Scenario, options: PlanOptions | MechanismOptions | None
-) -> PlanOptions | MechanismOptions:
-    """Returns the options, or the defaults, of what plans for this.
-
-    Raises:
-        OptionsError: they are of the other.
-    """
-    kind = MechanismOptions if needs_shooting(world, scenario) else PlanOptions
-    if options is None:
-        return kind()
-    if not isinstance(options, kind):
-        balls = "balls between rigid walls"
-        raise OptionsError(
-            "options",
-            got=type(options).__name__,
-            expected=f"{kind.__name__}, for this is "
-            + (balls if kind is PlanOptions else f"not a task of {balls} alone"),
-        )
-    return options
-
-
-def run_search(
-    search: RigidSearch | MechanismSearch, scenario: Scenario, progress: Progress | None = None
-) -> Plan:
+def run_search(search: Search, scenario: Scenario, progress: Progress | None = None) -> Plan:
     """Returns the plan that a search ends with: the first candidate that all replays confirm.
 
     Args:
@@ -239,10 +233,11 @@ def run_search(
     search.run(progress)
     search.add_idle()
     found = search.make_plan(scenario, _choose(search))
-    if search.problem.options.certify:
-        found = _bounded(found, search.problem.world)
+    options = search.task.options
+    if isinstance(options, PlanOptions) and options.certify:
+        found = _bounded(found, search.task.world)
     if not found.holds:
-        raise _nothing_holds(found, search.problem.sources)
+        raise _nothing_holds(found, search.task.sources)
     return found
 
 
@@ -272,7 +267,7 @@ def _check_reach(world: World, scenario: Scenario) -> None:
         raise error
 
 
-def _choose(search: RigidSearch | MechanismSearch) -> Candidate:
+def _choose(search: Search) -> Candidate:
     """Returns the best candidate that holds; if none does, the best."""
     best = search.find_best()
     if search.confirm(best):

@@ -1,212 +1,318 @@
-"""Candidates by contact sequence: AIGO proposes, and the best are improved."""
+"""One search for every world: propose, close, vary, judge."""
 
 from __future__ import annotations
 
+import dataclasses
 import logging
-import threading
-from abc import abstractmethod
-from collections.abc import Callable, Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor, wait
-from typing import Any
+import math
+import time
+from abc import ABC, abstractmethod
+from collections import defaultdict
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from itertools import chain
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
-from drake_aigto.aigo import AigoResult, Iterate, Status
-from drake_aigto.arrays import Floats
 from drake_aigto.kernels import tell_compilation
-from drake_aigto.planning.candidate import Candidate
-from drake_aigto.planning.idle import idle_candidate
-from drake_aigto.planning.options import Rung
-from drake_aigto.planning.origin import Origin
-from drake_aigto.planning.pool import CandidatePool, Progress, Stopwatch
-from drake_aigto.planning.problem import ContactSequence, PlanningProblem
+from drake_aigto.planning.candidate import LARGEST_DEFECT, Candidate, Origin, Replays
+from drake_aigto.planning.options import SearchOptions
+from drake_aigto.planning.plan import Plan, PlanningError, PlanStats
+from drake_aigto.transcription.rows import scaled_defects
+
+if TYPE_CHECKING:
+    from drake_aigto.world import Scenario, World
 
 _LOG = logging.getLogger(__name__)
 
-Polish = Callable[..., tuple[Any, Any]]
+Progress = Callable[[str], None]
 
 
-class Search(CandidatePool):
-    """Candidates by contact sequence; the work is cut off by counts, never by clocks.
+class Stopwatch:
+    """Wall time by part of the road.
 
     Attributes:
-        problem: that is searched.
-        by_sequence: the candidates so far, in the order that they were found.
-        centers: of the boxes that each sequence was read off.
-        solved: the transcription that each polish solved, and its decision variables.
-        shown: the rungs so far, each with the contact sequences that its last box shows, the most
-            literal first.
+        seconds: part → its time so far [s].
     """
 
-    problem: PlanningProblem
+    def __init__(self) -> None:
+        """Starts at nothing."""
+        self.seconds: defaultdict[str, float] = defaultdict(float)
 
-    def __init__(self, problem: PlanningProblem, clock: Stopwatch | None = None) -> None:
-        """Starts with no candidate."""
-        super().__init__(problem, clock)
-        self.by_sequence: dict[ContactSequence, Candidate] = {}
-        self.centers: dict[ContactSequence, Floats] = {}
-        self.solved: dict[ContactSequence, tuple[Any, Floats]] = {}
-        self.shown: list[tuple[Rung, list[ContactSequence]]] = []
+    @contextmanager
+    def __call__(self, part: str) -> Iterator[None]:
+        """Adds the time of a `with` block to a part's."""
+        start = time.perf_counter()
+        try:
+            yield
+        finally:
+            self.seconds[part] += time.perf_counter() - start
+
+
+class Task(Protocol):
+    """What is searched: a scenario in a world."""
 
     @property
-    def candidates(self) -> Iterable[Candidate]:
-        """Those that were searched for, in the order that they were found."""
-        return self.by_sequence.values()
+    def transcription_name(self) -> str:
+        """How it is stated, as plan files name that."""
+
+    @property
+    def world(self) -> World:
+        """Where the task is."""
+
+    @property
+    def options(self) -> SearchOptions:
+        """Numerics."""
+
+    @property
+    def sources(self) -> str:
+        """What candidates come from, in words."""
+
+    @property
+    def remedy(self) -> str:
+        """What a user may try where no candidate meets the rows."""
+
+    def idle_candidate(self) -> Candidate:
+        """Returns what the world does without any control."""
+
+    def confirm(self, candidate: Candidate) -> Replays:
+        """Returns the candidate's replays: its own, and Drake's if the options confirm."""
+
+
+class Proposal(NamedTuple):
+    """Where a candidate may come from.
+
+    Attributes:
+        origin: of the candidate.
+        close: takes it towards a local optimum; several may run at once, in threads.
+        text: a line that is shown as it begins, if any.
+    """
+
+    origin: Origin
+    close: Callable[[], Any]
+    text: str = ""
+
+
+class Search(ABC):
+    """One search for every world: propose → close → vary → judge.
+
+    Boxes of AIGO and motions without control *propose*; a closer takes each proposal to a local
+    optimum of its contact sequence; the best of these are *varied*: neighboring sequences, or
+    stretches opened to boxes again, which are closed as well; and simulations *judge* the best of
+    all. What proposes and what closes is a world's own. Work is cut off by counts, never by clocks,
+    and what is drawn depends on the seed alone, not on threads.
+
+    Attributes:
+        task: that is searched.
+        clock: what the parts of the search took.
+        others: candidates that were not searched for, such as doing nothing.
+        aigo_steps: inner iterations of AIGO so far.
+        is_interrupted: whether Ctrl-C ended it.
+    """
+
+    def __init__(self, task: Task, clock: Stopwatch | None = None) -> None:
+        """Starts with no candidate."""
+        self.task, self.clock = task, clock or Stopwatch()
+        self.others: list[Candidate] = []
+        self.aigo_steps = 0
+        self.is_interrupted = False
+        self._progress: Progress | None = None
+        self._replays: dict[int, Replays] = {}  # Of those that were to be the plan, by id.
 
     def run(self, progress: Progress | None = None) -> None:
-        """Runs the ladder, and refines what comes out.
+        """Searches, and judges what was found.
 
         Args:
             progress: called with a line of text before each part, and once, with a `Notice`, if
                 machine code has to be compiled.
 
         Raises:
-            KeyboardInterrupt: before there was any candidate; after that, it ends the search.
+            KeyboardInterrupt: before anything was found; after that, it ends what it meets.
         """
-        options, begun = self.problem.options, list[Rung]()
+        self.explore(progress)
+        with self.ended_by_ctrl_c(lambda: list(self.candidates)):
+            self.judge()
+
+    def explore(self, progress: Progress | None = None) -> None:
+        """Proposes, closes and varies."""
         self._progress = progress
+        with self.ended_by_ctrl_c(self.list_found), tell_compilation(self.tell):
+            for wave in chain(self.propose(), self.vary()):
+                self.close(wave)
 
-        def tell_rung(rung: Rung) -> None:
-            begun.append(rung)
-            start = rung.describe(self.problem.algorithm_name)
-            self.tell(f"AIGO {len(begun)} of {len(options.ladder)}: {start}")
+    @abstractmethod
+    def propose(self) -> Iterator[Sequence[Proposal]]:
+        """Yields proposals in waves; each may depend on what those before it led to."""
 
-        with self.ended_by_ctrl_c(lambda: self.by_sequence), tell_compilation(self.tell):
-            for rungs in self.rungs():
-                self.add_rungs(rungs, tell_rung)
-            self.refine()
+    @abstractmethod
+    def vary(self) -> Iterator[Sequence[Proposal]]:
+        """Yields variations of the best motions in waves, once there are no more proposals."""
 
-    def rungs(self) -> Iterator[tuple[Rung, ...]]:
-        """Yields the ladder's rungs in the order to run them, those that may run at once together.
+    def close(self, wave: Sequence[Proposal]) -> None:
+        """Closes proposals, as many at once as the options allow, and keeps what they lead to."""
+        for found, proposal in zip(self._close_at_once(wave), wave, strict=False):
+            self.keep(proposal.origin, found)
 
-        Each lot is to be added before the next is asked for: rungs may be left out by what others
-        have shown, never by clocks.
-        """
-        yield self.problem.options.ladder
+    def _close_at_once(self, wave: Sequence[Proposal]) -> Iterable[Any]:
+        """Yields what each proposal leads to, in their order."""
+        with self.clock("search"), ThreadPoolExecutor(self.task.options.num_threads) as pool:
+            # The first one of all compiles; where Ctrl-C is raised, that ends it.
+            first = [] if self.list_found() else [each.close() for each in wave[:1]]
+            yield from first
+            yield from pool.map(lambda proposal: proposal.close(), wave[len(first) :])
 
-    @property
-    def box_contacts(self) -> tuple[int | None, ...]:
-        """How many contacts the last box of each of the ladder's rungs shows; None: left out."""
-        counts: list[int | None] = []
-        for rung in self.problem.options.ladder:
-            found = [sequences for each, sequences in self.shown if each == rung]
-            counts.append(max(map(len, found[0][:1]), default=0) if found else None)
-        return tuple(counts)
+    @abstractmethod
+    def keep(self, origin: Origin, found: Any) -> None:
+        """Keeps what a proposal led to, if it is worth that."""
 
-    def add_rungs(
-        self, rungs: tuple[Rung, ...], tell: Callable[[Rung], None] | None = None
-    ) -> None:
-        """Adds the candidates of AIGO's sequences under these rungs, unless they are there.
+    @abstractmethod
+    def judge(self) -> None:
+        """Improves the best motions, and simulates their controls."""
 
-        Args:
-            rungs: run at once, in as many threads as the options allow.
-            tell: called as each begins.
+    @abstractmethod
+    def list_found(self) -> Collection[object]:
+        """Returns what was found so far: with it, Ctrl-C ends no more than the search."""
 
-        Raises:
-            KeyboardInterrupt: AIGO was interrupted; its best so far is a candidate by now.
-        """
-        most = self.problem.num_threads
-        for first in range(0, len(rungs), most):
-            at_once = rungs[first : first + most]
-            for rung in at_once:
-                if tell:
-                    tell(rung)
-            with self.clock("aigo"):
-                results, is_interrupted = self._run_at_once(at_once)
-            for rung, result in zip(at_once, results, strict=False):
-                self._add_result(rung, result)
-            if is_interrupted:
-                raise KeyboardInterrupt
+    def find_best(self) -> Candidate:
+        """Returns the best candidate that meets the rows."""
+        return self.find_feasible()[0]
 
-    def _run_at_once(self, rungs: tuple[Rung, ...]) -> tuple[list[AigoResult], bool]:
-        """Returns what AIGO makes of each rung, and whether Ctrl-C came.
-
-        After that it is the best so far, of those rungs that had begun.
-        """
-        if len(rungs) == 1:
-            result = self.problem.run_aigo(rungs[0])
-            return [result], result.status is Status.INTERRUPTED
-        self.problem.prepare(rungs)
-        stopped, runs = threading.Event(), list[Future[AigoResult]]()
-
-        def stop_if_asked(_: Iterate) -> None:
-            if stopped.is_set():
-                raise KeyboardInterrupt  # In its thread, where `minimize` takes it for Ctrl-C.
-
-        with ThreadPoolExecutor(len(rungs)) as pool:
-            try:
-                for rung in rungs:
-                    runs.append(pool.submit(self.problem.run_aigo, rung, None, stop_if_asked))
-                wait(runs)
-            except KeyboardInterrupt:
-                stopped.set()
-        return [run.result() for run in runs], stopped.is_set()
-
-    def _add_result(self, rung: Rung, result: AigoResult) -> None:
-        with self.clock("aigo"):
-            sequences = self.problem.find_sequences(result, rung)
-        self.aigo_steps += result.num_inner_steps
-        _LOG.info(
-            "  %s after %d inner steps; contact sequences: %d",
-            result.status.name.lower(),
-            result.num_inner_steps,
-            len(sequences),
-        )
-        self.shown.append((rung, sequences))
-        origin = Origin(self.problem.algorithm_name, rung)
-        for sequence in sequences:
-            if not self.is_known(sequence):
-                self.add(origin, result.box.center, sequence)
-
-    def add(self, origin: Origin, center: Floats, sequence: ContactSequence) -> None:
-        """Adds the candidate of a sequence that was read off a box center."""
-        self.solve(origin, center, sequence, self.problem.polish)
-
-    def solve(
-        self,
-        origin: Origin,
-        center: Floats,
-        sequence: ContactSequence,
-        polish: Polish,
-    ) -> None:
-        """Makes a candidate of a sequence by a polish; it replaces one of equal sequence."""
-        with self.clock("polish"):
-            self.solved[sequence] = solved, x = polish(center, sequence)
-        with self.clock("replay"):
-            candidate = self.problem.judge(origin, center, solved, x)
-        self.by_sequence[sequence] = candidate
-        _LOG.info(
-            "  %s: cost %.3e, replayed %.3e, largest defect %.0e, in %d steps",
-            candidate.describe_contacts(),
-            candidate.cost,
-            candidate.replay.cost,
-            candidate.max_defect,
-            len(candidate.trajectory.controls),
-        )
-        self.centers[sequence] = center
+    @abstractmethod
+    def add_left_out(self) -> None:
+        """Judges what was left out for a candidate that a simulation has contradicted since."""
 
     def add_idle(self) -> None:
         """Adds doing nothing, which a plan has to beat."""
         with self.clock("replay"):
-            self.others.append(idle_candidate(self.problem))
+            self.others.append(self.task.idle_candidate())
+
+    @property
+    @abstractmethod
+    def candidates(self) -> Iterable[Candidate]:
+        """Those that were searched for, in the order that they were found."""
+
+    @property
+    def box_contacts(self) -> tuple[int | None, ...]:
+        """How many contacts the last box of each start shows; None: left out."""
+        return ()
+
+    def tell(self, line: str) -> None:
+        """Logs and shows what begins."""
+        _LOG.info("%s", line)
+        if self._progress:
+            self._progress(line)
+
+    @contextmanager
+    def ended_by_ctrl_c(self, find: Callable[[], Collection[object]]) -> Iterator[None]:
+        """Has Ctrl-C end no more than a `with` block if something was found by then."""
+        try:
+            yield
+        except KeyboardInterrupt:
+            if not find():
+                raise
+            self.is_interrupted = True
+            _LOG.info("interrupted: going on with what was found")
+
+    def ranked(self) -> list[Candidate]:
+        """Returns all candidates, the best first."""
+        return sorted([*self.candidates, *self.others], key=self.rank)
+
+    def find_feasible(self) -> list[Candidate]:
+        """Returns the candidates that meet the rows, the best first.
+
+        Raises:
+            PlanningError: there is none.
+        """
+        feasible = [candidate for candidate in self.ranked() if candidate.is_feasible]
+        if not feasible:
+            polished = [scaled_defects(each.defects, each.scales) for each in self.ranked()]
+            nearest = min(polished, key=lambda by: max(by.values()), default={"rows": math.inf})
+            missed = [name for name, by in nearest.items() if by > LARGEST_DEFECT]
+            raise PlanningError(
+                "no candidate meets the transcription's rows",
+                got=f"{len(polished)} candidates from {self.task.sources}, "
+                f"the smallest defect {max(nearest.values()):.1e}, in {', '.join(missed)}",
+                expected=f"at most {LARGEST_DEFECT:g} of the task's scales",
+                remedy=self.task.remedy,
+            )
+        return feasible
+
+    def confirm(self, candidate: Candidate) -> bool:
+        """Replays a candidate's control, and returns whether the replays confirm it.
+
+        Ctrl-C leaves out what has not been simulated by then.
+        """
+        steps = len(candidate.trajectory.controls)
+        self.tell(f"replaying the best of {len(self.ranked())} candidates, {steps} time steps")
+        self._replays[id(candidate)] = Replays(candidate.replay, None)
+        try:
+            with self.clock("replay"):
+                self._replays[id(candidate)] = self.task.confirm(candidate)
+        except KeyboardInterrupt:
+            self.is_interrupted = True
+        replays, unit = self._replays[id(candidate)], self.task.world.position_unit
+        for replay in replays:
+            if not candidate.is_confirmed_by(replay):
+                _LOG.info(
+                    "  vetoed by the %s replay: %s promises cost %.3e and %.1e %s off the goal; "
+                    "simulated %.3e and %.1e %s",
+                    replay.simulator,
+                    candidate.describe_contacts(),
+                    candidate.cost,
+                    candidate.goal_error,
+                    unit,
+                    replay.cost,
+                    replay.goal_error,
+                    unit,
+                )
+        return candidate.holds(replays)
+
+    def _is_vetoed(self, candidate: Candidate) -> bool:
+        """Returns whether a replay that `confirm` ran contradicts a candidate."""
+        replays = self._replays.get(id(candidate))
+        return replays is not None and not candidate.holds(replays)
+
+    def make_plan(self, scenario: Scenario, best: Candidate) -> Plan:
+        """Returns the plan with this candidate, which was replayed, and the others by rank."""
+        rest = [
+            dataclasses.replace(other, drake=self._replays[id(other)].drake)
+            if id(other) in self._replays
+            else other
+            for other in self.ranked()
+            if other is not best
+        ]
+        stats = PlanStats(
+            self.aigo_steps,
+            sum(candidate.is_feasible for candidate in self.candidates),
+            dict(self.clock.seconds),
+            self.box_contacts,
+            self.flight_left_out,
+        )
+        took = ", ".join(f"{part} {seconds:.2f}" for part, seconds in stats.seconds.items())
+        _LOG.info("%d inner steps of AIGO; seconds: %s", stats.aigo_steps, took)
+        options, world = self.task.options, self.task.world
+        return Plan(
+            scenario=scenario,
+            transcription=self.task.transcription_name,
+            candidates=(best, *rest),
+            replay=self._replays[id(best)],
+            stats=stats,
+            made_in=world.fingerprint,
+            is_interrupted=self.is_interrupted,
+            options=options,
+            world=world,
+        )
+
+    @property
+    def flight_left_out(self) -> float | None:
+        """What a free flight costs at least, if it was left out for that."""
+        return None
 
     @abstractmethod
-    def is_known(self, sequence: ContactSequence) -> bool:
-        """Returns whether there is a candidate of nearly this sequence."""
+    def rank(self, candidate: Candidate) -> tuple[float, ...]:
+        """Returns what candidates are ordered by, the best least."""
 
-    def refine(self) -> None:
-        """Improves the best candidates."""
-        finalists = self.finalists()[: self.problem.options.finalists]
-        for number, sequence in enumerate(finalists, 1):
-            self.tell(f"{len(self.by_sequence)} candidates; improving number {number}")
-            self.improve(sequence)
 
-    @abstractmethod
-    def finalists(self) -> list[ContactSequence]:
-        """Returns the sequences that are worth improving, the best first."""
-
-    @abstractmethod
-    def improve(self, sequence: ContactSequence) -> None:
-        """Adds candidates near a sequence, or a better one in its place."""
-
-    def rank_of(self, sequence: ContactSequence) -> tuple[float, ...]:
-        """Returns what its candidate is ordered by."""
-        return self.rank(self.by_sequence[sequence])
+def scaled(factor: float, cost: float) -> float:
+    """Returns so many times a cost; of one below 0, which users may add, as much more."""
+    return cost + (factor - 1) * abs(cost)

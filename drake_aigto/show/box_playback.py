@@ -15,8 +15,8 @@ from pydrake.math import RigidTransform, RotationMatrix
 from drake_aigto.aigo import AigoResult, Annealing, Iterate, SlowMotion
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError
-from drake_aigto.paper import LiteralOptions, make_literal_problem
-from drake_aigto.planning import Plan, PlanningProblem, PlanOptions, Rung, make_problem
+from drake_aigto.paper import LiteralOptions, make_literal_task
+from drake_aigto.planning import Plan, PlanOptions, ProgramTask, Rung, make_ball_task
 from drake_aigto.show.board import make_mesh
 from drake_aigto.show.coordinates import coordinate_names, wall_places
 from drake_aigto.show.film import Film
@@ -235,7 +235,7 @@ class BoxRun:
             every Newton step.
     """
 
-    problem: PlanningProblem
+    problem: ProgramTask
     rung: Rung
     transcription: Transcription
     result: AigoResult
@@ -269,19 +269,19 @@ def run_boxes(plan: Plan, world: World | None = None) -> BoxRun:
     world, rung = plan.find_world(world), plan.best.origin.rung
     if plan.options is None:
         raise _refuse("no options")
-    if not isinstance(plan.options, LiteralOptions | PlanOptions):
+    if plan.transcription == "shooting":
         raise _refuse("the options of a search by many short boxes, none of a whole motion")
     if not isinstance(rung, Rung):
         raise _refuse("no rung of AIGO's ladder")
     if plan.additions:
         names = ", ".join(plan.additions)
         raise _refuse(f"costs or constraints of one's own, by name only ({names})")
-    problem: PlanningProblem
+    problem: ProgramTask
     if isinstance(plan.options, LiteralOptions):
-        problem = make_literal_problem(world, plan.scenario, plan.options)
+        problem = make_literal_task(world, plan.scenario, plan.options)
     else:
         assert isinstance(plan.options, PlanOptions)
-        problem = make_problem(world, plan.scenario, plan.options)
+        problem = make_ball_task(world, plan.scenario, plan.options)
     algorithm = problem.make_algorithm(rung)
     if isinstance(algorithm, Annealing):
         algorithm = SlowMotion(algorithm)

@@ -14,11 +14,11 @@ from drake_aigto.paper import (
     LiteralOptions,
     bounce_costs,
     gradient_from_zero,
-    make_literal_problem,
+    make_literal_task,
     random_guess,
     rigid_optimum,
 )
-from drake_aigto.planning import Candidate, PlanOptions, make_problem
+from drake_aigto.planning import Candidate, PlanOptions, make_ball_task
 from drake_aigto.show.box_playback import BoxRun
 from drake_aigto.show.motion import (
     PLAN_LABEL,
@@ -133,7 +133,7 @@ def gradient_motions(world: World, scenario: Scenario, seed: int = 0) -> list[Mo
     if world.num_contacts == 1:
         return _literal_motions(world, scenario)
     world.check_plain(scenario)
-    problem = make_problem(world, scenario, PlanOptions(relaxation=0.0, local_solver="snopt"))
+    problem = make_ball_task(world, scenario, PlanOptions(relaxation=0.0, local_solver="snopt"))
     transcription = problem.transcription
     found = problem.solve_locally(random_guess(transcription, np.random.default_rng(seed)))
     times, controls = transcription.GetSampleTimes(), transcription.split(found)[2]
@@ -144,7 +144,7 @@ def gradient_motions(world: World, scenario: Scenario, seed: int = 0) -> list[Mo
 
 def _literal_motions(world: World, scenario: Scenario) -> list[Motion]:
     options = LiteralOptions(nonpenetration=False, local_solver="snopt")
-    run = gradient_from_zero(make_literal_problem(world, scenario, options))
+    run = gradient_from_zero(make_literal_task(world, scenario, options))
     planned = Motion.from_trajectory(run.trajectory, world, f"{_ONE_WALL}: {PLAN_LABEL}")
     simulated = Motion.from_replay(run.replay, f"{_ONE_WALL}: {_RIGID}")
     return [planned, simulated.under(run.trajectory.times, run.trajectory.controls)]

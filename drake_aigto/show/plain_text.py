@@ -92,7 +92,7 @@ def _search_facts(plan: Plan) -> Iterator[Fact]:
     """Yields how a plan was found."""
     options = plan.options
     boxes = [f"boxes of {plan.scenario.num_steps} steps"] if options else []
-    if isinstance(options, PlanOptions):
+    if isinstance(options, PlanOptions) and plan.transcription == "rigid":
         boxes = [f"boxes of {options.aigo_steps} steps", f"relaxation {options.relaxation:g}"]
     parts = [part.split(", ") for part in str(plan.best.origin).split("; ")]
     for index, items in enumerate([boxes, *parts] if boxes else [[], *parts]):

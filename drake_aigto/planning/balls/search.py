@@ -4,28 +4,28 @@ from __future__ import annotations
 
 import logging
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import combinations, starmap
 
 import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
-from drake_aigto.planning.branching import (
+from drake_aigto.planning.balls.branching import (
     GOOD,
     MOST_TOUCHES,
     SAME_END,
     SAME_START,
     BranchingSearch,
-    scaled,
+    Shown,
+    propose,
 )
-from drake_aigto.planning.candidate import Candidate
-from drake_aigto.planning.options import Rung
-from drake_aigto.planning.origin import COASTING, Origin
-from drake_aigto.planning.pool import Stopwatch
-from drake_aigto.planning.rigid import RigidProblem
-from drake_aigto.planning.rigid_phases import Path, Solved
-from drake_aigto.planning.touches import (
+from drake_aigto.planning.balls.phases import Path, Solved
+from drake_aigto.planning.balls.task import BallTask
+from drake_aigto.planning.candidate import COASTING, Candidate, Origin
+from drake_aigto.planning.rungs import Rung
+from drake_aigto.planning.search import Proposal, Stopwatch, scaled
+from drake_aigto.planning.sequences import (
     are_near,
     are_neighbors,
     kinds,
@@ -44,39 +44,39 @@ _STEPS_PRICE = 1e-2
 _PROMISING = 20.0
 
 
-class RigidSearch(BranchingSearch):
+class BallSearch(BranchingSearch):
     """AIGO proposes touches, which are polished; the best again if the first polish was coarse.
 
     If a candidate's replay bounces where its plan does not, the plan with that bounce is another
     candidate: knots may step over a short contact, and AIGO's do over one right after the start.
     """
 
-    def __init__(self, problem: RigidProblem, clock: Stopwatch | None = None) -> None:
+    def __init__(self, task: BallTask, clock: Stopwatch | None = None) -> None:
         """Starts with no candidate."""
-        super().__init__(problem, clock)
-        self._num_steps = problem.num_steps
-        self._least_flight_cost = problem.least_flight_cost
+        super().__init__(task, clock)
+        self._num_steps = task.num_steps
+        self._least_flight_cost = task.least_flight_cost
         self._left_out: tuple[Origin, Floats] | None = None  # A flight's.
         # What had no polish, as `add` was given it.
-        self._given_up: list[tuple[Origin, Floats, TouchSequence, Path | None]] = []
+        self._given_up: list[tuple[Origin, Shown]] = []
         self._is_open = False  # Whether what costs too much to win is improved, too.
 
     def rungs(self) -> Iterator[tuple[Rung, ...]]:
         """Yields the rungs that may tell something new.
 
-        Where contacts alone make a plan (`RigidProblem.unfolds`), the ends of the ladder are run; a
+        Where contacts alone make a plan (`BallTask.unfolds`), the ends of the ladder are run; a
         rung between two others only if these do not show the same contacts, or one touch more:
         there is no sequence between such two. Colder rungs show fewer touches: after a first one
         that shows a single touch none is run if no flight can win. Rungs around the coasting
         motion, a ladder of their own, are left out if a candidate has its contacts.
         """
-        options = self.problem.options
-        if options.exhaustive or not self.problem.unfolds:
-            yield options.ladder
+        ladder = self.task.ladder
+        if self.task.options.exhaustive or not self.task.unfolds:
+            yield ladder
             return
-        for start in dict.fromkeys(rung.start for rung in options.ladder):
+        for start in dict.fromkeys(rung.start for rung in ladder):
             if start == "line" or not self._has_contacts_of_coast():
-                rungs = tuple(rung for rung in options.ladder if rung.start == start)
+                rungs = tuple(rung for rung in ladder if rung.start == start)
                 first, last = rungs[:1], rungs[1:][-1:]
                 if rungs[-1].temperature < rungs[0].temperature:
                     yield first
@@ -115,7 +115,7 @@ class RigidSearch(BranchingSearch):
         return sequences[0] if sequences else ()
 
     def _has_contacts_of_coast(self) -> bool:
-        coast = [(contact, False) for contact in self.problem.coast.bounce_contacts]
+        coast = [(contact, False) for contact in self.task.coast.bounce_contacts]
         return any(kinds(sequence) == coast for sequence in self.by_sequence)
 
     def add(
@@ -144,15 +144,15 @@ class RigidSearch(BranchingSearch):
 
         def polish(center: Floats, touches: TouchSequence) -> Solved:
             if solved or path is None:
-                return solved or self.problem.polish(center, touches)
-            return self.problem.polish_along(path, touches)
+                return solved or self.task.polish(center, touches)
+            return self.task.polish_along(path, touches)
 
         try:
             self.solve(origin, center, sequence, polish)
         except (OptionsError, TrajectoryError, UnsupportedTermError):
             # Boxes may see touches that no motion has, such as of opposite walls at once.
             self._refused.append(sequence)
-            self._given_up.append((origin, center, sequence, path))
+            self._given_up.append((origin, Shown(center, sequence, path)))
             return
         candidate = self.by_sequence[sequence]
         if not self._is_promising(candidate) or self._chatters(sequence):
@@ -171,7 +171,7 @@ class RigidSearch(BranchingSearch):
             if other.is_feasible and other.is_confirmed
         )
         is_dear = self._least_flight_cost > GOOD * min(costs, default=np.inf)
-        return is_dear and not self.problem.options.exhaustive
+        return is_dear and not self.task.options.exhaustive
 
     def _leave_flight_out(self, origin: Origin, center: Floats) -> None:
         _LOG.info("  free flight: left out, costs %.3e at least", self._least_flight_cost)
@@ -186,10 +186,10 @@ class RigidSearch(BranchingSearch):
     def add_left_out(self) -> None:
         """Adds the flight that `add` left out, if it did, and improves what could not win."""
         self._is_open = True
-        super().refine()
+        super().judge()
         if self._left_out is not None:
             (origin, center), self._left_out = self._left_out, None
-            self.solve(origin, center, (), self.problem.polish)
+            self.solve(origin, center, (), self.task.polish)
 
     def _is_promising(self, candidate: Candidate) -> bool:
         """Returns whether a candidate costs little enough for those near it to become the best."""
@@ -225,52 +225,50 @@ class RigidSearch(BranchingSearch):
                 before = tuple(touch for touch in optimum if touch.end < time)
                 seen = (*before, Touch.bounce(time, contact))
                 longer = (*seen, *optimum[len(before) :])
-                return [sequence for sequence in (seen, longer) if self.problem.fits(sequence)]
+                return [sequence for sequence in (seen, longer) if self.task.fits(sequence)]
         return []
 
-    def refine(self) -> None:
-        """Adds neighbors of the best candidates, then improves the best of all."""
-        self._try_longer()
-        self.tell(f"{len(self.by_sequence)} candidates; looking for others near the best")
-        self._add_coast()
-        self.branch()
-        super().refine()
+    def propose(self) -> Iterator[Sequence[Proposal]]:
+        """Yields boxes of rungs, and what the motion without control touches.
 
-    def _try_longer(self) -> None:
-        """Polishes what was given up again, more patiently, if there is no plan yet."""
+        Where these lead to no plan, what was given up is closed again before, more patiently.
+        """
+        yield from super().propose()
         has_plan = any(each.is_feasible and each.is_confirmed for each in self.by_sequence.values())
-        patient = self.problem.patient
+        patient = self.task.patient
         if patient is not None and not has_plan:
-            self.problem, given_up, self._given_up = patient, self._given_up, []
+            self.task, given_up, self._given_up = patient, self._given_up, []
             for each in given_up:
-                self.add(*each)
+                yield [propose(*each)]
+        yield from self._coast()
 
-    def _add_coast(self) -> None:
-        """Adds the contacts of the motion without control, if that may lead to another plan.
+    def _coast(self) -> Iterator[Sequence[Proposal]]:
+        """Yields the contacts of the motion without control, if they may lead to another plan.
 
         A block that this bounces off may be passed, too.
         """
-        coast, world = self.problem.coast, self.problem.transcription.world
+        coast, world = self.task.coast, self.task.transcription.world
         bounces = zip(coast.bounce_times, coast.bounce_contacts, strict=True)
         all_of_it = tuple(starmap(Touch.bounce, bounces))
         solids = Counter(contact.solid for contact in world.contacts)
         of_walls = (t for t in all_of_it if solids[world.contacts[t.contact].solid] == 1)
         for sequence in (all_of_it, tuple(of_walls)):
-            is_possible = len(sequence) <= MOST_TOUCHES and self.problem.fits(sequence)
-            if is_possible and not self.problem.unfolds and not self.is_known(sequence):
+            is_possible = len(sequence) <= MOST_TOUCHES and self.task.fits(sequence)
+            if is_possible and not self.task.unfolds and not self.is_known(sequence):
                 path = coast.times, coast.positions
-                self.add(Origin(COASTING), self.problem.box.center, sequence, path)
+                shown = Shown(self.task.box.center, sequence, path)
+                yield [propose(Origin(COASTING), shown)]
 
     def improve(self, sequence: TouchSequence) -> None:
         """Polishes a candidate with the steps that all are judged with, in its place."""
-        self._polish_again(sequence, self.problem)
+        self._polish_again(sequence, self.task)
 
     def find_best(self) -> Candidate:
         """Returns the best candidate, polished with as few time steps as the scenario has.
 
         If that makes another one the best, it is that one, and so on.
         """
-        few, presented = self.problem.in_steps(self.problem.asked_steps), set[int]()
+        few, presented = self.task.in_steps(self.task.asked_steps), set[int]()
         while True:
             best = self.find_feasible()[0]
             sequence = next((key for key, each in self.by_sequence.items() if each is best), None)
@@ -278,7 +276,7 @@ class RigidSearch(BranchingSearch):
                 return best
             presented.add(id(self._polish_again(sequence, few)))
 
-    def _polish_again(self, sequence: TouchSequence, problem: RigidProblem) -> Candidate:
+    def _polish_again(self, sequence: TouchSequence, problem: BallTask) -> Candidate:
         """Puts a candidate with a problem's steps in its place, if it holds, and returns it."""
         known, optimum = self.by_sequence[sequence], self._optimum(sequence)
         steps = max(problem.num_steps, 1 + len(joint_times(optimum)))

@@ -8,7 +8,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 import numpy as np
 from pydrake.solvers import MathematicalProgram
@@ -24,11 +24,11 @@ from drake_aigto.local import (
     compile_nlp,
     solve_with_drake,
 )
-from drake_aigto.planning.added_rows import check_added_rows
-from drake_aigto.planning.candidate import Candidate, Replays
-from drake_aigto.planning.compiled import CompiledPrograms
-from drake_aigto.planning.options import LadderOptions, Rung, StartName
-from drake_aigto.planning.origin import Origin
+from drake_aigto.planning.candidate import LARGEST_DEFECT, NO_CONTROL, Candidate, Origin, Replays
+from drake_aigto.planning.options import SearchOptions
+from drake_aigto.planning.programs import CompiledPrograms, check_added_rows
+from drake_aigto.planning.rungs import Rung, StartName
+from drake_aigto.planning.simulated import calc_defects, read_motion
 from drake_aigto.simulation import (
     Replay,
     find_contacts,
@@ -38,6 +38,7 @@ from drake_aigto.simulation import (
 )
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Samples, Transcription
+from drake_aigto.transcription.rows import largest_defect
 from drake_aigto.world import Scales, World
 
 _LOG = logging.getLogger(__name__)
@@ -51,6 +52,9 @@ _MAX_ITERATIONS = 200
 _COAST_SHARE = 0.2
 # Boxes of so many variables are worth a thread.
 _MANY = 1000
+# Springs and dampers are integrated: knots become twice as many so often at most until the midpoint
+# rule, which the rows of plans are, agrees.
+_MOST_DOUBLINGS = 5
 # An impact this part of the duration before a knot is on it, but for rounding.
 _ON_KNOT = 1e-12
 
@@ -72,8 +76,8 @@ class Start:
     row_names: tuple[str, ...]
 
 
-class PlanningProblem(ABC):
-    """A transcription compiled for AIGO and for the local solvers.
+class ProgramTask(ABC):
+    """A task as a program over knots, compiled for AIGO and for the local solvers.
 
     Costs and bounds that were added to the transcription before count. What a contact sequence is,
     and how one is polished, is the subclass's.
@@ -82,7 +86,11 @@ class PlanningProblem(ABC):
         transcription: the constrained program, as AIGO takes it (`OpenProgram.closed`).
         additions: what users added to it.
         options: numerics.
+        ladder: the starts of AIGO.
     """
+
+    # How it is stated, as plan files name that.
+    transcription_name: ClassVar[str]
 
     # Of the local solver's cost, in `cost_scale`, in turn until it converges.
     _cost_units: tuple[float, ...] = (1.0,)
@@ -90,7 +98,8 @@ class PlanningProblem(ABC):
     def __init__(
         self,
         transcription: Transcription,
-        options: LadderOptions,
+        options: SearchOptions,
+        ladder: tuple[Rung, ...],
         programs: CompiledPrograms | None = None,
     ) -> None:
         """Compiles, unless the programs of the same world and additions have this structure.
@@ -103,7 +112,7 @@ class PlanningProblem(ABC):
         """
         self.transcription = transcription = transcription.closed()
         self.additions = transcription.additions()
-        self.options = options
+        self.options, self.ladder = options, ladder
         self._programs = programs or CompiledPrograms()
         self._starts: dict[StartName, Start] = {}
         if programs is None:
@@ -113,7 +122,7 @@ class PlanningProblem(ABC):
 
     def _check_ladder(self, row_names: tuple[str, ...]) -> None:
         known = dict.fromkeys((*self.transcription.ROWS, *row_names))
-        for name in (name for rung in self.options.ladder for name in rung.weights):
+        for name in (name for rung in self.ladder for name in rung.weights):
             if name not in known:
                 raise OptionsError(
                     "ladder",
@@ -181,14 +190,15 @@ class PlanningProblem(ABC):
 
     @property
     def num_threads(self) -> int:
-        """How many rungs are run at once, see `LadderOptions.threads`."""
+        """How many rungs are run at once, see `PlanOptions.threads`."""
         is_small = self.polynomial.num_variables < _MANY
         return 1 if self.options.threads is None and is_small else self.options.num_threads
 
-    def prepare(self, rungs: Iterable[Rung]) -> None:
-        """Makes what these rungs share, so that they may run at once."""
-        for rung in rungs:
-            self._weights(rung)
+    def prepare(self, origins: Iterable[Origin]) -> None:
+        """Makes what boxes of these origins share, so that they may run at once."""
+        for origin in origins:
+            if isinstance(origin.rung, Rung):
+                self._weights(origin.rung)
 
     def run_aigo(
         self,
@@ -216,7 +226,7 @@ class PlanningProblem(ABC):
     @property
     def sources(self) -> str:
         """What candidates come from, in words."""
-        return f"{len(self.options.ladder)} rungs"
+        return f"{len(self.ladder)} rungs"
 
     @property
     def remedy(self) -> str:
@@ -366,6 +376,38 @@ class PlanningProblem(ABC):
         motion = candidate.trajectory
         drake = replay_drake(world, scenario, motion.times, motion.controls)
         return Replays(candidate.replay, self.add_to_replay(drake, motion))
+
+    def idle_candidate(self) -> Candidate:
+        """Returns what the world does without any control, on rigid walls.
+
+        Its knots are those of `coast`, and the times of impacts.
+        """
+        world, replay = self.transcription.world, self.coast
+        no_control = np.zeros((1, world.num_actuators))
+        for doubling in range(_MOST_DOUBLINGS + 1):
+            if doubling:
+                replay = self.replay_coast(self.coast_steps << doubling)
+            ends = replay.times[[0, -1]]
+            trajectory = read_motion(world, replay, ends, no_control, self.scales.length)
+            missed = self.additions.violations(sample(trajectory)) if self.additions else {}
+            defects = {**calc_defects(world, trajectory), **missed}
+            if largest_defect(defects, self.scales) <= LARGEST_DEFECT:
+                break
+        replay = self.add_to_replay(replay, trajectory)
+        return Candidate(
+            origin=Origin(NO_CONTROL),
+            start_cost=replay.cost,
+            start_defects=defects,
+            trajectory=trajectory,
+            cost=replay.cost,
+            goal_error=replay.goal_error,
+            defects=defects,
+            max_penetration=max_penetration(world, trajectory),
+            contacts=find_contacts(world, trajectory),
+            replay=replay,
+            scales=self.scales,
+            added_costs=replay.added_costs,
+        )
 
     def _weights(self, rung: Rung) -> dict[str, float]:
         """Returns the rung's weights of the rows that this problem has."""

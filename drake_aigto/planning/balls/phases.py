@@ -2,26 +2,103 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from functools import cached_property
-from typing import TYPE_CHECKING
+
+import numpy as np
 
 from drake_aigto.arrays import Floats, interpolate
+from drake_aigto.dynamics import ConstantDynamics
 from drake_aigto.local import LocalResult, NewtonLagrange, PolynomialNlp
-from drake_aigto.planning.arc_program import ArcPrograms
-from drake_aigto.planning.arcs import solve_in_arcs
-from drake_aigto.planning.compiled import CompiledPrograms
+from drake_aigto.planning.balls.arc_program import ArcPrograms
+from drake_aigto.planning.balls.arcs import solve_in_arcs
 from drake_aigto.planning.options import PlanOptions
-from drake_aigto.planning.problem import PlanningProblem
-from drake_aigto.planning.unfolding import least_flight_cost, unfolds
+from drake_aigto.planning.program_task import ProgramTask
+from drake_aigto.planning.programs import CompiledPrograms
 from drake_aigto.transcription import PhaseTranscription, RigidTranscription, TouchSequence
 from drake_aigto.transcription.facings import Facing, find_facings
 from drake_aigto.transcription.guesses import bend, straight_path
-from drake_aigto.transcription.touch import joint_times
+from drake_aigto.transcription.touch import AT_ONCE, joint_times
+from drake_aigto.world import Scenario, World
 
-if TYPE_CHECKING:
-    from drake_aigto.dynamics import ConstantDynamics
-    from drake_aigto.world import Scenario
+# AIGO's boxes tell a bounce from the start's own push if so many steps lead to the wall; for that
+# they have so many times the steps at most, if the scenario does not have more.
+_STEPS_TO_WALL, _MOST_FINER = 3, 4
+
+
+def transcribe(world: World, scenario: Scenario, options: PlanOptions) -> RigidTranscription:
+    """Returns the scenario, transcribed with the time steps of `coarsen`."""
+    world.check_plain(scenario)
+    return RigidTranscription(world, coarsen(world, scenario, options), options.relaxation)
+
+
+def coarsen(world: World, scenario: Scenario, options: PlanOptions) -> Scenario:
+    """Returns the scenario with the time steps of AIGO's boxes (`PlanOptions.aigo_steps`).
+
+    There are more of them if a wall would be touched in less than three: up to the scenario's, or
+    four times as many if those are few.
+    """
+    most = max(scenario.num_steps, _MOST_FINER * options.aigo_steps)
+    return scenario.in_steps(max(options.aigo_steps, min(_count_steps(world, scenario), most)))
+
+
+def _count_steps(world: World, scenario: Scenario) -> int:
+    """Returns into how many steps T has to be cut for the ball to fly three before the wall.
+
+    No number would do for a wall that is touched at once, which needs no box to be seen.
+    """
+    distances = world.calc_signed_distance(scenario.initial_position)
+    jacobian = world.calc_contact_jacobian(scenario.initial_position)
+    speeds, T = -jacobian @ scenario.initial_velocity, scenario.duration
+    counts = T * speeds[distances > 0] / distances[distances > 0]
+    return math.ceil(_STEPS_TO_WALL * np.max(counts[counts < 1 / AT_ONCE], initial=0.0))
+
+
+def least_flight_cost(dynamics: ConstantDynamics, scenario: Scenario) -> float:
+    """Returns what a motion that touches nothing costs at least.
+
+    Without walls, and with a control that is free at any time, which is affine in t then:
+
+        d = goal − q₀ − T v₀ − ½ T² a₀,   G = M⁻¹ B,   J ≥ dᵀ (I/w_f + T³/(3 w_u) G Gᵀ)⁻¹ d
+    """
+    w_u, w_f, T = scenario.control_weight, scenario.goal_weight, scenario.duration
+    if w_f == 0:
+        return 0.0
+    way = scenario.goal_position - scenario.initial_position
+    way = way - T * scenario.initial_velocity - T**2 / 2 * dynamics.drift
+    compliance = np.eye(way.size) / w_f + T**3 / (3 * w_u) * dynamics.gain @ dynamics.gain.T
+    return float(way @ np.linalg.solve(compliance, way))
+
+
+def unfolds(dynamics: ConstantDynamics, world: World, scenario: Scenario) -> bool:
+    """Returns whether plans of the same contacts, in the same order, are expected to be one plan.
+
+    Mirrored at each wall that it bounces off, and with nothing but controls that bends it, a motion
+    is a free flight to the goal's image, and the cost of that is convex, if in the image
+    accelerations cost what they do here. A block can be passed on two sides, and under gravity a
+    ball bounces high and late or low and early; and of two masses the lighter one is cheaper.
+    """
+    return bool(
+        world.num_solids == world.num_contacts
+        and np.all(world.restitutions(scenario) > 0)
+        and not np.any(dynamics.drift)
+        and _mirrors_keep_costs(dynamics)
+    )
+
+
+def _mirrors_keep_costs(dynamics: ConstantDynamics) -> bool:
+    """Returns whether G Gᵀ, of G = M⁻¹ B, is its own image in each wall's mirror.
+
+    The mirror changes velocities as an elastic impact does.
+    """
+    worth = dynamics.gain @ dynamics.gain.T
+    for J, kick in zip(dynamics.jacobian, dynamics.kicks, strict=True):
+        mirror = np.eye(J.size) - 2 * np.outer(kick, J) / (J @ kick)
+        if not np.allclose(mirror @ worth @ mirror.T, worth, atol=1e-9 * np.max(worth)):
+            return False
+    return True
+
 
 # Times (K,) [s] and positions (K, nq) [m].
 Path = tuple[Floats, Floats]
@@ -29,7 +106,7 @@ Path = tuple[Floats, Floats]
 Solved = tuple[PhaseTranscription, Floats]
 
 
-class PhaseProblem(PlanningProblem):
+class PhaseTask(ProgramTask):
     """A task between rigid walls, whose contact sequences have a multi-phase problem each.
 
     Attributes:
@@ -56,7 +133,9 @@ class PhaseProblem(PlanningProblem):
             num_steps: time steps that plans are to have; the transcription's if None.
             programs: those of the same world, wherever its walls stand, and the same additions.
         """
-        super().__init__(transcription, options or PlanOptions(), programs)
+        options = options or PlanOptions()
+        options.check_for_balls()
+        super().__init__(transcription, options, options.ball_ladder, programs)
         self.asked_steps = num_steps or transcription.scenario.num_steps
         self.num_steps = max(self.asked_steps, self.options.aigo_steps)
         self._arc_programs = ArcPrograms()

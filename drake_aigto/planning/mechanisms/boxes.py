@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal
+from typing import Any
 
 import numpy as np
 from pydrake.trajectories import PiecewisePolynomial
 
-from drake_aigto.aigo import Annealing, Box, CenterObjective, minimize
+from drake_aigto.aigo import Box, CenterObjective, minimize
 from drake_aigto.arrays import Bools, Floats, interpolate
 from drake_aigto.box import Order, ParametricPolynomial
+from drake_aigto.contact import CompliantLaw
+from drake_aigto.planning.rungs import MechanismRung, Renewal, Shrinking
+from drake_aigto.shooting import Mechanism
 from drake_aigto.transcription import (
     COST,
     DISTANCES,
@@ -20,116 +23,14 @@ from drake_aigto.transcription import (
     Ends,
     MechanismProgram,
 )
+from drake_aigto.world import TaskCost, World
 
-MechanismStart = Literal["rest", "coast", "line"]
-_STARTS: tuple[MechanismStart, ...] = ("rest", "coast", "line")
-
-_COOLING = 0.2
-_TOLERANCE = 0.05  # Of boxes: what they show is closed by another method, however near it is.
 _POINT_STEPS, _POINT_TOLERANCE = 30, 1e-3
 _GOAL_WEIGHT = 10.0  # of a hard goal, in what standing still costs: 10 at a distance of L
-_FAR = 0.5  # how far a slider's path is moved at most, in `StartedBoxes.widths`; a hinge's by π
+# Programs of boxes that are kept; scenarios may have ever other durations and weights.
+_MOST_PROGRAMS = 32
 _SAMPLES = 16  # of a motion, to see what is typical of it
 _NEXT_DURATION = 1.1  # of boxes, where it is free, as a part of the one before
-
-
-@dataclass(frozen=True, kw_only=True)
-class Shrinking:
-    """How boxes shrink.
-
-    Attributes:
-        weight: W of what no control can meet, in `StartedBoxes.weight_unit`.
-        temperature: first μ, in `StartedBoxes.temperature_unit`.
-        half_width: of the first box, in `StartedBoxes.widths`; 0: points, that have no temperature.
-        temperatures: how many there are, each a fifth of the one before.
-        newton_steps: the most at each.
-    """
-
-    weight: float = 0.1
-    temperature: float = 0.1
-    half_width: float = 0.5
-    temperatures: int = 3
-    newton_steps: int = 10
-
-    def annealing(self, unit: float) -> Annealing:
-        """Returns the algorithm, given what temperatures are in units of."""
-        first = unit * self.temperature
-        # Between the last one and the next, whatever rounding does.
-        last = first * _COOLING ** (self.temperatures - 0.5)
-        return Annealing(
-            initial_temperature=first,
-            final_temperature=last,
-            cooling=_COOLING,
-            tolerance=_TOLERANCE,
-            max_newton_steps=self.newton_steps,
-        )
-
-
-@dataclass(frozen=True, kw_only=True)
-class MechanismRung(Shrinking):
-    """One start of AIGO.
-
-    Attributes:
-        start: which path the first box is around: "rest", standing still; "coast", the motion
-            without control; "line", the straight line to the goal.
-        num_steps: N of its program.
-        shift: how far the middle of that path is moved, in `StartedBoxes.widths`, of each
-            coordinate; empty: nowhere.
-    """
-
-    start: MechanismStart = "rest"
-    num_steps: int = 30
-    shift: tuple[float, ...] = ()
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, num_steps: int, is_hinge: Bools) -> MechanismRung:
-        """Returns one by chance."""
-        far = np.where(is_hinge, np.pi, _FAR)
-        return cls(
-            start=_STARTS[rng.integers(len(_STARTS))],
-            num_steps=num_steps,
-            shift=tuple((far * rng.uniform(-1.0, 1.0, len(far))).tolist()),
-            weight=10 ** rng.uniform(-2.0, 0.5),
-            temperature=10 ** rng.uniform(-1.0, 1.0),
-            half_width=10 ** rng.uniform(-0.7, 0.3),
-            temperatures=1,
-        )
-
-    def describe(self, algorithm: str) -> str:
-        """Returns an algorithm's start here, in words."""
-        how = f"from temperature {self.temperature:.3g}" if self.half_width else "of points"
-        path = f"around the {self.start}" + (", moved" if self.shift else "")
-        return f"{algorithm} {how}; {path}; weight {self.weight:.3g}; {self.num_steps} time steps"
-
-
-@dataclass(frozen=True, kw_only=True)
-class Renewal(Shrinking):
-    """A stretch of a motion that is moved and opened again, all else held.
-
-    Attributes:
-        first: its first knot, 1 or more.
-        count: how many knots it has; those beyond the last one do not count.
-        shift: how far its middle is moved, in `StartedBoxes.widths`, shape (n,).
-    """
-
-    first: int
-    count: int
-    shift: Floats
-    temperatures: int = 1
-
-    @classmethod
-    def draw(cls, rng: np.random.Generator, num_steps: int, num_positions: int) -> Renewal:
-        """Returns one by chance: of a quarter, half, three quarters or all of the steps."""
-        count = max(1, num_steps * int(rng.integers(1, 5)) // 4)
-        half_width = 10 ** rng.uniform(-1.0, 0.3)
-        return cls(
-            first=int(rng.integers(1, max(2, num_steps - count + 2))),
-            count=count,
-            shift=half_width * rng.uniform(-1.0, 1.0, num_positions),
-            weight=10 ** rng.uniform(-2.5, 0.5),
-            temperature=10 ** rng.uniform(-1.0, 1.0),
-            half_width=half_width,
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -337,3 +238,38 @@ class StartedBoxes:
         u = np.clip(self.program.calc_controls(q, self.ends), *self._bounds)
         times = np.linspace(0.0, self.program.duration, len(u))
         return Center(times, q, v, u, boxes, iterations)
+
+
+@dataclass(frozen=True, eq=False)
+class CompiledMechanism:
+    """What all tasks with one law of contact share.
+
+    Attributes:
+        mechanism: the world as shooting has it.
+        boxes: the last programs of boxes, by the weights, bounds, duration and steps they have.
+    """
+
+    mechanism: Mechanism
+    boxes: dict[tuple[Any, ...], MechanismBoxes]
+
+    def find_boxes(
+        self,
+        world: World,
+        task: TaskCost,
+        springs: CompliantLaw,
+        duration: float,
+        num_steps: int,
+        is_hard: Bools,
+        control_bounds: Floats,
+    ) -> MechanismBoxes:
+        """Returns boxes for any start and goal (`MechanismProgram`), compiled if need be."""
+        weights = task.R, task.Q, task.Qv, task.QT, task.QTv, task.is_chordal, task.is_modulo
+        arrays = *weights, is_hard, control_bounds, springs.stiffness, springs.dissipation
+        key = num_steps, duration, *(each.tobytes() for each in arrays)
+        boxes = self.boxes.get(key)
+        if boxes is None:
+            program = MechanismProgram(world, task, springs, duration, num_steps, is_hard)
+            if len(self.boxes) >= _MOST_PROGRAMS:
+                self.boxes.pop(next(iter(self.boxes)), None)
+            boxes = self.boxes[key] = MechanismBoxes(program, control_bounds)
+        return boxes

@@ -3,25 +3,21 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import chain
-from typing import ClassVar, NamedTuple, TypeAlias
+from typing import ClassVar, TypeAlias
 
 import numpy as np
 
 from drake_aigto.arrays import interpolate
 from drake_aigto.errors import TrajectoryError
-from drake_aigto.kernels import tell_compilation
-from drake_aigto.planning.branching import scaled
-from drake_aigto.planning.candidate import Candidate
-from drake_aigto.planning.closing import Aim
-from drake_aigto.planning.mechanism_boxes import Center, MechanismRung, Renewal
-from drake_aigto.planning.mechanism_problem import MechanismProblem
-from drake_aigto.planning.origin import Origin
-from drake_aigto.planning.pool import CandidatePool, Progress, Stopwatch
+from drake_aigto.planning.candidate import Candidate, Origin
+from drake_aigto.planning.mechanisms.boxes import Center
+from drake_aigto.planning.mechanisms.closing import Aim
+from drake_aigto.planning.mechanisms.task import MechanismTask
+from drake_aigto.planning.rungs import MechanismRung, Renewal
+from drake_aigto.planning.search import Proposal, Search, Stopwatch, scaled
 from drake_aigto.shooting import ShootingResult
 from drake_aigto.simulation import BOUNDS
 
@@ -29,13 +25,6 @@ _LOG = logging.getLogger(__name__)
 
 # Newton steps of a box, and the motion that it led to.
 Closed: TypeAlias = tuple[int, ShootingResult]
-
-
-class Proposal(NamedTuple):
-    """Where a motion is to come from, and what makes it."""
-
-    origin: Origin
-    close: Callable[[], Closed]
 
 
 _ANNEALING = "annealing"
@@ -79,7 +68,7 @@ class Motion:
         return self.rank[1]
 
 
-class MechanismSearch(CandidatePool):
+class MechanismSearch(Search):
     """Rungs of boxes, each closed by shooting; then renewals of stretches of the best motions.
 
     Work is cut off by counts, and what is drawn depends on the seed alone, not on threads.
@@ -90,13 +79,13 @@ class MechanismSearch(CandidatePool):
         beaten: what does, after its polish, is not simulated, though it counts as a finalist.
     """
 
-    problem: MechanismProblem
+    task: MechanismTask
     dear: ClassVar[float] = 1.0
     beaten: ClassVar[float] = _ASTRAY
 
-    def __init__(self, problem: MechanismProblem, clock: Stopwatch | None = None) -> None:
+    def __init__(self, task: MechanismTask, clock: Stopwatch | None = None) -> None:
         """Starts with no motion."""
-        super().__init__(problem, clock)
+        super().__init__(task, clock)
         self.motions: list[Motion] = []
         self._candidates: list[Candidate] = []
         self._tight: list[Motion] = []  # The best motions, in shorter steps.
@@ -110,52 +99,33 @@ class MechanismSearch(CandidatePool):
         """The finalists, as they were judged."""
         return self._candidates
 
-    def run(self, progress: Progress | None = None) -> None:
-        """Runs the ladder and the renewals, and judges the finalists.
+    def list_found(self) -> Sequence[Motion]:
+        """Returns the best motions so far."""
+        return self.motions
 
-        Args:
-            progress: called with a line of text before each part, and once, with a `Notice`, if
-                machine code has to be compiled.
+    def propose(self) -> Iterator[Sequence[Proposal]]:
+        """Yields the centers of all rungs' boxes."""
+        self.tell(f"AIGO from {len(self.task.ladder)} starts")
+        yield [self._start(rung) for rung in self.task.ladder]
 
-        Raises:
-            KeyboardInterrupt: before there was any motion, or while the first is polished; else it
-                ends what it meets, the search or the polishing of others.
-        """
-        self.explore(progress)
-        with self.ended_by_ctrl_c(lambda: self._candidates):
-            self._finish()
-
-    def explore(self, progress: Progress | None = None) -> None:
-        """Runs the ladder and the renewals: `motions` are what they lead to, unpolished."""
-        self._progress = progress
-        with self.ended_by_ctrl_c(lambda: self.motions), tell_compilation(self.tell):
-            self._climb()
-            self._renew()
-
-    def _climb(self) -> None:
-        """Closes the centers of all rungs."""
-        rungs = self.problem.options.ladder
-        self.tell(f"AIGO from {len(rungs)} starts")
-        self._close_all([self._start(rung) for rung in rungs])
-
-    def _renew(self) -> None:
-        """Opens stretches of the best motions to boxes again, and begins anew in turn."""
-        options, rng = self.problem.options, np.random.default_rng(self.problem.options.seed)
+    def vary(self) -> Iterator[Sequence[Proposal]]:
+        """Yields stretches of the best motions that are opened again, and new starts in turn."""
+        options, rng = self.task.options, np.random.default_rng(self.task.options.seed)
         best, idle = (True, np.inf), 0
         for first in range(0, options.renewals if self.motions else 0, _WAVE):
             misses, cost = rank = self.motions[0].rank
             is_better = misses < best[0] or not cost + SAME * abs(cost) >= best[1]
             best, idle = (rank, 0) if is_better else (best, idle + _WAVE)
-            if idle >= self.problem.patience or cost <= _NOTHING * self.problem.scales.cost:
+            if idle >= self.task.patience or cost <= _NOTHING * self.task.scales.cost:
                 break
             self.tell(f"renewal {first} of {options.renewals}; the best costs {cost:.6g}")
             last = min(first + _WAVE, options.renewals)
-            self._close_all([self._draw(rng, number) for number in range(first, last)])
+            yield [self._draw(rng, number) for number in range(first, last)]
 
     def _draw(self, rng: np.random.Generator, number: int) -> Proposal:
         """Returns a renewal, or every second time a start, by chance."""
-        problem, num_steps = self.problem, self.problem.renewal_steps
-        has_boxes = any(rung.half_width for rung in problem.options.ladder)
+        problem, num_steps = self.task, self.task.renewal_steps
+        has_boxes = any(rung.half_width for rung in problem.ladder)
         if number % 2:
             rung = MechanismRung.draw(rng, num_steps, problem.world.is_hinge)
             return self._start(replace(rung, half_width=has_boxes * rung.half_width))
@@ -167,13 +137,13 @@ class MechanismSearch(CandidatePool):
         return Proposal(motion.origin.renewed(), partial(self._close, propose))
 
     def _start(self, rung: MechanismRung) -> Proposal:
-        propose = partial(self.problem.run_aigo, rung)
+        propose = partial(self.task.run_aigo, rung)
         return Proposal(Origin(_ANNEALING, rung), partial(self._close, propose))
 
     def _close(self, propose: Callable[[], Center]) -> Closed:
         """Closes what boxes propose."""
         center = propose()
-        return center.iterations, self.problem.close(center, self._aim)
+        return center.iterations, self.task.close(center, self._aim)
 
     def _find_aim(self) -> Aim:
         """Returns what is worth closing: what may be kept.
@@ -182,26 +152,23 @@ class MechanismSearch(CandidatePool):
         of 3,072 around cart-poles between soft walls 403 were, and two of these were kept. Where
         something turns fast at the start, costs fall late, and nothing is left half-way.
         """
-        is_full = len(self.motions) == _MOST_KEPT and not self.problem.is_fast
+        is_full = len(self.motions) == _MOST_KEPT and not self.task.is_fast
         misses, cost = self.motions[-1].rank if is_full else (True, np.inf)
         most = np.inf if misses else scaled(_WORTH, cost)
         return Aim(most, is_patient=2 * self._num_of_use <= self._num_closed)
 
-    def _close_all(self, proposals: Sequence[Proposal]) -> None:
-        """Closes motions in threads, and keeps the best in the order of proposals."""
-        threads, self._aim = self.problem.options.num_threads, self._find_aim()
-        with self.clock("search"), ThreadPoolExecutor(threads) as pool:
-            # The first one of all compiles; where Ctrl-C is raised, that ends it.
-            first = [] if self.motions else [each.close() for each in proposals[:1]]
-            rest = pool.map(lambda proposal: proposal.close(), proposals[len(first) :])
-            for proposal, (steps, result) in zip(proposals, chain(first, rest), strict=True):
-                self.aigo_steps += steps
-                self._num_closed += 1
-                self._num_of_use += self.problem.is_of_use(result)
-                self._keep(Motion(proposal.origin, result, self.problem.rank(result)))
+    def close(self, wave: Sequence[Proposal]) -> None:
+        """Closes motions for what they are worth by now, and keeps the best of them."""
+        self._aim = self._find_aim()
+        super().close(wave)
 
-    def _keep(self, motion: Motion) -> None:
+    def keep(self, origin: Origin, found: Closed) -> None:
         """Keeps a motion if it is among the best, and no better one is near."""
+        steps, result = found
+        self.aigo_steps += steps
+        self._num_closed += 1
+        self._num_of_use += self.task.is_of_use(result)
+        motion = Motion(origin, result, self.task.rank(result))
         near = [known for known in self.motions if self._are_same(known, motion)]
         if np.isfinite(motion.cost) and all(self._is_better(motion, known) for known in near):
             others = [known for known in self.motions if known not in near]
@@ -218,14 +185,14 @@ class MechanismSearch(CandidatePool):
 
     def _are_near(self, one: ShootingResult, other: ShootingResult) -> bool:
         """Returns whether two motions are so near each other that one polish does for both."""
-        n = self.problem.world.num_positions
+        n = self.task.world.num_positions
         path = other.states[:, :n]
         if not np.array_equal(one.times, other.times):
             path = interpolate(one.times, other.times, path)
-        apart = np.abs(one.states[:, :n] - path) / self.problem.state_scales[:n]
+        apart = np.abs(one.states[:, :n] - path) / self.task.state_scales[:n]
         return bool(np.max(apart) < _NEAR)
 
-    def _finish(self) -> None:
+    def judge(self) -> None:
         """Polishes and judges the best motions."""
         self._tight = self._tighten()
         self._judge_best()
@@ -237,13 +204,13 @@ class MechanismSearch(CandidatePool):
         others do not count.
         """
         for motion in self._tight:
-            is_full = len(self._holding) + len(self._beaten) >= self.problem.options.finalists
+            is_full = len(self._holding) + len(self._beaten) >= self.task.options.finalists
             is_ended = self.is_interrupted and self._known
             if is_full or is_ended or self._is_hopeless(motion):
                 return
             if not any(self._are_same(motion, other) for other in self._known):
                 polished = self._polish(motion)
-                rank = self.problem.rank(polished)
+                rank = self.task.rank(polished)
                 self._known += [motion, Motion(motion.origin, polished, rank)]
 
     def _tighten(self) -> list[Motion]:
@@ -251,8 +218,8 @@ class MechanismSearch(CandidatePool):
         tight: list[Motion] = []
         with self.clock("polish"), self.ended_by_ctrl_c(lambda: self.motions):
             for motion in self.motions[: 1 if self.is_interrupted else None]:
-                result = self.problem.tighten(motion.result)
-                tight.append(Motion(motion.origin, result, self.problem.rank(result)))
+                result = self.task.tighten(motion.result)
+                tight.append(Motion(motion.origin, result, self.task.rank(result)))
         return sorted(tight, key=lambda each: each.rank) or self.motions[:1]
 
     def _is_hopeless(self, motion: Motion) -> bool:
@@ -274,11 +241,11 @@ class MechanismSearch(CandidatePool):
 
     def _is_astray(self, polished: ShootingResult) -> bool:
         """Returns whether a polish ended so far above a plan that holds that none looks at it."""
-        misses, cost = self.problem.rank(polished)
+        misses, cost = self.task.rank(polished)
         most = self._scale_best(_ASTRAY)
         return most < np.inf and (misses or not cost <= most)
 
-    def _improve(self, problem: MechanismProblem, motion: ShootingResult) -> ShootingResult:
+    def _improve(self, problem: MechanismTask, motion: ShootingResult) -> ShootingResult:
         """Returns the optimum near a motion."""
         return problem.polish(motion)
 
@@ -289,7 +256,7 @@ class MechanismSearch(CandidatePool):
         """
         start = motion.result
         self.tell(f"polishing a motion that costs {start.cost:.6g}")
-        polished, problem = start, self.problem
+        polished, problem = start, self.task
         try:
             for _ in range(1 + _MOST_NARROWED):
                 with (
@@ -300,11 +267,11 @@ class MechanismSearch(CandidatePool):
                 if self._is_astray(polished):
                     _LOG.info("  led astray: cost %.6g", polished.cost)
                     return polished
-                if self.problem.price(polished) > self._scale_best(self.beaten):
+                if self.task.price(polished) > self._scale_best(self.beaten):
                     _LOG.info("  beaten: cost %.6g", polished.cost)
                     self._beaten.append((motion, polished))
                     return polished
-                candidate = self._judge(motion, polished)
+                candidate = self._simulate(motion, polished)
                 if self.is_interrupted or BOUNDS not in candidate.replay.broken:
                     break
                 problem = problem.narrowed(polished, candidate.replay)
@@ -314,9 +281,9 @@ class MechanismSearch(CandidatePool):
         self._add(candidate)
         return polished
 
-    def _judge(self, motion: Motion, polished: ShootingResult) -> Candidate:
+    def _simulate(self, motion: Motion, polished: ShootingResult) -> Candidate:
         with self.clock("replay"):
-            return self.problem.judge(motion.origin, motion.result, polished)
+            return self.task.judge(motion.origin, motion.result, polished)
 
     def _add(self, candidate: Candidate) -> None:
         self._candidates.append(candidate)
@@ -327,21 +294,12 @@ class MechanismSearch(CandidatePool):
             candidate.replay.cost,
         )
 
-    def add_idle(self) -> None:
-        """Adds doing nothing, which a plan has to beat."""
-        with self.clock("replay"):
-            self.others.append(self.problem.idle_candidate())
-
-    def find_best(self) -> Candidate:
-        """Returns the best candidate that meets the rows."""
-        return self.find_feasible()[0]
-
     def add_left_out(self) -> None:
         """Judges what was left out for a candidate that a simulation has contradicted since."""
         beaten, self._beaten = self._beaten, []
         for motion, polished in beaten:
             try:
-                self._add(self._judge(motion, polished))
+                self._add(self._simulate(motion, polished))
             except TrajectoryError as error:
                 _LOG.info("  not a candidate: %s", error)
         self._judge_best()

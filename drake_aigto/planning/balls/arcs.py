@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.local import LocalResult, PolynomialNlp
-from drake_aigto.planning.arc_program import ArcPrograms, calc_root
+from drake_aigto.planning.balls.arc_program import ArcPrograms, calc_root
 from drake_aigto.trajectory import Trajectory
 
 if TYPE_CHECKING:

@@ -3,23 +3,23 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cached_property
 from itertools import chain
+from typing import NamedTuple
 
 import numpy as np
 
+from drake_aigto.aigo import AigoResult
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError, TrajectoryError, UnsupportedTermError
-from drake_aigto.planning.candidate import LARGEST_DEFECT
-from drake_aigto.planning.insertions import find_insertions, find_pulls
-from drake_aigto.planning.origin import ChangeName, Origin
-from drake_aigto.planning.pool import Stopwatch
-from drake_aigto.planning.rests import find_rests
-from drake_aigto.planning.rigid import RigidProblem
-from drake_aigto.planning.rigid_phases import Path, Solved
-from drake_aigto.planning.search import Search
-from drake_aigto.planning.touches import is_same, kinds, neighbors, retimed
+from drake_aigto.planning.balls.neighbors import find_insertions, find_pulls, find_rests
+from drake_aigto.planning.balls.phases import Path, Solved
+from drake_aigto.planning.balls.task import BallTask
+from drake_aigto.planning.candidate import LARGEST_DEFECT, ChangeName, Origin
+from drake_aigto.planning.search import Proposal, Stopwatch, scaled
+from drake_aigto.planning.sequence_search import SequenceSearch
+from drake_aigto.planning.sequences import is_same, kinds, neighbors, retimed
 from drake_aigto.transcription import TouchSequence
 from drake_aigto.transcription.rows import largest_defect
 
@@ -34,15 +34,36 @@ MOST_TOUCHES = 8
 GOOD, _TRIAL_STEPS, _TRIAL_ITERATIONS = 3.0, 20, 30
 
 
-class BranchingSearch(Search):
+class Shown(NamedTuple):
+    """A contact sequence that was read off a motion.
+
+    Attributes:
+        center: of the box that led to it.
+        sequence: the contacts.
+        path: near which they are; the box center's if None.
+        solved: the closed motion, if that is known already.
+    """
+
+    center: Floats
+    sequence: TouchSequence
+    path: Path | None = None
+    solved: Solved | None = None
+
+
+def propose(origin: Origin, shown: Shown) -> Proposal:
+    """Returns the proposal of a sequence, which is closed as it is added."""
+    return Proposal(origin, lambda: shown)
+
+
+class BranchingSearch(SequenceSearch):
     """Goes on from its best candidates to their neighbors."""
 
-    problem: RigidProblem
+    task: BallTask
 
-    def __init__(self, problem: RigidProblem, clock: Stopwatch | None = None) -> None:
+    def __init__(self, task: BallTask, clock: Stopwatch | None = None) -> None:
         """Starts with no candidate."""
-        super().__init__(problem, clock)
-        self._duration = problem.transcription.scenario.duration
+        super().__init__(task, clock)
+        self._duration = task.transcription.scenario.duration
         self._refused: list[TouchSequence] = []
 
     @abstractmethod
@@ -54,12 +75,20 @@ class BranchingSearch(Search):
         path: Path | None = None,
         solved: Solved | None = None,
     ) -> None:
-        """Adds the candidate of a sequence, near a path if one is given; its polish may be done."""
+        """Adds the candidate of a sequence (`Shown`)."""
 
-    def branch(self) -> None:
-        """Adds neighbors (`neighbors`) of good sequences, the best first, of each once."""
+    def keep(self, origin: Origin, found: AigoResult | Shown) -> None:
+        """Adds the candidate of a sequence, or those of the sequences that boxes show."""
+        if isinstance(found, Shown):
+            self.add(origin, *found)
+        else:
+            super().keep(origin, found)
+
+    def vary(self) -> Iterator[Sequence[Proposal]]:
+        """Yields neighbors (`neighbors`) of good sequences, the best first, of each once."""
+        self.tell(f"{len(self.by_sequence)} candidates; looking for others near the best")
         branched: set[TouchSequence] = set()
-        while len(branched) < self.problem.options.branches:
+        while len(branched) < self.task.options.branches:
             least = min(candidate.replay.cost for candidate in self.by_sequence.values())
             good = [
                 sequence
@@ -72,10 +101,10 @@ class BranchingSearch(Search):
                 break
             best = min(good, key=self.rank_of)
             branched.add(best)
-            self._branch(best)
+            yield from self._branch(best)
 
-    def _branch(self, sequence: TouchSequence) -> None:
-        """Adds those neighbors of a sequence that a trial finds good."""
+    def _branch(self, sequence: TouchSequence) -> Iterator[Sequence[Proposal]]:
+        """Yields those neighbors of a sequence that a trial finds good."""
         phases, x = self.solved[sequence]
         origin = self.by_sequence[sequence].origin
         path = phases.sample_times(x), phases.split(x)[0]
@@ -88,20 +117,20 @@ class BranchingSearch(Search):
             held = [kinds(each) for each, it in self.by_sequence.items() if it.is_confirmed]
             is_pulled = any(touch.contact in self._pulling for touch in other)
             is_new = (is_pulled or kinds(other) not in held) and not self.is_known(other)
-            if is_new and len(other) <= MOST_TOUCHES and self.problem.fits(other):
+            if is_new and len(other) <= MOST_TOUCHES and self.task.fits(other):
                 tried = self._try(other, path)
                 if tried and not self._has_optimum(tried):
                     # Where arcs did without the program, the trial was the polish.
                     solved = tried if tried[0].is_as_made else None
                     near = origin.changed(_change(sequence, other), sequence)
-                    self.add(near, self.centers[sequence], other, path, solved)
+                    yield [propose(near, Shown(self.centers[sequence], other, path, solved))]
                 else:
                     self._refused.append(other)
 
     @cached_property
     def _pulling(self) -> frozenset[int]:
         """The contacts that something but the control pulls towards."""
-        transcription = self.problem.transcription
+        transcription = self.task.transcription
         pulls = find_pulls(transcription.world, transcription.scenario.goal_position)
         return frozenset(np.flatnonzero(pulls > 0).tolist())
 
@@ -110,14 +139,12 @@ class BranchingSearch(Search):
         least = min(candidate.replay.cost for candidate in self.by_sequence.values())
         try:
             with self.clock("polish"):
-                phases, x = self.problem.polish_along(
-                    path, sequence, _TRIAL_STEPS, _TRIAL_ITERATIONS
-                )
+                phases, x = self.task.polish_along(path, sequence, _TRIAL_STEPS, _TRIAL_ITERATIONS)
         except (OptionsError, TrajectoryError, UnsupportedTermError):
             return None
-        defects = self.problem.defects(phases, x)
-        is_feasible = largest_defect(defects, self.problem.scales) <= LARGEST_DEFECT
-        is_good = self.problem.cost(phases, x) <= scaled(GOOD, least)
+        defects = self.task.defects(phases, x)
+        is_feasible = largest_defect(defects, self.task.scales) <= LARGEST_DEFECT
+        is_good = self.task.cost(phases, x) <= scaled(GOOD, least)
         return (phases, x) if is_feasible and is_good else None
 
     def is_known(self, sequence: TouchSequence) -> bool:
@@ -147,8 +174,3 @@ def _change(sequence: TouchSequence, other: TouchSequence) -> ChangeName:
     if kinds(sequence) == kinds(other):
         return "moved"
     return "dropped" if len(other) < len(sequence) else "added"
-
-
-def scaled(factor: float, cost: float) -> float:
-    """Returns so many times a cost; of one below 0, which users may add, as much more."""
-    return cost + (factor - 1) * abs(cost)

@@ -6,21 +6,20 @@ import copy
 import dataclasses
 import math
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, ClassVar
 
 from drake_aigto.aigo import AigoResult, Algorithm, Annealing
 from drake_aigto.arrays import Floats
 from drake_aigto.errors import TrajectoryError
 from drake_aigto.local import compile_nlp
-from drake_aigto.planning.candidate import LARGEST_DEFECT, Candidate
-from drake_aigto.planning.coarse import coarsen, transcribe
-from drake_aigto.planning.instants import keep_apart, moved_past
-from drake_aigto.planning.options import PlanOptions, Rung
-from drake_aigto.planning.origin import Origin
-from drake_aigto.planning.problem import sample
-from drake_aigto.planning.rigid_phases import Path, PhaseProblem, Solved
+from drake_aigto.planning.balls.neighbors import keep_apart, moved_past
+from drake_aigto.planning.balls.phases import Path, PhaseTask, Solved, coarsen, transcribe
+from drake_aigto.planning.candidate import LARGEST_DEFECT, Candidate, Origin
+from drake_aigto.planning.options import PlanOptions
+from drake_aigto.planning.program_task import sample
+from drake_aigto.planning.rungs import Rung
+from drake_aigto.planning.sequences import read_sequences
 from drake_aigto.planning.simulated import calc_defects, read_motion
-from drake_aigto.planning.touches import read_sequences
 from drake_aigto.simulation import find_contacts, max_penetration
 from drake_aigto.transcription import (
     PhaseTranscription,
@@ -51,16 +50,18 @@ _MOST_GENERAL, _MOST_COARSE = 1000, 300
 _COOLED = 5e-5
 
 
-def make_problem(
+def make_ball_task(
     world: World, scenario: Scenario, options: PlanOptions | None = None
-) -> RigidProblem:
+) -> BallTask:
     """Returns the scenario, transcribed with the time steps of `coarsen`, and compiled."""
     options = options or PlanOptions()
-    return RigidProblem(transcribe(world, scenario, options), options, scenario.num_steps)
+    return BallTask(transcribe(world, scenario, options), options, scenario.num_steps)
 
 
-class RigidProblem(PhaseProblem):
+class BallTask(PhaseTask):
     """The rigid transcription: a contact sequence is the times of touches."""
+
+    transcription_name: ClassVar[str] = "rigid"
 
     # Gravity and springs may cost far more than the way does.
     _cost_units = (1.0, 1e2, 1e4)
@@ -74,13 +75,13 @@ class RigidProblem(PhaseProblem):
         coarse = self.transcription.scenario.num_steps
         return coarse * math.ceil(self.num_steps / coarse)
 
-    def in_steps(self, num_steps: int) -> RigidProblem:
+    def in_steps(self, num_steps: int) -> BallTask:
         """Returns the same problem, whose plans are polished with so many time steps."""
         other = copy.copy(self)
         other.num_steps = num_steps
         return other
 
-    def in_brief(self, most_iterations: int) -> RigidProblem:
+    def in_brief(self, most_iterations: int) -> BallTask:
         """Returns the same problem for searches that may not take long.
 
         Where there are arcs, a polish takes plain Newton steps alone, and has no general way after
@@ -92,7 +93,7 @@ class RigidProblem(PhaseProblem):
         return other
 
     @property
-    def patient(self) -> RigidProblem | None:
+    def patient(self) -> BallTask | None:
         """The same problem for searches that have found nothing yet; None: there is no more."""
         if len(self._brief) < 2:
             return None
@@ -100,7 +101,7 @@ class RigidProblem(PhaseProblem):
         other._brief = self._brief[1:]
         return other
 
-    def in_world(self, world: World) -> RigidProblem:
+    def in_world(self, world: World) -> BallTask:
         """Returns the same problem, as nothing was added, where walls stand elsewhere.
 
         Args:
@@ -119,7 +120,7 @@ class RigidProblem(PhaseProblem):
             narrowing=0.5,
         )
 
-    def again(self, scenario: Scenario) -> RigidProblem:
+    def again(self, scenario: Scenario) -> BallTask:
         """Returns the problem of another scenario in the same world, with what users added.
 
         A program is compiled for it only where its structure is a new one. What users bound to a
@@ -131,9 +132,9 @@ class RigidProblem(PhaseProblem):
         transcription = self.transcription.again(coarse)
         return self._with(transcription, scenario.num_steps)
 
-    def _with(self, transcription: RigidTranscription, num_steps: int) -> RigidProblem:
+    def _with(self, transcription: RigidTranscription, num_steps: int) -> BallTask:
         """Returns the problem of another transcription, with the programs that are compiled."""
-        other = RigidProblem(transcription, self.options, num_steps, self._programs)
+        other = BallTask(transcription, self.options, num_steps, self._programs)
         other._arc_programs = self._arc_programs
         other._brief = self._brief
         return other

@@ -9,8 +9,8 @@ import numpy as np
 
 from drake_aigto.arrays import Floats, Ints
 from drake_aigto.contact import Closed, Mode, RigidLaw, find_other_mode
-from drake_aigto.planning.held_modes import CREEP, in_order, split_hold
-from drake_aigto.planning.mechanism_phases import BouncingResult, find_slopes
+from drake_aigto.planning.mechanisms.modes import CREEP, in_order, split_hold
+from drake_aigto.planning.mechanisms.phases import BouncingResult, find_slopes
 from drake_aigto.transcription import Touch, TouchSequence
 from drake_aigto.world import World
 

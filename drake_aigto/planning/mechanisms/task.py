@@ -4,27 +4,34 @@ from __future__ import annotations
 
 import dataclasses
 from functools import cache, cached_property
+from typing import ClassVar
 
 import numpy as np
 
 from drake_aigto.arrays import Floats, interpolate
 from drake_aigto.contact import CompliantLaw, contact_law
-from drake_aigto.planning.candidate import Candidate, Replays
-from drake_aigto.planning.closing import COOLING, POLISH, RUBBED, Aim, find_closing, find_tight
-from drake_aigto.planning.compiled_mechanism import CompiledMechanism
-from drake_aigto.planning.flow import trace
-from drake_aigto.planning.launch import Launch, find_launch
-from drake_aigto.planning.mechanism_boxes import (
+from drake_aigto.planning.candidate import NO_CONTROL, Candidate, Origin, Replays
+from drake_aigto.planning.mechanisms.boxes import (
     Center,
-    MechanismRung,
-    Renewal,
+    CompiledMechanism,
     StartedBoxes,
     round_duration,
     sample_cubic,
 )
-from drake_aigto.planning.mechanism_options import MechanismOptions
-from drake_aigto.planning.origin import NO_CONTROL, Origin
-from drake_aigto.planning.steadying import steady
+from drake_aigto.planning.mechanisms.closing import (
+    COOLING,
+    POLISH,
+    RUBBED,
+    Aim,
+    Launch,
+    find_closing,
+    find_launch,
+    find_tight,
+    steady,
+)
+from drake_aigto.planning.mechanisms.traces import trace
+from drake_aigto.planning.options import PlanOptions
+from drake_aigto.planning.rungs import MechanismRung, Renewal
 from drake_aigto.shooting import (
     Mechanism,
     Phases,
@@ -61,7 +68,7 @@ _PATIENT = 2
 _PRICE, _MUCH = 10.0, 1e-2
 
 
-class MechanismProblem:
+class MechanismTask:
     """A task of a mechanism between walls that yield, or of one that touches nothing.
 
     Boxes of its positions shrink (`MechanismBoxes`), and the motion that they show is closed by
@@ -71,15 +78,18 @@ class MechanismProblem:
         world: the mechanism.
         scenario: the task.
         options: numerics.
+        ladder: the starts of AIGO.
         task: the scenario's cost.
         bounds: of positions, velocities and controls.
     """
+
+    transcription_name: ClassVar[str] = "shooting"
 
     def __init__(
         self,
         world: World,
         scenario: Scenario,
-        options: MechanismOptions,
+        options: PlanOptions,
         compiled: CompiledMechanism | None = None,
     ) -> None:
         """Reads the task; programs are compiled as they are needed.
@@ -90,7 +100,9 @@ class MechanismProblem:
             options: numerics.
             compiled: of the same world and law.
         """
+        options.check_for_mechanisms()
         self.world, self.scenario, self.options = world, scenario, options
+        self.ladder = options.mechanism_ladder
         self.task, self.bounds = TaskCost.of(world, scenario), world.bounds(scenario)
         self.law = contact_law(world, scenario)
         self.scales = Scales.of(world, scenario)
@@ -101,7 +113,7 @@ class MechanismProblem:
     @property
     def sources(self) -> str:
         """What candidates come from, in words."""
-        return f"{len(self.options.ladder)} rungs and {self.options.renewals} renewals"
+        return f"{len(self.ladder)} rungs and {self.options.renewals} renewals"
 
     @property
     def remedy(self) -> str:
@@ -394,7 +406,7 @@ class MechanismProblem:
             drake = replay_drake(self.world, self.scenario, *control)
         return Replays(candidate.replay, drake)
 
-    def narrowed(self, motion: ShootingResult, replay: Replay) -> MechanismProblem:
+    def narrowed(self, motion: ShootingResult, replay: Replay) -> MechanismTask:
         """Returns the same, at knots within what a motion has there, less its replay's excess.
 
         Bounds hold at knots. What moves faster between, as right before a touch, slows down there.
@@ -404,6 +416,6 @@ class MechanismProblem:
         other.bounds = narrow_bounds(self.bounds, motion.states[1:], excess)
         return other
 
-    def again(self, scenario: Scenario) -> MechanismProblem:
+    def again(self, scenario: Scenario) -> MechanismTask:
         """Returns the same for a changed scenario; boxes are compiled anew for other weights."""
         return type(self)(self.world, scenario, self.options, self._compiled)

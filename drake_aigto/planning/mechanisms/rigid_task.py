@@ -9,15 +9,12 @@ import numpy as np
 
 from drake_aigto.arrays import Floats
 from drake_aigto.contact import Mode, RigidLaw, read_mode
-from drake_aigto.planning.bounces import add_impulses, replay_at_knots, with_losses
-from drake_aigto.planning.branching import scaled
-from drake_aigto.planning.candidate import Candidate
-from drake_aigto.planning.closing import COARSE, Aim
-from drake_aigto.planning.flow import trace
-from drake_aigto.planning.held_modes import in_order, is_closed
-from drake_aigto.planning.mechanism_boxes import Center
-from drake_aigto.planning.mechanism_options import MechanismOptions
-from drake_aigto.planning.mechanism_phases import (
+from drake_aigto.planning.candidate import Candidate, Origin
+from drake_aigto.planning.mechanisms.boxes import Center
+from drake_aigto.planning.mechanisms.closing import COARSE, Aim
+from drake_aigto.planning.mechanisms.mode_edges import lead_over_edges, switch_modes
+from drake_aigto.planning.mechanisms.modes import in_order, is_closed
+from drake_aigto.planning.mechanisms.phases import (
     BouncingResult,
     Dip,
     find_deepest,
@@ -27,9 +24,10 @@ from drake_aigto.planning.mechanism_phases import (
     read_touches,
     sample,
 )
-from drake_aigto.planning.mechanism_problem import MechanismProblem
-from drake_aigto.planning.mode_edges import lead_over_edges, switch_modes
-from drake_aigto.planning.origin import Origin
+from drake_aigto.planning.mechanisms.task import MechanismTask
+from drake_aigto.planning.mechanisms.traces import add_impulses, replay_at_knots, trace, with_losses
+from drake_aigto.planning.options import PlanOptions
+from drake_aigto.planning.search import scaled
 from drake_aigto.shooting import (
     Mechanism,
     Phases,
@@ -83,7 +81,7 @@ _FAR = 1.05
 _COARSE = ShootingOptions(rungs=(Smoothing(0.0, 40, 1e-3),), multiplier_updates=4)
 
 
-class RigidMechanismProblem(MechanismProblem):
+class RigidMechanismTask(MechanismTask):
     """A task of a mechanism between rigid walls.
 
     Boxes, and what first closes them, have springs in place of the walls (`soften`). Where the
@@ -363,7 +361,7 @@ class RigidMechanismProblem(MechanismProblem):
         return self.scenario.duration_range or (duration, duration)
 
     def judge(self, origin: Origin, start: ShootingResult, found: ShootingResult) -> Candidate:
-        """Returns the candidate that shooting made of a start (`MechanismProblem.judge`)."""
+        """Returns the candidate that shooting made of a start (`MechanismTask.judge`)."""
         judged = super().judge(origin, start, found)
         if not self.rigid_law.rubs:
             return judged
@@ -384,10 +382,8 @@ class RigidMechanismProblem(MechanismProblem):
         return times * (np.clip(times[-1], *self._total) / times[-1])
 
 
-def make_mechanism_problem(
-    world: World, scenario: Scenario, options: MechanismOptions
-) -> MechanismProblem:
+def make_mechanism_task(world: World, scenario: Scenario, options: PlanOptions) -> MechanismTask:
     """Returns a mechanism's task, as what may touch there is rigid or not."""
     is_rigid = scenario.contact == "rigid" and bool(world.contacts)
-    kind = RigidMechanismProblem if is_rigid else MechanismProblem
+    kind = RigidMechanismTask if is_rigid else MechanismTask
     return kind(world, scenario, options)

@@ -10,22 +10,25 @@ from typing import ClassVar, TypeAlias
 import numpy as np
 
 from drake_aigto.contact import read_mode
-from drake_aigto.planning.branching import scaled
-from drake_aigto.planning.closing import Aim
-from drake_aigto.planning.held_modes import drop, is_closed, list_hold_changes, list_mode_changes
-from drake_aigto.planning.mechanism_phases import BouncingResult
-from drake_aigto.planning.mechanism_problem import MechanismProblem
-from drake_aigto.planning.mechanism_search import (
+from drake_aigto.planning.candidate import COASTING, ChangeName, Origin
+from drake_aigto.planning.mechanisms.closing import Aim
+from drake_aigto.planning.mechanisms.modes import (
+    drop,
+    is_closed,
+    list_hold_changes,
+    list_mode_changes,
+)
+from drake_aigto.planning.mechanisms.phases import BouncingResult
+from drake_aigto.planning.mechanisms.rigid_task import RigidMechanismTask
+from drake_aigto.planning.mechanisms.search import (
     SAME,
     Closed,
     MechanismSearch,
     Motion,
-    Proposal,
 )
-from drake_aigto.planning.origin import COASTING, ChangeName, Origin
-from drake_aigto.planning.pool import Stopwatch
-from drake_aigto.planning.rigid_mechanism import RigidMechanismProblem
-from drake_aigto.planning.touches import swapped
+from drake_aigto.planning.mechanisms.task import MechanismTask
+from drake_aigto.planning.search import Proposal, Stopwatch, scaled
+from drake_aigto.planning.sequences import swapped
 from drake_aigto.shooting import ShootingResult
 from drake_aigto.transcription import Touch, TouchSequence
 
@@ -55,34 +58,33 @@ class RigidMechanismSearch(MechanismSearch):
     motion cheaper by less than half a percent: what costs more than that does not come so far.
     """
 
-    problem: RigidMechanismProblem
+    task: RigidMechanismTask
     dear: ClassVar[float] = 1.2
     beaten: ClassVar[float] = 1.01
 
-    def __init__(self, problem: RigidMechanismProblem, clock: Stopwatch | None = None) -> None:
+    def __init__(self, task: RigidMechanismTask, clock: Stopwatch | None = None) -> None:
         """Starts with no motion."""
-        super().__init__(problem, clock)
+        super().__init__(task, clock)
         self._tried: set[_Key] = set()
         self._branched: list[Motion] = []
 
-    def _climb(self) -> None:
-        """Closes the centers of all rungs, and motions with the first touches of coasting.
+    def propose(self) -> Iterator[Sequence[Proposal]]:
+        """Yields the centers of all rungs, and motions with the first touches of coasting.
 
         A fast start touches a wall at once, where boxes and springs are too coarse to tell how.
         """
-        super()._climb()
-        first = self.problem.coasting[:_MOST_COASTED]
+        yield from super().propose()
+        first = self.task.coasting[:_MOST_COASTED]
         sequences = [first[: count + 1] for count in range(len(first))]
-        guess = self.problem.idle_motion
-        self._close_all(
-            [
-                Proposal(Origin(COASTING), partial(self._bounce, touches, guess))
-                for touches in sequences
-            ]
-        )
+        guess = self.task.idle_motion
+        yield [
+            Proposal(Origin(COASTING), partial(self._bounce, touches, guess))
+            for touches in sequences
+        ]
 
-    def _close_all(self, proposals: Sequence[Proposal]) -> None:
-        super()._close_all(proposals)
+    def close(self, wave: Sequence[Proposal]) -> None:
+        """Closes motions, and neighbors of the best until none of these leads to a better one."""
+        super().close(wave)
         for _ in range(_MOST_BRANCHES):
             motion = self._find_unbranched()
             if motion is None:
@@ -93,11 +95,11 @@ class RigidMechanismSearch(MechanismSearch):
     def _find_aim(self) -> Aim:
         """Returns what is worth closing: what does not cost far more than the best."""
         misses, cost = self.motions[0].rank if self.motions else (True, np.inf)
-        times = _HOPELESS if self.problem.rigid_law.rubs else self.dear
+        times = _HOPELESS if self.task.rigid_law.rubs else self.dear
         return Aim(np.inf if misses else scaled(times, cost))
 
-    def _improve(self, problem: MechanismProblem, motion: ShootingResult) -> ShootingResult:
-        assert isinstance(problem, RigidMechanismProblem)
+    def _improve(self, problem: MechanismTask, motion: ShootingResult) -> ShootingResult:
+        assert isinstance(problem, RigidMechanismTask)
         return problem.polish(motion, self._scale_best(self.beaten))
 
     def _find_unbranched(self) -> Motion | None:
@@ -132,31 +134,31 @@ class RigidMechanismSearch(MechanismSearch):
                 changed = origin.changed(change, motion.touches)
                 proposals.append(Proposal(changed, partial(self._bounce, touches, motion)))
         if proposals:
-            super()._close_all(proposals)
+            super().close(proposals)
 
     def _bounce(self, touches: TouchSequence, guess: ShootingResult) -> Closed:
-        return 0, self.problem.bounce(touches, guess, self._aim.most)
+        return 0, self.task.bounce(touches, guess, self._aim.most)
 
     def _find_neighbors(self, motion: BouncingResult) -> Iterator[tuple[ChangeName, TouchSequence]]:
         """Yields sequences with a touch less, two swapped, one more, and another mode."""
         touches = motion.touches
         for place in range(len(touches)):
             yield "dropped", drop(touches, place)
-        for other in swapped(touches, _NEAR * self.problem.scenario.duration):
+        for other in swapped(touches, _NEAR * self.task.scenario.duration):
             yield "swapped", other
         for place, added in self._find_additions(motion):
             yield "added", (*touches[:place], added, *touches[place:])
-        law = self.problem.rigid_law
+        law = self.task.rigid_law
         for other in chain(list_mode_changes(law, touches), list_hold_changes(law, touches)):
             yield "mode", other
 
     def _find_additions(self, motion: BouncingResult) -> Iterator[tuple[int, Touch]]:
         """Yields a touch of each contact in each phase: where it is nearest, and in the middle."""
-        world, times, law = self.problem.world, motion.times, self.problem.rigid_law
+        world, times, law = self.task.world, motion.times, self.task.rigid_law
         n = world.num_positions
         distances = world.calc_signed_distance(motion.states[:, : world.num_positions])
         ends = [0, *motion.knots.tolist(), len(times) - 1]
-        lasting, closed = self.problem.lasting, is_closed(world, *np.split(motion.states[0], [n]))
+        lasting, closed = self.task.lasting, is_closed(world, *np.split(motion.states[0], [n]))
         starts = [touch.start for touch in motion.touches]
         for (first, last), held in zip(pairwise(ends), motion.held, strict=True):
             place = int(np.searchsorted(starts, times[first], side="right"))
@@ -171,7 +173,7 @@ class RigidMechanismSearch(MechanismSearch):
                     yield place, Touch(float(time), float(end), contact, mode)
 
     def _find_key(self, touches: TouchSequence) -> _Key:
-        near = _NEAR * self.problem.scenario.duration
+        near = _NEAR * self.task.scenario.duration
         return tuple(
             (
                 touch.contact,

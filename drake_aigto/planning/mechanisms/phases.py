@@ -10,7 +10,7 @@ import numpy as np
 
 from drake_aigto.arrays import Bools, Floats, Ints, read_only
 from drake_aigto.contact import RigidLaw, read_mode
-from drake_aigto.planning.held_modes import is_closed, read_hold
+from drake_aigto.planning.mechanisms.modes import is_closed, read_hold
 from drake_aigto.shooting import Phases, ShootingResult
 from drake_aigto.trajectory import Trajectory
 from drake_aigto.transcription import Touch, TouchSequence

@@ -1,0 +1,1 @@
+"""Balls between rigid walls: what proposes and closes their contact sequences."""

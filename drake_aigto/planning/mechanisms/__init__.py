@@ -1,0 +1,1 @@
+"""Mechanisms, and soft walls: what proposes and closes their motions."""
