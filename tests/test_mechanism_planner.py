@@ -15,7 +15,7 @@ from pydrake.multibody.tree import FixedOffsetFrame, RevoluteJoint, SpatialInert
 from pydrake.systems.framework import DiagramBuilder
 
 from drake_aigto import Plan, Planner, PlanningError, Scenario, World
-from drake_aigto.errors import OptionsError, ProgramError
+from drake_aigto.errors import OptionsError
 from drake_aigto.planning import (
     Center,
     MechanismRung,
@@ -280,8 +280,3 @@ def test_options_that_would_not_count_are_refused(
 ) -> None:
     with pytest.raises(OptionsError, match=message):
         Planner(Scenario.named(name), PlanOptions(**given))
-
-
-def test_what_shooting_has_no_room_for_is_refused_by_name(cart_pole: Planner) -> None:
-    with pytest.raises(ProgramError, match="the planner's transcription: got a task for shooting"):
-        _ = cart_pole.transcription

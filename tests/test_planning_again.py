@@ -17,7 +17,7 @@ from drake_aigto import Scenario, World
 from drake_aigto.errors import ScenarioError
 from drake_aigto.planning import Plan, Planner, PlanOptions, make_ball_task, programs
 from drake_aigto.terms import TermBlock, parse_costs
-from drake_aigto.transcription import RigidTranscription
+from drake_aigto.transcription import OpenProgram, RigidTranscription
 
 UNCONFIRMED = PlanOptions(confirm=False)
 CHANGING = (
@@ -109,7 +109,7 @@ def sum_at_two_knots(program: RigidTranscription) -> None:
     "add", [running_cost, cost_at_a_knot, bounds_on_the_control, sum_at_two_knots]
 )
 def test_what_users_added_counts_as_much_when_a_planner_plans_again(
-    add: Callable[[RigidTranscription], None],
+    add: Callable[[OpenProgram], None],
 ) -> None:
     scenario = Scenario(
         initial_position=0.5, initial_velocity=-2.0, goal_position=0.8, time_step=0.02

@@ -33,13 +33,13 @@ def make_horizon(planner: Planner, is_receding: bool, iterations: int, period: f
             expected="one that is given",
             remedy="Leave duration_range out.",
         )
+    if planner.transcription.additions():
+        raise ControlError(
+            _ASKED,
+            got="costs or constraints that were added to its transcription",
+            expected="the scenario's alone",
+        )
     if planner.is_of_balls:
-        if planner.transcription.additions():
-            raise ControlError(
-                _ASKED,
-                got="costs or constraints that were added to its transcription",
-                expected="the scenario's alone",
-            )
         return BallHorizon(world, scenario, options, is_receding, period)
     if scenario.contact == "rigid" and world.contacts:
         return RigidMechanismHorizon(world, scenario, options, is_receding, iterations, period)

@@ -19,7 +19,7 @@ from drake_aigto.simulation import (
     replay_event_driven,
 )
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import TouchSequence
+from drake_aigto.transcription import Additions, Samples, TouchSequence
 from drake_aigto.transcription.rows import largest_defect
 from drake_aigto.world import Scales, Scenario, World
 
@@ -247,3 +247,30 @@ class Veto:
             if one is None or other is None or one[1] != other[1] or abs(one[0] - other[0]) > near:
                 return one, other
         return None, None
+
+
+def sample(trajectory: Trajectory) -> Samples:
+    """Returns a trajectory at its knots."""
+    t = trajectory
+    return Samples(t.times, t.positions, t.velocities, t.controls)
+
+
+def add_to_replay(replay: Replay, additions: Additions, trajectory: Trajectory) -> Replay:
+    """Returns a replay of a trajectory's control with the costs and constraints of users.
+
+    They are those of the simulated motion at the trajectory's knots. Constraints are missed by what
+    goes beyond the lengths that compliance explains.
+    """
+    if not additions:
+        return replay
+    q, v = replay.states_at(trajectory.times)
+    motion = Samples(trajectory.times, q, v, trajectory.controls)
+    explained = replay.compliance_error / additions.scales["q"]
+    missed, added = additions.violations(motion).items(), additions.costs(motion)
+    users = {name: max(0.0, by - explained) for name, by in missed}
+    return dataclasses.replace(
+        replay,
+        cost=replay.cost + sum(added.values()),
+        added_costs=added,
+        violations={**replay.violations, **users},
+    )

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 
 from drake_aigto.certify import bound_plans, out_of_reach
 from drake_aigto.contact import contact_delay
-from drake_aigto.errors import ModelError, OptionsError, ProgramError
+from drake_aigto.errors import ModelError, OptionsError
 from drake_aigto.planning.balls.phases import transcribe
 from drake_aigto.planning.balls.search import BallSearch
 from drake_aigto.planning.balls.task import BallTask
@@ -23,7 +23,7 @@ from drake_aigto.planning.mechanisms.task import MechanismTask
 from drake_aigto.planning.options import PlanOptions
 from drake_aigto.planning.plan import Plan, PlanningError
 from drake_aigto.planning.search import Progress, Search, Stopwatch
-from drake_aigto.transcription import RigidTranscription
+from drake_aigto.transcription import MotionProgram, OpenProgram, RigidTranscription
 from drake_aigto.world import Scenario, World
 
 
@@ -76,43 +76,47 @@ class Planner:
         if self.options.confirm and scenario.contact == "rigid" and self.world.contacts:
             contact_delay(self.world)  # A wall without stiffness is refused before long work.
         self._build_clock = Stopwatch()
-        self._transcription: RigidTranscription | None = None
         with self._build_clock("build"):
-            if self.is_of_balls:
-                self._transcription = transcribe(self.world, scenario, self.options)
+            self._transcription: OpenProgram = (
+                transcribe(self.world, scenario, self.options)
+                if self.is_of_balls
+                else MotionProgram(self.world, scenario)
+            )
 
     @property
-    def transcription(self) -> RigidTranscription:
+    def transcription(self) -> OpenProgram:
         """The program, open until the first plan: costs and constraints that are added count.
 
-        They count in AIGO's boxes, in the polish, in `Plan.cost`, and in simulations, whose motion
-        has to meet the constraints, too. `AddRunningCost`, `AddFinalCost` and
-        `AddConstraintToAllKnotPoints` are about every knot of the plan, wherever it has them. What
-        is added to `prog()`, on variables of `state(k)` and `input(k)`, is about knot k of this
-        program: the state at its time (`GetSampleTimes`, `knot_at`), and the control that is held
-        from it to the next, in plans as here. The knots are those of AIGO's boxes
-        (`PlanOptions.aigo_steps`); where `plan` is given another duration, k/N of it.
+        They count wherever motions are closed, in `Plan.cost`, and in simulations, whose motion has
+        to meet the constraints, too; and, for balls between rigid walls, in AIGO's boxes.
+        `AddRunningCost`, `AddFinalCost` and `AddConstraintToAllKnotPoints` are about every knot of
+        the plan, wherever it has them. What is added to `prog()`, on variables of `state(k)` and
+        `input(k)`, is about knot k of this program: the state at its time (`GetSampleTimes`,
+        `knot_at`), and the control that is held from it to the next, in plans as here. The knots of
+        balls are those of AIGO's boxes (`PlanOptions.aigo_steps`), those of mechanisms the
+        scenario's; where `plan` is given another duration, k/N of it.
 
-        Raises:
-            ProgramError: the plan is made by shooting, which has no program.
+        For mechanisms, functions are sums of products of powers, sin and cos, and each reads one
+        knot; between rigid walls, or where the duration is free, every knot or the last.
         """
-        if self._transcription is None:
-            raise ProgramError(
-                "the planner's transcription",
-                got="a task for shooting",
-                expected="balls between rigid walls",
-                remedy="Say what counts by the scenario's weights and bounds.",
-            )
         return self._transcription
 
     @cached_property
     def task(self) -> BallTask | MechanismTask:
-        """The task, compiled; nothing can be added from now on."""
+        """The task, compiled; nothing can be added from now on.
+
+        Raises:
+            ProgramError, UnsupportedTermError: what was added can't be planned; says why.
+        """
+        world, scenario, program = self.world, self.scenario, self._transcription
+        task: BallTask | MechanismTask
         with self._build_clock("build"):
-            if not self.is_of_balls:
-                return make_mechanism_task(self.world, self.scenario, self.options)
-            task = BallTask(self.transcription, self.options, self.scenario.num_steps)
-        self.transcription.freeze()
+            if isinstance(program, RigidTranscription):
+                task = BallTask(program, self.options, scenario.num_steps)
+            else:
+                additions = program.closed().additions()
+                task = make_mechanism_task(world, scenario, self.options, additions)
+        program.freeze()
         return task
 
     def plan(
@@ -163,8 +167,7 @@ class Planner:
         self.world.check(scenario)
         _check_reach(self.world, scenario)
         _check_friction(self.world, scenario)
-        if self._transcription is not None:
-            self._transcription.check_frozen()
+        self._transcription.check_frozen()
         return run_search(self._start_search(scenario), scenario, progress)
 
     def _start_search(self, scenario: Scenario) -> Search:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import logging
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable
@@ -24,7 +23,15 @@ from drake_aigto.local import (
     compile_nlp,
     solve_with_drake,
 )
-from drake_aigto.planning.candidate import LARGEST_DEFECT, NO_CONTROL, Candidate, Origin, Replays
+from drake_aigto.planning.candidate import (
+    LARGEST_DEFECT,
+    NO_CONTROL,
+    Candidate,
+    Origin,
+    Replays,
+    add_to_replay,
+    sample,
+)
 from drake_aigto.planning.options import SearchOptions
 from drake_aigto.planning.programs import CompiledPrograms, check_added_rows
 from drake_aigto.planning.rungs import Rung, StartName
@@ -36,8 +43,7 @@ from drake_aigto.simulation import (
     replay_drake,
     replay_event_driven,
 )
-from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import Samples, Transcription
+from drake_aigto.transcription import Transcription
 from drake_aigto.transcription.rows import largest_defect
 from drake_aigto.world import Scales, World
 
@@ -330,7 +336,7 @@ class ProgramTask(ABC):
             defects=self.defects(solved, x),
             max_penetration=max_penetration(world, trajectory),
             contacts=find_contacts(world, trajectory),
-            replay=self.add_to_replay(replay, trajectory),
+            replay=add_to_replay(replay, self.additions, trajectory),
             scales=self.scales,
             added_costs=added,
         )
@@ -348,26 +354,6 @@ class ProgramTask(ABC):
                 defects[name] = max(missed, defects.get(name, 0.0))
         return defects
 
-    def add_to_replay(self, replay: Replay, trajectory: Trajectory) -> Replay:
-        """Returns a replay of a trajectory's control with the costs and constraints of users.
-
-        They are those of the simulated motion at the trajectory's knots. Constraints are missed by
-        what goes beyond the lengths that compliance explains.
-        """
-        if not self.additions:
-            return replay
-        q, v = replay.states_at(trajectory.times)
-        motion = Samples(trajectory.times, q, v, trajectory.controls)
-        explained = replay.compliance_error / self.additions.scales["q"]
-        missed = self.additions.violations(motion).items()
-        added = self.additions.costs(motion)
-        return dataclasses.replace(
-            replay,
-            cost=replay.cost + sum(added.values()),
-            added_costs=added,
-            violations={name: max(0.0, by - explained) for name, by in missed},
-        )
-
     def confirm(self, candidate: Candidate) -> Replays:
         """Returns the candidate's replays: its own, and Drake's if the options confirm."""
         if not self.options.confirm:
@@ -375,7 +361,7 @@ class ProgramTask(ABC):
         world, scenario = self.transcription.world, self.transcription.scenario
         motion = candidate.trajectory
         drake = replay_drake(world, scenario, motion.times, motion.controls)
-        return Replays(candidate.replay, self.add_to_replay(drake, motion))
+        return Replays(candidate.replay, add_to_replay(drake, self.additions, motion))
 
     def idle_candidate(self) -> Candidate:
         """Returns what the world does without any control, on rigid walls.
@@ -393,7 +379,7 @@ class ProgramTask(ABC):
             defects = {**calc_defects(world, trajectory), **missed}
             if largest_defect(defects, self.scales) <= LARGEST_DEFECT:
                 break
-        replay = self.add_to_replay(replay, trajectory)
+        replay = add_to_replay(replay, self.additions, trajectory)
         return Candidate(
             origin=Origin(NO_CONTROL),
             start_cost=replay.cost,
@@ -413,9 +399,3 @@ class ProgramTask(ABC):
         """Returns the rung's weights of the rows that this problem has."""
         unit, names = self._cost_scale, self.start(rung.start).row_names
         return {name: unit * rung.weights.get(name, rung.others) for name in names}
-
-
-def sample(trajectory: Trajectory) -> Samples:
-    """Returns a trajectory at its knots."""
-    t = trajectory
-    return Samples(t.times, t.positions, t.velocities, t.controls)

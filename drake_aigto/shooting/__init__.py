@@ -5,7 +5,7 @@ be roll-outs, with bounded controls (Tassa, Mansard & Todorov 2014) and an augme
 all other bounds. NumPy and Numba only.
 """
 
-from drake_aigto.shooting.added import AddedTerms
+from drake_aigto.shooting.added import NO_TERMS, AddedTerms
 from drake_aigto.shooting.descent import expand_motion
 from drake_aigto.shooting.mechanism import Mechanism
 from drake_aigto.shooting.phases import Phases
@@ -14,6 +14,7 @@ from drake_aigto.shooting.solve import ShootingOptions, ShootingResult, Smoothin
 from drake_aigto.shooting.tables import make_memory
 
 __all__ = [
+    "NO_TERMS",
     "AddedTerms",
     "Mechanism",
     "Phases",

@@ -103,6 +103,21 @@ class AddedTerms:
             units = np.maximum(units, np.abs(slopes) @ scales)
         return np.where(np.isfinite(units) & (units > 0), units, 1.0)
 
+    def check_untimed(self) -> None:
+        """Refuses functions of one time, which phases of free durations have no knot at.
+
+        Raises:
+            ProgramError: there is one.
+        """
+        for row in self.rows:
+            if row.time not in (EVERYWHERE, AT_END):
+                raise ProgramError(
+                    f"'{row.name}' can't be planned",
+                    got=f"a function of the knot at {row.time:g} s, and phases of free durations",
+                    expected="one of every knot, or of the last",
+                    remedy="Use AddConstraintToAllKnotPoints, AddRunningCost or AddFinalCost.",
+                )
+
     def lay_out(self, kinds: Ints, shares: Floats, times: Floats | None) -> tuple[Added, Floats]:
         """Returns what kernels know of costs, and bounds at knots, shape (2, K + 1, R).
 
@@ -114,6 +129,8 @@ class AddedTerms:
         Raises:
             ProgramError: a function is bound to a time, and knots are free to move.
         """
+        if times is None:
+            self.check_untimed()
         places = np.zeros((len(kinds) + 1, len(self.rows)), dtype=np.bool_)
         for r, row in enumerate(self.rows):
             places[_find_stages(row, kinds, times), r] = True
@@ -134,13 +151,7 @@ def _find_stages(row: AddedRow, kinds: Ints, times: Floats | None) -> Ints:
         return flights[:-1]
     if row.time == EVERYWHERE:
         return np.flatnonzero(np.concatenate([[0], np.cumsum(kinds == FLOW)]))
-    if times is None:
-        raise ProgramError(
-            f"'{row.name}' can't be planned",
-            got=f"a function of the knot at {row.time:g} s, and phases of free durations",
-            expected="one of every knot, or of the last",
-            remedy="Use AddConstraintToAllKnotPoints, AddRunningCost or AddFinalCost.",
-        )
+    assert times is not None
     return flights[[np.argmin(np.abs(times - row.time))]]
 
 

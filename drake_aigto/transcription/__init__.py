@@ -1,6 +1,12 @@
 """Contact problems as MathematicalPrograms, and their constraints as polynomial penalties."""
 
-from drake_aigto.transcription.additions import Addition, Additions, Place, Samples
+from drake_aigto.transcription.additions import (
+    NO_ADDITIONS,
+    Addition,
+    Additions,
+    Place,
+    Samples,
+)
 from drake_aigto.transcription.facings import Facing, find_facings
 from drake_aigto.transcription.mechanism_program import (
     COST,
@@ -11,6 +17,8 @@ from drake_aigto.transcription.mechanism_program import (
     MechanismProgram,
     soften,
 )
+from drake_aigto.transcription.motion_program import MotionProgram
+from drake_aigto.transcription.open_program import OpenProgram
 from drake_aigto.transcription.penalties import cut_to_bounds, penalize
 from drake_aigto.transcription.phases import PhaseTranscription
 from drake_aigto.transcription.rigid import RigidTranscription
@@ -23,12 +31,15 @@ __all__ = [
     "DISTANCES",
     "GOAL",
     "NONPENETRATION",
+    "NO_ADDITIONS",
     "ROWS",
     "Addition",
     "Additions",
     "Ends",
     "Facing",
     "MechanismProgram",
+    "MotionProgram",
+    "OpenProgram",
     "PhaseTranscription",
     "Place",
     "RigidTranscription",

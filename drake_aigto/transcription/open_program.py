@@ -45,12 +45,7 @@ class OpenProgram(KnotProgram):
     """
 
     def __init__(self, world: World, scenario: Scenario) -> None:
-        """Lays out the variables.
-
-        Raises:
-            ModelError: the world has limits, or nothing in it can touch.
-        """
-        world.check_plain(scenario)
+        """Lays out the variables."""
         # What the program has from its making on, and what users have added to it since.
         self._additions = self._added = NO_ADDITIONS
         self._rows: list[AddedRow] = []

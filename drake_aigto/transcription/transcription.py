@@ -16,6 +16,7 @@ from drake_aigto.transcription.open_program import OpenProgram
 from drake_aigto.transcription.penalties import InequalityPenalty, cut_to, penalize
 from drake_aigto.transcription.rows import CLEARANCE, NONPENETRATION
 from drake_aigto.transcription.shared import as_expression, shared_constraint, shared_cost
+from drake_aigto.world import Scenario, World
 
 _START = "initial state"
 
@@ -44,6 +45,15 @@ class Transcription(OpenProgram):
     """
 
     ROWS: ClassVar[tuple[str, ...]]
+
+    def __init__(self, world: World, scenario: Scenario) -> None:
+        """Lays out the variables.
+
+        Raises:
+            ScenarioError, ModelError: see `World.check_plain`.
+        """
+        world.check_plain(scenario)
+        super().__init__(world, scenario)
 
     @property
     def _always_met(self) -> tuple[str, ...]:

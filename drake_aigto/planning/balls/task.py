@@ -14,9 +14,8 @@ from drake_aigto.errors import TrajectoryError
 from drake_aigto.local import compile_nlp
 from drake_aigto.planning.balls.neighbors import keep_apart, moved_past
 from drake_aigto.planning.balls.phases import Path, PhaseTask, Solved, coarsen, transcribe
-from drake_aigto.planning.candidate import LARGEST_DEFECT, Candidate, Origin
+from drake_aigto.planning.candidate import LARGEST_DEFECT, Candidate, Origin, sample
 from drake_aigto.planning.options import PlanOptions
-from drake_aigto.planning.program_task import sample
 from drake_aigto.planning.rungs import Rung
 from drake_aigto.planning.sequences import read_sequences
 from drake_aigto.planning.simulated import calc_defects, read_motion

@@ -12,14 +12,16 @@ from pydrake.trajectories import PiecewisePolynomial
 from drake_aigto.aigo import Box, CenterObjective, minimize
 from drake_aigto.arrays import Bools, Floats, interpolate
 from drake_aigto.box import Order, ParametricPolynomial
-from drake_aigto.contact import CompliantLaw
+from drake_aigto.contact import CompliantLaw, ContactLaw
 from drake_aigto.planning.rungs import MechanismRung, Renewal, Shrinking
-from drake_aigto.shooting import Mechanism
+from drake_aigto.shooting import NO_TERMS, AddedTerms, Mechanism
 from drake_aigto.transcription import (
     COST,
     DISTANCES,
     GOAL,
+    NO_ADDITIONS,
     ROWS,
+    Additions,
     Ends,
     MechanismProgram,
 )
@@ -247,10 +249,24 @@ class CompiledMechanism:
     Attributes:
         mechanism: the world as shooting has it.
         boxes: the last programs of boxes, by the weights, bounds, duration and steps they have.
+        additions: costs and constraints of users.
+        added: these, compiled for shooting.
     """
 
     mechanism: Mechanism
     boxes: dict[tuple[Any, ...], MechanismBoxes]
+    additions: Additions = NO_ADDITIONS
+    added: AddedTerms = NO_TERMS
+
+    @classmethod
+    def of(cls, world: World, law: ContactLaw, additions: Additions) -> CompiledMechanism:
+        """Compiles a world with its law of contact, and what users added.
+
+        Raises:
+            ProgramError, UnsupportedTermError: see `AddedTerms.of`.
+        """
+        added = AddedTerms.of(world, additions) if additions else NO_TERMS
+        return cls(Mechanism.of(world, law), {}, additions, added)
 
     def find_boxes(
         self,

@@ -38,7 +38,7 @@ from drake_aigto.shooting import (
 )
 from drake_aigto.simulation import Replay, find_impacts, replay_event_driven
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import Touch, TouchSequence
+from drake_aigto.transcription import NO_ADDITIONS, Additions, Touch, TouchSequence
 from drake_aigto.transcription.rows import INTEGRATION, RESTITUTION
 from drake_aigto.world import Scenario, World
 
@@ -382,8 +382,13 @@ class RigidMechanismTask(MechanismTask):
         return times * (np.clip(times[-1], *self._total) / times[-1])
 
 
-def make_mechanism_task(world: World, scenario: Scenario, options: PlanOptions) -> MechanismTask:
+def make_mechanism_task(
+    world: World,
+    scenario: Scenario,
+    options: PlanOptions,
+    additions: Additions = NO_ADDITIONS,
+) -> MechanismTask:
     """Returns a mechanism's task, as what may touch there is rigid or not."""
     is_rigid = scenario.contact == "rigid" and bool(world.contacts)
     kind = RigidMechanismTask if is_rigid else MechanismTask
-    return kind(world, scenario, options)
+    return kind(world, scenario, options, additions=additions)

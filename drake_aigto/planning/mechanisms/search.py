@@ -116,7 +116,8 @@ class MechanismSearch(Search):
             misses, cost = rank = self.motions[0].rank
             is_better = misses < best[0] or not cost + SAME * abs(cost) >= best[1]
             best, idle = (rank, 0) if is_better else (best, idle + _WAVE)
-            if idle >= self.task.patience or cost <= _NOTHING * self.task.scales.cost:
+            is_free = not self.task.additions and cost <= _NOTHING * self.task.scales.cost
+            if idle >= self.task.patience or is_free:
                 break
             self.tell(f"renewal {first} of {options.renewals}; the best costs {cost:.6g}")
             last = min(first + _WAVE, options.renewals)

@@ -9,8 +9,15 @@ from typing import ClassVar
 import numpy as np
 
 from drake_aigto.arrays import Floats, interpolate
-from drake_aigto.contact import CompliantLaw, contact_law
-from drake_aigto.planning.candidate import NO_CONTROL, Candidate, Origin, Replays
+from drake_aigto.contact import CompliantLaw, RigidLaw, contact_law
+from drake_aigto.planning.candidate import (
+    NO_CONTROL,
+    Candidate,
+    Origin,
+    Replays,
+    add_to_replay,
+    sample,
+)
 from drake_aigto.planning.mechanisms.boxes import (
     Center,
     CompiledMechanism,
@@ -51,7 +58,7 @@ from drake_aigto.simulation import (
     state_scales,
 )
 from drake_aigto.trajectory import Trajectory
-from drake_aigto.transcription import Ends, soften
+from drake_aigto.transcription import NO_ADDITIONS, Additions, Ends, Samples, soften
 from drake_aigto.transcription.rows import INTEGRATION
 from drake_aigto.world import Scales, Scenario, TaskCost, World
 
@@ -91,6 +98,7 @@ class MechanismTask:
         scenario: Scenario,
         options: PlanOptions,
         compiled: CompiledMechanism | None = None,
+        additions: Additions = NO_ADDITIONS,
     ) -> None:
         """Reads the task; programs are compiled as they are needed.
 
@@ -98,7 +106,13 @@ class MechanismTask:
             world: the mechanism.
             scenario: the task.
             options: numerics.
-            compiled: of the same world and law.
+            compiled: of the same world, law and additions.
+            additions: costs and constraints of users.
+
+        Raises:
+            OptionsError: an option does not count for mechanisms.
+            ProgramError: what users added can't be planned here; says why.
+            UnsupportedTermError: it has a factor that is no power, sin or cos.
         """
         options.check_for_mechanisms()
         self.world, self.scenario, self.options = world, scenario, options
@@ -106,7 +120,10 @@ class MechanismTask:
         self.task, self.bounds = TaskCost.of(world, scenario), world.bounds(scenario)
         self.law = contact_law(world, scenario)
         self.scales = Scales.of(world, scenario)
-        self._compiled = compiled or CompiledMechanism(Mechanism.of(world, self.law), {})
+        self._compiled = compiled or CompiledMechanism.of(world, self.law, additions)
+        self.additions = self._compiled.additions
+        if isinstance(self.law, RigidLaw) or scenario.duration_range is not None:
+            self._compiled.added.check_untimed()
         self._boxes = cache(self._start_boxes)
         self.shooting = cache(self._pose)
 
@@ -244,6 +261,7 @@ class MechanismTask:
             control_norm=scenario.control_norm or np.inf,
             length=self.scales.length,
             phases=None if free is None else Phases.free(T, free),
+            added=self._compiled.added,
         )
 
     @cached_property
@@ -361,18 +379,26 @@ class MechanismTask:
             found: what shooting made of it, in the scenario's time steps.
         """
         replay, trajectory, defects = self._simulate(found)
+        cost, added = found.exact_cost, dict[str, float]()
+        if self.additions:
+            q, v = np.split(found.states, 2, axis=1)
+            counted = self.additions.costs(Samples(found.times, q, v, found.controls))
+            added = self.additions.costs(sample(trajectory))
+            # At an impact, shooting takes the state after it, and trajectories the one before.
+            cost += sum(added.values()) - sum(counted.values())
         return Candidate(
             origin=origin,
             start_cost=start.exact_cost,
             start_defects={BOUNDS: start.violation},
             trajectory=trajectory,
-            cost=found.exact_cost,
+            cost=cost,
             goal_error=float(self.task.goal_error(found.states[-1, : self.world.num_positions])),
             defects=defects,
             max_penetration=max_penetration(self.world, trajectory),
             contacts=find_contacts(self.world, trajectory),
-            replay=replay,
+            replay=add_to_replay(replay, self.additions, trajectory),
             scales=self.scales,
+            added_costs=added,
         )
 
     def _simulate(self, found: ShootingResult) -> tuple[Replay, Trajectory, dict[str, float]]:
@@ -402,8 +428,9 @@ class MechanismTask:
         """Returns the candidate's replays: its own, and Drake's if the options confirm."""
         drake: Replay | None = None
         if self.options.confirm:
-            control = candidate.trajectory.times, candidate.trajectory.controls
-            drake = replay_drake(self.world, self.scenario, *control)
+            motion = candidate.trajectory
+            drake = replay_drake(self.world, self.scenario, motion.times, motion.controls)
+            drake = add_to_replay(drake, self.additions, motion)
         return Replays(candidate.replay, drake)
 
     def narrowed(self, motion: ShootingResult, replay: Replay) -> MechanismTask:
