@@ -33,8 +33,9 @@ Fact = tuple[str, str]
 
 INTERRUPTED = "the search was ended by Ctrl-C; this is the best of what it had found by then"
 
-MOST_TOUCHES = 6
+_MOST_TOUCHES = 6
 _MOST_VETOES, _MOST_CONTACTS = 3, 12
+_OF_SCALES = "of the task's scales"
 _AT_END = 1e-6  # of a duration: as near as rounding to an end of its range
 _SAME_COST = 1e-4  # Costs that differ by this part or less are called the same.
 
@@ -42,6 +43,13 @@ _SAME_COST = 1e-4  # Costs that differ by this part or less are called the same.
 def join_items(items: Iterable[str]) -> str:
     """Returns items as the text of a fact."""
     return ", ".join(item.replace(" ", "\u00a0") for item in items)
+
+
+def list_some(texts: Iterable[str], before_rest: str = "") -> str:
+    """Returns the first of some texts, and how many more there are."""
+    found = list(texts)
+    rest = [f"{before_rest}{len(found) - _MOST_TOUCHES} more"] if found[_MOST_TOUCHES:] else []
+    return ", ".join(found[:_MOST_TOUCHES] + rest)
 
 
 def list_facts(label: str, items: Iterable[str]) -> Iterator[Fact]:
@@ -63,8 +71,13 @@ def verdict_facts(plan: Plan, world: World) -> Iterator[Fact]:
         yield "vetoed", _describe_veto(veto, plan.scenario, world)
     if len(vetoes) > _MOST_VETOES:
         yield "vetoed", f"{len(vetoes) - _MOST_VETOES} more candidates that promise less"
-    if plan.idle is not None:
-        yield "no control", _describe_idle(plan, plan.idle.replay, world)
+    if plan.best.is_idle:
+        yield "no control", "this is the plan: nothing that was found and holds costs less"
+    elif plan.idle is not None:
+        less = "doing nothing is better: " if plan.is_beaten else ""
+        idle = plan.idle.replay
+        miss = miss_text(idle, plan.scenario, world)
+        yield "no control", f"{less}it costs {idle.cost:.3e} and ends {miss} off the goal"
     if plan.bound is not None:
         yield "bound", _describe_bound(plan)
 
@@ -111,10 +124,16 @@ def answer_facts(plan: Plan, world: World) -> Iterator[Fact]:
     limits = (name for name in best.replay.violations if name not in plan.additions)
     yield from list_facts("limits", _misses(plan, limits))
     yield from list_facts("added", _additions(plan))
-    yield from list_facts("defects", _defects(best))
+    defects = (
+        f"{name} {f'{size:.0e}' if size else 0} {UNITS.get(name, _OF_SCALES)}"
+        for name, size in best.defects.items()
+    )
+    yield from list_facts("defects", defects)
     yield "contacts", join_items(_contacts(best, names, world))
-    if best.unplanned and not best.is_idle:
-        yield "unplanned", _describe_unplanned(best, touch_names(world))
+    if (unplanned := best.unplanned) and not best.is_idle:
+        touches = (name_touch(each, touch_names(world)) for each in unplanned)
+        where = name_simulator(best.replay, touch_names(world))
+        yield "unplanned", f"{where} it also touches {list_some(touches, 'and ')}"
     delay = _find_delay(plan, world)
     for replay in plan.replay:
         yield "simulated", join_items(_simulation(plan, replay, world, delay))
@@ -147,8 +166,8 @@ def _describe_veto(veto: Veto, scenario: Scenario, world: World) -> str:
     """Returns what a candidate promises, and what is wrong with it."""
     candidate, replay, names = veto.candidate, veto.replay, touch_names(world)
     where = name_simulator(replay, names)
-    times = [f"{contact.time:.3f}" for contact in candidate.contacts[:MOST_TOUCHES]]
-    more = ", …" if len(candidate.contacts) > MOST_TOUCHES else ""
+    times = [f"{contact.time:.3f}" for contact in candidate.contacts[:_MOST_TOUCHES]]
+    more = ", …" if len(candidate.contacts) > _MOST_TOUCHES else ""
     contacts = f"contacts at {', '.join(times)}{more} s" if times else "no contact"
     text = (
         f"a candidate with {contacts} promises {candidate.cost:.2e}, but {where} costs "
@@ -168,15 +187,6 @@ def name_touch(contact: tuple[float, int] | None, names: Sequence[str]) -> str:
     return f"{names[contact[1]]} at {contact[0]:.3f} s" if contact else "nothing"
 
 
-def _describe_idle(plan: Plan, replay: Replay, world: World) -> str:
-    """Returns what doing nothing costs, as simulated."""
-    if plan.best.is_idle:
-        return "this is the plan: nothing that was found and holds costs less"
-    less = "doing nothing is better: " if plan.is_beaten else ""
-    miss = miss_text(replay, plan.scenario, world)
-    return f"{less}it costs {replay.cost:.3e} and ends {miss} off the goal"
-
-
 def _describe_bound(plan: Plan) -> str:
     """Returns how far a plan is above any other at most."""
     assert plan.bound is not None
@@ -187,14 +197,6 @@ def _describe_bound(plan: Plan) -> str:
         f"at most {100 * plan.gap:.2g} %{of} above any plan, as simulated: no control does it for "
         f"less than {plan.bound.lower_bound:.4e}"
     )
-
-
-def _describe_unplanned(best: Candidate, names: Sequence[str]) -> str:
-    """Returns which contacts a plan's control has on rigid walls, and its trajectory has not."""
-    found = [name_touch(each, names) for each in best.unplanned]
-    more = f", and {len(found) - MOST_TOUCHES} more" if len(found) > MOST_TOUCHES else ""
-    touches = ", ".join(found[:MOST_TOUCHES])
-    return f"{name_simulator(best.replay, names)} it also touches {touches}{more}"
 
 
 def _describe_duration(plan: Plan, ends: tuple[float, float]) -> str:
@@ -222,9 +224,13 @@ def _simulation(plan: Plan, replay: Replay, world: World, delay: float | None) -
         return
     each = " a bounce" if len(replay.bounce_times) > 1 else ""
     yield f"energy ratio {energy_text(replay.energy_ratio)}{each}"
-    yield _bounces(replay, names)
+    letters = [f"{_letter(i)} " if len(names) > 1 else "" for i in replay.bounce_contacts]
+    bounces = list(zip(letters, replay.bounce_times, strict=True))
+    times = ", ".join(f"{letter}{time:.4f}" for letter, time in bounces[:_MOST_TOUCHES])
+    more = len(bounces) - _MOST_TOUCHES
+    yield f"bounces at {times} s" + (f" and {more} times more" if more > 0 else "")
     if replay.matched_speeds:
-        speeds = ", ".join(f"{speed:.2f}" for speed in replay.matched_speeds[:MOST_TOUCHES])
+        speeds = ", ".join(f"{speed:.2f}" for speed in replay.matched_speeds[:_MOST_TOUCHES])
         yield f"restitution matched for impacts at {speeds} m/s"
     if replay.simulator == "drake" and delay is not None:
         most = "up to " if len(names) > 1 else ""
@@ -241,21 +247,6 @@ def describe_difference(cost: float, replay: Replay) -> str:
     # Walls that give a little delay what follows a contact.
     why = f"; its compliance explains up to {replay.compliance_cost:.1e}"
     return f" ({off:+.1e}{part}{why if replay.compliance_cost else ''})"
-
-
-def _bounces(replay: Replay, names: Sequence[str]) -> str:
-    """Returns when the first bounces are; of several contacts, with their letters."""
-    letters = [f"{_letter(i)} " if len(names) > 1 else "" for i in replay.bounce_contacts]
-    bounces = list(zip(letters, replay.bounce_times, strict=True))
-    more = len(bounces) - MOST_TOUCHES
-    times = ", ".join(f"{letter}{time:.4f}" for letter, time in bounces[:MOST_TOUCHES])
-    return f"bounces at {times} s" + (f" and {more} times more" if more > 0 else "")
-
-
-def _defects(candidate: Candidate) -> Iterator[str]:
-    for name, defect in candidate.defects.items():
-        unit = UNITS.get(name, "of the task's scales")
-        yield f"{name} {defect:.0e} {unit}" if defect else f"{name} 0 {unit}"
 
 
 def _additions(plan: Plan) -> Iterator[str]:
@@ -276,7 +267,7 @@ def _misses(plan: Plan, names: Iterable[str]) -> Iterator[str]:
     """Yields by how much simulations miss bounds, a hard goal, or constraints with these names."""
     for name in names:
         missed = max(replay.violations[name] for replay in plan.replay)
-        yield f"{name} missed by {missed:.0e} of the task's scales" if missed else f"{name} met"
+        yield f"{name} missed by {missed:.0e} {_OF_SCALES}" if missed else f"{name} met"
 
 
 def _find_delay(plan: Plan, world: World) -> float | None:

@@ -10,10 +10,10 @@ import numpy as np
 
 from drake_aigto.planning import Candidate, Plan, PlanOptions
 from drake_aigto.show.facts import (
-    MOST_TOUCHES,
     Fact,
     answer_facts,
     join_items,
+    list_some,
     name_touch,
     question_facts,
     sequence_text,
@@ -58,8 +58,12 @@ def format_plan(plan: Plan, world: World | None = None) -> str:
     shown = plan.candidates[:_MOST_CANDIDATES]
     table = [candidate_texts(candidate, plan.scenario, world) for candidate in shown]
     header = ("cost", "defect", "in wall", "energy", "replayed", "off goal", "contacts")
-    lines += [*_table(header, *table), *_format(_other_facts(plan))]
-    return "\n".join(lines)
+    others = [("seconds", join_items(f"{k} {s:.2f}" for k, s in plan.stats.seconds.items()))]
+    if (least := plan.stats.flight_left_out) is not None:
+        others.insert(0, ("", f"left out: free flight, which costs {least:.2e} at least"))
+    if (more := len(plan.candidates) - _MOST_CANDIDATES) > 0:
+        others.insert(0, ("", f"and {more} more"))
+    return "\n".join([*lines, *_table(header, *table), *_format(others)])
 
 
 def format_replays(plan: Plan, world: World | None = None) -> str:
@@ -104,15 +108,6 @@ def _search_facts(plan: Plan) -> Iterator[Fact]:
     yield "candidates", join_items(["1, the plan", iterations] if count == 1 else several)
 
 
-def _other_facts(plan: Plan) -> Iterator[Fact]:
-    """Yields what is not in the table of candidates, and what planning took."""
-    if (more := len(plan.candidates) - _MOST_CANDIDATES) > 0:
-        yield "", f"and {more} more"
-    if (least := plan.stats.flight_left_out) is not None:
-        yield "", f"left out: free flight, which costs {least:.2e} at least"
-    yield "seconds", join_items(f"{part} {s:.2f}" for part, s in plan.stats.seconds.items())
-
-
 def candidate_texts(candidate: Candidate, scenario: Scenario, world: World) -> tuple[str, ...]:
     """Returns a candidate's numbers, those of its rigid simulation, and its contacts."""
     cost, defect, *others = run_texts(candidate)
@@ -144,15 +139,24 @@ def run_facts(run: ClosedLoopRun) -> Iterator[Fact]:
     yield "simulation", f"in Drake's Simulator, {where}; {_METHODS[run.method]}"
     if run.is_interrupted:
         yield "interrupted", CUT_SHORT
-    yield "disturbed", _describe_disturbance(run)
+    d = run.disturbance
+    disturbed = {
+        f"start off by {weight_text(d.start_offset)}": d.start_offset.any(),
+        f"masses times {d.mass_factor:g}": d.mass_factor != 1,
+        f"friction times {d.friction_factor:g}": d.friction_factor != 1,
+        f"walls {1e3 * d.wall_shift:g} mm nearer": d.wall_shift,
+        f"restitution times {d.restitution_factor:g}": d.restitution_factor != 1,
+        f"a kick of {weight_text(d.kick)} at {d.kick_time:g} s": d.kick.any(),
+        f"noise of {weight_text(d.noise)} (seed {d.seed})": d.noise.any(),
+    }
+    yield "disturbed", "; ".join(text for text, is_so in disturbed.items() if is_so) or "by nothing"
     first = cost_text(run.promised, 3)
     yield "cost", f"{cost_text(run.cost, 3)} along what happened; the first plan promises {first}"
     miss = miss_text(replay, run.scenario, world)
     yield "ends", f"at {run.duration:g} s, {miss} off the goal"
-    pairs = list(zip(replay.bounce_times, replay.bounce_contacts, strict=True))
-    touches = [name_touch(pair, touch_names(world)) for pair in pairs[:MOST_TOUCHES]]
-    more = [f"{len(pairs) - MOST_TOUCHES} more"] if len(pairs) > MOST_TOUCHES else []
-    touched = f"touches {', '.join(touches + more)}" if touches else "nothing is touched"
+    pairs = zip(replay.bounce_times, replay.bounce_contacts, strict=True)
+    touches = list_some(name_touch(pair, touch_names(world)) for pair in pairs)
+    touched = f"touches {touches}" if touches else "nothing is touched"
     yield "walls", f"deepest penetration {length_text(replay.max_penetration)}; {touched}"
     if broken := replay.broken:
         yield "breaks", ", ".join(f"{name} by {replay.violations[name]:.1g}" for name in broken)
@@ -166,26 +170,6 @@ def run_facts(run: ClosedLoopRun) -> Iterator[Fact]:
         learned, known = run.ticks[-1].restitution, run.scenario.restitution
         if learned not in (None, known):
             yield "learned", f"walls return {learned:.3f} of a speed; the scenario says {known:g}"
-
-
-def _describe_disturbance(run: ClosedLoopRun) -> str:
-    """Returns what the controller did not know."""
-    d, items = run.disturbance, []
-    if d.start_offset.any():
-        items.append(f"start off by {weight_text(d.start_offset)}")
-    if d.mass_factor != 1:
-        items.append(f"masses times {d.mass_factor:g}")
-    if d.friction_factor != 1:
-        items.append(f"friction times {d.friction_factor:g}")
-    if d.wall_shift:
-        items.append(f"walls {1e3 * d.wall_shift:g} mm nearer")
-    if d.restitution_factor != 1:
-        items.append(f"restitution times {d.restitution_factor:g}")
-    if d.kick.any():
-        items.append(f"a kick of {weight_text(d.kick)} at {d.kick_time:g} s")
-    if d.noise.any():
-        items.append(f"noise of {weight_text(d.noise)} (seed {d.seed})")
-    return "; ".join(items) or "by nothing"
 
 
 def describe_ticks(run: ClosedLoopRun) -> str:

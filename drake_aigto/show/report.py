@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import platform
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import fields
 from importlib import metadata
+from typing import Any
 
 import numpy as np
 import yaml
@@ -16,11 +17,11 @@ from drake_aigto.control import ClosedLoopRun
 from drake_aigto.errors import OptionsError
 from drake_aigto.plain import to_plain
 from drake_aigto.planning import Candidate, Plan, SearchOptions
-from drake_aigto.show.box_playback import BoxRun, play_boxes, run_boxes
+from drake_aigto.show.box_playback import play_boxes, run_boxes
 from drake_aigto.show.facts import (
-    MOST_TOUCHES,
     Fact,
     answer_facts,
+    list_some,
     name_touch,
     question_facts,
     verdict_facts,
@@ -48,7 +49,10 @@ from drake_aigto.world import Scenario, World
 _ANY_PORT = 0
 _MOST_CANDIDATES, _MOST_TICKS, _MOST_MOTIONS = 10, 30, 4
 
-_NUMBERS = ("cost J", "dynamics defect", "off the goal", "deepest penetration", "energy ratio")
+_NUMBERS = (
+    *("", "cost J", "dynamics defect", "off the goal", "deepest penetration", "energy ratio"),
+    "touches",
+)
 
 PROBLEM = """\
 minimize over u   ∫₀ᵀ w_u ‖u(t)‖² dt + w_f ‖q(T) − q_goal‖²
@@ -96,8 +100,14 @@ def report_plan(
     add_question(page, plan.scenario, world, float(plan.trajectory.times[-1]))
     add_answer(page, plan, world)
     say("recording the plan, its simulations, and the boxes")
+    meshcat = open_meshcat(_ANY_PORT)
+    play(plan, meshcat, world)
+    scenes = {"Plan and simulations": meshcat.StaticHtml()}
+    if run is not None:
+        play_boxes(plan, meshcat, world, run)
+        scenes["AIGO's boxes"] = meshcat.StaticHtml()
     page.heading("In motion")
-    page.scenes(_record(plan, world, run))
+    page.scenes(scenes)
     say("drawing figures")
     page.heading("Figures")
     for figure, caption in figures_of_plan(plan, world, run):
@@ -127,30 +137,21 @@ def add_question(
 ) -> None:
     """Adds what was asked; a free duration is the plan's."""
     page.heading("The question")
-    page.code(_describe_problem(scenario))
-    contacts = ", ".join(contact_names(world)) or "none"
+    if scenario.is_plain:
+        problem = PROBLEM
+        weights = f"w_u = {scenario.control_weight:g}, w_f = {scenario.goal_weight:g}"
+    else:
+        rigid = PROBLEM[PROBLEM.index("subject to") :]
+        problem = "\n".join([_COST, rigid if scenario.contact == "rigid" else _SOFT])
+        found = ((symbol, getattr(scenario, name)) for symbol, name in _WEIGHTS.items())
+        weights = "; ".join(f"{symbol} = {weight_text(w)}" for symbol, w in found if np.any(w))
+    page.code(problem)
     more = [
-        ("contacts", contacts),
-        ("weights", _describe_weights(scenario)),
+        ("contacts", ", ".join(contact_names(world)) or "none"),
+        ("weights", weights),
         ("model", world.model or "a diagram of one's own"),
     ]
     _add_facts(page, [*question_facts(scenario, world, duration), *more])
-
-
-def _describe_problem(scenario: Scenario) -> str:
-    """Returns the cost and the equations of a task."""
-    if scenario.is_plain:
-        return PROBLEM
-    rigid = PROBLEM[PROBLEM.index("subject to") :]
-    return "\n".join([_COST, rigid if scenario.contact == "rigid" else _SOFT])
-
-
-def _describe_weights(scenario: Scenario) -> str:
-    """Returns the weights of the cost that are not zero."""
-    if scenario.is_plain:
-        return f"w_u = {scenario.control_weight:g}, w_f = {scenario.goal_weight:g}"
-    found = ((symbol, getattr(scenario, name)) for symbol, name in _WEIGHTS.items())
-    return "; ".join(f"{symbol} = {weight_text(w)}" for symbol, w in found if np.any(w))
 
 
 def add_answer(page: Page, plan: Plan, world: World) -> None:
@@ -161,48 +162,34 @@ def add_answer(page: Page, plan: Plan, world: World) -> None:
     count = "once" if len(contacts) == 1 else f"{len(contacts)} times"
     touched = f"touches {count}: {touches}" if contacts else "touches nothing"
     page.paragraph(f"The plan {touched}.")
-    page.table(("", *_NUMBERS, "touches"), _number_rows(plan, world))
+    runs: list[tuple[str, Candidate | Replay, str, Sequence[float]]] = [
+        (
+            "plan (no simulation)",
+            plan.best,
+            f"{plan.best.max_defect:.0e}",
+            [c.time for c in contacts],
+        )
+    ]
+    for replay in plan.replay:
+        runs.append((simulation_label(replay, world), replay, "obeys them", replay.bounce_times))
+    rows = (
+        (
+            label,
+            cost_text(run.cost, 3, plan.best.scales.cost),
+            defect,
+            miss_text(run, plan.scenario, world),
+            length_text(run.max_penetration),
+            energy_text(run.energy_ratio),
+            list_some(f"{time:.3f} s" for time in times) or "none",
+        )
+        for label, run, defect, times in runs
+    )
+    page.table(_NUMBERS, rows)
     page.paragraph(
         "The plan is what the optimizer promises. The simulations run its control alone, from the "
         "start: they know nothing else of it."
     )
     _add_facts(page, answer_facts(plan, world))
-
-
-def _number_rows(plan: Plan, world: World) -> Iterator[tuple[str, ...]]:
-    """Yields a plan's numbers and those of its simulations, as rows below `_NUMBERS`."""
-    best = plan.best
-    times = [contact.time for contact in best.contacts]
-    numbers = _numbers(plan, best, world, f"{best.max_defect:.0e}", times)
-    yield "plan (no simulation)", *numbers
-    for replay in plan.replay:
-        numbers = _numbers(plan, replay, world, "obeys them", replay.bounce_times)
-        yield simulation_label(replay, world), *numbers
-
-
-def _numbers(
-    plan: Plan, run: Candidate | Replay, world: World, defect: str, times: Sequence[float]
-) -> tuple[str, ...]:
-    touches = ", ".join(f"{time:.3f} s" for time in times[:MOST_TOUCHES]) or "none"
-    return (
-        cost_text(run.cost, 3, plan.best.scales.cost),
-        defect,
-        miss_text(run, plan.scenario, world),
-        length_text(run.max_penetration),
-        energy_text(run.energy_ratio),
-        f"{touches}, {len(times) - MOST_TOUCHES} more" if len(times) > MOST_TOUCHES else touches,
-    )
-
-
-def _record(plan: Plan, world: World, run: BoxRun | None) -> dict[str, str]:
-    """Returns Meshcat's pages of the plan and of the boxes, if there are any, by title."""
-    meshcat = open_meshcat(_ANY_PORT)
-    play(plan, meshcat, world)
-    scenes = {"Plan and simulations": meshcat.StaticHtml()}
-    if run is None:
-        return scenes
-    play_boxes(plan, meshcat, world, run)
-    return {**scenes, "AIGO's boxes": meshcat.StaticHtml()}
 
 
 _CANDIDATE_HEADER = (
@@ -234,10 +221,20 @@ def _add_reproduction(page: Page, plan: Plan) -> None:
     page.heading("How to reproduce it")
     page.paragraph(
         f"Save these lines as scenario.yaml and plan again with drake_aigto {__version__}: the "
-        f"same question has the same answer. {describe_options(plan.options)}"
+        f"same question has the same answer. {_describe_options(plan.options)}"
     )
-    page.code(yaml.safe_dump(plan.scenario.to_plain(), sort_keys=False, allow_unicode=True))
-    page.code(_command(plan))
+    _add_yaml(page, plan.scenario.to_plain())
+    literal = " --transcription literal" if plan.transcription == "literal" else ""
+    command = (
+        f"drake-aigto plan scenario.yaml{literal} --json plan.json\n"
+        "drake-aigto report plan.json --html report.html"
+    )
+    if plan.made_in and plan.made_in.model is None:  # Of a diagram of one's own: only in Python.
+        command = (
+            'scenario, world = Scenario.load("scenario.yaml"), World.from_diagram(diagram)\n'
+            "page = report_plan(plan(scenario, world=world))"
+        )
+    page.code(command)
     if plan.additions:
         names = ", ".join(plan.additions)
         page.paragraph(
@@ -250,21 +247,11 @@ def _add_reproduction(page: Page, plan: Plan) -> None:
     )
 
 
-def _command(plan: Plan) -> str:
-    """Returns how the page is made again: of a diagram of one's own, only in Python."""
-    if plan.made_in and plan.made_in.model is None:
-        return (
-            'scenario, world = Scenario.load("scenario.yaml"), World.from_diagram(diagram)\n'
-            "page = report_plan(plan(scenario, world=world))"
-        )
-    literal = " --transcription literal" if plan.transcription == "literal" else ""
-    return (
-        f"drake-aigto plan scenario.yaml{literal} --json plan.json\n"
-        "drake-aigto report plan.json --html report.html"
-    )
+def _add_yaml(page: Page, asked: Any) -> None:
+    page.code(yaml.safe_dump(asked, sort_keys=False, allow_unicode=True))
 
 
-def describe_options(options: SearchOptions | None) -> str:
+def _describe_options(options: SearchOptions | None) -> str:
     """Returns which options of a plan are not the defaults, as a sentence."""
     if options is None:
         return "The plan's file does not say its options."
@@ -300,7 +287,9 @@ def report_run(run: ClosedLoopRun, progress: Callable[[str], None] | None = None
     add_question(page, run.scenario, run.world)
     say("recording the simulation")
     page.heading("In motion")
-    page.scenes({"Simulation and plans": _record_run(run)})
+    meshcat = open_meshcat(_ANY_PORT)
+    show_run(run, meshcat)
+    page.scenes({"Simulation and plans": meshcat.StaticHtml()})
     say("drawing figures")
     page.heading("Figures")
     for figure, caption in figures_of_run(run):
@@ -308,17 +297,10 @@ def report_run(run: ClosedLoopRun, progress: Callable[[str], None] | None = None
     if run.ticks:
         _add_ticks(page, run)
     page.heading("How to reproduce it")
-    for asked in (run.scenario.to_plain(), {"disturbance": to_plain(run.disturbance)}):
-        page.code(yaml.safe_dump(asked, sort_keys=False, allow_unicode=True))
+    _add_yaml(page, run.scenario.to_plain())
+    _add_yaml(page, {"disturbance": to_plain(run.disturbance)})
     page.paragraph(describe_versions())
     return page.to_html()
-
-
-def _record_run(run: ClosedLoopRun) -> str:
-    """Returns Meshcat's page of the simulation, and of the plans beside it."""
-    meshcat = open_meshcat(_ANY_PORT)
-    show_run(run, meshcat)
-    return str(meshcat.StaticHtml())
 
 
 def show_run(run: ClosedLoopRun, meshcat: Meshcat) -> None:
@@ -340,7 +322,7 @@ def _add_ticks(page: Page, run: ClosedLoopRun) -> None:
         (
             f"{tick.time:.2f} s",
             cost_text(tick.cost),
-            ", ".join(names[i] for i in tick.touches[:MOST_TOUCHES]) or "nothing",
+            list_some(names[i] for i in tick.touches) or "nothing",
             tick.reason,
             f"{1e3 * tick.seconds:.1f} ms",
         )

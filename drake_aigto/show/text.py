@@ -17,7 +17,6 @@ WIDTH = 100
 # Below it, in the task's scale, a cost is 0 but for rounding; no percentage of it says anything.
 NO_COST = 1e-9
 _AGAINST = " against "
-_AS_SHORT: Any = {"float_kind": lambda value: f"{value:g}"}
 # What a task asks for, shown beside its start and goal; weights are shown elsewhere.
 _SHOWN = (
     *("hard_goal", "angles", "duration_range", "reference_times", "contact"),
@@ -39,24 +38,22 @@ def task_items(scenario: Scenario, world: World | None = None) -> list[str]:
     ]
     if scenario.goal_velocity is not None:
         items.append(f"goal velocity {_numbers(scenario.goal_velocity, is_hinge, '/s')}")
-    return items + [_extra_text(scenario, name) for name in scenario.extras if name in _SHOWN]
-
-
-def _extra_text(scenario: Scenario, name: str) -> str:
-    """Returns what a task asks for besides, in words."""
-    value, words = getattr(scenario, name), name.replace("_", " ")
-    if value is True:
-        return words
-    if name == "reference_times":
-        return f"a reference at {len(value)} times"
-    if isinstance(value, str):
-        return f"{value} {words}"
-    return f"{words} {np.array2string(np.array(value), separator=', ', formatter=_AS_SHORT)}"
+    for name in (name for name in scenario.extras if name in _SHOWN):
+        value, words = getattr(scenario, name), name.replace("_", " ")
+        if name == "reference_times":
+            words = f"a reference at {len(value)} times"
+        elif isinstance(value, str):
+            words = f"{value} {words}"
+        elif value is not True:
+            words = f"{words} {weight_text(value)}"
+        items.append(words)
+    return items
 
 
 def weight_text(weight: float | Floats) -> str:
-    """Returns one weight, or those of a diagonal or a matrix."""
-    return np.array2string(np.array(weight), separator=", ", formatter=_AS_SHORT)
+    """Returns one number, or those of a diagonal or a matrix."""
+    short: Any = {"float_kind": lambda value: f"{value:g}"}
+    return np.array2string(np.array(weight), separator=", ", formatter=short)
 
 
 def miss_texts(run: Candidate | Replay, scenario: Scenario, world: World) -> list[str]:
@@ -65,20 +62,15 @@ def miss_texts(run: Candidate | Replay, scenario: Scenario, world: World) -> lis
         return [length_text(run.goal_error)]
     cost = TaskCost.of(world, scenario)
     motion = run.trajectory if isinstance(run, Candidate) else run
-    speeds = motion.velocities[-1] - cost.goal_velocity
-    kinds = [(~world.is_hinge, length_text), (world.is_hinge, angle_text)]
-    texts = [
-        as_text(float(np.linalg.norm(cost.goal_errors(motion.positions[-1])[which])))
-        for which, as_text in kinds
+    errors = {"": cost.goal_errors(motion.positions[-1])}
+    if np.any(cost.QTv) or (scenario.hard_goal and scenario.goal_velocity is not None):
+        errors["/s"] = motion.velocities[-1] - cost.goal_velocity
+    return [
+        f"{as_text(float(np.linalg.norm(error[which])))}{per}"
+        for per, error in errors.items()
+        for which, as_text in ((~world.is_hinge, length_text), (world.is_hinge, angle_text))
         if which.any()
     ]
-    if np.any(cost.QTv) or (scenario.hard_goal and scenario.goal_velocity is not None):
-        texts += [
-            f"{as_text(float(np.linalg.norm(speeds[which])))}/s"
-            for which, as_text in kinds
-            if which.any()
-        ]
-    return texts
 
 
 def miss_text(run: Candidate | Replay, scenario: Scenario, world: World) -> str:
