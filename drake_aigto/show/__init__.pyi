@@ -5,8 +5,6 @@ from .board import wrap_notes as wrap_notes
 from .box_playback import BoxRun as BoxRun
 from .box_playback import play_boxes as play_boxes
 from .box_playback import run_boxes as run_boxes
-from .coordinates import coordinate_names as coordinate_names
-from .coordinates import moves_straight as moves_straight
 from .cost_figures import gradient_motions as gradient_motions
 from .cost_figures import plot_cost_history as plot_cost_history
 from .cost_figures import plot_cost_landscape as plot_cost_landscape
@@ -53,6 +51,8 @@ from .scene import open_meshcat as open_meshcat
 from .scene import play as play
 from .scene import publish as publish
 from .scene import save_html as save_html
+from .shapes import coordinate_names as coordinate_names
+from .shapes import moves_straight as moves_straight
 from .stage import Stage as Stage
 from .table1 import format_table1 as format_table1
 from .table1 import frame as frame

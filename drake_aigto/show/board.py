@@ -100,11 +100,10 @@ class Board:
         """Between texts and what they name [m]."""
         return _SPACE * self.letter
 
-    @property
+    @cached_property
     def letter(self) -> float:
         """The height of letters [m]."""
-        low, high = self.panel
-        width, height = high - low
+        width, height = np.subtract(*self.panel[::-1])
         return float(min(_LETTER * self.size, _OF_WIDTH * width, _OF_HEIGHT * height))
 
     @cached_property
@@ -173,8 +172,17 @@ class Board:
         figure = Figure(figsize=(width, height), dpi=dpi, facecolor="none")
         axes = figure.add_axes((0, 0, 1, 1), xlim=(low[0], high[0]), ylim=(low[1], high[1]))
         axes.set_axis_off()
-        for index in range(len(self.panels)):
-            self._paint_panel(axes, index)
+        for index, panel in enumerate(self.panels):
+            aside, color = self.offset(index)[:2], np.array(to_rgb(color_of(index)))
+            start, end = (corner + aside for corner in self.panel)
+            tint, size = 1 - _TINT * (1 - color), (end - start).tolist()
+            axes.add_patch(Rectangle(start.tolist(), *size, facecolor=tint))
+            for way in panel.ways:
+                axes.plot(*(way + aside).T, color=color, linewidth=3, alpha=0.7, zorder=2)
+            axes.plot(*(panel.dots + aside).T, "o", color=color, markersize=7, zorder=2)
+            self._paint_marks(axes, index, [self._paint_title(axes, index)])
+            if index + self.columns >= len(self.panels):
+                self._paint_scale(axes, start, end, aside)
         left = self.offset(0)[0] + self.panel[0][0]
         for row, line in enumerate(self._note_lines):
             y = high[1] - self.space - _LINE * self.letter * row
@@ -188,20 +196,6 @@ class Board:
         first, last = self._ends
         width = right - left + last[0] - first[0]
         return wrap_notes(self.notes, int(width / (_BOLD_WIDTH * self.letter)))
-
-    def _paint_panel(self, axes: Axes, index: int) -> None:
-        panel, aside = self.panels[index], self.offset(index)[:2]
-        low, high = (corner + aside for corner in self.panel)
-        color = np.array(to_rgb(color_of(index)))
-        tint = 1 - _TINT * (1 - color)
-        axes.add_patch(Rectangle(low.tolist(), *(high - low).tolist(), facecolor=tint))
-        for way in panel.ways:
-            axes.plot(*(way + aside).T, color=color, linewidth=3, alpha=0.7, zorder=2)
-        axes.plot(*(panel.dots + aside).T, "o", color=color, markersize=7, zorder=2)
-        taken = [self._paint_title(axes, index)]
-        self._paint_marks(axes, index, taken)
-        if index + self.columns >= len(self.panels):
-            self._paint_scale(axes, low, high, aside)
 
     def _paint_title(self, axes: Axes, index: int) -> Floats:
         """Writes a panel's title, and returns the corners of where it is, shape (2, 2)."""
@@ -264,9 +258,12 @@ class Board:
 
     def _paint_scale(self, axes: Axes, low: Floats, high: Floats, aside: Floats) -> None:
         """Draws ticks in meters below a panel; numbers are whole, or not there."""
-        ends = low[0] - aside[0], high[0] - aside[0]
+        ends, ticks = (low[0] - aside[0], high[0] - aside[0]), np.empty(0)
+        for count in (4, 6, 8):  # More if fewer than two were between the ends.
+            if np.sum((ends[0] <= ticks) & (ticks <= ends[1])) < 2:
+                ticks = MaxNLocator(nbins=count, steps=[1, 2, 5, 10]).tick_values(*ends)
         look = {"color": _INK, "ha": "center", "va": "top"}
-        for x in _find_ticks(*ends):
+        for x in ticks.tolist():
             at, text = x + aside[0], f"{x:.12g} m"
             half = len(text) * self.letter * _BOLD_WIDTH / 2
             room = min(at - low[0], high[0] - at)  # Half of the gap to the next panel is its own.
@@ -281,17 +278,6 @@ class Board:
     def _font_size(self, height: float) -> float:
         """Returns the size in points of letters of a height [m]."""
         return 72 * _INCHES * height / self.size
-
-
-def _find_ticks(low: float, high: float) -> list[float]:
-    """Returns round numbers, some four, and more if fewer than two were between the ends."""
-    found: list[float] = []
-    for count in (4, 6, 8):
-        ticks = MaxNLocator(nbins=count, steps=[1, 2, 5, 10]).tick_values(low, high)
-        found = [float(x) for x in ticks]
-        if sum(low <= x <= high for x in found) > 1:
-            break
-    return found
 
 
 def wrap_notes(notes: Sequence[str], width: int) -> list[str]:

@@ -18,10 +18,10 @@ from drake_aigto.errors import OptionsError
 from drake_aigto.paper import LiteralOptions, make_literal_task
 from drake_aigto.planning import Plan, PlanOptions, ProgramTask, Rung, make_ball_task
 from drake_aigto.show.board import make_mesh
-from drake_aigto.show.coordinates import coordinate_names, wall_places
-from drake_aigto.show.film import Film
+from drake_aigto.show.effects import Film
 from drake_aigto.show.motion import PALETTE, PLAN_LABEL
 from drake_aigto.show.scene import ROOT, clear
+from drake_aigto.show.shapes import coordinate_names, wall_places
 from drake_aigto.transcription import Transcription
 from drake_aigto.world import World
 
@@ -74,7 +74,12 @@ def play_boxes(
     graph.add_texts(film)
     graph.add_plan(film)
     film.play()
-    _aim_camera(high - low, meshcat)
+    # From the front, a little from above and from the right.
+    width, height = high - low
+    distance = _SLACK * max(height, width / 1.4) / 2 / np.tan(np.deg2rad(_FIELD_OF_VIEW) / 2)
+    back = np.array([np.sin(_TURN) * np.cos(_TILT), -np.cos(_TURN) * np.cos(_TILT), np.sin(_TILT)])
+    meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=_FIELD_OF_VIEW))
+    meshcat.SetCameraPose(distance * back, np.zeros(3))
 
 
 class _Graph:
@@ -94,6 +99,9 @@ class _Graph:
         self._limits = np.column_stack([low - room, high + room])
         # Below half a pixel or so nothing is seen to shrink.
         self._shown = run.pick(_ITERATES, smallest=1e-3 * float(np.max(high - low)))
+        # When the last box is reached, and when that has been held for a moment.
+        self._end_frame = (len(self._shown) - 1) * _FRAMES_EACH
+        self.last_frame = self._end_frame + _HOLD
         self._height = _TOP + _BOTTOM + world.num_positions * (_PANEL + _BETWEEN) - _BETWEEN
         self._axes = self._lay_out()[1]
 
@@ -162,35 +170,23 @@ class _Graph:
                     film.change(frame, path, "scale", [1.0, height, depth])
                 film.move(self.last_frame, path, pose)
 
-    @property
-    def _end_frame(self) -> int:
-        """When the last box is reached."""
-        return (len(self._shown) - 1) * _FRAMES_EACH
-
-    @property
-    def last_frame(self) -> int:
-        """When the end has been held for a moment."""
-        return self._end_frame + _HOLD
-
     def add_texts(self, film: Film) -> None:
         """Adds what is to be said of each iterate, while it is shown."""
         last = len(self._run.result.history) - 1
         low, high = self.corners
         for number, index in enumerate(self._shown):
-            text = self._describe(self._run.result.history[index], index, last)
+            iterate = self._run.result.history[index]
+            hot = np.isfinite(iterate.temperature)
+            text = f"temperature {iterate.temperature:.1e}, " if hot else ""
+            widest = float(np.max(self._run.positions(iterate)[1]))
+            text = f"iteration {index} of {last}: {text}widest box ±{widest:.2g} m"
             figure = Figure(figsize=(_WIDTH, _TEXT), dpi=_DPI, facecolor="none")
             figure.text(0.02, 0.5, text, size=13, va="center", color=PALETTE[0], weight="bold")
             path = f"{ROOT}/boxes/texts/{number}"
             top = high[1] - _TEXT_TOP / _INCHES_PER_METER
             corners = (low[0], top - _TEXT / _INCHES_PER_METER), (high[0], top)
             film.meshcat.SetObject(path, make_mesh(figure, *corners))
-            frame, following = number * _FRAMES_EACH, (number + 1) * _FRAMES_EACH
-            self._show_between(path, frame, following, film)
-
-    def _describe(self, iterate: Iterate, index: int, last: int) -> str:
-        widest = float(np.max(self._run.positions(iterate)[1]))
-        hot = f"temperature {iterate.temperature:.1e}, " if np.isfinite(iterate.temperature) else ""
-        return f"iteration {index} of {last}: {hot}widest box ±{widest:.2g} m"
+            self._show_between(path, number * _FRAMES_EACH, (number + 1) * _FRAMES_EACH, film)
 
     def add_plan(self, film: Film) -> None:
         """Adds the plan, which appears at the end."""
@@ -213,14 +209,6 @@ class _Graph:
         for frame in sorted({0, first, end, self.last_frame}):
             if frame <= self.last_frame:
                 film.change(frame, path, "visible", first <= frame < end)
-
-
-def _aim_camera(size: Floats, meshcat: Meshcat) -> None:
-    """Looks at the graph from the front, a little from above and from the right."""
-    distance = _SLACK * max(size[1], size[0] / 1.4) / 2 / np.tan(np.deg2rad(_FIELD_OF_VIEW) / 2)
-    back = np.array([np.sin(_TURN) * np.cos(_TILT), -np.cos(_TURN) * np.cos(_TILT), np.sin(_TILT)])
-    meshcat.SetCamera(Meshcat.PerspectiveCamera(fov=_FIELD_OF_VIEW))
-    meshcat.SetCameraPose(distance * back, np.zeros(3))
 
 
 @dataclass(frozen=True, eq=False)
@@ -276,12 +264,11 @@ def run_boxes(plan: Plan, world: World | None = None) -> BoxRun:
     if plan.additions:
         names = ", ".join(plan.additions)
         raise _refuse(f"costs or constraints of one's own, by name only ({names})")
-    problem: ProgramTask
-    if isinstance(plan.options, LiteralOptions):
-        problem = make_literal_task(world, plan.scenario, plan.options)
-    else:
-        assert isinstance(plan.options, PlanOptions)
-        problem = make_ball_task(world, plan.scenario, plan.options)
+    problem: ProgramTask = (
+        make_literal_task(world, plan.scenario, plan.options)
+        if isinstance(plan.options, LiteralOptions)
+        else make_ball_task(world, plan.scenario, plan.options)
+    )
     algorithm = problem.make_algorithm(rung)
     if isinstance(algorithm, Annealing):
         algorithm = SlowMotion(algorithm)

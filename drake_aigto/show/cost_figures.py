@@ -90,15 +90,19 @@ def plot_cost_landscape(
         ModelError: not a world of one coordinate and one wall, without bias.
     """
     optimum = rigid_optimum(world, scenario)
-    contacts = {name: _first_contact(world, end) for name, end in ends.items()}
+    contacts: dict[str, tuple[float, float] | None] = dict.fromkeys(ends)
+    for name, end in ends.items():
+        for first in end.contacts[:1]:
+            speed = calc_approach_speed(world, end.trajectory, first.time, first.index)
+            contacts[name] = first.time, speed
     speeds = [-v for v in optimum.impact_velocities] + [c[1] for c in contacts.values() if c]
     time = np.linspace(0, scenario.duration, _POINTS + 2)[1:-1]
-    speed = np.linspace(0, 1.6 * max(speeds, default=1.0), _POINTS)
-    costs = bounce_costs(world, scenario, time, speed[:, np.newaxis])
+    rates = np.linspace(0, 1.6 * max(speeds, default=1.0), _POINTS)
+    costs = bounce_costs(world, scenario, time, rates[:, np.newaxis])
     least = np.nanmin(costs)
     shown = np.ma.masked_invalid(np.minimum(costs, _HIGHEST * least))
     levels = np.geomspace(least, _HIGHEST * least, _LEVELS + 1)
-    filled = axes.contourf(time, speed, shown, levels, cmap=_COLORMAP, norm=LogNorm())
+    filled = axes.contourf(time, rates, shown, levels, cmap=_COLORMAP, norm=LogNorm())
     filled.set_rasterized(True)  # In vector formats it is large.
     bar = axes.figure.colorbar(filled, ax=axes, label="least J of a motion that touches there")
     bar.ax.yaxis.set_major_locator(LogLocator(numticks=6))
@@ -115,14 +119,6 @@ def plot_cost_landscape(
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize="small")
 
 
-def _first_contact(world: World, run: Candidate) -> tuple[float, float] | None:
-    """Returns when a run first touches a wall, and how fast it approaches; None if it does not."""
-    if not run.contacts:
-        return None
-    first = run.contacts[0]
-    return first.time, calc_approach_speed(world, run.trajectory, first.time, first.index)
-
-
 def gradient_motions(world: World, scenario: Scenario, seed: int = 0) -> list[Motion]:
     """Returns what SNOPT plans without AIGO, and what a rigid simulation makes of its control.
 
@@ -131,7 +127,11 @@ def gradient_motions(world: World, scenario: Scenario, seed: int = 0) -> list[Mo
     seed: the simulation, as the rows of such plans are seldom met.
     """
     if world.num_contacts == 1:
-        return _literal_motions(world, scenario)
+        options = LiteralOptions(nonpenetration=False, local_solver="snopt")
+        run = gradient_from_zero(make_literal_task(world, scenario, options))
+        planned = Motion.from_trajectory(run.trajectory, world, f"{_ONE_WALL}: {PLAN_LABEL}")
+        simulated = Motion.from_replay(run.replay, f"{_ONE_WALL}: {_RIGID}")
+        return [planned, simulated.under(run.trajectory.times, run.trajectory.controls)]
     world.check_plain(scenario)
     problem = make_ball_task(world, scenario, PlanOptions(relaxation=0.0, local_solver="snopt"))
     transcription = problem.transcription
@@ -140,11 +140,3 @@ def gradient_motions(world: World, scenario: Scenario, seed: int = 0) -> list[Mo
     replay = replay_event_driven(world, scenario, times, controls)
     simulated = Motion.from_replay(replay, f"{_SEVERAL}: {_RIGID}")
     return [simulated.under(times, controls)]
-
-
-def _literal_motions(world: World, scenario: Scenario) -> list[Motion]:
-    options = LiteralOptions(nonpenetration=False, local_solver="snopt")
-    run = gradient_from_zero(make_literal_task(world, scenario, options))
-    planned = Motion.from_trajectory(run.trajectory, world, f"{_ONE_WALL}: {PLAN_LABEL}")
-    simulated = Motion.from_replay(run.replay, f"{_ONE_WALL}: {_RIGID}")
-    return [planned, simulated.under(run.trajectory.times, run.trajectory.controls)]

@@ -1,25 +1,16 @@
-"""Control, forces of contact and flashes of impacts that ride on motions in Meshcat."""
+"""Recordings in Meshcat, and what rides on motions: control, forces of contact, flashes."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from functools import partial
 from typing import NamedTuple
 
 import numpy as np
-from pydrake.geometry import Meshcat, Rgba, Sphere
+from pydrake.geometry import Cylinder, Meshcat, MeshcatAnimation, MeshcatCone, Rgba, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.tree import Joint
 
-from drake_aigto.arrays import Floats, Ints
-from drake_aigto.show.film import (
-    GONE,
-    Film,
-    shape_arc,
-    shape_arrow,
-    shape_filled_cone,
-    shape_open_cone,
-)
+from drake_aigto.arrays import Floats
 from drake_aigto.show.motion import (
     Friction,
     Motion,
@@ -36,9 +27,91 @@ _INK, _YELLOW = Rgba(0.13, 0.13, 0.13), Rgba(1.0, 0.78, 0.0)
 _MAGENTA, _VIOLET = Rgba(0.75, 0.0, 0.45), Rgba(0.36, 0.1, 0.75)
 _FLASH = 0.045  # radius of the largest flash, in sizes of the window
 _LASTING = 0.3  # that the impulse of an impact is seen [s]
+_LEAST_FLASH = 0.4  # Of the largest flash's radius: that of an impact without speed.
+_FLASH_TIME = 0.15  # from an impact until its flash is gone [s]
+# As parts of the window's size: the longest arrow, the radius of the largest arc, from a cone's tip
+# to its rim.
+_LONGEST, _ARC, _CONE = 0.22, 0.085, 0.14
+# Of the longest arrow: its head, its head's and its shaft's radius.
+_POINT, _POINT_RADIUS, _SHAFT_RADIUS = 0.32, 0.1, 0.04
+# Of an arc with radius 1: half the thickness of its ring, the radius and the length of its head.
+_RING, _HEAD, _HEAD_LENGTH = 0.07, 0.22, 0.55
+_TURN = np.deg2rad(250.0)  # that an arc takes
+_SECTIONS, _SIDES = 36, 8  # of the ring that an arc is made of
+_RIBS = 4  # of an open cone
+_RIB, _WIDEST = 0.018, 0.12  # Half their thickness, of its length; of its radius at most.
+_FILLED = 0.4  # how much a filled cone covers of what is behind it
+
+# Scale of what is not to be seen: at 0 a transform has no inverse, of which browsers complain.
+_GONE = 1e-3
+_REPETITIONS = 10_000
 
 _Shape = Callable[[str, float, Meshcat, Rgba], None]
 _Key = tuple[int, int, bool]  # a frame, the row of the motion in it, and whether that is seen
+
+
+class Film:
+    """A recording in the making, whose parts all have one length, so that they repeat together.
+
+    How something looks when it is first keyed is also how it looks before the film is played.
+
+    Attributes:
+        meshcat: where it is shown.
+        rate: frames per second.
+        last_frame: that all parts end with.
+    """
+
+    def __init__(self, meshcat: Meshcat, begin: float, end: float, rate: int) -> None:
+        """Begins with a frame at one time, and ends with one at another [s]."""
+        self.meshcat, self.rate, self._begin = meshcat, rate, begin
+        self.last_frame = self.frame(end)
+        self._animation, self._keyed = MeshcatAnimation(rate), set[tuple[str, ...]]()
+
+    def frame(self, time: float) -> int:
+        """Returns the frame of a time [s]."""
+        return round((time - self._begin) * self.rate)
+
+    def move(self, frame: int, path: str, pose: RigidTransform) -> None:
+        """Puts an object somewhere at a frame."""
+        if self._is_first(path, ""):
+            self.meshcat.SetTransform(path, pose)
+        self._animation.SetTransform(frame, path, pose)
+
+    def change(self, frame: int, path: str, name: str, value: bool | list[float]) -> None:
+        """Gives a property of an object a value at a frame."""
+        if self._is_first(path, name):
+            self.meshcat.SetProperty(path, name, value)
+        self._animation.SetProperty(frame, path, name, value)
+
+    def _is_first(self, *key: str) -> bool:
+        is_first = key not in self._keyed
+        self._keyed.add(key)
+        return is_first
+
+    def hide(self, path: str, frames: Iterable[int]) -> None:
+        """Makes an object invisible at frames."""
+        for frame in frames:
+            self.change(frame, path, "scale", [_GONE] * 3)
+
+    def moments(
+        self, times: Iterable[float], shown: Mapping[int, bool]
+    ) -> list[tuple[int, int, bool]]:
+        """Returns frames, the number of a moment [s], and whether it is seen there.
+
+        Each is seen or not so many frames after it, until the next one begins.
+        """
+        keys: dict[int, tuple[int, bool]] = {}
+        for number, time in enumerate(times):
+            frame = self.frame(time)
+            keys = {f: key for f, key in keys.items() if f < frame - 1}
+            keys |= {max(frame + after, 0): (number, seen) for after, seen in shown.items()}
+        return [(frame, *keys[frame]) for frame in sorted(keys)]
+
+    def play(self) -> None:
+        """Plays it again and again."""
+        self._animation.set_loop_mode(MeshcatAnimation.LoopMode.kLoopRepeat)
+        self._animation.set_repetitions(_REPETITIONS)
+        self.meshcat.SetAnimation(self._animation)
 
 
 class _Load(NamedTuple):
@@ -131,7 +204,7 @@ class Effects:
         if self._stage.is_flat:
             aside = RigidTransform(aside.translation() + lift)
         frames = list(map(self._film.frame, self._motions[index].times))
-        shapes: dict[str, _Shape] = {"arrow": shape_arrow, "arc": shape_arc}
+        shapes: dict[str, _Shape] = {"arrow": _shape_arrow, "arc": _shape_arc}
         kinds = zip(shapes.items(), self._loads[index], self.largest, strict=False)
         for (kind, shape), loads, largest in kinds:
             for name, places, vectors in loads:
@@ -148,7 +221,8 @@ class Effects:
             return [], []
         generalized = (motion.controls @ self._world.actuation.T)[find_held(motion)]
         for joint in moving_joints(self._world):
-            if not _is_actuated(joint, self._world):
+            start = joint.velocity_start()
+            if not np.any(self._world.actuation[start : start + joint.num_velocities()]):
                 continue
             rows = zip(motion.positions, generalized, strict=True)
             found = [self._stage.load(joint, q, force) for q, force in rows]
@@ -179,13 +253,13 @@ class Effects:
         shape(path, self._stage.size, film.meshcat, color)
         direction = np.array([0.0, 0.0, 1.0])
         sizes = np.linalg.norm(vectors, axis=1)
-        seen = np.convolve(sizes > GONE, np.ones(3))[1:-1] > 0  # the rows beside those, too
+        seen = np.convolve(sizes > _GONE, np.ones(3))[1:-1] > 0  # the rows beside those, too
         seen[0] = True
         for row in np.flatnonzero(seen).tolist():
-            direction = vectors[row] / sizes[row] if sizes[row] > GONE else direction
+            direction = vectors[row] / sizes[row] if sizes[row] > _GONE else direction
             turned = RotationMatrix.MakeFromOneVector(direction, 2)
             film.move(frames[row], path, RigidTransform(turned, places[row]))
-            film.change(frames[row], path, "scale", [max(sizes[row], GONE)] * 3)
+            film.change(frames[row], path, "scale", [max(sizes[row], _GONE)] * 3)
         film.hide(path, (frames[-1] + 1, film.last_frame))
 
     def _add_contacts(self, index: int, aside: RigidTransform, folder: str) -> None:
@@ -196,9 +270,13 @@ class Effects:
             push = _Push(motion, forces, contact, self.largest[2], _MAGENTA)
             cones = f"{folder}/friction/{contact}/force"
             self._add_push(push, keys, aside, f"{folder}/contacts/{contact}/force", cones)
+        end = round(_LASTING * self._film.rate)
+        lasting = {-1: False, 0: True, end: True, end + 1: False}
         for contact in np.flatnonzero(np.any(impulses.largest > 0, axis=0)).tolist():
             push = _Push(motion, impulses, contact, self.largest[3], _VIOLET)
-            keys = _hold(self._film, motion, np.flatnonzero(impulses.largest[:, contact] > 0))
+            rows = np.flatnonzero(impulses.largest[:, contact] > 0)
+            moments = self._film.moments(motion.times[rows], lasting)
+            keys = [(frame, int(rows[number]), seen) for frame, number, seen in moments]
             cones = f"{folder}/friction/{contact}/impulse"
             self._add_push(push, keys, aside, f"{cones}/arrow", cones)
         if self.flashes:
@@ -219,42 +297,97 @@ class Effects:
         for row in np.flatnonzero(slides).tolist():
             along = self._stage.find_tangent(contact, motion.positions[rows[row]])
             vectors[row] += friction.tangents[rows[row], contact] * along
-        self._ride(arrow, shape_arrow, frames, places, vectors / largest, color)
+        self._ride(arrow, _shape_arrow, frames, places, vectors / largest, color)
         sticks, mu = friction.sticks[rows, contact], float(self._coefficients[contact])
-        for name, shape, at in (
-            ("stick", shape_filled_cone, slides & sticks),
-            ("slip", shape_open_cone, slides & ~sticks),
-        ):
+        for name, at in (("stick", slides & sticks), ("slip", slides & ~sticks)):
             if at.any():
-                cone = partial(shape, friction=mu)
+                cone = partial(_shape_cone, friction=mu, sticks=name == "stick")
                 axes = normals * at[:, np.newaxis]
                 self._ride(f"{cones}/{name}", cone, frames, places, axes, color)
 
     def _add_flashes(self, motion: Motion, contact: int, aside: RigidTransform, path: str) -> None:
         """Adds flashes where one contact is touched."""
-        film, shares = self._film, []
+        film, fades = self._film, round(_FLASH_TIME * self._film.rate)
         film.meshcat.SetObject(path, Sphere(_FLASH * self._stage.size), _YELLOW)
-        for time in (touch.start for touch in motion.impacts if touch.contact == contact):
+        times, sizes = [touch.start for touch in motion.impacts if touch.contact == contact], []
+        for time in times:
             place, _ = self._stage.touch(contact, motion.positions[find_row(motion, time)])
             film.move(max(film.frame(time) - 1, 0), path, RigidTransform(aside.multiply(place)))
             speed = calc_approach_speed(self._world, motion, time, contact)
-            shares.append((time, speed / self._largest_speed))
-        film.flash(path, shares)
+            sizes.append(_LEAST_FLASH + (1 - _LEAST_FLASH) * (speed / self._largest_speed))
+        moments = film.moments(times, {-1: False, 0: True, fades: False})
+        if moments[0][0] > 0:
+            film.hide(path, [0])
+        for frame, number, seen in moments:
+            if frame < film.last_frame:
+                film.change(frame, path, "scale", [sizes[number] if seen else _GONE] * 3)
+        film.hide(path, [film.last_frame])
 
 
-def _hold(film: Film, motion: Motion, rows: Ints) -> list[_Key]:
-    """Returns the keys of impacts at rows of a motion: each is seen for a moment."""
-    keys: dict[int, tuple[int, bool]] = {}
-    for row in rows.tolist():
-        frame = film.frame(motion.times[row])
-        # An earlier one ends here.
-        keys = {f: each for f, each in keys.items() if f < frame - 1}
-        end = frame + round(_LASTING * film.rate)
-        keys |= {max(frame - 1, 0): (row, False), frame: (row, True)}
-        keys |= {end: (row, True), end + 1: (row, False)}
-    return [(frame, *keys[frame]) for frame in sorted(keys)]
+def _shape_arrow(path: str, size: float, meshcat: Meshcat, color: Rgba) -> None:
+    """Puts the longest arrow along z, for a window of a size [m]."""
+    length = _LONGEST * size
+    shaft, head = (1 - _POINT) * length, _POINT * length
+    meshcat.SetObject(f"{path}/shaft", Cylinder(_SHAFT_RADIUS * length, shaft), color)
+    meshcat.SetTransform(f"{path}/shaft", RigidTransform([0, 0, shaft / 2]))
+    # Meshcat's cones stand on their tips.
+    meshcat.SetObject(f"{path}/head", MeshcatCone(head, *[_POINT_RADIUS * length] * 2), color)
+    tip = RigidTransform(RotationMatrix.MakeXRotation(np.pi), [0, 0, length])
+    meshcat.SetTransform(f"{path}/head", tip)
 
 
-def _is_actuated(joint: Joint, world: World) -> bool:
-    start = joint.velocity_start()
-    return bool(np.any(world.actuation[start : start + joint.num_velocities()]))
+def _shape_arc(path: str, size: float, meshcat: Meshcat, color: Rgba) -> None:
+    """Puts the largest arc around z, its head the way that a right hand's fingers curl."""
+    r = _ARC * size
+    _shape_ring(f"{path}/ring", r, _RING * r, _TURN, meshcat, color)
+    # Meshcat's cones stand on their tips.
+    meshcat.SetObject(f"{path}/head", MeshcatCone(_HEAD_LENGTH * r, *[_HEAD * r] * 2), color)
+    end, ahead = (np.array([np.cos(a), np.sin(a), 0.0]) for a in (_TURN, _TURN + np.pi / 2))
+    turned = RotationMatrix.MakeFromOneVector(-ahead, 2)
+    tip = RigidTransform(turned, r * (end + 0.9 * _HEAD_LENGTH * ahead))
+    meshcat.SetTransform(f"{path}/head", tip)
+
+
+def _shape_cone(
+    path: str, size: float, meshcat: Meshcat, color: Rgba, friction: float, sticks: bool
+) -> None:
+    """Puts a cone of forces |f_t| ≤ μ f around z, its tip where they act.
+
+    It is translucent and closed where contacts stick, else its ribs and its rim.
+    """
+    height = _CONE * size / float(np.hypot(1.0, friction))
+    radius, length = friction * height, _CONE * size
+    if sticks:
+        pale = Rgba(color.r(), color.g(), color.b(), _FILLED)
+        meshcat.SetObject(path, MeshcatCone(height, radius, radius), pale)
+        return
+    thin = min(_RIB * length, _WIDEST * radius)
+    for number, angle in enumerate(_around(_RIBS)):
+        along = np.array([radius * np.cos(angle), radius * np.sin(angle), height])
+        meshcat.SetObject(f"{path}/rib_{number}", Cylinder(thin, length), color)
+        turned = RotationMatrix.MakeFromOneVector(along / length, 2)
+        meshcat.SetTransform(f"{path}/rib_{number}", RigidTransform(turned, along / 2))
+    _shape_ring(f"{path}/rim", radius, thin, 2 * np.pi, meshcat, color)
+    meshcat.SetTransform(f"{path}/rim", RigidTransform([0.0, 0.0, height]))
+
+
+def _shape_ring(
+    path: str, radius: float, thickness: float, turn: float, meshcat: Meshcat, color: Rgba
+) -> None:
+    """Puts a bent rod around z, half as thick as that all around [m], over a turn [rad]."""
+    # Rings of points around the rod, joined by two triangles for each side of each section.
+    angles, side = np.linspace(0, turn, _SECTIONS + 1)[:, np.newaxis], _around(_SIDES)
+    out, up = radius + thickness * np.cos(side), thickness * np.sin(side)
+    rings = [out * np.cos(angles), out * np.sin(angles), np.tile(up, (len(angles), 1))]
+    first = np.arange(_SECTIONS * _SIDES)
+    beside = first - first % _SIDES + (first + 1) % _SIDES
+    triangles = np.hstack(
+        [(first, beside, first + _SIDES), (beside, beside + _SIDES, first + _SIDES)]
+    )
+    vertices = np.array([each.ravel() for each in rings])
+    meshcat.SetTriangleMesh(path, vertices, triangles.astype(np.int32), color)
+
+
+def _around(count: int) -> Floats:
+    """Returns the angles of `count` points around a circle [rad]."""
+    return 2 * np.pi * np.arange(count) / count

@@ -14,20 +14,19 @@ from matplotlib.patches import Polygon, Rectangle
 from drake_aigto.aigo import Iterate
 from drake_aigto.errors import ModelError
 from drake_aigto.planning import Plan
-from drake_aigto.show.coordinates import (
-    coordinate_names,
-    coordinate_unit,
-    find_goal,
-    has_goal,
-    moves_straight,
-    solid_regions,
-    wall_places,
-)
 from drake_aigto.show.motion import (
     Motion,
     color_of,
     find_row,
     motions_of_plan,
+)
+from drake_aigto.show.shapes import (
+    coordinate_names,
+    find_goal,
+    has_goal,
+    moves_straight,
+    solid_regions,
+    wall_places,
 )
 from drake_aigto.show.text import touch_names, wall_names
 from drake_aigto.transcription import Transcription
@@ -62,10 +61,12 @@ ABOVE: dict[str, Any] = {"loc": "lower center", "bbox_to_anchor": (0.5, 1.0), "f
 
 Quantity = Literal["position", "velocity", "control"]
 
-# In the order of `Transcription.split`.
-_SYMBOLS: dict[Quantity, str] = {"position": "q", "velocity": "v", "control": "u"}
-# What follows a coordinate's own unit.
-_UNITS: dict[Quantity, str] = {"position": "", "velocity": "/s"}
+# In the order of `Transcription.split`: symbols, and units of sliders and of hinges.
+_QUANTITIES: dict[Quantity, tuple[str, str, str]] = {
+    "position": ("q", "m", "rad"),
+    "velocity": ("v", "m/s", "rad/s"),
+    "control": ("u", "N", "N m"),
+}
 _ROOM = 0.08  # around what is drawn, as a part of its range
 _ARROWS = (0.2, 0.8)  # parts of the duration at which the way of time is shown
 
@@ -165,8 +166,14 @@ def plot_controls(axes: Axes, motions: Sequence[Motion], world: World, coordinat
         look = {**line_of(index), **_SHARP}
         look["linewidth"] *= _THINNER
         axes.step(motion.control_times, held, where="post", **look)
-        if motion.forces is not None and moves_straight(world):
-            _shade_forces(axes, motion, world, coordinate, color_of(index))
+        if motion.forces is None or not moves_straight(world):
+            continue
+        for contact, force in enumerate(np.vstack([motion.forces, motion.forces[-1:]]).T):
+            if np.any(force) and world.constant_inertia.jacobian[contact, coordinate]:
+                label = f"force of the {touch_names(world)[contact]} λ [N]"
+                look = {"step": "post", "edgecolor": color_of(index), "label": label, **_FORCE}
+                axes.fill_between(motion.control_times, force, **look)
+                axes.legend(loc="best", fontsize="small")
     _mark_touches(axes, motions, world, coordinate)
     axes.axhline(0, color="black", linewidth=0.5)
     axes.set(xlabel="time t [s]", ylabel=_label("control", world, coordinate))
@@ -222,7 +229,7 @@ def plot_boxes(
     first iterate that is given is at the back; of controls, those that act on the coordinate.
     """
     times, world = transcription.GetSampleTimes(), transcription.world
-    part = list(_SYMBOLS).index(quantity)
+    part = list(_QUANTITIES).index(quantity)
     columns = _actuators(world, coordinate) if quantity == "control" else [coordinate]
     colors = colormaps["viridis"](np.linspace(0.85, 0.0, len(iterates)))
     for iterate, color in zip(iterates, colors, strict=True):
@@ -268,27 +275,11 @@ def _mark_touches(
             else:
                 axes.axvline(touch.start, color=color, label=label, **_BOUNCE)
             if named and len(names) > 1:
-                _write_name(axes, touch.start, names[touch.contact], color, slope)
+                # Where a motion that bounces there is not.
+                height, side = (0.97, "top") if slope > 0 else (0.03, "bottom")
+                look = {"xycoords": axes.get_xaxis_transform(), "color": color, "va": side, **_NAME}
+                axes.annotate(names[touch.contact], (touch.start, height), **look)
             label = ""
-
-
-def _write_name(axes: Axes, time: float, name: str, color: str, slope: float) -> None:
-    """Writes what is touched beside its line, where a motion that bounces there is not."""
-    height, side = (0.97, "top") if slope > 0 else (0.03, "bottom")
-    places = axes.get_xaxis_transform()
-    axes.annotate(name, (time, height), xycoords=places, color=color, va=side, **_NAME)
-
-
-def _shade_forces(axes: Axes, motion: Motion, world: World, coordinate: int, color: str) -> None:
-    """Shades from 0 to the held forces (N, m) of the walls that push a coordinate, with names."""
-    assert motion.control_times is not None and motion.forces is not None
-    for contact, force in enumerate(np.vstack([motion.forces, motion.forces[-1:]]).T):
-        if not np.any(force) or not world.constant_inertia.jacobian[contact, coordinate]:
-            continue
-        label = f"force of the {touch_names(world)[contact]} λ [N]"
-        look = {"step": "post", "edgecolor": color, "label": label, **_FORCE}
-        axes.fill_between(motion.control_times, force, **look)
-        axes.legend(loc="best", fontsize="small")
 
 
 def _actuators(world: World, coordinate: int) -> list[int]:
@@ -301,19 +292,17 @@ def line_of(motion: int) -> dict[str, Any]:
     return {"color": color_of(motion), **_LINES[min(motion, len(_LINES) - 1)]}
 
 
-def _label(quantity: Quantity, world: World, coordinate: int) -> str:
+def _label(quantity: Quantity, world: World, coordinate: int, has_symbol: bool = True) -> str:
     """Returns a name for an axis, with the coordinate where there are several."""
     unit = _unit(quantity, world, coordinate)
     if world.num_positions == 1:
-        return f"{quantity} {_SYMBOLS[quantity]} [{unit}]"
+        return f"{quantity}{f' {_QUANTITIES[quantity][0]}' * has_symbol} [{unit}]"
     return f"{coordinate_names(world)[coordinate]} {quantity} [{unit}]"
 
 
 def _unit(quantity: Quantity, world: World, coordinate: int) -> str:
     """Returns the unit of a quantity of one coordinate."""
-    if quantity == "control":
-        return "N m" if world.is_hinge[coordinate] else "N"
-    return f"{coordinate_unit(world, coordinate)}{_UNITS[quantity]}"
+    return _QUANTITIES[quantity][2 if world.is_hinge[coordinate] else 1]
 
 
 def _shade_walls(axes: Axes, world: World, coordinate: int) -> None:
@@ -362,7 +351,11 @@ def plot_phase_portrait(
     for index, motion in enumerate(motions):
         q, v = motion.positions[:, coordinate], motion.velocities[:, coordinate]
         axes.plot(q, v, label=motion.label, **line_of(index))
-    _show_way(axes, motions[0], coordinate)
+    first, look = motions[0], {"arrowstyle": "-|>", "color": color_of(0), "mutation_scale": 22}
+    path = np.column_stack([first.positions[:, coordinate], first.velocities[:, coordinate]])
+    for part in _ARROWS:
+        row = int(part * (len(path) - 1))
+        axes.annotate("", xy=path[row + 1], xytext=path[row], arrowprops=look)
     start = scenario.initial_position[coordinate], scenario.initial_velocity[coordinate]
     axes.plot(*start, "s", color="black", markersize=7, zorder=5, label="start")
     goal = [find_goal(world, scenario, motions[0].positions[-1])[coordinate]]
@@ -378,17 +371,6 @@ def plot_phase_portrait(
         edges = sorted((place, place - side * 2 * size))
         axes.axvspan(*edges, **SOLID_LOOK, label="" if i else "wall")
     axes.set_xlim(np.min(places) - _ROOM * size, np.max(places) + _ROOM * size)
-    name = "" if world.num_positions == 1 else f"{coordinate_names(world)[coordinate]} "
-    units = (_unit(quantity, world, coordinate) for quantity in _UNITS)
-    xlabel, ylabel = (f"{name}{q} [{unit}]" for q, unit in zip(_UNITS, units, strict=True))
-    axes.set(xlabel=xlabel, ylabel=ylabel)
+    axes.set_xlabel(_label("position", world, coordinate, has_symbol=False))
+    axes.set_ylabel(_label("velocity", world, coordinate, has_symbol=False))
     axes.legend(ncols=2, **ABOVE)
-
-
-def _show_way(axes: Axes, motion: Motion, coordinate: int) -> None:
-    """Draws arrows along a motion, the way that time goes."""
-    path = np.column_stack([motion.positions[:, coordinate], motion.velocities[:, coordinate]])
-    look = {"arrowstyle": "-|>", "color": color_of(0), "mutation_scale": 22}
-    for part in _ARROWS:
-        row = int(part * (len(path) - 1))
-        axes.annotate("", xy=path[row + 1], xytext=path[row], arrowprops=look)

@@ -11,10 +11,10 @@ from matplotlib.figure import Figure
 
 from drake_aigto.control import ClosedLoopRun, PlannedPath
 from drake_aigto.errors import ModelError
-from drake_aigto.show.coordinates import moves_straight
 from drake_aigto.show.figures import ABOVE, plot_controls, plot_path, plot_positions
 from drake_aigto.show.motion import Motion, color_of
 from drake_aigto.show.plan_figures import plot_strobe
+from drake_aigto.show.shapes import moves_straight
 
 SIMULATED = "simulation in Drake"
 _PLANNED: dict[str, Any] = {"linewidth": 1.6, "linestyle": (0, (4, 2)), "zorder": 3}
@@ -66,7 +66,13 @@ def plot_run(axes: Axes, run: ClosedLoopRun, coordinate: int = 0) -> None:
         _draw_path(axes, switch.after, coordinate, switch.time, **look)
         axes.plot(switch.time, q, markeredgecolor=color, markerfacecolor="white", **_MOMENT)
     _mark_kick(axes, run)
-    axes.set(xlim=_find_span(run), ylim=_widen(axes, limits))
+    axes.set(xlim=_find_span(run))
+    values = [limits]  # And those of all lines within the time that is shown.
+    for line in axes.lines:
+        t, y = np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)
+        if line.get_transform() == axes.transData and np.any(seen := t <= axes.get_xlim()[1]):
+            values.append((np.min(y[seen]), np.max(y[seen])))
+    axes.set(ylim=(float(np.min(values)), float(np.max(values))))
     axes.legend(ncols=3, **ABOVE)
 
 
@@ -77,18 +83,6 @@ def _draw_path(
     motion = Motion.from_path("", path.times, path.states)
     shown = motion.times >= since - _SAME_TIME
     axes.plot(motion.times[shown], motion.positions[shown, coordinate], **look)
-
-
-def _widen(axes: Axes, limits: tuple[float, float]) -> tuple[float, float]:
-    """Returns limits that have all lines within the time that is shown, and what they had."""
-    values = [limits]
-    right = axes.get_xlim()[1]
-    for line in axes.lines:
-        t, y = np.asarray(line.get_xdata(), float), np.asarray(line.get_ydata(), float)
-        if line.get_transform() == axes.transData and np.any(seen := t <= right):
-            values.append((np.min(y[seen]), np.max(y[seen])))
-    low, high = np.min(values), np.max(values)
-    return float(low), float(high)
 
 
 def _find_span(run: ClosedLoopRun) -> tuple[float, float]:
@@ -151,7 +145,15 @@ def figures_of_run(run: ClosedLoopRun) -> Iterator[tuple[Figure, str]]:
         motions = [motion_of_run(run), *motions_of_switches(run)]
         plot_path(figure.subplots(), motions, world, run.scenario)
         yield figure, "The way that was simulated, and those that were planned."
-    yield from _draw_minds(run)
+    moments = [] if moves_straight(run.world) else run.switches[:_MOST_NAMED]
+    for index, switch in enumerate(moments):
+        figure = Figure(figsize=(12, 3.9), layout="constrained")
+        try:
+            plot_mind(figure.subplots(1, 3), run, index)
+        except ModelError:  # The links keep to no plane.
+            break
+        text = f"The moment at {switch.time:.2f} s, and what came after it; early links pale."
+        yield figure, text
     if run.ticks:
         figure = Figure(figsize=(9, 3.2), layout="constrained")
         plot_promises(figure.subplots(), run)
@@ -176,19 +178,3 @@ def _draw_rows(run: ClosedLoopRun) -> Figure:
     for axes in rows[:-1]:
         axes.set_xlabel("")
     return figure
-
-
-def _draw_minds(run: ClosedLoopRun) -> Iterator[tuple[Figure, str]]:
-    """Yields pictures of the moments at which plans changed, of mechanisms in a plane."""
-    if moves_straight(run.world):
-        return
-    for index, switch in enumerate(run.switches[:_MOST_NAMED]):
-        figure = Figure(figsize=(12, 3.9), layout="constrained")
-        try:
-            plot_mind(figure.subplots(1, 3), run, index)
-        except ModelError:  # The links keep to no plane.
-            return
-        yield (
-            figure,
-            f"The moment at {switch.time:.2f} s, and what came after it; early links pale.",
-        )

@@ -19,7 +19,6 @@ from drake_aigto.errors import ModelError
 from drake_aigto.paper import rigid_optimum
 from drake_aigto.planning import Plan
 from drake_aigto.show.box_playback import BoxRun
-from drake_aigto.show.coordinates import find_goal, has_goal, moves_straight
 from drake_aigto.show.cost_figures import plot_cost_history, plot_cost_landscape
 from drake_aigto.show.figures import (
     ABOVE,
@@ -41,7 +40,7 @@ from drake_aigto.show.motion import (
     positions_at,
     time_span,
 )
-from drake_aigto.show.shapes import Actor
+from drake_aigto.show.shapes import Actor, find_goal, has_goal, moves_straight
 from drake_aigto.show.stage import Stage
 from drake_aigto.show.text import touch_names
 from drake_aigto.world import Scenario, World

@@ -11,14 +11,12 @@ from matplotlib.colors import to_rgb
 from pydrake.geometry import Meshcat, Rgba
 from pydrake.math import RigidTransform
 
-from drake_aigto.arrays import Bools, Floats
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import OptionsError
 from drake_aigto.output import write_text
 from drake_aigto.planning import Plan
 from drake_aigto.show.board import Board, Panel
-from drake_aigto.show.coordinates import find_goal, has_goal, moves_straight
-from drake_aigto.show.effects import Effects
-from drake_aigto.show.film import Film
+from drake_aigto.show.effects import Effects, Film
 from drake_aigto.show.motion import (
     DOT_SECONDS,
     Motion,
@@ -29,7 +27,7 @@ from drake_aigto.show.motion import (
     time_span,
 )
 from drake_aigto.show.page import Page
-from drake_aigto.show.shapes import Actor
+from drake_aigto.show.shapes import Actor, find_goal, has_goal, moves_straight
 from drake_aigto.show.stage import Stage
 from drake_aigto.show.text import touch_names
 from drake_aigto.world import Scenario, World
@@ -120,9 +118,9 @@ def publish(motions: Sequence[Motion], meshcat: Meshcat, world: World, scenario:
     is shown by its cones in a folder "friction" of each motion, which Meshcat's controls can hide.
     The camera sees all of it. What was shown below `ROOT` before is gone.
     """
-    goals = [find_goal(world, scenario, motion.positions[-1]) for motion in motions]
-    ends = np.vstack([scenario.initial_position, *goals])
-    stage = Stage(world, np.vstack([ends, *(motion.positions for motion in motions)]))
+    goals = (find_goal(world, scenario, motion.positions[-1]) for motion in motions)
+    rows = [scenario.initial_position, *goals, *(motion.positions for motion in motions)]
+    stage = Stage(world, np.vstack(rows))
     begin, end = time_span(motions)
     film = Film(meshcat, begin, end + _HOLD, _FRAMES_PER_SECOND)
     effects = Effects(stage, world, scenario, motions, film)
@@ -131,16 +129,21 @@ def publish(motions: Sequence[Motion], meshcat: Meshcat, world: World, scenario:
     meshcat.SetObject(f"{ROOT}/board", board.mesh())
     lift = RigidTransform([0.0, 0.0, _LIFT * stage.radius])
     meshcat.SetTransform(f"{ROOT}/board", stage.X_WT @ lift)
-    has_own_colors = not moves_straight(world)
-    for index, (motion, goal) in enumerate(zip(motions, goals, strict=True)):
+    for index, motion in enumerate(motions):
         aside = RigidTransform(stage.X_WT.rotation() @ board.offset(index))
-        copy = _Copy(stage, film, aside, f"{index + 1}")
-        copy.add_still(motion.positions[0])
-        copy.add_ghosts(scenario.initial_position, goal, has_goal(world, scenario))
-        copy.add_motion(motion, Rgba(*to_rgb(color_of(index))), has_own_colors)
+        _add_copy(stage, film, world, scenario, motion, index, aside)
         effects.add(index, aside, f"{ROOT}/motions/{index + 1}")
     film.play()
-    _face_board(stage, board, meshcat)
+    # Looks at the board's middle, from a little below a level one or above an upright one.
+    low, high = board.corners
+    distance = _SLACK * float(np.max((high - low) / [_ASPECT_RATIO, 1.0])) / 2
+    distance /= np.tan(np.deg2rad(_FIELD_OF_VIEW) / 2)
+    tilt = -_TILT if abs(stage.X_WT.rotation().matrix()[2, 2]) > 0.5 else _TILT
+    middle = np.append((low + high) / 2, 0.0)
+    eye = middle + distance * np.array([0.0, np.sin(tilt), np.cos(tilt)])
+    camera = Meshcat.PerspectiveCamera(fov=_FIELD_OF_VIEW, near=distance / 100, far=2 * distance)
+    meshcat.SetCamera(camera)
+    meshcat.SetCameraPose(stage.X_WT.multiply(eye), stage.X_WT.multiply(middle))
 
 
 def save_html(meshcat: Meshcat, path: str | os.PathLike[str]) -> None:
@@ -184,14 +187,14 @@ def _lay_board(
         columns=1,
         has_lanes=stage.is_line,
     )
+
+    def find_scale(board: Board) -> float:
+        """Returns how large a meter is on a board that fills a window, in the window's heights."""
+        width, height = np.subtract(*board.corners[::-1])
+        return float(min(_ASPECT_RATIO / width, 1 / height))
+
     columns = range(1, len(motions) + 1)
-    return max((dataclasses.replace(board, columns=n) for n in columns), key=_how_large)
-
-
-def _how_large(board: Board) -> float:
-    """Returns how large a meter is on a board that fills a window, in the window's heights."""
-    width, height = np.subtract(*board.corners[::-1])
-    return float(min(_ASPECT_RATIO / width, 1 / height))
+    return max((dataclasses.replace(board, columns=n) for n in columns), key=find_scale)
 
 
 def _fill_panel(stage: Stage, motion: Motion, world: World) -> Panel:
@@ -214,65 +217,41 @@ def _fill_panel(stage: Stage, motion: Motion, world: World) -> Panel:
     )
 
 
-def _face_board(stage: Stage, board: Board, meshcat: Meshcat) -> None:
-    """Looks at the middle of the board, from a little below a level one or above an upright one."""
-    low, high = board.corners
-    half_width, half_height = (high - low) / 2
-    distance = _SLACK * max(half_height, half_width / _ASPECT_RATIO)
-    distance /= np.tan(np.deg2rad(_FIELD_OF_VIEW) / 2)
-    is_level = abs(stage.X_WT.rotation().matrix()[2, 2]) > 0.5
-    tilt = -_TILT if is_level else _TILT
-    middle = np.append((low + high) / 2, 0.0)
-    back = distance * np.array([0.0, np.sin(tilt), np.cos(tilt)])
-    camera = Meshcat.PerspectiveCamera(fov=_FIELD_OF_VIEW, near=distance / 100, far=2 * distance)
-    meshcat.SetCamera(camera)
-    meshcat.SetCameraPose(stage.X_WT.multiply(middle + back), stage.X_WT.multiply(middle))
+def _add_copy(
+    stage: Stage,
+    film: Film,
+    world: World,
+    scenario: Scenario,
+    motion: Motion,
+    index: int,
+    aside: RigidTransform,
+) -> None:
+    """Adds a copy of the world, moved aside: what stands still, ghosts, and links as they move.
 
-
-@dataclasses.dataclass(frozen=True)
-class _Copy:
-    """A copy of the world for one motion.
-
-    Attributes:
-        stage: has the shapes.
-        film: that they are added to.
-        aside: where the copy is moved to.
-        name: of its folders.
+    Links have their own colors, but balls and what has none that of the motion. Only those have a
+    ghost at the goal that a coordinate asked for moves.
     """
+    has_own_colors, asked_for = not moves_straight(world), has_goal(world, scenario)
+    first, last = motion.positions[[0, -1]]
+    goal, color = find_goal(world, scenario, last), Rgba(*to_rgb(color_of(index)))
+    # Of several rows in one frame the last one counts.
+    rows = {film.frame(time): q for time, q in zip(motion.times, motion.positions, strict=True)}
+    rows[film.last_frame] = last
 
-    stage: Stage
-    film: Film
-    aside: RigidTransform
-    name: str
-
-    def add_still(self, q: Floats) -> None:
-        """Adds what does not move."""
-        for actor in self.stage.actors:
-            if not actor.moves:
-                self._add(actor, f"worlds/{self.name}", q, actor.color or _GRAY)
-
-    def add_ghosts(self, start: Floats, goal: Floats, asked_for: Bools) -> None:
-        """Adds the links where they start, and should end if a coordinate asked for moves them."""
-        for actor in self.stage.actors:
-            if actor.moves:
-                self._add(actor, f"ghosts/{self.name}/start", start, _GHOSTS["start"])
-                if np.any(self.stage.movers_of(actor.index) & asked_for):
-                    self._add(actor, f"ghosts/{self.name}/goal", goal, _GHOSTS["goal"])
-
-    def add_motion(self, motion: Motion, color: Rgba, has_own_colors: bool) -> None:
-        """Adds the links as they move, in their own colors, if these have any, or in that given."""
-        # Of several rows in one frame the last one counts.
-        rows = dict(zip(map(self.film.frame, motion.times), motion.positions, strict=True))
-        rows[self.film.last_frame] = motion.positions[-1]
-        for actor in filter(lambda actor: actor.moves, self.stage.actors):
-            own = actor.color if has_own_colors else None
-            path = self._add(actor, f"motions/{self.name}", motion.positions[0], own or color)
-            for frame, q in rows.items():
-                self.film.move(frame, path, self.aside @ self.stage.pose(actor, q))
-
-    def _add(self, actor: Actor, folder: str, q: Floats, color: Rgba) -> str:
-        """Adds a shape where it is at q, and returns its path."""
+    def add(actor: Actor, folder: str, q: Floats, color: Rgba | None) -> str:
         path = f"{ROOT}/{folder}/{actor.name}"
-        self.film.meshcat.SetObject(path, actor.shape, color)
-        self.film.meshcat.SetTransform(path, self.aside @ self.stage.pose(actor, q))
+        film.meshcat.SetObject(path, actor.shape, color or _GRAY)
+        film.meshcat.SetTransform(path, aside @ stage.pose(actor, q))
         return path
+
+    for actor in stage.actors:
+        if not actor.moves:
+            add(actor, f"worlds/{index + 1}", first, actor.color)
+            continue
+        add(actor, f"ghosts/{index + 1}/start", scenario.initial_position, _GHOSTS["start"])
+        if np.any(stage.movers_of(actor.index) & asked_for):
+            add(actor, f"ghosts/{index + 1}/goal", goal, _GHOSTS["goal"])
+        own = actor.color if has_own_colors else None
+        path = add(actor, f"motions/{index + 1}", first, own or color)
+        for frame, q in rows.items():
+            film.move(frame, path, aside @ stage.pose(actor, q))

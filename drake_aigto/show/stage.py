@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from pydrake.geometry import Box, Sphere
 from pydrake.math import RigidTransform, RotationMatrix
-from pydrake.multibody.tree import BodyIndex, JacobianWrtVariable, Joint, PrismaticJoint, RigidBody
+from pydrake.multibody.tree import BodyIndex, JacobianWrtVariable, Joint, PrismaticJoint
 from pydrake.systems.framework import Context
 
 from drake_aigto.arrays import Bools, Floats
@@ -118,17 +119,20 @@ class Stage:
         """Returns by how much corners of moving shapes move with each coordinate, (k, 3) [m]."""
         plant, context = self._world.plant, self._set(q)
         found = []
-        for actor in filter(lambda actor: actor.moves, self.actors):
-            J = plant.CalcJacobianTranslationalVelocity(
-                context,
-                JacobianWrtVariable.kV,
-                plant.get_body(actor.index).body_frame(),
-                actor.X_BS.multiply(actor.corners.T),
-                plant.world_frame(),
-                plant.world_frame(),
-            )
+        for actor in (actor for actor in self.actors if actor.moves):
+            frame = plant.get_body(actor.index).body_frame()
+            corners = actor.X_BS.multiply(actor.corners.T)
+            J = self._calc_jacobian(context, frame, corners, plant.world_frame())
             found.append(J.T.reshape(-1, 3))
         return np.vstack(found)
+
+    def _calc_jacobian(self, context: Context, frame: Any, places: Floats, base: Any) -> Floats:
+        """Returns how places (3, k) in a frame move with v, as another frame sees it, (3 k, nv)."""
+        plant, wrt = self._world.plant, JacobianWrtVariable.kV
+        jacobian: Floats = plant.CalcJacobianTranslationalVelocity(
+            context, wrt, frame, places, base, plant.world_frame()
+        )
+        return jacobian
 
     def _set_window(self, positions: Floats) -> None:
         """Finds what is to be seen: all that moves, and walls where they are near."""
@@ -181,22 +185,18 @@ class Stage:
         if shapes:
             return
         for body in moving_bodies(self._world):
-            if not outboard_joints(self._world, body):
-                yield body.index(), self._find_tip(body)
-
-    def _find_tip(self, body: RigidBody) -> Floats:
-        """Returns the end of a link that is the farthest from its joint, shape (3,) [m]."""
-        origin = find_hinge(self._world, body)
-        ends = []
-        for actor in self.actors:
-            if actor.index == body.index():
+            if outboard_joints(self._world, body):
+                continue
+            # The end of the link that is the farthest from its joint.
+            origin = find_hinge(self._world, body)
+            ends = [origin[np.newaxis]]
+            for actor in (actor for actor in self.actors if actor.index == body.index()):
                 # The middles of a box's faces, from its corners.
                 middle, half = actor.corners.mean(axis=0), np.ptp(actor.corners, axis=0) / 2
                 faces = middle + np.vstack([np.diag(half), np.diag(-half)])
                 ends.append(actor.X_BS.multiply(faces.T).T)
-        places = np.vstack([*ends, origin])
-        tip: Floats = places[np.argmax(np.linalg.norm(places - origin, axis=1))]
-        return tip
+            places = np.vstack(ends)
+            yield body.index(), places[np.argmax(np.linalg.norm(places - origin, axis=1))]
 
     @property
     def tracer_names(self) -> list[str]:
@@ -208,13 +208,15 @@ class Stage:
 
     def trace(self, positions: Floats) -> Floats:
         """Returns where in T the tracers are, shape (tracers, K, 3), at positions (K, nq)."""
-        return np.array([[self._locate(*each, q) for q in positions] for each in self.tracers])
-
-    def _locate(self, body: BodyIndex, place: Floats, q: Floats) -> Floats:
-        plant = self._world.plant
-        X_WB = plant.EvalBodyPoseInWorld(self._set(q), plant.get_body(body))
-        located: Floats = self.X_WT.inverse().multiply(X_WB.multiply(place))
-        return located
+        X_TW, plant = self.X_WT.inverse(), self._world.plant
+        bodies = [(plant.get_body(body), place) for body, place in self.tracers]
+        traced = np.empty((len(bodies), len(positions), 3))
+        for row, q in enumerate(positions):
+            context = self._set(q)
+            for number, (body, place) in enumerate(bodies):
+                X_WB = plant.EvalBodyPoseInWorld(context, body)
+                traced[number, row] = X_TW.multiply(X_WB.multiply(place))
+        return traced
 
     def is_in_the_way(self, actor: Actor) -> bool:
         """Returns whether a shape that stands still is in the plane of motion, not behind it."""
@@ -272,15 +274,8 @@ class Stage:
             plant.GetBodyFromFrameId(inspector.GetFrameId(shape)).body_frame()
             for shape in self._world.shapes[contact]
         )
-        J = plant.CalcJacobianTranslationalVelocity(
-            context,
-            JacobianWrtVariable.kV,
-            sphere,
-            sphere.CalcPoseInWorld(context).inverse().multiply(place),
-            wall,
-            plant.world_frame(),
-        )
-        along = J @ T
+        place = sphere.CalcPoseInWorld(context).inverse().multiply(place)
+        along = self._calc_jacobian(context, sphere, place, wall) @ T
         along -= normal * (normal @ along)
         size = float(np.linalg.norm(along))
         return along / size if size > 0 else along
