@@ -261,7 +261,7 @@ class Board:
         ends, ticks = (low[0] - aside[0], high[0] - aside[0]), np.empty(0)
         for count in (4, 6, 8):  # More if fewer than two were between the ends.
             if np.sum((ends[0] <= ticks) & (ticks <= ends[1])) < 2:
-                ticks = MaxNLocator(nbins=count, steps=[1, 2, 5, 10]).tick_values(*ends)
+                ticks = np.array(MaxNLocator(nbins=count, steps=[1, 2, 5, 10]).tick_values(*ends))
         look = {"color": _INK, "ha": "center", "va": "top"}
         for x in ticks.tolist():
             at, text = x + aside[0], f"{x:.12g} m"

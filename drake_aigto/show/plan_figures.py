@@ -14,7 +14,7 @@ from pydrake.geometry import Capsule, Cylinder, Sphere
 from pydrake.math import RigidTransform
 from scipy.spatial import ConvexHull
 
-from drake_aigto.arrays import Bools, Floats
+from drake_aigto.arrays import Floats
 from drake_aigto.errors import ModelError
 from drake_aigto.paper import rigid_optimum
 from drake_aigto.planning import Plan
@@ -68,32 +68,29 @@ def figures_of_plan(plan: Plan, world: World, run: BoxRun | None) -> Iterator[tu
         plot_motions(grid, motions, world, plan.scenario, columns)
         yield figure, "Positions, velocities, controls: the plan, and simulations of its control."
     if moves_straight(world):
-        yield _draw_states(plan, world)
+        yield _draw_states(plan, motions, world)
         yield from _draw_friction(motions[0], world, plan.scenario)
     else:
         yield from draw_mechanism(motions, world, plan.scenario)
     if run is not None:
-        yield _draw_boxes(run, n)
+        figure = Figure(figsize=(4.5 * (n + 1), 4.2), layout="constrained")
+        *panels, last = figure.subplots(1, n + 1)
+        shown = [run.result.history[i] for i in run.pick(5, smallest=0.01)]
+        for coordinate, axes in enumerate(panels):
+            plot_boxes(axes, run.transcription, shown, coordinate=coordinate)
+        plot_cost_history(last, run)
+        yield (
+            figure,
+            (
+                "AIGO's boxes, center ± half width, as they shrink, and what that costs. The last "
+                "center only proposes a contact sequence; the plan is polished from it."
+            ),
+        )
 
 
-def _draw_boxes(run: BoxRun, num_positions: int) -> tuple[Figure, str]:
-    """Returns a figure of the boxes around each coordinate, and of what they cost."""
-    figure = Figure(figsize=(4.5 * (num_positions + 1), 4.2), layout="constrained")
-    *panels, last = figure.subplots(1, num_positions + 1)
-    shown = [run.result.history[i] for i in run.pick(5, smallest=0.01)]
-    for coordinate, axes in enumerate(panels):
-        plot_boxes(axes, run.transcription, shown, coordinate=coordinate)
-    plot_cost_history(last, run)
-    return (
-        figure,
-        "AIGO's boxes, center ± half width, as they shrink, and what that costs. The last center "
-        "only proposes a contact sequence; the plan is polished from it.",
-    )
-
-
-def _draw_states(plan: Plan, world: World) -> tuple[Figure, str]:
+def _draw_states(plan: Plan, motions: Sequence[Motion], world: World) -> tuple[Figure, str]:
     """Returns a figure of states against each other, and what a touch costs where that is known."""
-    motions, n = motions_of_plan(plan, world), world.num_positions
+    n = world.num_positions
     figure = Figure(figsize=(4.5 * max(n + (n > 1), 2), 4.6), layout="constrained")
     *portraits, last = figure.subplots(1, max(n + (n > 1), 2))
     for coordinate, axes in enumerate(portraits):
@@ -136,7 +133,9 @@ def draw_mechanism(
         panels = figure.subplots(1, len(shown), squeeze=False)[0]
         for index, motion in enumerate(shown):
             plot_strobe(panels[index], motion, world, scenario, index=index)
-        figure.set_size_inches(9, _find_height(panels[0]))
+        # Two panels side by side have one scale.
+        width, height = np.ptp(panels[0].get_xlim()), np.ptp(panels[0].get_ylim())
+        figure.set_size_inches(9, float(np.clip(1.0 + 4.0 * height / width, 2.5, 7.0)))
         yield figure, "Links at evenly spaced times, the early ones pale; the goal is dashed."
     except ModelError:  # They keep to no plane.
         pass
@@ -199,40 +198,24 @@ def plot_strobe(
     moments = positions_at(motion, np.linspace(*time_span([motion]), count))
     for alpha, q in zip(np.linspace(_PALEST, 1, count), moments, strict=True):
         for actor in moving:
-            look = {"facecolor": _color(actor, index), "edgecolor": "#222222", "linewidth": 0.4}
+            color = actor.color
+            own = (color.r(), color.g(), color.b()) if color else to_rgb(color_of(index))
+            look = {"facecolor": own, "edgecolor": "#222222", "linewidth": 0.4}
             _draw(axes, stage, [actor], q, {**look, "alpha": alpha, "zorder": 2 + alpha})
     asked = [actor for actor in moving if np.any(stage.movers_of(actor.index) & is_asked)]
     _draw(axes, stage, asked, goal, _GOAL)
-    _draw_ways(axes, stage, motion, color_of(index))
-    letters = [_name_axis(axis) for axis in stage.X_WT.rotation().matrix().T[:2]]
-    (left, bottom), (right, top) = stage.low, stage.high
-    axes.set(xlim=(left, right), ylim=(bottom, top), aspect="equal")
-    axes.set(xlabel=f"{letters[0]} [m]", ylabel=f"{letters[1]} [m]")
-    axes.legend(ncols=3, **ABOVE)
-
-
-def _find_height(axes: Axes) -> float:
-    """Returns how high a figure of two panels side by side has to be for their one scale [in]."""
-    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    return float(np.clip(1.0 + 4.0 * (top - bottom) / (right - left), 2.5, 7.0))
-
-
-def _draw_ways(axes: Axes, stage: Stage, motion: Motion, color: str) -> None:
-    """Draws the way of what tells the motion, and where contacts are."""
+    line: dict[str, Any] = {"color": color_of(index), "linewidth": 1.2}
     for way in stage.trace(motion.positions):
-        axes.plot(*way[:, :2].T, color=color, linewidth=1.2, alpha=0.8, zorder=3.5)
-    axes.plot([], [], color=color, linewidth=1.2, label=motion.label)
+        axes.plot(*way[:, :2].T, alpha=0.8, zorder=3.5, **line)
+    axes.plot([], [], label=motion.label, **line)
     touches = stage.place_touches(motion, motion.impacts)
     if len(touches):
-        axes.plot(*touches.T, "o", markeredgecolor=color, label="contact", **HOLLOW)
+        axes.plot(*touches.T, "o", markeredgecolor=color_of(index), label="contact", **HOLLOW)
     axes.plot([], [], color=_GOAL["edgecolor"], linestyle=_GOAL["linestyle"], label="goal")
-
-
-def _color(actor: Actor, index: int) -> tuple[float, float, float]:
-    """Returns a link's own color, or its motion's."""
-    if actor.color is None:
-        return to_rgb(color_of(index))
-    return actor.color.r(), actor.color.g(), actor.color.b()
+    xlabel, ylabel = (_name_axis(axis) for axis in stage.X_WT.rotation().matrix().T[:2])
+    (left, bottom), (right, top) = stage.low, stage.high
+    axes.set(xlim=(left, right), ylim=(bottom, top), xlabel=xlabel, ylabel=ylabel, aspect="equal")
+    axes.legend(ncols=3, **ABOVE)
 
 
 def _draw(
@@ -263,9 +246,9 @@ def _find_points(actor: Actor, X_TS: RigidTransform) -> Iterator[Floats]:
 
 
 def _name_axis(axis: Floats) -> str:
-    """Returns which of the world's axes is nearest to a direction."""
+    """Returns which of the world's axes is nearest to a direction, with its unit."""
     largest = int(np.argmax(np.abs(axis)))
-    return ("" if axis[largest] > 0 else "−") + "xyz"[largest]
+    return f"{'' if axis[largest] > 0 else '−'}{'xyz'[largest]} [m]"
 
 
 def plot_contact_forces(
@@ -316,64 +299,41 @@ def plot_friction(axes: Axes, motion: Motion, world: World, scenario: Scenario) 
     has_forces = bool(np.any(forces.largest > 0)) or not has_impulses
     drawn = [axes] * has_forces
     if has_forces:
-        _plot_forces(axes, motion, world, forces)
+        _plot_tangents(axes, motion, world, forces)
+        axes.set_ylabel("friction [N]")
     if has_impulses:
         drawn.append(axes.twinx() if has_forces else axes)
-        _plot_impulses(drawn[-1], motion, world, impulses)
+        _plot_tangents(drawn[-1], motion, world, impulses, are_impulses=True)
+        drawn[-1].use_sticky_edges = False
+        drawn[-1].margins(y=0.1)
+        drawn[-1].set_xlim(motion.times[0], motion.times[-1])
+        drawn[-1].axhline(0.0, color="#888888", linewidth=0.6)
+        drawn[-1].set_ylabel("friction [N s]")
     axes.set_xlabel("time t [s]")
     handles = [handle for each in drawn for handle in each.get_legend_handles_labels()[0]]
     if handles:
         axes.legend(handles=handles, ncols=2, **ABOVE)
 
 
-def _plot_forces(axes: Axes, motion: Motion, world: World, friction: Friction) -> None:
-    """Draws forces as lines, and marks on them."""
-    names = touch_names(world)
-    for index, contact in enumerate(_sliding(friction)):
-        force, most = friction.tangents[:, contact], friction.largest[:, contact]
-        color, name = color_of(index), names[contact]
-        axes.fill_between(
-            motion.times, -most, most, edgecolor=color, label=f"cone of {name}", **_HATCHED
-        )
-        axes.plot(motion.times, force, color=color, label=f"friction of {name}")
-        _mark(axes, motion, friction, contact, color, most > 0)
-    axes.set_ylabel("friction [N]")
-
-
-def _plot_impulses(axes: Axes, motion: Motion, world: World, friction: Friction) -> None:
-    """Draws cones as bars, and marks in them."""
-    names, width = touch_names(world), _WIDTH * (motion.times[-1] - motion.times[0])
-    for index, contact in enumerate(_sliding(friction)):
-        struck = friction.largest[:, contact] > 0
-        most, color = friction.largest[struck, contact], color_of(index)
-        look: dict[str, Any] = {"edgecolor": color, "label": f"cone of {names[contact]}"}
-        axes.bar(motion.times[struck], 2 * most, width, -most, **look, **_HATCHED)
-        _mark(axes, motion, friction, contact, color, struck, f"{names[contact]} ")
-    axes.use_sticky_edges = False
-    axes.margins(y=0.1)
-    axes.set_xlim(motion.times[0], motion.times[-1])
-    axes.axhline(0.0, color="#888888", linewidth=0.6)
-    axes.set_ylabel("friction [N s]")
-
-
-def _sliding(friction: Friction) -> list[int]:
-    """Returns the contacts with friction."""
-    found: list[int] = np.flatnonzero(np.any(friction.largest > 0, axis=0)).tolist()
-    return found
-
-
-def _mark(
-    axes: Axes,
-    motion: Motion,
-    friction: Friction,
-    contact: int,
-    color: str,
-    acts: Bools,
-    of: str = "",
+def _plot_tangents(
+    axes: Axes, motion: Motion, world: World, friction: Friction, are_impulses: bool = False
 ) -> None:
-    """Marks where a contact sticks, by rings, and slips, by crosses, in the rows where it acts."""
-    force, is_slow = friction.tangents[:, contact], friction.sticks[:, contact]
-    for name, marker, rows in (("sticks", "o", is_slow), ("slips", "x", ~is_slow)):
-        if np.any(at := rows & acts):
-            look: dict[str, Any] = {"color": color, "fillstyle": "none", "label": f"{of}{name}"}
-            axes.plot(motion.times[at], force[at], marker, **look)
+    """Draws cones and friction in them: forces as lines, impulses as bars, and marks on them."""
+    sliding = np.flatnonzero(np.any(friction.largest > 0, axis=0)).tolist()
+    width = _WIDTH * (motion.times[-1] - motion.times[0])
+    for index, contact in enumerate(sliding):
+        name, color = touch_names(world)[contact], color_of(index)
+        force, most = friction.tangents[:, contact], friction.largest[:, contact]
+        acts = most > 0
+        look: dict[str, Any] = {"edgecolor": color, "label": f"cone of {name}", **_HATCHED}
+        if are_impulses:
+            axes.bar(motion.times[acts], 2 * most[acts], width, -most[acts], **look)
+        else:
+            axes.fill_between(motion.times, -most, most, **look)
+            axes.plot(motion.times, force, color=color, label=f"friction of {name}")
+        is_slow = friction.sticks[:, contact]
+        for mode, marker, rows in (("sticks", "o", is_slow), ("slips", "x", ~is_slow)):
+            if np.any(at := rows & acts):
+                look = {"color": color, "fillstyle": "none"}
+                label = f"{name} {mode}" if are_impulses else mode
+                axes.plot(motion.times[at], force[at], marker, label=label, **look)
