@@ -196,17 +196,11 @@ def find_held(motion: Motion) -> Ints:
     return np.clip(rows, 0, len(motion.control_times) - 2)
 
 
-def find_dots(motion: Motion) -> Floats:
-    """Returns q every 0.05 s and at the end, shape (d, nq) [m]."""
-    begin, end = motion.times[0], motion.times[-1]
-    return positions_at(motion, np.append(np.arange(begin, end, DOT_SECONDS), end))
-
-
-def find_legs(motion: Motion) -> list[Floats]:
-    """Returns the same from impact to impact, both ends included, each of shape (k, nq) [m]."""
+def find_legs(motion: Motion, impacts: Sequence[Touch]) -> list[Floats]:
+    """Returns q every 0.05 s from impact to impact, both ends included, shape (k, nq) each [m]."""
     begin, end = float(motion.times[0]), float(motion.times[-1])
     breaks = [begin]
-    for touch in motion.impacts:
+    for touch in impacts:
         if min(touch.start - breaks[-1], end - touch.start) > _SHORTEST_LEG:
             breaks.append(touch.start)
     dots = np.arange(begin, end, DOT_SECONDS)
@@ -306,13 +300,8 @@ def _calc_impulses(motion: Motion, world: World) -> Floats:
         rows = np.flatnonzero(np.abs(motion.times - time) <= _AT * motion.times[-1])
         contacts = np.unique([t.contact for t in motion.impacts if t.start == time])
         if len(rows):
-            found[:, rows[-1], contacts] = _read_impulses(motion, world, rows, contacts)
+            # They make of the first row's velocity the last one's.
+            q, change = motion.positions[rows[0]], np.subtract(*motion.velocities[rows[[-1, 0]]])
+            kicks = np.linalg.solve(world.calc_mass_matrix(q), stack_rows(world, q, contacts).T)
+            found[:, rows[-1], contacts] = np.linalg.lstsq(kicks, change)[0].reshape(2, -1)
     return found
-
-
-def _read_impulses(motion: Motion, world: World, rows: Ints, contacts: Ints) -> Floats:
-    """Returns what makes of the first row's velocity the last one's, shape (2, contacts) [N s]."""
-    q, change = motion.positions[rows[0]], np.diff(motion.velocities[rows[[0, -1]]], axis=0)[0]
-    kicks = np.linalg.solve(world.calc_mass_matrix(q), stack_rows(world, q, contacts).T)
-    impulses: Floats = np.linalg.lstsq(kicks, change)[0].reshape(2, -1)
-    return impulses

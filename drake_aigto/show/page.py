@@ -37,10 +37,6 @@ class Page:
         """Adds a heading of a part."""
         self._parts.append(f"<h2>{html.escape(text)}</h2>")
 
-    def subheading(self, text: str) -> None:
-        """Adds a heading within a part."""
-        self._parts.append(f"<h3>{html.escape(text)}</h3>")
-
     def paragraph(self, text: str) -> None:
         """Adds a paragraph."""
         self._parts.append(f"<p>{html.escape(text)}</p>")

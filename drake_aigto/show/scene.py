@@ -21,7 +21,6 @@ from drake_aigto.show.motion import (
     DOT_SECONDS,
     Motion,
     color_of,
-    find_dots,
     find_legs,
     motions_of_plan,
     time_span,
@@ -199,7 +198,7 @@ def _lay_board(
 
 def _fill_panel(stage: Stage, motion: Motion, world: World) -> Panel:
     """Returns the ways of a motion, of what moves along a line leg beside leg, and its contacts."""
-    legs = find_legs(motion) if stage.is_line else [find_dots(motion)]
+    legs = find_legs(motion, motion.impacts if stage.is_line else ())
     dots = [stage.trace(leg)[..., :2] for leg in legs]
     ways = stage.trace(motion.positions)[..., :2]
     if stage.is_line:

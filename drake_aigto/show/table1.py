@@ -64,8 +64,7 @@ def format_table1(table: Table1) -> str:
 
 
 def _blocks(table: Table1) -> Iterator[str]:
-    rows = {cell.row for cell in table.literal} | {cell.row for cell in table.rigid}
-    for row in sorted(rows):
+    for row in sorted({cell.row for cell in (*table.literal, *table.rigid)}):
         scenario, paper = Scenario.named(f"table1/{row}"), PAPER_COSTS[row]
         yield ""
         yield f"Row {row}: {', '.join(task_items(scenario))}, ε = {scenario.epsilon:g} J"
@@ -117,25 +116,23 @@ def _excess(cell: RigidCell, cost: float) -> str:
 def _method_lines(methods: Iterable[Method]) -> Iterator[str]:
     for method in methods:
         for entry in method.entries:
-            yield _entry_line(entry, method.seconds if entry is method.best else None)
+            run, seconds = entry.candidate, f"{method.seconds:.1f}" if entry is method.best else ""
+            start = f"{run.start_cost:.0e}/{max(run.start_defects.values()):.0e}"
+            cost, defect, *others = _numbers(entry, 1)
+            defect += "" if run.is_feasible else "*"
+            yield _join((f"  {entry.label}", start, cost, defect, *others, seconds))
 
 
-def _entry_line(entry: Entry, seconds: float | None) -> str:
-    run, rigid, drake = entry.candidate, entry.replays.event_driven, entry.replays.drake
-    _, defect, *others = run_texts(run)
-    return _join(
-        (
-            f"  {entry.label}",
-            f"{run.start_cost:.0e}/{max(run.start_defects.values()):.0e}",
-            cost_text(run.cost, 1),
-            f"{defect}{'' if run.is_feasible else '*'}",
-            *others,
-            cost_text(rigid.cost, 1),
-            length_text(rigid.goal_error),
-            "-" if drake is None else cost_text(drake.cost, 1),
-            "holds" if entry.holds else "fails",
-            "" if seconds is None else f"{seconds:.1f}",
-        )
+def _numbers(entry: Entry, digits: int = 2) -> tuple[str, ...]:
+    """Returns a plan's numbers, and those of simulations of its control."""
+    rigid, drake = entry.replays.event_driven, entry.replays.drake
+    return (
+        cost_text(entry.candidate.cost, digits),
+        *run_texts(entry.candidate)[1:],
+        cost_text(rigid.cost, digits),
+        length_text(rigid.goal_error),
+        "-" if drake is None else cost_text(drake.cost, digits),
+        "holds" if entry.holds else "fails",
     )
 
 
@@ -179,9 +176,16 @@ def report_table1(table: Table1, progress: Callable[[str], None] | None = None) 
     """
     say = progress or (lambda line: None)
     page = Page("Table I of AIGTO, and what its plans do on a rigid wall")
-    _add_verdict(page, table)
+    for name, cells in (("rigid", table.rigid), ("literal", table.literal)):
+        if entries := entries_of(cells):
+            held = sum(entry.holds for entry in entries)
+            text = f"{held} of {len(entries)} plans of the {name} transcription hold in simulation."
+            page.verdict(text, held == len(entries))
+    if table.num_missing:
+        missing = f"{table.num_missing} of {3 * len(table.rows)} cells"
+        page.paragraph(f"Interrupted: {missing} of the table are not done.")
     page.heading("The question")
-    rows = sorted({cell.row for cell in _cells(table)})
+    rows = sorted({cell.row for cell in (*table.literal, *table.rigid)})
     tasks = f"{len(rows)} tasks" if len(rows) > 1 else "one task"
     page.paragraph(f"A point mass before a wall: {tasks} of the paper's four.")
     page.code(PROBLEM)
@@ -194,35 +198,11 @@ def report_table1(table: Table1, progress: Callable[[str], None] | None = None) 
     page.heading("All numbers")
     page.code(format_table1(table).strip())
     page.heading("How to reproduce it")
-    page.code(_command(table))
+    asked = f"--rows {' '.join(map(str, table.rows))} --guesses {table.num_guesses}"
+    confirm = "" if table.confirm else " --no-confirm"
+    page.code(f"drake-aigto table1 {asked} --seed {table.seed}{confirm} --html table1.html")
     page.paragraph(f"Times apart, the numbers will be the same. {describe_versions()}")
     return page.to_html()
-
-
-def _command(table: Table1) -> str:
-    """Returns the command line that asks for the same table."""
-    rows = " ".join(map(str, table.rows))
-    confirm = "" if table.confirm else " --no-confirm"
-    return (
-        f"drake-aigto table1 --rows {rows} --guesses {table.num_guesses} --seed {table.seed}"
-        f"{confirm} --html table1.html"
-    )
-
-
-def _add_verdict(page: Page, table: Table1) -> None:
-    """Adds how many plans of each transcription hold."""
-    for name, cells in (("rigid", table.rigid), ("literal", table.literal)):
-        if entries := entries_of(cells):
-            held = sum(entry.holds for entry in entries)
-            text = f"{held} of {len(entries)} plans of the {name} transcription hold in simulation."
-            page.verdict(text, held == len(entries))
-    if table.num_missing:
-        missing = f"{table.num_missing} of {3 * len(table.rows)} cells"
-        page.paragraph(f"Interrupted: {missing} of the table are not done.")
-
-
-def _cells(table: Table1) -> list[Cell | RigidCell]:
-    return [*table.literal, *table.rigid]
 
 
 def _add_row(page: Page, table: Table1, row: int) -> None:
@@ -233,14 +213,19 @@ def _add_row(page: Page, table: Table1, row: int) -> None:
         f"The paper's costs: gradient {paper.gradient:g}, AIGTO {paper.aigto:g}. They come without "
         "defects or simulations."
     )
-    page.table(_HEADER, _number_rows(table, row))
-    for cell in table.rigid:
-        if cell.row == row:
+    cells = [cell for cell in (*table.literal, *table.rigid) if cell.row == row]
+    bounds = [f", {_bound(cell)}" if isinstance(cell, Cell) else "" for cell in cells]
+    named = zip(cells, bounds, strict=True)
+    rows = (
+        (f"{e.label}{bound}", *_numbers(e)) for cell, bound in named for e in entries_of([cell])
+    )
+    page.table(_HEADER, rows)
+    for cell in cells:
+        if isinstance(cell, RigidCell):
             cost = cost_text(cell.optimum.cost, 4)
             page.paragraph(f"The exact optimum on a rigid wall costs {cost}.")
     world = World.from_scenario(scenario)
-    entries = _pick_entries(table, row)
-    motions = [motion for entry in entries for motion in _make_motions(entry, world)]
+    motions = _make_motions(table, row, world)
     figure = Figure(figsize=(9, 6.5), layout="constrained")
     axes = figure.subplots(3, 1, sharex=True)
     plot_motions(axes, motions, world, scenario)
@@ -261,56 +246,33 @@ def frame(axes: Axes, unit: str, values: Sequence[Floats], simulated: Sequence[F
         axes.set_title(text, loc="right", fontsize="small")
 
 
-def _number_rows(table: Table1, row: int) -> Iterator[tuple[str, ...]]:
-    for cell in _cells(table):
-        if cell.row != row:
-            continue
-        bound = ""
-        if isinstance(cell, Cell):
-            bound = ", φ ≥ 0" if cell.nonpenetration else ", φ free"
-        for entry in entries_of([cell]):
-            yield _number_row(f"{entry.label}{bound}", entry)
+def _make_motions(table: Table1, row: int, world: World) -> list[Motion]:
+    """Returns plans, each with the rigid simulation of its control, as far as they were run.
 
-
-def _number_row(name: str, entry: Entry) -> tuple[str, ...]:
-    rigid, drake = entry.replays.event_driven, entry.replays.drake
-    return (
-        name,
-        cost_text(entry.candidate.cost),
-        *run_texts(entry.candidate)[1:],
-        cost_text(rigid.cost),
-        length_text(rigid.goal_error),
-        "-" if drake is None else cost_text(drake.cost),
-        "holds" if entry.holds else "fails",
-    )
-
-
-def _pick_entries(table: Table1, row: int) -> list[Entry]:
-    """Returns the rigid plan and a gradient solver's from zero, as far as they were run."""
+    They are the rigid plan, and a gradient solver's from zero.
+    """
     rigid = [method.best for cell in table.rigid if cell.row == row for method in cell.methods]
     literal = [cell.methods[0].best for cell in table.literal if cell.row == row]
-    return [*rigid[:1], *literal[:1]]
-
-
-def _make_motions(entry: Entry, world: World) -> tuple[Motion, Motion]:
-    """Returns a plan, and the rigid simulation of its control."""
-    rigid = f"{entry.label}: {SIMULATION_LABELS['event-driven']}"
-    return (
-        Motion.from_trajectory(entry.candidate.trajectory, world, f"{entry.label}: {PLAN_LABEL}"),
-        Motion.from_replay(entry.replays.event_driven, rigid),
-    )
+    motions = []
+    for entry in (*rigid[:1], *literal[:1]):
+        labels = (
+            f"{entry.label}: {PLAN_LABEL}",
+            f"{entry.label}: {SIMULATION_LABELS['event-driven']}",
+        )
+        motions.append(Motion.from_trajectory(entry.candidate.trajectory, world, labels[0]))
+        motions.append(Motion.from_replay(entry.replays.event_driven, labels[1]))
+    return motions
 
 
 def _record(table: Table1, row: int) -> str:
     """Returns Meshcat's page of a row."""
     scenario = Scenario.named(f"table1/{row}")
     world = World.from_scenario(scenario)
-    motions = []
-    for entry in _pick_entries(table, row):
-        planned, simulated = _make_motions(entry, world)
-        control = entry.candidate.trajectory
-        motions += [planned, simulated.under(control.times, control.controls)]
+    motions = _make_motions(table, row, world)
+    for index, planned in enumerate(motions[::2]):
+        assert planned.control_times is not None and planned.controls is not None
+        simulated = motions[2 * index + 1]
+        motions[2 * index + 1] = simulated.under(planned.control_times, planned.controls)
     meshcat = open_meshcat(_ANY_PORT)
     publish(motions, meshcat, world, scenario)
-    page: str = meshcat.StaticHtml()
-    return page
+    return str(meshcat.StaticHtml())
