@@ -64,7 +64,7 @@ def format_table1(table: Table1) -> str:
 
 
 def _blocks(table: Table1) -> Iterator[str]:
-    for row in sorted({cell.row for cell in (*table.literal, *table.rigid)}):
+    for row in sorted({cell.row for cell in _cells(table)}):
         scenario, paper = Scenario.named(f"table1/{row}"), PAPER_COSTS[row]
         yield ""
         yield f"Row {row}: {', '.join(task_items(scenario))}, ε = {scenario.epsilon:g} J"
@@ -185,7 +185,7 @@ def report_table1(table: Table1, progress: Callable[[str], None] | None = None) 
         missing = f"{table.num_missing} of {3 * len(table.rows)} cells"
         page.paragraph(f"Interrupted: {missing} of the table are not done.")
     page.heading("The question")
-    rows = sorted({cell.row for cell in (*table.literal, *table.rigid)})
+    rows = sorted({cell.row for cell in _cells(table)})
     tasks = f"{len(rows)} tasks" if len(rows) > 1 else "one task"
     page.paragraph(f"A point mass before a wall: {tasks} of the paper's four.")
     page.code(PROBLEM)
@@ -205,6 +205,10 @@ def report_table1(table: Table1, progress: Callable[[str], None] | None = None) 
     return page.to_html()
 
 
+def _cells(table: Table1) -> list[Cell | RigidCell]:
+    return [*table.literal, *table.rigid]
+
+
 def _add_row(page: Page, table: Table1, row: int) -> None:
     """Adds a row's task, numbers and figure."""
     scenario, paper = Scenario.named(f"table1/{row}"), PAPER_COSTS[row]
@@ -213,7 +217,7 @@ def _add_row(page: Page, table: Table1, row: int) -> None:
         f"The paper's costs: gradient {paper.gradient:g}, AIGTO {paper.aigto:g}. They come without "
         "defects or simulations."
     )
-    cells = [cell for cell in (*table.literal, *table.rigid) if cell.row == row]
+    cells = [cell for cell in _cells(table) if cell.row == row]
     bounds = [f", {_bound(cell)}" if isinstance(cell, Cell) else "" for cell in cells]
     named = zip(cells, bounds, strict=True)
     rows = (
