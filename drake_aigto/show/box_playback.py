@@ -264,11 +264,12 @@ def run_boxes(plan: Plan, world: World | None = None) -> BoxRun:
     if plan.additions:
         names = ", ".join(plan.additions)
         raise _refuse(f"costs or constraints of one's own, by name only ({names})")
-    problem: ProgramTask = (
-        make_literal_task(world, plan.scenario, plan.options)
-        if isinstance(plan.options, LiteralOptions)
-        else make_ball_task(world, plan.scenario, plan.options)
-    )
+    problem: ProgramTask
+    if isinstance(plan.options, LiteralOptions):
+        problem = make_literal_task(world, plan.scenario, plan.options)
+    else:
+        assert isinstance(plan.options, PlanOptions)
+        problem = make_ball_task(world, plan.scenario, plan.options)
     algorithm = problem.make_algorithm(rung)
     if isinstance(algorithm, Annealing):
         algorithm = SlowMotion(algorithm)
