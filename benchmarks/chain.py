@@ -2,7 +2,7 @@
 
     python -m benchmarks.chain [--sizes 2 10 26 50 82 122 170] [--functions 10] [--large 1000 10000]
         [--first-seed 0] [--patience 0] [--factor 1] [--aigo-seed 0] [--workers 1] [--minutes 9]
-        [--out DIR] [--reread]
+        [--out DIR]
 
 Ours is timed first, from the program to the answer; each peer then gets as many seconds on the same
 core, times `--factor`. gap = (f − f*) / |f*|, f* by dynamic programming; the paper's score is

@@ -1,7 +1,7 @@
 """AIGO on constrained programs whose global optimum is known, and multistart SNOPT beside it.
 
     python -m benchmarks.constrained_programs [--only HS] [--factor 1] [--aigo-seed 0]
-        [--workers 1] [--minutes 9] [--out DIR] [--reread]
+        [--workers 1] [--minutes 9] [--out DIR]
 
 Global: constraints and bounds hold to 1e-6, and f − f* ≤ 1e-5 max(1, |f*|). A success that is not
 feasible to 1e-6 is counted apart: there must be none. SNOPT starts from random points of the box

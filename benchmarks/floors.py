@@ -5,8 +5,7 @@
 Random starts, goals, durations, masses and gravities, e in turn from 1 to 0. A plan succeeds if its
 event-driven replay costs no more than 1.01 J* + 1e-7, where J* is the best that a search knows
 which is no part of the package (`floor_optimum`), and doing nothing. What costs less than J* is
-reported: then J* is not what it is said to be. With `--rival`, CMA-ES searches for that, too, on
-the same replay.
+reported: then J* is not what it is said to be.
 
 Exits with 1 if fewer than 95 % succeed.
 """
@@ -23,7 +22,6 @@ from pydrake.multibody.parsing import Parser
 from pydrake.multibody.plant import AddMultibodyPlantSceneGraph
 from pydrake.systems.framework import DiagramBuilder
 
-from benchmarks.baselines import run_baseline
 from benchmarks.floor_reference import FloorMotion, floor_optimum
 from benchmarks.script import read_flags, run_all, run_as
 from drake_aigto.errors import AigtoError
@@ -42,24 +40,22 @@ OPTIONS = PlanOptions(confirm=False, threads=1)
 
 @dataclass(frozen=True)
 class Job:
-    """One scenario, how strongly it is pulled down [m/s²], and whether a rival tries it."""
+    """One scenario, how strongly it is pulled down [m/s²], and the mass [kg]."""
 
     scenario: Scenario
     gravity: float
     mass: float
-    rival_seconds: float
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of it: the best that is known, and what the plan and its rival cost."""
+    """What became of it: the best that is known, and what the plan costs."""
 
     job: Job
     known: FloorMotion
     cost: float
     seconds: float
     told: str
-    rival: float
 
     @property
     def succeeded(self) -> bool:
@@ -109,10 +105,7 @@ def run(job: Job) -> Outcome:
     seconds = time.perf_counter() - start
     cost = made.replay.event_driven.cost if made else np.inf
     told = f"{made.best.origin}: {made.best.describe_contacts()}" if made else "no plan"
-    rival = np.inf
-    if job.rival_seconds:
-        rival = run_baseline("cma-es", world, scenario, job.rival_seconds, seed=0).cost
-    return Outcome(job, known, cost, seconds, told, rival)
+    return Outcome(job, known, cost, seconds, told)
 
 
 def plan(world: World, scenario: Scenario) -> Plan | None:
@@ -135,9 +128,8 @@ def report(outcomes: list[Outcome]) -> bool:
         )
         if not outcome.succeeded:
             print(f"MISSED  {outcome.cost:.4e} by {outcome.told}; known {known}: {about}")
-        if min(outcome.cost, outcome.rival) < (1 - RELATIVE) * known.cost - ABSOLUTE:
-            least = f"plan {outcome.cost:.4e}, rival {outcome.rival:.4e}"
-            print(f"BELOW the known {known.cost:.4e}: {least}, {about}")
+        if outcome.cost < (1 - RELATIVE) * known.cost - ABSOLUTE:
+            print(f"BELOW the known {known.cost:.4e}: plan {outcome.cost:.4e}, {about}")
     count, right = len(outcomes), sum(outcome.succeeded for outcome in outcomes)
     print(f"floors, the best known: {right} of {count}, asked: {ASKED:.0%}")
     for e in RESTITUTIONS:
@@ -155,13 +147,8 @@ def report(outcomes: list[Outcome]) -> bool:
 
 def main() -> int:
     """Runs all scenarios and returns the exit status."""
-    options = read_flags(
-        __doc__,
-        count=(200, ""),
-        seed=(0, ""),
-        rival=(0.0, "seconds of CMA-ES, for each"),
-    )
-    jobs = [Job(*each, options.rival) for each in draw(options.count, options.seed)]
+    options = read_flags(__doc__, count=(200, ""), seed=(0, ""))
+    jobs = [Job(*each) for each in draw(options.count, options.seed)]
     outcomes = run_all(run, jobs, options)
     is_enough = report(outcomes)
     print(f"{len(outcomes)} of {len(jobs)} scenarios done")

@@ -1,7 +1,7 @@
 """AIGO and its peers on the test functions of the literature, at equal time on one core.
 
     python -m benchmarks.global_functions [--seeds 3] [--factor 1] [--only Rastrigin]
-        [--univariate 200] [--aigo-seed 0] [--workers 1] [--minutes 9] [--out DIR] [--reread]
+        [--univariate 200] [--aigo-seed 0] [--workers 1] [--minutes 9] [--out DIR]
 
 Ours is timed first, from the program to the answer; each peer then gets as many seconds, times
 `--factor`. Two measures of "solved":
@@ -70,7 +70,7 @@ def main() -> None:
 
 
 def functions(arguments: argparse.Namespace) -> list[Record]:
-    """Runs, or reads, all test functions."""
+    """Runs all test functions."""
     names = [name for name in problems_by_name() if arguments.only in name]
     work = partial(
         run, seeds=arguments.seeds, factor=arguments.factor, aigo_seed=arguments.aigo_seed
@@ -166,7 +166,7 @@ def more_solved(records: Sequence[Record], measure: str) -> list[str]:
 
 
 def univariate(count: int, arguments: argparse.Namespace) -> list[Record]:
-    """Runs, or reads, this many random polynomials of each degree, ours alone."""
+    """Runs this many random polynomials of each degree, ours alone."""
     jobs = [
         (degree, range(first, min(first + BATCH, count)))
         for degree in DEGREES

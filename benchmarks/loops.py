@@ -6,8 +6,7 @@
 The annealing moves one node at a time and adds up only what that node appears in (Numba). Steps
 follow the acceptance, a tenth of the moves draw anew, and it cools by powers from moves' usual
 change of f to a hundredth. It runs three times in the given seconds, and L-BFGS-B ends each run.
-Gap: (f − best) / |best|, of the best that both, and a longer annealing (`--long` times the
-seconds), know.
+Gap: (f − best) / |best|, of the best that both know.
 """
 
 from __future__ import annotations
@@ -70,12 +69,11 @@ def main() -> None:
         count=(3, "functions of each family"),
         first_seed=(100, ""),
         seconds=(10.0, "of the annealing"),
-        long=(0.0, "times as long, to know better"),
     )
     print(machine())
     seeds = range(arguments.first_seed, arguments.first_seed + arguments.count)
     jobs = [(family, arguments.size, seed) for family in arguments.families for seed in seeds]
-    work = partial(run, seconds=arguments.seconds, longer=arguments.long)
+    work = partial(run, seconds=arguments.seconds)
     runs = run_all(work, jobs, arguments)
     for each in runs:
         print(
@@ -98,7 +96,7 @@ def summarise(family: str, runs: list[Run]) -> None:
     )
 
 
-def run(job: tuple[str, int, int], *, seconds: float, longer: float) -> Run:
+def run(job: tuple[str, int, int], *, seconds: float) -> Run:
     """Solves one function both ways; all is compiled before it is timed."""
     family, size, seed = job
     AigoSolver().Solve(loop_problem(family, 3, 0).prog())
@@ -109,8 +107,7 @@ def run(job: tuple[str, int, int], *, seconds: float, longer: float) -> Run:
     ours = AigoSolver().Solve(prog).get_optimal_cost()
     took = time.process_time() - begin
     annealed = anneal(problem, seconds, seed)
-    best = anneal(problem, longer * seconds, seed + 1) if longer else np.inf
-    return Run(problem.name, ours, annealed, min(ours, annealed, best), took)
+    return Run(problem.name, ours, annealed, min(ours, annealed), took)
 
 
 def anneal(problem: LoopProblem, seconds: float, seed: int) -> float:

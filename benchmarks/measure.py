@@ -114,9 +114,3 @@ def write_csv(path: Path, records: Sequence[Any], note: str) -> None:
         writer.writeheader()
         writer.writerows(asdict(record) for record in records)
     unfinished.replace(path)
-
-
-def read_rows(path: Path) -> list[dict[str, str]]:
-    """Reads what `write_csv` wrote, as text."""
-    with path.open(newline="", encoding="utf-8") as file:
-        return list(csv.DictReader(line for line in file if not line.startswith("#")))

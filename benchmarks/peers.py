@@ -26,7 +26,7 @@ from benchmarks.collections.global_problem import GlobalProblem
 from benchmarks.collections.known_optimum import KnownOptimum
 from benchmarks.collections.scalable_functions import rastrigin
 from benchmarks.compiled import compile_function
-from benchmarks.measure import read_rows, write_csv
+from benchmarks.measure import write_csv
 from benchmarks.script import run_jobs
 from drake_aigto.local import InteriorPoint, compile_nlp
 from drake_aigto.solver import AigoOptions, AigoSolver
@@ -278,7 +278,6 @@ PEER_FLAGS: dict[str, Any] = {
     "factor": (1.0, "seconds of peers over ours"),
     "aigo_seed": (0, "of AIGO's own random choices"),
     "out": (Path(), "folder of CSV file and figure"),
-    "reread": (False, "run nothing: the CSV file in --out"),
 }
 
 
@@ -295,8 +294,6 @@ def collect(
     Tells what a job records as it ends, and keeps all that is done in a CSV file.
     """
     path = arguments.out / name
-    if arguments.reread:
-        return read_csv(path)
     scheduler, workers = arguments.scheduler, arguments.workers
     where = f"on workers of {scheduler}" if scheduler else f"{workers} runs at once"
     records: list[Record] = []
@@ -315,10 +312,3 @@ def collect(
     return records
 
 
-def read_csv(path: Path) -> list[Record]:
-    """Reads what `write_csv` wrote."""
-    kinds = {"variables": int, "seed": int, "problem": str, "solver": str}
-    return [
-        Record(**{key: kinds.get(key, float)(value) for key, value in row.items()})
-        for row in read_rows(path)
-    ]

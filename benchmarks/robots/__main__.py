@@ -4,7 +4,6 @@
     python -m benchmarks.robots compare --count 12 --minutes 15 --workers 2
     python -m benchmarks.robots compare cart_pole/soft_06 --count 5 --methods IPOPT --seconds 2
     python -m benchmarks.robots search shooting --tries 300         # for the best known
-    python -m benchmarks.robots show robots.json
 
 The questions are random ones about each robot that is shipped, for the cart-pole after SPOT's ten
 (`worlds`). What a method finds is replayed by a judge with equations of its own (`judge`,
@@ -36,7 +35,6 @@ python -m benchmarks.robots compare --json robots.json --workers 2
 python -m benchmarks.robots compare cart_pole/soft_06 --count 5 --methods IPOPT shooting --seconds 1
 """
 _SEARCH = "python -m benchmarks.robots search IPOPT --tries 20 --minutes 20\n"
-_SHOW = "python -m benchmarks.robots show robots.json\n"
 
 
 def make_parser(_: Sequence[str] = ()) -> Parser:
@@ -46,9 +44,6 @@ def make_parser(_: Sequence[str] = ()) -> Parser:
     commands = parser.add_commands("COMMAND")
     _add_compare(commands)
     _add_search(commands)
-    text = "the table of results that are there"
-    show = add_command(commands, "show", _show, text, _SHOW)
-    show.add_argument("results", metavar="FILE", help="of `compare --json`")
     return parser
 
 
@@ -93,7 +88,9 @@ def _compare(options: argparse.Namespace) -> int:
         seconds=options.seconds,
         is_tuning=options.tuning,
     )
-    return _report(run_asked(options, RobotStudy(question, refresh=options.refresh)))
+    results = run_asked(options, RobotStudy(question, refresh=options.refresh))
+    print(format_results(results), end="\n\n")
+    return int(not all([is_met(*each) for each in find_figures(results)]))
 
 
 def _search(options: argparse.Namespace) -> int:
@@ -101,16 +98,6 @@ def _search(options: argparse.Namespace) -> int:
     asked = Comparison(worlds, options.count, (options.method,), 1.0, options.tuning)
     search(asked.questions(), options.method, options.tries, 60.0 * options.minutes, print)
     return FINE
-
-
-def _show(options: argparse.Namespace) -> int:
-    return _report(RobotStudy.load(options.results))
-
-
-def _report(results: RobotStudy) -> int:
-    """Prints the tables, and returns whether all figures that are asked for are reached."""
-    print(format_results(results), end="\n\n")
-    return int(not all([is_met(*each) for each in find_figures(results)]))
 
 
 if __name__ == "__main__":

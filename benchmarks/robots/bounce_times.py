@@ -7,9 +7,8 @@ Between touches u = θ̈ + g sin θ, so a flight is least squares in θ at equal
 and the last one, whose end is free, has w (θ − goal)²/R besides. Dynamic programming over touches
 finds the least sum of flights by the number of touches and by the first one, at times and speeds
 on a grid; its least local minima are polished, all times and speeds together. A touch without
-speed grazes; a flight beyond the wall is none. Pontryagin's principle is not used: `extremals` is
-another way to the same optima. The wall's upper side, beyond the hinge, bounds flights, but none
-bounces there.
+speed grazes; a flight beyond the wall is none. Pontryagin's principle is not used: it led to the
+same optima. The wall's upper side, beyond the hinge, bounds flights, but none bounces there.
 """
 
 from __future__ import annotations

@@ -14,7 +14,6 @@ import numpy as np
 
 from benchmarks.local_peers import casadi
 from benchmarks.robots.bounce_times import find_bounces
-from benchmarks.robots.extremals import find_extremals
 from benchmarks.robots.impulses import find_rigid_program, find_touches
 from benchmarks.robots.ipopt import IPOPT_STEPS, find_program
 from benchmarks.robots.judge import Control, judge, roll_out
@@ -108,11 +107,6 @@ def bounces(question: Question, first: int = 0) -> Attempts:
     yield from itertools.starmap(Attempt, find_bounces(question))
 
 
-def extremals(question: Question, first: int = 0) -> Attempts:
-    """Yields the extremals of the pendulum, which are searched on a grid."""
-    yield from itertools.starmap(Attempt, find_extremals(question))
-
-
 def ipopt_multistart(question: Question, first: int = 0) -> Attempts:
     """Yields what IPOPT makes of random roll-outs, of their touches where walls are rigid."""
     is_rigid, duration = WORLDS[question.world].is_rigid, scenario_of(question).duration
@@ -146,7 +140,6 @@ METHODS: Mapping[str, Method] = {
     "shooting": Method(shooting_multistart, on_rigid_walls=False),
     "listed": Method(listed_sequences, on_soft_walls=False),
     "bounces": Method(bounces, only="pendulum/off_the_wall"),
-    "extremals": Method(extremals, only="pendulum/off_the_wall"),
     "IPOPT": Method(ipopt_multistart),
     "SNOPT": Method(snopt_multistart, on_rigid_walls=False),
 }
